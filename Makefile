@@ -48,9 +48,7 @@ setup: $(VENV)/.messages $(VENV)/.package
 benchmark: setup
 	$(PIP) install -r requirements/benchmarks.txt
 	$(BIN)/python benchmarks/benchmark_fit.py
-	$(BIN)/python benchmarks/benchmark_pareto.py
 	$(BIN)/python benchmarks/benchmark_long_trials.py
-	$(BIN)/python benchmarks/benchmark_natnet.py
 	$(BIN)/python benchmarks/benchmark_drivers.py
 	$(BIN)/python benchmarks/benchmark_force_map.py
 

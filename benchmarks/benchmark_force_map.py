@@ -17,8 +17,7 @@ from collections import defaultdict
 
 import numpy as np
 from limbs import FAMILIES, Limb, Trial
-from machine import describe_machine
-from measure import repeat
+from machine import describe_machine, repeat
 from problems import CLUSTERS, cylinder
 from scipy.special import ndtri
 

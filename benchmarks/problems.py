@@ -73,16 +73,11 @@ def make_problem(
     objective = build_objective(samples, geometry, settings)
     problem = Problem(objective)
     rest = solve_box_qp(problem.stage_one(), settings.solver, settings.solver_tolerance)
-    rest_positions = rest_positions_of(problem, rest.x)
+    rest_positions = problem.law.reference_pose[:3] + MILLIMETRE * rest.x.reshape(3, -1).T
     return StageTwoInput(samples, geometry, settings, objective, rest_positions)
 
 
-KILONEWTON_PER_METRE, MILLIMETRE = 1e3, 1e-3  # [N/m, m]; scales of the paper's parameters
-
-
-def rest_positions_of(problem: Problem, x: FloatArray) -> FloatArray:
-    """Rest positions that a solution of Stage 1 stands for, shape (n, 3) [m]."""
-    return problem.law.reference_pose[:3] + MILLIMETRE * x.reshape(3, -1).T
+MILLIMETRE = 1e-3  # [m]; scale of the rest positions
 
 
 def with_rest(problem: Problem, rest_positions: FloatArray) -> FloatArray:

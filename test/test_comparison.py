@@ -74,8 +74,7 @@ def test_clear_differences_are_counted_against_chance_and_sorted() -> None:
     values = np.array([[1.0, 1.0, 1.0, 1.0], [1.2, 9.0, -4.0, 1.0]])
     reach = [1.0, 1.0, 1.0, 0.0]  # the last has no uncertainty, as a share of all
     table = table_of(TRIALS, "anterior medial distal socket", "shear [kPa]", values, reach)
-    nothing = np.zeros((2, 0))
-    found = Comparison(TRIALS.trials(TRIALS.names), "", (), table, None, nothing, nothing)
+    found = Comparison(TRIALS.trials(TRIALS.names), "", (), table, None)
     first, *lines = found.differing()
     assert first.startswith("2 of 3 intervals") and "about 0 would" in first
     assert lines == [

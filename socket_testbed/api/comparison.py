@@ -45,7 +45,7 @@ from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import atomic_output
 from socket_testbed.geometry.regions import Side
 from socket_testbed.geometry.socket import SOCKET, SocketGeometry
-from socket_testbed.identification.pressure import NORMAL_QUANTILE, SHARE, THRESHOLD
+from socket_testbed.identification.pressure import NORMAL_QUANTILE, THRESHOLD
 from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
 from socket_testbed.tables import split_unit
 from socket_testbed.trials.metadata import FIELDS
@@ -68,7 +68,6 @@ _DIFFERENCE = ("difference", "difference low", "difference high")
 _VALUES = (*_VALUE, *_DIFFERENCE)
 COLUMNS = ("part", "name", "quantity", "unit", "item", *_VALUES, "text")
 LEGEND = "value (95 % interval); *: the interval of the difference excludes 0."
-_MEAN = "mean pressure [kPa]"
 _HEADINGS = {
     "metadata": "Metadata of the trials",
     "trials": "Segments, sources and calibrations",
@@ -204,8 +203,6 @@ class Comparison(Result):
     notes: tuple[str, ...]  # what a reader must know
     table: pd.DataFrame  # see `to_dataframe`
     geometry: SocketGeometry | None  # None: sockets differ, or regions alone are compared
-    pressures: FloatArray  # (k, n) [kPa], means of the tiles
-    deviations: FloatArray  # (k, n) [kPa], their standard deviations
     side: Side | None = None  # the leg that wears the socket, if that is stated
 
     def __repr__(self) -> str:
@@ -309,15 +306,24 @@ class Comparison(Result):
             return super()._figure(style)
         from socket_testbed.report.figures.tiles import tile_map_figure
 
+        pressures, reaches = self._of_tiles(_VALUE)
         return tile_map_figure(
             self.geometry,
-            dict(zip(self.items, self.pressures, strict=True)),
-            _MEAN,
+            dict(zip(self.items, pressures, strict=True)),
+            "mean pressure [kPa]",
             style=style,
-            limits=(self.pressures.min(), self.pressures.max()),
+            limits=(pressures.min(), pressures.max()),
             side=self.side or "",
-            reach=dict(zip(self.items, NORMAL_QUANTILE * self.deviations, strict=True)),
+            reach=dict(zip(self.items, reaches, strict=True)),
         )
+
+    def _of_tiles(self, columns: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+        """Mean pressures of the n tiles, or differences, and their intervals' reach, (k, n)."""
+        rows = self.table.query("part == 'tiles' and quantity == 'mean pressure'")
+        value, low, high = (
+            rows[name].to_numpy().reshape(-1, len(self.items)).T for name in columns
+        )
+        return value, 0.5 * (high - low)
 
 
 def _cell(row: Mapping[str, Any], columns: Sequence[str]) -> str:
@@ -340,7 +346,6 @@ def compare(
     conditions: Mapping[str, Sequence[Trial | PathLike]] | None = None,
     segment: str = "plateau",
     threshold: float = 1e-3 * THRESHOLD,
-    share: float = SHARE,
     by_region: bool = False,
     params: PathLike | None = None,
     progress: Progress | None = None,
@@ -361,7 +366,6 @@ def compare(
             repeated donnings of each liner.
         segment: As `specification` in `st.select_segment`, of every trial.
         threshold: As in `st.pressure`.
-        share: As in `st.pressure`.
         by_region: Whether trials, even of different sockets, are compared by region alone.
         params: A `testbed.yaml` to use instead of each trial's own.
         progress: See `Progress`.
@@ -396,7 +400,7 @@ def compare(
     found = []
     for done, (name, trial) in enumerate(zip(names, trials, strict=True), start=1):
         try:
-            found.append(pressure(trial, segment, threshold=threshold, share=share, params=params))
+            found.append(pressure(trial, segment, threshold=threshold, params=params))
         except TrialError as error:  # it does not always say of which trial
             raise TrialError(f"{name}: {error.fact}", error.hint) from None
         report(done, len(trials))
@@ -409,19 +413,13 @@ def compare(
             "the trials were recorded with different priors of the force map (force_map.*): give"
             " one with --params"
         )
-    tiles = numbers.query("part == 'tiles' and quantity == 'mean pressure'")
     over = f"segment {segment}, in contact above {threshold:g} kPa"
-    pressures, lower, upper = (
-        tiles[end].to_numpy().reshape(-1, len(compared.names)).T for end in _VALUE
-    )
     return Comparison(
         conditions=compared.trials(names),
         title="; ".join([*_detectable(numbers, compared), over]),
         notes=tuple(notes),
         table=pd.concat([_texts(found, names, compared), numbers], ignore_index=True),
         geometry=None if by_region else first,
-        pressures=pressures,
-        deviations=(upper - lower) / (2.0 * NORMAL_QUANTILE),
         side=sides.pop() if len(sides) == 1 else None,
     )
 
@@ -504,30 +502,24 @@ def _map_data(found: Comparison) -> tuple[dict[str, Any], dict[str, str]]:
         return {}, {}
     from socket_testbed.pages.document import moment, socket_document
 
-    table = found.table
-    rows = table[(table["part"] == "tiles") & (table["quantity"] == "mean pressure")]
-    difference, low, high = (
-        rows[name].to_numpy().reshape(-1, len(found.items)).T[1:] for name in _DIFFERENCE
-    )
-    spread = (high - low) / (2.0 * NORMAL_QUANTILE)
+    (values, reaches), (differences, spreads) = map(found._of_tiles, (_VALUE, _DIFFERENCE))
     names = [*found.items, *map(found._difference, found.items[1:])]
-    values = [*found.pressures, *difference]
-    deviations = [*found.deviations, *spread]
-    most = float(np.abs(difference).max()) or 1.0
+    both = zip([*values, *differences[1:]], [*reaches, *spreads[1:]], strict=True)
+    most = float(np.abs(differences[1:]).max()) or 1.0
     nothing = np.zeros(0)
     maps: list[dict[str, Any]] = [
         {
             "box": f"map-{number}",
-            "moment": moment(0.0, 1e3 * value, 1e3 * deviation, nothing, nothing),
+            "moment": moment(0.0, 1e3 * value, 1e3 * reach / NORMAL_QUANTILE, nothing, nothing),
             "range": most if number >= len(found.items) else None,
             "diverging": number >= len(found.items),
         }
-        for number, (value, deviation) in enumerate(zip(values, deviations, strict=True))
+        for number, (value, reach) in enumerate(both)
     ]
     data = {
         "socket": socket_document(found.geometry, found.side),
         "maps": maps,
-        "scale": float(found.pressures.max()),
+        "scale": float(values.max()),
     }
     return data, {entry["box"]: name for entry, name in zip(maps, names, strict=True)}
 

@@ -48,7 +48,6 @@ from socket_testbed.identification.plausibility import (
     find_outliers,
     implausible_notes,
     require_position,
-    without_outliers,
 )
 from socket_testbed.identification.validation import judge_unseen_half
 from socket_testbed.samples import Samples, channel_unit, moments_about
@@ -152,7 +151,7 @@ class TrialFit(Result):
         """The samples of the segment without outliers."""
         chosen = self.trial.samples()[self.segment.rows]
         leave_out = self.fit.settings.leave_out
-        return without_outliers(chosen, find_outliers(chosen, self.trial.geometry, leave_out))
+        return find_outliers(chosen, self.trial.geometry, leave_out).taken_from(chosen)
 
     def to_dataframe(self) -> pd.DataFrame:
         """Errors on the samples of the fit, one row per channel in the channel's unit."""
@@ -443,7 +442,7 @@ def evaluate(
     leave_out = stored.settings.leave_out
     require_position(rows, trial.geometry)
     note_implausible(trial, samples, chosen, leave_out)
-    rows = without_outliers(rows, find_outliers(rows, trial.geometry, leave_out))
+    rows = find_outliers(rows, trial.geometry, leave_out).taken_from(rows)
     if trial.notify is not None and bool(trial.unloaded) != bool(stored.unloaded):
         fitted = "with" if stored.unloaded else "without"
         trial.notify(f"the model was fitted {fitted} --unloaded: its offsets are others")

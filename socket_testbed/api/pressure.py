@@ -29,7 +29,7 @@ from socket_testbed.identification.pressure import (
     THRESHOLD,
     TITLES,
     PressureOutputs,
-    RegionOutputs,
+    columns_of,
     normal_quantity,
     pressure_outputs,
     read_column,
@@ -294,7 +294,7 @@ class TrialPressure(Result):
         import pandas as pd
 
         names = pd.Index([place.name for place in self.places], name="region")
-        table = pd.DataFrame(_columns(self.outputs.regions, TITLES), index=names)
+        table = pd.DataFrame(columns_of(self.outputs.regions, TITLES), index=names)
         centres = table[_CENTRES].to_numpy() * 1e-3
         table["nearest tile"] = [self._nearest(centre) for centre in centres]
         return table
@@ -306,7 +306,7 @@ class TrialPressure(Result):
 
         geometry = self.trial.geometry
         names = pd.Index(geometry.names, name="tile")
-        table = pd.DataFrame(_columns(self.outputs.tiles, OF_TILES), index=names)
+        table = pd.DataFrame(columns_of(self.outputs.tiles, OF_TILES), index=names)
         table.insert(0, "cluster", _clusters_by_tile(geometry))
         return table
 
@@ -324,7 +324,7 @@ class TrialPressure(Result):
         import pandas as pd
 
         columns: dict[str, FloatArray] = {}
-        found = _columns(self.outputs.series, _OVER_TIME)
+        found = columns_of(self.outputs.series, _OVER_TIME)
         for number, place in enumerate(self.places):
             columns |= {
                 f"{place.name}.{title}": values[:, number] for title, values in found.items()
@@ -409,14 +409,6 @@ class TrialPressure(Result):
             return ""
         geometry = self.trial.geometry
         return geometry.names[int(np.linalg.norm(geometry.anchors - centre, axis=1).argmin())]
-
-
-def _columns(found: RegionOutputs, titles: Sequence[str]) -> dict[str, FloatArray]:
-    """Columns by their titles, each with the ends of its interval."""
-    columns: dict[str, FloatArray] = {}
-    for title in titles:
-        columns |= with_interval(title, read_column(found, title))
-    return columns
 
 
 def _clusters_by_tile(geometry: SocketGeometry) -> list[str]:

@@ -7,13 +7,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.result import Result
 from socket_testbed.api.trials import PathLike, Progress, as_path, as_trial, select, started
+from socket_testbed.arrays import evenly
 from socket_testbed.errors import ConfigurationError, IdentificationError, TrialError
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.noise import smooth_poses
@@ -21,7 +21,6 @@ from socket_testbed.identification.objective import LEAST_SAMPLES
 from socket_testbed.identification.plausibility import (
     find_outliers,
     require_position,
-    without_outliers,
 )
 from socket_testbed.identification.validation import (
     LEVELS,
@@ -48,7 +47,6 @@ if TYPE_CHECKING:
 
     from socket_testbed.report.figures.style import FigureStyle
 
-T = TypeVar("T")
 _MOST_FITTED = 12  # trials that models are fitted on; and trials that each of them is tested on
 
 
@@ -151,7 +149,7 @@ def validate(
     """
     recordings = _recordings([*map(as_trial, trials)], segment, as_path(params), choices)
     several = len(trials) > 1
-    chosen = _spread(recordings, _MOST_FITTED)
+    chosen = _some(recordings)
     report = started(progress, "validating") or (lambda done, total: None)
     total = len(recordings) + several * len(chosen)
     judgements: list[Judgement] = []
@@ -168,7 +166,7 @@ def validate(
             others = [other for other in recordings if other is not recording]
             if recording in fitted:
                 with _passed_over(recording.name, recording.trial, several):
-                    judgements += recording.judge_others(_spread(others, _MOST_FITTED))
+                    judgements += recording.judge_others(_some(others))
             report(len(recordings) + done + 1, total)
     names, fitted_names = ([r.name for r in listed] for listed in (recordings, fitted))
     metadata = tuple(recording.trial.metadata for recording in recordings)
@@ -187,10 +185,9 @@ def _passed_over(name: str, trial: Trial, several: bool) -> Iterator[None]:
             trial.notify(f"{name}: passed over: {error}")
 
 
-def _spread(items: Sequence[T], most: int) -> list[T]:
-    """At most so many of the items, evenly spread over them."""
-    numbers = np.linspace(0, len(items) - 1, min(len(items), most))
-    return [items[round(number)] for number in numbers]
+def _some(recordings: Sequence[_Recording]) -> list[_Recording]:
+    """As many as models are fitted on, evenly spread."""
+    return [recordings[number] for number in evenly(len(recordings), _MOST_FITTED)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,7 +255,7 @@ def _recordings(
             samples = trial.samples()[select(trial, segment, settings).rows]
             require_position(samples, trial.geometry)
             leave_out = settings.identification.leave_out
-            samples = without_outliers(samples, find_outliers(samples, trial.geometry, leave_out))
+            samples = find_outliers(samples, trial.geometry, leave_out).taken_from(samples)
             found.append(_Recording(name, trial, settings, samples))
     first = found[0].trial if found else trials[0]
     for trial in (recording.trial for recording in found):

@@ -19,12 +19,11 @@ from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import check_new_folder, make_folder
 from socket_testbed.geometry.regions import all_regions
 from socket_testbed.identification.fit import REGRESSION
-from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.pressure import NORMAL_QUANTILE
 from socket_testbed.identification.validation import (
     CLOSED,
     FORCE_MAP,
-    without_cluster,
+    left_out_pressures,
 )
 from socket_testbed.live.bringup import (
     end,
@@ -266,18 +265,10 @@ class _Ending:
         self._estimate, self._deviation, self._truth = (
             1e-3 * np.nanmean(values, axis=0) for values in (*live[..., 3][:, rows], pressed)
         )
-        self._left_out = {name: self._without(name) for name in samples.clusters}
-
-    def _without(self, cluster: str) -> tuple[float, float, float]:
-        """What a cluster measured, and what the map says without it, with its deviation."""
-        geometry, hold = self._geometry, self._hold
-        tile = geometry.clusters[cluster]
-        hidden = ForceMap(geometry, hold.clusters).estimate(without_cluster(hold, cluster))
-        column = hold.clusters.index(cluster)
-        measured = -np.nanmean(hold.trusted_forces[:, column, 2]) / geometry.areas[tile]
-        predicted = np.nanmean(hidden.normal_pressure[:, tile])
-        deviation = np.nanmean(hidden.normal_pressure_standard_deviation[:, tile])
-        return 1e-3 * float(measured), 1e-3 * float(predicted), 1e-3 * float(deviation)
+        self._left_out = {  # what a cluster measured, what the map says without it, its deviation
+            name: tuple(1e-3 * float(np.nanmean(values)) for values in compared)
+            for name, *compared in left_out_pressures(self._hold, self._geometry)
+        }
 
     def sentences(self) -> list[str]:
         """What was measured and estimated, how well, and where to look next."""

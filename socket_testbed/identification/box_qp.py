@@ -94,16 +94,6 @@ class BoxQP:
             gap=float(gap / (1.0 + abs(0.5 * x @ (gradient + self.q)))),
         )
 
-    def is_determined_at(self, x: FloatArray) -> bool:
-        """Whether the optimum x is the only one: P is definite over what is off its bounds."""
-        free = np.flatnonzero((x > self.lower) & (x < self.upper))
-        return is_definite(self.P[free][:, free], _FLAT)
-
-    def to_qpsolvers(self, sparse: bool) -> qpsolvers.Problem:
-        """The same problem for qpsolvers."""
-        matrix = csc_matrix(self.P) if sparse else self.P
-        return qpsolvers.Problem(matrix, self.q, lb=self.lower, ub=self.upper)
-
 
 @dataclass(frozen=True)
 class BoxSolution:
@@ -178,15 +168,13 @@ def solve_cold(problem: BoxQP, solver: str) -> BoxSolution:
 
 def _call_solver(problem: BoxQP, solver: str) -> tuple[FloatArray, int | None]:
     """The answer of a solver, certified or not, and its iterations if it gives them."""
+    P = problem.P if solver in qpsolvers.dense_solvers else csc_matrix(problem.P)
+    program = qpsolvers.Problem(P, problem.q, lb=problem.lower, ub=problem.upper)
     try:
         with warnings.catch_warnings():
             # The certificate judges the answer: the solver's warnings say nothing new.
             warnings.simplefilter("ignore")
-            answer = qpsolvers.solve_problem(
-                problem.to_qpsolvers(sparse=solver not in qpsolvers.dense_solvers),
-                solver,
-                **_OPTIONS.get(solver, {}),
-            )
+            answer = qpsolvers.solve_problem(program, solver, **_OPTIONS.get(solver, {}))
     except Exception as error:  # each backend has errors of its own
         raise UncertifiedSolutionError(
             f"{problem.name}: {solver} failed ({error})", "try another solver", problem, None
@@ -265,7 +253,9 @@ def pivot(problem: BoxQP, start: FloatArray) -> BoxSolution:
         exchanges += 1
     else:
         least = 0.0
-    determined = least > _FLAT or problem.is_determined_at(x)
+    # An optimum is the only one if P is definite over what is off its bounds.
+    free = np.flatnonzero((x > problem.lower) & (x < problem.upper))
+    determined = least > _FLAT or is_definite(problem.P[np.ix_(free, free)], _FLAT)
     return BoxSolution(x, certificate, determined, exchanges=exchanges)
 
 

@@ -53,14 +53,10 @@ class ContactModel:
         return isinstance(self.law, RigidLaw)
 
     def forces(self, pose: FloatArray) -> FloatArray:
-        """Forces F_i + b_i on the socket at the points of interest.
+        """Forces F_i + b_i on the socket at the n points of interest, in {S}, shape (N, n, 3) [N].
 
-        Args:
-            pose: Poses of the limb, position q and rotation vector, shape (N, 6) [m, rad]; the
-                paper's variants read the position alone.
-
-        Returns:
-            Forces in {S}, shape (N, n, 3) [N]; NaN where the pose is NaN.
+        A pose of the limb holds its position q and rotation vector, shape (N, 6) [m, rad]; the
+        paper's variants read the position alone. NaN where a pose is NaN.
         """
         forces = self._spring_forces(self._springs(self.law.motion(pose)))
         for name, bias in self.force_bias.items():
@@ -69,15 +65,10 @@ class ContactModel:
         return forces
 
     def wrench(self, pose: FloatArray) -> FloatArray:
-        """Wrench ``C F + b_w`` at the load cell, in `rigid_bias` with its slope over the pose.
+        """Wrenches ``C F + b_w`` [M; F] at the load cell in {S}, shape (N, 6) [N m, N].
 
-        The offsets of the clusters belong to the clusters' sensors: they are no part of the wrench.
-
-        Args:
-            pose: Poses of the limb as `forces` reads them, shape (N, 6) [m, rad].
-
-        Returns:
-            Wrenches [M; F] in {S}, shape (N, 6) [N m, N].
+        Poses are as in `forces`; `rigid_bias` adds a slope over the pose. The offsets of the
+        clusters belong to the clusters' sensors: they are no part of it.
         """
         if self.of_wrench is not None:
             return self.of_wrench.wrench(pose)
@@ -103,9 +94,7 @@ class ContactModel:
     ) -> tuple[FloatArray, FloatArray]:
         """Displacements delta that the gates of the springs read, with their standard deviations.
 
-        Args:
-            pose: Poses of the limb, shape (N, 6) [m, rad].
-            noise: Covariance of the noise of a pose since the reference pose, shape (6, 6).
+        Poses have the shape (N, 6) [m, rad], the covariance of their noise (6, 6).
 
         Returns:
             Displacements along x, y, z of {S}, shape (N, n, 3), in the rigid variants along each

@@ -106,6 +106,8 @@ class ContactLaw(ABC):
     """Samples of a fit; of more, means over equal blocks are fitted."""
     GATES: ClassVar[tuple[int, ...]]
     """The axes of the frames whose displacement a gate reads."""
+    SHARPNESS: ClassVar[str]
+    """The setting that gives the sharpness of the gate in a fit."""
 
     def __init__(
         self,
@@ -160,11 +162,6 @@ class ContactLaw(ABC):
 
     @classmethod
     @abstractmethod
-    def sharpness_of(cls, settings: IdentificationSettings) -> float:
-        """Sharpness of the gate in a fit [1/m]."""
-
-    @classmethod
-    @abstractmethod
     def reference_of(cls, pose: FloatArray, settings: IdentificationSettings) -> FloatArray:
         """Reference pose of a fit to poses of shape (N, 6), shape (6,) [m, rad]."""
 
@@ -181,12 +178,8 @@ class ContactLaw(ABC):
     def bed_stiffness(self, loading: Loading, along: FloatArray) -> tuple[float, float]:
         """Stiffness of the uniform bed that best explains how the wrench changes with the motion.
 
-        Args:
-            loading: The samples.
-            along: Ratios of the bed's stiffnesses along the axes to it, shape (3,) [-].
-
-        Returns:
-            The stiffness, zero at least [N/m], and the weighted squares that it leaves [-].
+        It is zero at least [N/m]; the stiffnesses along the axes have the ratios `along` to it,
+        shape (3,) [-]. The second number is the weighted squares that it leaves [-].
         """
         slope = np.einsum(
             "can,a,anm->cm", self.onto, along, self.jacobian.reshape(*self.onto.shape[1:], -1)
@@ -232,6 +225,7 @@ class PaperLaw(ContactLaw):
     OFFSETS_THROUGHOUT = False
     MOST_ROWS = None
     GATES = (0, 1, 2)
+    SHARPNESS = "gate_sharpness"
 
     @property
     def frames(self) -> FloatArray:
@@ -249,11 +243,6 @@ class PaperLaw(ContactLaw):
     def columns(self, moved: FloatArray) -> FloatArray:
         """Gated displacements, axis by axis."""
         return moved * gate(moved, self.sharpness)
-
-    @classmethod
-    def sharpness_of(cls, settings: IdentificationSettings) -> float:
-        """That of `gate_sharpness`."""
-        return settings.gate_sharpness
 
     @classmethod
     def reference_of(cls, pose: FloatArray, settings: IdentificationSettings) -> FloatArray:
@@ -302,14 +291,10 @@ _LEAST_MOTION = 1e-9  # [m, rad]; less is rounding of a pose that stands still
 
 
 def relative_pose(pose: FloatArray, reference: FloatArray) -> FloatArray:
-    """Displacement and rotation vector since a reference pose, both in {S}.
+    """Displacement and rotation vector since a reference pose (6,), both in {S}.
 
-    Args:
-        pose: Position and rotation vector, shape (N, 6) [m, rad].
-        reference: The same of the reference, shape (6,) [m, rad].
-
-    Returns:
-        ``[q - c, phi]`` with ``R = exp(phi) R_ref``, shape (N, 6) [m, rad]; NaN where the pose is.
+    A pose holds position and rotation vector, shape (N, 6) [m, rad]; what is found is
+    ``[q - c, phi]`` with ``R = exp(phi) R_ref``, of the same shape, NaN where the pose is.
     """
     relative = pose - reference
     known = np.isfinite(relative).all(axis=1)
@@ -353,6 +338,7 @@ class RigidLaw(ContactLaw):
     OFFSETS_THROUGHOUT = True
     MOST_ROWS = 500
     GATES = (2,)
+    SHARPNESS = "contact_sharpness"
 
     @property
     def frames(self) -> FloatArray:
@@ -403,11 +389,6 @@ class RigidLaw(ContactLaw):
     def _gate_slope(self, opened: FloatArray) -> FloatArray:
         """Derivative of gates by the displacement along the normal, of the same shape [1/m]."""
         return -2.0 * self.sharpness * opened * (1.0 - opened)
-
-    @classmethod
-    def sharpness_of(cls, settings: IdentificationSettings) -> float:
-        """That of `contact_sharpness`."""
-        return settings.contact_sharpness
 
     @classmethod
     def reference_of(cls, pose: FloatArray, settings: IdentificationSettings) -> FloatArray:

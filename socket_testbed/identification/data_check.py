@@ -21,7 +21,6 @@ from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.evaluation import trusted_values
-from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.noise import channel_noise
 from socket_testbed.identification.plausibility import (
     find_outliers,
@@ -33,10 +32,10 @@ from socket_testbed.identification.plausibility import (
 )
 from socket_testbed.identification.pressure import NORMAL_QUANTILE
 from socket_testbed.identification.validation import (
+    left_out_pressures,
     loaded_rows,
     measurement_errors,
     thinned,
-    without_cluster,
 )
 from socket_testbed.samples import Samples, Status, channel_unit
 from socket_testbed.settings.identification import ForceMapSettings
@@ -88,13 +87,9 @@ def check_data(
 ) -> tuple[Finding, ...]:
     """What to look at in the data of a trial, the worst first; empty if it is good.
 
-    Args:
-        samples: All samples of the trial.
-        geometry: Geometry of the socket.
-        mass: Of the person [kg], if it is stated.
-        leave_out: Channels that are not looked at one by one.
-        whole: Whether it is a whole trial. In a window of one, in which the limb may just be
-            pushed, no course is compared with another.
+    The mass is that of the person [kg], if it is stated. Channels that are left out are not looked
+    at one by one. In a window instead of a `whole` trial the limb may just be pushed: no course is
+    compared with another.
     """
     if len(samples) < LEAST_SAMPLES:
         fact = f"{len(samples)} samples are too few to judge it by"
@@ -229,20 +224,15 @@ def _disagreements(samples: Samples, geometry: SocketGeometry) -> Iterator[Findi
     rows = thinned(loaded_rows(samples, LEAST_CHANGE), _JUDGED)
     if not len(rows):
         return
-    prior = ForceMapSettings()
-    noise = measurement_errors(samples, channel_noise(samples).local_forces, prior)
-    some, worst = samples[rows], (DISAGREEMENT, "", "")
-    force_map = ForceMap(geometry, samples.clusters, prior)
-    for column, name in enumerate(samples.clusters):
-        tile = geometry.clusters[name]
-        measured = -some.trusted_forces[:, column, 2] / geometry.areas[tile]
+    noise = measurement_errors(samples, channel_noise(samples).local_forces, ForceMapSettings())
+    worst = (DISAGREEMENT, "", "")
+    compared = left_out_pressures(samples[rows], geometry)
+    for error, (name, measured, expected, deviation) in zip(noise, compared, strict=True):
         if not np.isfinite(measured).any():
             continue
-        others = force_map.estimate(without_cluster(some, name))
-        expected = others.normal_pressure[:, tile]
-        deviation = others.normal_pressure_standard_deviation[:, tile]
-        error = np.nan_to_num(noise[column, 2]) / geometry.areas[tile]
-        scale = np.hypot(deviation, error)
+        scale = np.hypot(
+            deviation, np.nan_to_num(error[2]) / geometry.areas[geometry.clusters[name]]
+        )
         off = abs(float(np.nanmean((measured - expected) / scale)))
         value, middle, reach = (
             1e-3 * float(np.nanmean(of)) for of in (measured, expected, NORMAL_QUANTILE * scale)

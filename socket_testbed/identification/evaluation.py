@@ -111,16 +111,10 @@ def summarise_errors(errors: Sequence[ChannelErrors]) -> ErrorSummary:
 
 
 def predict_channels(model: ContactModel, pose: FloatArray, clusters: Sequence[str]) -> FloatArray:
-    """Predict every channel in the order of `channel_names`.
+    """Predict every channel in the order of `channel_names`, shape (N, 6 + 3c) [N m, N].
 
-    Args:
-        model: The contact model.
-        pose: Poses of the limb, position and rotation vector, shape (N, 6) [m, rad].
-        clusters: Names of the c clusters.
-
-    Returns:
-        The wrench, then the force on each cluster in its frame, shape (N, 6 + 3c)
-        [N m, N]; NaN where the pose is NaN.
+    The wrench comes first, then the force on each of the c clusters in its frame. A pose holds
+    position and rotation vector, shape (N, 6) [m, rad]; NaN where it is NaN.
     """
     lacking = [name for name in clusters if name not in model.cluster_points]
     if lacking:

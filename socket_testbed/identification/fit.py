@@ -78,11 +78,7 @@ def fit_contact_model(
 ) -> Fit:
     """Identify the contact model: rest positions, then stiffnesses and offsets.
 
-    Args:
-        samples: Samples of the segment; outliers and those without a wrench or a limb position are
-            skipped.
-        geometry: Geometry of the socket.
-        settings: Settings of the identification.
+    Outliers among the samples and those without a wrench or a limb position are skipped.
     """
     problem = Problem(build_objective(samples, geometry, settings))
     solver, tolerance = settings.solver, settings.solver_tolerance
@@ -188,7 +184,7 @@ def _wrench_error(model: ContactModel, samples: Samples) -> float:
 def _refine(
     problem: Problem, x: FloatArray, solver: str, tolerance: float
 ) -> tuple[FloatArray, BoxSolution]:
-    """Minimise the joint objective over all parameters, from a start on.
+    """Minimise the joint objective over all parameters, from a start x on, shape (6, n) [-].
 
     Each step minimises a quadratic model of the objective in the bounds: its gradient with the
     Hessian where that is definite, else with the Gauss-Newton matrix, damped after Levenberg and
@@ -196,26 +192,24 @@ def _refine(
     Problems, 3.2). A step that does not lower the objective is taken back and damped more. The
     solver gives the first step; the next ones start from the active set of the last.
 
-    Args:
-        problem: The objective.
-        x: Start, shape (6, n) [-].
-        solver: Any solver that qpsolvers finds.
-        tolerance: Largest residual of the certificate [-].
-
-    Returns:
-        The minimum with its certificate. Where the noise of the poses leaves a long flat valley,
-        the last and best point after `_STEPS` steps, which says so.
+    The minimum comes with its certificate. Where the noise of the poses leaves a long flat valley,
+    it is the last and best point after `_STEPS` steps, which says so.
     """
     shape, prior = x.shape, problem.prior
     lower, upper = problem.lower.reshape(-1), problem.upper.reshape(-1)
     damping, growth, terms = _DAMPING, 2.0, problem.evaluate(x)
     first: BoxSolution | None = None
     exchanges = 0
+
+    def quadratic(hessian: FloatArray, gradient: FloatArray, at: FloatArray) -> BoxQP:
+        q = factor * (gradient - hessian @ at)
+        return BoxQP(factor * hessian, q, lower, upper, "joint refinement")
+
     for done in range(_STEPS + 1):
         here = x.reshape(-1)
         hessian = terms.gauss_newton + prior
         factor = len(hessian) / float(np.trace(hessian))
-        local = _quadratic(hessian, terms.gradient, here, lower, upper, factor)
+        local = quadratic(hessian, terms.gradient, here)
         certificate = local.certificate(here)
         if certificate.worst <= tolerance or done == _STEPS:
             break
@@ -225,7 +219,7 @@ def _refine(
         exact = hessian + np.where(np.outer(free, free), terms.curvature, 0.0)
         if is_definite(factor * (exact + ridge), _FLAT):
             hessian = exact
-        program = _quadratic(hessian + ridge, terms.gradient, here, lower, upper, factor)
+        program = quadratic(hessian + ridge, terms.gradient, here)
         found = pivot(program, here) if first else solve_cold(program, solver)
         first, exchanges = first or found, exchanges + found.exchanges
         step = found.x - here
@@ -245,15 +239,3 @@ def _refine(
     return x, replace(
         solved, x=here, certificate=certificate, determined=True, exchanges=exchanges, course=course
     )
-
-
-def _quadratic(
-    hessian: FloatArray,
-    gradient: FloatArray,
-    x: FloatArray,
-    lower: FloatArray,
-    upper: FloatArray,
-    factor: float,
-) -> BoxQP:
-    q = factor * (gradient - hessian @ x)
-    return BoxQP(factor * hessian, q, lower, upper, "joint refinement")

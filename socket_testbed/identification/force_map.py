@@ -43,7 +43,6 @@ from socket_testbed.identification.contact_law import wrench_map
 from socket_testbed.identification.plausibility import (
     Outliers,
     find_outliers,
-    without_outliers,
 )
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status
 from socket_testbed.settings.identification import ForceMapSettings
@@ -130,17 +129,11 @@ class _Conditioned:
         return replace(self, **{name: getattr(self, name)[kept] for name in parts})
 
     def average(self, measured: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and variances of the forces over the hypotheses.
+        """Mean and variances of the forces over the hypotheses, shape (N, n, 4) each [N, N^2].
 
-        With the amplitude's prior, the square of the amplitude has under each hypothesis the
-        posterior mean (f + y' S^-1 y) / (f + d - 2).
-
-        Args:
-            measured: The channels that are present, shape (N, d).
-            weights: Probabilities of the hypotheses, shape (M,) [-].
-
-        Returns:
-            Forces, shape (N, n, 4) [N], and their variances, shape (N, n, 4) [N^2].
+        They follow from the channels that are present, shape (N, d), and the probabilities of the
+        hypotheses, shape (M,). With the amplitude's prior, the square of the amplitude has under
+        each hypothesis the posterior mean (f + y' S^-1 y) / (f + d - 2).
         """
         count, channels = measured.shape
         hypotheses, tiles = self.variances.shape[:2]
@@ -341,11 +334,7 @@ class ForceMap:
         have the posterior distribution (Matheron's rule: Journel & Huijbregts, Mining
         Geostatistics, 1978, section VII.A). The random numbers are the same in all samples: what
         the channels leave open stays the same over a trial, so a mean over time is no more certain
-        than its samples. They are seeded, and come in pairs of opposite errors.
-
-        Args:
-            samples: N samples.
-            count: Number D of draws, even.
+        than its samples. They are seeded, and come in pairs of opposite errors: `count` is even.
 
         Yields:
             The draws of some of the samples, until every sample has come once, in whatever order.
@@ -492,7 +481,7 @@ def map_trial(
     """The map of a trial, and its samples without single outliers and channels left out."""
     ignored = find_outliers(samples, geometry, leave_out).values
     ignored[:, [name in leave_out for name in samples.channels]] = True
-    trusted = without_outliers(samples, Outliers(np.zeros(len(samples), bool), ignored))
+    trusted = Outliers(np.zeros(len(samples), bool), ignored).taken_from(samples)
     return ForceMap(geometry, samples.clusters, settings, trusted), trusted
 
 
@@ -570,7 +559,7 @@ class Prior:
 
     Attributes:
         mapping: H from the forces to the channels, shape (c, 3n).
-        noise: Variances R of the channels' noise, shape (c,).
+        noise: Variances R of the channels' noise, offset and gain, shape (c,).
         with_channels: K H', shape (n, 3, c).
         blocks: The covariances of each tile's force, shape (n, 3, 3) [N^2].
     """
@@ -590,12 +579,20 @@ class Prior:
         turned = np.tile(np.eye(3), (count, 1, 1))  # T
         turned[:, :2, 2] = sizes.drag * (proximal_direction(geometry) @ geometry.rotations)[:, :2]
         self._turned = sizes.normal_deviation * turned
-        self.mapping = _mapping(geometry, clusters, sizes.share)
+        in_socket = wrench_map(geometry.anchors).reshape(6, count, 3)
+        wrench = np.einsum("fni,nij->fnj", in_socket, geometry.rotations) / sizes.share
+        local = np.zeros((len(clusters), 3, count, 3))
+        for number, cluster in enumerate(clusters):
+            local[number, :, geometry.clusters[cluster]] = np.eye(3)
+        self.mapping = np.vstack([wrench.reshape(6, -1), local.reshape(-1, 3 * count)])
         K, tiles = self.covariance(), np.arange(count)
         self.blocks = K.reshape(count, 3, count, 3)[tiles, :, tiles]
         self.with_channels = (K @ self.mapping.T).reshape(count, 3, -1)
         self.signal = self.mapping @ K @ self.mapping.T  # H K H'
-        self.noise = _noise(self.signal, sizes)
+        channels = 3 * len(clusters)
+        errors = (sizes.moment_error, sizes.force_error, sizes.cluster_error)
+        gains = np.repeat([0.0, sizes.cluster_gain_error], (6, channels))
+        self.noise = np.repeat(errors, (3, 3, channels)) ** 2 + gains**2 * np.diag(self.signal)
 
     def covariance(self) -> FloatArray:
         """K, shape (3n, 3n) [N^2]: see this module."""
@@ -620,23 +617,3 @@ class Prior:
         motions = parts[3][:, None] + self._variation * varying
         field += np.einsum("naj,dnj->dna", self._bed, motions)
         return np.einsum("nab,dnb->dna", self._turned, field).reshape(count, -1)
-
-
-def _mapping(geometry: SocketGeometry, clusters: tuple[str, ...], share: float) -> FloatArray:
-    """H from the forces in the tiles' frames to the channels, shape (6 + 3c, 3n)."""
-    count = len(geometry)
-    in_socket = wrench_map(geometry.anchors).reshape(6, count, 3)
-    wrench = np.einsum("fni,nij->fnj", in_socket, geometry.rotations) / share
-    local = np.zeros((len(clusters), 3, count, 3))
-    for number, cluster in enumerate(clusters):
-        local[number, :, geometry.clusters[cluster]] = np.eye(3)
-    return np.vstack([wrench.reshape(6, -1), local.reshape(-1, 3 * count)])
-
-
-def _noise(signal: FloatArray, settings: SimpleNamespace) -> FloatArray:
-    """Variances R of noise, offset and gain of the channels, by the prior's H K H', shape (c,)."""
-    clusters = len(signal) - len(WRENCH_CHANNELS)
-    errors = (settings.moment_error, settings.force_error, settings.cluster_error)
-    offset = np.repeat(errors, (3, 3, clusters))
-    gain = np.repeat([0.0, settings.cluster_gain_error], (len(WRENCH_CHANNELS), clusters))
-    return np.asarray(offset**2 + gain**2 * np.diag(signal))

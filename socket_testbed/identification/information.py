@@ -112,18 +112,10 @@ def known_directions(
     .. math:: \mathrm{tr}\bigl((H + \kappa^{-2} I)^{-1} H\bigr), \qquad
               H = \sum_k J_k^T \Sigma^{-1} J_k
 
-    counts a direction as known whose standard deviation is below kappa. J_k is taken without what
-    the model's offsets could explain of it (`LoadShare`), and at the poses without the directions
-    in which their motion is not `LEAST_RATIO` times their noise.
-
-    Args:
-        samples: Samples of the fit.
-        model: The model, whose forces are linear in its stiffnesses.
-        accuracy: Standard deviation kappa that counts as known [N/m].
-        window: Window over which the poses are averaged [s].
-
-    Returns:
-        The number; NaN where the samples do not show the noise of the wrench.
+    counts a direction as known whose standard deviation is below the accuracy kappa [N/m]. J_k is
+    taken without what the model's offsets could explain of it (`LoadShare`), and at the poses,
+    averaged over a window [s], without the directions in which their motion is not `LEAST_RATIO`
+    times their noise. NaN where the samples do not show the noise of the wrench.
     """
     noise, spread = _noise(samples, window)
     rows = np.flatnonzero(samples.complete)
@@ -281,11 +273,8 @@ def engagement(
 ) -> Engagement:
     """Which springs of a model are engaged, sample by sample, and how long each is.
 
-    Args:
-        samples: N samples of a trial or segment as measured, in the order of their stamps.
-        model: The model.
-        window: Window over which the poses are averaged [s], as in the model's fit.
-        rows: The samples that `Engagement.time_share` is taken over.
+    The N samples are as measured, in the order of their stamps. Their poses are averaged over the
+    window of the model's fit [s]. `Engagement.time_share` is taken over the rows.
     """
     relative = relative_pose(samples.pose, model.reference_pose)
     motion = replace(samples, position=relative[:, :3], rotation=relative[:, 3:])
@@ -343,19 +332,15 @@ class Suspension:
 
     def outputs(self) -> dict[str, Quantity]:
         """What a lab reads, in the unit of its title, such as `stiffness Fz [N/mm]`; shapes ()."""
-        found = {"pistoning [mm]": _scaled(self.pistoning, (), 1e3)}
+        found = {"pistoning [mm]": self.pistoning.part((), 1e3)}
         degrees = 180.0 / np.pi
         for axis, name in enumerate("xyz"):
             title = f"range of rotation about {name} [deg]"
-            found[title] = _scaled(self.rotation, (axis,), degrees)
+            found[title] = self.rotation.part((axis,), degrees)
         for axis, name in enumerate(AXES):
             unit, factor = ("N/mm", 1e-3) if axis < 3 else ("N m/deg", 1.0 / degrees)
-            found[f"stiffness {name} [{unit}]"] = _scaled(self.stiffness, (axis, axis), factor)
+            found[f"stiffness {name} [{unit}]"] = self.stiffness.part((axis, axis), factor)
         return found
-
-
-def _scaled(quantity: Quantity, at: tuple[int, ...], factor: float) -> Quantity:
-    return Quantity(*(np.asarray(factor * part[at]) for part in vars(quantity).values()))
 
 
 def find_suspension(samples: Samples, geometry: SocketGeometry) -> Suspension | None:

@@ -79,14 +79,9 @@ class StoredModel:
 def write_model(
     fit: Fit, geometry: SocketGeometry, trial: dict[str, Any], segment: str, path: Path
 ) -> None:
-    """Write a fitted model as JSON.
+    """Write a model that was fitted on a segment as JSON; an older file is replaced.
 
-    Args:
-        fit: The fit.
-        geometry: Geometry of the socket.
-        trial: Identity of the trial; at least its `name`.
-        segment: The segment of the trial.
-        path: The file; an older one is replaced.
+    The identity of the trial holds at least its `name`.
     """
     document = {
         "format": _FORMAT,
@@ -231,12 +226,7 @@ class _Model(Document):
 
 
 def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredModel:
-    """Read a model.
-
-    Args:
-        path: The file.
-        geometry: Geometry of the socket that the model is used on, to check that it fits.
-    """
+    """Read a model; a geometry is that of the socket that it is used on, to check that it fits."""
     try:
         data = load_json(path, "a model")
     except ConfigurationError as error:

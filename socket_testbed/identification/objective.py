@@ -42,7 +42,6 @@ from socket_testbed.identification.plausibility import (
     outlier_notes,
     require_load,
     require_units,
-    without_outliers,
 )
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
 from socket_testbed.settings.identification import IdentificationSettings
@@ -80,16 +79,6 @@ class Objective:
     wrench_shares: FloatArray  # weight of squared errors in J_w, or 0, (6,) [1/(N m)^2, 1/N^2]
     channels: tuple[ClusterChannel, ...]  # channels of the clusters in the objective
     channel_shares: FloatArray  # weight of each channel's squared error in J_f, shape (m,) [1/N^2]
-
-    @property
-    def wrench_weights(self) -> FloatArray:
-        """Weight of each squared wrench error, shape (6,) [1/(N m)^2, 1/N^2]."""
-        return self.settings.theta * self.wrench_shares
-
-    @property
-    def channel_weights(self) -> FloatArray:
-        """Weight of each cluster channel's squared error, shape (m,) [1/N^2]."""
-        return (1.0 - self.settings.theta) * self.channel_shares
 
     def with_settings(self, **changes: Any) -> Objective:
         """The same samples with another theta, smoothness or variant."""
@@ -135,10 +124,19 @@ def _usable_rows(samples: Samples, wrench_counts: BoolArray) -> BoolArray:
     return rows
 
 
-def _without_outliers(
-    samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...]
-) -> Samples:
-    outliers = find_outliers(samples, geometry, leave_out)
+def build_objective(
+    samples: Samples, geometry: SocketGeometry, settings: IdentificationSettings
+) -> Objective:
+    """Choose, check and normalise the channels of a fit.
+
+    Outliers (see `plausibility`) and samples without a wrench or a limb position are skipped.
+    """
+    check_channels(settings.leave_out, samples.channels)
+    counts = np.array([name not in settings.leave_out for name in samples.channels])
+    wrench_counts, cluster_counts = counts[:6], counts[6:].reshape(-1, 3)
+    _usable_rows(samples, wrench_counts)
+    require_units(samples, geometry, settings.leave_out)
+    outliers = find_outliers(samples, geometry, settings.leave_out)
     count = int(outliers.rows.sum())
     if count > MOST_OUTLIERS * len(samples):
         raise IdentificationError(
@@ -146,26 +144,7 @@ def _without_outliers(
             f" {'; '.join(outlier_notes(samples, outliers))}",
             "check these channels, leave them out (--leave-out), or give another segment",
         )
-    return without_outliers(samples, outliers)
-
-
-def build_objective(
-    samples: Samples, geometry: SocketGeometry, settings: IdentificationSettings
-) -> Objective:
-    """Choose, check and normalise the channels of a fit.
-
-    Args:
-        samples: Samples; outliers (see `plausibility`) and those without a wrench or a limb
-            position are skipped.
-        geometry: Geometry of the socket.
-        settings: Settings of the identification.
-    """
-    check_channels(settings.leave_out, samples.channels)
-    counts = np.array([name not in settings.leave_out for name in samples.channels])
-    wrench_counts, cluster_counts = counts[:6], counts[6:].reshape(-1, 3)
-    _usable_rows(samples, wrench_counts)
-    require_units(samples, geometry, settings.leave_out)
-    samples = _without_outliers(samples, geometry, settings.leave_out)
+    samples = outliers.taken_from(samples)
     noise = channel_noise(samples) if settings.weights == "noise" else None
     samples = smooth_poses(samples, settings.pose_smoothing)
     samples = samples[_usable_rows(samples, wrench_counts)]

@@ -29,8 +29,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray, evenly
-from socket_testbed.documents import check_number
-from socket_testbed.errors import ConfigurationError, IdentificationError
+from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.box_qp import (
     BoxQP,
@@ -42,8 +41,8 @@ from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.evaluation import ChannelErrors, evaluate, summarise_errors
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.objective import Objective, build_objective
-from socket_testbed.identification.problem import Problem, StageTwoMoments
-from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, channel_unit
+from socket_testbed.identification.problem import Problem
+from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.settings.identification import (
     PAPER_VARIANTS,
     IdentificationSettings,
@@ -178,46 +177,29 @@ def pareto_front(
     geometry: SocketGeometry,
     settings: IdentificationSettings,
     thetas: Sequence[float] | FloatArray,
-    variants: Sequence[Variant] = PAPER_VARIANTS,
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[Variant, Front]:
-    """Identify the contact model for every theta and variant.
+    """Identify the contact model for every theta, for both of the paper's variants.
 
     At theta 0 the wrench has no weight, at theta 1 the clusters have none: the smoothness
     alone then determines what the other group leaves open. A solution that is not certified,
-    or not determined, carries its flaw and is not on the front.
-
-    Args:
-        samples: Samples of the segment; those without a wrench or a limb position are skipped. Of
-            more than 4000, as many are used, evenly spread.
-        geometry: Geometry of the socket.
-        settings: Settings of the identification; its theta and variant do not matter.
-        thetas: Weights of the wrench against the clusters, in [0, 1] and rising [-].
-        variants: The paper's variants to trace, one front each.
-        progress: Called with the number of thetas done and of all.
+    or not determined, carries its flaw and is not on the front. Of more than 4000 samples, as many
+    are used, evenly spread; theta and variant of the settings do not matter. The thetas are in
+    [0, 1] and rise; `progress` is called with the number of those done and of all.
     """
-    for theta in thetas:
-        check_number(float(theta), "theta", 0.0, 1.0)
-    if len(thetas) == 0 or not (np.diff(thetas) > 0.0).all():
-        raise ConfigurationError("the thetas do not rise", "give each once, in rising order")
-    for variant in set(variants) - set(PAPER_VARIANTS):
-        raise ConfigurationError(
-            f"the front over theta is defined for the paper's two stages, not for {variant}",
-            f"choose of {', '.join(PAPER_VARIANTS)}",
-        )
     settings = replace(settings, variant=PAPER_VARIANTS[0])
     objective = build_objective(samples, geometry, settings)
     objective = objective.part(evenly(len(objective.samples), _MOST_SAMPLES))
     _require_both_groups(objective)
-    solver = _FrontSolver(objective)
-    points: dict[Variant, list[FrontPoint]] = {variant: [] for variant in variants}
+    points: dict[Variant, list[FrontPoint]] = {variant: [] for variant in PAPER_VARIANTS}
+    last: dict[str, FloatArray] = {}
     for done, theta in enumerate(thetas, start=1):
-        for variant, point in solver.solve_at(float(theta), variants).items():
+        for variant, point in _solve_at(objective, float(theta), last).items():
             points[variant].append(point)
         if progress is not None:
             progress(done, len(thetas))
     channels = _channels(objective)
-    fronts = {variant: make_front(variant, channels, points[variant]) for variant in variants}
+    fronts = {variant: make_front(variant, channels, found) for variant, found in points.items()}
     if not any(front.sound.any() for front in fronts.values()):
         raise IdentificationError(
             f"no theta gives a solution without flaw: {next(iter(fronts.values())).flaws[-1]}",
@@ -226,63 +208,50 @@ def pareto_front(
     return fronts
 
 
-class _FrontSolver:
-    """Solves both stages for one theta after another; each starts from the solution before."""
+def _solve_at(
+    objective: Objective, theta: float, last: dict[str, FloatArray]
+) -> dict[Variant, FrontPoint]:
+    """The solution of each variant at a theta; each program starts from its `last` solution."""
+    settings = objective.settings
 
-    def __init__(self, objective: Objective) -> None:
-        self._objective = objective
-        self._last: dict[str, FloatArray] = {}  # solutions by the program's kind
+    def solve(program: BoxQP, kind: str) -> BoxSolution:
+        found = solve_box_qp(program, settings.solver, settings.solver_tolerance, last.get(kind))
+        last[kind] = found.x
+        return found
 
-    def solve_at(self, theta: float, variants: Sequence[Variant]) -> dict[Variant, FrontPoint]:
-        """The solution of each variant at a theta."""
-        objective = self._objective
-        problem = Problem(objective.with_settings(theta=theta))
-        program = problem.stage_one()
+    problem = Problem(objective.with_settings(theta=theta))
+    stage_one = problem.stage_one()
+    try:
+        rest = solve(stage_one, "rest positions")
+    except UncertifiedSolutionError as error:
+        return dict.fromkeys(PAPER_VARIANTS, _flawed(objective, theta, error))
+    x = problem.start.copy()
+    x[3:] = rest.x.reshape(3, -1)
+    moments = problem.moments(x)
+    wrench = int(objective.wrench_counts.sum())
+    wrench_shares = objective.wrench_shares[objective.wrench_counts]
+    points = {}
+    for variant in PAPER_VARIANTS:
+        problem = Problem(objective.with_settings(theta=theta, variant=variant))
+        stage_two = problem.stage_two(moments)
         try:
-            rest = self._solve(program, "rest positions")
+            springs = solve(stage_two, variant)
         except UncertifiedSolutionError as error:
-            return {variant: _flawed(objective, theta, error) for variant in variants}
-        x = problem.start.copy()
-        x[3:] = rest.x.reshape(3, -1)
-        moments = problem.moments(x)
-        points = {}
-        for variant in variants:
-            of_variant = Problem(objective.with_settings(theta=theta, variant=variant))
-            try:
-                point = self._solve_springs(of_variant, x, moments)
-            except UncertifiedSolutionError as error:
-                point = _flawed(objective, theta, error)
-            flaw = point.flaw or _undetermined(program, rest)
-            residual = float(np.max([point.residual, rest.certificate.worst]))
-            points[variant] = replace(point, flaw=flaw, residual=residual)
-        return points
-
-    def _solve_springs(
-        self, problem: Problem, x: FloatArray, moments: StageTwoMoments
-    ) -> FrontPoint:
-        objective = problem.objective
-        program = problem.stage_two(moments)
-        springs = self._solve(program, objective.settings.variant)
+            points[variant] = _flawed(objective, theta, error)
+            continue
         model = problem.model(np.vstack([springs.x.reshape(3, -1), x[3:]]))
-        errors = evaluate(objective.samples, model, objective.settings.leave_out)
+        errors = evaluate(objective.samples, model, settings.leave_out)
         rmse = np.array([error.rmse for error in errors if error.in_objective])
-        wrench = int(objective.wrench_counts.sum())
-        shares = objective.wrench_shares[objective.wrench_counts]
-        return FrontPoint(
-            theta=objective.settings.theta,
+        points[variant] = FrontPoint(
+            theta=theta,
             model=model,
             rmse=rmse,
-            wrench_error=float(np.sqrt(shares @ rmse[:wrench] ** 2)),
+            wrench_error=float(np.sqrt(wrench_shares @ rmse[:wrench] ** 2)),
             local_error=float(np.sqrt(objective.channel_shares @ rmse[wrench:] ** 2)),
-            residual=springs.certificate.worst,
-            flaw=_undetermined(program, springs),
+            residual=max(springs.certificate.worst, rest.certificate.worst),
+            flaw=_undetermined(stage_two, springs) or _undetermined(stage_one, rest),
         )
-
-    def _solve(self, program: BoxQP, kind: str) -> BoxSolution:
-        settings, near = self._objective.settings, self._last.get(kind)
-        found = solve_box_qp(program, settings.solver, settings.solver_tolerance, near)
-        self._last[kind] = found.x
-        return found
+    return points
 
 
 def _flawed(objective: Objective, theta: float, error: UncertifiedSolutionError) -> FrontPoint:
@@ -301,9 +270,8 @@ def _undetermined(program: BoxQP, solution: BoxSolution) -> str:
 
 
 def _channels(objective: Objective) -> tuple[str, ...]:
-    wrench = np.array(WRENCH_CHANNELS)[objective.wrench_counts].tolist()
-    local = [f"{channel.cluster}.{LOCAL_CHANNELS[channel.axis]}" for channel in objective.channels]
-    return (*wrench, *local)
+    left_out = objective.settings.leave_out
+    return tuple(name for name in objective.samples.channels if name not in left_out)
 
 
 def _require_both_groups(objective: Objective) -> None:
@@ -461,11 +429,8 @@ def beside_published(
 ) -> pd.DataFrame:
     """The figures of the paper for a trial, beside the printed ones.
 
-    Args:
-        errors: Errors of the paper's two variants on every channel.
-        fronts: Their fronts over theta; none where there are no thetas to state.
-        samples: The samples of the fits.
-        settings: Settings of the fits.
+    The errors are those of the paper's two variants on every channel, the fronts theirs over theta
+    (none where there are no thetas to state), samples and settings those of the fits.
 
     Returns:
         A row per figure, indexed by its name and unit: for this trial and for the paper the values

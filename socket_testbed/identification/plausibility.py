@@ -84,6 +84,16 @@ class Outliers:
         """Samples with an outlier, shape (N,)."""
         return np.asarray(self.position | self.values.any(axis=1))
 
+    def taken_from(self, samples: Samples) -> Samples:
+        """The samples with their outliers marked as not measured."""
+        shape = samples.local_forces.shape
+        return dataclasses.replace(
+            samples,
+            position=np.where(self.position[:, None], np.nan, samples.position),
+            wrench=np.where(self.values[:, :6], np.nan, samples.wrench),
+            local_forces=np.where(self.values[:, 6:].reshape(shape), np.nan, samples.local_forces),
+        )
+
 
 def find_outliers(
     samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...] = ()
@@ -105,17 +115,6 @@ def find_outliers(
             squares[place] = 0.0
             found[:, group][place] = True
     return Outliers(_beyond(samples.position, geometry), found)
-
-
-def without_outliers(samples: Samples, outliers: Outliers) -> Samples:
-    """The samples with their outliers marked as not measured."""
-    shape = samples.local_forces.shape
-    return dataclasses.replace(
-        samples,
-        position=np.where(outliers.position[:, None], np.nan, samples.position),
-        wrench=np.where(outliers.values[:, :6], np.nan, samples.wrench),
-        local_forces=np.where(outliers.values[:, 6:].reshape(shape), np.nan, samples.local_forces),
-    )
 
 
 def outlier_notes(samples: Samples, outliers: Outliers, start: int | None = None) -> list[str]:
@@ -141,9 +140,7 @@ def outlier_notes(samples: Samples, outliers: Outliers, start: int | None = None
 def sign_note(samples: Samples, geometry: SocketGeometry) -> str | None:
     """A note where the wrench looks negated; None without clear evidence.
 
-    Args:
-        samples: Samples of the segment.
-        geometry: Geometry of the socket; the x axes of its tiles point to the proximal end.
+    The x axes of the socket's tiles point to the proximal end.
     """
     proximal = geometry.rotations[:, :, 0].mean(axis=0)
     opening = geometry.rotations[:, :, 2].mean(axis=0) @ proximal

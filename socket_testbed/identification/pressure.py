@@ -29,6 +29,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -84,11 +85,9 @@ class Quantity:
         reach = np.maximum(self.high - self.value, self.value - self.low)
         return np.asarray(reach <= share * self.scale)  # never where one is NaN
 
-
-def column_of(quantity: Quantity, column: int) -> Quantity:
-    """One of the last axis."""
-    parts = (getattr(quantity, part.name)[..., column] for part in fields(Quantity))
-    return Quantity(*parts)
+    def part(self, place: Any, factor: float = 1.0) -> Quantity:
+        """Those at a place of the arrays, such as `(..., 2)`, in another unit."""
+        return Quantity(*(np.asarray(factor * values[place]) for values in vars(self).values()))
 
 
 def normal_quantity(value: FloatArray, deviation: FloatArray) -> Quantity:
@@ -117,8 +116,15 @@ def read_column(found: RegionOutputs, title: str) -> Quantity:
     """The output of a column of `TITLES`, in the unit of the title."""
     name, axis, factor = _COLUMNS[title]
     quantity: Quantity = getattr(found, name)
-    parts = (quantity.value, quantity.low, quantity.high, quantity.scale)
-    return Quantity(*(factor * (part if axis is None else part[..., axis]) for part in parts))
+    return quantity.part(... if axis is None else (..., axis), factor)
+
+
+def columns_of(found: RegionOutputs, titles: Sequence[str]) -> dict[str, FloatArray]:
+    """Columns by their titles, each with the ends of its interval."""
+    columns: dict[str, FloatArray] = {}
+    for title in titles:
+        columns |= with_interval(title, read_column(found, title))
+    return columns
 
 
 def with_interval(title: str, quantity: Quantity) -> dict[str, FloatArray]:
@@ -397,15 +403,9 @@ def outputs_of(
 ) -> dict[str, FloatArray]:
     """The outputs of forces that are known, such as those of a simulation or of a model.
 
-    Args:
-        forces: Forces on the tiles in {S}, shape (N, n, 3) [N].
-        time: Times of the samples, shape (N,) [s].
-        geometry: Geometry of the socket.
-        regions: The R regions.
-        threshold: Pressure above which a tile is in contact [Pa].
-
-    Returns:
-        The outputs over the span by the names of `RegionOutputs`, shape (R,), the centre (R, 3).
+    The forces act on the tiles in {S}, shape (N, n, 3) [N], at times (N,) [s]; a tile is in contact
+    above the threshold [Pa]. The outputs over the span have the names of `RegionOutputs` and the
+    shape (R,), the centre (R, 3).
     """
     local = np.einsum("nij,kni->knj", geometry.rotations, forces)
     span = _Span(1, geometry.areas)
@@ -455,12 +455,9 @@ def measured_rows(samples: Samples) -> BoolArray:
 
 
 def integration_weights(time: FloatArray) -> FloatArray:
-    """Weights of the trapezoidal rule, without gaps, shape (N,) [s].
+    """Weights of the trapezoidal rule, without gaps, by ascending times, shape (N,) each [s].
 
     A step longer than three times the usual one is a gap: what happened in it is not known.
-
-    Args:
-        time: Times of the samples, ascending, shape (N,) [s].
     """
     steps = np.diff(time)
     if not len(steps):

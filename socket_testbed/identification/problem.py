@@ -90,14 +90,14 @@ class Problem:
         self.law = law = kind(
             geometry.anchors,
             geometry.rotations,
-            kind.sharpness_of(settings),
+            getattr(settings, kind.SHARPNESS),
             kind.reference_of(pose, settings),
         )
         self._with_offsets = settings.variant in BIAS_VARIANTS
         size = -(-len(pose) // law.MOST_ROWS) if law.MOST_ROWS else 1
         self._motion = _block_means(law.motion(pose), size)
         self._wrench = _block_means(objective.wrench, size)
-        self._weights = objective.wrench_weights
+        self._weights = settings.theta * objective.wrench_shares
         self.channels = self._gather(size)
         zero = float(self._weights @ (self._wrench**2).mean(axis=0))
         zero += sum(c.weight * float(np.mean(c.force**2)) for c in self.channels)
@@ -113,7 +113,7 @@ class Problem:
     def _gather(self, size: int) -> list[ClusterChannel]:
         """The channels of the clusters, of means over blocks of samples, in the law's frames."""
         channels = []
-        weights = self.objective.channel_weights.tolist()
+        weights = ((1.0 - self.objective.settings.theta) * self.objective.channel_shares).tolist()
         for channel, weight in zip(self.objective.channels, weights, strict=True):
             values = np.full(len(channel.rows), np.nan)
             values[channel.rows] = channel.force

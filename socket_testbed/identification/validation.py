@@ -13,7 +13,7 @@ the smallest change that meets the wrench, the best constant, and linear regress
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import TYPE_CHECKING, Literal
@@ -93,15 +93,9 @@ def inverse_distance(
               w_{ic} = \lVert a_i - a_c \rVert^{-2}
 
     with f_c in the cluster's frame, so that a pressure stays a pressure around the socket
-    (Shepard, Proc. 23rd ACM National Conference, 1968). A cluster's own tile has its force.
-
-    Args:
-        geometry: Geometry of the socket.
-        clusters: Names of the c clusters.
-        local_forces: Force on each in its frame, shape (N, c, 3) [N]; NaN if missing.
-
-    Returns:
-        Forces in {S}, shape (N, n, 3) [N]; NaN in samples without any cluster.
+    (Shepard, Proc. 23rd ACM National Conference, 1968). A cluster's own tile has its force. The
+    given forces are in the clusters' frames, shape (N, c, 3) [N], NaN if missing; those found are
+    in {S}, shape (N, n, 3) [N], NaN in samples without any cluster.
     """
     tiles = [geometry.clusters[name] for name in clusters]
     apart = np.linalg.norm(geometry.anchors[:, None] - geometry.anchors[tiles], axis=2)
@@ -123,17 +117,9 @@ def close_wrench(
               C (F + \Delta F) = w
 
     so that a large tile changes more than a small one, as under an added stress:
-    :math:`\Delta F = A C^T (C A C^T)^{-1} (w - C F)`.
-
-    Args:
-        geometry: Geometry of the socket.
-        forces: Forces in {S}, shape (N, n, 3) [N].
-        wrench: Wrenches [M; F], shape (N, 6) [N m, N].
-        held: Tiles whose force stays, such as those with a sensor.
-
-    Returns:
-        Forces in {S}, shape (N, n, 3) [N]; if the other tiles are too few to meet every wrench,
-        those that come nearest.
+    :math:`\Delta F = A C^T (C A C^T)^{-1} (w - C F)`. The force on `held` tiles stays, such as on
+    those with a sensor. Forces are in {S}, shape (N, n, 3) [N], wrenches [M; F], shape (N, 6)
+    [N m, N]; if the other tiles are too few to meet every wrench, the forces come nearest.
     """
     mapping = wrench_map(geometry.anchors)
     areas = geometry.areas.copy()
@@ -183,15 +169,11 @@ def judge_wrench(
                 samples=len(samples),
                 moment_rmse=moment,
                 force_rmse=force,
-                moment_skill=_skill(moment, finite_mean(constant[:3])),
-                force_skill=_skill(force, finite_mean(constant[3:])),
+                moment_skill=1.0 - moment / (finite_mean(constant[:3]) or np.nan),
+                force_skill=1.0 - force / (finite_mean(constant[3:]) or np.nan),
             )
         )
     return found
-
-
-def _skill(error: float, constant: float) -> float:
-    return 1.0 - error / constant if constant > 0.0 else float("nan")
 
 
 def loaded_rows(samples: Samples, least_force: float) -> BoolArray:
@@ -213,6 +195,19 @@ def without_cluster(samples: Samples, cluster: str) -> Samples:
     forces[:, column] = np.nan
     status[:, column] = Status.MISSING
     return dataclasses.replace(samples, local_forces=forces, status=status)
+
+
+def left_out_pressures(
+    samples: Samples, geometry: SocketGeometry
+) -> Iterator[tuple[str, FloatArray, FloatArray, FloatArray]]:
+    """Each cluster's pressure, what the map says without it, its deviation, (N,) each [Pa]."""
+    force_map = ForceMap(geometry, samples.clusters)
+    for column, name in enumerate(samples.clusters):
+        tile = geometry.clusters[name]
+        measured = -samples.trusted_forces[:, column, 2] / geometry.areas[tile]
+        others = force_map.estimate(without_cluster(samples, name))
+        deviation = others.normal_pressure_standard_deviation[:, tile]
+        yield name, measured, others.normal_pressure[:, tile], deviation
 
 
 FieldEstimator = Callable[[Samples], tuple[FloatArray, FloatArray | None]]
@@ -394,16 +389,10 @@ def judge_samples(
 ) -> list[Judgement]:
     """Answer all three questions on the loaded part of one trial.
 
-    The variants and their rivals are fitted on its first half and judged on its second. The tiles
-    without a sensor are judged on the second half for every estimate.
-
-    Args:
-        samples: Samples of the trial.
-        geometry: Geometry of the socket.
-        settings: Settings of the estimator; the variant does not matter.
-        truth: Simulated force on every tile in {S}, shape (N, n, 3) [N]; None if unknown.
-        name: Name of the trial.
-        notify: Called with a note per variant that cannot be fitted.
+    The variants and their rivals are fitted on its first half and judged on its second; the variant
+    of the settings does not matter. The tiles without a sensor are judged on the second half for
+    every estimate, by their true forces in {S}, shape (N, n, 3) [N], if those are known. A variant
+    that cannot be fitted is noted.
     """
     first, second = split(samples, settings.plateau.least_force)
     found = judge_map(samples, geometry, settings, name)

@@ -30,7 +30,6 @@ from socket_testbed.identification.plausibility import (
     find_outliers,
     require_load,
     sign_note,
-    without_outliers,
 )
 from socket_testbed.live.machine import schedule_ordinarily
 from socket_testbed.samples import Samples
@@ -160,7 +159,7 @@ def _fit(
         return Refit(_plausible_fit(samples, geometry, settings))
     if len(samples) and not samples.wrench.any():
         require_load(samples, np.ones(6, dtype=bool))
-    cleaned = without_outliers(samples, find_outliers(samples, geometry, settings.leave_out))
+    cleaned = find_outliers(samples, geometry, settings.leave_out).taken_from(samples)
     complete = cleaned.complete
     for stretch in find_newest_plateaus(cleaned, steady.plateau, settings.leave_out):
         used = np.zeros(len(samples), dtype=bool)

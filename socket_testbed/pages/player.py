@@ -16,7 +16,6 @@ from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.plausibility import require_position
 from socket_testbed.identification.pressure import (
     THRESHOLD,
-    column_of,
     measured_rows,
     pressure_outputs,
 )
@@ -73,7 +72,7 @@ class Player:
         some = self._trusted[rows]
         found = pressure_outputs(self._map, some, self._geometry, self._places, THRESHOLD)
         events = [(event.time, event.label) for event in self._trial.events_of(samples)]
-        peak = column_of(found.series.peak, -1)
+        peak = found.series.peak.part((..., -1))
         return {
             "title": self._trial.name,
             "facts": self._trial.metadata.described(),

@@ -41,7 +41,6 @@ from socket_testbed.identification.plausibility import (
     find_outliers,
     outlier_notes,
     sign_note,
-    without_outliers,
 )
 from socket_testbed.identification.pressure import (
     THRESHOLD,
@@ -184,7 +183,7 @@ def compute_results(
     sign = sign_note(samples[segment.rows], trial.geometry)
     outliers = find_outliers(samples, trial.geometry, leave_out)
     notes += [*outlier_notes(samples, outliers), *([sign] if sign else [])]
-    samples = without_outliers(samples, outliers)
+    samples = outliers.taken_from(samples)
     reach(1)
     chosen = samples[segment.rows]
     chosen_variant = settings.identification.variant

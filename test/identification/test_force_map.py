@@ -14,8 +14,6 @@ from socket_testbed.identification.force_map import (
     ForceMap,
     MapEstimate,
     Prior,
-    _mapping,
-    _noise,
     _rice_deviation,
     _rigid_motions,
     hypotheses,
@@ -200,9 +198,9 @@ def test_joint_draws_have_the_posterior_of_a_plain_conditioning() -> None:
     (drawn,) = hypotheses(settings)
     prior = whole_prior(drawn)
     kept = np.repeat([True, True, True, True, False, True], 3)
-    mapping = _mapping(GEOMETRY, CLUSTERS, drawn.share)
-    total = mapping @ prior @ mapping.T
-    total = (total + np.diag(_noise(total, drawn)))[np.ix_(kept, kept)]
+    parts = Prior(GEOMETRY, CLUSTERS, drawn)
+    mapping = parts.mapping
+    total = (mapping @ prior @ mapping.T + np.diag(parts.noise))[np.ix_(kept, kept)]
     mapping = mapping[kept]
     measured = np.concatenate([samples.wrench[0], samples.local_forces[0].ravel()])[kept]
     gain = np.linalg.solve(total, mapping @ prior).T

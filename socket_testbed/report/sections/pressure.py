@@ -20,10 +20,9 @@ from socket_testbed.identification.pressure import (
     THRESHOLD,
     PressureOutputs,
     Quantity,
-    column_of,
+    columns_of,
     normal_quantity,
     read_column,
-    with_interval,
 )
 from socket_testbed.pages.document import (
     axial_force,
@@ -88,7 +87,7 @@ def page_data(results: Results) -> dict[str, Any]:
     over_trial, tiles = found.over_trial, found.outputs.tiles
     samples, measured = over_trial.samples, measured_pressure(found.outputs.samples, geometry)
     time = 1e-9 * (samples.stamps - first)
-    peak = column_of(over_trial.series.peak, -1)
+    peak = over_trial.series.peak.part((..., -1))
     deviation = (tiles.mean.high - tiles.mean.low) / (2.0 * NORMAL_QUANTILE)
     mean = moment(
         found.peak_time, tiles.mean.value, deviation, tiles.shear.value, measured.mean(axis=0)
@@ -147,10 +146,7 @@ def section(results: Results) -> Section:
 def regions_frame(pressure: PressureResults) -> pd.DataFrame:
     """Outputs over the segment with the ends of their intervals, a row per region."""
     names = pd.Index([place.name for place in pressure.places], name="region")
-    columns: dict[str, FloatArray] = {}
-    for title in _DECIMALS:
-        columns |= with_interval(title, read_column(pressure.outputs.regions, title))
-    return pd.DataFrame(columns, index=names)
+    return pd.DataFrame(columns_of(pressure.outputs.regions, [*_DECIMALS]), index=names)
 
 
 def pressure_tables(pressure: PressureResults) -> list[Table]:
