@@ -190,7 +190,13 @@ def pareto_front(
     settings = replace(settings, variant=PAPER_VARIANTS[0])
     objective = build_objective(samples, geometry, settings)
     objective = objective.part(evenly(len(objective.samples), _MOST_SAMPLES))
-    _require_both_groups(objective)
+    counts = {"wrench": objective.wrench_counts.sum(), "clusters": len(objective.channels)}
+    for group, count in counts.items():
+        if count == 0:
+            raise IdentificationError(
+                f"no channel of the {group} is in the objective: there is nothing to trade off",
+                "leave fewer channels out, or fit a single model with 'fit'",
+            )
     points: dict[Variant, list[FrontPoint]] = {variant: [] for variant in PAPER_VARIANTS}
     last: dict[str, FloatArray] = {}
     for done, theta in enumerate(thetas, start=1):
@@ -272,18 +278,6 @@ def _undetermined(program: BoxQP, solution: BoxSolution) -> str:
 def _channels(objective: Objective) -> tuple[str, ...]:
     left_out = objective.settings.leave_out
     return tuple(name for name in objective.samples.channels if name not in left_out)
-
-
-def _require_both_groups(objective: Objective) -> None:
-    for group, count in (
-        ("wrench", int(objective.wrench_counts.sum())),
-        ("clusters", len(objective.channels)),
-    ):
-        if count == 0:
-            raise IdentificationError(
-                f"no channel of the {group} is in the objective: there is nothing to trade off",
-                "leave fewer channels out, or fit a single model with 'fit'",
-            )
 
 
 def make_front(variant: Variant, channels: tuple[str, ...], points: Sequence[FrontPoint]) -> Front:
