@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from support.pareto_cases import CHANNELS, THETAS, made_up_front, make_hold
+from support.pareto_cases import CHANNELS, THETAS, made_up_front
 from support.problems import make_case
 from support.wording import refused
 
@@ -98,7 +98,7 @@ def test_the_errors_are_normalised_by_what_was_measured():
 
 
 def test_what_nothing_decides_is_not_on_the_front():
-    geometry, _, samples, settings = make_hold(4)
+    geometry, _, samples, settings = make_case(4)
     # A row of tiles, none of them under a cluster, that is joined to no other.
     island = {i for i in range(len(geometry)) if i not in geometry.clusters.values()}
     pairs = [p for p in geometry.neighbours if (p[0] in island) == (p[1] in island)]

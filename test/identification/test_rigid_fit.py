@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.problems import make_samples, random_socket, uniform_bed
+from support.problems import make_samples, random_bed, random_socket
 
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import fit_contact_model
@@ -19,8 +19,7 @@ def rigid_bed(rng: np.random.Generator, geometry, variant="rigid") -> ContactMod
     """A rigid bed that presses everywhere a little: a limb that settled."""
     size, inwards = (len(geometry), 3), geometry.rotations[:, 2]
     return dataclasses.replace(
-        uniform_bed(geometry, [2000.0, 2000.0, 6000.0]),
-        variant=variant,
+        random_bed(np.random.default_rng(0), geometry, variant),
         rest_positions=rng.normal([0.0, 0.0, 0.003], 0.001, size) - 0.004 * inwards,
         stiffness=rng.uniform(0.5, 1.5, size) * [2000.0, 2000.0, 6000.0],
         sharpness=300.0,
