@@ -4,7 +4,6 @@ import dataclasses
 import json
 
 import numpy as np
-import pandas as pd
 import pytest
 from support.pareto_cases import CHANNELS, THETAS, made_up_front
 from support.problems import make_case
@@ -29,7 +28,6 @@ from socket_testbed.identification.pareto import (
     pareto_front,
 )
 from socket_testbed.settings.identification import PAPER_VARIANTS
-from socket_testbed.tables import write_table
 
 LOCAL = tuple(f"cluster_{i}.F{axis}" for i in range(3) for axis in "xyz")
 
@@ -206,20 +204,9 @@ def test_a_front_marks_its_ends_and_its_knee_but_nothing_flawed():
     assert not front.non_dominated[[0, 4, 8, 10]].any()
     assert set(front.marks) == {KNEE} and front.marks[KNEE] in (3, 5)
     assert front.worst_residual == pytest.approx(10e-12)
-
-
-def test_the_table_and_the_json_are_the_fronts(tmp_path):
-    fronts = [made_up_front(), made_up_front("stiffness_bias", 0.1, {3: "not certified"})]
-    write_table(front_table(fronts), tmp_path / "front.csv")
-    table = pd.read_csv(tmp_path / "front.csv", keep_default_na=False)
-    assert table["variant"].tolist() == ["stiffness"] * 11 + ["stiffness_bias"] * 11
-    errors = table["wrench error [-]"][:11].astype(float)
-    np.testing.assert_allclose(errors, fronts[0].wrench_error, rtol=1e-9)
-    flawed = table.loc[14, ["flaw", "wrench error [-]", "RMSE Mx [N m]"]]
-    assert flawed.tolist() == ["not certified", "", ""]
-    nothing = made_up_front(flaws=dict.fromkeys(range(11), "not certified"))
-    for front in (fronts[0], nothing):
-        document = json.loads(json.dumps(front_document(front), allow_nan=False))
-        assert len(document["solutions"]) == 11
-        assert document["marks"].keys() == front.marks.keys()
-    assert document["knee"]["theta"] is document["solutions"][0]["rmse"]["Mx"] is None
+    table = front_table([made_up_front(), front])
+    assert table["variant"].tolist() == ["stiffness"] * 22 and table.loc[15, "flaw"] == flaws[4]
+    np.testing.assert_array_equal(table["wrench error [-]"][11:], front.wrench_error)
+    document = json.loads(json.dumps(front_document(front), allow_nan=False))
+    assert document["marks"].keys() == front.marks.keys()
+    assert document["solutions"][4]["rmse"]["Mx"] is None  # JSON has no NaN
