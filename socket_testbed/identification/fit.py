@@ -197,7 +197,8 @@ def _refine(
     """
     shape, prior = x.shape, problem.prior
     lower, upper = problem.lower.reshape(-1), problem.upper.reshape(-1)
-    damping, growth, terms = _DAMPING, 2.0, problem.evaluate(x)
+    damping, growth, value = _DAMPING, 2.0, problem.value(x)
+    terms = problem.evaluate(x)
     first: BoxSolution | None = None
     exchanges = 0
 
@@ -225,10 +226,11 @@ def _refine(
         step = found.x - here
         expected = -float(terms.gradient @ step + 0.5 * step @ hessian @ step)
         trial = (here + step).reshape(shape)
-        gained = terms.value - problem.value(trial)
-        if gained > 0.0 or abs(gained) <= _ROUNDING * terms.value:
-            x, terms = trial, problem.evaluate(trial)
-            ratio = min(gained / max(expected, _ROUNDING * terms.value), 1.0)
+        trial_value = problem.value(trial)
+        gained = value - trial_value
+        if gained > 0.0 or abs(gained) <= _ROUNDING * value:
+            x, value, terms = trial, trial_value, problem.evaluate(trial)
+            ratio = min(gained / max(expected, _ROUNDING * value), 1.0)
             damping *= max(0.1, 1.0 - (2.0 * ratio - 1.0) ** 3)
             growth = 2.0
         else:
