@@ -117,9 +117,13 @@ def test_a_pose_or_a_load_that_stands_still_gives_no_slope():
 
 def test_the_wrench_is_taken_from_what_predicts_the_unseen_half_best(tmp_path):
     """A wrench that is linear in the pose is a regression's; the bed keeps the clusters' forces."""
-    geometry, _, samples, settings = rigid_case(4, "rigid_bias", count=160)
+    geometry, bed, samples, settings = rigid_case(4, "rigid_bias", count=160)
     own = fit_contact_model(samples, geometry, settings)
     assert own.wrench == "" and own.model.of_wrench is None  # the bed is the truth
+    soft = {"contact_sharpness": 20.0, "wrench_sharpness": (20.0, bed.sharpness)}
+    fit = fit_contact_model(samples, geometry, dataclasses.replace(settings, **soft))
+    assert fit.wrench.startswith("springs of sharpness 300 /m: ")
+    assert fit.model.sharpness == 20.0 and fit.model.of_wrench.sharpness == bed.sharpness
     change = samples.wrench - samples.wrench.mean(axis=0)  # under one load it says nothing
     held = dataclasses.replace(samples, wrench=np.array([0, 1, 0, 5, 3, -250.0]) + 1e-3 * change)
     assert fit_contact_model(held, geometry, settings).model.of_wrench is None
