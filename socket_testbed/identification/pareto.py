@@ -356,7 +356,7 @@ def front_document(front: Front) -> dict[str, Any]:
         "knee": {
             "theta": None if front.knee.index is None else float(front.theta[front.knee.index]),
             "depth": finite_or_null(front.knee.depth),
-            "span": [finite_or_null(span) for span in front.knee.span],
+            "span": finite_or_null(front.knee.span),
             "verdict": front.knee.verdict,
         },
         "marks": {name: _solution(front, index) for name, index in front.marks.items()},
