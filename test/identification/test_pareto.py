@@ -5,7 +5,6 @@ import json
 
 import numpy as np
 import pytest
-from support.pareto_cases import CHANNELS, THETAS, made_up_front
 from support.problems import make_case
 from support.wording import refused
 
@@ -21,14 +20,18 @@ from socket_testbed.identification.pareto import (
     RESOLUTION,
     SENSOR_ONLY,
     WRENCH_ONLY,
+    FrontPoint,
     find_knee,
     find_non_dominated,
     front_document,
     front_table,
+    make_front,
     pareto_front,
 )
 from socket_testbed.settings.identification import PAPER_VARIANTS
 
+CHANNELS = ("Mx", "Fx", "Fz", "distal.Fx", "distal.Mz", "distal.Fz")
+THETAS = (0.0, 0.07, 0.5, 0.93, 1.0)
 LOCAL = tuple(f"cluster_{i}.F{axis}" for i in range(3) for axis in "xyz")
 
 
@@ -189,6 +192,21 @@ def test_the_knee_of_a_hyperbola_is_where_its_slope_is_the_chord_s_and_without_o
         knee = knee_of(wrench, local)
         assert knee.index is None and not knee.depth >= LEAST_DEPTH
         assert knee.verdict.startswith("no knee") and reason in knee.verdict
+
+
+def made_up_front(variant="stiffness", scale=1.0, flaws=(), channels=CHANNELS):
+    """A hyperbola with its corner at theta 0.4, dominated from theta 0.9 on."""
+    points = []
+    for i, t in enumerate(np.linspace(0.0, 1.0, 11)):
+        errors = (0.1 + 0.01 / (t + 0.01), 0.1 + 0.01 / (0.81 - t)) if i < 9 else (2.0 + t, 2.0)
+        wrench, local = scale * errors[0], scale * errors[1]
+        rmse = np.arange(1.0, 1.0 + len(channels)) * (1.0 + t)
+        flaw = dict(flaws).get(i, "")
+        if flaw == "not certified":
+            wrench = local = np.nan
+            rmse = rmse * np.nan
+        points.append(FrontPoint(float(t), None, rmse, wrench, local, 1e-12 * (i + 1), flaw))
+    return make_front(variant, channels, points)
 
 
 def test_a_front_marks_its_ends_and_its_knee_but_nothing_flawed():
