@@ -38,8 +38,8 @@ from socket_testbed.identification.information import (
 )
 from socket_testbed.identification.model_file import (
     StoredModel,
-    errors_document,
     quoted_figures,
+    record,
     write_model,
 )
 from socket_testbed.identification.model_file import read_model as _read_model
@@ -252,7 +252,7 @@ def _errors_document(
         "model": model,
         "segment": identity["segment"],
         "samples": samples,
-        "channels": [errors_document(error) for error in errors],
+        "channels": [record(error) for error in errors],
         "in_objective": quoted_figures(errors),
     }
 

@@ -458,7 +458,10 @@ def pressure(
     check_number(share, "--share", 0.0, 5.0)
     settings = estimator_settings(trial.estimator, as_path(params), leave_out=leave_out)
     geometry = trial.geometry
-    places = _regions(trial, regions)
+    if regions is not None:
+        own = find_regions(regions, geometry.names, "regions")
+        geometry = dataclasses.replace(geometry, regions=own)
+    places = all_regions(geometry, trial.metadata.side)
     samples, left_out = trial.samples(), settings.identification.leave_out
     check_channels(left_out, samples.channels)
     chosen = select(trial, segment, settings)
@@ -467,13 +470,3 @@ def pressure(
         rows = trusted[chosen.rows]
         outputs = pressure_outputs(mapping, rows, geometry, places, 1e3 * threshold)
     return TrialPressure(trial, chosen, places, outputs, threshold, share)
-
-
-def _regions(trial: Trial, own: Mapping[str, Sequence[str]] | None) -> tuple[Region, ...]:
-    """The regions of a trial's socket."""
-    geometry = trial.geometry
-    if own is not None:
-        given = find_regions(own, geometry.names, "regions")
-        geometry = dataclasses.replace(geometry, regions=given)
-    side = trial.metadata.side
-    return all_regions(geometry, side)

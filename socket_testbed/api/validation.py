@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from socket_testbed.api.result import Result
 from socket_testbed.api.trials import PathLike, Progress, as_path, as_trial, select, started
 from socket_testbed.arrays import evenly
 from socket_testbed.errors import ConfigurationError, IdentificationError, TrialError
-from socket_testbed.identification.model_file import finite_or_null
+from socket_testbed.identification.model_file import record
 from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.objective import LEAST_SAMPLES
 from socket_testbed.identification.plausibility import (
@@ -101,15 +100,7 @@ class Validation(Result):
             "trials": list(self.trials),
             "fitted": list(self.fitted),
             "levels": list(LEVELS),
-            "judgements": [
-                {
-                    key: [*map(finite_or_null, value)]
-                    if isinstance(value, tuple)
-                    else finite_or_null(value)
-                    for key, value in dataclasses.asdict(judgement).items()
-                }
-                for judgement in self.judgements
-            ],
+            "judgements": [record(judgement) for judgement in self.judgements],
         }
 
 

@@ -123,8 +123,8 @@ def _with_wrench_model(
     """
     middle = used.stamps[len(used) // 2]
     first, unseen = used[used.stamps < middle], used[used.stamps >= middle]
-    known = bool(np.isfinite(used.wrench).all())  # else a channel is left out
-    if settings.variant != "rigid_bias" or not settings.wrench_sharpness or not known:
+    complete = np.isfinite(used.wrench).all()  # else a channel is left out
+    if settings.variant != "rigid_bias" or not settings.wrench_sharpness or not complete:
         return model, ""
     force = used.wrench[:, 3:]
     change, size = np.sqrt(force.var(axis=0).sum()), np.sqrt(3.0 * np.mean(force**2))
@@ -136,18 +136,17 @@ def _with_wrench_model(
     def fitted(sharpness: float, on: Samples) -> ContactModel:
         return fit_contact_model(on, geometry, replace(alone, contact_sharpness=sharpness)).model
 
-    own, *others = settings.contact_sharpness, *settings.wrench_sharpness
-    tried = {f"springs of sharpness {value:g} /m": fitted(value, early) for value in (own, *others)}
-    base = next(iter(tried))
+    beds = (settings.contact_sharpness, *settings.wrench_sharpness)
+    sharpness = {f"springs of sharpness {value:g} /m": value for value in beds}
+    base = next(iter(sharpness))
+    tried = {name: fitted(value, early) for name, value in sharpness.items()}
     tried[REGRESSION] = _regression(tried[base], first)
     errors = {name: _wrench_error(each, unseen) for name, each in tried.items()}
     best = min(errors, key=errors.__getitem__)
     if not errors[best] < CLEARLY * errors[base]:
         return model, ""
-    if best == REGRESSION:
-        chosen = _regression(model, used)
-    else:
-        chosen = fitted(others[list(tried).index(best) - 1], samples)
+    known = sharpness.get(best)
+    chosen = _regression(model, used) if known is None else fitted(known, samples)
     better = f"{best}: {100.0 * (1.0 - errors[best] / errors[base]):.0f} % less error on the"
     return replace(model, of_wrench=chosen), f"{better} unseen half than the bed's own springs"
 
@@ -197,7 +196,8 @@ def _refine(
     """
     shape, prior = x.shape, problem.prior
     lower, upper = problem.lower.reshape(-1), problem.upper.reshape(-1)
-    damping, growth, terms = _DAMPING, 2.0, problem.evaluate(x)
+    damping, growth, value = _DAMPING, 2.0, problem.value(x)
+    terms = problem.evaluate(x)
     first: BoxSolution | None = None
     exchanges = 0
 
@@ -225,10 +225,11 @@ def _refine(
         step = found.x - here
         expected = -float(terms.gradient @ step + 0.5 * step @ hessian @ step)
         trial = (here + step).reshape(shape)
-        gained = terms.value - problem.value(trial)
-        if gained > 0.0 or abs(gained) <= _ROUNDING * terms.value:
-            x, terms = trial, problem.evaluate(trial)
-            ratio = min(gained / max(expected, _ROUNDING * terms.value), 1.0)
+        trial_value = problem.value(trial)
+        gained = value - trial_value
+        if gained > 0.0 or abs(gained) <= _ROUNDING * value:
+            x, value, terms = trial, trial_value, problem.evaluate(trial)
+            ratio = min(gained / max(expected, _ROUNDING * value), 1.0)
             damping *= max(0.1, 1.0 - (2.0 * ratio - 1.0) ** 3)
             growth = 2.0
         else:

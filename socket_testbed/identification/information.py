@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from scipy.linalg import eigh
@@ -49,7 +50,11 @@ _MOST_RESAMPLED = 4000  # samples
 _MOST_SAMPLES = 300  # of a segment, whose derivatives are taken
 _RANK = 1e-9  # [-]; smallest singular value of poses that move
 _DRAWS = 200  # of the pose's noise
-_AXES = "xyz"
+# Position and rotation: name, unit, and what moves it more, along the socket and across.
+_NUMBERS = (
+    ("position", "mm", "load and unload the limb", "push from the sides"),
+    ("rotation about", "mrad", "twist the limb in the socket", "push from the sides, high and low"),
+)
 _BLOCK = 4096  # samples at once, which bounds the memory
 
 
@@ -224,26 +229,12 @@ def measure_motion(samples: Samples, geometry: SocketGeometry, window: float = 0
     spread = np.sqrt(np.diag(covariance))
     motion = np.sqrt(np.maximum((deviation**2).mean(axis=0) - spread**2, 0.0))
     spread[np.isnan(noise.pose)] = math.nan
-    axis = int(np.abs(geometry.rotations[:, :, 0].mean(axis=0)).argmax())
+    axis = int(np.abs(geometry.rotations[:, :, 0].mean(axis=0)).argmax())  # of the socket
     excitations = tuple(
-        Excitation(name, unit, float(motion[i]), float(spread[i]), advice)
-        for i, (name, unit, advice) in enumerate(_numbers(axis))
+        Excitation(f"{kind} {x}", unit, float(motion[i]), float(spread[i]), advice[i % 3 != axis])
+        for i, ((kind, unit, *advice), x) in enumerate(product(_NUMBERS, "xyz"))
     )
     return Motion(excitations, _moving_directions(deviation, covariance)[0].shape[1])
-
-
-def _numbers(axis: int) -> list[tuple[str, str, str]]:
-    """Name, unit and advice of each number of the pose, for a socket along one axis of {S}."""
-    along, across = "load and unload the limb", "push from the sides"
-    twist, tilt = "twist the limb in the socket", "push from the sides, high and low"
-    return [
-        (f"{kind} {x}", unit, own if i == axis else other)
-        for kind, unit, own, other in (
-            ("position", "mm", along, across),
-            ("rotation about", "mrad", twist, tilt),
-        )
-        for i, x in enumerate(_AXES)
-    ]
 
 
 @dataclass(frozen=True)

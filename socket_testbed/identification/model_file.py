@@ -96,10 +96,10 @@ def write_model(
             "determined_directions": fit.determined,
             "status": fit.status,
             "wrench_rmse": [finite_or_null(error.rmse) for error in fit.errors[:6]],
-            "stage_1": dataclasses.asdict(fit.stage_one.certificate),
-            "stage_2": dataclasses.asdict(fit.stage_two.certificate),
-            "joint": None if fit.joint is None else dataclasses.asdict(fit.joint.certificate),
-            "errors": [errors_document(error) for error in fit.errors],
+            "stage_1": record(fit.stage_one.certificate),
+            "stage_2": record(fit.stage_two.certificate),
+            "joint": None if fit.joint is None else record(fit.joint.certificate),
+            "errors": [record(error) for error in fit.errors],
         },
     }
     with atomic_output(path) as staging:
@@ -124,9 +124,9 @@ def _parameters(model: ContactModel) -> dict[str, Any]:
     return found
 
 
-def errors_document(errors: ChannelErrors) -> dict[str, Any]:
-    """The errors of one channel for JSON."""
-    return {key: finite_or_null(value) for key, value in dataclasses.asdict(errors).items()}
+def record(of: Any) -> dict[str, Any]:
+    """A dataclass of numbers and texts for JSON, such as the errors of a channel."""
+    return {key: finite_or_null(value) for key, value in dataclasses.asdict(of).items()}
 
 
 def quoted_figures(errors: Sequence[ChannelErrors]) -> dict[str, Any]:
@@ -141,7 +141,9 @@ def quoted_figures(errors: Sequence[ChannelErrors]) -> dict[str, Any]:
 
 
 def finite_or_null(value: Any) -> Any:
-    """A value for JSON, which has no NaN: None stands for it."""
+    """A value for JSON, which has no NaN: None stands for it, in a tuple, too."""
+    if isinstance(value, tuple):
+        return [*map(finite_or_null, value)]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 

@@ -190,7 +190,13 @@ def pareto_front(
     settings = replace(settings, variant=PAPER_VARIANTS[0])
     objective = build_objective(samples, geometry, settings)
     objective = objective.part(evenly(len(objective.samples), _MOST_SAMPLES))
-    _require_both_groups(objective)
+    counts = {"wrench": objective.wrench_counts.sum(), "clusters": len(objective.channels)}
+    for group, count in counts.items():
+        if count == 0:
+            raise IdentificationError(
+                f"no channel of the {group} is in the objective: there is nothing to trade off",
+                "leave fewer channels out, or fit a single model with 'fit'",
+            )
     points: dict[Variant, list[FrontPoint]] = {variant: [] for variant in PAPER_VARIANTS}
     last: dict[str, FloatArray] = {}
     for done, theta in enumerate(thetas, start=1):
@@ -274,18 +280,6 @@ def _channels(objective: Objective) -> tuple[str, ...]:
     return tuple(name for name in objective.samples.channels if name not in left_out)
 
 
-def _require_both_groups(objective: Objective) -> None:
-    for group, count in (
-        ("wrench", int(objective.wrench_counts.sum())),
-        ("clusters", len(objective.channels)),
-    ):
-        if count == 0:
-            raise IdentificationError(
-                f"no channel of the {group} is in the objective: there is nothing to trade off",
-                "leave fewer channels out, or fit a single model with 'fit'",
-            )
-
-
 def make_front(variant: Variant, channels: tuple[str, ...], points: Sequence[FrontPoint]) -> Front:
     """The front of solutions, in the order of their thetas."""
     wrench_error = np.array([point.wrench_error for point in points])
@@ -362,7 +356,7 @@ def front_document(front: Front) -> dict[str, Any]:
         "knee": {
             "theta": None if front.knee.index is None else float(front.theta[front.knee.index]),
             "depth": finite_or_null(front.knee.depth),
-            "span": [finite_or_null(span) for span in front.knee.span],
+            "span": finite_or_null(front.knee.span),
             "verdict": front.knee.verdict,
         },
         "marks": {name: _solution(front, index) for name, index in front.marks.items()},

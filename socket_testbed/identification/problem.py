@@ -20,10 +20,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import cast
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.identification.box_qp import BoxQP
@@ -64,9 +64,8 @@ class StageTwoMoments:
 
 @dataclass(frozen=True)
 class Terms:
-    """The objective at a point, and its derivatives by the scaled parameters (6, n), flattened."""
+    """Derivatives of the objective at a point by the scaled parameters (6, n), flattened."""
 
-    value: float  # the objective, halved as in a quadratic program [-]
     gradient: FloatArray  # shape (6n,) [-]
     gauss_newton: FloatArray  # Gauss-Newton matrix of the data, shape (6n, 6n) [-]
     curvature: FloatArray  # second derivatives of the law against the errors, shape (6n, 6n) [-]
@@ -106,7 +105,11 @@ class Problem:
         )
         self.settings = law.resolved(settings, loading)
         sizes = law.sizes(self.settings, loading)
-        self._scale, self._prior = sizes.scale, sizes.prior
+        self._scale = sizes.scale
+        # Quadratic terms of the prior of stiffnesses and rest displacements, (3n, 3n) each, and of
+        # all parameters, (6n, 6n) [-].
+        self._spread = [np.kron(np.eye(3), prior) for prior in sizes.prior]
+        self.prior = block_diag(*self._spread)
         self._springs, self.start = sizes.springs, sizes.start
         self.lower, self.upper = sizes.lower, sizes.upper
 
@@ -136,7 +139,7 @@ class Problem:
         pulled = stiffness * law.displacements(mean)[0]
         row = -(stiffness * scale * law.onto).reshape(6, -1)
         target = self._wrench.mean(axis=0) - law.onto.reshape(6, -1) @ pulled.reshape(-1)
-        P = self._spread(1) + (row.T * self._weights) @ row
+        P = self._spread[1] + (row.T * self._weights) @ row
         q = -(row.T * self._weights) @ target
         without = self._with_offsets and law.OFFSETS_THROUGHOUT
         for channel in () if without else self.channels:
@@ -183,8 +186,8 @@ class Problem:
     def stage_two(self, moments: StageTwoMoments) -> BoxQP:
         """Stage 2: scaled stiffnesses, shape (3n,), at the rest displacements of the moments."""
         P, q = self._stiffness_terms(moments)
-        P += self._spread(0)
-        q -= self._spread(0) @ self.start[:3].reshape(-1)
+        P += self._spread[0]
+        q -= self._spread[0] @ self.start[:3].reshape(-1)
         bounds = self.lower[:3].reshape(-1), self.upper[:3].reshape(-1)
         return _normalised(P, q, *bounds, "Stage 2 (stiffnesses)")
 
@@ -215,21 +218,9 @@ class Problem:
         if len(free) == 0:
             return 0.0
         data = self._stiffness_terms(moments)[0][np.ix_(free, free)]
-        P = data + self._spread(0)[np.ix_(free, free)]
+        P = data + self._spread[0][np.ix_(free, free)]
         P += _JITTER / _normalisation(P) * np.eye(len(free))
         return float(np.trace(np.linalg.solve(P, data)))
-
-    def _spread(self, kind: int) -> FloatArray:
-        """Quadratic term of the prior of stiffnesses (0) or rest displacements (1), (3n, 3n)."""
-        return np.asarray(np.kron(np.eye(3), self._prior[kind]))
-
-    @cached_property
-    def prior(self) -> FloatArray:
-        """Quadratic term of the prior, shape (6n, 6n) [-]."""
-        half = self.start.size // 2
-        prior = np.zeros((2 * half, 2 * half))
-        prior[:half, :half], prior[half:, half:] = self._spread(0), self._spread(1)
-        return prior
 
     def _blocks(self) -> Iterator[slice]:
         """The rows in blocks, so that memory stays bounded."""
@@ -259,9 +250,7 @@ class Problem:
 
     def value(self, x: FloatArray) -> float:
         """The objective of a law that is refined, halved as in a quadratic program [-]."""
-        return self._value(x, *self.residuals(x))
-
-    def _value(self, x: FloatArray, wrench: FloatArray, local: list[FloatArray]) -> float:
+        wrench, local = self.residuals(x)
         data = float(self._weights @ (wrench**2).mean(axis=0))
         for channel, residual in zip(self.channels, local, strict=True):
             data += channel.weight * float(self._centred(residual) @ residual) / len(residual)
@@ -272,7 +261,7 @@ class Problem:
         return values - values.mean(axis=0) if self._with_offsets else values
 
     def evaluate(self, x: FloatArray) -> Terms:
-        """The objective of a law that is refined, with its derivatives, at x of shape (6, n)."""
+        """Derivatives of the objective of a law that is refined, at x of shape (6, n)."""
         stiffness, rest = (x * self._scale).reshape(2, 3, -1)
         moved = self.law.displacements(self._motion) - rest
         # Derivatives of the forces, by their axis and the parameter: 0 to 2 a stiffness, 3 to 5 a
@@ -310,7 +299,6 @@ class Problem:
         for k, (axis, parameter) in enumerate(places):
             gradient[parameter] += np.einsum("tn,tn->n", columns[:, k], lacking[:, axis])
         return Terms(
-            value=self._value(x, wrench, local),
             gradient=gradient.reshape(-1),
             gauss_newton=normal.reshape(6 * points, 6 * points),
             curvature=self._curvature(stiffness, moved, lacking),

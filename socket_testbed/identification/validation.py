@@ -346,8 +346,8 @@ def wrench_predictors(
     return wrench_rivals(samples) | predictors
 
 
-def split(samples: Samples, least_force: float) -> tuple[BoolArray, BoolArray]:
-    """First and second half of the samples under load, shape (N,) each."""
+def split(samples: Samples, least_force: float) -> tuple[IntArray, IntArray]:
+    """Indices of the first and the second half of the samples under load."""
     loaded = np.flatnonzero(loaded_rows(samples, least_force))
     if len(loaded) < 2 * LEAST_SAMPLES:
         raise IdentificationError(
@@ -357,10 +357,7 @@ def split(samples: Samples, least_force: float) -> tuple[BoolArray, BoolArray]:
             "give a longer trial",
         )
     middle = len(loaded) // 2
-    first, second = np.zeros((2, len(samples)), dtype=bool)
-    first[loaded[:middle]] = True
-    second[loaded[middle:]] = True
-    return first, second
+    return loaded[:middle], loaded[middle:]
 
 
 def judge_unseen_half(
@@ -376,7 +373,7 @@ def judge_unseen_half(
 def thinned(rows: BoolArray, most: int = MOST_SAMPLES) -> IntArray:
     """At most `most` of some rows, evenly spread over them."""
     numbers = np.flatnonzero(rows)
-    return np.asarray(numbers[evenly(len(numbers), most)])
+    return numbers[evenly(len(numbers), most)]
 
 
 def judge_samples(
@@ -405,7 +402,7 @@ def judge_samples(
     found += judge_wrench(unseen, predictors, "second half", name, name)
     if truth is not None:
         samples = smooth_poses(samples, window)
-        rows = thinned(second)
+        rows = second[evenly(len(second), MOST_SAMPLES)]
         estimators = field_estimators(geometry, settings) | {
             variant: partial(_forces_of, model) for variant, model in models.items()
         }

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.problems import moving_limb, naive_gated, random_bed, random_socket, uniform_bed
+from support.problems import moving_limb, naive_gated, random_bed, random_socket
 
 from socket_testbed.identification.contact_law import LAWS
 from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS
@@ -88,15 +88,16 @@ def test_the_paper_s_model_is_its_springs_with_their_offsets(rng, variant):
 
 def test_a_rigid_model_gates_in_the_tile_s_frame_and_never_pulls(rng):
     geometry = random_socket(rng)
-    bed = uniform_bed(geometry, [2000.0, 1500.0, 6000.0])
+    bed = random_bed(rng, geometry, "rigid")
     pose = np.hstack([rng.normal(0.0, 0.004, (40, 3)), rng.normal(0.0, 0.02, (40, 3))])
     forces, alpha = bed.forces(pose), bed.sharpness
-    for tile, (anchor, frame) in enumerate(zip(bed.anchors, bed.rotations, strict=True)):
+    for tile, (kx, ky, kz) in enumerate(bed.stiffness):
+        anchor, frame = bed.anchors[tile], bed.rotations[tile]
         moved = pose[:, :3] + np.cross(pose[:, 3:], anchor)
         x, y, z = (moved @ frame - bed.rest_positions[tile]).T
         opened = 0.5 - 0.5 * np.tanh(alpha * z)
-        normal = -6000.0 * np.log1p(np.exp(-2.0 * alpha * z)) / (2.0 * alpha)
-        expected = np.stack([2000.0 * opened * x, 1500.0 * opened * y, normal], axis=1)
+        normal = -kz * np.log1p(np.exp(-2.0 * alpha * z)) / (2.0 * alpha)
+        expected = np.stack([kx * opened * x, ky * opened * y, normal], axis=1)
         np.testing.assert_allclose(forces[:, tile] @ frame, expected, rtol=1e-9, atol=1e-9)
         assert normal.max() <= 0.0
 

@@ -213,23 +213,3 @@ def test_joint_draws_have_the_posterior_of_a_plain_conditioning() -> None:
     expected = covariance / np.outer(deviation, deviation)
     assert np.abs(found - expected).max() < 0.1
     assert np.abs(found - expected).mean() < 0.02  # 3000 pairs
-
-
-def test_joint_draws_agree_with_the_map(force_map: ForceMap) -> None:
-    samples = some_samples(5)
-    samples.status[2, 1] = Status.SATURATED
-    estimate = force_map.estimate(samples)
-    seen = []
-    for draws in force_map.sample(samples, 1000):
-        rows = draws.rows
-        seen += rows.tolist()
-        forces = np.einsum(
-            "nij,kdnj->kdni", GEOMETRY.rotations, draws.values().reshape(len(rows), 1000, -1, 3)
-        )
-        mean = np.einsum("nij,knj->kni", GEOMETRY.rotations, draws.mean().reshape(len(rows), -1, 3))
-        np.testing.assert_allclose(mean, estimate.forces[rows], atol=1e-7)  # [N]
-        deviation = estimate.standard_deviations[rows]
-        assert np.abs((forces.mean(axis=1) - estimate.forces[rows]) / deviation).max() < 0.1
-        ratio = forces.std(axis=1) / deviation
-        assert 0.9 < np.median(ratio) < 1.1
-    assert sorted(seen) == [0, 1, 2, 3, 4]

@@ -4,9 +4,7 @@ import dataclasses
 import json
 
 import numpy as np
-import pandas as pd
 import pytest
-from support.pareto_cases import CHANNELS, THETAS, made_up_front, make_hold
 from support.problems import make_case
 from support.wording import refused
 
@@ -22,15 +20,18 @@ from socket_testbed.identification.pareto import (
     RESOLUTION,
     SENSOR_ONLY,
     WRENCH_ONLY,
+    FrontPoint,
     find_knee,
     find_non_dominated,
     front_document,
     front_table,
+    make_front,
     pareto_front,
 )
 from socket_testbed.settings.identification import PAPER_VARIANTS
-from socket_testbed.tables import write_table
 
+CHANNELS = ("Mx", "Fx", "Fz", "distal.Fx", "distal.Mz", "distal.Fz")
+THETAS = (0.0, 0.07, 0.5, 0.93, 1.0)
 LOCAL = tuple(f"cluster_{i}.F{axis}" for i in range(3) for axis in "xyz")
 
 
@@ -98,7 +99,7 @@ def test_the_errors_are_normalised_by_what_was_measured():
 
 
 def test_what_nothing_decides_is_not_on_the_front():
-    geometry, _, samples, settings = make_hold(4)
+    geometry, _, samples, settings = make_case(4)
     # A row of tiles, none of them under a cluster, that is joined to no other.
     island = {i for i in range(len(geometry)) if i not in geometry.clusters.values()}
     pairs = [p for p in geometry.neighbours if (p[0] in island) == (p[1] in island)]
@@ -193,6 +194,21 @@ def test_the_knee_of_a_hyperbola_is_where_its_slope_is_the_chord_s_and_without_o
         assert knee.verdict.startswith("no knee") and reason in knee.verdict
 
 
+def made_up_front(variant="stiffness", scale=1.0, flaws=(), channels=CHANNELS):
+    """A hyperbola with its corner at theta 0.4, dominated from theta 0.9 on."""
+    points = []
+    for i, t in enumerate(np.linspace(0.0, 1.0, 11)):
+        errors = (0.1 + 0.01 / (t + 0.01), 0.1 + 0.01 / (0.81 - t)) if i < 9 else (2.0 + t, 2.0)
+        wrench, local = scale * errors[0], scale * errors[1]
+        rmse = np.arange(1.0, 1.0 + len(channels)) * (1.0 + t)
+        flaw = dict(flaws).get(i, "")
+        if flaw == "not certified":
+            wrench = local = np.nan
+            rmse = rmse * np.nan
+        points.append(FrontPoint(float(t), None, rmse, wrench, local, 1e-12 * (i + 1), flaw))
+    return make_front(variant, channels, points)
+
+
 def test_a_front_marks_its_ends_and_its_knee_but_nothing_flawed():
     front = made_up_front()
     assert front.marks == {SENSOR_ONLY: 0, KNEE: 4, WRENCH_ONLY: 10}
@@ -206,20 +222,9 @@ def test_a_front_marks_its_ends_and_its_knee_but_nothing_flawed():
     assert not front.non_dominated[[0, 4, 8, 10]].any()
     assert set(front.marks) == {KNEE} and front.marks[KNEE] in (3, 5)
     assert front.worst_residual == pytest.approx(10e-12)
-
-
-def test_the_table_and_the_json_are_the_fronts(tmp_path):
-    fronts = [made_up_front(), made_up_front("stiffness_bias", 0.1, {3: "not certified"})]
-    write_table(front_table(fronts), tmp_path / "front.csv")
-    table = pd.read_csv(tmp_path / "front.csv", keep_default_na=False)
-    assert table["variant"].tolist() == ["stiffness"] * 11 + ["stiffness_bias"] * 11
-    errors = table["wrench error [-]"][:11].astype(float)
-    np.testing.assert_allclose(errors, fronts[0].wrench_error, rtol=1e-9)
-    flawed = table.loc[14, ["flaw", "wrench error [-]", "RMSE Mx [N m]"]]
-    assert flawed.tolist() == ["not certified", "", ""]
-    nothing = made_up_front(flaws=dict.fromkeys(range(11), "not certified"))
-    for front in (fronts[0], nothing):
-        document = json.loads(json.dumps(front_document(front), allow_nan=False))
-        assert len(document["solutions"]) == 11
-        assert document["marks"].keys() == front.marks.keys()
-    assert document["knee"]["theta"] is document["solutions"][0]["rmse"]["Mx"] is None
+    table = front_table([made_up_front(), front])
+    assert table["variant"].tolist() == ["stiffness"] * 22 and table.loc[15, "flaw"] == flaws[4]
+    np.testing.assert_array_equal(table["wrench error [-]"][11:], front.wrench_error)
+    document = json.loads(json.dumps(front_document(front), allow_nan=False))
+    assert document["marks"].keys() == front.marks.keys()
+    assert document["solutions"][4]["rmse"]["Mx"] is None  # JSON has no NaN

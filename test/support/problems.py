@@ -190,20 +190,3 @@ def installed(*solvers: str) -> list:
         )
         for solver in solvers
     ]
-
-
-def uniform_bed(geometry: SocketGeometry, stiffness: list[float], **more: Any) -> ContactModel:
-    """A rigid limb on equal springs, 1 mm from rest."""
-    return ContactModel(
-        variant="rigid",
-        names=geometry.names,
-        anchors=geometry.anchors,
-        rotations=geometry.rotations,
-        stiffness=np.tile(stiffness, (len(geometry), 1)),
-        rest_positions=np.tile([0.0, 0.0, 0.001], (len(geometry), 1)),
-        sharpness=150.0,
-        wrench_bias=np.zeros(6),
-        force_bias={},
-        cluster_points=dict(geometry.clusters),
-        **more,
-    )

@@ -25,7 +25,6 @@ class StackedRows:
     b: np.ndarray  # targets, shape (m,)
     lower: np.ndarray  # lower bounds, shape (p,)
     upper: np.ndarray  # upper bounds, shape (p,)
-    parameters: int  # how many of the p unknowns come first; the offsets follow
 
     def solve(self) -> np.ndarray:
         """All unknowns at the optimum, by an active-set method on the rows themselves."""
@@ -34,13 +33,6 @@ class StackedRows:
         )
         assert answer.success
         return answer.x
-
-    def cost(self, parameters: np.ndarray) -> float:
-        """|A x - b|^2 at given parameters, with the best offsets for them."""
-        residual = self.b - self.A[:, : self.parameters] @ parameters
-        offsets = self.A[:, self.parameters :]
-        residual = residual - offsets @ np.linalg.lstsq(offsets, residual, rcond=None)[0]
-        return float(residual @ residual)
 
 
 def stack_stage_one(
@@ -151,7 +143,6 @@ def _stack(samples, geometry, settings, springs, difference, bounds, with_bias) 
         np.array(targets),
         np.concatenate([bounds[0], -free]),
         np.concatenate([bounds[1], free]),
-        columns,
     )
 
 
