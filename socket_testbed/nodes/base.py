@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from importlib import import_module
+from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
 import rclpy
@@ -40,6 +41,7 @@ from std_msgs.msg import Header
 
 from socket_testbed import clocks
 from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.files import packaged
 from socket_testbed.live.processes import RESTARTED
 from socket_testbed.settings.fields import Settings, parameter_values
 from socket_testbed.trials.messages import LOAD_CELL_FRAME
@@ -79,6 +81,11 @@ def subscriber_qos(topic: Topic) -> QoSProfile:
     qos = publisher_qos(topic)
     qos.depth = _SUBSCRIBER_DEPTH
     return qos
+
+
+def file_or_packaged(given: str, name: str) -> Path:
+    """The file that a setting gives or, where it is empty, the package's own of this name."""
+    return Path(given) if given else packaged("config", name)
 
 
 def message_type(topic: Topic) -> Any:

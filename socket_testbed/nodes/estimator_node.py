@@ -22,14 +22,13 @@ from std_srvs.srv import Trigger as TriggerService
 from visualization_msgs.msg import Marker
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.fit import Fit
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.live.estimator import Estimate, OnlineEstimator, OnlineMap
 from socket_testbed.live.fit_worker import FitWorker
-from socket_testbed.nodes.base import NEWEST_STAMP, TestbedNode
+from socket_testbed.nodes.base import NEWEST_STAMP, TestbedNode, file_or_packaged
 from socket_testbed.settings.identification import check_solver
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.layout import blank, elements, encode, make_message
@@ -74,8 +73,7 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
 
     def __init__(self) -> None:
         super().__init__("estimator_node", EstimatorSettings)
-        path = self.settings.geometry
-        self._geometry = read_socket(Path(path) if path else packaged("config", "socket.yaml"))
+        self._geometry = read_socket(file_or_packaged(self.settings.geometry, "socket.yaml"))
         self._worker = FitWorker()
         self._estimator = OnlineEstimator(
             self._geometry, lambda: self.settings, self._worker, self._on_model

@@ -35,6 +35,7 @@ from socket_testbed.trials.topics import (
     Topic,
     full_namespace,
     match_topics,
+    namespace_of,
 )
 from socket_testbed.trials.trial import Trial
 
@@ -201,8 +202,7 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         except TestbedError as error:
             self.get_logger().warning(f"transforms are left out: {error}")
             return None
-        name, topic = next(iter(self._topics.items()))
-        recorded = name.removesuffix(topic.name).rstrip("/")
+        recorded = namespace_of(*next(iter(self._topics.items())))
         return FrameBroadcaster(self, geometry, "" if self.settings.namespace else recorded)
 
     def _published_name(self, name: str, topic: Topic) -> str:

@@ -158,10 +158,8 @@ def _storage(table: pd.DataFrame) -> str:
     """A storage file of OpenSim."""
     columns = len(table.columns) + 1
     header = ["socket", "version=1", f"nRows={len(table)}", f"nColumns={columns}", "inDegrees=no"]
-    lines = [*header, "endheader", "\t".join(["time", *table.columns])]
-    for time, row in zip(table.index, table.to_numpy(), strict=True):
-        lines.append("\t".join([f"{time:.6f}", *(f"{value:.6f}" for value in row)]))
-    return "\n".join(lines) + "\n"
+    rows = table.to_csv(sep="\t", index_label="time", float_format="%.6f", na_rep="nan")
+    return "\n".join([*header, "endheader", rows])
 
 
 def _markers_text(table: pd.DataFrame, labels: list[str], name: str) -> str:

@@ -121,18 +121,13 @@ def _mean_load(
 
 def other_markers(recorded: SocketGeometry, given: SocketGeometry) -> tuple[str, ...]:
     """The bodies, of `socket` and `pylon`, whose markers differ between two geometries."""
-    pairs = {
-        body: (_markers(recorded, body), _markers(given, body)) for body in ("socket", "pylon")
-    }
-    return tuple(
-        body
-        for body, (old, new) in pairs.items()
-        if old.shape != new.shape or not np.allclose(old, new, rtol=0.0, atol=_SAME_MARKER)
-    )
 
+    def differ(old: FloatArray, new: FloatArray) -> bool:
+        return old.shape != new.shape or not np.allclose(old, new, rtol=0.0, atol=_SAME_MARKER)
 
-def _markers(geometry: SocketGeometry, body: str) -> FloatArray:
-    return geometry.socket_markers if body == "socket" else geometry.pylon_markers
+    bodies = ("socket", "pylon")
+    markers = [[getattr(of, f"{body}_markers") for of in (recorded, given)] for body in bodies]
+    return tuple(body for body, pair in zip(bodies, markers, strict=True) if differ(*pair))
 
 
 def refit_poses(
@@ -154,7 +149,7 @@ def refit_poses(
         notify: Called with how far the poses of a body moved.
     """
     for body in bodies:
-        reference = _markers(geometry, body)
+        reference = getattr(geometry, f"{body}_markers")
         seen = measured.markers.get(body, np.full((len(measured.stamps), *reference.shape), np.nan))
         count = int(np.flatnonzero(np.isfinite(seen).any(axis=(0, 2))).max(initial=-1)) + 1
         if count > len(reference):
