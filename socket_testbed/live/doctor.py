@@ -242,17 +242,10 @@ class _Reading:
 
 
 def press_test(testbed: Testbed, ask: Callable[[str], None]) -> Iterator[Finding]:
-    """Ask for a press on each cluster in turn, and tell what answered.
+    """Ask for a press on each cluster in turn, and tell what answered; no node runs meanwhile.
 
-    Args:
-        testbed: The testbed, of which no node runs.
-        ask: Called with what the person shall do: `press on NAME` or `let go`.
-
-    Yields:
-        A finding for each cluster.
-
-    Raises:
-        DeviceError: If the clusters cannot be read, or are loaded at the start.
+    `ask` is called with what the person shall do: `press on NAME` or `let go`. A DeviceError says
+    that a cluster gives no reading.
     """
     with ExitStack() as stack:
         bench = _Bench(testbed, stack)

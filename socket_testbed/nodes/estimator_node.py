@@ -199,13 +199,7 @@ def _named(values: FloatArray) -> dict[str, float]:
 
 
 class PressureMap:
-    """The markers of a force map, a serialised message that is filled for each sample.
-
-    A tile is a mesh of two triangles in its own frame, its force an arrow.
-
-    Args:
-        geometry: Geometry of the socket.
-    """
+    """The markers of a force map: a tile is two triangles in its own frame, its force an arrow."""
 
     def __init__(self, geometry: SocketGeometry) -> None:
         self._anchors = geometry.anchors
@@ -233,14 +227,10 @@ class PressureMap:
         self._tips = [arrow["points"][1] for arrow in records[1::2]]
 
     def serialised(self, stamp: int, estimate: MapEstimate) -> bytes:
-        """The message of a sample, a MarkerArray with a tile and an arrow for each force.
+        """The message of a map with N = 1: a MarkerArray with a tile and an arrow for each force.
 
         The colour is the normal pressure, from pale to dark red at 30 kPa; what is uncertain is
         faint, from opaque to a tenth where the pressure's standard deviation is 10 kPa.
-
-        Args:
-            stamp: Stamp since the epoch [ns].
-            estimate: The map of this sample, with N = 1.
         """
         tips = self._anchors + _ARROW_SCALE * estimate.forces[0]
         shares = np.clip(estimate.normal_pressure[0] / _FULL_COLOUR, 0.0, 1.0)

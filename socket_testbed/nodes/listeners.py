@@ -126,15 +126,10 @@ def _map_values(fields: dict[str, Any]) -> FloatArray:
 
 
 class StatusListener:
-    """Feeds a graph's status with serialised messages.
+    """Feeds a graph's status with serialised messages; `pause` names a replay's service, if any.
 
     No executor and no thread serve it: the program that draws the status line takes what has come,
     twenty times a second. At 100 Hz that takes 2 % of a core, where an executor takes 4 %.
-
-    Args:
-        status: The status that is fed.
-        namespace: Namespace of the graph.
-        pause: Service that pauses a replay; empty for none.
     """
 
     def __init__(self, status: GraphStatus, namespace: str = "/", pause: str = "") -> None:

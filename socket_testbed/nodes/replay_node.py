@@ -50,12 +50,9 @@ _TICK_PERIOD = 0.02  # [s]; of the clock between messages
 
 
 class Pacer:
-    """Waits until each message of a recording is due.
+    """Waits until each message of a recording is due, at a rate against the recording [-].
 
-    Args:
-        rate: Speed against the recording [-].
-        tick: Called with the time of the recording [ns] as it passes.
-        paused: Whether it starts paused.
+    `tick` is called with the time of the recording [ns] as it passes.
     """
 
     def __init__(self, rate: float, tick: Callable[[int], None], paused: bool = False) -> None:

@@ -98,13 +98,7 @@ class ViewNode(TestbedNode[ViewSettings]):
 
 
 class LiveSource:
-    """The running testbed, a `Source` of the page.
-
-    Args:
-        node: The node that listens.
-        geometry: Geometry of the socket.
-        controls: What the buttons do; None where nobody may press them.
-    """
+    """The running testbed, a `Source` of the page; without controls its buttons are off."""
 
     def __init__(
         self, node: TestbedNode[Any], geometry: SocketGeometry, controls: ServiceControls | None

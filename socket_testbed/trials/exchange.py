@@ -79,11 +79,7 @@ def write_standard_bag(
 ) -> None:
     """Write some samples as one MCAP file of standard messages; what is missing is left out.
 
-    Args:
-        measured: All measurements of the trial, of which `rows` are written.
-        rows: The samples of the table.
-        table: The table, a row per sample.
-        path: The file.
+    Of all measurements `rows` are written; the table has a row for each of these.
     """
     import pandas as pd
 

@@ -57,13 +57,8 @@ decodes it: names and lengths are the same in all. Their shapes begin with that 
 class Reader:
     """Reads serialised messages of a topic, those of one layout at once.
 
-    Args:
-        topic: The topic.
-        where: What the messages are from, for an error.
-        values: Gives their values; as the topic's type says, see `VALUES`, if not given.
-
-    Raises:
-        TrialError: From any reading, if a message cannot be decoded.
+    A message that cannot be decoded is a TrialError, which says where it is from. Unless `values`
+    is given, the topic's type says what is read, see `VALUES`.
     """
 
     def __init__(
@@ -120,13 +115,8 @@ class Reader:
 class Template:
     """A message with a header, of which all but the numbers stays: filled and sent as bytes.
 
-    Args:
-        message_type: Its type, as `package/msg/Type`.
-        frame: The frame of its header.
-        content: Its strings, and as many elements as its sequences have; see `make_message`.
-
-    Attributes:
-        numbers: Its numbers, to be filled; see `Layout`.
+    It is made of its strings and as many elements as its sequences have, see `make_message`. Its
+    `numbers` are to be filled, see `Layout`.
     """
 
     def __init__(self, message_type: str, frame: str = LOAD_CELL_FRAME, **content: Any) -> None:

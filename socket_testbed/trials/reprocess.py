@@ -56,7 +56,7 @@ def remake_wrenches(
     Args:
         measured: The measurements, with ratios and tares.
         recorded: Settings with which they were recorded; without a matrix if the trial has none.
-        given: Settings to use instead; None for no others.
+        given: Settings to use instead, if any.
         tare: `recorded`, `none`, or `T0:T1` in seconds since the first sample, whose mean it is.
         where: Name of the trial in an error.
         notify: Called with the tare that is used.
@@ -141,12 +141,7 @@ def refit_poses(
 
     A recorded pose is a mean of frames; a new one is that of the markers at the trigger.
 
-    Args:
-        measured: The measurements, with markers.
-        geometry: The markers in their bodies.
-        bodies: Which bodies to fit.
-        where: Name of the trial in an error.
-        notify: Called with how far the poses of a body moved.
+    `where` names the trial in an error; `notify` is called with how far the poses of a body moved.
     """
     for body in bodies:
         reference = getattr(geometry, f"{body}_markers")

@@ -68,9 +68,6 @@ class _Chunk:
 class SalvagedRecording:
     """The complete part of a recording that was cut short; it is used like a reader of rosbags.
 
-    Args:
-        path: The file.
-
     Attributes:
         path: The file.
         note: What was read and what was not, in one line.
