@@ -259,13 +259,18 @@ def press_test(testbed: Testbed, ask: Callable[[str], None]) -> Iterator[Finding
             hint = "see what 'doctor' says of it without --press"
             raise DeviceError(f"cluster {dead[0]} gives no reading", hint)
         threshold = np.maximum(_LEAST, _SIGMAS * noise)
+
+        def pushed(reading: _Reading) -> FloatArray:  # or pulled
+            return np.abs(reading.normal - zero.normal) / threshold
+
         for name in bench.names:
             ask(f"press on {name}")
-            pressed = bench.wait(lambda reading: _is_over(reading, zero, threshold))
+            pressed = bench.wait(lambda reading: bool((pushed(reading) > 1.0).any()))
             yield _judge(bench, name, pressed, zero, threshold)
             if pressed is not None:
                 ask("let go")
-                bench.wait(lambda reading: _is_released(reading, zero, _RELEASED * threshold))
+                # Every cluster is read, and none is pressed.
+                bench.wait(lambda reading: bool((pushed(reading) <= _RELEASED).all()))
 
 
 def _mean(readings: list[_Reading]) -> tuple[FloatArray, FloatArray]:
@@ -273,16 +278,6 @@ def _mean(readings: list[_Reading]) -> tuple[FloatArray, FloatArray]:
     masked = (np.ma.masked_invalid(np.array(column)) for column in columns)
     normal, force = (np.asarray(np.ma.filled(of.mean(axis=0), np.nan)) for of in masked)
     return normal, force
-
-
-def _is_over(reading: _Reading, zero: _Reading, threshold: FloatArray) -> bool:
-    """Whether a cluster is pressed, or pulled."""
-    return bool((np.abs(reading.normal - zero.normal) > threshold).any())
-
-
-def _is_released(reading: _Reading, zero: _Reading, threshold: FloatArray) -> bool:
-    """Whether every cluster was read, and none is pressed."""
-    return bool((np.abs(reading.normal - zero.normal) <= threshold).all())
 
 
 def _judge(

@@ -76,7 +76,10 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         self._geometry = read_socket(file_or_packaged(self.settings.geometry, "socket.yaml"))
         self._worker = FitWorker()
         self._estimator = OnlineEstimator(
-            self._geometry, lambda: self.settings, self._worker, self._on_model
+            self._geometry,
+            lambda: self.settings,
+            self._worker,
+            lambda model: self._model.publish(model_message(model)),
         )
         self._online_map = OnlineMap(self._geometry, lambda: self.settings)
         self._pack_map = force_map_packer(self._geometry.names)
@@ -153,9 +156,6 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         stamp, model = estimate.stamp, estimate.model
         self._wrench.publish(self._pack_wrench(stamp, estimate.wrench))
         self._forces.publish(self._pack_forces(model.names)(stamp, estimate.forces))
-
-    def _on_model(self, model: Fit | StoredModel) -> None:
-        self._model.publish(model_message(model))
 
     def _on_fit(self) -> str:
         """Fit on the complete window, and answer when it is done."""

@@ -60,8 +60,7 @@ class Pacer:
         self._tick = tick
         self._stopping = threading.Event()
         self._going = threading.Event()
-        if not paused:
-            self._going.set()
+        self.pause(paused)
         self._first = 0
         self._start = 0.0
 
@@ -70,13 +69,12 @@ class Pacer:
         """Whether it is stopped."""
         return self._stopping.is_set()
 
-    def pause(self) -> None:
-        """Let no further message become due."""
-        self._going.clear()
-
-    def resume(self) -> None:
-        """Go on where it was paused."""
-        self._going.set()
+    def pause(self, paused: bool) -> None:
+        """Let no further message become due, or go on where it was paused."""
+        if paused:
+            self._going.clear()
+        else:
+            self._going.set()
 
     def stop(self) -> None:
         """Wait for nothing any more."""
@@ -209,11 +207,8 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         return f"{full_namespace(self.settings.namespace).rstrip('/')}/{topic.name}"
 
     def _on_pause(self, paused: bool) -> str:
-        if paused:
-            self._pacer.pause()
-            return "paused"
-        self._pacer.resume()
-        return "going on"
+        self._pacer.pause(paused)
+        return "paused" if paused else "going on"
 
     def _replay(self) -> None:
         try:

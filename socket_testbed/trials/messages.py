@@ -134,11 +134,6 @@ class Template:
 # What the testbed's messages say, type by type: how it is read, and how it is packed.
 
 
-def _sequence(records: Record, sample: Any) -> IntArray:
-    """Sequence of triggers."""
-    return records["sequence"]
-
-
 def trigger_packer() -> Callable[[int, int], bytes]:
     """Packs a Trigger from its stamp [ns] and sequence."""
     template = Template(TRIGGER.type)
@@ -149,19 +144,9 @@ VectorPacker: TypeAlias = Callable[[int, FloatArray], bytes]
 """Makes a serialised message of a stamp since the epoch [ns] and its numbers."""
 
 
-def _wrench(records: Record, sample: Any) -> FloatArray:
-    """[M; F], shape (..., 6) [N m, N]."""
-    return _joined(records["wrench"], "torque", "force")
-
-
 def wrench_packer() -> VectorPacker:
     """Packs a WrenchStamped from its stamp [ns] and [M; F], shape (6,) [N m, N]."""
     return _vector_packer(Template(WRENCH.type), "wrench", "torque", "force")
-
-
-def _pose(records: Record, sample: Any) -> FloatArray:
-    """Position [m] and quaternion (x, y, z, w), shape (..., 7)."""
-    return _joined(records["pose"], "position", "orientation")
 
 
 def pose_packer() -> VectorPacker:
@@ -303,11 +288,6 @@ def markers_packer(counts: Mapping[str, int]) -> Callable[[int, Sequence[FloatAr
     return pack
 
 
-def _local_forces(records: Record, sample: Any) -> FloatArray:
-    """Forces in {S}, shape (..., n, 3) [N]."""
-    return records["forces"].astype(np.float64)
-
-
 def local_forces_packer(names: Sequence[str]) -> VectorPacker:
     """Packs a LocalForceArray from its stamp [ns] and forces in {S}, shape (n, 3) [N]."""
     template = Template(LOCAL_FORCES.type, names=names, forces=[None] * len(names))
@@ -371,20 +351,19 @@ def regions_packer(names: Sequence[str]) -> Callable[[int, RegionOutputs], bytes
     return pack
 
 
-def _label(records: Record, sample: Any) -> str:
-    return str(sample.label)
-
-
 VALUES: dict[str, Values] = {
-    TRIGGER.type: _sequence,
-    WRENCH.type: _wrench,
+    TRIGGER.type: lambda records, sample: records["sequence"],
+    # [M; F], shape (..., 6) [N m, N]
+    WRENCH.type: lambda records, sample: _joined(records["wrench"], "torque", "force"),
     LOAD_CELL_RAW.type: _raw,
-    SOCKET_POSE.type: _pose,
+    # Position [m] and quaternion (x, y, z, w), shape (..., 7)
+    SOCKET_POSE.type: lambda records, sample: _joined(records["pose"], "position", "orientation"),
     CAPACITANCE.type: _capacitances,
     STRESS.type: _stress,
     MARKERS.type: _markers,
-    LOCAL_FORCES.type: _local_forces,
+    # Forces in {S}, shape (..., n, 3) [N]
+    LOCAL_FORCES.type: lambda records, sample: records["forces"].astype(np.float64),
     FORCE_MAP.type: _force_map,
     REGIONS.type: _regions,
-    EVENT.type: _label,
+    EVENT.type: lambda records, sample: str(sample.label),
 }
