@@ -129,7 +129,7 @@ def test_a_killed_recorder_keeps_what_had_come_and_goes_on_beside(tmp_path: Path
             send = Sender(probe)
 
             def send_until_recorded() -> bool:
-                send()
+                send(10)
                 return probe.figure(NODE, "/load_cell/wrench") > 100
 
             probe.wait(send_until_recorded, "100 messages")
@@ -291,7 +291,7 @@ def test_a_recorder_that_cannot_begin_leaves_no_folder(tmp_path: Path) -> None:
     """Nor does it write into a folder that is not a trial cut short."""
     trial, folder = tmp_path / "trial", tmp_path / "folder"
     folder.mkdir()
-    for where, geometry in ((trial, tmp_path / "nowhere.yaml"), (folder, "")):
-        with recorder("record:=true", f"directory:={where}", f"geometry:='{geometry}'") as process:
-            assert process.wait(timeout=HANGS) == 1
-        assert list(tmp_path.iterdir()) == [folder] and not list(folder.iterdir())
+    wrong = ("record:=true", f"directory:={trial}", f"geometry:={tmp_path / 'nowhere.yaml'}")
+    with recorder(*wrong) as one, recorder("record:=true", f"directory:={folder}") as other:
+        assert one.wait(timeout=HANGS) == other.wait(timeout=HANGS) == 1
+    assert list(tmp_path.iterdir()) == [folder] and not list(folder.iterdir())
