@@ -113,6 +113,14 @@ def test_the_testbed_is_launched_as_run_starts_it(launch, params, tmp_path) -> N
     assert "recorder_node" in parameters(launched["trigger_node"])["wait_for"]
     stored = Path(parameters(launched["recorder_node"])["parameters"])
     assert read_testbed(stored).trigger_node.rate == 20.0
+    # A respawn runs the same command: the tare's file is in it, in a folder that stays.
+    tare = Path(parameters(launched["load_cell_node"])["tare_file"])
+    assert tare.parent.is_dir() and not tare.exists()
+    set_parameters(params, "load_cell_node", tare_file=str(tmp_path / "mine.json"))
+    launched = nodes(launch("testbed", params=params))
+    assert parameters(launched["load_cell_node"])["tare_file"] == str(tmp_path / "mine.json")
+    assert "recorder_node" not in launched  # without a trial to record
+    assert "recorder_node" not in parameters(launched["trigger_node"])["wait_for"]
 
 
 def handlers(actions: list[Stub]) -> list[Stub]:
@@ -144,18 +152,6 @@ def test_what_is_wrong_is_named_before_any_node_starts(launch: Launch, params: P
     set_parameters(params, "cluster_node", names=["distale", "a", "b", "c"])
     with refused(TestbedError, "distale"):
         launch("testbed", params=params)
-
-
-def test_a_load_cell_node_that_is_started_again_finds_its_tare(launch, params, tmp_path) -> None:
-    """A respawn runs the same command: the tare's file is in it, in a folder that stays."""
-    launched = nodes(launch("testbed", params=params))
-    assert "recorder_node" not in launched  # without a trial to record
-    assert "recorder_node" not in parameters(launched["trigger_node"])["wait_for"]
-    tare = Path(parameters(launched["load_cell_node"])["tare_file"])
-    assert tare.parent.is_dir() and not tare.exists()
-    set_parameters(params, "load_cell_node", tare_file=str(tmp_path / "mine.json"))
-    launched = nodes(launch("testbed", params=params))
-    assert parameters(launched["load_cell_node"])["tare_file"] == str(tmp_path / "mine.json")
 
 
 def test_a_trial_is_replayed_through_calibration_and_estimator_in_its_namespace(

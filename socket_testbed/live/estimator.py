@@ -48,29 +48,25 @@ _CHECK_PERIOD = 2_000_000_000  # [ns]; between checks of the data
 class StampSynchroniser:
     """Puts measurements with equal stamps together; nothing is matched by nearest.
 
-    Args:
-        kinds: Names of the measurements that make a sample.
-        pending: Number of stamps kept while their measurements come in.
-
-    Attributes:
-        incomplete: Number of stamps given up.
+    So many pending stamps are kept while their measurements come in; `incomplete` counts those that
+    were given up.
     """
 
-    def __init__(self, kinds: Iterable[str], pending: int) -> None:
-        self._kinds = frozenset(kinds)
+    def __init__(self, topics: Iterable[Topic], pending: int) -> None:
+        self._topics = frozenset(topics)
         self._pending = pending
-        self._open: OrderedDict[int, dict[str, Any]] = OrderedDict()
+        self._open: OrderedDict[int, dict[Topic, Any]] = OrderedDict()
         self.incomplete = 0
 
-    def add(self, kind: str, stamp: int, value: Any) -> dict[str, Any] | None:
-        """Add a measurement by its name and the stamp of its trigger [ns].
+    def add(self, topic: Topic, stamp: int, value: Any) -> dict[Topic, Any] | None:
+        """Add a measurement by the stamp of its trigger [ns].
 
         Returns:
-            All measurements of the stamp by name if this was the last, else None.
+            All measurements of the stamp if this was the last, else None.
         """
         entry = self._open.setdefault(stamp, {})
-        entry[kind] = value
-        if entry.keys() == self._kinds:
+        entry[topic] = value
+        if entry.keys() == self._topics:
             del self._open[stamp]
             return entry
         while len(self._open) > self._pending:
@@ -128,15 +124,10 @@ class SampleWindow:
 def cluster_forces(
     geometry: SocketGeometry, stresses: Mapping[str, tuple[FloatArray, int]]
 ) -> tuple[FloatArray, StatusArray]:
-    """The force on every cluster of a socket, in its tile's frame {L}.
+    """The forces on a socket's c clusters, in their tiles' frames {L}, shape (c, 3) [N]; statuses.
 
-    Args:
-        geometry: Geometry of the socket, with c clusters.
-        stresses: Normal stress, shear x and y, shape (3,) [Pa], and status by cluster; a cluster
-            that is not there is missing.
-
-    Returns:
-        Forces, shape (c, 3) [N], NaN where missing, and statuses, shape (c,).
+    By cluster there are normal stress, shear x and y, shape (3,) [Pa], and status. A cluster that
+    is not there is missing; what is missing is NaN.
     """
     missing = (np.full(3, np.nan), Status.MISSING)
     found = [stresses.get(name, missing) for name in geometry.clusters]
@@ -153,11 +144,7 @@ class OnlineMap:
     It needs neither a fitted model nor the motion capture: the first sample has a map.
     Channels that are left out of the objective do not count, and neither do values that no limb in
     a socket gives. Stresses are normal stress, shear x and y, shape (3,) [Pa], and status by
-    cluster; wrenches [M; F] in {S}, shape (6,) [N m, N].
-
-    Args:
-        geometry: Geometry of the socket.
-        settings: Called for the estimator's settings as they are now.
+    cluster; wrenches [M; F] in {S}, shape (6,) [N m, N]. The settings may change meanwhile.
 
     Attributes:
         count: Number of maps.
@@ -170,8 +157,7 @@ class OnlineMap:
         self._clusters = tuple(geometry.clusters)
         self._limits = channel_limits(geometry, self._clusters)
         self._names = channel_names(self._clusters)
-        kinds = [STRESS.name, WRENCH.name]
-        self._synchroniser = StampSynchroniser(kinds, settings().window.pending)
+        self._synchroniser = StampSynchroniser((STRESS, WRENCH), settings().window.pending)
         self._prior = settings().force_map
         self._map = ForceMap(geometry, self._clusters, self._prior)
         self._newest: tuple[FloatArray, Mapping[str, tuple[FloatArray, int]]]
@@ -190,10 +176,10 @@ class OnlineMap:
         """
         if topic not in (STRESS, WRENCH):
             return None
-        measured = self._synchroniser.add(topic.name, stamp, value)
+        measured = self._synchroniser.add(topic, stamp, value)
         if measured is None:
             return None
-        self._newest = measured[WRENCH.name], measured[STRESS.name]
+        self._newest = measured[WRENCH], measured[STRESS]
         sample = self._sample(*self._newest)
         self.count += 1
         return self._map.update(sample.wrench[0], sample.local_forces[0], sample.status[0])
@@ -242,12 +228,8 @@ class Estimate:
 class OnlineEstimator:
     """Predicts every synchronised sample with the newest model, and has models fitted.
 
-    Args:
-        geometry: Geometry of the socket.
-        settings: Called for the settings as they are now.
-        fitter: What fits the models.
-        notify: Called with each new model: a `Fit`, in a thread of the fitter's, or the
-            `StoredModel` that was loaded.
+    The settings are asked for as they are now. `notify` is called with each new model: a `Fit`, in
+    a thread of the fitter's, or the `StoredModel` that was loaded.
 
     Attributes:
         newest: Newest stamp of which the sample was predicted [ns]; 0 at first and after a jump
@@ -267,7 +249,7 @@ class OnlineEstimator:
         self._notify = notify
         self._clusters = tuple(geometry.clusters)
         window = settings().window
-        self._synchroniser = StampSynchroniser([topic.name for topic in MEASURED], window.pending)
+        self._synchroniser = StampSynchroniser(MEASURED, window.pending)
         self._window = SampleWindow(self._clusters, window.duration)
         self._lock = threading.Lock()  # of the window, and of the fit that runs
         self._fitting = False
@@ -336,7 +318,7 @@ class OnlineEstimator:
         Returns:
             The estimate if this completes a sample and there is a model.
         """
-        measured = self._synchroniser.add(topic.name, stamp, value)
+        measured = self._synchroniser.add(topic, stamp, value)
         if measured is None:
             return None
         sample = self._sample(stamp, measured)
@@ -369,17 +351,17 @@ class OnlineEstimator:
             raise IdentificationError("no samples to fit on", "ask again when there are some")
         return refit.fit
 
-    def _sample(self, stamp: int, measured: dict[str, Any]) -> Samples:
-        both = np.array([measured[SOCKET_POSE.name], measured[PYLON_POSE.name]])
+    def _sample(self, stamp: int, measured: dict[Topic, Any]) -> Samples:
+        both = np.array([measured[SOCKET_POSE], measured[PYLON_POSE]])
         bodies = Pose.from_quaternion(both[:, :3], both[:, 3:])
         socket, pylon = map(Pose, bodies.rotation, bodies.translation)
-        forces, status = cluster_forces(self._geometry, measured[STRESS.name])
+        forces, status = cluster_forces(self._geometry, measured[STRESS])
         limb = self._geometry.limb_pose(socket, pylon)
         return Samples(
             np.array([stamp]),
             limb.translation[None],
             limb.rotation_vector()[None],
-            measured[WRENCH.name][None],
+            measured[WRENCH][None],
             self._clusters,
             forces[None],
             status[None],

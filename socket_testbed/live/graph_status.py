@@ -9,7 +9,16 @@ from typing import Any
 import numpy as np
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.trials.topics import CAPACITANCE, PYLON_POSE, SOCKET_POSE, WRENCH, Topic
+from socket_testbed.samples import Status
+from socket_testbed.trials.topics import (
+    CAPACITANCE,
+    ESTIMATED_WRENCH,
+    PYLON_POSE,
+    SOCKET_POSE,
+    TRIGGER,
+    WRENCH,
+    Topic,
+)
 
 MEASURED = (CAPACITANCE, WRENCH, SOCKET_POSE, PYLON_POSE)
 
@@ -49,8 +58,22 @@ class GraphStatus:
         moment, force = np.sqrt(squares.mean(axis=(0, 2)))
         return float(force), float(moment)
 
-    def add_trigger(self, stamp: int) -> None:
-        """Count a trigger with a stamp [ns]."""
+    def add(self, topic: Topic, stamp: int, values: Any) -> None:
+        """Take what was read of a message with a stamp [ns], see `Reader`."""
+        if topic is TRIGGER:
+            self._add_trigger(stamp)
+        elif topic is ESTIMATED_WRENCH:
+            self._judge(stamp, values)
+        else:
+            if topic is WRENCH:
+                self.wrench = self._measured[stamp] = values
+                _keep_newest(self._measured)
+            capacitances = topic is CAPACITANCE
+            missing = values.status == Status.MISSING if capacitances else np.isnan(values)
+            if not missing.any():
+                self._count(topic, stamp)
+
+    def _add_trigger(self, stamp: int) -> None:
         if not self.triggers or stamp < self._last:  # a replay that starts over
             self._first = stamp
             self._pending.clear()
@@ -60,12 +83,7 @@ class GraphStatus:
         self.triggers += 1
         self.heard = time.monotonic()
 
-    def add_wrench(self, stamp: int, wrench: FloatArray) -> None:
-        """Take a measured wrench with its stamp [ns]: [M; F], shape (6,) [N m, N]."""
-        self.wrench = self._measured[stamp] = wrench
-        _keep_newest(self._measured)
-
-    def add_measurement(self, topic: Topic, stamp: int) -> None:
+    def _count(self, topic: Topic, stamp: int) -> None:
         """Count a measurement of one of the topics `MEASURED` of which nothing is missing."""
         found = self._pending.setdefault(stamp, set())
         found.add(topic)
@@ -74,7 +92,7 @@ class GraphStatus:
             self.complete += 1
         _keep_newest(self._pending)
 
-    def add_prediction(self, stamp: int, wrench: FloatArray) -> None:
+    def _judge(self, stamp: int, wrench: FloatArray) -> None:
         """Judge the wrench that a model predicts for a stamp [ns], if it was measured."""
         error = wrench - self._measured.get(stamp, np.nan)
         if np.isfinite(error).all():

@@ -79,14 +79,9 @@ def schedule_ordinarily() -> None:
 
 
 def measure_lateness(priority: int = 0, duration: float = 1.0) -> FloatArray:
-    """Measure for a while [s] how late a thread wakes up from short sleeps.
+    """Measure for a while [s] how late a thread wakes up from short sleeps, each time [s].
 
-    Args:
-        priority: Its real-time priority; 0 for an ordinary thread.
-        duration: How long that is measured [s].
-
-    Returns:
-        How late it was each time [s]; none where this process has no right to such a priority.
+    Its real-time priority is 0 for an ordinary thread; without the right to one there is no value.
     """
     late: list[float] = []
 

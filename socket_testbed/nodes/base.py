@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from importlib import import_module
+from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
 import rclpy
@@ -40,6 +41,7 @@ from std_msgs.msg import Header
 
 from socket_testbed import clocks
 from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.files import packaged
 from socket_testbed.live.processes import RESTARTED
 from socket_testbed.settings.fields import Settings, parameter_values
 from socket_testbed.trials.messages import LOAD_CELL_FRAME
@@ -79,6 +81,11 @@ def subscriber_qos(topic: Topic) -> QoSProfile:
     qos = publisher_qos(topic)
     qos.depth = _SUBSCRIBER_DEPTH
     return qos
+
+
+def file_or_packaged(given: str, name: str) -> Path:
+    """The file that a setting gives or, where it is empty, the package's own of this name."""
+    return Path(given) if given else packaged("config", name)
 
 
 def message_type(topic: Topic) -> Any:
@@ -151,12 +158,8 @@ def spin(executor: Any, futures: list[Future]) -> None:
 class TestbedNode(Node, Generic[S]):
     """A node with settings, topics, services and diagnostics.
 
-    Nodes override `figures`, `device`, `check`, `ready` and `close` as they need.
-
-    Args:
-        name: Name of the node.
-        kind: Class of its settings, which are its parameters.
-        settle: How long the node counts as starting while it has not reported OK [s].
+    Nodes override `figures`, `device`, `check`, `ready` and `close` as they need. The parameters
+    are the settings of `kind`. For `settle` [s] a node that has not reported OK counts as starting.
 
     Attributes:
         arguments: ROS arguments of the nodes beside those of the process.
@@ -260,14 +263,10 @@ class TestbedNode(Node, Generic[S]):
             self._inputs.append(subscription)
 
     def serve(self, kind: Any, name: str, answer: Callable[..., str], slow: bool = False) -> None:
-        """Offer a service of the type SetBool or Trigger.
+        """Offer a service of the type SetBool or Trigger; a slow one has a thread of its own.
 
-        Args:
-            kind: Its type.
-            name: Its name, relative to the node's namespace.
-            answer: Called with the request's data, if it has any; returns the response's message.
-                A TestbedError makes the response a failure with this message.
-            slow: Whether it takes its time: it is then called in a thread of its own.
+        The answer is called with the request's data, if it has any, and returns the response's
+        message. A TestbedError makes the response a failure with this message.
         """
 
         def respond(request: Any, response: Any) -> Any:
@@ -305,12 +304,7 @@ class TestbedNode(Node, Generic[S]):
         self._service_threads.append(thread)
 
     def report(self, level: int, message: str) -> None:
-        """Report how the node is; a new level or message goes out at once.
-
-        Args:
-            level: OK, WARN or ERROR.
-            message: The fact and the hint in one line.
-        """
+        """Report how the node is, fact and hint in one line; what is new goes out at once."""
         if level != OK and clocks.monotonic() < self._settled_at:
             level, message = WARN, f"starting: {message}"
         if (level, message) == (self._level, self._message):

@@ -5,14 +5,11 @@ Subscribes: clusters/capacitance. Publishes: clusters/stress, /diagnostics.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from socket_testbed.arrays import FloatArray, StatusArray
 from socket_testbed.calibration.model import read_calibration
-from socket_testbed.files import packaged
-from socket_testbed.nodes.base import ERROR, NEWEST_STAMP, OK, WARN, TestbedNode
+from socket_testbed.nodes.base import ERROR, NEWEST_STAMP, OK, WARN, TestbedNode, file_or_packaged
 from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import CalibrationNodeSettings
 from socket_testbed.trials.messages import Reader, stress_packer
@@ -24,10 +21,8 @@ class CalibrationNode(TestbedNode[CalibrationNodeSettings]):
 
     def __init__(self) -> None:
         super().__init__("calibration_node", CalibrationNodeSettings)
-        path = self.settings.calibration
-        self._calibration = read_calibration(
-            Path(path) if path else packaged("config", "calibration.yaml")
-        )
+        path = file_or_packaged(self.settings.calibration, "calibration.yaml")
+        self._calibration = read_calibration(path)
         self._messages = 0
         self._newest = 0
         self._reader = Reader(CAPACITANCE)

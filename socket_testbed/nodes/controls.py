@@ -84,13 +84,9 @@ class Marked:
 def publish_event(label: str, called: float, namespace: str = "/") -> Marked:
     """Publish an event, and wait until all subscribers have acknowledged it.
 
-    Its stamp is when it was called, in the time of the triggers: a testbed may run on another
-    computer, slower than real time, or be replayed, and its clock stays when the system's is set.
-
-    Args:
-        label: What happened.
-        called: When, on this machine's monotonic clock [s].
-        namespace: Namespace of the testbed.
+    Its stamp is when it was called, by this machine's monotonic clock [s], in the time of the
+    triggers: a testbed may run on another computer, slower than real time, or be replayed, and its
+    clock stays when the system's is set.
     """
     namespace = full_namespace(namespace)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C is the verb's
@@ -123,10 +119,8 @@ def _wait(
 class EventMarker:
     """Publishes events, one after the other, for the life of a node.
 
-    Args:
-        node: The node that publishes them.
-        wait: Waits until a condition holds, while the node is spun; returns whether it does within
-            a duration [s].
+    `wait` waits until a condition holds, while the node is spun; it returns whether it does within
+    a duration [s].
     """
 
     def __init__(self, node: Node, wait: Callable[[Callable[[], bool], float], bool]) -> None:
@@ -206,14 +200,11 @@ class EventMarker:
 
 
 def stamp_by_triggers(called: float, triggers: Sequence[tuple[float, int]]) -> int:
-    """Stamp of a time of the monotonic clock in the time of triggers [ns].
+    """Stamp [ns] of a time of the monotonic clock [s] in the time of triggers.
 
-    The triggers' clock may run at another speed. A busy machine holds triggers up, none comes
-    early: the one that was held up least says how far the clocks are apart.
-
-    Args:
-        called: The time [s].
-        triggers: Arrival [s] and stamp [ns] of each, in their order; one at least.
+    Of each trigger, one at least, there are arrival [s] and stamp [ns]. Their clock may run at
+    another speed. A busy machine holds triggers up, none comes early: the one that was held up
+    least says how far the clocks are apart.
     """
     arrivals, stamps = (np.array(values) for values in zip(*triggers, strict=True))
     ahead = np.round(_speed(triggers) * (called - arrivals)).astype(np.int64)
@@ -237,11 +228,8 @@ def _speed(triggers: Sequence[tuple[float, int]]) -> float:
 class ServiceControls:
     """Calls the services of the testbed in a node's namespace, from any thread but the node's.
 
-    Each call returns what came of it in one line, or raises a TestbedError: the service refuses,
-    does not answer, or is not offered.
-
-    Args:
-        node: The node, which is spun elsewhere.
+    The node is spun elsewhere. Each call returns what came of it in one line, or raises a
+    TestbedError: the service refuses, does not answer, or is not offered.
     """
 
     def __init__(self, node: Node) -> None:
@@ -264,12 +252,7 @@ class ServiceControls:
         return self._ask("trigger/enable", SetBool.Request(data=on))
 
     def record(self, name: str, metadata: dict[str, str]) -> str:
-        """Record a trial.
-
-        Args:
-            name: Its name; empty for the date and time.
-            metadata: What is stated about it, by the fields of `TrialMetadata`, as text.
-        """
+        """Record a trial with metadata as text; without a name it has the date and time."""
         values: dict[str, Any] = {"name": name, **metadata}
         if "mass" in values:
             try:

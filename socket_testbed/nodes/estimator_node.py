@@ -22,14 +22,13 @@ from std_srvs.srv import Trigger as TriggerService
 from visualization_msgs.msg import Marker
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.fit import Fit
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.live.estimator import Estimate, OnlineEstimator, OnlineMap
 from socket_testbed.live.fit_worker import FitWorker
-from socket_testbed.nodes.base import NEWEST_STAMP, TestbedNode
+from socket_testbed.nodes.base import NEWEST_STAMP, TestbedNode, file_or_packaged
 from socket_testbed.settings.identification import check_solver
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.layout import blank, elements, encode, make_message
@@ -74,11 +73,13 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
 
     def __init__(self) -> None:
         super().__init__("estimator_node", EstimatorSettings)
-        path = self.settings.geometry
-        self._geometry = read_socket(Path(path) if path else packaged("config", "socket.yaml"))
+        self._geometry = read_socket(file_or_packaged(self.settings.geometry, "socket.yaml"))
         self._worker = FitWorker()
         self._estimator = OnlineEstimator(
-            self._geometry, lambda: self.settings, self._worker, self._on_model
+            self._geometry,
+            lambda: self.settings,
+            self._worker,
+            lambda model: self._model.publish(model_message(model)),
         )
         self._online_map = OnlineMap(self._geometry, lambda: self.settings)
         self._pack_map = force_map_packer(self._geometry.names)
@@ -156,9 +157,6 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         self._wrench.publish(self._pack_wrench(stamp, estimate.wrench))
         self._forces.publish(self._pack_forces(model.names)(stamp, estimate.forces))
 
-    def _on_model(self, model: Fit | StoredModel) -> None:
-        self._model.publish(model_message(model))
-
     def _on_fit(self) -> str:
         """Fit on the complete window, and answer when it is done."""
         fit = self._estimator.fit()
@@ -201,13 +199,7 @@ def _named(values: FloatArray) -> dict[str, float]:
 
 
 class PressureMap:
-    """The markers of a force map, a serialised message that is filled for each sample.
-
-    A tile is a mesh of two triangles in its own frame, its force an arrow.
-
-    Args:
-        geometry: Geometry of the socket.
-    """
+    """The markers of a force map: a tile is two triangles in its own frame, its force an arrow."""
 
     def __init__(self, geometry: SocketGeometry) -> None:
         self._anchors = geometry.anchors
@@ -235,14 +227,10 @@ class PressureMap:
         self._tips = [arrow["points"][1] for arrow in records[1::2]]
 
     def serialised(self, stamp: int, estimate: MapEstimate) -> bytes:
-        """The message of a sample, a MarkerArray with a tile and an arrow for each force.
+        """The message of a map with N = 1: a MarkerArray with a tile and an arrow for each force.
 
         The colour is the normal pressure, from pale to dark red at 30 kPa; what is uncertain is
         faint, from opaque to a tenth where the pressure's standard deviation is 10 kPa.
-
-        Args:
-            stamp: Stamp since the epoch [ns].
-            estimate: The map of this sample, with N = 1.
         """
         tips = self._anchors + _ARROW_SCALE * estimate.forces[0]
         shares = np.clip(estimate.normal_pressure[0] / _FULL_COLOUR, 0.0, 1.0)

@@ -30,10 +30,7 @@ Send = Callable[[list[TransformStamped]], None]
 class FrameBroadcaster:
     """Publishes the transforms of a testbed; nothing where tf2_msgs is missing.
 
-    Args:
-        node: What publishes them.
-        geometry: The socket.
-        namespace: Namespace of their topics; empty: as the node's are remapped.
+    Without a namespace of their own, the topics are as the node's are remapped.
     """
 
     def __init__(
@@ -64,10 +61,8 @@ class FrameBroadcaster:
     def move(self, stamp: int, poses: Mapping[Topic, FloatArray]) -> None:
         """Publish where socket and limb are; what the motion capture did not see is left out.
 
-        Args:
-            stamp: Stamp of the poses since the epoch [ns].
-            poses: Position [m] and quaternion (x, y, z, w), shape (7,), of the topics SOCKET_POSE
-                and PYLON_POSE, one or both.
+        The poses of a stamp [ns], of SOCKET_POSE, PYLON_POSE or both, are position [m] and
+        quaternion (x, y, z, w), shape (7,).
         """
         if self._send is None or not self.wanted:
             return

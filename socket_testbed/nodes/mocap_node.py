@@ -9,8 +9,6 @@ after it; the markers are interpolated at the trigger.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from std_msgs.msg import String
 
@@ -18,9 +16,8 @@ from socket_testbed import clocks
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker, MocapSample
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.nodes.base import ERROR, OK, WARN
+from socket_testbed.nodes.base import ERROR, OK, WARN, file_or_packaged
 from socket_testbed.nodes.frames import FrameBroadcaster
 from socket_testbed.nodes.sensor_node import SensorNode, averaging_span
 from socket_testbed.settings.acquisition import MocapSettings
@@ -34,8 +31,7 @@ class MocapNode(SensorNode[MocapSettings]):
     def __init__(self) -> None:
         super().__init__("mocap_node", MocapSettings)
         settings = self.settings
-        path = settings.geometry
-        geometry = read_socket(Path(path) if path else packaged("config", "socket.yaml"))
+        geometry = read_socket(file_or_packaged(settings.geometry, "socket.yaml"))
         self._stale = settings.stale
         bodies = (geometry.socket_markers, geometry.pylon_markers)
         self._tracker = BodyTracker(settings, *bodies)

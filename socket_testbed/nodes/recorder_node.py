@@ -19,7 +19,8 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -234,30 +235,28 @@ class RecorderNode(TestbedNode[RecorderSettings]):
     def _on_message(self, name: str, data: bytes) -> None:
         if self._bag is None:
             return
-        try:
+        with self._until_full(self._bag):
             self._bag.write(name, self._now(), data)
             self._counts[name] += 1
-        except OSError as error:
-            self._give_up(error)
 
     def _flush(self) -> None:
-        if self._bag is None:
-            return
-        try:
-            self._bag.flush()
-        except OSError as error:
-            self._give_up(error)
+        if self._bag is not None:
+            with self._until_full(self._bag):
+                self._bag.flush()
 
-    def _give_up(self, error: OSError) -> None:
-        """The disk is full: keep what is on it and report it."""
-        bag, self._bag = self._bag, None
-        if bag is not None:
+    @contextmanager
+    def _until_full(self, bag: BagWriter) -> Iterator[None]:
+        """End the recording if the disk is full: keep what is on it and report it."""
+        try:
+            yield
+        except OSError as error:
+            self._bag = None
             bag.abandon()
-        self._announce()
-        self.report(
-            ERROR,
-            f"recording stopped, {self._path} keeps what it has ({error.strerror}): make space",
-        )
+            self._announce()
+            self.report(
+                ERROR,
+                f"recording stopped, {self._path} keeps what it has ({error.strerror}): make space",
+            )
 
     def _announce(self) -> None:
         """Say which trial is being recorded."""

@@ -35,6 +35,7 @@ from socket_testbed.trials.topics import (
     Topic,
     full_namespace,
     match_topics,
+    namespace_of,
 )
 from socket_testbed.trials.trial import Trial
 
@@ -49,12 +50,9 @@ _TICK_PERIOD = 0.02  # [s]; of the clock between messages
 
 
 class Pacer:
-    """Waits until each message of a recording is due.
+    """Waits until each message of a recording is due, at a rate against the recording [-].
 
-    Args:
-        rate: Speed against the recording [-].
-        tick: Called with the time of the recording [ns] as it passes.
-        paused: Whether it starts paused.
+    `tick` is called with the time of the recording [ns] as it passes.
     """
 
     def __init__(self, rate: float, tick: Callable[[int], None], paused: bool = False) -> None:
@@ -62,8 +60,7 @@ class Pacer:
         self._tick = tick
         self._stopping = threading.Event()
         self._going = threading.Event()
-        if not paused:
-            self._going.set()
+        self.pause(paused)
         self._first = 0
         self._start = 0.0
 
@@ -72,13 +69,12 @@ class Pacer:
         """Whether it is stopped."""
         return self._stopping.is_set()
 
-    def pause(self) -> None:
-        """Let no further message become due."""
-        self._going.clear()
-
-    def resume(self) -> None:
-        """Go on where it was paused."""
-        self._going.set()
+    def pause(self, paused: bool) -> None:
+        """Let no further message become due, or go on where it was paused."""
+        if paused:
+            self._going.clear()
+        else:
+            self._going.set()
 
     def stop(self) -> None:
         """Wait for nothing any more."""
@@ -201,8 +197,7 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         except TestbedError as error:
             self.get_logger().warning(f"transforms are left out: {error}")
             return None
-        name, topic = next(iter(self._topics.items()))
-        recorded = name.removesuffix(topic.name).rstrip("/")
+        recorded = namespace_of(*next(iter(self._topics.items())))
         return FrameBroadcaster(self, geometry, "" if self.settings.namespace else recorded)
 
     def _published_name(self, name: str, topic: Topic) -> str:
@@ -212,11 +207,8 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         return f"{full_namespace(self.settings.namespace).rstrip('/')}/{topic.name}"
 
     def _on_pause(self, paused: bool) -> str:
-        if paused:
-            self._pacer.pause()
-            return "paused"
-        self._pacer.resume()
-        return "going on"
+        self._pacer.pause(paused)
+        return "paused" if paused else "going on"
 
     def _replay(self) -> None:
         try:

@@ -107,8 +107,7 @@ class SensorNode(TestbedNode[S]):
 def averaging_span(wanted: float, period: float) -> float:
     """Span around a trigger to average over [s].
 
-    Args:
-        wanted: The setting [s]; negative for the trigger's period, 0.25 s at most.
-        period: Period of the trigger [s]; 0 if it is not known yet.
+    A negative setting [s] stands for the trigger's period [s], 0 if it is not known yet; 0.25 s at
+    most.
     """
     return wanted if wanted >= 0.0 else min(period, _LONGEST_SPAN)

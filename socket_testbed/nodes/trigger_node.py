@@ -95,7 +95,10 @@ class TriggerNode(TestbedNode[TriggerSettings]):
 
     def _run(self) -> None:
         with self.until_ros_ends():
-            self._await_followers()
+            # The nodes that measure are linked before the first trigger.
+            outputs = {TRIGGER.name: self._output}
+            if lacking := self._followers.await_links(outputs, frozenset(), _READY_WITHIN):
+                self.get_logger().warning(f"triggering without waiting any longer for {lacking}")
             due = clocks.monotonic()
             while not self._stopping.is_set():
                 if not self._enabled.is_set():
@@ -130,12 +133,6 @@ class TriggerNode(TestbedNode[TriggerSettings]):
             self._output.publish(self._pack(stamp, self._sequence))
         if self._trigger is not None:
             self._trigger.rest()
-
-    def _await_followers(self) -> None:
-        """Let the nodes that measure be linked before the first trigger."""
-        outputs = {TRIGGER.name: self._output}
-        if lacking := self._followers.await_links(outputs, frozenset(), _READY_WITHIN):
-            self.get_logger().warning(f"triggering without waiting any longer for {lacking}")
 
     def check(self) -> None:
         """Report what the last pulses lacked, another trigger, or a clock that was set."""

@@ -12,7 +12,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import deque
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,14 +23,20 @@ from std_msgs.msg import String
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import packaged
 from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.data_check import LOOK
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import Quantity, RegionOutputs
-from socket_testbed.nodes.base import ELAPSED, FREE, OK, PolledSubscription, TestbedNode
+from socket_testbed.nodes.base import (
+    ELAPSED,
+    FREE,
+    OK,
+    PolledSubscription,
+    TestbedNode,
+    file_or_packaged,
+)
 from socket_testbed.nodes.controls import ServiceControls
 from socket_testbed.pages.document import (
     Document,
@@ -75,9 +80,9 @@ class ViewNode(TestbedNode[ViewSettings]):
     def __init__(self) -> None:
         super().__init__("view_node", ViewSettings)
         settings = self.settings
-        path = Path(settings.geometry) if settings.geometry else packaged("config", "socket.yaml")
+        geometry = read_socket(file_or_packaged(settings.geometry, "socket.yaml"))
         allowed = settings.buttons or is_local(settings.host)
-        self._live = LiveSource(self, read_socket(path), ServiceControls(self) if allowed else None)
+        self._live = LiveSource(self, geometry, ServiceControls(self) if allowed else None)
         self._server = PageServer(self._live, settings.host, settings.port, settings.names)
         self.report(OK, f"the testbed is seen at {self._server.url}")
 
@@ -93,13 +98,7 @@ class ViewNode(TestbedNode[ViewSettings]):
 
 
 class LiveSource:
-    """The running testbed, a `Source` of the page.
-
-    Args:
-        node: The node that listens.
-        geometry: Geometry of the socket.
-        controls: What the buttons do; None where nobody may press them.
-    """
+    """The running testbed, a `Source` of the page; without controls its buttons are off."""
 
     def __init__(
         self, node: TestbedNode[Any], geometry: SocketGeometry, controls: ServiceControls | None

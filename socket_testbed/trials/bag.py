@@ -140,9 +140,7 @@ class BagReader:
     def blocks(self, topics: Collection[str], duration: float = math.inf) -> Iterator[Block]:
         """The messages of some topics in blocks of a few thousand, each topic's in their order.
 
-        Args:
-            topics: Names of the topics.
-            duration: How much of the recording is read, from the first of these messages [s].
+        They are read for a duration from the first of these messages [s].
         """
         blocks: dict[str, Block] = {}
         first, end = math.inf, math.inf

@@ -79,11 +79,7 @@ def write_standard_bag(
 ) -> None:
     """Write some samples as one MCAP file of standard messages; what is missing is left out.
 
-    Args:
-        measured: All measurements of the trial, of which `rows` are written.
-        rows: The samples of the table.
-        table: The table, a row per sample.
-        path: The file.
+    Of all measurements `rows` are written; the table has a row for each of these.
     """
     import pandas as pd
 
@@ -158,10 +154,8 @@ def _storage(table: pd.DataFrame) -> str:
     """A storage file of OpenSim."""
     columns = len(table.columns) + 1
     header = ["socket", "version=1", f"nRows={len(table)}", f"nColumns={columns}", "inDegrees=no"]
-    lines = [*header, "endheader", "\t".join(["time", *table.columns])]
-    for time, row in zip(table.index, table.to_numpy(), strict=True):
-        lines.append("\t".join([f"{time:.6f}", *(f"{value:.6f}" for value in row)]))
-    return "\n".join(lines) + "\n"
+    rows = table.to_csv(sep="\t", index_label="time", float_format="%.6f", na_rep="nan")
+    return "\n".join([*header, "endheader", rows])
 
 
 def _markers_text(table: pd.DataFrame, labels: list[str], name: str) -> str:

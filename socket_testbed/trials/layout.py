@@ -119,11 +119,7 @@ def _made(kind: str, given: Any) -> Any:
 
 
 class Layout:
-    """The layout that a message and others of its type share.
-
-    Args:
-        sample: The message, serialised.
-        message_type: Its type, as `package/msg/Type`.
+    """The layout that a serialised message and others of its type share.
 
     Attributes:
         dtype: The numbers in it by the names of their fields, in the message's byte order. A

@@ -57,13 +57,8 @@ decodes it: names and lengths are the same in all. Their shapes begin with that 
 class Reader:
     """Reads serialised messages of a topic, those of one layout at once.
 
-    Args:
-        topic: The topic.
-        where: What the messages are from, for an error.
-        values: Gives their values; as the topic's type says, see `VALUES`, if not given.
-
-    Raises:
-        TrialError: From any reading, if a message cannot be decoded.
+    A message that cannot be decoded is a TrialError, which says where it is from. Unless `values`
+    is given, the topic's type says what is read, see `VALUES`.
     """
 
     def __init__(
@@ -79,9 +74,7 @@ class Reader:
         """Stamp since the epoch [ns] and values of one message."""
         for layout, sample in self._known:
             if (record := layout.record(data)) is not None:
-                stamp = record["header"]["stamp"]
-                nanoseconds = int(stamp["sec"]) * 1_000_000_000 + int(stamp["nanosec"])
-                return nanoseconds, self._values(record, sample)
+                return int(stamps_of(record)), self._values(record, sample)
         self._known = [self._learn(data), *self._known[: _LAYOUTS - 1]]
         return self.read(data)
 
@@ -122,62 +115,38 @@ class Reader:
 class Template:
     """A message with a header, of which all but the numbers stays: filled and sent as bytes.
 
-    Args:
-        message_type: Its type, as `package/msg/Type`.
-        frame: The frame of its header.
-        content: Its strings, and as many elements as its sequences have; see `make_message`.
-
-    Attributes:
-        numbers: Its numbers, to be filled; see `Layout`.
+    It is made of its strings and as many elements as its sequences have, see `make_message`. Its
+    `numbers` are to be filled, see `Layout`.
     """
 
     def __init__(self, message_type: str, frame: str = LOAD_CELL_FRAME, **content: Any) -> None:
         self._content, self.numbers = blank(message_type, header={"frame_id": frame}, **content)
-        stamp = self.numbers["header"]["stamp"]
-        self._seconds, self._nanoseconds = stamp["sec"], stamp["nanosec"]
+        self._stamp = self.numbers["header"]["stamp"]
 
-    def serialised(self, stamp: int) -> bytes:
-        """The message as it is filled, with a stamp since the epoch [ns]."""
-        self._seconds[()], self._nanoseconds[()] = divmod(stamp, 1_000_000_000)
+    def serialised(self, stamp: int, **numbers: Any) -> bytes:
+        """The message with some fields filled now, and a stamp since the epoch [ns]."""
+        self._stamp[()] = divmod(stamp, 1_000_000_000)
+        for field, values in numbers.items():
+            self.numbers[field] = values
         return bytes(self._content)
 
 
 # What the testbed's messages say, type by type: how it is read, and how it is packed.
 
 
-def _sequence(records: Record, sample: Any) -> IntArray:
-    """Sequence of triggers."""
-    return records["sequence"]
-
-
 def trigger_packer() -> Callable[[int, int], bytes]:
     """Packs a Trigger from its stamp [ns] and sequence."""
     template = Template(TRIGGER.type)
-
-    def pack(stamp: int, sequence: int) -> bytes:
-        template.numbers["sequence"] = sequence
-        return template.serialised(stamp)
-
-    return pack
+    return lambda stamp, sequence: template.serialised(stamp, sequence=sequence)
 
 
 VectorPacker: TypeAlias = Callable[[int, FloatArray], bytes]
 """Makes a serialised message of a stamp since the epoch [ns] and its numbers."""
 
 
-def _wrench(records: Record, sample: Any) -> FloatArray:
-    """[M; F], shape (..., 6) [N m, N]."""
-    return _joined(records["wrench"], "torque", "force")
-
-
 def wrench_packer() -> VectorPacker:
     """Packs a WrenchStamped from its stamp [ns] and [M; F], shape (6,) [N m, N]."""
     return _vector_packer(Template(WRENCH.type), "wrench", "torque", "force")
-
-
-def _pose(records: Record, sample: Any) -> FloatArray:
-    """Position [m] and quaternion (x, y, z, w), shape (..., 7)."""
-    return _joined(records["pose"], "position", "orientation")
 
 
 def pose_packer() -> VectorPacker:
@@ -214,14 +183,12 @@ def load_cell_raw_packer() -> Callable[[int, FloatArray, FloatArray, int, int], 
     that was taken [ns], and a `Status`.
     """
     template = Template(LOAD_CELL_RAW.type)
-    numbers = template.numbers
 
     def pack(stamp: int, ratios: FloatArray, tare: FloatArray, tared: int, status: int) -> bytes:
-        numbers["ratios"] = 1e-3 * ratios
-        numbers["tare"]["torque"], numbers["tare"]["force"] = tare[:3], tare[3:]
-        numbers["tared"]["sec"], numbers["tared"]["nanosec"] = divmod(tared, 1_000_000_000)
-        numbers["status"] = status
-        return template.serialised(stamp)
+        own = template.numbers["tare"]
+        own["torque"], own["force"] = tare[:3], tare[3:]
+        taken = divmod(tared, 1_000_000_000)
+        return template.serialised(stamp, ratios=1e-3 * ratios, tared=taken, status=status)
 
     return pack
 
@@ -321,32 +288,23 @@ def markers_packer(counts: Mapping[str, int]) -> Callable[[int, Sequence[FloatAr
     return pack
 
 
-def _local_forces(records: Record, sample: Any) -> FloatArray:
-    """Forces in {S}, shape (..., n, 3) [N]."""
-    return records["forces"].astype(np.float64)
-
-
 def local_forces_packer(names: Sequence[str]) -> VectorPacker:
     """Packs a LocalForceArray from its stamp [ns] and forces in {S}, shape (n, 3) [N]."""
     template = Template(LOCAL_FORCES.type, names=names, forces=[None] * len(names))
-
-    def pack(stamp: int, values: FloatArray) -> bytes:
-        template.numbers["forces"] = values
-        return template.serialised(stamp)
-
-    return pack
+    return lambda stamp, values: template.serialised(stamp, forces=values)
 
 
-_VECTORS = ("forces", "standard_deviations")
-_PRESSURES = ("normal_pressure", "normal_pressure_standard_deviation")
-_SHEARS = ("shear", "shear_standard_deviation")
+_MAP_FIELDS = (
+    *("forces", "standard_deviations", "normal_pressure", "normal_pressure_standard_deviation"),
+    *("shear", "shear_standard_deviation"),
+)
 
 
 def _force_map(records: Record, sample: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
     """Names of the n tiles; and the fields of N maps, as `MapEstimate` takes them."""
     fields: dict[str, Any] = {
         name: records[name].astype(np.float64).reshape(-1, *records[name].shape[records.ndim :])
-        for name in (*_VECTORS, *_PRESSURES, *_SHEARS)
+        for name in _MAP_FIELDS
     }
     return tuple(sample.names), {**fields, "source": sample.source}
 
@@ -357,14 +315,12 @@ def force_map_packer(names: Sequence[str]) -> Callable[[int, MapEstimate], bytes
     @cache  # few: by the channels that are there
     def template_of(source: str) -> Template:
         blanks: list[Any] = [None] * len(names)
-        numbers = dict.fromkeys((*_VECTORS, *_PRESSURES, *_SHEARS), blanks)
-        return Template(FORCE_MAP.type, LOAD_CELL_FRAME, names=names, source=source, **numbers)
+        numbers: dict[str, Any] = dict.fromkeys(_MAP_FIELDS, blanks)
+        return Template(FORCE_MAP.type, names=names, source=source, **numbers)
 
     def pack(stamp: int, estimate: MapEstimate) -> bytes:
-        template = template_of(estimate.source)
-        for field in (*_VECTORS, *_PRESSURES, *_SHEARS):
-            template.numbers[field] = getattr(estimate, field)[0]
-        return template.serialised(stamp)
+        numbers = {field: getattr(estimate, field)[0] for field in _MAP_FIELDS}
+        return template_of(estimate.source).serialised(stamp, **numbers)
 
     return pack
 
@@ -384,34 +340,30 @@ def _regions(records: Record, sample: Any) -> tuple[tuple[str, ...], dict[str, F
 def regions_packer(names: Sequence[str]) -> Callable[[int, RegionOutputs], bytes]:
     """Packs a RegionPressures of R regions from its stamp [ns] and outputs with N = 1."""
     blanks: list[Any] = [None] * len(names)
-    numbers = dict.fromkeys(_REGION_COLUMNS, blanks)
-    template = Template(REGIONS.type, LOAD_CELL_FRAME, names=names, **numbers)
+    numbers: dict[str, Any] = dict.fromkeys(_REGION_COLUMNS, blanks)
+    template = Template(REGIONS.type, names=names, **numbers)
 
     def pack(stamp: int, outputs: RegionOutputs) -> bytes:
-        for output, field in REGION_FIELDS.items():
-            quantity = getattr(outputs, output)
-            ends = (quantity.value, quantity.low, quantity.high)
-            for end, values in zip(("", "_low", "_high"), ends, strict=True):
-                template.numbers[field + end] = values
-        return template.serialised(stamp)
+        quantities = [getattr(outputs, output) for output in REGION_FIELDS]
+        values = [own for each in quantities for own in (each.value, each.low, each.high)]
+        return template.serialised(stamp, **dict(zip(_REGION_COLUMNS, values, strict=True)))
 
     return pack
 
 
-def _label(records: Record, sample: Any) -> str:
-    return str(sample.label)
-
-
 VALUES: dict[str, Values] = {
-    TRIGGER.type: _sequence,
-    WRENCH.type: _wrench,
+    TRIGGER.type: lambda records, sample: records["sequence"],
+    # [M; F], shape (..., 6) [N m, N]
+    WRENCH.type: lambda records, sample: _joined(records["wrench"], "torque", "force"),
     LOAD_CELL_RAW.type: _raw,
-    SOCKET_POSE.type: _pose,
+    # Position [m] and quaternion (x, y, z, w), shape (..., 7)
+    SOCKET_POSE.type: lambda records, sample: _joined(records["pose"], "position", "orientation"),
     CAPACITANCE.type: _capacitances,
     STRESS.type: _stress,
     MARKERS.type: _markers,
-    LOCAL_FORCES.type: _local_forces,
+    # Forces in {S}, shape (..., n, 3) [N]
+    LOCAL_FORCES.type: lambda records, sample: records["forces"].astype(np.float64),
     FORCE_MAP.type: _force_map,
     REGIONS.type: _regions,
-    EVENT.type: _label,
+    EVENT.type: lambda records, sample: str(sample.label),
 }

@@ -56,7 +56,7 @@ def remake_wrenches(
     Args:
         measured: The measurements, with ratios and tares.
         recorded: Settings with which they were recorded; without a matrix if the trial has none.
-        given: Settings to use instead; None for no others.
+        given: Settings to use instead, if any.
         tare: `recorded`, `none`, or `T0:T1` in seconds since the first sample, whose mean it is.
         where: Name of the trial in an error.
         notify: Called with the tare that is used.
@@ -121,18 +121,13 @@ def _mean_load(
 
 def other_markers(recorded: SocketGeometry, given: SocketGeometry) -> tuple[str, ...]:
     """The bodies, of `socket` and `pylon`, whose markers differ between two geometries."""
-    pairs = {
-        body: (_markers(recorded, body), _markers(given, body)) for body in ("socket", "pylon")
-    }
-    return tuple(
-        body
-        for body, (old, new) in pairs.items()
-        if old.shape != new.shape or not np.allclose(old, new, rtol=0.0, atol=_SAME_MARKER)
-    )
 
+    def differ(old: FloatArray, new: FloatArray) -> bool:
+        return old.shape != new.shape or not np.allclose(old, new, rtol=0.0, atol=_SAME_MARKER)
 
-def _markers(geometry: SocketGeometry, body: str) -> FloatArray:
-    return geometry.socket_markers if body == "socket" else geometry.pylon_markers
+    bodies = ("socket", "pylon")
+    markers = [[getattr(of, f"{body}_markers") for of in (recorded, given)] for body in bodies]
+    return tuple(body for body, pair in zip(bodies, markers, strict=True) if differ(*pair))
 
 
 def refit_poses(
@@ -146,15 +141,10 @@ def refit_poses(
 
     A recorded pose is a mean of frames; a new one is that of the markers at the trigger.
 
-    Args:
-        measured: The measurements, with markers.
-        geometry: The markers in their bodies.
-        bodies: Which bodies to fit.
-        where: Name of the trial in an error.
-        notify: Called with how far the poses of a body moved.
+    `where` names the trial in an error; `notify` is called with how far the poses of a body moved.
     """
     for body in bodies:
-        reference = _markers(geometry, body)
+        reference = getattr(geometry, f"{body}_markers")
         seen = measured.markers.get(body, np.full((len(measured.stamps), *reference.shape), np.nan))
         count = int(np.flatnonzero(np.isfinite(seen).any(axis=(0, 2))).max(initial=-1)) + 1
         if count > len(reference):

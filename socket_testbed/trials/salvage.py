@@ -17,7 +17,6 @@ import zlib
 from collections import Counter
 from collections.abc import Collection, Iterator
 from datetime import datetime
-from functools import cache
 from itertools import groupby
 from pathlib import Path
 from typing import BinaryIO, Self
@@ -31,9 +30,7 @@ from rosbags.interfaces import (
     ConnectionExtRosbag2,
     MessageDefinition,
     MessageDefinitionFormat,
-    Qos,
 )
-from rosbags.rosbag2.metadata import parse_qos
 
 from socket_testbed.errors import TrialError
 
@@ -68,13 +65,10 @@ class _Chunk:
 class SalvagedRecording:
     """The complete part of a recording that was cut short; it is used like a reader of rosbags.
 
-    Args:
-        path: The file.
-
     Attributes:
         path: The file.
         note: What was read and what was not, in one line.
-        connections: The topics with their message types, quality of service and counts.
+        connections: The topics with their message types and counts.
         message_count: Number of messages saved.
         start_time: Time of the first message since the epoch [ns].
         end_time: Time of the last message since the epoch, and one [ns].
@@ -381,16 +375,8 @@ def _connections(
             msgdef=MessageDefinition(MessageDefinitionFormat.NONE, ""),
             digest="",
             msgcount=counts[channel.id],
-            ext=ConnectionExtRosbag2(
-                channel.message_encoding,
-                _qos(channel.metadata.get("offered_qos_profiles", "")),
-            ),
+            ext=ConnectionExtRosbag2(channel.message_encoding, []),
             owner=owner,
         )
         for channel in channels.values()
     ]
-
-
-@cache  # YAML is slow, and the channels share their profiles
-def _qos(profiles: str) -> list[Qos]:
-    return parse_qos(profiles) if profiles else []

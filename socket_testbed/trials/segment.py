@@ -205,8 +205,11 @@ def _steadiness(
     dead = np.isnan(samples.wrench).all(axis=0)
     wrench = moving_mean(np.where(dead, 0.0, samples.wrench), width)
     clusters = _held(moving_mean(np.where(counts, local, 0.0), width))
-    steady = ~_load_changes(wrench, width, settings)
-    steady &= ~_cluster_changes(clusters, width, settings)
+    change = _differences(wrench, width)
+    steady = np.linalg.norm(change[:, :3], axis=1) <= settings.moment_change
+    steady &= np.linalg.norm(change[:, 3:], axis=1) <= settings.force_change
+    change = _differences(clusters, width).reshape(len(samples), -1, 3)
+    steady &= (np.linalg.norm(change, axis=2) <= settings.cluster_change).all(axis=1)
     channels = np.hstack([samples.position, samples.values])
     missing = np.isnan(channels).mean(axis=1, keepdims=True)
     steady &= moving_mean(missing, width)[:, 0] <= settings.missing_fraction
@@ -262,20 +265,6 @@ def _differences(mean: FloatArray, width: int) -> FloatArray:
     before = mean[np.maximum(np.arange(len(mean)) - (width + 1) // 2, 0)]
     after = mean[np.minimum(np.arange(len(mean)) + (width + 1) // 2, len(mean) - 1)]
     return np.asarray(after - before)
-
-
-def _load_changes(mean: FloatArray, width: int, settings: PlateauSettings) -> BoolArray:
-    """Samples whose wrench before and after differ, shape (N,); and samples without a value."""
-    change = _differences(mean, width)
-    moment = np.linalg.norm(change[:, :3], axis=1)
-    force = np.linalg.norm(change[:, 3:], axis=1)
-    return ~((moment <= settings.moment_change) & (force <= settings.force_change))
-
-
-def _cluster_changes(mean: FloatArray, width: int, settings: PlateauSettings) -> BoolArray:
-    """Samples whose force on a cluster before and after differs, shape (N,)."""
-    change = _differences(mean, width).reshape(len(mean), -1, 3)
-    return np.asarray((np.linalg.norm(change, axis=2) > settings.cluster_change).any(axis=1))
 
 
 def _runs(flags: BoolArray) -> list[tuple[int, int]]:

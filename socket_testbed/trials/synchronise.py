@@ -100,12 +100,9 @@ def read_measurements(
 ) -> Measurements:
     """Read the measurements of a bag; a TrialError if it cannot be read or lacks a topic.
 
-    Args:
-        bag: The bag, open.
-        notify: Called with a note on stamps that jump back, and on stamps that a topic holds more
-            than once.
-        duration: How much of the recording is read, from its first measurement [s].
-        more: Which of LOAD_CELL_RAW and MARKERS to read as well.
+    They are read for a duration from the first one [s]; `more` are which of LOAD_CELL_RAW and
+    MARKERS to read as well. Stamps that jump back, and stamps that a topic holds more than once,
+    are notified.
     """
     topics = required_topics(bag)
     for topic in more:
@@ -268,7 +265,7 @@ def correct_measurements(
     Args:
         measured: The measurements of a trial.
         spans: One or two spans without load, since the first sample [s].
-        calibration: Calibration of the clusters.
+        calibration: The clusters' own.
         least_force: Force that is a load [N].
         where: Name of the trial in an error.
         notify: Called with the drift between two spans, a large one flagged, and with what is not

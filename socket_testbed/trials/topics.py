@@ -101,6 +101,11 @@ def match_topics(names: Iterable[str], where: str) -> dict[Topic, str]:
     return found
 
 
+def namespace_of(name: str, topic: Topic) -> str:
+    """Namespace of a topic in a graph, such as /lab of /lab/trigger; empty for none."""
+    return name.removesuffix(topic.name).rstrip("/")
+
+
 def full_namespace(given: str) -> str:
     """A namespace of ROS from its root, such as /left from left."""
     namespace = "/" + given.strip("/")

@@ -36,7 +36,14 @@ from socket_testbed.trials.synchronise import (
     make_samples,
     read_measurements,
 )
-from socket_testbed.trials.topics import CAPACITANCE, LOAD_CELL_RAW, MARKERS, TRIGGER, Topic
+from socket_testbed.trials.topics import (
+    CAPACITANCE,
+    LOAD_CELL_RAW,
+    MARKERS,
+    TRIGGER,
+    Topic,
+    namespace_of,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -286,7 +293,7 @@ def recorded_namespace(trial: Trial) -> str:
     """Namespace of the testbed in the graph that was recorded, such as / or /lab."""
     with trial.open() as bag:
         name = required_topics(bag)[TRIGGER]
-    return name.removesuffix(TRIGGER.name).rstrip("/") or "/"
+    return namespace_of(name, TRIGGER) or "/"
 
 
 def beside(path: Path) -> Path:

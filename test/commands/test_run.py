@@ -23,7 +23,7 @@ from socket_testbed import clocks
 from socket_testbed.__main__ import run
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.live import press
+from socket_testbed.live import doctor
 from socket_testbed.nodes import controls
 from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import read_testbed
@@ -277,7 +277,7 @@ def test_a_press_that_turns_signs_round_is_named() -> None:
     names = tuple(geometry.clusters)
     bench = SimpleNamespace(names=names, geometry=geometry)
     outward = -geometry.rotations[geometry.clusters["distal"], :, 2]
-    zero, threshold = press._Reading(np.zeros(4), np.zeros(3)), np.full(4, 4e3)
+    zero, threshold = doctor._Reading(np.zeros(4), np.zeros(3)), np.full(4, 4e3)
     for sign, force, hint in (
         (1.0, 14.0 * outward, ""),
         (-1.0, 14.0 * outward, "its normal is the wrong way round"),
@@ -286,7 +286,7 @@ def test_a_press_that_turns_signs_round_is_named() -> None:
         (1.0, np.full(3, np.nan), "check the load cell's wiring"),
     ):
         normal = np.where(np.array(names) == "distal", sign * 15e3, 0.0)
-        found = press._judge(bench, "distal", press._Reading(normal, force), zero, threshold)
+        found = doctor._judge(bench, "distal", doctor._Reading(normal, force), zero, threshold)
         assert hint in found.hint and bool(found.hint) == bool(hint)
 
 

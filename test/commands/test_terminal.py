@@ -22,6 +22,7 @@ from support.verbs import COMMAND
 from socket_testbed.commands import terminal as module
 from socket_testbed.commands.terminal import StatusLine, fitted
 from socket_testbed.live.graph_status import GraphStatus
+from socket_testbed.trials.topics import ESTIMATED_WRENCH, WRENCH
 
 
 class Terminal:
@@ -165,8 +166,8 @@ def test_a_status_is_in_words(tmp_path: Path) -> None:
     status.triggers, status.complete = 12, 11
     status.trial, status.variant = "s01\x1b[2J", "rigid_bias"
     status.heard = time.monotonic() - 30.5
-    status.add_wrench(0, np.zeros(6))
-    status.add_prediction(0, np.array([0.25, -0.25, 0.25, 4.0, 4.0, -4.0]))
+    status.add(WRENCH, 0, np.zeros(6))
+    status.add(ESTIMATED_WRENCH, 0, np.array([0.25, -0.25, 0.25, 4.0, 4.0, -4.0]))
     status.wrench = np.array([0.12, 0.2, 0.3, 1.4, -2.0, -612.0])
     elapsed, *parts, model = module.status_parts(status, 3661.0, tmp_path)
     assert elapsed == "0:00:00 of 1:01:01"

@@ -26,6 +26,7 @@ def test_a_graph_ends_with_what_it_needs_and_goes_on_without_what_is_optional() 
             graph.watch(lambda: False, said.append)
 
 
+@pytest.mark.slow
 def test_a_spare_process_takes_the_place_of_a_killed_node() -> None:
     said: list[str] = []
     with open(os.devnull, "w") as nowhere, Graph(nowhere) as graph, Probe() as probe:  # noqa: PTH123

@@ -52,7 +52,7 @@ PRESSED = {"limb.out"}  # no fault: test_run presses
 def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiveTestbed]:
     """One testbed that records all the while; what it recorded is judged when it has ended."""
     path = tmp_path_factory.mktemp("faults") / "trial"
-    with LiveTestbed(path) as live:
+    with LiveTestbed(path, one_process=True) as live:
         yield live
     recorded = Recorded(path)
     assert not recorded.notes

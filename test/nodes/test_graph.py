@@ -2,9 +2,9 @@
 
 import dataclasses
 import re
-import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +15,13 @@ from rclpy.parameter import Parameter
 from socket_testbed_msgs.msg import ClusterCapacitance, ClusterCapacitanceArray
 from std_srvs.srv import Trigger as TriggerService
 from support import HANGS
-from support.bags import copying
+from support.bags import copying, pose_vector, wrench_vector
 from support.clocks import careful_time_scale
 from support.graph import Probe
 from support.verbs import COMMAND, program
 
 from socket_testbed.geometry.regions import all_regions
+from socket_testbed.geometry.socket import write_socket
 from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.live.bringup import replay_with_estimator
@@ -41,8 +42,10 @@ from socket_testbed.trials.topics import (
     PARAMETERS,
     PRESSURE_MAP,
     REGIONS,
+    SOCKET_POSE,
     STRESS,
     TRIGGER,
+    WRENCH,
 )
 from socket_testbed.trials.trial import Trial
 
@@ -106,88 +109,6 @@ def test_another_process_subscribes_while_the_command_replays_and_estimates(hold
     assert stamps == sorted(stamps) and set(stamps) <= set(Trial(hold).samples().stamps)
 
 
-def test_a_fit_when_asked_answers_and_predicts(hold: Path) -> None:
-    """The map needs no model."""
-    with Graph() as graph, Probe() as probe:
-        maps, pictures = probe.listen(FORCE_MAP), probe.listen(PRESSURE_MAP)
-        models = probe.listen(PARAMETERS)
-        wrenches = probe.listen(ESTIMATED_WRENCH)
-        graph.start("calibration_node", CalibrationNodeSettings(), use_sim_time=True)
-        graph.start("estimator_node", NO_FIT, use_sim_time=True)
-        answer = probe.call(TriggerService, "estimator/fit", TriggerService.Request())
-        assert not answer.success and "only 0 of 0 samples" in answer.message
-        # Each round starts the window anew: one lasts long enough for 60 samples and the fit.
-        replay = ReplaySettings(
-            trial=str(hold), rate=4.0, wait_for=("calibration_node", "estimator_node")
-        )
-        graph.start("replay_node", dataclasses.replace(replay, loop=True))
-
-        probe.wait(lambda: probe.figure("estimator_node", "window") > 60, "samples")
-        probe.wait(lambda: bool(maps and pictures), "a map and its picture")
-        assert not models and not wrenches
-        answer = probe.call(TriggerService, "estimator/fit", TriggerService.Request())
-        assert answer.success, answer.message
-        probe.wait(lambda: len(models) == 1 and len(wrenches) > 50, "predictions")
-        assert models[0].samples > 50
-        probe.listen(PARAMETERS)
-        probe.wait(lambda: len(models) == 2, "the model for a late subscriber")
-        assert models[1] == models[0]
-
-
-def test_the_calibration_node_says_which_cluster_it_does_not_know() -> None:
-    with Graph() as graph, Probe() as probe:
-        stresses = probe.listen(STRESS)
-        graph.start("calibration_node", CalibrationNodeSettings())
-        publisher = probe.publisher(CAPACITANCE)
-        message = ClusterCapacitanceArray()
-        message.header.stamp.sec = 7
-        message.clusters = [
-            ClusterCapacitance(name=name, capacitance=[5.1, 5.2, 5.3, 5.2], status=[0] * 4)
-            for name in ("brim_lateral", "unknown")
-        ]
-
-        def levels() -> set[bytes]:
-            found = probe.said("calibration_node", "no calibration for unknown")
-            return {status.level for status in found}
-
-        def send_until_heard() -> bool:
-            publisher.publish(message)
-            return bool(stresses and levels())
-
-        probe.wait(send_until_heard, "stresses and a diagnostics message")
-        assert levels() == {DiagnosticStatus.ERROR}
-    assert stresses[0].header.stamp.sec == 7
-    known, unknown = stresses[0].clusters
-    assert known.status == 0 and np.isfinite([known.normal, known.shear_x, known.shear_y]).all()
-    assert unknown.status == 2
-    assert np.isnan([unknown.normal, unknown.shear_x, unknown.shear_y]).all()
-
-
-def test_parameters_are_described_checked_and_changed_at_run_time() -> None:
-    with Graph() as graph, Probe() as probe:
-        graph.start("estimator_node", EstimatorSettings())
-
-        def refusal(name: str, value: float | str | None) -> str:
-            parameter = Parameter(f"identification.{name}", value=value).to_parameter_msg()
-            request = SetParameters.Request(parameters=[parameter])
-            (result,) = probe.call(SetParameters, "estimator_node/set_parameters", request).results
-            assert result.successful or result.reason
-            return str(result.reason)
-
-        request = DescribeParameters.Request(names=["identification.theta"])
-        (described,) = probe.call(
-            DescribeParameters, "estimator_node/describe_parameters", request
-        ).descriptors
-        (bounds,) = described.floating_point_range
-        assert "wrench" in described.description
-        assert (bounds.from_value, bounds.to_value) == (0.0, 1.0)
-        assert not refusal("theta", 0.25) and not refusal("theta", 1) and refusal("theta", 1.5)
-        assert "did you mean 'stiffness_bias'?" in refusal("variant", "stifness_bias")
-        assert "did you mean 'osqp'?" in refusal("solver", "osqqp")
-        assert refusal("leave_out", None) and refusal("theta", None)  # deleted
-        assert not refusal("theta", 0.5)
-
-
 def failed(*words: object) -> str:
     """What a Python program prints that must end with exit code 1."""
     code, _, err = program(sys.executable, *words)
@@ -195,36 +116,50 @@ def failed(*words: object) -> str:
     return err
 
 
-@pytest.mark.parametrize(
-    ("node", "given", "said"),
-    [
-        ("estimator_node", "identification.solver:=osqqp", "'osqqp' is not installed.*'osqp'"),
-        ("replay_node", "trial:=nowhere", "nowhere.*no such trial"),
-        ("recoder_node", "rate:=1.0", "there is no node.*did you mean 'recorder_node'?"),
-    ],
-)
-def test_a_node_that_cannot_start_says_why_in_one_line(node: str, given: str, said: str) -> None:
-    error = failed("-m", "socket_testbed.nodes", node, "--ros-args", "-p", *given.split())
-    assert error.count("error: ") == 1 and re.search(said, error), error
-
-
-def test_a_program_with_a_node_s_name_runs_that_node() -> None:
-    """As `ros2 run socket_testbed calibration_node` does."""
+def test_a_node_that_cannot_start_says_why_in_one_line() -> None:
+    """A program with a node's name runs that node, as `ros2 run socket_testbed NODE` does."""
     words = ["/bin/calibration_node", "--ros-args", "-p", "calibration:=nowhere.yaml"]
     script = f"import sys; sys.argv = {words}; from socket_testbed.nodes.__main__ import main"
-    assert "nowhere.yaml" in failed("-c", f"{script}; main()")
+    named = ["-c", f"{script}; main()"]
+    misspelt = ["-m", "socket_testbed.nodes", "recoder_node"]
+    for program_of, said in (
+        (named, "nowhere.yaml"),
+        (misspelt, "there is no node.*did you mean 'recorder_node'?"),
+    ):
+        error = failed(*program_of)
+        assert error.count("error: ") == 1 and re.search(said, error), error
 
 
-def test_a_damaged_trial_is_replayed_without_what_is_missing(hold, tmp_path: Path) -> None:
-    broken = Path(shutil.copytree(hold, tmp_path / "hold"))
-    data = bytearray((broken / "hold.mcap").read_bytes())
-    middle = len(data) // 3
-    data[middle : middle + 4000] = b"\xff" * 4000
-    (broken / "hold.mcap").write_bytes(data)
-    code, _, err = program(*COMMAND, "replay", broken, "--rate", 100)
-    assert code == 0 and "the recording hold.mcap is damaged: 2 of its 60 chunks" in err
+def test_a_trial_is_replayed_as_other_files_and_another_tare_repair_it(
+    hold: Path, tmp_path: Path
+) -> None:
+    trial = Trial(hold)
+    turned = dataclasses.replace(
+        trial.geometry, socket_markers=trial.geometry.socket_markers[:, [1, 2, 0]]
+    )
+    write_socket(turned, tmp_path / "turned.yaml")
+    repaired = Trial(hold, tmp_path / "turned.yaml", tare="0:5").measurements()
+    replay = ReplaySettings(
+        trial=str(hold), rate=20.0, geometry=str(tmp_path / "turned.yaml"), tare="0:5"
+    )
+    with Probe() as probe, Graph() as graph:
+        # Discovery may outlast the first messages.
+        heard = {topic: probe.listen(topic) for topic in (WRENCH, SOCKET_POSE)}
+        graph.start("replay_node", replay)
+        graph.wait("replay_node")
+        last = repaired.stamps[-1]
+        for messages in heard.values():
+            probe.wait(lambda m=messages: bool(m) and stamp_of(m[-1]) == last, "the last sample")
+    rows = {stamp: row for row, stamp in enumerate(repaired.stamps.tolist())}
+    for topic, vector, numbers in (
+        (WRENCH, lambda message: wrench_vector(message.wrench), repaired.wrench),
+        (SOCKET_POSE, lambda message: pose_vector(message.pose), repaired.socket),
+    ):
+        order = [rows[stamp_of(message)] for message in heard[topic]]
+        np.testing.assert_array_equal([vector(m) for m in heard[topic]], numbers[order])
 
 
+@pytest.mark.slow
 def test_a_killed_command_leaves_no_node(hold: Path) -> None:
     with Probe() as probe:
         command = [*COMMAND, "replay", str(hold), "--estimate"]
@@ -246,3 +181,94 @@ def test_a_trial_that_ends_between_a_trigger_and_its_wrench_keeps_nobody_waiting
             new.write(raw.topic, raw.time, raw.data)
     code, _, err = program(*COMMAND, "replay", tmp_path / "cut", "--rate", 20, "--estimate")
     assert code == 0 and "not worked off" not in err
+
+
+# --- one graph for what follows: its nodes would answer beside those above
+
+
+@pytest.fixture(scope="module")
+def estimating() -> Iterator[tuple[Graph, Probe]]:
+    """A calibration and an estimator node in the time of a replay, and what another hears."""
+    with Graph() as graph, Probe() as probe:
+        graph.start("calibration_node", CalibrationNodeSettings(), use_sim_time=True)
+        graph.start("estimator_node", NO_FIT, use_sim_time=True)
+        yield graph, probe
+
+
+def test_the_calibration_node_says_which_cluster_it_does_not_know(estimating) -> None:
+    _, probe = estimating
+    stresses = probe.listen(STRESS)
+    publisher = probe.publisher(CAPACITANCE)
+    message = ClusterCapacitanceArray()
+    message.header.stamp.sec = 7
+    message.clusters = [
+        ClusterCapacitance(name=name, capacitance=[5.1, 5.2, 5.3, 5.2], status=[0] * 4)
+        for name in ("brim_lateral", "unknown")
+    ]
+
+    def levels() -> set[bytes]:
+        found = probe.said("calibration_node", "no calibration for unknown")
+        return {status.level for status in found}
+
+    def send_until_heard() -> bool:
+        publisher.publish(message)
+        return bool(stresses and levels())
+
+    probe.wait(send_until_heard, "stresses and a diagnostics message")
+    assert levels() == {DiagnosticStatus.ERROR}
+    probe.node.destroy_publisher(publisher)  # no replay would begin beside it
+    assert stresses[0].header.stamp.sec == 7
+    known, unknown = stresses[0].clusters
+    assert known.status == 0 and np.isfinite([known.normal, known.shear_x, known.shear_y]).all()
+    assert unknown.status == 2
+    assert np.isnan([unknown.normal, unknown.shear_x, unknown.shear_y]).all()
+
+
+def test_parameters_are_described_checked_and_changed_at_run_time(estimating) -> None:
+    _, probe = estimating
+
+    def refusal(name: str, value: float | str | None) -> str:
+        parameter = Parameter(f"identification.{name}", value=value).to_parameter_msg()
+        request = SetParameters.Request(parameters=[parameter])
+        (result,) = probe.call(SetParameters, "estimator_node/set_parameters", request).results
+        assert result.successful or result.reason
+        return str(result.reason)
+
+    request = DescribeParameters.Request(names=["identification.theta"])
+    (described,) = probe.call(
+        DescribeParameters, "estimator_node/describe_parameters", request
+    ).descriptors
+    (bounds,) = described.floating_point_range
+    assert "wrench" in described.description
+    assert (bounds.from_value, bounds.to_value) == (0.0, 1.0)
+    assert not refusal("theta", 0.25) and not refusal("theta", 1) and refusal("theta", 1.5)
+    assert "did you mean 'stiffness_bias'?" in refusal("variant", "stifness_bias")
+    assert "did you mean 'osqp'?" in refusal("solver", "osqqp")
+    assert refusal("leave_out", None) and refusal("theta", None)  # deleted
+    assert not refusal("theta", 0.5)
+
+
+def test_a_fit_when_asked_answers_and_predicts(hold: Path, estimating) -> None:
+    """The map needs no model."""
+    graph, probe = estimating
+    maps, pictures = probe.listen(FORCE_MAP), probe.listen(PRESSURE_MAP)
+    models = probe.listen(PARAMETERS)
+    wrenches = probe.listen(ESTIMATED_WRENCH)
+    answer = probe.call(TriggerService, "estimator/fit", TriggerService.Request())
+    assert not answer.success and "only 0 of 0 samples" in answer.message
+    # Each round starts the window anew: one lasts long enough for 60 samples and the fit.
+    replay = ReplaySettings(
+        trial=str(hold), rate=4.0, wait_for=("calibration_node", "estimator_node")
+    )
+    graph.start("replay_node", dataclasses.replace(replay, loop=True))
+
+    probe.wait(lambda: probe.figure("estimator_node", "window") > 60, "samples")
+    probe.wait(lambda: bool(maps and pictures), "a map and its picture")
+    assert not models and not wrenches
+    answer = probe.call(TriggerService, "estimator/fit", TriggerService.Request())
+    assert answer.success, answer.message
+    probe.wait(lambda: len(models) == 1 and len(wrenches) > 50, "predictions")
+    assert models[0].samples > 50
+    probe.listen(PARAMETERS)
+    probe.wait(lambda: len(models) == 2, "the model for a late subscriber")
+    assert models[1] == models[0]

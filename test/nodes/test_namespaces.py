@@ -18,7 +18,7 @@ from socket_testbed.live.processes import Graph
 from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.trials.topics import TF, TF_STATIC, TRIGGER, WRENCH
 
-pytestmark = pytest.mark.graph
+pytestmark = [pytest.mark.graph, pytest.mark.slow]
 
 NAMESPACES = ("/left", "/right")
 NODES = ("trigger_node", "cluster_node", "load_cell_node", "mocap_node", "calibration_node")

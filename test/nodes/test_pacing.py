@@ -28,7 +28,7 @@ def test_a_pause_moves_what_follows_and_a_stop_ends_every_wait() -> None:
     pacer = Pacer(1.0, tick=lambda stamp: None, paused=True)
     pacer.begin(0)
     start = time.monotonic()
-    threading.Timer(0.2, pacer.resume).start()
+    threading.Timer(0.2, pacer.pause, [False]).start()
     assert pacer.wait_for(0)
     assert pacer.wait_for(100_000_000)
     assert time.monotonic() - start > 0.25  # 0.3; 0.2 if what follows did not move

@@ -27,7 +27,7 @@ from socket_testbed.nodes.base import stamp_to_ros
 from socket_testbed.settings.testbed import RecorderSettings, ReplaySettings
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.layout import decode, nanoseconds, stamp_of
-from socket_testbed.trials.metadata import METADATA_FILE, TrialMetadata
+from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.topics import DIAGNOSTICS, RECORDED_TRIAL, WRENCH, match_topics
 from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial
 
@@ -129,7 +129,7 @@ def test_a_killed_recorder_keeps_what_had_come_and_goes_on_beside(tmp_path: Path
             send = Sender(probe)
 
             def send_until_recorded() -> bool:
-                send()
+                send(10)
                 return probe.figure(NODE, "/load_cell/wrench") > 100
 
             probe.wait(send_until_recorded, "100 messages")
@@ -256,27 +256,17 @@ def set_parameters(probe: Probe, **values: Any) -> list[str]:
     return [result.reason for result in results if not result.successful]
 
 
-def test_no_other_program_chooses_what_is_stored_or_where(tmp_path: Path) -> None:
-    secret, trials = tmp_path / "secret", tmp_path / "trials"
-    secret.write_text("subject: S09\n")
-    with Probe() as probe, recorder(f"directory:={trials}"):
+def test_the_next_trial_has_the_name_and_metadata_that_were_set_and_nothing_else(
+    tmp_path: Path,
+) -> None:
+    """No other program chooses what is stored or where."""
+    stated, trials = tmp_path / "stated.yaml", tmp_path / "trials"
+    stated.write_text("subject: S01\nliner: gel\n")
+    with Probe() as probe, recorder(f"directory:={trials}", f"metadata:={stated}"):
         for name in ("geometry", "calibration", "parameters", "metadata", "directory"):
-            assert set_parameters(probe, **{name: str(secret)}), name
+            assert set_parameters(probe, **{name: str(tmp_path / "secret")}), name
         (reason,) = set_parameters(probe, next__name="../up")
         assert "next.name: the trial's name '../up' cannot be" in reason
-        record(probe, True)
-        record(probe, False)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["secret", "trials"]
-    (trial,) = trials.iterdir()
-    package = {name: packaged("config", name).read_bytes() for name in CONFIGURATION_FILES}
-    assert {name: (trial / name).read_bytes() for name in package} == package
-    assert not (trial / METADATA_FILE).exists()
-
-
-def test_the_next_trial_has_the_name_and_the_metadata_that_were_set(tmp_path: Path) -> None:
-    stated = tmp_path / "stated.yaml"
-    stated.write_text("subject: S01\nliner: gel\n")
-    with Probe() as probe, recorder(f"directory:={tmp_path}", f"metadata:={stated}"):
 
         def recorded_as(**values: Any) -> str:
             assert not set_parameters(probe, **values)
@@ -290,15 +280,18 @@ def test_the_next_trial_has_the_name_and_the_metadata_that_were_set(tmp_path: Pa
         assert len(set(unnamed)) == 3 and all(name.startswith("trial_") for name in unnamed)
         assert recorded_as(next__name="stairs", next__side="left") == "stairs_2"
     both = TrialMetadata("S02", liner="gel", mass=70.0)
-    assert Trial(tmp_path / "stairs").metadata == both
-    assert Trial(tmp_path / "stairs_2").metadata == TrialMetadata("S01", "left", liner="gel")
+    assert Trial(trials / "stairs").metadata == both
+    assert Trial(trials / "stairs_2").metadata == TrialMetadata("S01", "left", liner="gel")
+    assert [path.name for path in tmp_path.iterdir()] == ["trials"]
+    package = {name: packaged("config", name).read_bytes() for name in CONFIGURATION_FILES}
+    assert {name: (trials / "stairs" / name).read_bytes() for name in package} == package
 
 
 def test_a_recorder_that_cannot_begin_leaves_no_folder(tmp_path: Path) -> None:
     """Nor does it write into a folder that is not a trial cut short."""
     trial, folder = tmp_path / "trial", tmp_path / "folder"
     folder.mkdir()
-    for where, geometry in ((trial, tmp_path / "nowhere.yaml"), (folder, "")):
-        with recorder("record:=true", f"directory:={where}", f"geometry:='{geometry}'") as process:
-            assert process.wait(timeout=HANGS) == 1
-        assert list(tmp_path.iterdir()) == [folder] and not list(folder.iterdir())
+    wrong = ("record:=true", f"directory:={trial}", f"geometry:={tmp_path / 'nowhere.yaml'}")
+    with recorder(*wrong) as one, recorder("record:=true", f"directory:={folder}") as other:
+        assert one.wait(timeout=HANGS) == other.wait(timeout=HANGS) == 1
+    assert list(tmp_path.iterdir()) == [folder] and not list(folder.iterdir())

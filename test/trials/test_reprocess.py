@@ -87,14 +87,6 @@ def store(settings: LoadCellSettings, path: Path) -> Path:
     return path
 
 
-def test_simulated_ratios_make_the_simulated_wrenches(hold: Path, right: LoadCellSettings) -> None:
-    raws = raws_of(hold)
-    ratios = np.array([message.ratios for message in raws.values()])
-    wrench = Trial(hold).samples().wrench
-    np.testing.assert_allclose(ratios @ matrix_of(right).T, wrench, rtol=1e-12, atol=1e-11)
-    assert {m.status for m in raws.values()} == {m.tared.sec for m in raws.values()} == {0}
-
-
 def test_a_wrong_load_cell_and_tare_are_repaired(
     hold: Path, miswired: Path, right: LoadCellSettings, tmp_path: Path
 ) -> None:

@@ -158,19 +158,14 @@ def test_a_lying_length_takes_no_memory(recording, tmp_path: Path) -> None:
         assert messages == recording.first(3) and peak < 2**24
 
 
-def test_compressed_chunks_are_saved_as_well(recording, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def compressed(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """The recording with compressed chunks, and the checksums that rosbags' writer leaves out."""
     messages = [message for chunk in recording.chunks for message in chunk]
-    packed = {"mode": CompressionMode.STORAGE, "chunk": MESSAGES}
-    path = written_by_rosbags(messages, tmp_path / "bag", **packed)
+    path = tmp_path_factory.mktemp("packed") / "bag"
+    written_by_rosbags(messages, path, mode=CompressionMode.STORAGE, chunk=MESSAGES)
     compressed = Recording(path / "bag.mcap", recording.chunks)
-    (path / "metadata.yaml").unlink()
-    for cut in np.random.default_rng(3).integers(compressed.ends[0], len(compressed.data), 60):
-        assert read(write(path, compressed.data[:cut])) == compressed.before(cut)
-
-
-def with_checksums(data: bytes, path: Path) -> bytes:
-    """The bytes of a recording with the checksums that rosbags' writer leaves out."""
-    data, reader = bytearray(data), McapReader(path)
+    data, reader = bytearray(compressed.data), McapReader(path / "bag.mcap")
     reader.open()
     for chunk in reader.chunks:
         start = chunk.chunk_start_offset
@@ -181,16 +176,18 @@ def with_checksums(data: bytes, path: Path) -> bytes:
     reader.close()
     start = int.from_bytes(data[-28:-20], "little")
     data[-12:-8] = zlib.crc32(data[start:-12]).to_bytes(4, "little")
-    return bytes(data)
+    compressed.data = bytes(data)
+    return compressed
 
 
-def test_a_changed_byte_costs_its_chunk_and_nothing_else(recording, tmp_path: Path) -> None:
+def test_compressed_chunks_are_saved_as_well(compressed: Recording, tmp_path: Path) -> None:
+    for cut in np.random.default_rng(3).integers(compressed.ends[0], len(compressed.data), 60):
+        folder = write(tmp_path / "bag", compressed.data[:cut])
+        assert read(folder) == compressed.before(cut)
+
+
+def test_a_changed_byte_costs_its_chunk_and_nothing_else(recording, compressed, tmp_path) -> None:
     """Anywhere in a complete file, plain or compressed: what is read is as it was written."""
-    messages = [message for chunk in recording.chunks for message in chunk]
-    packed = {"mode": CompressionMode.STORAGE, "chunk": MESSAGES}
-    path = written_by_rosbags(messages, tmp_path / "packed", **packed)
-    compressed = Recording(path / "packed.mcap", recording.chunks)
-    compressed.data = with_checksums(compressed.data, path / "packed.mcap")
     for whole, places in ((recording, 400), (compressed, 100)):
         rng, costs = np.random.default_rng(5), []
         for place in rng.integers(0, len(whole.data), places).tolist():
