@@ -12,7 +12,6 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, Generic, Literal, TypeVar
 
-from socket_testbed import api
 from socket_testbed.batch import Job, Row, Task, find_trials, plan_jobs, run_batch
 from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.terminal import say
@@ -77,7 +76,7 @@ def say_data(trial: Trial, prefix: str = "", good: bool = True) -> str:
     A trial that cannot be read is left to the verb, which says why.
     """
     try:
-        found = [str(finding) for finding in api.check_data(trial)] or [GOOD]
+        found = [*map(str, trial.findings)] or [GOOD]
     except TestbedError:
         return ""
     for line in found:

@@ -9,7 +9,6 @@ import numpy as np
 from socket_testbed.arrays import evenly
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.regions import all_regions
-from socket_testbed.identification.data_check import check_data
 from socket_testbed.identification.force_map import map_trial
 from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.identification.noise import smooth_poses
@@ -52,7 +51,7 @@ class Player:
             samples, trial.geometry, settings.force_map, settings.identification.leave_out
         )
         self._places = all_regions(trial.geometry, trial.metadata.side)
-        self._data = data_card(check_data(samples, trial.geometry, trial.metadata.mass))
+        self._data = data_card(trial.findings)
         self._gap = _GAP * float(np.median(np.diff(samples.time))) if len(samples) > 1 else 0.0
         self._predicted = np.full((len(samples), 6), np.nan)
         if model is not None:

@@ -13,7 +13,7 @@ from socket_testbed.arrays import BoolArray, FloatArray, evenly
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.regions import Region, Side, all_regions
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.data_check import Finding, check_data
+from socket_testbed.identification.data_check import Finding
 from socket_testbed.identification.evaluation import (
     ChannelErrors,
     evaluate_predictions,
@@ -216,7 +216,7 @@ def compute_results(
         plateaus=tuple(find_plateaus(samples, settings.plateau, leave_out)),
         events=tuple(events),
         bag_notes=tuple(dict.fromkeys(notes)),
-        data=check_data(samples, trial.geometry, trial.metadata.mass),
+        data=trial.findings,
         motion=measure_motion(chosen, trial.geometry, settings.identification.pose_smoothing),
         validation=validation,
         no_validation=no_validation,

@@ -48,6 +48,8 @@ from socket_testbed.trials.topics import (
 if TYPE_CHECKING:
     import pandas as pd
 
+    from socket_testbed.identification.data_check import Finding
+
 SOCKET_FILE = "socket.yaml"
 CALIBRATION_FILE = "calibration.yaml"
 PARAMETERS_FILE = "testbed.yaml"
@@ -169,6 +171,13 @@ class Trial:
     @cached_property
     def _samples(self) -> Samples:
         return self.samples_of(self.measurements())
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """What to look at in its data, the worst first; empty if it is good: see `check_data`."""
+        from socket_testbed.identification.data_check import check_data  # a replay needs it not
+
+        return check_data(self.samples(), self.geometry, self.metadata.mass)
 
     def to_dataframe(self) -> pd.DataFrame:
         """The samples as a pandas table, see `Samples.to_dataframe`."""
