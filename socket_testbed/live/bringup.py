@@ -159,9 +159,10 @@ def simulated_testbed(
     record: Path | None = None, rate: float = 4.0, simulation: Simulation | None = None
 ) -> Testbed:
     """The package's own testbed, simulated."""
-    settings = read_testbed(packaged("config", "simulated.yaml"))
+    simulation = simulation or Simulation()
+    settings = testbed_settings(None, simulation)
     settings = replace(settings, trigger_node=replace(settings.trigger_node, rate=rate))
-    return Testbed(settings, simulation=simulation or Simulation(), record=record)
+    return Testbed(settings, simulation=simulation, record=record)
 
 
 def start(graph: Graph, testbed: Testbed) -> World | None:

@@ -68,11 +68,10 @@ class FrameBroadcaster:
             return
         transforms = []
         for topic, vector in poses.items():
-            pose = known_pose(vector)
-            if pose is None:
-                continue
-            name, in_body = self._bodies[topic]
-            transforms.append(_transform(stamp, WORLD_FRAME, name, pose @ in_body))
+            if np.isfinite(vector).all():
+                pose = Pose.from_quaternion(vector[:3], vector[3:])
+                name, in_body = self._bodies[topic]
+                transforms.append(_transform(stamp, WORLD_FRAME, name, pose @ in_body))
         if transforms:
             self._send(transforms)
 
@@ -85,11 +84,6 @@ def fixed_frames(geometry: SocketGeometry) -> list[tuple[str, str, Pose]]:
         for name, tile in geometry.clusters.items()
     ]
     return [(SOCKET_FRAME, LOAD_CELL_FRAME, geometry.socket_body.inverse()), *clusters]
-
-
-def known_pose(vector: FloatArray) -> Pose | None:
-    """A pose from position and quaternion, shape (7,); None where the body was not seen."""
-    return Pose.from_quaternion(vector[:3], vector[3:]) if np.isfinite(vector).all() else None
 
 
 def _transform(stamp: int, parent: str, name: str, pose: Pose) -> TransformStamped:

@@ -24,7 +24,7 @@ from socket_testbed.nodes.followers import Followers
 from socket_testbed.nodes.frames import FrameBroadcaster
 from socket_testbed.settings.testbed import ReplaySettings
 from socket_testbed.trials.bag import BagReader, RawMessage
-from socket_testbed.trials.messages import Reader, VectorPacker, pose_packer, wrench_packer
+from socket_testbed.trials.messages import Reader, VectorPacker
 from socket_testbed.trials.topics import (
     DIAGNOSTICS,
     PYLON_POSE,
@@ -182,13 +182,11 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         if not self._trial.remade:
             return {}
         found = self._trial.measurements()
-        pack_pose, stamps = pose_packer(), found.stamps.tolist()
-        remade = (
-            (WRENCH, wrench_packer(), found.wrench),
-            (SOCKET_POSE, pack_pose, found.socket),
-            (PYLON_POSE, pack_pose, found.pylon),
-        )
-        return {topic: (pack, dict(zip(stamps, rows, strict=True))) for topic, pack, rows in remade}
+        stamps = found.stamps.tolist()
+        return {
+            topic: (pack, dict(zip(stamps, rows, strict=True)))
+            for topic, pack, rows in found.packed()
+        }
 
     def _broadcaster(self) -> FrameBroadcaster | None:
         """What publishes the transforms; None, with a warning, without the socket's geometry."""

@@ -29,9 +29,9 @@ from socket_testbed.samples import WRENCH_CHANNELS, Samples, moments_about
 from socket_testbed.tables import split_unit
 from socket_testbed.trials.bag import required_topics
 from socket_testbed.trials.layout import typestore
-from socket_testbed.trials.messages import Reader, pose_packer, wrench_packer
+from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.synchronise import Measurements
-from socket_testbed.trials.topics import MARKERS, PYLON_POSE, SOCKET_POSE, WRENCH
+from socket_testbed.trials.topics import MARKERS
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -84,11 +84,7 @@ def write_standard_bag(
     import pandas as pd
 
     stamps = measured.stamps[rows].tolist()
-    standard = (
-        (WRENCH, wrench_packer(), measured.wrench[rows]),
-        (SOCKET_POSE, pose_packer(), measured.socket[rows]),
-        (PYLON_POSE, pose_packer(), measured.pylon[rows]),
-    )
+    standard = [(topic, pack, vectors[rows]) for topic, pack, vectors in measured.packed()]
     series = {
         _topic_name(title): values.to_numpy()
         for title, values in table.items()

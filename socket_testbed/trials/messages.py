@@ -74,7 +74,9 @@ class Reader:
         """Stamp since the epoch [ns] and values of one message."""
         for layout, sample in self._known:
             if (record := layout.record(data)) is not None:
-                return int(stamps_of(record)), self._values(record, sample)
+                stamp = record["header"]["stamp"]  # not by `stamps_of`, which takes 10 us
+                nanoseconds = int(stamp["sec"]) * 1_000_000_000 + int(stamp["nanosec"])
+                return nanoseconds, self._values(record, sample)
         self._known = [self._learn(data), *self._known[: _LAYOUTS - 1]]
         return self.read(data)
 

@@ -35,7 +35,7 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import LOCAL_CHANNELS, Samples, Status, channel_unit
 from socket_testbed.trials.bag import BagReader, required_topics
-from socket_testbed.trials.messages import Reader
+from socket_testbed.trials.messages import Reader, VectorPacker, pose_packer, wrench_packer
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.topics import (
     CAPACITANCE,
@@ -74,6 +74,14 @@ class Measurements:
     def time(self) -> FloatArray:
         """Time since the first trigger, shape (N,) [s]."""
         return (self.stamps - self.stamps[0]) * 1e-9
+
+    def packed(self) -> tuple[tuple[Topic, VectorPacker, FloatArray], ...]:
+        """Wrenches and poses with their topics, and what makes a message of a row."""
+        return (
+            (WRENCH, wrench_packer(), self.wrench),
+            (SOCKET_POSE, pose_packer(), self.socket),
+            (PYLON_POSE, pose_packer(), self.pylon),
+        )
 
 
 _AT_ONCE = 10_000  # samples; their rotations take more memory than they themselves

@@ -27,7 +27,7 @@ from socket_testbed.nodes.base import stamp_to_ros
 from socket_testbed.settings.testbed import RecorderSettings, ReplaySettings
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.layout import decode, nanoseconds, stamp_of
-from socket_testbed.trials.metadata import TrialMetadata
+from socket_testbed.trials.metadata import METADATA_FILE, TrialMetadata
 from socket_testbed.trials.topics import DIAGNOSTICS, RECORDED_TRIAL, WRENCH, match_topics
 from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial
 
@@ -197,6 +197,7 @@ def test_a_second_recording_lies_beside_the_first_where_a_batch_finds_it(tmp_pat
         record(probe, False)
     assert list(find_trials(tmp_path)) == ["s01", "s01_2", "s01_3"]
     assert not [path for path in trial.iterdir() if path.is_dir()]
+    assert not (trial / METADATA_FILE).exists()  # nothing is stated
 
 
 @pytest.mark.slow
