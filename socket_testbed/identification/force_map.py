@@ -44,7 +44,7 @@ from socket_testbed.identification.plausibility import (
     Outliers,
     find_outliers,
 )
-from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status
+from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
 from socket_testbed.settings.identification import ForceMapSettings
 
 _NUGGET = 1e-9  # [-]; of the correlation: tiles that almost coincide leave it definite
@@ -435,10 +435,8 @@ class ForceMap:
 
 def _channels(samples: Samples) -> tuple[FloatArray, BoolArray]:
     """Values of all channels, shape (N, 6 + 3c), and which of them count."""
-    values = samples.values
-    present = np.isfinite(values)
-    present[:, 6:] &= np.repeat(samples.status == Status.OK, 3, axis=1)
-    return values, present
+    values = samples.trusted_values
+    return values, np.isfinite(values)
 
 
 def _by_pattern(present: BoolArray) -> Iterator[tuple[BoolArray, IntArray]]:
