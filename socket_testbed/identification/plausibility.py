@@ -207,7 +207,7 @@ def implausible_notes(
 def _implausible_moments(
     samples: Samples, geometry: SocketGeometry, load: float
 ) -> Iterator[Implausible]:
-    reach = float(np.linalg.norm(geometry.anchors, axis=1).max())
+    reach = _reach(geometry)
     for name, values in zip(WRENCH_CHANNELS[:3], samples.wrench.T, strict=False):
         moment = finite_quantile(np.abs(values), 0.5)
         if moment > LEVER_FACTOR * reach * load:
