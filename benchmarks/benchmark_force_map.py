@@ -28,7 +28,12 @@ from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.pressure import THRESHOLD, outputs_of, pressure_outputs
-from socket_testbed.identification.validation import LEVELS, close_wrench, inverse_distance
+from socket_testbed.identification.validation import (
+    LEVELS,
+    close_wrench,
+    inverse_distance,
+    without_cluster,
+)
 from socket_testbed.samples import Samples, Status
 from socket_testbed.simulation.limb import SCENARIOS, TISSUES
 from socket_testbed.simulation.trial import simulate
@@ -134,17 +139,18 @@ def _row(family: str, results: list[dict[str, float]]) -> str:
 def _print_times() -> None:
     geometry = cylinder(100)
     random = np.random.default_rng(0)
-    wrench, local = random.normal(0.0, 10.0, 6), random.normal(0.0, 3.0, (4, 3))
-    present, missing = np.zeros((2, 4), dtype=np.uint8)
-    missing[1] = Status.MISSING
+    wrench, local = random.normal(0.0, 10.0, (1, 6)), random.normal(0.0, 3.0, (1, 4, 3))
+    nothing, status = np.zeros((1, 3)), np.zeros((1, 4), dtype=np.uint8)
+    present = Samples(np.zeros(1, np.int64), nothing, nothing, wrench, CLUSTERS, local, status)
+    missing = without_cluster(present, CLUSTERS[1])
     force_map = ForceMap(geometry, CLUSTERS)
 
     def first_sample_without_a_cluster() -> None:
         force_map._patterns.clear()
-        force_map.update(wrench, local, missing)
+        force_map.update(missing)
 
     for name, run in (
-        ("update, n = 100", lambda: force_map.update(wrench, local, present)),
+        ("update, n = 100", lambda: force_map.update(present)),
         ("update as a cluster drops out", first_sample_without_a_cluster),
         ("prior and gains, once", lambda: ForceMap(geometry, CLUSTERS)),
     ):

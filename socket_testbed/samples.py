@@ -112,6 +112,12 @@ class Samples:
         return np.where((self.status == 0)[:, :, None], self.local_forces, np.nan)
 
     @property
+    def trusted_values(self) -> FloatArray:
+        """All channels, as in `values`, of the clusters the `trusted_forces` alone."""
+        forces = self.trusted_forces.reshape(len(self), 3 * len(self.clusters))
+        return np.hstack([self.wrench, forces])
+
+    @property
     def channels(self) -> tuple[str, ...]:
         """Names of all channels: the wrench's, then three per cluster."""
         return channel_names(self.clusters)

@@ -132,11 +132,9 @@ class TrialFit(Result):
 
     def known_directions(self) -> float:
         """Stiffness directions with a standard deviation below `stiffness_difference` [-]."""
-        difference, window = (
-            self.fit.settings.stiffness_difference,
-            self.fit.settings.pose_smoothing,
-        )
-        return known_directions(self._samples(), self.fit.model, difference, window)
+        settings, samples = self.fit.settings, self._samples()
+        accuracy, window = settings.stiffness_difference, settings.pose_smoothing
+        return known_directions(samples, self.fit.model, accuracy, window)
 
     def unseen_half(self) -> tuple[ChannelErrors, ...]:
         """Errors on the second half of the segment of a model fitted on its first half.

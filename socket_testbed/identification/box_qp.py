@@ -9,6 +9,7 @@ certificate, computed from the definition of an optimum, decides whether the ans
 
 from __future__ import annotations
 
+import math
 import warnings
 from dataclasses import dataclass, replace
 from typing import Any
@@ -118,12 +119,11 @@ class BoxSolution:
 
 
 class UncertifiedSolutionError(IdentificationError):
-    """A solver's answer x to a problem, if any, misses the KKT tolerance."""
+    """A solver's answer misses the KKT tolerance by its residual [-]; NaN without an answer."""
 
-    def __init__(self, fact: str, hint: str, problem: BoxQP, x: FloatArray | None) -> None:
+    def __init__(self, fact: str, hint: str, residual: float = math.nan) -> None:
         super().__init__(fact, hint)
-        self.problem = problem
-        self.x = x
+        self.residual = residual
 
 
 def solve_box_qp(
@@ -141,20 +141,20 @@ def solve_box_qp(
     check_solver(solver)
     if not (np.isfinite(problem.P).all() and np.isfinite(problem.q).all()):
         raise UncertifiedSolutionError(
-            f"{problem.name}: holds values that are not finite", "check the samples", problem, None
+            f"{problem.name}: holds values that are not finite", "check the samples"
         )
     if near is not None:
         found = pivot(problem, np.clip(near, problem.lower, problem.upper))
         if found.certificate.worst <= tolerance:
             return found
     found = solve_cold(problem, solver)
-    if not found.certificate.worst <= tolerance:
+    worst = found.certificate.worst
+    if not worst <= tolerance:
         raise UncertifiedSolutionError(
             f"{problem.name}: the answer of {solver} misses the KKT tolerance"
-            f" ({found.certificate.worst:.1e} > {tolerance:.0e})",
+            f" ({worst:.1e} > {tolerance:.0e})",
             "try more smoothness, another solver or a longer segment",
-            problem,
-            found.x,
+            worst,
         )
     return found
 
@@ -177,11 +177,11 @@ def _call_solver(problem: BoxQP, solver: str) -> tuple[FloatArray, int | None]:
             answer = qpsolvers.solve_problem(program, solver, **_OPTIONS.get(solver, {}))
     except Exception as error:  # each backend has errors of its own
         raise UncertifiedSolutionError(
-            f"{problem.name}: {solver} failed ({error})", "try another solver", problem, None
+            f"{problem.name}: {solver} failed ({error})", "try another solver"
         ) from error
     if answer.x is None or not np.isfinite(answer.x).all():
         raise UncertifiedSolutionError(
-            f"{problem.name}: {solver} gave no answer", "try another solver", problem, None
+            f"{problem.name}: {solver} gave no answer", "try another solver"
         )
     iterations = getattr(answer.extras.get("info"), "iter", None)
     return answer.x, None if iterations is None else int(iterations)

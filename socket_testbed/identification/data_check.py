@@ -20,7 +20,6 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.evaluation import trusted_values
 from socket_testbed.identification.noise import channel_noise
 from socket_testbed.identification.plausibility import (
     find_outliers,
@@ -267,7 +266,7 @@ def _channels(samples: Samples) -> Iterator[Finding]:
     # A pose that is averaged or extrapolated still moves in its last digits.
     if period * max(map(_longest_run, _known(samples.pose).T)) > max(STILL, 4.0 * period):
         yield Finding("the limb pose", "it stands still", "check the cameras and the bodies' names")
-    values = trusted_values(samples)
+    values = samples.trusted_values
     noises = channel_noise(samples).values.tolist()
     for name, column, noise in zip(samples.channels, values.T, noises, strict=True):
         known = column[np.isfinite(column)]

@@ -142,17 +142,11 @@ def evaluate_predictions(
     samples: Samples, predicted: FloatArray, leave_out: tuple[str, ...] = ()
 ) -> tuple[ChannelErrors, ...]:
     """Errors of predictions, as `predict_channels` gives them for these samples: see `evaluate`."""
-    measured = trusted_values(samples)
+    measured = samples.trusted_values
     return tuple(
         channel_errors(name, measured[:, i], predicted[:, i], name not in leave_out)
         for i, name in enumerate(samples.channels)
     )
-
-
-def trusted_values(samples: Samples) -> FloatArray:
-    """All channels, the clusters' only where their status is OK, shape (N, 6 + 3c) [N m, N]."""
-    count = 3 * len(samples.clusters)
-    return np.hstack([samples.wrench, samples.trusted_forces.reshape(len(samples), count)])
 
 
 def finite_mean(values: Iterable[float]) -> float:

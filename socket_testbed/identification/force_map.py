@@ -36,7 +36,7 @@ from types import SimpleNamespace
 import numpy as np
 from scipy.special import chdtri, i0e, i1e, ndtri
 
-from socket_testbed.arrays import BoolArray, FloatArray, IntArray, StatusArray
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact_law import wrench_map
@@ -44,7 +44,7 @@ from socket_testbed.identification.plausibility import (
     Outliers,
     find_outliers,
 )
-from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status
+from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
 from socket_testbed.settings.identification import ForceMapSettings
 
 _NUGGET = 1e-9  # [-]; of the correlation: tiles that almost coincide leave it definite
@@ -230,11 +230,11 @@ class ForceMap:
         trial: Samples | None = None,
     ) -> None:
         self._geometry = geometry
-        self._settings = settings or ForceMapSettings()
         self._clusters = clusters
         self._areas = geometry.areas
         self._normals = geometry.rotations[:, :, 2]
-        self._priors = [Prior(geometry, clusters, sizes) for sizes in hypotheses(self._settings)]
+        guesses = hypotheses(settings or ForceMapSettings())
+        self._priors = [Prior(geometry, clusters, sizes) for sizes in guesses]
         # Of the M hypotheses: covariances of the channels, (M, c, c), of the forces with the
         # channels, (M, n, 4, c), and variances of the forces, (M, n, 4).
         along_normal = np.broadcast_to([[0.0, 0.0, 1.0]], (len(geometry), 1, 3))
@@ -253,20 +253,15 @@ class ForceMap:
 
     def estimate(self, samples: Samples) -> MapEstimate:
         """The map at every sample; that of the prior where a sample has no channel at all."""
-        values, present = _channels(samples.wrench, samples.local_forces, samples.status)
+        values, present = _channels(samples)
         return self._estimate(values, present, self._weights(samples))
 
-    def update(
-        self, wrench: FloatArray, local_forces: FloatArray, status: StatusArray
-    ) -> MapEstimate:
+    def update(self, sample: Samples) -> MapEstimate:
         """The map at one live sample, with N = 1, in whose evidence the hypotheses count from now.
 
-        Args:
-            wrench: Wrench [M; F] in {S}, shape (6,) [N m, N]; NaN where missing.
-            local_forces: Forces on the clusters in their frames, shape (c, 3) [N].
-            status: Status of each cluster (`Status`), shape (c,); a cluster counts if it is OK.
+        Channels without a value do not count, nor clusters whose status is not OK.
         """
-        values, present = _channels(wrench[None], local_forces[None], status[None])
+        values, present = _channels(sample)
         if present.any():
             conditioned = self._conditioned(present[0])
             found = conditioned.log_evidence(values[:, conditioned.present])[0]
@@ -276,7 +271,7 @@ class ForceMap:
 
     def _mean_evidence(self, samples: Samples) -> FloatArray:
         """Logarithm of the evidence of the hypotheses, mean over the samples, shape (M,) [-]."""
-        values, present = _channels(samples.wrench, samples.local_forces, samples.status)
+        values, present = _channels(samples)
         rows = np.flatnonzero(present.any(axis=1))
         if not len(rows):
             return np.zeros(len(self._priors))
@@ -311,7 +306,7 @@ class ForceMap:
         usual sample: its standard deviations are root mean squares.
         """
         starts = range(0, len(samples), _CHUNK)
-        values, present = _channels(samples.wrench, samples.local_forces, samples.status)
+        values, present = _channels(samples)
         weights = self._weights(samples)
         chunks = (slice(start, start + _CHUNK) for start in starts)
         parts = (self._estimate(values[chunk], present[chunk], weights) for chunk in chunks)
@@ -319,7 +314,7 @@ class ForceMap:
 
     def source(self, samples: Samples) -> str:
         """What the map at some samples is conditioned on, in words."""
-        _, present = _channels(samples.wrench, samples.local_forces, samples.status)
+        _, present = _channels(samples)
         return self._source(present)
 
     def sample(self, samples: Samples, count: int = 200) -> Iterator[JointDraws]:
@@ -346,7 +341,7 @@ class ForceMap:
         levels = np.random.default_rng(0).permuted(np.tile(middles, (2, 1)), axis=1)
         hypotheses = np.searchsorted(weights.cumsum()[:-1], levels[0])
         priors, errors = self._prior_draws(kept[hypotheses])
-        values, present = _channels(samples.wrench, samples.local_forces, samples.status)
+        values, present = _channels(samples)
         tiles = len(self._areas)
         for pattern, rows in _by_pattern(present):
             conditioned = self._conditioned(pattern)[kept]
@@ -438,14 +433,10 @@ class ForceMap:
         return f"prior: mean zero; measured: {', '.join(parts) or 'nothing'}"
 
 
-def _channels(
-    wrench: FloatArray, local_forces: FloatArray, status: StatusArray
-) -> tuple[FloatArray, BoolArray]:
+def _channels(samples: Samples) -> tuple[FloatArray, BoolArray]:
     """Values of all channels, shape (N, 6 + 3c), and which of them count."""
-    values = np.concatenate([wrench, local_forces.reshape(len(wrench), -1)], axis=1)
-    present = np.isfinite(values)
-    present[:, wrench.shape[1] :] &= np.repeat(status == Status.OK, 3, axis=1)
-    return values, present
+    values = samples.trusted_values
+    return values, np.isfinite(values)
 
 
 def _by_pattern(present: BoolArray) -> Iterator[tuple[BoolArray, IntArray]]:

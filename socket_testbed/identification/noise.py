@@ -68,10 +68,9 @@ def channel_noise(samples: Samples) -> ChannelNoise:
     `LEAST_DIFFERENCES` usable differences, or with a single value throughout.
     """
     clusters = len(samples.clusters)
-    local = samples.trusted_forces.reshape(len(samples), 3 * clusters)
     usual = ~_gaps(samples)
     regular = np.asarray(usual[:-2] & usual[1:-1] & usual[2:])  # (max(N - 3, 0),), without a gap
-    sensors = np.array([_deviation(y, regular) for y in np.hstack([samples.wrench, local]).T])
+    sensors = np.array([_deviation(y, regular) for y in samples.trusted_values.T])
     pose = np.array([_deviation(y, regular) for y in samples.pose.T])
     return ChannelNoise(
         wrench=sensors[:6],

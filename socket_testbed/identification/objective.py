@@ -22,6 +22,7 @@ docs/identification.md and `problem`. The setting `weights` names what weighs th
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -61,9 +62,18 @@ class ClusterChannel:
     point: int  # index of its point of interest
     axis: int  # axis of the cluster's frame: 0, 1, 2
     direction: FloatArray  # that axis in {S}, shape (3,) [-]
-    rows: BoolArray  # samples in which the channel was measured, shape (N,)
-    force: FloatArray  # the measured force in those samples [N]
+    measured: FloatArray  # the measured force, NaN where there is none, shape (N,) [N]
     weight: float = 0.0  # weight of its mean square error in a `Problem` [1/N^2]
+
+    @cached_property
+    def rows(self) -> BoolArray:
+        """Samples in which the channel was measured, shape (N,)."""
+        return np.isfinite(self.measured)
+
+    @cached_property
+    def force(self) -> FloatArray:
+        """The measured force in those samples [N]."""
+        return self.measured[self.rows]
 
 
 @dataclass(frozen=True)
@@ -86,14 +96,9 @@ class Objective:
 
     def part(self, rows: IntArray) -> Objective:
         """The same objective by some of the samples, whose indices are given."""
-        channels = []
-        for channel in self.channels:
-            force = np.full(len(self.samples), np.nan)
-            force[channel.rows] = channel.force
-            kept = channel.rows[rows]
-            channels.append(replace(channel, rows=kept, force=force[rows][kept]))
+        channels = tuple(replace(c, measured=c.measured[rows]) for c in self.channels)
         samples, wrench = self.samples[rows], self.wrench[rows]
-        return replace(self, samples=samples, wrench=wrench, channels=tuple(channels))
+        return replace(self, samples=samples, wrench=wrench, channels=channels)
 
 
 def check_channels(leave_out: tuple[str, ...], names: tuple[str, ...]) -> None:
@@ -182,8 +187,7 @@ def _cluster_channels(
         point = geometry.clusters[cluster]
         for axis in np.flatnonzero(counts[column]).tolist():
             force = samples.trusted_forces[:, column, axis]
-            rows = np.isfinite(force)
-            if rows.sum() < 2:
+            if np.isfinite(force).sum() < 2:
                 names = [f"{cluster}.{LOCAL_CHANNELS[a]}" for a in np.flatnonzero(counts[column])]
                 raise IdentificationError(
                     f"{cluster}.{LOCAL_CHANNELS[axis]} has no usable value in any of the"
@@ -191,7 +195,7 @@ def _cluster_channels(
                     f"check the cluster or leave it out (--leave-out {' '.join(names)})",
                 )
             direction = geometry.rotations[point][:, axis]
-            channels.append(ClusterChannel(cluster, point, axis, direction, rows, force[rows]))
+            channels.append(ClusterChannel(cluster, point, axis, direction, force))
     return tuple(channels)
 
 

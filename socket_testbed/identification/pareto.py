@@ -262,10 +262,8 @@ def _solve_at(
 
 def _flawed(objective: Objective, theta: float, error: UncertifiedSolutionError) -> FrontPoint:
     """The point of a theta at which a stage was not certified."""
-    nan = float("nan")
-    residual = nan if error.x is None else error.problem.certificate(error.x).worst
-    rmse = np.full(len(_channels(objective)), nan)
-    return FrontPoint(theta, None, rmse, nan, nan, residual, error.fact)
+    rmse = np.full(len(_channels(objective)), np.nan)
+    return FrontPoint(theta, None, rmse, np.nan, np.nan, error.residual, error.fact)
 
 
 def _undetermined(program: BoxQP, solution: BoxSolution) -> str:

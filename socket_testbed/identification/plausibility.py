@@ -40,7 +40,6 @@ import numpy as np
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.evaluation import trusted_values
 from socket_testbed.samples import (
     LOCAL_CHANNELS,
     WRENCH_CHANNELS,
@@ -208,7 +207,7 @@ def implausible_notes(
 def _implausible_moments(
     samples: Samples, geometry: SocketGeometry, load: float
 ) -> Iterator[Implausible]:
-    reach = float(np.linalg.norm(geometry.anchors, axis=1).max())
+    reach = _reach(geometry)
     for name, values in zip(WRENCH_CHANNELS[:3], samples.wrench.T, strict=False):
         moment = finite_quantile(np.abs(values), 0.5)
         if moment > LEVER_FACTOR * reach * load:
@@ -362,6 +361,6 @@ def channel_limits(geometry: SocketGeometry, clusters: tuple[str, ...]) -> Float
 
 def _counted(samples: Samples, leave_out: tuple[str, ...]) -> FloatArray:
     """Values of the channels that count, NaN elsewhere, shape (N, 6 + 3c) [N m, N]."""
-    values = trusted_values(samples)
+    values = samples.trusted_values
     counts = np.array([name not in leave_out for name in samples.channels])
     return np.where(counts & np.isfinite(values), values, np.nan)

@@ -450,8 +450,7 @@ def _store(stored: Quantity, found: Quantity, rows: IntArray) -> None:
 
 def measured_rows(samples: Samples) -> BoolArray:
     """Samples with a channel that counts: of the wrench, or of a trusted cluster, shape (N,)."""
-    forces = samples.trusted_forces.reshape(len(samples), -1)
-    return np.asarray(np.isfinite(np.hstack([samples.wrench, forces])).any(axis=1))
+    return np.asarray(np.isfinite(samples.trusted_values).any(axis=1))
 
 
 def integration_weights(time: FloatArray) -> FloatArray:

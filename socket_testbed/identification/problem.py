@@ -115,17 +115,17 @@ class Problem:
 
     def _gather(self, size: int) -> list[ClusterChannel]:
         """The channels of the clusters, of means over blocks of samples, in the law's frames."""
-        channels = []
-        weights = ((1.0 - self.objective.settings.theta) * self.objective.channel_shares).tolist()
-        for channel, weight in zip(self.objective.channels, weights, strict=True):
-            values = np.full(len(channel.rows), np.nan)
-            values[channel.rows] = channel.force
-            force = _block_means(values, size)
-            rows = np.isfinite(force)
-            along = channel.direction @ self.law.frames[channel.point]
-            found = replace(channel, direction=along, rows=rows, force=force[rows], weight=weight)
-            channels.append(found)
-        return channels
+        objective = self.objective
+        weights = (1.0 - objective.settings.theta) * objective.channel_shares
+        return [
+            replace(
+                channel,
+                direction=channel.direction @ self.law.frames[channel.point],
+                measured=_block_means(channel.measured, size),
+                weight=float(weight),
+            )
+            for channel, weight in zip(objective.channels, weights, strict=True)
+        ]
 
     def stage_one(self) -> BoxQP:
         r"""Stage 1: scaled rest displacements, (3n,), for linear springs of the expected stiffness.

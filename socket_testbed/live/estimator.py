@@ -182,7 +182,7 @@ class OnlineMap:
         self._newest = measured[WRENCH], measured[STRESS]
         sample = self._sample(*self._newest)
         self.count += 1
-        return self._map.update(sample.wrench[0], sample.local_forces[0], sample.status[0])
+        return self._map.update(sample)
 
     def newest_outputs(self) -> PressureOutputs | None:
         """The outputs of the sample that was mapped last, from joint draws; None if it is empty."""

@@ -21,7 +21,7 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.data_check import LEAST_SAMPLES as LEAST_CHECKED
 from socket_testbed.identification.data_check import check_data
-from socket_testbed.identification.evaluation import predict_channels, trusted_values
+from socket_testbed.identification.evaluation import predict_channels
 from socket_testbed.identification.fit import Fit, fit_contact_model
 from socket_testbed.identification.objective import LEAST_SAMPLES
 from socket_testbed.identification.plausibility import (
@@ -195,7 +195,7 @@ def _compare(
     old: ContactModel, new: ContactModel, samples: Samples, settings: IdentificationSettings
 ) -> Comparison:
     """Compare two models by their errors on samples, relative to the size of each group."""
-    measured = trusted_values(samples)
+    measured = samples.trusted_values
     counts = np.array([name not in settings.leave_out for name in samples.channels])
     measured[:, ~counts] = np.nan
     groups = (measured[:, :3], measured[:, 3:6], measured[:, 6:])

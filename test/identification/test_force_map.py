@@ -99,7 +99,7 @@ def test_a_trial_s_evidence_weighs_the_hypotheses_of_each_of_its_samples() -> No
     assert not np.allclose(alone.forces[0], whole.estimate(samples[4:5]).forces[0])
     live = ForceMap(GEOMETRY, CLUSTERS)
     for k in range(30):
-        last = live.update(samples.wrench[k], samples.local_forces[k], samples.status[k])
+        last = live.update(samples[k : k + 1])
     np.testing.assert_allclose(last.forces[0], whole.estimate(samples).forces[29])
 
 

@@ -117,7 +117,7 @@ def fail_where(monkeypatch, fails):
     def solve(problem, *more):
         counts[problem.name] = count = counts.get(problem.name, -1) + 1
         if fails(problem.name, count):
-            raise UncertifiedSolutionError(f"{problem.name}: missed", "hint", problem, None)
+            raise UncertifiedSolutionError(f"{problem.name}: missed", "hint")
         return solve_box_qp(problem, *more)
 
     monkeypatch.setattr(pareto, "solve_box_qp", solve)

@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
+from support.problems import make_samples
 
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
@@ -47,7 +48,9 @@ def expected(
     forces = np.array([GEOMETRY.cluster_force(name, STRESSES[name][0]) for name in CLUSTERS])
     if missing:
         forces[CLUSTERS.index(missing), 2] = np.nan
-    return ForceMap(GEOMETRY, CLUSTERS, prior).update(wrench, forces, np.zeros(4, dtype=np.uint8))
+    named = dict(zip(CLUSTERS, forces[:, None], strict=True))
+    sample = make_samples(np.zeros((1, 3)), wrench[None], named)
+    return ForceMap(GEOMETRY, CLUSTERS, prior).update(sample)
 
 
 def assert_same(found: MapEstimate, other: MapEstimate) -> None:
@@ -109,7 +112,7 @@ def test_outputs_of_a_sample_are_those_of_pressure(hold: Path) -> None:
     live.add(WRENCH, 1, one.wrench[0])
     found = live.newest_outputs()
     whole = ForceMap(geometry, one.clusters)
-    whole.update(one.wrench[0], one.local_forces[0], one.status[0])
+    whole.update(one)
     theirs = pressure_outputs(whole, one, geometry, live.places, THRESHOLD).regions
     assert found is not None
     for name in ("mean", "peak", "area", "share"):

@@ -20,7 +20,7 @@ from support.pages import MADE, NASTY, Page, columns, numbers
 
 import socket_testbed as st
 from socket_testbed.__main__ import run
-from socket_testbed.identification.evaluation import evaluate, summarise_errors, trusted_values
+from socket_testbed.identification.evaluation import evaluate, summarise_errors
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
 from socket_testbed.identification.pressure import TITLES, interval_end
 from socket_testbed.report.figures import style
@@ -200,7 +200,7 @@ def test_the_files_hold_series_and_parameters_as_they_are(page_path, results):
     samples, files = results.samples, {}
     for path in files_folder(page_path).glob("*.csv"):
         files[path.stem] = pd.read_csv(path)
-    measured, clusters = trusted_values(samples), samples.clusters
+    measured, clusters = samples.trusted_values, samples.clusters
     for i, (name, error) in enumerate(
         zip(samples.channels, results.candidates[0].errors, strict=True)
     ):

@@ -14,7 +14,6 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.identification.evaluation import (
     ChannelErrors,
     summarise_errors,
-    trusted_values,
 )
 from socket_testbed.identification.pareto import THEIRS, beside_published
 from socket_testbed.report.figures.style import (
@@ -167,7 +166,7 @@ def wrench_figure(
 
 def _channels(results: Results, name: str, title: str, channels: Sequence[int]) -> ReportFigure:
     samples, segment = results.samples, results.segment
-    measured, columns = trusted_values(samples), {}
+    measured, columns = samples.trusted_values, {}
     for i in channels:
         channel, unit = samples.channels[i], channel_unit(samples.channels[i])
         columns[f"{channel} measured [{unit}]"] = measured[:, i]
@@ -188,7 +187,7 @@ def _channels(results: Results, name: str, title: str, channels: Sequence[int]) 
 
 def _chart(results: Results, channels: Sequence[int]) -> dict[str, Any]:
     """A panel per channel for the page."""
-    samples, measured = results.samples, trusted_values(results.samples)
+    samples, measured = results.samples, results.samples.trusted_values
     panels = []
     for i in channels:
         name = samples.channels[i]
@@ -215,7 +214,7 @@ def _draw(
     figure = style.figure(rows * (_PANEL + key) + (12.0 if style.titles else 20.0))
     style.add_title(figure, title)
     axes = figure.subplots(rows, across, squeeze=False, sharex=True).ravel()
-    measured = trusted_values(samples)
+    measured = samples.trusted_values
     for axis, channel in zip(axes, channels, strict=False):
         first = models[0][2][channel]
         axis.axvspan(segment.start, segment.end, **SEGMENT_STYLE)
