@@ -246,14 +246,23 @@ def test_a_trial_of_another_kind_is_shown_and_refused(shared_data: Path, capsys)
     assert "has no topic 'trigger'" in err
 
 
-def test_a_model_of_another_socket_is_refused(hold, hold_model, tmp_path, capsys) -> None:
+def test_a_model_of_another_socket_is_refused_wherever_one_is_given(
+    hold, hold_model, tmp_path, capsys
+) -> None:
     trial = Path(shutil.copytree(hold, tmp_path / "hold"))
 
     def move(document) -> None:
         document["tiles"]["distal"]["anchor"][2] += 0.01
 
     edit(trial / "socket.yaml", move)
-    refused(capsys, "evaluate", trial, "--model", hold_model, named=["another socket"])
+    for verb, *words in (
+        ("evaluate",),
+        ("export", "-o", tmp_path / "table.csv"),
+        ("report", "-o", tmp_path / "page.html"),
+        ("view", "--port", 0),
+    ):
+        refused(capsys, verb, trial, "--model", hold_model, *words, named=["another socket"])
+    assert [*tmp_path.iterdir()] == [trial]
 
 
 def test_the_map_has_every_tile_with_its_uncertainty(hold: Path, tmp_path: Path, capsys) -> None:
