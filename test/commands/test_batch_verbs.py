@@ -15,7 +15,6 @@ from support import HANGS
 from support.verbs import COMMAND, call, program, refused
 
 import socket_testbed as st
-from socket_testbed.__main__ import run
 
 pytestmark = pytest.mark.graph  # worker processes, interrupted and killed
 
@@ -29,8 +28,7 @@ def whole_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("batch") / "study"
     folder.mkdir()
     for seed, name in enumerate(GOOD):
-        words = ["simulate", "-o", folder / name, "--duration", 30, "--seed", seed]
-        assert run([str(word) for word in words]) == 0
+        st.simulate(folder / name, duration=30, seed=seed)
     shutil.copytree(folder / GOOD[0], folder / BROKEN)
     os.truncate(folder / BROKEN / "hold.mcap", 10_000)
     return folder
@@ -43,12 +41,11 @@ def study(whole_study: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def one_by_one(whole_study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Models fitted each by a call of its own."""
+    """Models of single trials, by the API."""
     folder = tmp_path_factory.mktemp("batch") / "single"
     for name in GOOD:
-        model = folder / f"{name}.json"
-        model.parent.mkdir(parents=True, exist_ok=True)
-        assert run(["fit", str(whole_study / name), "-o", str(model)]) == 0
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        st.fit(st.open_trial(whole_study / name)).save(folder / f"{name}.json")
     return folder
 
 
@@ -103,9 +100,10 @@ def test_the_summary_holds_the_figures_of_single_calls(models, one_by_one, whole
 
 def test_a_changed_option_is_never_passed_over(study, tmp_path, capsys) -> None:
     shutil.rmtree(study / "s01")
+    shutil.rmtree(study / "s02")
     fit = ["fit", study, "-o", tmp_path / "models", "--jobs", 1]
     for words, state in (((), "ok"), ((), "skipped"), (("--theta", 0.9), "ok")):
-        assert call(capsys, *fit, *words)[1].count(f": {state}, mean") == 2
+        assert call(capsys, *fit, *words)[1].count(f": {state}, mean") == 1
     model = tmp_path / "models" / "walk.json"
     assert json.loads(model.read_text())["settings"]["theta"] == 0.9
 
@@ -192,18 +190,4 @@ def test_a_dask_cluster_of_two_workers_takes_over(
         words = ["fit", whole_study, "-o", folder, "--dask", cluster.scheduler_address]
         code, out, err = call(capsys, *words)
         assert code == 1 and out.count(": ok") == 3 and "1 of 4 trials failed" in err
-        code, out, _ = call(capsys, *words)
-        assert code == 1 and out.count(": skipped") == 3
     assert_models(folder, one_by_one)
-
-
-def test_one_segment_takes_holds_and_ramps_through_a_batch(
-    hold: Path, hold_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    study = tmp_path / "study"
-    shutil.copytree(hold, study / "hold")
-    st.simulate(study / "ramp", "ramp", duration=60)
-    evaluate = ["evaluate", study, "--model", hold_model, "--jobs", 1, "--segment", "auto"]
-    assert call(capsys, *evaluate, "-o", tmp_path / "auto")[0] == 0
-    table = pd.read_csv(tmp_path / "auto" / "summary.csv", index_col="trial")
-    assert table["segment"].to_dict() == {"hold": "hold", "ramp": "loaded"}

@@ -85,13 +85,6 @@ def test_a_spoilt_channel_is_named_and_can_be_left_out(hold, tmp_path, capsys) -
     assert code == 0, err
 
 
-def test_a_ramp_is_fitted_on_all_of_it_for_want_of_a_plateau(tmp_path, capsys) -> None:
-    trial, model = tmp_path / "ramp", tmp_path / "model.json"
-    assert call(capsys, "simulate", "-o", trial, "--scenario", "ramp", "--duration", 60)[0] == 0
-    refused(capsys, "fit", trial, "-o", model, named=["no plateau", "(the part under load)"])
-    assert call(capsys, "fit", trial, "--segment", "all", "-o", model)[0] == 0
-
-
 @pytest.mark.slow
 def test_all_but_the_graph_works_without_ros(tmp_path: Path) -> None:
     script = (

@@ -1,11 +1,13 @@
 """`run` and `doctor` as a user calls them, on simulated hardware and on a machine without any."""
 
+import io
 import json
 import re
 import signal
 import socket
 import subprocess
 import urllib.request
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -23,7 +25,7 @@ from socket_testbed import clocks
 from socket_testbed.__main__ import run
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.live import press
+from socket_testbed.live import doctor, press
 from socket_testbed.nodes import controls
 from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import read_testbed
@@ -73,9 +75,9 @@ def ended(tmp_path_factory: pytest.TempPathFactory) -> Ended:
             goal = len(triggers) + 5
             probe.wait(lambda goal=goal: len(triggers) > goal, "triggers")
             around.append(stamp_of(triggers[-1]))
-            code, out, err = program(*COMMAND, "mark", label)
-            assert code == 0 and not err, err
-            assert out.startswith(f"marked '{label}' in the trial trial, ack")
+            with redirect_stdout(io.StringIO()) as said, redirect_stderr(said):
+                assert run(["mark", label]) == 0
+            assert re.fullmatch(rf"marked '{label}' in the trial trial, ack.*\n", said.getvalue())
             goal = len(triggers) + 1  # the newest may be older than the event: time is slow
             probe.wait(lambda goal=goal: len(triggers) > goal, "triggers after it")
             around.append(stamp_of(triggers[-1]))
@@ -142,18 +144,18 @@ def test_an_event_that_nobody_hears_is_an_error(
     refused(capfd, "mark", "2nd", named=["'"])
 
 
-@pytest.mark.timeout(300)  # 8 s of a testbed that may be 16 times slower
+@pytest.mark.timeout(300)  # 4 s of a testbed that may be 16 times slower
 def test_run_ends_by_itself_and_a_fault_is_seen(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "trial"
-    words = ["run", *SIMULATED, "--rate", "20", "--duration", "8", "--record", str(path)]
+    words = ["run", *SIMULATED, "--rate", "20", "--duration", "4", "--record", str(path)]
     code, out, err = call(capfd, *words, "--fault", "clusters.nack=3", "--one-process")
     assert code == 0, err
     assert "no answer at 0x50 behind channel 2 of 0x70 on i2c-1: check" in err
     assert "posterior_distal missing" in out
     assert call(capfd, "info", path)[0] == 0  # with the parameters that are stored in it
-    assert len(Trial(path).samples()) >= 100
+    assert len(Trial(path).samples()) >= 40
 
 
 @pytest.mark.slow
@@ -191,10 +193,16 @@ def manageable_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clocks, "_scale", careful_time_scale())
 
 
+@pytest.fixture
+def no_patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`doctor` hardly waits for a server that does not answer."""
+    monkeypatch.setattr(doctor, "_SERVER_WITHIN", 0.1)
+
+
 @pytest.mark.usefixtures("manageable_time")
 def test_doctor_finds_all_that_is_simulated(capsys: pytest.CaptureFixture[str]) -> None:
     code, table, _ = call(capsys, "doctor", "--simulated")
-    assert code == 0
+    assert code == 0, table
     for found in (
         "line 17 to 27",
         "FDC1004 at 0x50 behind channel 3 of 0x70 on i2c-1",
@@ -208,7 +216,7 @@ def test_doctor_finds_all_that_is_simulated(capsys: pytest.CaptureFixture[str]) 
     assert "failed" not in table
 
 
-@pytest.mark.usefixtures("manageable_time")
+@pytest.mark.usefixtures("manageable_time", "no_patience")
 def test_doctor_names_what_fails_and_the_hint(capsys: pytest.CaptureFixture[str]) -> None:
     faults = ["trigger.missing=1", "clusters.nack=2", "load_cell.unplugged=1", "mocap.unplugged=1"]
     words = [word for fault in faults for word in ("--fault", fault)]
@@ -225,6 +233,7 @@ def test_doctor_names_what_fails_and_the_hint(capsys: pytest.CaptureFixture[str]
     assert code == 1 and "checks failed" in err
 
 
+@pytest.mark.usefixtures("no_patience")
 def test_doctor_without_hardware(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     parameters = yaml.safe_load(packaged("config", "simulated.yaml").read_text())
     parameters |= {
