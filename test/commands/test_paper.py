@@ -26,15 +26,6 @@ def test_the_verb_prints_and_writes_both_fronts(hold, tmp_path, capsys):
     assert sorted(tmp_path.iterdir()) == [table, figure]
 
 
-def test_the_verb_s_options_reach_the_front(hold, capsys):
-    """That each solution is the fit at its theta: identification/test_pareto.py."""
-    words = ["--segment", "20:40", "--smoothness", "1e-4", "--leave-out", "Mz,distal.Fx"]
-    code, out, _ = call(capsys, "pareto", hold, "--thetas", 3, "--json", *words)
-    chosen = {"smoothness": 1e-4, "leave_out": ["Mz", "distal.Fx"]}
-    found = st.pareto(st.open_trial(hold), "20:40", thetas=3, **chosen)
-    assert code == 0 and json.loads(out) == found.document()
-
-
 def test_flawed_solutions_are_named_with_their_thetas(hold, monkeypatch, capsys):
     solve = tradeoff.pareto_front
 

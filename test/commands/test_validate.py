@@ -22,13 +22,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture
-def few_variants(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Only the variants that are fitted at once: the others repeat what these show."""
-    place = "socket_testbed.identification.validation.VARIANTS"
-    monkeypatch.setattr(place, ("stiffness", "stiffness_bias"))
-
-
 def rows_of(out: str, heading: str) -> dict[str, list[str]]:
     """The cells of the table below a heading, by their first column."""
     _, _, below = out.partition(heading)

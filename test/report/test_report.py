@@ -37,12 +37,6 @@ def results_of(path: Path, *leave_out: str, segment: str = "plateau") -> Results
     return compute_results(Trial(path), segment, settings, THETAS)
 
 
-@pytest.fixture
-def one_variant(monkeypatch):
-    """Saves the time of validating models that take steps to fit."""
-    monkeypatch.setattr("socket_testbed.identification.validation.VARIANTS", ("stiffness",))
-
-
 def test_the_given_model_is_the_one_that_was_given(results, hold_model):
     fitted, given = results.candidates[-2:]  # with the same settings on the same segment
     np.testing.assert_array_equal(given.model.stiffness, read_model(hold_model).model.stiffness)
@@ -93,7 +87,7 @@ def test_the_digest_of_a_file_changes_with_it(results, hold, tmp_path):
     assert before["calibration"] == after["calibration"]
 
 
-@pytest.mark.usefixtures("one_variant")
+@pytest.mark.usefixtures("few_variants")
 def test_what_is_left_out_is_marked_and_a_dead_channel_then_costs_no_sample(
     spoilt, tmp_path, monkeypatch
 ):
@@ -119,7 +113,7 @@ def test_what_is_left_out_is_marked_and_a_dead_channel_then_costs_no_sample(
         assert [e.name for e in candidate.errors if not e.in_objective] == ["Mz", channel]
 
 
-@pytest.mark.usefixtures("one_variant")
+@pytest.mark.usefixtures("few_variants")
 def test_without_a_front_or_a_validation_the_rest_stands(hold, monkeypatch):
     monkeypatch.setattr("socket_testbed.identification.validation.LEAST_SAMPLES", 500)
     results = results_of(hold, "Mx", "My", "Mz", "Fx", "Fy", "Fz", segment="all")
