@@ -2,15 +2,13 @@
 
 import json
 import os
-import shutil
 import sys
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-import yaml
-from support.bags import rewrite
+from support.bags import edited, rewrite
 from support.verbs import call, program, refused
 
 import socket_testbed as st
@@ -112,38 +110,26 @@ def test_a_full_disk_leaves_nothing_that_looks_whole(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def edit(path: Path, change) -> None:
-    """Change a YAML file in place."""
-    document = yaml.safe_load(path.read_text())
-    change(document)
-    path.write_text(yaml.safe_dump(document))
-
-
-def rename_cluster(document) -> None:
-    document["clusters"]["elsewhere"] = document["clusters"].pop("distal")
-
-
 def test_a_broken_trial_is_named_and_leaves_nothing(hold, tmp_path, capsys) -> None:
     """All that a file may hold: test_documents.py and test_salvage.py."""
-    output = tmp_path / "model.json"
-    for number, (spoil, named) in enumerate(
+    output, trial = tmp_path / "model.json", tmp_path / "hold"
+
+    def rename_cluster(document) -> None:
+        document["clusters"]["elsewhere"] = document["clusters"].pop("distal")
+
+    edited(hold, trial, rename_cluster, "calibration.yaml")
+    for spoil, named in (
+        (lambda: None, ["calibration", "distal", "elsewhere"]),
+        (lambda: os.truncate(trial / "hold.mcap", 5000), ["hold.mcap", "truncated"]),
+        ((trial / "hold.mcap").unlink, ["hold.mcap", "not there"]),
         (
-            (
-                lambda t: edit(t / "calibration.yaml", rename_cluster),
-                ["calibration", "distal", "elsewhere"],
-            ),
-            (lambda t: os.truncate(t / "hold.mcap", 5000), ["hold.mcap", "truncated"]),
-            (
-                lambda t: (t / "metadata.yaml").write_text("rosbag2: ["),
-                ["metadata.yaml", "ros2 bag reindex"],
-            ),
-            (lambda t: (t / "hold.mcap").unlink(), ["hold.mcap", "not there"]),
-        )
+            lambda: (trial / "metadata.yaml").write_text("rosbag2: ["),
+            ["metadata.yaml", "ros2 bag reindex"],
+        ),
     ):
-        trial = Path(shutil.copytree(hold, tmp_path / f"{number}" / "hold"))
-        spoil(trial)
+        spoil()
         refused(capsys, "fit", trial, "-o", output, named=named)
-        assert not output.exists() and not list(tmp_path.glob(".*partial*"))
+        assert [*tmp_path.iterdir()] == [trial]
 
 
 WRONG = {
@@ -242,12 +228,10 @@ def test_a_trial_of_another_kind_is_shown_and_refused(shared_data: Path, capsys)
 def test_a_model_of_another_socket_is_refused_wherever_one_is_given(
     hold, hold_model, tmp_path, capsys
 ) -> None:
-    trial = Path(shutil.copytree(hold, tmp_path / "hold"))
-
     def move(document) -> None:
         document["tiles"]["distal"]["anchor"][2] += 0.01
 
-    edit(trial / "socket.yaml", move)
+    trial = edited(hold, tmp_path / "hold", move)
     for verb, *words in (
         ("evaluate",),
         ("export", "-o", tmp_path / "table.csv"),

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-import yaml
+from support.bags import edited
 from support.pages import Page
 from support.verbs import call, refused
 
@@ -22,11 +22,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("compared")
     for seed, name in enumerate(("gel", "sock")):
         st.simulate(path / "trials" / name, duration=30, seed=seed)
-    other = shutil.copytree(path / "trials" / "gel", path / "wider")
-    document = yaml.safe_load((other / "socket.yaml").read_text())
-    for tile in document["tiles"].values():
-        tile["anchor"][0] *= 1.1
-    (other / "socket.yaml").write_text(yaml.safe_dump(document))
+
+    def widen(document) -> None:
+        for tile in document["tiles"].values():
+            tile["anchor"][0] *= 1.1
+
+    edited(path / "trials" / "gel", path / "wider", widen)
     return path
 
 
@@ -85,13 +86,12 @@ def test_repeated_donnings_give_their_spread_and_what_can_be_seen(folder, trials
 
 
 def test_own_regions_of_other_tiles_are_not_compared(trials, tmp_path) -> None:
-    copies = [shutil.copytree(trial, tmp_path / trial.name) for trial in trials]
-    for number, copy in enumerate(copies):
-        document = yaml.safe_load((copy / "socket.yaml").read_text())
-        tiles = [*document["tiles"]]
+    def add_regions(document) -> None:
+        number, tiles = len([*tmp_path.iterdir()]) - 1, [*document["tiles"]]
         document["regions"] = {"same": tiles[:3], "other": tiles[number : number + 3]}
         document["regions"] |= {} if number else {"alone": tiles[:1]}
-        (copy / "socket.yaml").write_text(yaml.safe_dump(document))
+
+    copies = [edited(trial, tmp_path / trial.name, add_regions) for trial in trials]
     found = st.compare(*copies, segment="15:20")
     names = {*found.to_dataframe()["name"]}
     assert "same" in names and not names & {"other", "alone"}

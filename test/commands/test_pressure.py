@@ -13,6 +13,7 @@ from matplotlib.image import imread
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
+from support.bags import edited
 from support.verbs import call
 
 import socket_testbed as st
@@ -90,9 +91,7 @@ def test_own_regions_are_given_or_stored(hold: Path, tmp_path: Path) -> None:
     trial = st.open_trial(hold)
     own = {"tendon": ["distal", trial.geometry.names[7]]}
     given = st.pressure(trial, "20:30", regions=own).regions.loc["tendon"]
-    copy = shutil.copytree(hold, tmp_path / "own")
-    document = yaml.safe_load((copy / "socket.yaml").read_text()) | {"regions": own}
-    (copy / "socket.yaml").write_text(yaml.safe_dump(document, sort_keys=False))
+    copy = edited(hold, tmp_path / "own", lambda document: document.update(regions=own))
     stored = st.pressure(st.open_trial(copy), "20:30").regions.loc["tendon"]
     pd.testing.assert_series_equal(given, stored)
     for wrong, named in (([], "no tiles"), (["x"], "no tile 'x'"), ("distal", "no tiles")):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-import yaml
+from support.bags import edited
 from support.verbs import call, refused
 
 import socket_testbed as st
@@ -74,11 +74,10 @@ def test_several_trials_predict_each_other_and_a_study_has_a_row_per_trial(
 
 
 def test_trials_of_different_sockets_are_refused_by_name(folder: Path, tmp_path, capsys) -> None:
-    other = shutil.copytree(folder / "s2", tmp_path / "other")
-    document = yaml.safe_load((other / "socket.yaml").read_text())
-    tile = next(iter(document["tiles"].values()))
-    tile["anchor"][2] += 0.01
-    (other / "socket.yaml").write_text(yaml.safe_dump(document))
+    def move(document) -> None:
+        next(iter(document["tiles"].values()))["anchor"][2] += 0.01
+
+    other = edited(folder / "s2", tmp_path / "other", move)
     named = ["/other is of another socket", "/s0"]
     refused(capsys, "validate", folder / "s0", other, named=named)
     refused(capsys, "validate", folder / "s0", folder, named=["s0 is given twice"])
