@@ -177,6 +177,7 @@ def test_a_notebook_draws_maps_at_an_instant_and_into_its_own_axes(folder) -> No
 
 @pytest.mark.slow
 def test_simulate_and_tile_are_those_of_the_verbs(folder, tmp_path, monkeypatch) -> None:
+    run_example("write_report", folder)
     # 300 rounds of the search find two tiles more and take most of the example's time.
     with monkeypatch.context() as patch:
         patch.setattr(tiling, "TilingSettings", partial(TilingSettings, rounds=12))
@@ -192,15 +193,6 @@ def test_simulate_and_tile_are_those_of_the_verbs(folder, tmp_path, monkeypatch)
     words = ["--size", 50, "--flatness", 15, "--rounds", 0, "--clusters", "none.yaml"]
     verb("tile", folder / "scan.stl", "-o", "verb.yaml", *words)
     assert Path("api.yaml").read_bytes() == Path("verb.yaml").read_bytes()
-
-
-@pytest.mark.slow
-def test_the_example_of_a_report_is_that_of_the_verb(folder, tmp_path) -> None:
-    run_example("write_report", folder)
-    verb("report", folder / "trials" / "hold", "-o", tmp_path / "hold.html", "--thetas", 5)
-    for name in ("errors.csv", "overview.csv"):
-        file = Path("hold_files", name)
-        assert (folder / file).read_bytes() == (tmp_path / file).read_bytes()
 
 
 def test_what_the_command_line_cannot_ask_is_an_error_too(folder) -> None:

@@ -13,7 +13,7 @@ from support.verbs import call, refused
 
 import socket_testbed as st
 
-SEGMENT = ("--segment", "15:20")
+SEGMENT = ("--segment", "15:17")
 
 
 @pytest.fixture(scope="module")
@@ -40,12 +40,12 @@ def test_the_verb_and_its_files_hold_what_the_api_gives(trials, tmp_path, capsys
     """Values of the trials' own outputs; what a difference is made of them: test_comparison.py."""
     output, words = tmp_path / "c.parquet", (*SEGMENT, "--threshold", 20)
     code, out, _ = call(capsys, "compare", *trials, *words, "--json", "-o", output)
-    found = st.compare(*trials, segment="15:20", threshold=20.0)
+    found = st.compare(*trials, segment="15:17", threshold=20.0)
     assert code == 0 and found.document() == json.loads(out)
     same, table = (t.fillna({"text": ""}) for t in (pd.read_parquet(output), found.to_dataframe()))
     pd.testing.assert_frame_equal(same, table, check_dtype=False)
     rows = table.set_index(["part", "name", "quantity", "item"]).sort_index()
-    outputs = st.pressure(st.open_trial(trials[1]), "15:20", threshold=20.0).document()
+    outputs = st.pressure(st.open_trial(trials[1]), "15:17", threshold=20.0).document()
     for part in ("regions", "tiles"):
         for name, of_name in outputs[part].items():
             for title, value in of_name.items():
@@ -55,7 +55,7 @@ def test_the_verb_and_its_files_hold_what_the_api_gives(trials, tmp_path, capsys
                     shown = row[["value", "low", "high"]].astype(float)
                     np.testing.assert_array_equal(shown, np.array(expected, dtype=float))
     samples = st.open_trial(trials[0]).samples()
-    force = samples.wrench[(samples.time >= 15.0) & (samples.time <= 20.0), 5]
+    force = samples.wrench[(samples.time >= 15.0) & (samples.time <= 17.0), 5]
     row = rows.loc[("wrench", "Fz", "mean", trials[0].name)]
     assert float(row["value"].item()) == pytest.approx(force.mean())
 
@@ -65,7 +65,7 @@ def test_repeated_donnings_give_their_spread_and_what_can_be_seen(folder, trials
     words = ["--condition", f"gel={trials[0]}", "--condition", f"sock={trials[1]}"]
     words += ["--condition", f"sock={folder / 'again'}", *SEGMENT]  # a folder of trials
     code, out, err = call(capsys, "compare", *words)
-    found = st.compare(conditions={"gel": trials[:1], "sock": [trials[1], again]}, segment="15:20")
+    found = st.compare(conditions={"gel": trials[:1], "sock": [trials[1], again]}, segment="15:17")
     assert code == 0 and out.startswith(f"conditions gel, sock: {found.title}\n")
     assert not err.count("no side of the leg") and "no subject is stated" in out
     assert found.document()["conditions"] == {"gel": ["gel"], "sock": ["sock", "sock2"]}
@@ -74,7 +74,7 @@ def test_repeated_donnings_give_their_spread_and_what_can_be_seen(folder, trials
     assert mean["degrees of freedom"] == 1.0
     least = f"with 1 to 2 trials per condition differences of {mean['detectable']:.1f} kPa and more"
     assert found.title.startswith(least)
-    outputs = [st.pressure(st.open_trial(trials[1]), "15:20"), st.pressure(again, "15:20")]
+    outputs = [st.pressure(st.open_trial(trials[1]), "15:17"), st.pressure(again, "15:17")]
     for part in ("regions", "tiles"):
         values = np.array([getattr(output, part)["peak pressure [kPa]"] for output in outputs])
         shown = rows.loc[part].xs(("peak pressure", "sock"), level=("quantity", "item"))
@@ -92,7 +92,7 @@ def test_own_regions_of_other_tiles_are_not_compared(trials, tmp_path) -> None:
         document["regions"] |= {} if number else {"alone": tiles[:1]}
 
     copies = [edited(trial, tmp_path / trial.name, add_regions) for trial in trials]
-    found = st.compare(*copies, segment="15:20")
+    found = st.compare(*copies, segment="15:17")
     names = {*found.to_dataframe()["name"]}
     assert "same" in names and not names & {"other", "alone"}
     assert found.notes == (
@@ -117,17 +117,17 @@ def test_different_sockets_are_compared_by_region_on_request(folder, trials, cap
 def test_legs_are_compared_by_anatomy_and_the_page_says_so(trials, tmp_path, capsys) -> None:
     legs = [shutil.copytree(trial, tmp_path / trial.name) for trial in trials]
     st.annotate(st.open_trial(legs[0]), side="left", liner="<b>gel</b>", subject="S01")
-    found = st.compare(*legs, segment="15:20")
+    found = st.compare(*legs, segment="15:17")
     assert any("no side is stated for sock" in note for note in found.notes)
     assert {"left middle", "right middle"} <= {*found.to_dataframe()["name"]}
     st.annotate(st.open_trial(legs[1]), side="right", mass=81.5)
     page = tmp_path / "legs.html"
     code, out, _ = call(capsys, "compare", tmp_path, *SEGMENT, "-o", page)  # a folder of both
-    assert code == 0 and out.startswith("trials gel, sock: segment 15:20") and "sock - gel" in out
+    assert code == 0 and out.startswith("trials gel, sock: segment 15:17") and "sock - gel" in out
     assert "note: left and right legs are compared" in out and "medial middle" in out
     assert "liner: gel: <b>gel</b>; sock: not stated" in out
     # Medial of a left leg is where lateral of a right leg is: the first trial's tiles.
-    found = st.compare(*legs, segment="15:20")
+    found = st.compare(*legs, segment="15:17")
     names = {*found.to_dataframe()["name"]}
     assert "medial middle" in names and "left middle" not in names
     written = Page(page.read_text())
