@@ -90,8 +90,6 @@ def test_the_command_prints_what_the_api_gives(hold, figures, capsys) -> None:
     rows = figures[0].to_dataframe()
     words = ["paper", hold, "--thetas", 11, "--frames", 50, "--leave-out", "distal.Fy"]
     words += ["--initial-stiffness", "auto"]
-    document = json.loads(call(capsys, *words, "--json")[1])
-    assert document == figures[0].document()
     code, out, _ = call(capsys, *words)
     shown = next(line for line in out.splitlines() if line.startswith("mean RMSE of the moments"))
     values = rows.loc["mean RMSE of the moments [N m]"]
