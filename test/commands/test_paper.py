@@ -1,7 +1,6 @@
 """`pareto` and `paper`: the front and the published pipeline, against fits by hand."""
 
 import dataclasses
-import json
 
 import numpy as np
 import pandas as pd
