@@ -259,7 +259,8 @@ def test_the_cards_the_map_and_the_bars_say_what_the_tables_say(page, results):
 def test_a_spoilt_trial_is_told_and_its_names_are_no_markup(spoilt, tmp_path):
     path, out, err = tmp_path / "page.html", io.StringIO(), io.StringIO()
     with redirect_stdout(out), redirect_stderr(err):
-        assert run(["report", str(spoilt), "-o", str(path), "--thetas", "3"]) == 0
+        words = ["report", str(spoilt), "-o", str(path), "--thetas", "3"]
+        assert run([*words, "--leave-out", f"{NASTY}.Fy"]) == 0
     assert f"note: {NASTY}.Fx looks implausible" in err.getvalue()
     assert "--leave-out" in err.getvalue() and str(path) in out.getvalue()
     assert sum(line.startswith("- ") for line in out.getvalue().splitlines()) >= 3
@@ -272,6 +273,7 @@ def test_a_spoilt_trial_is_told_and_its_names_are_no_markup(spoilt, tmp_path):
 
     assert f"{NASTY}.Fx looks implausible" in page.text
     assert "not in objective" not in page.rows("errors")[f"{NASTY}.Fx"]
+    assert "not in objective" in page.rows("errors")[f"{NASTY}.Fy"]
     assert "Gaps of the triggers: 1, the longest of 2.25 s" in page.text
     rows = page.rows("drop-outs")
     cells = rows[f"{NASTY} (Fx, Fy, Fz)"]
