@@ -36,13 +36,6 @@ def test_an_interval_without_an_end_gives_none_to_the_difference() -> None:
     assert not np.isfinite([found[name][1, 0] for name in (*ENDS, "detectable")]).any()
 
 
-def test_errors_that_two_trials_share_cancel() -> None:
-    values, reach = np.array([[10.0], [12.0]]), 5.0
-    for correlation, expected in ((0.0, np.hypot(5.0, 5.0)), (0.7, np.sqrt(15.0)), (1.0, 0.0)):
-        found = TRIALS.columns(values, values - reach, values + reach, correlation)
-        assert [found[end][1, 0] for end in ENDS] == pytest.approx([2 - expected, 2 + expected])
-
-
 def test_95_percent_intervals_of_skew_quantities_hold_the_true_difference() -> None:
     """Rates of exponential samples have skew intervals whose ends are known exactly."""
     count, pairs, true = 8, 4000, np.array([1.0, 3.0])

@@ -101,15 +101,6 @@ def test_all_but_the_graph_works_without_ros(tmp_path: Path) -> None:
     assert "rclpy cannot be imported: run 'make setup'" in err
 
 
-@pytest.mark.slow
-def test_a_full_disk_leaves_nothing_that_looks_whole(tmp_path: Path) -> None:
-    # A limit on the size of a file stands for the disk: writing fails in the middle.
-    command = f"ulimit -f 64; {sys.executable} -m socket_testbed simulate -o hold --duration 60"
-    code, _, err = program("bash", "-c", command, folder=tmp_path)
-    assert code == 1 and "hold: cannot be written" in err
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_a_broken_trial_is_named_and_leaves_nothing(hold, tmp_path, capsys) -> None:
     """All that a file may hold: test_documents.py and test_salvage.py."""
     output, trial = tmp_path / "model.json", tmp_path / "hold"
