@@ -81,6 +81,13 @@ def hold_model(hold: Path) -> Path:
     return path
 
 
+@pytest.fixture
+def few_variants(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Validates only variants that are fitted at once: the others repeat what these show."""
+    place = "socket_testbed.identification.validation.VARIANTS"
+    monkeypatch.setattr(place, ("stiffness", "stiffness_bias"))
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Iterator[Path]:
     """Real data that nobody here wrote, where it lies beside the checkout."""

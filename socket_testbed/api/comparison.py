@@ -385,7 +385,7 @@ def compare(
     """
     import pandas as pd
 
-    trials, of_trials = _open(items, conditions)
+    trials, of_trials = open_compared(items, conditions)
     names = _names([trial.path for trial in trials])
     compared = Conditions(tuple(conditions or names), of_trials)
     first = trials[0].geometry
@@ -541,7 +541,7 @@ def _tables(found: Comparison, part: str) -> list[Any]:
     return [Table(f"{part}-table", _HEADINGS[part], cells, is_text=is_text)]
 
 
-def _open(
+def open_compared(
     items: Sequence[Trial | PathLike], conditions: Mapping[str, Sequence[Trial | PathLike]] | None
 ) -> tuple[list[Trial], IntArray]:
     """The trials, each given once, and the number of each one's condition."""

@@ -20,6 +20,7 @@ from socket_testbed.commands.options import (
     on_trials,
     open_all,
     open_checked,
+    say_data,
     segment_columns,
 )
 from socket_testbed.commands.pressure import pressure_columns, pressure_tables
@@ -207,9 +208,10 @@ def validate(
         json: Print JSON on standard output.
     """
     check_files(output, figure, replace=replace)
-    found = api.validate(
-        *open_all(trial, options), **given(options, api.validate, api.fit), progress=Progress
-    )
+    trials = open_all(trial, options)
+    for each in trials:
+        say_data(each, f"{each.name}: ")
+    found = api.validate(*trials, **given(options, api.validate, api.fit), progress=Progress)
     show = partial(_show_validation, found)
     deliver(found, show, output=output, figure=figure, json=json, **options)
 

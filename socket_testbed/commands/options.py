@@ -96,10 +96,7 @@ def open_all(
     """
     notify = notify or cache(print_note)
     found = [path for given in paths for path in find_trials(given, notify).values() or [given]]
-    trials = [dataclasses.replace(open_given(path, **options), notify=notify) for path in found]
-    for trial in trials:
-        say_data(trial, f"{trial.name}: ")
-    return trials
+    return [dataclasses.replace(open_given(path, **options), notify=notify) for path in found]
 
 
 def check_files(output: Path | None, figure: Path | None, *, replace: bool) -> None:

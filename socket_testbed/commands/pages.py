@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from socket_testbed import api
-from socket_testbed.api.comparison import LEGEND, PAGES
+from socket_testbed.api.comparison import LEGEND, PAGES, open_compared
 from socket_testbed.api.tradeoff import check_thetas
 from socket_testbed.batch import Row
 from socket_testbed.commands.arguments import takes
@@ -25,6 +25,7 @@ from socket_testbed.commands.options import (
     open_all,
     open_given,
     print_note,
+    say_data,
     segment_columns,
     typed_command,
 )
@@ -126,6 +127,8 @@ def compare(
     conditions = {
         name: open_all(paths, options, notify) for name, paths in _conditions(condition).items()
     }
+    for each in open_compared(trials, conditions)[0]:  # a wrong call is refused before it is read
+        say_data(each, f"{each.name}: ")
     found = api.compare(
         *trials, conditions=conditions, **given(options, api.compare), progress=Progress
     )

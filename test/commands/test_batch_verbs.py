@@ -15,22 +15,20 @@ from support import HANGS
 from support.verbs import COMMAND, call, program, refused
 
 import socket_testbed as st
-from socket_testbed.__main__ import run
 
 pytestmark = pytest.mark.graph  # worker processes, interrupted and killed
 
-GOOD = ("s01/hold", "s02/hold", "walk")
+GOOD = ("s01/hold", "walk")
 BROKEN = "s01/broken"
 
 
 @pytest.fixture(scope="session")
 def whole_study(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three tiny simulated trials and one that is broken; tests that change it take a copy."""
+    """Two tiny simulated trials and one that is broken; tests that change it take a copy."""
     folder = tmp_path_factory.mktemp("batch") / "study"
     folder.mkdir()
     for seed, name in enumerate(GOOD):
-        words = ["simulate", "-o", folder / name, "--duration", 30, "--seed", seed]
-        assert run([str(word) for word in words]) == 0
+        st.simulate(folder / name, duration=30, seed=seed)
     shutil.copytree(folder / GOOD[0], folder / BROKEN)
     os.truncate(folder / BROKEN / "hold.mcap", 10_000)
     return folder
@@ -43,12 +41,11 @@ def study(whole_study: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def one_by_one(whole_study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Models fitted each by a call of its own."""
+    """Models of single trials, by the API."""
     folder = tmp_path_factory.mktemp("batch") / "single"
     for name in GOOD:
-        model = folder / f"{name}.json"
-        model.parent.mkdir(parents=True, exist_ok=True)
-        assert run(["fit", str(whole_study / name), "-o", str(model)]) == 0
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        st.fit(st.open_trial(whole_study / name)).save(folder / f"{name}.json")
     return folder
 
 
@@ -66,10 +63,10 @@ def models(whole_study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same trials in parallel, by the command itself; the broken one fails."""
     folder = tmp_path_factory.mktemp("batch") / "models"
     code, out, err = program(*COMMAND, "fit", whole_study, "-o", folder, "--jobs", 2)
-    assert code == 1 and out.count(": ok, mean moment RMSE 0.") == 3 and "Warning" not in err
+    assert code == 1 and out.count(": ok, mean moment RMSE 0.") == 2 and "Warning" not in err
     *_, named, last = err.splitlines()
     assert named.startswith(f"{BROKEN}: ") and "hold.mcap" in named and "truncated" in named
-    assert last.startswith("socket-testbed fit: error: 1 of 4 trials failed")
+    assert last.startswith("socket-testbed fit: error: 1 of 3 trials failed")
     return folder
 
 
@@ -105,7 +102,7 @@ def test_a_changed_option_is_never_passed_over(study, tmp_path, capsys) -> None:
     shutil.rmtree(study / "s01")
     fit = ["fit", study, "-o", tmp_path / "models", "--jobs", 1]
     for words, state in (((), "ok"), ((), "skipped"), (("--theta", 0.9), "ok")):
-        assert call(capsys, *fit, *words)[1].count(f": {state}, mean") == 2
+        assert call(capsys, *fit, *words)[1].count(f": {state}, mean") == 1
     model = tmp_path / "models" / "walk.json"
     assert json.loads(model.read_text())["settings"]["theta"] == 0.9
 
@@ -114,18 +111,18 @@ def test_trials_are_judged_by_their_own_models_or_all_by_one(
     whole_study, one_by_one, tmp_path, capsys
 ) -> None:
     for name, models, model in (
-        ("own", one_by_one, "s02/hold"),
+        ("own", one_by_one, "s01/hold"),
         ("crossed", one_by_one / "walk.json", "walk"),
     ):
         words = ["--jobs", 1, "--model", models, "-o", tmp_path / name]
         code, _, err = call(capsys, "evaluate", whole_study, *words)
-        assert code == 1 and err.count("1 of 4 trials failed") == 1
+        assert code == 1 and err.count("1 of 3 trials failed") == 1
         expected = st.evaluate(
-            st.open_trial(whole_study / "s02/hold"), one_by_one / f"{model}.json"
+            st.open_trial(whole_study / "s01/hold"), one_by_one / f"{model}.json"
         ).document()
-        found = json.loads((tmp_path / name / "s02/hold.errors.json").read_text())
+        found = json.loads((tmp_path / name / "s01/hold.errors.json").read_text())
         assert found == expected
-        row = pd.read_csv(tmp_path / name / "summary.csv").set_index("trial").loc["s02/hold"]
+        row = pd.read_csv(tmp_path / name / "summary.csv").set_index("trial").loc["s01/hold"]
         assert row["model"] == model.rpartition("/")[2]
         assert row["in_sample"] == ("yes" if name == "own" else "no")
 
@@ -135,8 +132,8 @@ def test_what_is_wrong_for_all_is_one_line(whole_study, models, tmp_path, capsys
     for words, named in (
         ("fit -o OUT --jobs 0", ["--jobs", "0"]),
         ("fit -o OUT --params no.yaml", ["no.yaml", "no such file"]),
-        ("evaluate --model MODELS", ["4 trials", "-o"]),
-        ("evaluate --model MODELS -o OUT --json", ["4 trials", "--json"]),
+        ("evaluate --model MODELS", ["3 trials", "-o"]),
+        ("evaluate --model MODELS -o OUT --json", ["3 trials", "--json"]),
         ("evaluate --model no.json -o OUT", ["no.json", "no such model"]),
         ("evaluate --model MODELS -o MODELS", ["summary.csv exists already"]),
     ):
@@ -166,13 +163,13 @@ def test_ctrl_c_leaves_what_is_finished_and_a_re_run_goes_on(study, tmp_path, ca
         assert process.stderr.read() == "socket-testbed fit: interrupted\n"
     table = pd.read_csv(tmp_path / "models" / "summary.csv").set_index("trial")
     finished = table.index[table["status"] == "ok"].tolist()
-    assert 1 <= len(finished) < 7
+    assert 1 <= len(finished) < 6
     assert set(table["status"]) == {"ok", "not reached"}
     code, out, _ = call(capsys, *words, 1)
     assert code == 0
     # What a worker had finished but not yet told, is done as well.
-    assert len(finished) <= out.count(": skipped") < 7
-    assert out.count(": skipped") + out.count(": ok") == 7
+    assert len(finished) <= out.count(": skipped") < 6
+    assert out.count(": skipped") + out.count(": ok") == 6
 
 
 def test_a_killed_batch_leaves_no_worker(study: Path, tmp_path: Path) -> None:
@@ -191,19 +188,5 @@ def test_a_dask_cluster_of_two_workers_takes_over(
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         words = ["fit", whole_study, "-o", folder, "--dask", cluster.scheduler_address]
         code, out, err = call(capsys, *words)
-        assert code == 1 and out.count(": ok") == 3 and "1 of 4 trials failed" in err
-        code, out, _ = call(capsys, *words)
-        assert code == 1 and out.count(": skipped") == 3
+        assert code == 1 and out.count(": ok") == 2 and "1 of 3 trials failed" in err
     assert_models(folder, one_by_one)
-
-
-def test_one_segment_takes_holds_and_ramps_through_a_batch(
-    hold: Path, hold_model: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    study = tmp_path / "study"
-    shutil.copytree(hold, study / "hold")
-    st.simulate(study / "ramp", "ramp", duration=60)
-    evaluate = ["evaluate", study, "--model", hold_model, "--jobs", 1, "--segment", "auto"]
-    assert call(capsys, *evaluate, "-o", tmp_path / "auto")[0] == 0
-    table = pd.read_csv(tmp_path / "auto" / "summary.csv", index_col="trial")
-    assert table["segment"].to_dict() == {"hold": "hold", "ramp": "loaded"}

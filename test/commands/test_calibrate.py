@@ -147,9 +147,8 @@ def test_outliers_are_listed_and_dropped_only_on_request(call, tmp_path, output)
     bench = sensor_bench(play=0.04)
     bench.stress[[200, 500], 1] += 60e3
     path = write_bench(tmp_path / "bench.csv", bench)
-    out = call(path, *WIRING, "--force")
-    assert "2 outliers, kept in the fit" in out and "bench.csv line 202" in out
-    assert record(output)["readings"] == 1062 and not record(output)["outliers_dropped"]
+    assert "2 outliers, kept in the fit" in call(path, *WIRING, "--force")
+    assert not record(output)["outliers_dropped"]
     assert "2 outliers, left out of the fit" in call(path, *WIRING, "--drop-outliers")
     stored = record(output)
     assert stored["outliers"] == ["bench.csv line 202", "bench.csv line 502"]

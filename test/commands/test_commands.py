@@ -2,15 +2,13 @@
 
 import json
 import os
-import shutil
 import sys
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-import yaml
-from support.bags import rewrite
+from support.bags import edited, rewrite
 from support.verbs import call, program, refused
 
 import socket_testbed as st
@@ -85,13 +83,6 @@ def test_a_spoilt_channel_is_named_and_can_be_left_out(hold, tmp_path, capsys) -
     assert code == 0, err
 
 
-def test_a_ramp_is_fitted_on_all_of_it_for_want_of_a_plateau(tmp_path, capsys) -> None:
-    trial, model = tmp_path / "ramp", tmp_path / "model.json"
-    assert call(capsys, "simulate", "-o", trial, "--scenario", "ramp", "--duration", 60)[0] == 0
-    refused(capsys, "fit", trial, "-o", model, named=["no plateau", "(the part under load)"])
-    assert call(capsys, "fit", trial, "--segment", "all", "-o", model)[0] == 0
-
-
 @pytest.mark.slow
 def test_all_but_the_graph_works_without_ros(tmp_path: Path) -> None:
     script = (
@@ -110,47 +101,26 @@ def test_all_but_the_graph_works_without_ros(tmp_path: Path) -> None:
     assert "rclpy cannot be imported: run 'make setup'" in err
 
 
-@pytest.mark.slow
-def test_a_full_disk_leaves_nothing_that_looks_whole(tmp_path: Path) -> None:
-    # A limit on the size of a file stands for the disk: writing fails in the middle.
-    command = f"ulimit -f 64; {sys.executable} -m socket_testbed simulate -o hold --duration 60"
-    code, _, err = program("bash", "-c", command, folder=tmp_path)
-    assert code == 1 and "hold: cannot be written" in err
-    assert list(tmp_path.iterdir()) == []
-
-
-def edit(path: Path, change) -> None:
-    """Change a YAML file in place."""
-    document = yaml.safe_load(path.read_text())
-    change(document)
-    path.write_text(yaml.safe_dump(document))
-
-
-def rename_cluster(document) -> None:
-    document["clusters"]["elsewhere"] = document["clusters"].pop("distal")
-
-
 def test_a_broken_trial_is_named_and_leaves_nothing(hold, tmp_path, capsys) -> None:
     """All that a file may hold: test_documents.py and test_salvage.py."""
-    output = tmp_path / "model.json"
-    for number, (spoil, named) in enumerate(
+    output, trial = tmp_path / "model.json", tmp_path / "hold"
+
+    def rename_cluster(document) -> None:
+        document["clusters"]["elsewhere"] = document["clusters"].pop("distal")
+
+    edited(hold, trial, rename_cluster, "calibration.yaml")
+    for spoil, named in (
+        (lambda: None, ["calibration", "distal", "elsewhere"]),
+        (lambda: os.truncate(trial / "hold.mcap", 5000), ["hold.mcap", "truncated"]),
+        ((trial / "hold.mcap").unlink, ["hold.mcap", "not there"]),
         (
-            (
-                lambda t: edit(t / "calibration.yaml", rename_cluster),
-                ["calibration", "distal", "elsewhere"],
-            ),
-            (lambda t: os.truncate(t / "hold.mcap", 5000), ["hold.mcap", "truncated"]),
-            (
-                lambda t: (t / "metadata.yaml").write_text("rosbag2: ["),
-                ["metadata.yaml", "ros2 bag reindex"],
-            ),
-            (lambda t: (t / "hold.mcap").unlink(), ["hold.mcap", "not there"]),
-        )
+            lambda: (trial / "metadata.yaml").write_text("rosbag2: ["),
+            ["metadata.yaml", "ros2 bag reindex"],
+        ),
     ):
-        trial = Path(shutil.copytree(hold, tmp_path / f"{number}" / "hold"))
-        spoil(trial)
+        spoil()
         refused(capsys, "fit", trial, "-o", output, named=named)
-        assert not output.exists() and not list(tmp_path.glob(".*partial*"))
+        assert [*tmp_path.iterdir()] == [trial]
 
 
 WRONG = {
@@ -246,22 +216,28 @@ def test_a_trial_of_another_kind_is_shown_and_refused(shared_data: Path, capsys)
     assert "has no topic 'trigger'" in err
 
 
-def test_a_model_of_another_socket_is_refused(hold, hold_model, tmp_path, capsys) -> None:
-    trial = Path(shutil.copytree(hold, tmp_path / "hold"))
-
+def test_a_model_of_another_socket_is_refused_wherever_one_is_given(
+    hold, hold_model, tmp_path, capsys
+) -> None:
     def move(document) -> None:
         document["tiles"]["distal"]["anchor"][2] += 0.01
 
-    edit(trial / "socket.yaml", move)
-    refused(capsys, "evaluate", trial, "--model", hold_model, named=["another socket"])
+    trial = edited(hold, tmp_path / "hold", move)
+    for verb, *words in (
+        ("evaluate",),
+        ("export", "-o", tmp_path / "table.csv"),
+        ("report", "-o", tmp_path / "page.html"),
+        ("view", "--port", 0),
+    ):
+        refused(capsys, verb, trial, "--model", hold_model, *words, named=["another socket"])
+    assert [*tmp_path.iterdir()] == [trial]
 
 
 def test_the_map_has_every_tile_with_its_uncertainty(hold: Path, tmp_path: Path, capsys) -> None:
     """The verb, the function and the columns of `export` give the same."""
-    output, figure = tmp_path / "map.csv", tmp_path / "map.png"
-    code, out, _ = call(capsys, "map", hold, "--segment", "20:30", "-o", output, "--figure", figure)
+    output = tmp_path / "map.csv"
+    code, out, _ = call(capsys, "map", hold, "--segment", "20:30", "-o", output)
     assert code == 0 and "measured: wrench, brim_lateral" in out
-    assert figure.stat().st_size > 10_000
     found = st.force_map(st.open_trial(hold), "20:30")
     expected = found.to_dataframe()
     pd.testing.assert_frame_equal(pd.read_csv(output, index_col=0), expected)

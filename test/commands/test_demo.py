@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from support.wording import refused
 
 from socket_testbed.commands import demo
 from socket_testbed.errors import TrialError
@@ -40,7 +41,7 @@ def test_it_records_slower_until_the_samples_are_complete(tmp_path, monkeypatch,
 def test_too_busy_a_machine_is_an_error_that_says_so(tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(demo, "measure_speed", lambda: MachineSpeed(1.0, 0.0))
     monkeypatch.setattr(demo, "_run_live", lambda *given: None)
-    with pytest.raises(TrialError, match=r"only 0% .* at a sixteenth of real time: this machine"):
+    with refused(TrialError, "only 0%", "at a sixteenth of real time"):
         demo._record(Trial(tmp_path / "trial"), 0, tmp_path / "log")
 
 

@@ -6,7 +6,6 @@ import signal
 import socket
 import subprocess
 import urllib.request
-from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -44,22 +43,12 @@ pytestmark = pytest.mark.graph
 SIMULATED = ("--simulated", "--time-scale", "auto")
 
 
-@dataclass(frozen=True)
-class Ended:
-    """A recorded run that Ctrl-C ended."""
-
-    path: Path  # of the trial
-    out: str
-    around: list[int]  # stamps of triggers before and after each of two events [ns]
-
-
-@pytest.fixture(scope="module")
-def ended(tmp_path_factory: pytest.TempPathFactory) -> Ended:
-    """A testbed that records a trial with the events `push` and `step 2` until Ctrl-C."""
-    path = tmp_path_factory.mktemp("run") / "trial"
+def test_run_records_a_trial_and_marked_events_until_ctrl_c(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "trial"
     words = ["run", *SIMULATED, "--rate", "20", "--record", str(path), "--variant", "stiffness"]
     words += ["--subject", "S01", "--side", "left"]
-    around: list[int] = []
     with (
         Probe() as probe,
         subprocess.Popen(
@@ -69,56 +58,35 @@ def ended(tmp_path_factory: pytest.TempPathFactory) -> Ended:
         measured = [probe.listen(topic) for topic in (CAPACITANCE, PYLON_POSE, WRENCH)]
         triggers = probe.listen(TRIGGER)
         probe.wait(lambda: all(len(messages) > 2 for messages in measured), "measurements")
-        for label in ("push", "step 2"):
-            goal = len(triggers) + 5
-            probe.wait(lambda goal=goal: len(triggers) > goal, "triggers")
-            around.append(stamp_of(triggers[-1]))
-            code, out, err = program(*COMMAND, "mark", label)
-            assert code == 0 and not err, err
-            assert out.startswith(f"marked '{label}' in the trial trial, ack")
-            goal = len(triggers) + 1  # the newest may be older than the event: time is slow
-            probe.wait(lambda goal=goal: len(triggers) > goal, "triggers after it")
-            around.append(stamp_of(triggers[-1]))
+        before = stamp_of(triggers[-1])
+        code, marked, _ = call(capfd, "mark", "step 2")
+        assert code == 0 and marked.startswith("marked 'step 2' in the trial trial, ack")
+        goal = len(triggers) + 1  # the newest may be older than the event: time is slow
+        probe.wait(lambda: len(triggers) > goal, "triggers after it")
+        after = stamp_of(triggers[-1])
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=HANGS)
     assert process.returncode == 0, err
-    return Ended(path, out, around)
 
-
-def test_run_records_until_ctrl_c(ended: Ended) -> None:
-    trial = Trial(ended.path)
+    trial = Trial(path)
     samples = trial.samples()
     lacks = {"wrench": np.isnan(samples.wrench).any(axis=1)}
     lacks |= {"limb position": np.isnan(samples.position).any(axis=1)}
     lacks |= dict(zip(samples.clusters, (samples.status == Status.MISSING).T, strict=True))
     missing = [f"{name} missing {rows.sum()}" for name, rows in lacks.items() if rows.any()]
     said = ", ".join(missing) or f"all {len(samples)} complete"
-    assert ended.out == f"{ended.path}: {len(samples)} triggers, {said}\n"
-    recorded = Recorded(ended.path)
+    assert out == f"{path}: {len(samples)} triggers, {said}\n"
+    recorded = Recorded(path)
     assert not recorded.notes and not any(recorded.lacking().values())
+    (step,) = (event for event in trial.events() if event.source == "recorded")
+    begin = int(samples.stamps[0])
+    # A message that a busy machine held up is late, never early.
+    assert 1e-9 * (before - begin) - 0.3 < step.time < 1e-9 * (after - begin)
+    assert f"event step 2 (recorded): {step.time:.2f} s" in call(capfd, "info", path)[1]
     assert trial.metadata == TrialMetadata("S01", "left")
     assert trial.estimator.identification.variant == "stiffness"
-    assert read_testbed(ended.path / "testbed.yaml").trigger_node.rate == 20.0
-    assert "simulation" not in (ended.path / "testbed.yaml").read_text()
-
-
-def test_marked_events_are_recorded_and_select_a_segment(ended, tmp_path, capsys) -> None:
-    trial = Trial(ended.path)
-    begin = int(trial.samples().stamps[0])
-    push, step = (event for event in trial.events() if event.source == "recorded")
-    for event, before, after in ((push, *ended.around[:2]), (step, *ended.around[2:])):
-        # A message that a busy machine held up is late, never early.
-        assert 1e-9 * (before - begin) - 0.3 < event.time < 1e-9 * (after - begin)
-
-    assert f"event push (recorded): {push.time:.2f} s" in call(capsys, "info", ended.path)[1]
-    words = ["--segment", "event:push:step 2", "-o", tmp_path / "samples.csv"]
-    code, out, _ = call(capsys, "export", ended.path, *words)
-    (segment,) = re.findall(r"event:push:step 2 ([\d.]+) s to ([\d.]+) s", out)
-    assert code == 0
-    assert push.time <= float(segment[0]) < float(segment[1]) <= step.time + 0.01
-    words = ["--segment", "event:puhs:9", "-o", tmp_path / "m.json"]
-    named = ["no event 'puhs': did you mean 'push'? it has ", "push (once)"]
-    refused(capsys, "fit", ended.path, *words, named=named)
+    assert read_testbed(path / "testbed.yaml").trigger_node.rate == 20.0
+    assert "simulation" not in (path / "testbed.yaml").read_text()
 
 
 def test_an_event_that_nobody_hears_is_an_error(
@@ -129,10 +97,11 @@ def test_an_event_that_nobody_hears_is_an_error(
         with monkeypatch.context() as patch:
             patch.setattr(controls, "_LINKED_WITHIN", 0.2)
             assert run(["mark", "push", "--namespace", "elsewhere"]) == 1
-        assert "nobody subscribes to /elsewhere/event: start 'run" in capfd.readouterr().err
-        received = probe.listen(EVENT, "/lab/event")
-        assert run(["mark", "push"]) == 1
-        assert "give --namespace /lab" in capfd.readouterr().err
+            assert "nobody subscribes to /elsewhere/event: start 'run" in capfd.readouterr().err
+            received = probe.listen(EVENT, "/lab/event")
+            patch.setattr(controls, "_LINKED_WITHIN", 2.0)
+            assert run(["mark", "push"]) == 1
+            assert "give --namespace /lab" in capfd.readouterr().err
         assert run(["mark", "push", "--namespace", "/lab"]) == 0
         out, err = capfd.readouterr()
         assert out == "marked 'push' for this graph, acknowledged by 1 subscriber\n"
@@ -142,18 +111,18 @@ def test_an_event_that_nobody_hears_is_an_error(
     refused(capfd, "mark", "2nd", named=["'"])
 
 
-@pytest.mark.timeout(300)  # 8 s of a testbed that may be 16 times slower
+@pytest.mark.timeout(300)  # 4 s of a testbed that may be 16 times slower
 def test_run_ends_by_itself_and_a_fault_is_seen(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "trial"
-    words = ["run", *SIMULATED, "--rate", "20", "--duration", "8", "--record", str(path)]
+    words = ["run", *SIMULATED, "--rate", "20", "--duration", "4", "--record", str(path)]
     code, out, err = call(capfd, *words, "--fault", "clusters.nack=3", "--one-process")
     assert code == 0, err
     assert "no answer at 0x50 behind channel 2 of 0x70 on i2c-1: check" in err
     assert "posterior_distal missing" in out
     assert call(capfd, "info", path)[0] == 0  # with the parameters that are stored in it
-    assert len(Trial(path).samples()) >= 100
+    assert len(Trial(path).samples()) >= 40
 
 
 @pytest.mark.slow
@@ -191,10 +160,16 @@ def manageable_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clocks, "_scale", careful_time_scale())
 
 
+@pytest.fixture
+def no_patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`doctor` hardly waits for a server that does not answer."""
+    monkeypatch.setattr(doctor, "_SERVER_WITHIN", 0.1)
+
+
 @pytest.mark.usefixtures("manageable_time")
 def test_doctor_finds_all_that_is_simulated(capsys: pytest.CaptureFixture[str]) -> None:
     code, table, _ = call(capsys, "doctor", "--simulated")
-    assert code == 0
+    assert code == 0, table
     for found in (
         "line 17 to 27",
         "FDC1004 at 0x50 behind channel 3 of 0x70 on i2c-1",
@@ -208,7 +183,7 @@ def test_doctor_finds_all_that_is_simulated(capsys: pytest.CaptureFixture[str]) 
     assert "failed" not in table
 
 
-@pytest.mark.usefixtures("manageable_time")
+@pytest.mark.usefixtures("manageable_time", "no_patience")
 def test_doctor_names_what_fails_and_the_hint(capsys: pytest.CaptureFixture[str]) -> None:
     faults = ["trigger.missing=1", "clusters.nack=2", "load_cell.unplugged=1", "mocap.unplugged=1"]
     words = [word for fault in faults for word in ("--fault", fault)]
@@ -225,6 +200,7 @@ def test_doctor_names_what_fails_and_the_hint(capsys: pytest.CaptureFixture[str]
     assert code == 1 and "checks failed" in err
 
 
+@pytest.mark.usefixtures("no_patience")
 def test_doctor_without_hardware(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     parameters = yaml.safe_load(packaged("config", "simulated.yaml").read_text())
     parameters |= {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import http.client
 import json
 from pathlib import Path
@@ -90,13 +89,6 @@ def test_events_are_marks_and_nothing_is_shown_in_a_gap(hold: Path, tmp_path: Pa
     assert "pressure" in played.now(20.0)["moment"]
     with refused(TestbedError, "cannot tare", "running testbed"):
         played.act("tare", {})
-
-
-def test_a_model_of_another_socket_is_refused(hold: Path, hold_model: Path) -> None:
-    stored = st.read_model(hold_model)
-    moved = dataclasses.replace(stored.geometry, anchors=stored.geometry.anchors + 0.01)
-    with pytest.raises(TestbedError, match="another socket"):
-        Player(st.open_trial(hold), dataclasses.replace(stored, geometry=moved))
 
 
 def test_a_trial_s_page_may_be_called_by_further_names(hold: Path) -> None:

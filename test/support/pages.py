@@ -1,10 +1,8 @@
 """Pages and tables as their readers open them."""
 
-import csv
 import math
 from datetime import UTC, datetime
 from html.parser import HTMLParser
-from pathlib import Path
 
 import numpy as np
 
@@ -73,12 +71,6 @@ class Page(HTMLParser):
     def rows(self, table: str) -> dict[str, list[str]]:
         """Rows of a table by their first cell."""
         return {row[0]: row[1:] for row in self.tables[table]}
-
-
-def columns(path: Path) -> dict[str, list[str]]:
-    with path.open(newline="", encoding="utf-8") as stream:
-        header, *rows = csv.reader(stream)
-    return dict(zip(header, map(list, zip(*rows, strict=True)), strict=True))
 
 
 def numbers(cells: list[str]) -> np.ndarray:
