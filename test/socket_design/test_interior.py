@@ -98,6 +98,17 @@ def test_sockets_that_are_not_round_or_are_shallow():
         check(scan, moved(open_cone(*cone, EDGE, dome=True), oval), off=2.0)
 
 
+def test_a_rim_that_slants_towards_the_cavity_is_no_part_of_the_wall():
+    def bevelled(points):
+        outer_brim = (points[:, 2] > CONE[2] - 1e-3) & (
+            np.hypot(points[:, 0], points[:, 1]) > CONE[1] + 0.5 * WALL
+        )
+        return points + np.outer(WALL * outer_brim, UP)
+
+    scan = moved(shell(*CONE, EDGE, WALL, dome=True), bevelled)
+    check(scan, open_cone(*CONE, EDGE, dome=True))
+
+
 def test_noise_makes_no_holes(rng):
     clean, inner = shell(*CONE, 0.003, WALL, dome=True), open_cone(*CONE, 0.003, dome=True)
     shift = rng.normal(0.0, 0.0005, clean.vertices.shape)
