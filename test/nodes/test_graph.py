@@ -72,9 +72,8 @@ def test_every_sample_is_predicted_as_the_model_does_offline(hold: Path, hold_mo
     assert np.isnan(wrench[np.isnan(samples.pose).any(axis=1)]).all()
     # The force map is that of a running mean of the evidence, and asks for no marker.
     running = ForceMap(trial.geometry, samples.clusters)
-    rows = zip(samples.wrench, samples.local_forces, samples.status, maps, strict=True)
-    for *row, (values, deviations) in rows:
-        expected = running.update(*row)
+    for row, (values, deviations) in enumerate(maps):
+        expected = running.update(samples[row : row + 1])
         np.testing.assert_allclose(values[:, :3], expected.forces[0], atol=1e-9)
         np.testing.assert_allclose(deviations[:, :3], expected.standard_deviations[0], atol=1e-9)
         np.testing.assert_allclose(values[:, 3], expected.normal_pressure[0])
