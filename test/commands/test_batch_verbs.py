@@ -20,6 +20,8 @@ pytestmark = pytest.mark.graph  # worker processes, interrupted and killed
 
 GOOD = ("s01/hold", "walk")
 BROKEN = "s01/broken"
+VARIANT = "stiffness_bias"  # fits at once
+FIT = ("fit", "--variant", VARIANT)
 
 
 @pytest.fixture(scope="session")
@@ -45,7 +47,7 @@ def one_by_one(whole_study: Path, tmp_path_factory: pytest.TempPathFactory) -> P
     folder = tmp_path_factory.mktemp("batch") / "single"
     for name in GOOD:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        st.fit(st.open_trial(whole_study / name)).save(folder / f"{name}.json")
+        st.fit(st.open_trial(whole_study / name), variant=VARIANT).save(folder / f"{name}.json")
     return folder
 
 
@@ -62,7 +64,7 @@ def assert_models(folder: Path, expected: Path) -> None:
 def models(whole_study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same trials in parallel, by the command itself; the broken one fails."""
     folder = tmp_path_factory.mktemp("batch") / "models"
-    code, out, err = program(*COMMAND, "fit", whole_study, "-o", folder, "--jobs", 2)
+    code, out, err = program(*COMMAND, *FIT, whole_study, "-o", folder, "--jobs", 2)
     assert code == 1 and out.count(": ok, mean moment RMSE 0.") == 2 and "Warning" not in err
     *_, named, last = err.splitlines()
     assert named.startswith(f"{BROKEN}: ") and "hold.mcap" in named and "truncated" in named
@@ -87,20 +89,20 @@ def test_the_summary_holds_the_figures_of_single_calls(models, one_by_one, whole
     assert row["mean_moment_rmse [N m]"] == pytest.approx(np.mean(moments))
     # Each fit is judged on a half of the segment that it has not seen, too.
     trial = st.open_trial(whole_study / "walk")
-    rows, time = st.fit(trial).segment.rows, trial.samples().time
+    rows, time = st.fit(trial, variant=VARIANT).segment.rows, trial.samples().time
     middle = (rows.start + rows.stop) // 2
-    fitted = st.fit(trial, f"{time[rows.start]}:{time[middle - 1]}")
+    fitted = st.fit(trial, f"{time[rows.start]}:{time[middle - 1]}", variant=VARIANT)
     unseen = st.evaluate(trial, fitted, f"{time[middle]}:{time[rows.stop - 1]}").to_dataframe()
     for group, skills in (("wrench", unseen["skill"][:6]), ("local", unseen["skill"][6:])):
         found = row[f"median_{group}_skill_unseen_half [-]"]
         assert found == pytest.approx(np.nanmedian(skills))
-    solved = [quality[key] for key in ("stage_1", "stage_2", "joint")]
+    solved = [quality[key] for key in ("stage_1", "stage_2")]
     assert row["kkt_residual [-]"] == max(each["stationarity"] for each in solved) < 1e-8
 
 
 def test_a_changed_option_is_never_passed_over(study, tmp_path, capsys) -> None:
     shutil.rmtree(study / "s01")
-    fit = ["fit", study, "-o", tmp_path / "models", "--jobs", 1]
+    fit = [*FIT, study, "-o", tmp_path / "models", "--jobs", 1]
     for words, state in (((), "ok"), ((), "skipped"), (("--theta", 0.9), "ok")):
         assert call(capsys, *fit, *words)[1].count(f": {state}, mean") == 1
     model = tmp_path / "models" / "walk.json"
@@ -186,7 +188,7 @@ def test_a_dask_cluster_of_two_workers_takes_over(
 ) -> None:
     folder = tmp_path / "models"
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
-        words = ["fit", whole_study, "-o", folder, "--dask", cluster.scheduler_address]
+        words = [*FIT, whole_study, "-o", folder, "--dask", cluster.scheduler_address]
         code, out, err = call(capsys, *words)
         assert code == 1 and out.count(": ok") == 2 and "1 of 3 trials failed" in err
     assert_models(folder, one_by_one)
