@@ -183,6 +183,7 @@ def test_a_killed_batch_leaves_no_worker(study: Path, tmp_path: Path) -> None:
         process.communicate(timeout=HANGS)
 
 
+@pytest.mark.slow
 def test_a_dask_cluster_of_two_workers_takes_over(
     whole_study, one_by_one, tmp_path, capsys
 ) -> None:

@@ -179,6 +179,7 @@ def test_a_status_is_in_words(tmp_path: Path) -> None:
     assert len(module.status_parts(status, disk=tmp_path / "gone")) == 7
 
 
+@pytest.mark.slow
 @pytest.mark.graph
 def test_a_paused_replay_says_how_to_go_on_and_the_space_bar_does(hold: Path) -> None:
     terminal = Terminal(200)

@@ -81,6 +81,7 @@ def test_without_tf2_msgs_a_node_goes_on_and_warns_once(monkeypatch: pytest.Monk
 
 
 @pytest.mark.graph
+@pytest.mark.slow
 def test_the_transforms_of_a_replay_compose_to_the_recorded_poses(
     hold: Path, hold_model: Path, tmp_path: Path
 ) -> None:
