@@ -27,6 +27,7 @@ from socket_testbed.trials.bag import BagReader, RawMessage
 from socket_testbed.trials.messages import Reader, VectorPacker
 from socket_testbed.trials.topics import (
     DIAGNOSTICS,
+    PUBLISHER_DEPTH,
     PYLON_POSE,
     REQUIRED,
     SOCKET_POSE,
@@ -42,7 +43,7 @@ from socket_testbed.trials.trial import Trial
 _READY_WITHIN = 180.0  # [s]; for the nodes waited for to start and find each other
 _DISCOVERY = 3.0  # [s]; DDS takes 5 ms or more than 2 s, at random
 _DONE_WITHIN = 60.0  # [s]; for them to make any progress
-_IN_FLIGHT = 500  # triggers ahead of the nodes waited for, well below their queues
+_IN_FLIGHT = PUBLISHER_DEPTH // 2  # triggers ahead of the nodes waited for
 _BURST = 50  # messages sent at once, half of what a writer keeps to send again
 _BREATH = 0.002  # [s]; after a burst
 

@@ -5,11 +5,12 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.srv import DescribeParameters, SetParameters
 from rclpy.parameter import Parameter
 from socket_testbed_msgs.msg import ClusterCapacitance, ClusterCapacitanceArray
@@ -41,7 +42,9 @@ from socket_testbed.trials.topics import (
     LOCAL_FORCES,
     PARAMETERS,
     PRESSURE_MAP,
+    PUBLISHER_DEPTH,
     REGIONS,
+    REQUIRED,
     SOCKET_POSE,
     STRESS,
     TRIGGER,
@@ -77,6 +80,32 @@ def test_every_sample_is_predicted_as_the_model_does_offline(hold: Path, hold_mo
         np.testing.assert_allclose(values[:, :3], expected.forces[0], atol=1e-9)
         np.testing.assert_allclose(deviations[:, :3], expected.standard_deviations[0], atol=1e-9)
         np.testing.assert_allclose(values[:, 3], expected.normal_pressure[0])
+
+
+def test_a_replay_keeps_no_more_ahead_than_writers_send_again(hold: Path) -> None:
+    """So a follower that stands still for a moment misses nothing."""
+    stamps = Trial(hold).samples().stamps.tolist()
+    replay = ReplaySettings(trial=str(hold), rate=1000.0, wait_for=("follower",))
+    with Probe() as probe, Graph() as graph:
+        triggers = {topic: probe.listen(topic) for topic in REQUIRED}[TRIGGER]
+        publisher = probe.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+
+        def has_come(count: int, newest: int) -> bool:
+            """Report the newest stamp as a follower does."""
+            values = {"waiting_for": "", "newest_stamp": str(newest)}
+            entries = [KeyValue(key=key, value=value) for key, value in values.items()]
+            status = DiagnosticStatus(name="/follower", values=entries)
+            publisher.publish(DiagnosticArray(status=[status]))
+            return len(triggers) >= count
+
+        graph.start("replay_node", replay)
+        for worked_off in (0, 1, 60):
+            ahead = worked_off + PUBLISHER_DEPTH // 2 + 1
+            newest = stamps[worked_off - 1] if worked_off else 0
+            probe.wait(partial(has_come, ahead, newest), "what may be ahead")
+            assert len(triggers) == ahead
+        probe.wait(partial(has_come, len(stamps), stamps[-1]), "the rest")
+        graph.wait("replay_node")
 
 
 @pytest.mark.slow
