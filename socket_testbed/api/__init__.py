@@ -16,7 +16,6 @@ or registration. The examples run in a folder with two simulated trials.
 # Each public name stands once, here; `socket_testbed` takes its own from this list.
 from socket_testbed.api.comparison import Comparison as Comparison
 from socket_testbed.api.comparison import compare as compare
-from socket_testbed.api.comparison import write_comparison as write_comparison
 from socket_testbed.api.cycles import Cycles as Cycles
 from socket_testbed.api.cycles import cycles as cycles
 from socket_testbed.api.design import CalibratedCluster as CalibratedCluster
@@ -30,6 +29,9 @@ from socket_testbed.api.models import export as export
 from socket_testbed.api.models import fit as fit
 from socket_testbed.api.models import predict as predict
 from socket_testbed.api.models import read_model as read_model
+from socket_testbed.api.pages import view as view
+from socket_testbed.api.pages import write_comparison as write_comparison
+from socket_testbed.api.pages import write_report as write_report
 from socket_testbed.api.pressure import TrialMap as TrialMap
 from socket_testbed.api.pressure import TrialPressure as TrialPressure
 from socket_testbed.api.pressure import force_map as force_map
@@ -39,7 +41,6 @@ from socket_testbed.api.tradeoff import PaperTable as PaperTable
 from socket_testbed.api.tradeoff import Tradeoff as Tradeoff
 from socket_testbed.api.tradeoff import paper as paper
 from socket_testbed.api.tradeoff import pareto as pareto
-from socket_testbed.api.tradeoff import write_report as write_report
 from socket_testbed.api.trials import annotate as annotate
 from socket_testbed.api.trials import check_data as check_data
 from socket_testbed.api.trials import open_trial as open_trial
@@ -47,5 +48,4 @@ from socket_testbed.api.trials import select_segment as select_segment
 from socket_testbed.api.trials import simulate as simulate
 from socket_testbed.api.validation import Validation as Validation
 from socket_testbed.api.validation import validate as validate
-from socket_testbed.api.view import view as view
 from socket_testbed.errors import TestbedError as TestbedError

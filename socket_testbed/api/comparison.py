@@ -29,7 +29,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -42,9 +41,8 @@ from socket_testbed.api.result import Result, records
 from socket_testbed.api.trials import PathLike, Progress, as_trial, started
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.files import atomic_output
 from socket_testbed.geometry.regions import Side
-from socket_testbed.geometry.socket import SOCKET, SocketGeometry
+from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.pressure import NORMAL_QUANTILE, THRESHOLD
 from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
 from socket_testbed.tables import split_unit
@@ -59,37 +57,17 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-PAGES = (".html", ".htm")
 _MOST = 12  # trials side by side
 _OTHER_LOAD = 0.1  # [-]; of the mean force, from which on a note says so
 _OTHER_TIME = 0.05  # [-]; likewise for the time that an integral covers
-_VALUE = ("value", "low", "high")
-_DIFFERENCE = ("difference", "difference low", "difference high")
-_VALUES = (*_VALUE, *_DIFFERENCE)
+VALUE = ("value", "low", "high")
+DIFFERENCE = ("difference", "difference low", "difference high")
+_VALUES = (*VALUE, *DIFFERENCE)
 COLUMNS = ("part", "name", "quantity", "unit", "item", *_VALUES, "text")
+MAPPED = ("regions", "tiles")  # parts of the table that the force map gives
 LEGEND = "value (95 % interval); *: the interval of the difference excludes 0."
-_HEADINGS = {
-    "metadata": "Metadata of the trials",
-    "trials": "Segments, sources and calibrations",
-    "regions": "By region",
-    "tiles": "Tile by tile",
-    "limb": "Limb in the socket",
-    "wrench": "Wrench",
-}
 # Correlation of the map's errors in two trials of one limb in one socket: docs/compare.md [-].
 SAME_LIMB = 0.7
-_INDEPENDENT = (
-    "The interval of a difference takes the errors of two limbs as independent, so that their"
-    f" variances add; those of one subject in one socket as correlated by {SAME_LIMB:g}, so that"
-    " they cancel in part (Zou & Donner 2008). It covers what the sensors leave open under the"
-    " prior of the force map. docs/compare.md states how often it held the true difference."
-)
-_MAPS = (
-    "Mean pressure on the unrolled wall and the distal end, on one scale; the greyer, the less"
-    " certain. Differences have a scale of their own with zero in its middle; they are grey where"
-    " their 95 % interval holds zero. Outlined: clusters."
-)
-_NUMBERS = ("regions", "tiles")  # parts of the table
 _POWER = 0.8  # [-]; chance that a difference of the detectable size is told from 0
 _DIGITS = {"1": 0, "-": 2, "N m": 2}  # behind the point; 1 unless given
 
@@ -157,7 +135,7 @@ class Conditions:
                 "degrees of freedom": np.full(value.shape, float(self.freedom)),
                 "detectable": np.hypot(normal * np.maximum(lower, upper), noncentrality * error),
             }
-        for name in columns.keys() & {*_DIFFERENCE, "detectable"}:
+        for name in columns.keys() & {*DIFFERENCE, "detectable"}:
             columns[name][0] = np.nan
         return columns
 
@@ -175,9 +153,9 @@ def values_table(
     things = [(part, name, *split_unit(title)) for part, name, title in rows[0]]
     table = pd.DataFrame(things, columns=[*COLUMNS[:4]])
     values, low, high = (
-        np.array([[row.get(end, np.nan) for row in of.values()] for of in rows]) for end in _VALUE
+        np.array([[row.get(end, np.nan) for row in of.values()] for of in rows]) for end in VALUE
     )
-    correlation = correlation * table["part"].isin(["regions", "tiles"]).to_numpy()
+    correlation = correlation * table["part"].isin(MAPPED).to_numpy()
     turn = np.where(table["unit"] == "deg", 1.0 / 360.0, 0.0)
     if conditions.freedom:  # what is known without error has an interval, too
         low, high = (np.where(np.isnan(end), values, end) for end in (low, high))
@@ -186,7 +164,7 @@ def values_table(
     turns = 360.0 * np.round(turn * (values - middle[conditions.of_trials]))
     columns = conditions.columns(values - turns, low - turns, high - turns, correlation)
     turns = 360.0 * np.round(turn * columns["difference"])
-    columns |= {end: columns[end] - turns for end in _DIFFERENCE}
+    columns |= {end: columns[end] - turns for end in DIFFERENCE}
     table = table.loc[table.index.repeat(len(conditions.names))].reset_index(drop=True)
     table["item"] = [*conditions.names] * len(things)
     table = table.assign(**{name: of.T.ravel() for name, of in columns.items()})
@@ -207,7 +185,7 @@ class Comparison(Result):
 
     def __repr__(self) -> str:
         names = self.table.groupby("part")["name"].nunique()
-        counts = ", ".join(f"{names[p]} {p}" for p in ("regions", "tiles") if p in names)
+        counts = ", ".join(f"{names[p]} {p}" for p in MAPPED if p in names)
         return f"Comparison({self.kind} {', '.join(self.items)}; {counts})"
 
     @property
@@ -249,15 +227,15 @@ class Comparison(Result):
         for row in rows.to_dict("records"):
             what = f"{row['quantity']} [{row['unit']}]" if row["unit"] else row["quantity"]
             cells = found.setdefault((row["name"], what), {})
-            cells[row["item"]] = row["text"] or _cell(row, _VALUE)
+            cells[row["item"]] = row["text"] or _cell(row, VALUE)
             if row["item"] != self.items[0] and not row["text"]:
-                cells[self._difference(row["item"])] = _cell(row, _DIFFERENCE)
+                cells[self.difference_title(row["item"])] = _cell(row, DIFFERENCE)
                 if np.isfinite(row.get("detectable", np.nan)):
                     cells["spread"] = _number(row, "spread")
                     cells["detectable"] = _number(row, "detectable")
         table = pd.DataFrame.from_dict(found, orient="index").fillna("")
         table.index = pd.MultiIndex.from_tuples(found, names=["name", "quantity"])
-        columns = [*self.items, *map(self._difference, self.items[1:]), "spread", "detectable"]
+        columns = [*self.items, *map(self.difference_title, self.items[1:]), "spread", "detectable"]
         table = table.reindex(columns=[name for name in columns if name in table])
         return table.droplevel("quantity") if quantity else table
 
@@ -276,7 +254,7 @@ class Comparison(Result):
         ]
         for row in clear.head(most).to_dict("records"):
             digits = _DIGITS.get(row["unit"], 1)
-            by, *ends = (abs(row[name]) for name in _DIFFERENCE)
+            by, *ends = (abs(row[name]) for name in DIFFERENCE)
             low, high = sorted(ends)
             way = "lower" if row["difference"] < 0.0 else "higher"
             lines.append(
@@ -285,7 +263,7 @@ class Comparison(Result):
             )
         return lines
 
-    def _difference(self, item: str) -> str:
+    def difference_title(self, item: str) -> str:
         """Name of the column of a trial's difference."""
         return f"{item} - {self.items[0]}"
 
@@ -306,7 +284,7 @@ class Comparison(Result):
             return super()._figure(style)
         from socket_testbed.report.figures.tiles import tile_map_figure
 
-        pressures, reaches = self._of_tiles(_VALUE)
+        pressures, reaches = self.tile_pressures(VALUE)
         return tile_map_figure(
             self.geometry,
             dict(zip(self.items, pressures, strict=True)),
@@ -317,7 +295,7 @@ class Comparison(Result):
             reach=dict(zip(self.items, reaches, strict=True)),
         )
 
-    def _of_tiles(self, columns: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+    def tile_pressures(self, columns: Sequence[str]) -> tuple[FloatArray, FloatArray]:
         """Mean pressures of the n tiles, or differences, and their intervals' reach, (k, n)."""
         rows = self.table.query("part == 'tiles' and quantity == 'mean pressure'")
         value, low, high = (
@@ -328,7 +306,7 @@ class Comparison(Result):
 
 def _cell(row: Mapping[str, Any], columns: Sequence[str]) -> str:
     """A value or difference with its interval."""
-    sign = "+" if columns == _DIFFERENCE else ""
+    sign = "+" if columns == DIFFERENCE else ""
     value, low, high = (row[name] for name in columns)
     shown = _number(row, columns[0], sign) if np.isfinite(value) else ""
     if not np.isfinite([low, high]).all():
@@ -422,123 +400,6 @@ def compare(
         geometry=None if by_region else first,
         side=sides.pop() if len(sides) == 1 else None,
     )
-
-
-def write_comparison(
-    found: Comparison, page: PathLike, command: str = "socket_testbed.write_comparison"
-) -> None:
-    """Write a comparison as one page that opens offline; an older one is replaced.
-
-    Args:
-        found: What `st.compare` found.
-        page: The page, ending in `.html`.
-        command: What made the page, for the record.
-
-    Raises:
-        ConfigurationError: If the page ends otherwise or cannot be written.
-
-    >>> found = st.compare("trials/hold", "trials/walk", segment="15:20")
-    >>> st.write_comparison(found, "liners.html")
-    """
-    # matplotlib takes its time to import.
-    from socket_testbed.report.page import Bullets, Cards, Maps, Section, render
-    from socket_testbed.tables import Table, pairs_table
-
-    path = Path(page)
-    if path.suffix.lower() not in PAGES:
-        raise ConfigurationError(f"{path}: a comparison is a page", "let it end in .html")
-    made = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
-    origin = [("page made", made), ("command", command)]
-    count, *clearest = found.differing()
-    data, titles = _map_data(found)
-    cells = found.cells("regions").loc["socket"].rename_axis("output")
-    parts = {name: _tables(found, name) for name in dict.fromkeys(found.table["part"])}
-    numbers = [
-        Section(name, _HEADINGS[name], parts.pop(name)) for name in _NUMBERS if name in parts
-    ]
-    socket = Table("socket-table", "Outputs of the socket", cells)
-    made_with = pairs_table("provenance-table", "What the page was made with", origin)
-    groups = {
-        "": [
-            Section("differing", "", [Cards(), Bullets([*clearest, f"{count}."])]),
-            *([Section("maps", "Maps", [Maps(titles, _MAPS)])] if titles else []),
-            Section("socket", "Whole socket", [socket]),
-        ],
-        "Numbers": [Section("intervals", "Intervals", [_INDEPENDENT, LEGEND]), *numbers],
-        "Data": [
-            Section("notes", "Notes", [Bullets(found.notes, "notes")]),
-            *(Section(name, _HEADINGS[name], tables) for name, tables in parts.items()),
-            Section("provenance", "Provenance", [made_with]),
-        ],
-    }
-    title = f"Comparison of trials: {', '.join(found.items)}"
-    text = render(title, found.title, groups, data | {"cards": _cards(found)})
-    with atomic_output(path) as staging:
-        staging.write_text(text, encoding="utf-8")
-
-
-def _cards(found: Comparison) -> list[dict[str, Any]]:
-    """The difference of the socket's peak and mean pressure of every trial to the first one."""
-    of, shown = found.table, []
-    rows = of[(of["part"] == "regions") & (of["name"] == SOCKET) & (of["item"] != found.items[0])]
-    for quantity in ("peak pressure", "mean pressure"):
-        for row in rows[rows["quantity"] == quantity].to_dict("records"):
-            by, low, high = (row[name] for name in _DIFFERENCE)
-            clear = low > 0.0 or high < 0.0
-            shown.append(
-                {
-                    "title": f"{quantity.capitalize()}, {found._difference(row['item'])}",
-                    "value": f"{by:+.1f} kPa",
-                    "interval": f"{low:.1f} to {high:.1f}",
-                    "words": "a clear difference" if clear else "no clear difference",
-                }
-            )
-    return shown
-
-
-def _map_data(found: Comparison) -> tuple[dict[str, Any], dict[str, str]]:
-    """Maps of the trials on one scale, and of the differences on another, with their titles."""
-    if found.geometry is None:
-        return {}, {}
-    from socket_testbed.pages.document import moment, socket_document
-
-    (values, reaches), (differences, spreads) = map(found._of_tiles, (_VALUE, _DIFFERENCE))
-    names = [*found.items, *map(found._difference, found.items[1:])]
-    both = zip([*values, *differences[1:]], [*reaches, *spreads[1:]], strict=True)
-    most = float(np.abs(differences[1:]).max()) or 1.0
-    nothing = np.zeros(0)
-    maps: list[dict[str, Any]] = [
-        {
-            "box": f"map-{number}",
-            "moment": moment(0.0, 1e3 * value, 1e3 * reach / NORMAL_QUANTILE, nothing, nothing),
-            "range": most if number >= len(found.items) else None,
-            "diverging": number >= len(found.items),
-        }
-        for number, (value, reach) in enumerate(both)
-    ]
-    data = {
-        "socket": socket_document(found.geometry, found.side),
-        "maps": maps,
-        "scale": float(values.max()),
-    }
-    return data, {entry["box"]: name for entry, name in zip(maps, names, strict=True)}
-
-
-def _tables(found: Comparison, part: str) -> list[Any]:
-    """The tables of a part."""
-    from socket_testbed.tables import Table
-
-    rows = found.table[found.table["part"] == part]
-    if part in {"regions", "tiles"}:
-        titles = rows[["quantity", "unit"]].drop_duplicates().itertuples(index=False)
-        return [
-            Table(f"{part}-{number}", f"{name} [{unit}]", found.cells(part, name))
-            for number, (name, unit) in enumerate(titles)
-        ]
-    cells = found.cells(part)
-    cells.index = [": ".join(filter(None, names)) for names in cells.index]
-    is_text = bool(rows["text"].notna().any())
-    return [Table(f"{part}-table", _HEADINGS[part], cells, is_text=is_text)]
 
 
 def open_compared(

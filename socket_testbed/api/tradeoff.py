@@ -1,23 +1,20 @@
-"""The trade-off over theta, the paper's pipeline, and the report that shows all of a trial."""
+"""The trade-off over theta, and the paper's pipeline."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import UTC, datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from socket_testbed.api.models import Model, fit, note_implausible, stored_model
+from socket_testbed.api.models import fit, note_implausible
 from socket_testbed.api.result import Result, origin, records
 from socket_testbed.api.trials import (
     PathLike,
     Progress,
     as_path,
     as_trial,
-    require_segment,
     select_frames,
     started,
 )
@@ -47,7 +44,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from socket_testbed.report.figures.style import FigureStyle
-    from socket_testbed.report.results import Results
 
 _MOST_THETAS = 10_001
 
@@ -85,7 +81,7 @@ def check_thetas(thetas: int) -> None:
     check_number(thetas, "--thetas", 2, _MOST_THETAS)
 
 
-def _values(thetas: int) -> FloatArray:
+def theta_values(thetas: int) -> FloatArray:
     """So many thetas from 0 to 1, with no more digits than a person would write [-]."""
     return np.linspace(0.0, 1.0, thetas).round(10)
 
@@ -125,7 +121,7 @@ def pareto(
             trial.samples()[chosen.rows],
             trial.geometry,
             settings.identification,
-            _values(thetas),
+            theta_values(thetas),
             progress=started(progress, "solving for every theta"),
         )
     return Tradeoff(trial, chosen, fronts)
@@ -208,80 +204,3 @@ def paper(
     rows, settings = trial.samples()[last.segment.rows], last.fit.settings
     table = beside_published(errors, fronts, rows, settings)
     return PaperTable(trial, last.segment, last.fit.samples, settings, table)
-
-
-def write_report(
-    trial: Trial | PathLike,
-    page: PathLike,
-    segment: str = "plateau",
-    *,
-    model: Model | None = None,
-    thetas: int = 31,
-    params: PathLike | None = None,
-    command: str = "socket_testbed.write_report",
-    replace: bool = False,
-    figures: bool = False,
-    width: float = 180,
-    title: bool = True,
-    progress: Progress | None = None,
-    **choices: Any,
-) -> Results:
-    """Write the results of a trial as one page, and a folder with its data beside it.
-
-    The paper's variants are fitted, and the one of the settings beside them (`rigid_bias` by
-    default); the trade-off of the paper's is walked along theta.
-
-    Args:
-        trial: The trial.
-        page: The page, ending in `.html`.
-        segment: As `specification` in `st.select_segment`.
-        model: A model that is shown as well.
-        thetas: Number of values of theta from 0 to 1.
-        params: As in `fit`.
-        command: What made the page, for the record.
-        replace: Whether an older page and its folder are replaced; else they are an error.
-        figures: Whether the folder holds figures for print as well, as `.pdf` and `.png`.
-        width: Printed width of these figures, 88 or 180 [mm].
-        title: Whether these figures have titles, and their keys errors.
-        progress: See `Progress`.
-        choices: Settings as in `fit`, but for `variant`.
-
-    Returns:
-        All that the page shows.
-
-    >>> results = st.write_report(st.open_trial("trials/hold"), "hold.html", thetas=5)
-    >>> list(results.fitted)
-    ['stiffness', 'stiffness_bias', 'rigid_bias']
-    """
-    trial = as_trial(trial)
-    # matplotlib and plotly take their time to import.
-    from socket_testbed.report.figures.style import figure_style
-    from socket_testbed.report.results import compute_results
-    from socket_testbed.report.write import check_page_path
-    from socket_testbed.report.write import write_report as write_page
-
-    page = Path(page)
-    check_thetas(thetas)
-    require_segment(segment)
-    check_page_path(page, replace)
-    figure_style(width, title)  # refused before the work
-    settings = estimator_settings(trial.estimator, as_path(params), **choices)
-    stored = None if model is None else stored_model(model)
-    with threadpool_limits(1):
-        results = compute_results(
-            trial,
-            segment,
-            settings,
-            _values(thetas),
-            stored,
-            started(progress, "fitting, judging, mapping"),
-        )
-    leave_out = settings.identification.leave_out
-    note_implausible(trial, results.samples, results.segment, leave_out)
-    if trial.notify is not None:
-        for note in results.bag_notes:
-            trial.notify(note)
-    drawing = started(progress, "drawing") if figures else None
-    style = figure_style(width, title) if figures else None
-    write_page(results, page, command, datetime.now(UTC), drawing, replace, style)
-    return results

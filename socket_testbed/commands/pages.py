@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from socket_testbed import api
-from socket_testbed.api.comparison import LEGEND, PAGES, open_compared
+from socket_testbed.api.comparison import LEGEND, open_compared
+from socket_testbed.api.pages import PAGES
 from socket_testbed.api.tradeoff import check_thetas
 from socket_testbed.batch import Row
 from socket_testbed.commands.arguments import takes

@@ -1,0 +1,285 @@
+"""Pages in a browser: the report of a trial, a comparison, and a trial that is played."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from socket_testbed.api.comparison import DIFFERENCE, LEGEND, MAPPED, SAME_LIMB, VALUE, Comparison
+from socket_testbed.api.models import Model, model_for, note_implausible, stored_model
+from socket_testbed.api.tradeoff import check_thetas, theta_values
+from socket_testbed.api.trials import (
+    PathLike,
+    Progress,
+    as_path,
+    as_trial,
+    require_segment,
+    started,
+)
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import atomic_output
+from socket_testbed.geometry.socket import SOCKET
+from socket_testbed.identification.pressure import NORMAL_QUANTILE
+from socket_testbed.settings.testbed import estimator_settings
+from socket_testbed.tables import Table, pairs_table
+from socket_testbed.trials.trial import Trial
+
+if TYPE_CHECKING:
+    from socket_testbed.pages.server import PageServer
+    from socket_testbed.report.results import Results
+
+PAGES = (".html", ".htm")
+_HEADINGS = {
+    "metadata": "Metadata of the trials",
+    "trials": "Segments, sources and calibrations",
+    "regions": "By region",
+    "tiles": "Tile by tile",
+    "limb": "Limb in the socket",
+    "wrench": "Wrench",
+}
+_INDEPENDENT = (
+    "The interval of a difference takes the errors of two limbs as independent, so that their"
+    f" variances add; those of one subject in one socket as correlated by {SAME_LIMB:g}, so that"
+    " they cancel in part (Zou & Donner 2008). It covers what the sensors leave open under the"
+    " prior of the force map. docs/compare.md states how often it held the true difference."
+)
+_MAPS = (
+    "Mean pressure on the unrolled wall and the distal end, on one scale; the greyer, the less"
+    " certain. Differences have a scale of their own with zero in its middle; they are grey where"
+    " their 95 % interval holds zero. Outlined: clusters."
+)
+
+
+def write_report(
+    trial: Trial | PathLike,
+    page: PathLike,
+    segment: str = "plateau",
+    *,
+    model: Model | None = None,
+    thetas: int = 31,
+    params: PathLike | None = None,
+    command: str = "socket_testbed.write_report",
+    replace: bool = False,
+    figures: bool = False,
+    width: float = 180,
+    title: bool = True,
+    progress: Progress | None = None,
+    **choices: Any,
+) -> Results:
+    """Write the results of a trial as one page, and a folder with its data beside it.
+
+    The paper's variants are fitted, and the one of the settings beside them (`rigid_bias` by
+    default); the trade-off of the paper's is walked along theta.
+
+    Args:
+        trial: The trial.
+        page: The page, ending in `.html`.
+        segment: As `specification` in `st.select_segment`.
+        model: A model that is shown as well.
+        thetas: Number of values of theta from 0 to 1.
+        params: As in `fit`.
+        command: What made the page, for the record.
+        replace: Whether an older page and its folder are replaced; else they are an error.
+        figures: Whether the folder holds figures for print as well, as `.pdf` and `.png`.
+        width: Printed width of these figures, 88 or 180 [mm].
+        title: Whether these figures have titles, and their keys errors.
+        progress: See `Progress`.
+        choices: Settings as in `fit`, but for `variant`.
+
+    Returns:
+        All that the page shows.
+
+    >>> results = st.write_report(st.open_trial("trials/hold"), "hold.html", thetas=5)
+    >>> list(results.fitted)
+    ['stiffness', 'stiffness_bias', 'rigid_bias']
+    """
+    trial = as_trial(trial)
+    # matplotlib and plotly take their time to import.
+    from socket_testbed.report.figures.style import figure_style
+    from socket_testbed.report.results import compute_results
+    from socket_testbed.report.write import check_page_path
+    from socket_testbed.report.write import write_report as write_page
+
+    page = Path(page)
+    check_thetas(thetas)
+    require_segment(segment)
+    check_page_path(page, replace)
+    style = figure_style(width, title)  # refused before the work
+    settings = estimator_settings(trial.estimator, as_path(params), **choices)
+    stored = None if model is None else stored_model(model)
+    with threadpool_limits(1):
+        results = compute_results(
+            trial,
+            segment,
+            settings,
+            theta_values(thetas),
+            stored,
+            started(progress, "fitting, judging, mapping"),
+        )
+    leave_out = settings.identification.leave_out
+    note_implausible(trial, results.samples, results.segment, leave_out)
+    if trial.notify is not None:
+        for note in results.bag_notes:
+            trial.notify(note)
+    drawing = started(progress, "drawing") if figures else None
+    made, printed = datetime.now(UTC), style if figures else None
+    write_page(results, page, command, made, drawing, replace, printed)
+    return results
+
+
+def write_comparison(
+    found: Comparison, page: PathLike, command: str = "socket_testbed.write_comparison"
+) -> None:
+    """Write a comparison as one page that opens offline; an older one is replaced.
+
+    Args:
+        found: What `st.compare` found.
+        page: The page, ending in `.html`.
+        command: What made the page, for the record.
+
+    Raises:
+        ConfigurationError: If the page ends otherwise or cannot be written.
+
+    >>> found = st.compare("trials/hold", "trials/walk", segment="15:20")
+    >>> st.write_comparison(found, "liners.html")
+    """
+    # matplotlib takes its time to import.
+    from socket_testbed.report.page import Bullets, Cards, Maps, Section, render
+
+    path = Path(page)
+    if path.suffix.lower() not in PAGES:
+        raise ConfigurationError(f"{path}: a comparison is a page", "let it end in .html")
+    made = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+    origin = [("page made", made), ("command", command)]
+    count, *clearest = found.differing()
+    data, titles = _map_data(found)
+    cells = found.cells("regions").loc["socket"].rename_axis("output")
+    parts = {name: _tables(found, name) for name in dict.fromkeys(found.table["part"])}
+    numbers = [Section(name, _HEADINGS[name], parts.pop(name)) for name in MAPPED if name in parts]
+    socket = Table("socket-table", "Outputs of the socket", cells)
+    made_with = pairs_table("provenance-table", "What the page was made with", origin)
+    groups = {
+        "": [
+            Section("differing", "", [Cards(), Bullets([*clearest, f"{count}."])]),
+            *([Section("maps", "Maps", [Maps(titles, _MAPS)])] if titles else []),
+            Section("socket", "Whole socket", [socket]),
+        ],
+        "Numbers": [Section("intervals", "Intervals", [_INDEPENDENT, LEGEND]), *numbers],
+        "Data": [
+            Section("notes", "Notes", [Bullets(found.notes, "notes")]),
+            *(Section(name, _HEADINGS[name], tables) for name, tables in parts.items()),
+            Section("provenance", "Provenance", [made_with]),
+        ],
+    }
+    title = f"Comparison of trials: {', '.join(found.items)}"
+    text = render(title, found.title, groups, data | {"cards": _cards(found)})
+    with atomic_output(path) as staging:
+        staging.write_text(text, encoding="utf-8")
+
+
+def _cards(found: Comparison) -> list[dict[str, Any]]:
+    """The difference of the socket's peak and mean pressure of every trial to the first one."""
+    of, shown = found.table, []
+    rows = of[(of["part"] == "regions") & (of["name"] == SOCKET) & (of["item"] != found.items[0])]
+    for quantity in ("peak pressure", "mean pressure"):
+        for row in rows[rows["quantity"] == quantity].to_dict("records"):
+            by, low, high = (row[name] for name in DIFFERENCE)
+            clear = low > 0.0 or high < 0.0
+            shown.append(
+                {
+                    "title": f"{quantity.capitalize()}, {found.difference_title(row['item'])}",
+                    "value": f"{by:+.1f} kPa",
+                    "interval": f"{low:.1f} to {high:.1f}",
+                    "words": "a clear difference" if clear else "no clear difference",
+                }
+            )
+    return shown
+
+
+def _map_data(found: Comparison) -> tuple[dict[str, Any], dict[str, str]]:
+    """Maps of the trials on one scale, and of the differences on another, with their titles."""
+    if found.geometry is None:
+        return {}, {}
+    from socket_testbed.pages.document import moment, socket_document
+
+    (values, reaches), (differences, spreads) = map(found.tile_pressures, (VALUE, DIFFERENCE))
+    names = [*found.items, *map(found.difference_title, found.items[1:])]
+    both = zip([*values, *differences[1:]], [*reaches, *spreads[1:]], strict=True)
+    most = float(np.abs(differences[1:]).max()) or 1.0
+    nothing = np.zeros(0)
+    maps: list[dict[str, Any]] = [
+        {
+            "box": f"map-{number}",
+            "moment": moment(0.0, 1e3 * value, 1e3 * reach / NORMAL_QUANTILE, nothing, nothing),
+            "range": most if number >= len(found.items) else None,
+            "diverging": number >= len(found.items),
+        }
+        for number, (value, reach) in enumerate(both)
+    ]
+    data = {
+        "socket": socket_document(found.geometry, found.side),
+        "maps": maps,
+        "scale": float(values.max()),
+    }
+    return data, {entry["box"]: name for entry, name in zip(maps, names, strict=True)}
+
+
+def _tables(found: Comparison, part: str) -> list[Table]:
+    """The tables of a part."""
+    rows = found.table[found.table["part"] == part]
+    if part in MAPPED:
+        titles = rows[["quantity", "unit"]].drop_duplicates().itertuples(index=False)
+        return [
+            Table(f"{part}-{number}", f"{name} [{unit}]", found.cells(part, name))
+            for number, (name, unit) in enumerate(titles)
+        ]
+    cells = found.cells(part)
+    cells.index = [": ".join(filter(None, names)) for names in cells.index]
+    is_text = bool(rows["text"].notna().any())
+    return [Table(f"{part}-table", _HEADINGS[part], cells, is_text=is_text)]
+
+
+def view(
+    trial: Trial | PathLike,
+    model: Model | None = None,
+    *,
+    port: int = 0,
+    host: str = "127.0.0.1",
+    names: tuple[str, ...] = (),
+) -> PageServer:
+    """Show a trial in a browser: play, pause, seek; the pressure on the socket at every instant.
+
+    It opens at the peak. The map and the outputs by region are computed for the instant that is
+    drawn. Nothing is written.
+
+    Args:
+        trial: The trial.
+        model: A fit, a model that `read_model` read, or the path of its file, to show the wrench
+            that it predicts.
+        port: Port of the page; 0 for one that is free.
+        host: Address of this machine that serves the page, `0.0.0.0` for all of them; only this
+            machine sees the page at `127.0.0.1`.
+        names: Further names of this machine by which browsers may call the page.
+
+    Returns:
+        The page: a context manager with its `url`, served until `close`, or until the program ends.
+
+    Raises:
+        ConfigurationError: If the port is taken, or the model was fitted on another socket.
+        IdentificationError: If the limb positions are in another unit or frame.
+        TrialError: If the trial cannot be read.
+
+    >>> with st.view(st.open_trial("trials/hold")) as page:
+    ...     print(page.url)
+    http://127.0.0.1:...
+    """
+    trial = as_trial(trial)
+    from socket_testbed.pages.player import Player
+    from socket_testbed.pages.server import PageServer
+
+    player = Player(trial, None if model is None else model_for(trial, model))
+    return PageServer(player, host, port, names)
