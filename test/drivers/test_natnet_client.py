@@ -10,21 +10,12 @@ from support.wording import refused
 from socket_testbed import clocks
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.errors import ConfigurationError, DeviceError
-from socket_testbed.live.machine import measure_speed
 from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
 
 VERSIONS = [(3, 0), (3, 1), (4, 0), (4, 1), (4, 2), (4, 3), (4, 4)]
 ACCURACY = 1e-3  # [m]; of a marker that moves at 0.3 m/s, with the loopback's delays
 GROUP = "239.255.77.13"
-
-
-@pytest.fixture(autouse=True, scope="module")
-def testbed_clock():
-    """Testbed seconds as long as this machine needs: what is late is the client's doing."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(clocks, "_scale", measure_speed().time_scale())
-        yield
 
 
 @pytest.fixture
