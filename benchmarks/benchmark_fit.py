@@ -36,7 +36,7 @@ from threadpoolctl import threadpool_limits
 import socket_testbed as st
 from socket_testbed.arrays import FloatArray
 from socket_testbed.identification.box_qp import solve_box_qp
-from socket_testbed.identification.contact_law import wrench_map
+from socket_testbed.identification.contact import wrench_map
 from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.pareto import pareto_front
 from socket_testbed.identification.problem import Problem

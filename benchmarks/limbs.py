@@ -18,7 +18,7 @@ from scipy.spatial import ConvexHull, Delaunay, cKDTree
 from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.contact_law import wrench_map
+from socket_testbed.identification.contact import wrench_map
 from socket_testbed.samples import Samples
 
 _STEPS = 24  # load states of a trial

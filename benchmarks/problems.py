@@ -12,10 +12,8 @@ from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.box_qp import solve_box_qp
-from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.contact_law import gate
-from socket_testbed.identification.objective import Objective, build_objective
-from socket_testbed.identification.problem import Problem
+from socket_testbed.identification.contact import ContactModel, gate
+from socket_testbed.identification.problem import Objective, Problem, build_objective
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings
 

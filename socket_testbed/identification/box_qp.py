@@ -161,13 +161,6 @@ def solve_box_qp(
 
 def solve_cold(problem: BoxQP, solver: str) -> BoxSolution:
     """Solve a box QP from nothing: the solver, then pivoting from its answer."""
-    start, iterations = _call_solver(problem, solver)
-    found = pivot_regularised(problem, np.clip(start, problem.lower, problem.upper))
-    return replace(found, solver=solver, iterations=iterations)
-
-
-def _call_solver(problem: BoxQP, solver: str) -> tuple[FloatArray, int | None]:
-    """The answer of a solver, certified or not, and its iterations if it gives them."""
     P = problem.P if solver in qpsolvers.dense_solvers else csc_matrix(problem.P)
     program = qpsolvers.Problem(P, problem.q, lb=problem.lower, ub=problem.upper)
     try:
@@ -183,8 +176,9 @@ def _call_solver(problem: BoxQP, solver: str) -> tuple[FloatArray, int | None]:
         raise UncertifiedSolutionError(
             f"{problem.name}: {solver} gave no answer", "try another solver"
         )
+    found = pivot_regularised(problem, np.clip(answer.x, problem.lower, problem.upper))
     iterations = getattr(answer.extras.get("info"), "iter", None)
-    return answer.x, None if iterations is None else int(iterations)
+    return replace(found, solver=solver, iterations=None if iterations is None else int(iterations))
 
 
 def pivot_regularised(problem: BoxQP, start: FloatArray) -> BoxSolution:
@@ -227,13 +221,12 @@ def pivot(problem: BoxQP, start: FloatArray) -> BoxSolution:
     x, certificate = start, problem.certificate(start)
     trial = start - (problem.P @ start + problem.q)
     side = np.where(trial <= problem.lower, -1, np.where(trial >= problem.upper, 1, 0))
-    fewest, patience, least = len(x) + 1, _PATIENCE, 0.0
+    fewest, patience = len(x) + 1, _PATIENCE
     exchanges = 0
     while exchanges < _EXCHANGES:
         try:
-            candidate, gradient, least = _solve_on_sides(problem, side)
+            candidate, gradient = _solve_on_sides(problem, side)
         except np.linalg.LinAlgError:
-            least = 0.0
             break
         inside = np.clip(candidate, problem.lower, problem.upper)
         residuals = problem.certificate(inside)
@@ -251,20 +244,18 @@ def pivot(problem: BoxQP, start: FloatArray) -> BoxSolution:
             wrong = wrong[-1:]
         side[wrong] = change[wrong]
         exchanges += 1
-    else:
-        least = 0.0
     # An optimum is the only one if P is definite over what is off its bounds.
     free = np.flatnonzero((x > problem.lower) & (x < problem.upper))
-    determined = least > _FLAT or is_definite(problem.P[np.ix_(free, free)], _FLAT)
+    determined = is_definite(problem.P[np.ix_(free, free)], _FLAT)
     return BoxSolution(x, certificate, determined, exchanges=exchanges)
 
 
-def _solve_on_sides(problem: BoxQP, side: IntArray) -> tuple[FloatArray, FloatArray, float]:
-    """Optimum over the free variables with the others at bounds, gradient, least pivot."""
+def _solve_on_sides(problem: BoxQP, side: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Optimum over the free variables with the others at bounds, and the gradient there."""
     x = np.where(side < 0, problem.lower, np.where(side > 0, problem.upper, 0.0))
     free = np.flatnonzero(side == 0)
     if len(free) == 0:
-        return x, problem.P @ x + problem.q, np.inf
+        return x, problem.P @ x + problem.q
     rest = (problem.q + problem.P @ x if x.any() else problem.q)[free]
     factor = cho_factor(problem.P[np.ix_(free, free)], lower=True, check_finite=False)
     x[free] = -cho_solve(factor, rest, check_finite=False)
@@ -272,7 +263,7 @@ def _solve_on_sides(problem: BoxQP, side: IntArray) -> tuple[FloatArray, FloatAr
     if np.abs(gradient[free]).max() > _REFINED:  # of an ill-conditioned matrix
         x[free] -= cho_solve(factor, gradient[free], check_finite=False)
         gradient = problem.P @ x + problem.q
-    return x, gradient, float(factor[0].diagonal().min()) ** 2
+    return x, gradient
 
 
 def _wrong_side(problem: BoxQP, side: IntArray, x: FloatArray, gradient: FloatArray) -> IntArray:

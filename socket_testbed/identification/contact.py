@@ -1,28 +1,437 @@
-"""Contact models: a bed of springs by a contact law, with the constant offsets of the sensors.
+r"""Contact of limb and socket: laws by which a motion makes forces, and models that hold one.
 
-Every force is the one that the limb applies to the socket. All quantities are in the
-frame of the load cell, {S}, unless a name says otherwise. A wrench is ordered [M; F].
+Every force is the one that the limb applies to the socket. All quantities are in the frame of the
+load cell, {S}, unless a name says otherwise. A wrench is ordered [M; F]. By a contact law
+
+.. math:: F_i = B_i \, \bigl(k_i \circ s(v_i - r_i)\bigr), \qquad v = J u
+
+with the limb's motion u since a reference pose, the displacement v_i of tile i in the law's own
+frame B_i, its rest displacement r_i and stiffnesses k_i. A law defines u, B, J and s, and the sizes
+of its parameters; everything else is the same for every law (`problem`). Arrays have the axis of
+the frame before the tile. To add a law, derive from `ContactLaw`, and list its variants in `LAWS`
+and in `settings.identification`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from socket_testbed.arrays import FloatArray
-from socket_testbed.identification.contact_law import LAWS, ContactLaw, RigidLaw
-from socket_testbed.settings.identification import Variant
+from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.settings.identification import IdentificationSettings, Variant
+
+_LARGEST_SETTLING = 0.02  # [m]; of a limb under its load; a bed is at least that stiff
+
+
+def gate(displacement: FloatArray, sharpness: float) -> FloatArray:
+    r"""Smooth unilateral gate, :math:`g(d) = 1/2 - 1/2 \tanh(\alpha d) = 1 / (1 + e^{2 \alpha d})`.
+
+    It is in [0, 1] [-] and tends to 1 in compression, d < 0 [m]; alpha is the sharpness [1/m].
+    """
+    # Far outside the contact the exponential overflows to infinity, where the gate is 0.
+    with np.errstate(over="ignore"):
+        return np.asarray(1.0 / (1.0 + np.exp((2.0 * sharpness) * displacement)))
+
+
+def wrench_map(anchors: FloatArray) -> FloatArray:
+    r"""Constant map C of the point forces onto the wrench, ``[M; F] = C F``.
+
+    .. math:: C = \begin{bmatrix} [a_1]_\times & \dots & [a_n]_\times \\
+                                  I & \dots & I \end{bmatrix}
+
+    For points of application a_i of shape (n, 3) [m] it has the shape (6, 3n) [m, 1].
+    """
+    moments = np.cross(anchors[:, None], np.eye(3))  # a_i x e_j
+    return np.vstack([moments.reshape(-1, 3).T, np.tile(np.eye(3), len(anchors))])
+
+
+def neighbour_differences(points: int, neighbours: IntArray) -> FloatArray:
+    """Matrix D'D of the differences between neighbours, shape (n, n) [-], by their pairs (e, 2)."""
+    D = np.eye(points)[neighbours[:, 0]] - np.eye(points)[neighbours[:, 1]]
+    return D.T @ D
+
+
+@dataclass(frozen=True)
+class Loading:
+    """The samples from which a law takes the sizes of its parameters."""
+
+    motion: FloatArray  # motions u of the limb, shape (N, m)
+    wrench: FloatArray  # measured wrenches, shape (N, 6) [N m, N]
+    shares: FloatArray  # weight of each squared wrench error, shape (6,) [1/(N m)^2, 1/N^2]
+    neighbours: IntArray  # pairs of neighbouring tiles, shape (e, 2)
+    zero: float  # what predicting zero costs in the objective [-]
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Scales, bounds and prior of a law's parameters, a row per parameter of a tile.
+
+    The rows are the stiffnesses along the three axes, then the rest displacements. The prior is
+    :math:`(x - x_0)^T Q (x - x_0)` in the scaled parameters x, with the same Q for each axis.
+    """
+
+    scale: FloatArray  # what the parameters are divided by, shape (6, n) [N/m, m]
+    start: FloatArray  # centre x_0 of the prior, shape (6, n) [-]
+    springs: FloatArray  # stiffnesses of the linear springs of Stage 1, shape (3, n) [N/m]
+    lower: FloatArray  # lower bounds, shape (6, n) [-]
+    upper: FloatArray  # upper bounds, shape (6, n) [-]
+    prior: FloatArray  # Q of the stiffnesses and of the rest displacements, shape (2, n, n) [-]
+
+
+@dataclass
+class ContactLaw(ABC):
+    """Springs between the limb and the tiles: see this module."""
+
+    anchors: FloatArray  # points of application a_i, shape (n, 3) [m]
+    rotations: FloatArray  # frames {L_i} of the points, R_i maps {L_i} to {S}, (n, 3, 3) [-]
+    sharpness: float  # sharpness alpha of the gate [1/m]
+    reference_pose: FloatArray  # pose that the motion counts from, shape (6,) [m, rad]
+
+    # Whether both stages are refined jointly; it takes `slopes` and `bends`.
+    REFINED: ClassVar[bool] = False
+    # Whether a variant with offsets has those of the clusters in both stages, and gives the wrench
+    # what the springs leave of it; otherwise both have constants, in Stage 2 alone.
+    OFFSETS_THROUGHOUT: ClassVar[bool] = False
+    # Samples of a fit; of more, means over equal blocks are fitted.
+    MOST_ROWS: ClassVar[int | None] = None
+    GATES: ClassVar[tuple[int, ...]]  # axes of the frames whose displacement a gate reads
+    SHARPNESS: ClassVar[str]  # the setting that gives the sharpness of the gate in a fit
+
+    @property
+    @abstractmethod
+    def frames(self) -> FloatArray:
+        """The law's frames B_i, which map to {S}, shape (n, 3, 3) [-]."""
+
+    @abstractmethod
+    def motion_map(self) -> FloatArray:
+        """Displacements of the tiles in {S} per motion, shape (n, 3, m)."""
+
+    @cached_property
+    def jacobian(self) -> FloatArray:
+        """J from a motion to the displacements, shape (3n, m), a row per axis and tile."""
+        turned = np.einsum("nia,nij->anj", self.frames, self.motion_map())
+        return turned.reshape(-1, turned.shape[2])
+
+    @cached_property
+    def onto(self) -> FloatArray:
+        """Map of the forces in the law's frames onto the wrench, shape (6, 3, n) [m, 1]."""
+        in_socket = wrench_map(self.anchors).reshape(6, -1, 3)
+        return np.einsum("cni,nia->can", in_socket, self.frames)
+
+    def displacements(self, motion: FloatArray) -> FloatArray:
+        """Displacements v of the tiles by N motions of the limb, shape (N, 3, n) [m]."""
+        return np.asarray((motion @ self.jacobian.T).reshape(len(motion), 3, -1))
+
+    @abstractmethod
+    def motion(self, pose: FloatArray) -> FloatArray:
+        """Motions u since the reference pose, shape (N, m), by poses (N, 6) [m, rad]."""
+
+    @abstractmethod
+    def columns(self, moved: FloatArray) -> FloatArray:
+        """Columns s at displacements from rest v - r, both of shape (N, 3, n) [m]."""
+
+    def slopes(self, moved: FloatArray) -> dict[tuple[int, int], FloatArray]:
+        """Derivatives of s, shape (N, n) [-], by its axis and that of v; zeros are left out."""
+        raise NotImplementedError
+
+    def bends(self, moved: FloatArray) -> dict[tuple[int, int, int], FloatArray]:
+        """Second derivatives of s, by its axis and two axes of v in order [1/m]."""
+        raise NotImplementedError
+
+    @classmethod
+    @abstractmethod
+    def reference_of(cls, pose: FloatArray, settings: IdentificationSettings) -> FloatArray:
+        """Reference pose of a fit to poses of shape (N, 6), shape (6,) [m, rad]."""
+
+    @abstractmethod
+    def sizes(self, settings: IdentificationSettings, loading: Loading) -> Sizes:
+        """Scales, bounds and prior of the parameters in a fit."""
+
+    def resolved(
+        self, settings: IdentificationSettings, loading: Loading
+    ) -> IdentificationSettings:
+        """The settings of a fit, with a number in place of what is to follow from the samples."""
+        return settings
+
+    def bed_stiffness(self, loading: Loading, along: FloatArray) -> tuple[float, float]:
+        """Stiffness of the uniform bed that best explains how the wrench changes with the motion.
+
+        It is zero at least [N/m]; the stiffnesses along the axes have the ratios `along` to it,
+        shape (3,) [-]. The second number is the weighted squares that it leaves [-].
+        """
+        slope = np.einsum(
+            "can,a,anm->cm", self.onto, along, self.jacobian.reshape(*self.onto.shape[1:], -1)
+        )
+        moved = loading.motion - loading.motion[0]  # exactly zero where nothing moved
+        changes = (moved - moved.mean(axis=0)) @ slope.T
+        target = loading.wrench - loading.wrench.mean(axis=0)
+        power = float((changes**2).sum(axis=0) @ loading.shares)
+        stiffness = max(float((changes * target).sum(axis=0) @ loading.shares), 0.0)
+        stiffness /= power or 1.0
+        return stiffness, float(((target - stiffness * changes) ** 2).sum(axis=0) @ loading.shares)
+
+    def least_stiffness(self, loading: Loading) -> tuple[float, float]:
+        """Mean load [N], and the least stiffness [N/m] of n springs that bear it on 20 mm."""
+        load = max(float(np.linalg.norm(loading.wrench[:, 3:].mean(axis=0))), 1.0)
+        return load, load / (len(self.anchors) * _LARGEST_SETTLING)
+
+    def stored(self, rest: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Rest positions (n, 3) [m] and reference pose (6,) that a model keeps, by r (3, n)."""
+        return rest.T.copy(), self.reference_pose
+
+    def wrench_offsets(
+        self, motion: FloatArray, residual: FloatArray, wrench: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Constant (6,) and slope (6, 6) over the motion of the wrench's residuals, (N, 6)."""
+        return residual.mean(axis=0), np.zeros((6, 6))
+
+
+_STIFFNESS, _DISTANCE = 1e3, 1e-3  # [N/m, m]; scales of the parameters
+
+
+class PaperLaw(ContactLaw):
+    r"""The published law: springs along the axes of {S}, moved by the limb's position.
+
+    .. math:: F_i = k_i \circ g(\delta_i) \circ \delta_i, \qquad \delta_i = q - q_{r,i}
+
+    The gate acts on each axis of {S}. Rest positions are in {S}; a fit counts them from the mean
+    limb position, about which Stage 1 has a box. The prior is the mean square difference of
+    neighbours.
+    """
+
+    GATES = (0, 1, 2)
+    SHARPNESS = "gate_sharpness"
+
+    @property
+    def frames(self) -> FloatArray:
+        """Those of {S}, for every tile."""
+        return np.broadcast_to(np.eye(3), (len(self.anchors), 3, 3))
+
+    def motion_map(self) -> FloatArray:
+        """Every tile moves with the limb's position."""
+        return self.frames
+
+    def motion(self, pose: FloatArray) -> FloatArray:
+        """Positions since the reference position, shape (N, 3) [m]."""
+        return pose[:, :3] - self.reference_pose[:3]
+
+    def columns(self, moved: FloatArray) -> FloatArray:
+        """Gated displacements, axis by axis."""
+        return moved * gate(moved, self.sharpness)
+
+    @classmethod
+    def reference_of(cls, pose: FloatArray, settings: IdentificationSettings) -> FloatArray:
+        """The middle q_ref of the box of rest positions: the mean position, unless it is given."""
+        middle = settings.reference_position or pose[:, :3].mean(axis=0)
+        return np.concatenate([middle, np.zeros(3)])
+
+    def resolved(
+        self, settings: IdentificationSettings, loading: Loading
+    ) -> IdentificationSettings:
+        """With k0 by the slope of the wrench where it is to follow from the samples."""
+        if settings.initial_stiffness > 0.0:
+            return settings
+        slope, least = self.bed_stiffness(loading, np.ones(3))[0], self.least_stiffness(loading)[1]
+        return replace(settings, initial_stiffness=max(slope, least))
+
+    def sizes(self, settings: IdentificationSettings, loading: Loading) -> Sizes:
+        """Sizes as the settings give them; the smoothness has no centre."""
+        points, pairs = len(self.anchors), max(len(loading.neighbours), 1)
+        scale = np.repeat([_STIFFNESS, _DISTANCE], 3)[:, None] * np.ones(points)
+        limit = settings.rest_position_limit
+        differences = neighbour_differences(points, loading.neighbours)
+        smooth = settings.smoothness / (3.0 * pairs) * differences  # mean over axes and pairs
+        expected = settings.stiffness_difference, settings.rest_position_difference
+        weights = [(_STIFFNESS / expected[0]) ** 2, (_DISTANCE / expected[1]) ** 2]
+        return Sizes(
+            scale=scale,
+            start=np.zeros_like(scale),
+            springs=np.full((3, points), settings.initial_stiffness),
+            lower=np.repeat([0.0, -limit], 3)[:, None] / scale,
+            upper=np.repeat([np.inf, limit], 3)[:, None] / scale,
+            prior=np.multiply.outer(weights, smooth),
+        )
+
+    def stored(self, rest: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Rest positions in {S}."""
+        return rest.T + self.reference_pose[:3], np.zeros(6)
+
+
+OWN = 0.3  # [-]; epsilon: how far a tile may be from the common mean, against its neighbours
+_RATIOS = (0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0)  # [-]; of tangential to normal stiffness
+_LEAST_SETTLING = 1e-4  # [m]
+_SLOPE_RIDGE = 0.003  # [-]; against the variance of the pose
+_LEAST_CHANGE = 0.01  # [-]; of the force, against its size, that a slope needs
+_LEAST_MOTION = 1e-9  # [m, rad]; less is rounding of a pose that stands still
+
+
+def relative_pose(pose: FloatArray, reference: FloatArray) -> FloatArray:
+    """Displacement and rotation vector since a reference pose (6,), both in {S}.
+
+    A pose holds position and rotation vector, shape (N, 6) [m, rad]; what is found is
+    ``[q - c, phi]`` with ``R = exp(phi) R_ref``, of the same shape, NaN where the pose is.
+    """
+    relative = pose - reference
+    known = np.isfinite(relative).all(axis=1)
+    relative[~known] = np.nan
+    if known.any():
+        turned = Rotation.from_rotvec(pose[known, 3:]) * Rotation.from_rotvec(-reference[3:])
+        relative[known, 3:] = turned.as_rotvec()
+    return relative
+
+
+class RigidLaw(ContactLaw):
+    r"""The law of the `rigid` variants: tiles that a rigid limb presses on.
+
+    With the pose of the limb relative to a reference pose (position c, rotation R_ref), that is
+    its displacement q - c and its rotation vector phi, the tile at a_i is displaced by
+
+    .. math:: u_i = q - c + \phi \times (a_i - c), \qquad v_i = R_i^T u_i, \qquad
+              \delta_i = v_i - r_i
+
+    with v_i in the tile's own frame {L_i} (z along the inward normal) and r_i its rest
+    displacement, at which the tile bears nothing. Compression along the normal gates normal and
+    shear alike:
+
+    .. math:: F_i = \left( k_x g \delta_x,\; k_y g \delta_y,\; -k_z p \right), \qquad
+              p = \frac{\ln(1 + e^{-2 \alpha \delta_z})}{2 \alpha}, \qquad
+              g = -\frac{dp}{d\delta_z} = \frac{1}{1 + e^{2 \alpha \delta_z}}
+
+    g is the paper's gate; p is its integral, so that a tile never pulls, and its stiffness grows
+    over the first 1 / alpha of compression as that of a layer that comes into contact bit by bit.
+
+    The expected stiffnesses, normal and tangential, are those of the uniform bed that best
+    explains how the wrench changes with the pose; the expected rest displacement is the mean load
+    over that bed's stiffness. So no stiffness is assumed. With Q = epsilon I + D'D, D the
+    differences of neighbours, the prior is
+    :math:`\lambda/(3n) \sum_a (x_a - \bar x_a)^T Q (x_a - \bar x_a)` against an objective that is
+    1 where zero is predicted; x_a are the stiffnesses along an axis over their expected value,
+    with mean 1, and the rest displacements over theirs, with mean 0.
+    """
+
+    REFINED = True
+    OFFSETS_THROUGHOUT = True
+    MOST_ROWS = 500
+    GATES = (2,)
+    SHARPNESS = "contact_sharpness"
+
+    @property
+    def frames(self) -> FloatArray:
+        """Those of the tiles."""
+        return self.rotations
+
+    def motion_map(self) -> FloatArray:
+        """Displacements of the tiles' centres on a rigid limb."""
+        arms = self.anchors - self.reference_pose[:3]
+        turns = np.cross(np.eye(3), arms[:, None]).swapaxes(1, 2)  # columns e_j x arm
+        return np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2)
+
+    def motion(self, pose: FloatArray) -> FloatArray:
+        """Relative poses, shape (N, 6) [m, rad]."""
+        return relative_pose(pose, self.reference_pose)
+
+    def columns(self, moved: FloatArray) -> FloatArray:
+        """(g delta_x, g delta_y, -p)."""
+        opened = gate(moved[:, 2], self.sharpness)
+        with np.errstate(invalid="ignore"):  # NaN stays NaN
+            pressed = np.logaddexp(0.0, (-2.0 * self.sharpness) * moved[:, 2])
+        columns = moved * opened[:, None]
+        columns[:, 2] = pressed / (-2.0 * self.sharpness)
+        return columns
+
+    def slopes(self, moved: FloatArray) -> dict[tuple[int, int], FloatArray]:
+        """Derivatives of the columns."""
+        opened, slope = self._opened(moved)
+        shear = {(axis, 2): slope * moved[:, axis] for axis in (0, 1)}
+        return {(axis, axis): opened for axis in range(3)} | shear
+
+    def bends(self, moved: FloatArray) -> dict[tuple[int, int, int], FloatArray]:
+        """Second derivatives of the columns."""
+        opened, slope = self._opened(moved)
+        twist = -2.0 * self.sharpness * slope * (1.0 - 2.0 * opened)
+        shear = {(axis, 2, 2): twist * moved[:, axis] for axis in (0, 1)}
+        return {(axis, axis, 2): slope for axis in range(3)} | shear
+
+    def _opened(self, moved: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The gates [-] and their derivatives by the displacement along the normal [1/m]."""
+        opened = gate(moved[:, 2], self.sharpness)
+        return opened, -2.0 * self.sharpness * opened * (1.0 - opened)
+
+    @classmethod
+    def reference_of(cls, pose: FloatArray, settings: IdentificationSettings) -> FloatArray:
+        """The mean pose on SE(3)."""
+        rotation = Rotation.from_rotvec(pose[:, 3:]).mean().as_rotvec()
+        return np.concatenate([pose[:, :3].mean(axis=0), rotation])
+
+    def sizes(self, settings: IdentificationSettings, loading: Loading) -> Sizes:
+        """Sizes as the data show them: see this class."""
+        stiffness, rest = self._expect(loading)
+        points = len(self.anchors)
+        prior = OWN * np.eye(points) + neighbour_differences(points, loading.neighbours)
+        weight = loading.zero * settings.prior / (3.0 * points)
+        ones = np.ones((6, points))
+        upper = np.inf * ones
+        return Sizes(
+            scale=np.array([*stiffness, rest, rest, rest])[:, None] * ones,
+            start=np.repeat([1.0, 0.0], 3)[:, None] * ones,
+            springs=stiffness[:, None] * ones[:3],
+            lower=np.where(np.arange(6)[:, None] < 3, 0.0, -upper),
+            upper=upper,
+            prior=weight * np.stack([prior, prior]),
+        )
+
+    def _expect(self, loading: Loading) -> tuple[FloatArray, float]:
+        """Expected stiffness along x, y, z [N/m] and rest displacement [m]: see this class."""
+        best, stiffness = np.inf, np.zeros(3)
+        for ratio in _RATIOS:
+            along = np.array([ratio, ratio, 1.0])
+            normal, miss = self.bed_stiffness(loading, along)
+            if miss < best:
+                best, stiffness = miss, normal * along
+        load, least = self.least_stiffness(loading)
+        if stiffness.mean() < least:  # the limb hardly moved
+            stiffness = np.full(3, least) if not stiffness.any() else stiffness
+            stiffness *= least / stiffness.mean()
+        return stiffness, max(load / (len(self.anchors) * float(stiffness.mean())), _LEAST_SETTLING)
+
+    def wrench_offsets(
+        self, motion: FloatArray, residual: FloatArray, wrench: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Constant and slope over the pose by ridge regression on the standardised pose.
+
+        No slope along what did not move, and hardly any where the force hardly changed. On a hold
+        the limb creeps under one load, and a slope that fits this would cancel the springs.
+        """
+        mean, spread = motion.mean(axis=0), motion.std(axis=0)
+        inverse = 1.0 / np.where(spread > _LEAST_MOTION, spread, np.inf)
+        scaled = (motion - mean) * inverse
+        force = wrench[:, 3:]
+        change = float(np.sqrt(force.var(axis=0).sum()))
+        size = float(np.sqrt((force**2).sum(axis=1).mean()))
+        ridge = _SLOPE_RIDGE + (_LEAST_CHANGE * size / max(change, 1e-9)) ** 2
+        gram = scaled.T @ scaled / len(scaled) + ridge * np.eye(6)
+        left = residual - residual.mean(axis=0)
+        slope = np.linalg.solve(gram, scaled.T @ left / len(scaled)).T * inverse
+        return residual.mean(axis=0) - slope @ mean, slope
+
+
+LAWS: dict[str, type[ContactLaw]] = {
+    "stiffness": PaperLaw,
+    "stiffness_bias": PaperLaw,
+    "rigid": RigidLaw,
+    "rigid_bias": RigidLaw,
+}
+"""The law of each variant."""
 
 
 @dataclass(frozen=True)
 class ContactModel:
-    """A bed of unilateral tri-axial springs, with the constant offsets of the sensors.
-
-    The paper's variants read the position of the limb alone (`PaperLaw`). The rigid variants read
-    its pose and work in the tiles' frames (`RigidLaw`).
-    """
+    """A bed of unilateral tri-axial springs, with the constant offsets of the sensors."""
 
     variant: Variant  # the law, and which offsets the model has
     names: tuple[str, ...]  # names of the n points of interest
@@ -58,7 +467,7 @@ class ContactModel:
         A pose of the limb holds its position q and rotation vector, shape (N, 6) [m, rad]; the
         paper's variants read the position alone. NaN where a pose is NaN.
         """
-        forces = self._spring_forces(self._springs(self.law.motion(pose)))
+        forces = self._spring_forces(pose)
         for name, bias in self.force_bias.items():
             point = self.cluster_points[name]
             forces[:, point] += self.rotations[point] @ bias
@@ -82,7 +491,7 @@ class ContactModel:
     def cluster_forces(self, pose: FloatArray) -> dict[str, FloatArray]:
         """Forces on the clusters, each in its cluster's frame, shape (N, 3) each [N]."""
         points = list(self.cluster_points.values())
-        forces = self._spring_forces(self._springs(self.law.motion(pose), points), points)
+        forces = self._spring_forces(pose, points)
         no_bias = np.zeros(3)
         return {
             name: forces[:, column] @ self.rotations[point] + self.force_bias.get(name, no_bias)
@@ -123,7 +532,8 @@ class ContactModel:
         return self.stiffness[points].T * self.law.columns(moved)
 
     def _spring_forces(
-        self, springs: FloatArray, points: list[int] | slice = slice(None)
+        self, pose: FloatArray, points: list[int] | slice = slice(None)
     ) -> FloatArray:
-        """The same in {S}, shape (N, points, 3) [N]."""
+        """Those at poses in {S}, shape (N, points, 3) [N]."""
+        springs = self._springs(self.law.motion(pose), points)
         return np.einsum("nab,tbn->tna", self.law.frames[points], springs)

@@ -18,12 +18,12 @@ from socket_testbed.identification.box_qp import (
 )
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.evaluation import ChannelErrors, evaluate
-from socket_testbed.identification.objective import (
+from socket_testbed.identification.problem import (
     LEAST_SAMPLES,
+    Problem,
     build_objective,
     check_channels,
 )
-from socket_testbed.identification.problem import Problem
 from socket_testbed.samples import Samples, channel_names
 from socket_testbed.settings.identification import (
     IdentificationSettings,

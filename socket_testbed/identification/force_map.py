@@ -39,7 +39,7 @@ from scipy.special import chdtri, i0e, i1e, ndtri
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.contact_law import wrench_map
+from socket_testbed.identification.contact import wrench_map
 from socket_testbed.identification.plausibility import (
     Outliers,
     find_outliers,

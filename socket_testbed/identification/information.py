@@ -28,8 +28,7 @@ from scipy.linalg import eigh
 from socket_testbed.arrays import FloatArray, IntArray, evenly
 from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.contact_law import relative_pose, wrench_map
+from socket_testbed.identification.contact import ContactModel, relative_pose, wrench_map
 from socket_testbed.identification.evaluation import predict_channels
 from socket_testbed.identification.noise import (
     ChannelNoise,

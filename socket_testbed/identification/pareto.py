@@ -40,8 +40,7 @@ from socket_testbed.identification.box_qp import (
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.evaluation import ChannelErrors, evaluate, summarise_errors
 from socket_testbed.identification.model_file import finite_or_null
-from socket_testbed.identification.objective import Objective, build_objective
-from socket_testbed.identification.problem import Problem
+from socket_testbed.identification.problem import Objective, Problem, build_objective
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.settings.identification import (
     PAPER_VARIANTS,

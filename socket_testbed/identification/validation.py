@@ -24,8 +24,7 @@ from scipy.special import ndtri
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, evenly, rms
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.contact_law import wrench_map
+from socket_testbed.identification.contact import ContactModel, wrench_map
 from socket_testbed.identification.evaluation import (
     ChannelErrors,
     evaluate,
@@ -35,7 +34,7 @@ from socket_testbed.identification.evaluation import (
 from socket_testbed.identification.fit import REGRESSION, fit_contact_model, regress_wrench
 from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.noise import channel_noise, smooth_poses
-from socket_testbed.identification.objective import LEAST_SAMPLES
+from socket_testbed.identification.problem import LEAST_SAMPLES
 from socket_testbed.samples import Samples, Status
 from socket_testbed.settings.identification import (
     VARIANTS,

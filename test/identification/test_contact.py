@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from support.problems import moving_limb, naive_gated, random_bed, random_socket
 
-from socket_testbed.identification.contact_law import LAWS
+from socket_testbed.identification.contact import LAWS
 from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS
 
 ALPHA = 2000.0  # [1/m]

@@ -34,8 +34,7 @@ from socket_testbed.identification.box_qp import solve_box_qp
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.model_file import read_model, write_model
-from socket_testbed.identification.objective import LEAST_SAMPLES, build_objective
-from socket_testbed.identification.problem import Problem
+from socket_testbed.identification.problem import LEAST_SAMPLES, Problem, build_objective
 from socket_testbed.settings.identification import (
     PAPER_VARIANTS,
     RIGID_VARIANTS,
@@ -207,7 +206,7 @@ def test_products_keep_their_digits_on_a_hold():
     geometry, bed, samples, settings = make_case(4, "stiffness_bias")
     samples.position[:] = FAR + 1e-5 * samples.position  # a hold of some nanometres
     rest = FAR + bed.rest_positions
-    found = solve_stage_two(samples, geometry, settings, rest)[1].wrench
+    found = solve_stage_two(samples, geometry, settings, rest)[1][0]
     wide = np.longdouble
     position = samples.position.astype(wide)
     S = naive_gated(position[:, None] - rest.astype(wide), wide(2000.0))

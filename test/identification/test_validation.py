@@ -11,7 +11,7 @@ from support.wording import refused
 
 from socket_testbed.errors import IdentificationError
 from socket_testbed.identification import validation
-from socket_testbed.identification.contact_law import wrench_map
+from socket_testbed.identification.contact import wrench_map
 from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.validation import (
     CLOSED,
