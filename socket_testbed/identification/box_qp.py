@@ -102,7 +102,7 @@ class BoxSolution:
 
     x: FloatArray  # the solution, shape (p,) [-]
     certificate: Certificate  # its residuals
-    determined: bool  # whether no other point is optimal
+    determined: bool = True  # whether no other point is optimal, as `solve_box_qp` finds it
     solver: str = WARM_START  # the solver that was called, or `WARM_START`
     iterations: int | None = None  # iterations of the solver; None where it does not say
     exchanges: int = 0  # exchanges of the active set by which pivoting then reached the optimum
@@ -143,11 +143,11 @@ def solve_box_qp(
         raise UncertifiedSolutionError(
             f"{problem.name}: holds values that are not finite", "check the samples"
         )
+    found = None
     if near is not None:
         found = pivot(problem, np.clip(near, problem.lower, problem.upper))
-        if found.certificate.worst <= tolerance:
-            return found
-    found = solve_cold(problem, solver)
+    if found is None or not found.certificate.worst <= tolerance:
+        found = solve_cold(problem, solver)
     worst = found.certificate.worst
     if not worst <= tolerance:
         raise UncertifiedSolutionError(
@@ -156,7 +156,9 @@ def solve_box_qp(
             "try more smoothness, another solver or a longer segment",
             worst,
         )
-    return found
+    # An optimum is the only one if P is definite over what is off its bounds.
+    free = np.flatnonzero((found.x > problem.lower) & (found.x < problem.upper))
+    return replace(found, determined=is_definite(problem.P[np.ix_(free, free)], _FLAT))
 
 
 def solve_cold(problem: BoxQP, solver: str) -> BoxSolution:
@@ -244,10 +246,7 @@ def pivot(problem: BoxQP, start: FloatArray) -> BoxSolution:
             wrong = wrong[-1:]
         side[wrong] = change[wrong]
         exchanges += 1
-    # An optimum is the only one if P is definite over what is off its bounds.
-    free = np.flatnonzero((x > problem.lower) & (x < problem.upper))
-    determined = is_definite(problem.P[np.ix_(free, free)], _FLAT)
-    return BoxSolution(x, certificate, determined, exchanges=exchanges)
+    return BoxSolution(x, certificate, exchanges=exchanges)
 
 
 def _solve_on_sides(problem: BoxQP, side: IntArray) -> tuple[FloatArray, FloatArray]:

@@ -236,7 +236,5 @@ def _refine(
             damping, growth = damping * growth, growth * 2.0
     early = "" if certificate.worst <= tolerance else ", stopped early"
     course = f"joint refinement in {done} steps{early}"
-    solved = first or BoxSolution(here, certificate, True)
-    return x, replace(
-        solved, x=here, certificate=certificate, determined=True, exchanges=exchanges, course=course
-    )
+    solved = first or BoxSolution(here, certificate)
+    return x, replace(solved, x=here, certificate=certificate, exchanges=exchanges, course=course)

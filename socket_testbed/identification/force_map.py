@@ -30,7 +30,8 @@ hypotheses. A hypothesis counts by its mean evidence: over the trial, or live ov
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from types import SimpleNamespace
 
 import numpy as np
@@ -40,10 +41,7 @@ from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import wrench_map
-from socket_testbed.identification.plausibility import (
-    Outliers,
-    find_outliers,
-)
+from socket_testbed.identification.plausibility import Outliers, find_outliers
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
 from socket_testbed.settings.identification import ForceMapSettings
 
@@ -78,16 +76,20 @@ class MapEstimate:
         Of each tile the force in {S} with its standard deviations, such as `tile_012.Fz [N]` and
         `tile_012.Fz.sd [N]`, then `pressure` and `shear` [Pa] with theirs.
         """
+        stresses = {
+            "pressure": self.normal_pressure,
+            "pressure.sd": self.normal_pressure_standard_deviation,
+            "shear": self.shear,
+            "shear.sd": self.shear_standard_deviation,
+        }
         found = {}
         for tile, name in enumerate(names):
-            start = prefix + name
             for axis, force in enumerate(LOCAL_CHANNELS):
-                found[f"{start}.{force} [N]"] = self.forces[:, tile, axis]
-                found[f"{start}.{force}.sd [N]"] = self.standard_deviations[:, tile, axis]
-            found[f"{start}.pressure [Pa]"] = self.normal_pressure[:, tile]
-            found[f"{start}.pressure.sd [Pa]"] = self.normal_pressure_standard_deviation[:, tile]
-            found[f"{start}.shear [Pa]"] = self.shear[:, tile]
-            found[f"{start}.shear.sd [Pa]"] = self.shear_standard_deviation[:, tile]
+                found[f"{prefix}{name}.{force} [N]"] = self.forces[:, tile, axis]
+                found[f"{prefix}{name}.{force}.sd [N]"] = self.standard_deviations[:, tile, axis]
+            found |= {
+                f"{prefix}{name}.{of} [Pa]": values[:, tile] for of, values in stresses.items()
+            }
         return found
 
     def mean(self) -> MapEstimate:
@@ -97,13 +99,13 @@ class MapEstimate:
 
 def _averaged(parts: Iterable[MapEstimate], source: str) -> MapEstimate:
     """The mean over the samples of all parts; of standard deviations the root mean square."""
-    count, sums = 0, {field.name: np.zeros(1) for field in fields(MapEstimate)}
-    del sums["source"]
+    count, sums = 0, dict[str, FloatArray]()
     for part in parts:
         count += len(part.forces)
-        for name, total in sums.items():
-            values = getattr(part, name) ** (2 if "deviation" in name else 1)
-            sums[name] = total + values.sum(axis=0, keepdims=True)
+        for name, values in vars(part).items():
+            if name != "source":
+                powers = values ** (2 if "deviation" in name else 1)
+                sums[name] = sums.get(name, 0.0) + powers.sum(axis=0, keepdims=True)
     means = {name: total / count for name, total in sums.items()}
     means |= {name: np.sqrt(mean) for name, mean in means.items() if "deviation" in name}
     return MapEstimate(**means, source=source)
@@ -125,8 +127,8 @@ class _Conditioned:
 
     def __getitem__(self, kept: IntArray) -> _Conditioned:
         """Some of the hypotheses."""
-        parts = ("gain", "precision", "log_determinant", "variances")
-        return replace(self, **{name: getattr(self, name)[kept] for name in parts})
+        parts = {name: values[kept] for name, values in vars(self).items() if name != "present"}
+        return replace(self, **parts)
 
     def average(self, measured: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and variances of the forces over the hypotheses, shape (N, n, 4) each [N, N^2].
@@ -185,12 +187,8 @@ class JointDraws:
 
     def __getitem__(self, part: slice) -> JointDraws:
         """The draws of some of the samples."""
-        return replace(
-            self,
-            rows=self.rows[part],
-            channels=self.channels[part],
-            sizes=self.sizes[part],
-        )
+        rows, channels, sizes = (each[part] for each in (self.rows, self.channels, self.sizes))
+        return replace(self, rows=rows, channels=channels, sizes=sizes)
 
     def values(self) -> FloatArray:
         """The forces in the tiles' frames, in a row, shape (k, D, 3n) [N]."""
@@ -243,8 +241,9 @@ class ForceMap:
         self._cross = np.array([turned @ prior.with_channels for prior in self._priors])
         blocks = [(turned @ prior.blocks * turned).sum(axis=2) for prior in self._priors]
         self._variances = np.array(blocks)
-        self._patterns: dict[bytes, _Conditioned] = {}
-        self._drawn: dict[bytes, tuple[FloatArray, ...]] = {}  # by number and hypotheses
+        # By the bytes of a pattern, and of the chosen hypotheses: mostly the same ones.
+        self._conditioned = lru_cache(_MOST_PATTERNS)(self._condition)
+        self._prior_draws = lru_cache(1)(self._draw)
         self._learnt_from = 0  # samples
         self._evidence = np.zeros(len(self._priors))
         if trial is not None:
@@ -263,7 +262,7 @@ class ForceMap:
         """
         values, present = _channels(sample)
         if present.any():
-            conditioned = self._conditioned(present[0])
+            conditioned = self._conditioned(present[0].tobytes())
             found = conditioned.log_evidence(values[:, conditioned.present])[0]
             self._learnt_from = min(self._learnt_from + 1, _MEMORY)
             self._evidence += (found - self._evidence) / self._learnt_from
@@ -273,15 +272,13 @@ class ForceMap:
         """Logarithm of the evidence of the hypotheses, mean over the samples, shape (M,) [-]."""
         values, present = _channels(samples)
         rows = np.flatnonzero(present.any(axis=1))
-        if not len(rows):
-            return np.zeros(len(self._priors))
         rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), _LEARNT_FROM)).astype(int)]
         total = np.zeros(len(self._priors))
         for pattern, some in _by_pattern(present[rows]):
             conditioned = self._conditioned(pattern)
             measured = values[rows[some]][:, conditioned.present]
             total += conditioned.log_evidence(measured).sum(axis=0)
-        return total / len(rows)
+        return total / max(len(rows), 1)
 
     def _weights(self, samples: Samples) -> FloatArray:
         """Probabilities of the hypotheses at the samples, shape (M,) [-]; 0 for unlikely ones."""
@@ -297,7 +294,20 @@ class ForceMap:
                 chunk = rows[start : start + _CHUNK]
                 measured = values[chunk][:, conditioned.present]
                 forces[chunk], variances[chunk] = conditioned.average(measured, weights[kept])
-        return self._describe(forces, variances, present)
+        areas, deviations = self._areas, np.sqrt(variances)
+        vectors, normal = forces[..., :3], forces[..., 3]
+        across = vectors - normal[..., None] * self._normals
+        shear = np.sqrt((across**2).sum(axis=-1))
+        tangential = np.maximum(variances[..., :3].sum(axis=-1) - variances[..., 3], 0.0)
+        return MapEstimate(
+            forces=vectors,
+            standard_deviations=deviations[..., :3],
+            normal_pressure=-normal / areas,
+            normal_pressure_standard_deviation=deviations[..., 3] / areas,
+            shear=shear / areas,
+            shear_standard_deviation=_rice_deviation(shear, np.sqrt(0.5 * tangential)) / areas,
+            source=self._source(present),
+        )
 
     def mean(self, samples: Samples) -> MapEstimate:
         """The mean of the map over N samples, with N = 1, in bounded memory.
@@ -305,17 +315,15 @@ class ForceMap:
         The channels leave nearly the same open in every sample, so the mean is as uncertain as a
         usual sample: its standard deviations are root mean squares.
         """
-        starts = range(0, len(samples), _CHUNK)
         values, present = _channels(samples)
         weights = self._weights(samples)
-        chunks = (slice(start, start + _CHUNK) for start in starts)
+        chunks = (slice(start, start + _CHUNK) for start in range(0, len(samples), _CHUNK))
         parts = (self._estimate(values[chunk], present[chunk], weights) for chunk in chunks)
         return _averaged(parts, self._source(present))
 
     def source(self, samples: Samples) -> str:
         """What the map at some samples is conditioned on, in words."""
-        _, present = _channels(samples)
-        return self._source(present)
+        return self._source(_channels(samples)[1])
 
     def sample(self, samples: Samples, count: int = 200) -> Iterator[JointDraws]:
         r"""Joint draws of the forces on all tiles, given the channels of each sample.
@@ -340,7 +348,7 @@ class ForceMap:
         middles = (np.arange(count // 2) + 0.5) / (count // 2)  # of equally probable parts
         levels = np.random.default_rng(0).permuted(np.tile(middles, (2, 1)), axis=1)
         hypotheses = np.searchsorted(weights.cumsum()[:-1], levels[0])
-        priors, errors = self._prior_draws(kept[hypotheses])
+        priors, errors = self._prior_draws(kept[hypotheses].tobytes())
         values, present = _channels(samples)
         tiles = len(self._areas)
         for pattern, rows in _by_pattern(present):
@@ -364,63 +372,36 @@ class ForceMap:
                     errors=left,
                 )
 
-    def _prior_draws(self, chosen: IntArray) -> tuple[FloatArray, FloatArray]:
+    def _draw(self, hypotheses: bytes) -> tuple[FloatArray, FloatArray]:
         """Draws of the prior: forces, (D, 3n) [N], and channels with noise, shape (D, c).
 
-        Forces are in the tiles' frames; each draw has its hypothesis, of those `chosen`.
+        Forces are in the tiles' frames; each draw has its hypothesis, by its number.
         """
-        key = chosen.tobytes()
-        if key not in self._drawn:  # the same in all samples, and long to draw
-            tiles, rng = len(self._geometry), np.random.default_rng(0)
-            numbers = rng.standard_normal((len(chosen), 9 * tiles + 7))
-            noise = rng.standard_normal((len(chosen), self._total.shape[1]))
-            forces = np.empty((len(chosen), 3 * tiles))
-            for number in np.unique(chosen):
-                prior, which = self._priors[number], chosen == number
-                forces[which] = prior.draw(numbers[which])
-                noise[which] *= np.sqrt(prior.noise)
-                noise[which] += forces[which] @ prior.mapping.T
-            self._drawn = {key: (forces, noise)}
-        forces, noise = self._drawn[key]
+        chosen = np.frombuffer(hypotheses, np.int64)
+        tiles, rng = len(self._geometry), np.random.default_rng(0)
+        numbers = rng.standard_normal((len(chosen), 9 * tiles + 7))
+        noise = rng.standard_normal((len(chosen), self._total.shape[1]))
+        forces = np.empty((len(chosen), 3 * tiles))
+        for number in np.unique(chosen):
+            prior, which = self._priors[number], chosen == number
+            forces[which] = prior.draw(numbers[which])
+            noise[which] *= np.sqrt(prior.noise)
+            noise[which] += forces[which] @ prior.mapping.T
         return forces, noise
 
-    def _conditioned(self, pattern: BoolArray) -> _Conditioned:
-        """The draws conditioned on a pattern of channels; a pattern is computed once."""
-        key = pattern.tobytes()
-        if key not in self._patterns:
-            if len(self._patterns) >= _MOST_PATTERNS:
-                self._patterns.clear()
-            present = np.flatnonzero(pattern)
-            cross = self._cross[..., present]
-            total = self._total[:, present[:, None], present]
-            precision = np.asarray(np.linalg.inv(total), np.float64)
-            gain = cross @ precision[:, None]
-            self._patterns[key] = _Conditioned(
-                present=present,
-                gain=gain,
-                precision=precision,
-                log_determinant=-np.linalg.slogdet(precision)[1],
-                variances=self._variances - (gain * cross).sum(axis=3),
-            )
-        return self._patterns[key]
-
-    def _describe(
-        self, forces: FloatArray, variances: FloatArray, present: BoolArray
-    ) -> MapEstimate:
-        """The estimate from forces and variances, (N, n, 4), and the present channels."""
-        areas, deviations = self._areas, np.sqrt(variances)
-        vectors, normal = forces[..., :3], forces[..., 3]
-        across = vectors - normal[..., None] * self._normals
-        shear = np.sqrt((across**2).sum(axis=-1))
-        tangential = np.maximum(variances[..., :3].sum(axis=-1) - variances[..., 3], 0.0)
-        return MapEstimate(
-            forces=vectors,
-            standard_deviations=deviations[..., :3],
-            normal_pressure=-normal / areas,
-            normal_pressure_standard_deviation=deviations[..., 3] / areas,
-            shear=shear / areas,
-            shear_standard_deviation=_rice_deviation(shear, np.sqrt(0.5 * tangential)) / areas,
-            source=self._source(present),
+    def _condition(self, pattern: bytes) -> _Conditioned:
+        """The hypotheses conditioned on a pattern of channels."""
+        present = np.flatnonzero(np.frombuffer(pattern, bool))
+        cross = self._cross[..., present]
+        total = self._total[:, present[:, None], present]
+        precision = np.asarray(np.linalg.inv(total), np.float64)
+        gain = cross @ precision[:, None]
+        return _Conditioned(
+            present=present,
+            gain=gain,
+            precision=precision,
+            log_determinant=-np.linalg.slogdet(precision)[1],
+            variances=self._variances - (gain * cross).sum(axis=3),
         )
 
     def _source(self, present: BoolArray) -> str:
@@ -439,14 +420,12 @@ def _channels(samples: Samples) -> tuple[FloatArray, BoolArray]:
     return values, np.isfinite(values)
 
 
-def _by_pattern(present: BoolArray) -> Iterator[tuple[BoolArray, IntArray]]:
+def _by_pattern(present: BoolArray) -> Iterator[tuple[bytes, IntArray]]:
     """Each pattern of present channels with the samples that have it."""
-    if len(present) == 1:  # live: what follows takes as long as the map
-        yield present[0], np.zeros(1, dtype=np.int64)
-        return
-    patterns, which = np.unique(present, axis=0, return_inverse=True)
-    for number, pattern in enumerate(patterns):
-        yield pattern, np.flatnonzero(which.reshape(-1) == number)
+    rows: dict[bytes, list[int]] = {}
+    for row, channels in enumerate(present):
+        rows.setdefault(channels.tobytes(), []).append(row)
+    return ((pattern, np.array(some)) for pattern, some in rows.items())
 
 
 def _rice_deviation(size: FloatArray, sigma: FloatArray) -> FloatArray:

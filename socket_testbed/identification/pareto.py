@@ -82,32 +82,39 @@ class Knee:
     verdict: str  # the same in words
 
 
-@dataclass(frozen=True)
 class Front:
-    """The solutions of one variant along theta."""
+    """The solutions of one variant at T rising thetas."""
 
-    variant: Variant  # which offsets the models have
-    channels: tuple[str, ...]  # names of the m channels in the objective, the wrench's first
-    theta: FloatArray  # weights of the wrench against the clusters, rising, shape (T,) [-]
-    wrench_error: FloatArray  # normalised errors e_w of the wrench, shape (T,) [-]
-    local_error: FloatArray  # normalised errors e_f of the clusters, shape (T,) [-]
-    rmse: FloatArray  # root-mean-square errors of the channels, shape (T, m) [N m, N]
-    residual: FloatArray  # largest KKT residual or gap of both stages, shape (T,) [-]
-    flaws: tuple[str, ...]  # why a solution is not to be used, T texts; empty where it is sound
-    models: tuple[ContactModel | None, ...]  # None where a stage was not certified
-    non_dominated: BoolArray  # solutions without flaw that no other one surpasses, shape (T,)
-    knee: Knee  # where the non-dominated ones bend most
+    def __init__(
+        self, variant: Variant, channels: tuple[str, ...], points: Sequence[FrontPoint]
+    ) -> None:
+        self.variant = variant  # which offsets the models have
+        self.channels = channels  # names of the m channels in the objective, the wrench's first
+        self.points = points
+        # Weights of the wrench against the clusters, its normalised errors e_w, theirs e_f, and
+        # the largest KKT residuals or gaps of both stages, shape (T,) [-].
+        self.theta = np.array([point.theta for point in points])
+        self.wrench_error = np.array([point.wrench_error for point in points])
+        self.local_error = np.array([point.local_error for point in points])
+        self.residual = np.array([point.residual for point in points])
+        # Root-mean-square errors of the channels, shape (T, m) [N m, N].
+        self.rmse = np.array([point.rmse for point in points]).reshape(len(points), len(channels))
+        self.flaws = tuple(point.flaw for point in points)
+        # Solutions without flaw, those of them that no other one surpasses, shape (T,) each, and
+        # where these bend most.
+        self.sound = np.array([not flaw for flaw in self.flaws], dtype=bool)
+        self.non_dominated = find_non_dominated(self.wrench_error, self.local_error, self.sound)
+        self.knee = find_knee(self.wrench_error, self.local_error, self.non_dominated)
+        # Mean RMSE of the moments [N m] and of the forces, and median RMSE of the clusters'
+        # channels [N], each of those in the objective, shape (T,).
+        self.moment_rmse, self.force_rmse = self._mean_rmse("M"), self._mean_rmse("F")
+        self.local_rmse = np.median(self.rmse[:, ["." in name for name in channels]], axis=1)
 
     def __repr__(self) -> str:
         return (
             f"Front({self.variant}, {len(self.theta)} solutions, {self.non_dominated.sum()} not"
             f" dominated; {self.knee.verdict})"
         )
-
-    @property
-    def sound(self) -> BoolArray:
-        """Solutions without flaw: certified in both stages, and determined, shape (T,)."""
-        return np.array([not flaw for flaw in self.flaws], dtype=bool)
 
     @property
     def marks(self) -> dict[str, int]:
@@ -122,21 +129,6 @@ class Front:
     def worst_residual(self) -> float:
         """Largest KKT residual or gap of the solutions without flaw [-]; NaN without any."""
         return float(self.residual[self.sound].max()) if self.sound.any() else float("nan")
-
-    @property
-    def moment_rmse(self) -> FloatArray:
-        """Mean RMSE of the moments in the objective, shape (T,) [N m]; NaN without any."""
-        return self._mean_rmse("M")
-
-    @property
-    def force_rmse(self) -> FloatArray:
-        """Mean RMSE of the forces in the objective, shape (T,) [N]; NaN without any."""
-        return self._mean_rmse("F")
-
-    @property
-    def local_rmse(self) -> FloatArray:
-        """Median RMSE of the clusters' channels in the objective, shape (T,) [N]."""
-        return np.median(self.rmse[:, ["." in name for name in self.channels]], axis=1)
 
     def to_dataframe(self) -> pd.DataFrame:
         """The solutions as a pandas table, one row per theta, with the units in the names.
@@ -204,7 +196,7 @@ def pareto_front(
         if progress is not None:
             progress(done, len(thetas))
     channels = _channels(objective)
-    fronts = {variant: make_front(variant, channels, found) for variant, found in points.items()}
+    fronts = {variant: Front(variant, channels, found) for variant, found in points.items()}
     if not any(front.sound.any() for front in fronts.values()):
         raise IdentificationError(
             f"no theta gives a solution without flaw: {next(iter(fronts.values())).flaws[-1]}",
@@ -275,27 +267,6 @@ def _undetermined(program: BoxQP, solution: BoxSolution) -> str:
 def _channels(objective: Objective) -> tuple[str, ...]:
     left_out = objective.settings.leave_out
     return tuple(name for name in objective.samples.channels if name not in left_out)
-
-
-def make_front(variant: Variant, channels: tuple[str, ...], points: Sequence[FrontPoint]) -> Front:
-    """The front of solutions, in the order of their thetas."""
-    wrench_error = np.array([point.wrench_error for point in points])
-    local_error = np.array([point.local_error for point in points])
-    sound = np.array([not point.flaw for point in points], dtype=bool)
-    kept = find_non_dominated(wrench_error, local_error, sound)
-    return Front(
-        variant=variant,
-        channels=channels,
-        theta=np.array([point.theta for point in points]),
-        wrench_error=wrench_error,
-        local_error=local_error,
-        rmse=np.array([point.rmse for point in points]).reshape(len(points), len(channels)),
-        residual=np.array([point.residual for point in points]),
-        flaws=tuple(point.flaw for point in points),
-        models=tuple(point.model for point in points),
-        non_dominated=kept,
-        knee=find_knee(wrench_error, local_error, kept),
-    )
 
 
 def find_non_dominated(

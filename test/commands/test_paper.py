@@ -9,7 +9,7 @@ from support.verbs import call
 
 import socket_testbed as st
 from socket_testbed.api import tradeoff
-from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
+from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
 from socket_testbed.settings.identification import PAPER_VARIANTS
 
 WITHOUT, WITH = ("this trial", "without offsets"), ("this trial", "with offsets")
@@ -31,7 +31,11 @@ def test_flawed_solutions_are_named_with_their_thetas(hold, monkeypatch, capsys)
     def spoil(*args, **kwargs):
         flaws = ("not determined", "", "not certified", "not certified", "")
         fronts = solve(*args, **kwargs)
-        return {v: dataclasses.replace(front, flaws=flaws) for v, front in fronts.items()}
+        for variant, front in fronts.items():
+            points = zip(front.points, flaws, strict=True)
+            spoilt = [dataclasses.replace(point, flaw=flaw) for point, flaw in points]
+            fronts[variant] = Front(variant, front.channels, spoilt)
+        return fronts
 
     monkeypatch.setattr(tradeoff, "pareto_front", spoil)
     lines = call(capsys, "pareto", hold, "--thetas", 5)[1].splitlines()

@@ -81,7 +81,7 @@ def test_a_wrong_answer_is_refused_whatever_the_solver_says(monkeypatch):
     monkeypatch.setattr(qpsolvers, "solve_problem", solver := Mock())
     for correct in ("pivot", "pivot_regularised"):  # nobody corrects its answer
         monkeypatch.setattr(
-            box_qp, correct, lambda problem, x: BoxSolution(x, problem.certificate(x), False)
+            box_qp, correct, lambda problem, x: BoxSolution(x, problem.certificate(x))
         )
     for result, reason in (
         (qpsolvers.Solution(None, found=True, x=wrong), "KKT"),

@@ -20,12 +20,12 @@ from socket_testbed.identification.pareto import (
     RESOLUTION,
     SENSOR_ONLY,
     WRENCH_ONLY,
+    Front,
     FrontPoint,
     find_knee,
     find_non_dominated,
     front_document,
     front_table,
-    make_front,
     pareto_front,
 )
 from socket_testbed.settings.identification import PAPER_VARIANTS
@@ -40,7 +40,7 @@ def assert_is_the_fit(front, index, samples, geometry, settings):
     theta = float(front.theta[index])
     settings = dataclasses.replace(settings, theta=theta, variant=front.variant)
     fit = fit_contact_model(samples, geometry, settings)
-    model = front.models[index]
+    model = front.points[index].model
     assert front.flaws[index] == ""
     assert front.residual[index] <= settings.solver_tolerance
     np.testing.assert_allclose(model.rest_positions, fit.model.rest_positions, atol=1e-9)
@@ -89,8 +89,8 @@ def test_the_errors_are_normalised_by_what_was_measured():
     sizes = {name: size(group) for group in (moments, forces, local) for name in group}
     for front in pareto_front(samples, geometry, settings, THETAS).values():
         assert set(front.channels) == set(counted)
-        for index, model in enumerate(front.models):
-            rmse = {e.name: e.rmse for e in evaluate(samples, model)}
+        for index, point in enumerate(front.points):
+            rmse = {e.name: e.rmse for e in evaluate(samples, point.model)}
             square = {name: (rmse[name] / sizes[name]) ** 2 for name in counted}
             wrench_error = np.sqrt(np.mean([square[name] for name in moments + forces]))
             local_error = np.sqrt(np.mean([square[name] for name in local]))
@@ -134,7 +134,7 @@ def test_an_uncertified_solution_is_flagged_and_the_walk_goes_on(monkeypatch):
         assert np.flatnonzero(~front.sound).tolist() == flawed
         assert np.isnan(front.wrench_error[flawed]).all() and np.isnan(front.rmse[flawed]).all()
         assert not front.non_dominated[flawed].any()
-        assert [front.models[i] for i in flawed] == [None] * len(flawed)
+        assert [front.points[i].model for i in flawed] == [None] * len(flawed)
         assert all("missed" in front.flaws[i] for i in flawed)
         for name in ("wrench_error", "local_error"):
             found, other = getattr(front, name), getattr(expected[variant], name)
@@ -206,7 +206,7 @@ def made_up_front(variant="stiffness", scale=1.0, flaws=(), channels=CHANNELS):
             wrench = local = np.nan
             rmse = rmse * np.nan
         points.append(FrontPoint(float(t), None, rmse, wrench, local, 1e-12 * (i + 1), flaw))
-    return make_front(variant, channels, points)
+    return Front(variant, channels, points)
 
 
 def test_a_front_marks_its_ends_and_its_knee_but_nothing_flawed():
