@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -26,14 +26,14 @@ class ChannelErrors:
 
     name: str  # name of the channel, such as Mx or distal.Fz
     unit: str  # N m or N
-    in_objective: bool  # whether the fit saw the channel
-    samples: int  # number of samples with a value
     rmse: float  # root-mean-square error
     mae: float  # mean absolute error
     sigma: float  # standard deviation of the residual
     # ``1 - RMSE / RMSE of the best constant`` [-]: a constant explains a static hold, so an RMSE
     # without its skill flatters. NaN where the channel is constant.
     skill: float
+    samples: int  # number of samples with a value
+    in_objective: bool  # whether the fit saw the channel
 
 
 def channel_errors(
@@ -41,43 +41,24 @@ def channel_errors(
 ) -> ChannelErrors:
     """Errors of one channel over the samples in which it was measured and predicted."""
     rows = np.isfinite(measured) & np.isfinite(predicted)
-    residual = predicted[rows] - measured[rows]
-    unit = channel_unit(name)
-    if not rows.any():
-        return ChannelErrors(name, unit, in_objective, 0, *([float("nan")] * 4))
-    rmse = float(np.sqrt(np.mean(residual**2)))
-    constant = float(np.std(measured[rows]))
-    rounding = _ROUNDING * float(np.abs(measured[rows]).max())
-    return ChannelErrors(
-        name=name,
-        unit=unit,
-        in_objective=in_objective,
-        samples=int(rows.sum()),
-        rmse=rmse,
-        mae=float(np.mean(np.abs(residual))),
-        sigma=float(np.std(residual)),
-        skill=1.0 - rmse / constant if constant > rounding else float("nan"),
-    )
+    residual, count = predicted[rows] - measured[rows], int(rows.sum())
+    rmse = mae = sigma = skill = float("nan")
+    if count:
+        rmse = float(np.sqrt(np.mean(residual**2)))
+        mae, sigma = float(np.mean(np.abs(residual))), float(np.std(residual))
+        constant = float(np.std(measured[rows]))
+        if constant > _ROUNDING * float(np.abs(measured[rows]).max()):
+            skill = 1.0 - rmse / constant
+    return ChannelErrors(name, channel_unit(name), rmse, mae, sigma, skill, count, in_objective)
 
 
 def errors_to_dataframe(errors: Iterable[ChannelErrors]) -> pd.DataFrame:
     """Errors as a pandas table, a row per channel, indexed by its name: see `ChannelErrors`."""
     import pandas as pd
 
-    rows = [
-        {
-            "channel": error.name,
-            "unit": error.unit,
-            "RMSE": error.rmse,
-            "MAE": error.mae,
-            "sigma": error.sigma,
-            "skill": error.skill,
-            "samples": error.samples,
-            "in objective": error.in_objective,
-        }
-        for error in errors
-    ]
-    return pd.DataFrame(rows).set_index("channel")
+    titles = {"name": "channel", "rmse": "RMSE", "mae": "MAE", "in_objective": "in objective"}
+    table = pd.DataFrame([vars(error) for error in errors])
+    return table.rename(columns=titles).set_index("channel")
 
 
 @dataclass(frozen=True)
@@ -102,10 +83,10 @@ def summarise_errors(errors: Sequence[ChannelErrors]) -> ErrorSummary:
     return ErrorSummary(
         moment_rmse=finite_mean(error.rmse for error in wrench if error.name[0] == "M"),
         force_rmse=finite_mean(error.rmse for error in wrench if error.name[0] == "F"),
-        local_rmse=_median(error.rmse for error in local),
-        skill=_median(error.skill for error in known),
-        wrench_skill=_median(error.skill for error in wrench),
-        local_skill=_median(error.skill for error in local),
+        local_rmse=finite_mean((error.rmse for error in local), np.median),
+        skill=finite_mean((error.skill for error in known), np.median),
+        wrench_skill=finite_mean((error.skill for error in wrench), np.median),
+        local_skill=finite_mean((error.skill for error in local), np.median),
         without_value=tuple(error.name for error in errors if error.samples == 0),
     )
 
@@ -149,12 +130,7 @@ def evaluate_predictions(
     )
 
 
-def finite_mean(values: Iterable[float]) -> float:
-    """Mean of the finite values; NaN without any."""
+def finite_mean(values: Iterable[float], mean: Callable[[list[float]], Any] = np.mean) -> float:
+    """Mean, or another `mean`, of the finite values; NaN without any."""
     finite = [value for value in values if np.isfinite(value)]
-    return float(np.mean(finite)) if finite else float("nan")
-
-
-def _median(values: Iterable[float]) -> float:
-    finite = [value for value in values if np.isfinite(value)]
-    return float(np.median(finite)) if finite else float("nan")
+    return float(mean(finite)) if finite else float("nan")

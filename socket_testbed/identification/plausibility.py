@@ -40,13 +40,7 @@ import numpy as np
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.samples import (
-    LOCAL_CHANNELS,
-    WRENCH_CHANNELS,
-    Samples,
-    Status,
-    channel_unit,
-)
+from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status, channel_unit
 
 LARGEST_FORCE = 5000.0  # [N]; three times the weight of a person of 170 kg
 LARGEST_MOMENT = 500.0  # [N m]; more than a leg transmits below the knee
@@ -119,17 +113,15 @@ def find_outliers(
 def outlier_notes(samples: Samples, outliers: Outliers, start: int | None = None) -> list[str]:
     """A note per channel with outliers, with their values and times since `start` [ns]."""
     time = (samples.stamps - (samples.stamps[0] if start is None else start)) * 1e-9
-    distance = np.linalg.norm(samples.position, axis=1)
-    columns = [("limb position", "m", distance, outliers.position)]
-    for name, values, found in zip(
-        samples.channels, samples.values.T, outliers.values.T, strict=True
-    ):
-        columns.append((name, channel_unit(name), values, found))
+    values = [np.linalg.norm(samples.position, axis=1), *samples.values.T]
+    found = [outliers.position, *outliers.values.T]
     notes = []
-    for name, unit, values, found in columns:
-        rows = np.flatnonzero(found)
+    for name, column, rows in zip(
+        ("limb position", *samples.channels), values, map(np.flatnonzero, found), strict=True
+    ):
         if len(rows):
-            parts = [f"{values[i]:.3g} {unit} at {time[i]:.2f} s" for i in rows[:_NAMED]]
+            unit = channel_unit(name) if name in samples.channels else "m"
+            parts = [f"{column[i]:.3g} {unit} at {time[i]:.2f} s" for i in rows[:_NAMED]]
             more = f" and {len(rows) - _NAMED} more" if len(rows) > _NAMED else ""
             number = "an outlier" if len(rows) == 1 else f"{len(rows)} outliers"
             notes.append(f"{name} has {number} ({', '.join(parts)}{more}): left out")
@@ -174,13 +166,51 @@ def find_implausible(samples: Samples, geometry: SocketGeometry) -> tuple[Implau
     Returns:
         The proposals in the order of the channels, one per channel and reason.
     """
-    load = finite_quantile(np.linalg.norm(samples.wrench[:, 3:], axis=1), 0.5)
+    force = np.linalg.norm(samples.wrench[:, 3:], axis=1)
+    load, most = finite_quantile(force, 0.5), _peak(force)
     found: list[Implausible] = []
-    if load >= LEAST_LOAD:
-        found += _implausible_moments(samples, geometry, load)
-        found += _implausible_forces(samples, load)
-    found += _outside_range(samples)
+    for name, values in zip(samples.channels, samples.values.T, strict=True):
+        if load >= LEAST_LOAD and name not in WRENCH_CHANNELS[3:]:
+            reasons = _too_large(name, values, load, most, _reach(geometry))
+            found += [Implausible(name, reason) for reason in reasons]
+    for cluster, status in zip(samples.clusters, samples.status.T, strict=True):
+        read = int((status != Status.MISSING).sum())
+        outside = int(np.isin(status, (Status.SATURATED, Status.OUT_OF_RANGE)).sum())
+        if outside > OUTSIDE_SHARE * read:
+            reason = f"{outside} of {read} readings are saturated or out of the calibrated range"
+            found += [Implausible(f"{cluster}.{channel}", reason) for channel in LOCAL_CHANNELS]
     return tuple(sorted(found, key=lambda proposal: samples.channels.index(proposal.channel)))
+
+
+def _too_large(
+    name: str, values: FloatArray, load: float, most: float, reach: float
+) -> Iterator[str]:
+    """Why a moment or a local force is too large for the load, its peak and the farthest tile."""
+    size, pull = finite_quantile(np.abs(values), 0.5), finite_quantile(values, 0.5)
+    if name in WRENCH_CHANNELS:
+        if size > LEVER_FACTOR * reach * load:
+            yield (
+                f"the median magnitude of {size:.3g} N m would take the load of {load:.3g} N at a"
+                f" lever of {size / load:.2g} m, where the farthest tile is {reach:.2g} m away"
+            )
+        return
+    if size > load:
+        yield (
+            f"the median magnitude of {size:.3g} N on one tile is {size / load:.2g} times the"
+            f" total load of {load:.3g} N"
+        )
+    elif _peak(values) > PEAK_RATIO * most:
+        yield (
+            f"its peaks of {_peak(values):.3g} N on one tile are {_peak(values) / most:.2g} times"
+            f" the largest load of {most:.3g} N"
+        )
+    # In a cluster's frame z points inwards, so that compression is along -z.
+    limit = max(LEAST_TENSION, TENSION_SHARE * load)
+    if name.endswith(".Fz") and pull > limit:
+        yield (
+            f"the wall would pull at the limb with {pull:.3g} N in the median, more than"
+            f" {limit:.3g} N under a load of {load:.3g} N"
+        )
 
 
 def implausible_notes(
@@ -204,58 +234,6 @@ def implausible_notes(
     return notes
 
 
-def _implausible_moments(
-    samples: Samples, geometry: SocketGeometry, load: float
-) -> Iterator[Implausible]:
-    reach = _reach(geometry)
-    for name, values in zip(WRENCH_CHANNELS[:3], samples.wrench.T, strict=False):
-        moment = finite_quantile(np.abs(values), 0.5)
-        if moment > LEVER_FACTOR * reach * load:
-            yield Implausible(
-                name,
-                f"the median magnitude of {moment:.3g} N m would take the load of {load:.3g} N at a"
-                f" lever of {moment / load:.2g} m, where the farthest tile is {reach:.2g} m away",
-            )
-
-
-def _implausible_forces(samples: Samples, load: float) -> Iterator[Implausible]:
-    limit = max(LEAST_TENSION, TENSION_SHARE * load)
-    most = _peak(np.linalg.norm(samples.wrench[:, 3:], axis=1))
-    for name, force in zip(samples.channels[6:], samples.values[:, 6:].T, strict=True):
-        # In a cluster's frame z points inwards, so that compression is along -z.
-        size, pull = finite_quantile(np.abs(force), 0.5), finite_quantile(force, 0.5)
-        if size > load:
-            yield Implausible(
-                name,
-                f"the median magnitude of {size:.3g} N on one tile is {size / load:.2g} times the"
-                f" total load of {load:.3g} N",
-            )
-        elif _peak(force) > PEAK_RATIO * most:
-            yield Implausible(
-                name,
-                f"its peaks of {_peak(force):.3g} N on one tile are {_peak(force) / most:.2g} times"
-                f" the largest load of {most:.3g} N",
-            )
-        if name.endswith(".Fz") and pull > limit:
-            yield Implausible(
-                name,
-                f"the wall would pull at the limb with {pull:.3g} N in the median, more than"
-                f" {limit:.3g} N under a load of {load:.3g} N",
-            )
-
-
-def _outside_range(samples: Samples) -> Iterator[Implausible]:
-    for cluster, status in zip(samples.clusters, samples.status.T, strict=True):
-        read = int((status != Status.MISSING).sum())
-        outside = int(((status == Status.SATURATED) | (status == Status.OUT_OF_RANGE)).sum())
-        if outside > OUTSIDE_SHARE * read:
-            for channel in LOCAL_CHANNELS:
-                yield Implausible(
-                    f"{cluster}.{channel}",
-                    f"{outside} of {read} readings are saturated or out of the calibrated range",
-                )
-
-
 def finite_quantile(values: FloatArray, share: float) -> float:
     """A quantile of the finite values; 0 without any."""
     finite = values[np.isfinite(values)]
@@ -273,19 +251,17 @@ def require_position(samples: Samples, geometry: SocketGeometry) -> None:
     position = samples.position[np.isfinite(samples.position).all(axis=1)]
     if not len(position):
         return
-    centre = np.median(position, axis=0)
-    reach = _reach(geometry)
+    centre, reach = np.median(position, axis=0), _reach(geometry)
     distance = float(np.linalg.norm(centre))
     spread = finite_quantile(np.linalg.norm(position - centre, axis=1), UNIT_QUANTILE)
-    if distance <= LARGEST_DISTANCE * reach and spread <= reach:
-        return
-    likely = "it is likely in millimetres: divide it by 1000, or"
-    fits = distance <= 1e3 * LARGEST_DISTANCE * reach and spread <= 1e3 * reach
-    raise IdentificationError(
-        f"the limb position is {distance:.3g} m from the load cell and moves by {spread:.3g} m,"
-        f" where the farthest tile is {reach:.3g} m away",
-        f"{likely if fits else ''} check the marker bodies and their frames in socket.yaml",
-    )
+    excess = max(distance / LARGEST_DISTANCE, spread) / reach
+    if excess > 1.0:
+        likely = "it is likely in millimetres: divide it by 1000, or " if excess <= 1e3 else ""
+        raise IdentificationError(
+            f"the limb position is {distance:.3g} m from the load cell and moves by {spread:.3g} m,"
+            f" where the farthest tile is {reach:.3g} m away",
+            f"{likely}check the marker bodies and their frames in socket.yaml",
+        )
 
 
 def require_units(
@@ -346,11 +322,7 @@ def _reach(geometry: SocketGeometry) -> float:
 
 
 def channel_limits(geometry: SocketGeometry, clusters: tuple[str, ...]) -> FloatArray:
-    """Largest size of each channel that a person in a socket can apply.
-
-    Returns:
-        The limits in the order of `channel_names`, shape (6 + 3c,) [N m, N].
-    """
+    """Largest size of each channel that a person can apply, shape (6 + 3c,) [N m, N]."""
     wrench = np.repeat([LARGEST_MOMENT, LARGEST_FORCE], 3)
     tiles = [geometry.clusters[name] for name in clusters if name in geometry.clusters]
     if len(tiles) < len(clusters):  # another socket's, which is an error of its own

@@ -133,12 +133,15 @@ WrenchPredictor = Callable[[FloatArray], FloatArray]
 """From poses, shape (N, 6) [m, rad], to wrenches, shape (N, 6) [N m, N]."""
 
 
-def wrench_rivals(samples: Samples) -> dict[str, WrenchPredictor]:
-    """The best constant and linear regression on the pose, fitted on samples; by name."""
+def wrench_predictors(
+    samples: Samples, models: Mapping[str, ContactModel]
+) -> dict[str, WrenchPredictor]:
+    """The best constant and linear regression on the pose, then models; all fitted on samples."""
     mean, (slope, constant) = samples.wrench.mean(axis=0), regress_wrench(samples, samples.pose)
     return {
         CONSTANT: lambda pose: np.tile(mean, (len(pose), 1)),
         REGRESSION: lambda pose: constant + pose @ slope.T,
+        **{name: partial(predict_channels, m, clusters=()) for name, m in models.items()},
     }
 
 
@@ -157,21 +160,12 @@ def judge_wrench(
     found = []
     for name, predict in predictors.items():
         rmse = np.sqrt(np.mean((predict(samples.pose) - samples.wrench) ** 2, axis=0))
-        moment, force = finite_mean(rmse[:3]), finite_mean(rmse[3:])
-        found.append(
-            Judgement(
-                "wrench",
-                name,
-                test,
-                fitted_on,
-                tested_on,
-                samples=len(samples),
-                moment_rmse=moment,
-                force_rmse=force,
-                moment_skill=1.0 - moment / (finite_mean(constant[:3]) or np.nan),
-                force_skill=1.0 - force / (finite_mean(constant[3:]) or np.nan),
-            )
-        )
+        figures = {"samples": len(samples)}
+        for kind, part in (("moment", slice(3)), ("force", slice(3, 6))):
+            error = finite_mean(rmse[part])
+            skill = 1.0 - error / (finite_mean(constant[part]) or np.nan)
+            figures |= {f"{kind}_rmse": error, f"{kind}_skill": skill}
+        found.append(Judgement("wrench", name, test, fitted_on, tested_on, **figures))
     return found
 
 
@@ -214,8 +208,14 @@ FieldEstimator = Callable[[Samples], tuple[FloatArray, FloatArray | None]]
 deviations by axis of {S}, or None."""
 
 
-def field_rivals(geometry: SocketGeometry) -> dict[str, FieldEstimator]:
-    """Inverse-distance interpolation of the clusters, without and with the wrench met; by name."""
+def field_estimators(
+    geometry: SocketGeometry, settings: ForceMapSettings
+) -> dict[str, FieldEstimator]:
+    """What estimates the forces on the tiles without a fit, by name.
+
+    Inverse-distance interpolation of the clusters, without and with the wrench met; the force map.
+    """
+    made = cache(partial(ForceMap, geometry, settings=settings))  # by the clusters
 
     def interpolate(samples: Samples) -> tuple[FloatArray, None]:
         return inverse_distance(geometry, samples.clusters, samples.trusted_forces), None
@@ -225,7 +225,11 @@ def field_rivals(geometry: SocketGeometry) -> dict[str, FieldEstimator]:
         held = [geometry.clusters[name] for name in np.array(samples.clusters)[read]]
         return close_wrench(geometry, interpolate(samples)[0], samples.wrench, held), None
 
-    return {INVERSE_DISTANCE: interpolate, CLOSED: closed}
+    def force_map(samples: Samples) -> tuple[FloatArray, FloatArray]:
+        found = made(samples.clusters).estimate(samples)
+        return found.forces, found.standard_deviations
+
+    return {INVERSE_DISTANCE: interpolate, CLOSED: closed, FORCE_MAP: force_map}
 
 
 def judge_clusters(
@@ -337,14 +341,6 @@ def fit_variants(
     return models
 
 
-def wrench_predictors(
-    samples: Samples, models: Mapping[str, ContactModel]
-) -> dict[str, WrenchPredictor]:
-    """The rivals fitted on samples, then the models that were fitted on the same."""
-    predictors = {name: partial(predict_channels, m, clusters=()) for name, m in models.items()}
-    return wrench_rivals(samples) | predictors
-
-
 def split(samples: Samples, least_force: float) -> tuple[IntArray, IntArray]:
     """Indices of the first and the second half of the samples under load."""
     loaded = np.flatnonzero(loaded_rows(samples, least_force))
@@ -402,7 +398,7 @@ def judge_samples(
     if truth is not None:
         samples = smooth_poses(samples, window)
         rows = second[evenly(len(second), MOST_SAMPLES)]
-        estimators = field_estimators(geometry, settings) | {
+        estimators = field_estimators(geometry, settings.force_map) | {
             variant: partial(_forces_of, model) for variant, model in models.items()
         }
         found += judge_tiles(samples[rows], geometry, truth[rows], estimators, "second half", name)
@@ -413,10 +409,9 @@ def judge_map(
     samples: Samples, geometry: SocketGeometry, settings: EstimatorSettings, name: str = ""
 ) -> list[Judgement]:
     """Judge what estimates forces on tiles without a fit by clusters that are left out."""
-    rows = thinned(loaded_rows(samples, settings.plateau.least_force))
-    samples = samples[rows]
+    samples = samples[thinned(loaded_rows(samples, settings.plateau.least_force))]
     noise = measurement_errors(samples, channel_noise(samples).local_forces, settings.force_map)
-    estimators = field_estimators(geometry, settings)
+    estimators = field_estimators(geometry, settings.force_map)
     return judge_clusters(samples, geometry, estimators, noise, name)
 
 
@@ -436,48 +431,31 @@ def measurement_errors(
     return np.hypot(offset, settings.cluster_gain_error * np.nan_to_num(np.array(sizes)))
 
 
-def field_estimators(
-    geometry: SocketGeometry, settings: EstimatorSettings
-) -> dict[str, FieldEstimator]:
-    """What estimates the forces on the tiles without a fit, by name."""
-    made = cache(partial(ForceMap, geometry, settings=settings.force_map))  # by the clusters
-
-    def force_map(samples: Samples) -> tuple[FloatArray, FloatArray]:
-        found = made(samples.clusters).estimate(samples)
-        return found.forces, found.standard_deviations
-
-    return field_rivals(geometry) | {FORCE_MAP: force_map}
-
-
 def _forces_of(model: ContactModel, samples: Samples) -> tuple[FloatArray, None]:
     return model.forces(samples.pose), None
+
+
+_TITLES = {
+    "fitted_on": "fitted on",
+    "tested_on": "tested on",
+    "samples": "samples [1]",
+    "error": "error [-]",
+    "moment_rmse": "moment RMSE [N m]",
+    "force_rmse": "force RMSE [N]",
+    "moment_skill": "moment skill [-]",
+    "force_skill": "force skill [-]",
+}
 
 
 def judgements_table(judgements: Sequence[Judgement]) -> pd.DataFrame:
     """Judgements as a pandas table, a row each, with the units in the names: see `Judgement`."""
     import pandas as pd
 
-    return pd.DataFrame(
-        {
-            "question": j.question,
-            "predictor": j.predictor,
-            "test": j.test,
-            "fitted on": j.fitted_on,
-            "tested on": j.tested_on,
-            "cluster": j.cluster,
-            "samples [1]": j.samples,
-            "error [-]": j.error,
-            "moment RMSE [N m]": j.moment_rmse,
-            "force RMSE [N]": j.force_rmse,
-            "moment skill [-]": j.moment_skill,
-            "force skill [-]": j.force_skill,
-            **{
-                f"within {100 * level:g} % [-]": share
-                for level, share in zip(LEVELS, j.coverage, strict=True)
-            },
-        }
-        for j in judgements
-    )
+    table = pd.DataFrame([vars(j) for j in judgements]).rename(columns=_TITLES)
+    shares = np.array(table.pop("coverage").tolist())
+    for level, share in zip(LEVELS, shares.T, strict=True):
+        table[f"within {100 * level:g} % [-]"] = share
+    return table
 
 
 def summarise_judgements(judgements: Sequence[Judgement]) -> pd.DataFrame:

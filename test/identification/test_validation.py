@@ -19,7 +19,7 @@ from socket_testbed.identification.validation import (
     INVERSE_DISTANCE,
     REGRESSION,
     close_wrench,
-    field_rivals,
+    field_estimators,
     fit_variants,
     inverse_distance,
     judge_clusters,
@@ -30,12 +30,18 @@ from socket_testbed.identification.validation import (
     split,
     summarise_judgements,
     thinned,
-    wrench_rivals,
+    wrench_predictors,
 )
 from socket_testbed.settings.identification import (
     PAPER_VARIANTS,
     ForceMapSettings,
 )
+
+
+def rivals(geometry):
+    """What needs no prior: the interpolations of the clusters."""
+    found = field_estimators(geometry, ForceMapSettings())
+    return {name: found[name] for name in (INVERSE_DISTANCE, CLOSED)}
 
 
 def moving_samples(rng, count=60, slope=None, noise=0.0):
@@ -87,7 +93,7 @@ def test_the_regression_finds_a_linear_law_and_ignores_a_pose_that_does_not_move
     rng = np.random.default_rng(4)
     samples, slope = moving_samples(rng)
     other, _ = moving_samples(rng, slope=slope)
-    predict = wrench_rivals(samples)[REGRESSION]
+    predict = wrench_predictors(samples, {})[REGRESSION]
     constant = samples.wrench[0] - samples.pose[0] @ slope
     assert np.allclose(predict(other.pose), constant + other.pose @ slope)
     rotation = samples.rotation.copy()
@@ -95,7 +101,7 @@ def test_the_regression_finds_a_linear_law_and_ignores_a_pose_that_does_not_move
     rotation[:, 2] = 2.0 * samples.position[:, 0]  # another's multiple
     degenerate = dataclasses.replace(samples, rotation=rotation)
     degenerate.wrench[:] = degenerate.pose[:, :4] @ slope[:4]
-    predict, moved = wrench_rivals(degenerate)[REGRESSION], degenerate.pose
+    predict, moved = wrench_predictors(degenerate, {})[REGRESSION], degenerate.pose
     assert np.allclose(predict(moved), degenerate.wrench)
     moved[:, 4] = 0.4
     assert np.allclose(predict(moved), degenerate.wrench)
@@ -104,8 +110,8 @@ def test_the_regression_finds_a_linear_law_and_ignores_a_pose_that_does_not_move
 def test_the_wrench_s_rivals_have_the_skill_that_they_must():
     rng = np.random.default_rng(5)
     samples, slope = moving_samples(rng, 200, noise=0.5)
-    rivals = wrench_rivals(samples)
-    found = {j.predictor: j for j in judge_wrench(samples, rivals, "in-sample")}
+    predictors = wrench_predictors(samples, {})
+    found = {j.predictor: j for j in judge_wrench(samples, predictors, "in-sample")}
     constant = found[CONSTANT]
     assert (constant.moment_skill, constant.force_skill) == pytest.approx((0.0, 0.0), abs=1e-12)
     assert found[REGRESSION].force_rmse == pytest.approx(0.5, rel=0.1)
@@ -113,7 +119,7 @@ def test_the_wrench_s_rivals_have_the_skill_that_they_must():
 
     other, _ = moving_samples(rng, slope=slope)
     by_hand = other.wrench - np.nanmean(samples.wrench, axis=0)
-    found = {j.predictor: j for j in judge_wrench(other, rivals, "other trial")}
+    found = {j.predictor: j for j in judge_wrench(other, predictors, "other trial")}
     rmse = np.sqrt(np.mean(by_hand**2, axis=0))
     assert found[CONSTANT].moment_rmse == pytest.approx(rmse[:3].mean())
     assert found[CONSTANT].force_skill == pytest.approx(
@@ -121,8 +127,10 @@ def test_the_wrench_s_rivals_have_the_skill_that_they_must():
     )
 
     samples.wrench[:, 2] = np.nan  # Mz was never measured: the others count
-    found = {j.predictor: j for j in judge_wrench(samples, wrench_rivals(samples), "in-sample")}
-    residual = wrench_rivals(samples)[REGRESSION](samples.pose) - samples.wrench
+    found = {
+        j.predictor: j for j in judge_wrench(samples, wrench_predictors(samples, {}), "in-sample")
+    }
+    residual = wrench_predictors(samples, {})[REGRESSION](samples.pose) - samples.wrench
     by_hand = np.sqrt(np.mean(residual[:, :2] ** 2, axis=0)).mean()
     assert found[REGRESSION].moment_rmse == pytest.approx(by_hand)
 
@@ -144,7 +152,7 @@ def test_a_left_out_cluster_is_judged_on_what_the_others_say():
     uniform = np.tile(geometry.rotations @ [1.0, -2.0, -10.0], (6, 1, 1))
     samples = samples_of_forces(geometry, uniform)
     noise = np.zeros((3, 3))
-    found = judge_clusters(samples, geometry, field_rivals(geometry), noise, "here")
+    found = judge_clusters(samples, geometry, rivals(geometry), noise, "here")
     assert len(found) == 2 * (3 + 1)
     assert all(j.error < 1e-9 and np.isnan(j.coverage).all() for j in found)
     assert {j.cluster for j in found} == {*geometry.clusters, ""}
@@ -152,7 +160,7 @@ def test_a_left_out_cluster_is_judged_on_what_the_others_say():
     # One cluster has nothing in common with the others: by hand, its error and that of all.
     samples.local_forces[:, 0] = [5.0, 5.0, 5.0]
     samples.status[2:4, 1] = 3  # neither used nor judged
-    first, found = found, judge_clusters(samples, geometry, field_rivals(geometry), noise)
+    first, found = found, judge_clusters(samples, geometry, rivals(geometry), noise)
     chosen = {j.cluster: j for j in found if j.predictor == INVERSE_DISTANCE}
     values = samples.trusted_forces
     size = np.sqrt(np.nanmean(values**2))
@@ -203,12 +211,12 @@ def test_tiles_with_a_sensor_do_not_count():
     geometry = random_socket(rng)
     truth = rng.normal(size=(5, len(geometry), 3))
     samples = samples_of_forces(geometry, truth)
-    estimators = field_rivals(geometry) | {"zero": lambda _: (np.zeros_like(truth), None)}
+    estimators = rivals(geometry) | {"zero": lambda _: (np.zeros_like(truth), None)}
     judged = judge_tiles(samples, geometry, truth, estimators, "second half")
     errors = {judgement.predictor: judgement.error for judgement in judged}
     assert errors["zero"] == pytest.approx(1.0)
     bare = np.setdiff1d(np.arange(len(geometry)), [*geometry.clusters.values()])
-    forces = field_rivals(geometry)[CLOSED](samples)[0]
+    forces = rivals(geometry)[CLOSED](samples)[0]
     expected = np.sqrt(np.mean((forces - truth)[:, bare] ** 2) / np.mean(truth[:, bare] ** 2))
     assert errors[CLOSED] == pytest.approx(expected)
 
