@@ -25,40 +25,26 @@ _hints: Callable[[Any], dict[str, Any]] = cache(get_type_hints)  # a front makes
 def setting(
     default: Any,
     description: str,
-    low: float = -FINITE,
-    high: float = FINITE,
-    choices: tuple[str, ...] = (),
-    fixed: bool = False,
-    auto: float | None = None,
+    low: float = -FINITE,  # the smallest value allowed
+    high: float = FINITE,  # the largest one
+    choices: tuple[str, ...] = (),  # the values allowed, for a text
+    fixed: bool = False,  # whether a node takes it at its start only
+    auto: float | None = None,  # the number that the text `auto` stands for, if any
 ) -> Any:
-    """A field of a settings class; the description has the unit in brackets.
-
-    Args:
-        default: Default value.
-        description: What it is.
-        low: Smallest value allowed.
-        high: Largest value allowed.
-        choices: The values allowed, for a text.
-        fixed: Whether a node takes it at its start only.
-        auto: The number that the text `auto` stands for, if any.
-    """
+    """A field of a settings class; the description has the unit in brackets."""
     metadata = {"description": description, "low": low, "high": high}
     metadata |= {"choices": choices, "fixed": fixed, "auto": auto}
     return field(default=default, metadata=metadata)
 
 
-fixed = partial(setting, fixed=True)  # a node takes it at its start only
+fixed = partial(setting, fixed=True)
 
 
 @cache
 def _document(kind: Any) -> type[msgspec.Struct]:
     """The fields of settings as those of a document, without the settings below."""
-    hints = get_type_hints(kind)
-    declared = [
-        (item.name, _checked(hints[item.name], item.metadata))
-        for item in dataclasses.fields(kind)
-        if item.metadata
-    ]
+    items = (item for item in dataclasses.fields(kind) if item.metadata)
+    declared = [(item.name, _checked(_hints(kind)[item.name], item.metadata)) for item in items]
     return msgspec.defstruct(kind.__name__, declared, bases=(Document,))
 
 
@@ -104,12 +90,9 @@ class Settings:
 
     @classmethod
     def from_flat(cls: type[S], values: dict[str, Any], where: str, prefix: str = "") -> S:
-        """Build the settings from dotted names.
+        """Build the settings from values by their dotted names; the others keep their defaults.
 
-        Args:
-            values: Values by their dotted names; the others keep their defaults.
-            where: What names the source in an error.
-            prefix: Prefix of the names, for settings below others.
+        An error names the source as `where`. The prefix is that of settings below others.
         """
         if not prefix:
             kept = [n for n in values if not (values[n] is False and n.endswith(_RETIRED))]

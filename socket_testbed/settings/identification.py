@@ -46,17 +46,14 @@ class IdentificationSettings(Settings):
         "size", "what weighs the channels of a group: their size, their noise, or nothing, raw [-]",
         choices=WEIGHTS,
     )  # fmt: skip
-    gate_sharpness: float = setting(
-        2000.0, "sharpness alpha of the unilateral gate [1/m]", 1.0, 1e6
-    )
+    gate_sharpness: float = setting(2000.0, "sharpness alpha of the gate [1/m]", 1.0, 1e6)
     initial_stiffness: float = setting(
         3000.0, "stiffness k0 of every spring in Stage 1; auto or 0: from the trial's slope [N/m]",
         0.0, 1e7, auto=0.0,
     )  # fmt: skip
     reference_position: tuple[float, ...] = setting(
-        (), "q_ref, centre of the rest positions' box; none: the mean limb position [m]",
-        -10.0, 10.0,
-    )  # fmt: skip
+        (), "q_ref, centre of the rest positions' box; none: the mean position [m]", -10.0, 10.0
+    )
     rest_position_limit: float = setting(
         0.008, "largest distance of a rest position from q_ref, per axis [m]", 1e-5, 0.1
     )
@@ -79,16 +76,13 @@ class IdentificationSettings(Settings):
     prior: float = setting(
         1.0, "weight of the rigid variants' prior over the tiles against the errors [-]", 1e-9, 1e6
     )
-    leave_out: tuple[str, ...] = setting(
-        (), "channels left out of the objective, such as distal.Fx or Mz [-]"
-    )
+    leave_out: tuple[str, ...] = setting((), "channels left out, such as distal.Fx or Mz [-]")
     frames: int = setting(
         0, "samples from the segment's start that offline fits use; 0: all [1]", 0, 10_000_000
     )
     pose_smoothing: float = setting(
-        0.0, "centred window of the mean pose in offline fits and evaluations; 0: none [s]",
-        0.0, 60.0,
-    )  # fmt: skip
+        0.0, "centred window of the mean pose in offline fits; 0: none [s]", 0.0, 60.0
+    )
     solver: str = setting("osqp", "what solves the programs: any solver that qpsolvers finds [-]")
     solver_tolerance: float = setting(
         1e-8, "largest KKT residual that a solution may have, in scaled units [-]", 1e-12, 1e-2
@@ -149,9 +143,7 @@ class ForceMapSettings(Settings):
     shear: float = setting(
         0.2, "a tile's own tangential force, relative to its own normal force [-]", 1e-3, 1e2
     )
-    length_spread: float = setting(
-        0.5, "standard deviation of the logarithm of length [-]", 0.0, 1.0
-    )
+    length_spread: float = setting(0.5, "deviation of log(length) [-]", 0.0, 1.0)
     preload: float = setting(1.2, "normal force common to all tiles, relative to it [-]", 1e-3, 1e2)
     bed: float = setting(
         0.5, "forces of a bed of springs as the limb moves sideways, relative to it [-]", 1e-3, 1e2
@@ -162,9 +154,8 @@ class ForceMapSettings(Settings):
         0.05, "tangential stiffness of the bed, relative to its normal stiffness [-]", 1e-3, 1e1
     )
     bed_variation: float = setting(
-        0.7, "variation of the bed's stiffness over the surface, relative to its mean [-]",
-        1e-3, 1e1,
-    )  # fmt: skip
+        0.7, "variation of the bed's stiffness over the surface, relative to it [-]", 1e-3, 1e1
+    )
     arm: float = setting(
         0.06, "distance at which a rotation counts like a translation [m]", 1e-3, 1.0
     )
@@ -175,15 +166,12 @@ class ForceMapSettings(Settings):
     share: float = setting(0.88, "share of the load that the tiles bear, mean [-]", 0.2, 1.0)
     share_spread: float = setting(0.07, "its standard deviation [-]", 0.0, 0.3)
     moment_error: float = setting(
-        0.7, "offset of a moment, and what the surface between the tiles adds to it [N m]",
-        1e-6, 1e2,
-    )  # fmt: skip
+        0.7, "offset of a moment, with what the surface between tiles adds [N m]", 1e-6, 1e2
+    )
     force_error: float = setting(4.0, "the same of a force of the load cell [N]", 1e-6, 1e3)
     cluster_error: float = setting(0.3, "offset of a force on a cluster [N]", 1e-6, 1e3)
     cluster_gain_error: float = setting(0.05, "error of a cluster's gain [-]", 0.0, 1.0)
-    cluster_error_spread: float = setting(
-        1.0, "standard deviation of the logarithm of cluster_error [-]", 0.0, 3.0
-    )
+    cluster_error_spread: float = setting(1.0, "deviation of log(cluster_error) [-]", 0.0, 3.0)
     spread: float = setting(
         1.0, "the same of bed_shear, bed_variation and the relative sizes [-]", 0.0, 2.0
     )

@@ -35,9 +35,7 @@ class WindowSettings(Settings):
 
     duration: float = fixed(60.0, "length of the window of newest samples [s]", 1.0, 3600.0)
     least_samples: int = setting(80, "steady samples before a fit by itself [1]", 10, 1000000)
-    refit_after: int = setting(
-        80, "new samples after which it fits again; 0: it never does by itself [1]", 0, 1000000
-    )
+    refit_after: int = setting(80, "new samples before it fits again; 0: never [1]", 0, 1000000)
     pending: int = fixed(200, "stamps kept while their measurements come in [1]", 2, 100000)
 
 
@@ -66,12 +64,7 @@ _LONGEST_NAME = 200  # [bytes]
 
 
 def check_take_name(name: str, what: str = "the trial's name") -> str:
-    """Refuse the name of a trial that cannot be that of a take in Motive; returns it.
-
-    Args:
-        name: The name.
-        what: How an error calls it.
-    """
+    """Refuse the name of a trial, which an error calls `what`, that no take in Motive may have."""
     hint = f"give letters, digits, blanks, '-', '_' and '.', {_LONGEST_NAME} bytes at most"
     shown = ascii(name if len(name) <= 40 else f"{name[:40]}...")
     if not name.isprintable() or set(name) & set(_FORBIDDEN):
@@ -111,15 +104,11 @@ class RecorderSettings(Settings):
 
     directory: str = fixed("trials", "folder of the trials, or of the one trial [-]")
     record: bool = fixed(False, "record from the start, into `directory` itself [-]")
-    geometry: str = fixed("", "path of the socket.yaml to store; empty: the package's own [-]")
-    calibration: str = fixed(
-        "", "path of the calibration.yaml to store; empty: the package's own [-]"
-    )
+    geometry: str = fixed("", "path of socket.yaml to store; empty: the package's own [-]")
+    calibration: str = fixed("", "path of calibration.yaml to store; empty: the package's own [-]")
     parameters: str = fixed("", "path of the testbed.yaml to store; empty: the package's own [-]")
     metadata: str = fixed("", "path of a trial.yaml that every trial starts from; empty: none [-]")
-    everything: bool = fixed(
-        False, "record the maps, too, which a replay or 'map' computes again [-]"
-    )
+    everything: bool = fixed(False, "record the maps, too, which a replay computes again [-]")
     next: NextTrialSettings = NextTrialSettings()
     flush_period: float = fixed(1.0, "longest time before data is on the disk [s]", 0.05, 60.0)
 
@@ -135,19 +124,13 @@ class ReplaySettings(Settings):
 
     trial: str = fixed("", "path of the trial [-]")
     namespace: str = fixed("", "namespace to publish into, such as /left; empty: as recorded [-]")
-    geometry: str = fixed(
-        "", "path of socket.yaml, for transforms and poses; empty: the trial's own [-]"
-    )
-    load_cell: str = fixed(
-        "", "path of testbed.yaml whose load cell makes the wrenches; empty: the trial's own [-]"
-    )
+    geometry: str = fixed("", "path of socket.yaml, for all poses; empty: the trial's own [-]")
+    load_cell: str = fixed("", "path of testbed.yaml for the wrenches; empty: the trial's own [-]")
     tare: str = fixed("recorded", "tare of the wrenches: recorded, none, or T0:T1 without load [s]")
     rate: float = fixed(1.0, "speed of the replay against the recording [-]", 1e-3, 1e4)
     loop: bool = fixed(False, "start again at the end [-]")
     paused: bool = fixed(False, "start paused; see the service replay/pause [-]")
-    measured_only: bool = fixed(
-        False, "leave out what was computed: other nodes compute it anew [-]"
-    )
+    measured_only: bool = fixed(False, "leave out what other nodes compute anew [-]")
     wait_for: tuple[str, ...] = fixed((), "nodes that must be ready before the first message [-]")
 
 
@@ -197,11 +180,8 @@ class _Node(Document):
 def read_testbed(path: Path, defaults: TestbedSettings | None = None) -> TestbedSettings:
     """Read `testbed.yaml`: node parameters in the ROS format, one section per node.
 
-    ROS itself ignores a key that no node declares; here it is an error.
-
-    Args:
-        path: The file.
-        defaults: Settings of the nodes that the file does not name; None for the defaults.
+    ROS itself ignores a key that no node declares; here it is an error. Nodes that the file does
+    not name have the settings of `defaults`, if given.
     """
     defaults = defaults or TestbedSettings()
     kinds = {name: type(settings) for name, settings in defaults.nodes().items()}
@@ -218,12 +198,9 @@ def read_testbed(path: Path, defaults: TestbedSettings | None = None) -> Testbed
 def estimator_settings(
     stored: EstimatorSettings, params: Path | None = None, **choices: Any
 ) -> EstimatorSettings:
-    """The estimator's settings: single choices over those of a file over the stored ones.
+    """The settings stored with a trial, or those of a `testbed.yaml`, with single choices.
 
-    Args:
-        stored: Settings that are stored with the trial.
-        params: A `testbed.yaml` to use instead of them.
-        choices: Fields of `IdentificationSettings`, such as `theta`; None for no choice.
+    Choices are fields of `IdentificationSettings`, such as `theta`; None for no choice.
     """
     settings = stored if params is None else read_testbed(params).estimator_node
     given = {name: value for name, value in choices.items() if value is not None}
