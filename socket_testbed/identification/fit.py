@@ -25,10 +25,7 @@ from socket_testbed.identification.problem import (
     check_channels,
 )
 from socket_testbed.samples import Samples, channel_names
-from socket_testbed.settings.identification import (
-    IdentificationSettings,
-    check_solver,
-)
+from socket_testbed.settings.identification import IdentificationSettings, check_solver
 
 REGRESSION = "linear regression on the pose"
 CLEARLY = 0.95  # [-]; of the error of the bed's own springs, from which another is better

@@ -38,7 +38,7 @@ from socket_testbed.identification.noise import (
     smoothing_gain,
 )
 from socket_testbed.identification.pressure import Quantity
-from socket_testbed.samples import Samples
+from socket_testbed.samples import Samples, moments_about
 from socket_testbed.settings.identification import BIAS_VARIANTS
 
 LEAST_SHARE = 0.5  # [-]; of the load, which the springs should bear
@@ -159,19 +159,14 @@ def _moving_directions(deviation: FloatArray, noise: FloatArray) -> tuple[FloatA
 
 
 def _information(
-    pose: FloatArray,
-    model: ContactModel,
-    clusters: tuple[str, ...],
-    deviations: FloatArray,
+    pose: FloatArray, model: ContactModel, clusters: tuple[str, ...], deviations: FloatArray
 ) -> FloatArray:
     """Sum of J' Sigma^-1 J over the poses, shape (3n, 3n) [m^2/N^2]."""
     count = len(model.anchors)
     mapping = wrench_map(model.anchors).reshape(6, count, 3)
     columns = np.zeros((len(pose), 6 + 3 * len(clusters), count, 3))
     for axis, unit in enumerate(np.eye(3)):
-        springs = replace(
-            model, stiffness=np.tile(unit, (count, 1)), wrench_bias=np.zeros(6), force_bias={}
-        )
+        springs = replace(model, stiffness=np.tile(unit, (count, 1)), force_bias={})
         forces = springs.forces(pose)
         columns[:, :6, :, axis] = np.einsum("wni,kni->kwn", mapping, forces)
         local = springs.cluster_forces(pose)
@@ -214,9 +209,7 @@ class Motion:
     """How the pose moves in some samples."""
 
     excitations: tuple[Excitation, ...]  # its six numbers, positions first
-    # number of independent directions of the six-dimensional pose in which the motion is
-    # `LEAST_RATIO` times the noise
-    directions: int
+    directions: int  # independent ones of the pose with a motion of `LEAST_RATIO` times the noise
 
 
 def measure_motion(samples: Samples, geometry: SocketGeometry, window: float = 0.0) -> Motion:
@@ -242,12 +235,8 @@ class Engagement:
 
     springs: int  # number of springs of the bed, those without stiffness included
     engaged: FloatArray  # number of engaged springs, shape (N,) [1]
-    # number of uncertain springs, shape (N,) [1]; NaN where the samples do not show the noise of
-    # the pose
-    uncertain: FloatArray
-    # share of the time in which each spring is engaged, shape (n, 3), in the rigid variants (n, 1)
-    # [-]
-    time_share: FloatArray
+    uncertain: FloatArray  # of uncertain ones, (N,) [1]; NaN where the pose's noise is not known
+    time_share: FloatArray  # of each spring's engagement, (n, 3), in the rigid variants (n, 1) [-]
 
     def columns(self, prefix: str) -> dict[str, FloatArray]:
         """Number and share of engaged springs, and share of uncertain ones, shape (N,) each."""
@@ -261,10 +250,9 @@ class Engagement:
 def engagement(
     samples: Samples, model: ContactModel, window: float = 0.0, rows: slice = slice(None)
 ) -> Engagement:
-    """Which springs of a model are engaged, sample by sample, and how long each is.
+    """Which springs of a model are engaged, sample by sample, and over the rows how long each is.
 
-    The N samples are as measured, in the order of their stamps. Their poses are averaged over the
-    window of the model's fit [s]. `Engagement.time_share` is taken over the rows.
+    The N samples are as measured. Their poses are averaged over the window of the fit [s].
     """
     relative = relative_pose(samples.pose, model.reference_pose)
     motion = replace(samples, position=relative[:, :3], rotation=relative[:, 3:])
@@ -323,12 +311,11 @@ class Suspension:
     def outputs(self) -> dict[str, Quantity]:
         """What a lab reads, in the unit of its title, such as `stiffness Fz [N/mm]`; shapes ()."""
         found = {"pistoning [mm]": self.pistoning.part((), 1e3)}
-        degrees = 180.0 / np.pi
+        degree = np.pi / 180.0
         for axis, name in enumerate("xyz"):
-            title = f"range of rotation about {name} [deg]"
-            found[title] = self.rotation.part((axis,), degrees)
+            found[f"range of rotation about {name} [deg]"] = self.rotation.part(axis, 1.0 / degree)
         for axis, name in enumerate(AXES):
-            unit, factor = ("N/mm", 1e-3) if axis < 3 else ("N m/deg", 1.0 / degrees)
+            unit, factor = ("N/mm", 1e-3) if axis < 3 else ("N m/deg", degree)
             found[f"stiffness {name} [{unit}]"] = self.stiffness.part((axis, axis), factor)
         return found
 
@@ -339,13 +326,12 @@ def find_suspension(samples: Samples, geometry: SocketGeometry) -> Suspension | 
     known = np.isfinite(samples.pose).all(axis=1) & np.isfinite(samples.wrench).all(axis=1)
     if known.sum() < _LEAST:
         return None
-    centre, pose, wrench = geometry.anchors.mean(axis=0), samples.pose[known], samples.wrench[known]
-    force = wrench[:, 3:]
-    load = np.hstack([force, wrench[:, :3] - np.cross(centre, force)])
+    centre, pose = geometry.anchors.mean(axis=0), samples.pose[known]
+    load = np.roll(moments_about(samples.wrench[known], centre), 3, axis=1)
     turned = pose[:, 3:] - pose[:, 3:].mean(axis=0)
     arm = centre - pose[:, :3].mean(axis=0)
     moved = np.hstack([pose[:, :3] - pose[:, :3].mean(axis=0) + np.cross(turned, arm), turned])
-    variance = np.nan_to_num(np.concatenate([noise[3:], noise[:3]])) ** 2
+    variance = np.nan_to_num(np.roll(noise, 3)) ** 2
     along = moved[:, :3] @ proximal_direction(geometry)
 
     def found(rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -353,19 +339,17 @@ def find_suspension(samples: Samples, geometry: SocketGeometry) -> Suspension | 
         ends = np.percentile(along[rows], _ENDS)
         return _stiffness(moved[rows], load[rows], variance), np.diff(ends)[0], (high - low)[3:]
 
-    rng, count = np.random.default_rng(0), len(moved)
-    blocks = np.array_split(evenly(count, _MOST_RESAMPLED), _BLOCKS)
-    chosen = rng.integers(0, _BLOCKS, (_RESAMPLES, _BLOCKS))
+    blocks = np.array_split(evenly(len(moved), _MOST_RESAMPLED), _BLOCKS)
+    chosen = np.random.default_rng(0).integers(0, _BLOCKS, (_RESAMPLES, _BLOCKS))
     drawn = [found(np.concatenate([blocks[block] for block in row])) for row in chosen]
-    value = found(np.arange(count))
-    stiffness, pistoning, rotation = (
+    value = found(np.arange(len(moved)))
+    stiffness, *motion = (
         _quantity(each, np.array(draws))
         for each, draws in zip(value, zip(*drawn, strict=True), strict=True)
     )
     own = np.sqrt(np.abs(np.diag(stiffness.value)))
-    scale = np.outer(own, own)  # of what couples two axes
-    stiffness = Quantity(stiffness.value, stiffness.low, stiffness.high, scale)
-    return Suspension(stiffness, pistoning, rotation)
+    coupling = np.outer(own, own)  # of two axes
+    return Suspension(replace(stiffness, scale=coupling), *motion)
 
 
 def _stiffness(moved: FloatArray, load: FloatArray, variance: FloatArray) -> FloatArray:

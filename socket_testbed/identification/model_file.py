@@ -21,6 +21,7 @@ from socket_testbed.documents import (
     Text,
     convert,
     load_json,
+    plain,
     refuse_unknown,
     shown,
 )
@@ -106,19 +107,14 @@ def write_model(
         staging.write_text(json.dumps(document, indent=1, allow_nan=False), encoding="utf-8")
 
 
+_ARRAYS = ("stiffness", "rest_positions", "wrench_bias", "reference_pose", "wrench_slope")
+
+
 def _parameters(model: ContactModel) -> dict[str, Any]:
     """The parameters of a model for JSON."""
-    found = {
-        "variant": model.variant,
-        "sharpness": model.sharpness,
-        "stiffness": model.stiffness.tolist(),
-        "rest_positions": model.rest_positions.tolist(),
-        "wrench_bias": model.wrench_bias.tolist(),
-        "force_bias": {name: bias.tolist() for name, bias in model.force_bias.items()},
-        "clusters": list(model.cluster_points),
-        "reference_pose": model.reference_pose.tolist(),
-        "wrench_slope": model.wrench_slope.tolist(),
-    }
+    found = {name: plain(getattr(model, name)) for name in ("variant", "sharpness", *_ARRAYS)}
+    found["force_bias"] = {name: plain(bias) for name, bias in model.force_bias.items()}
+    found["clusters"] = list(model.cluster_points)
     if model.of_wrench is not None:
         found["of_wrench"] = _parameters(model.of_wrench)
     return found
@@ -179,28 +175,22 @@ class _Parameters(Document):
                 hint = closest(name, geometry.clusters)
                 raise ConfigurationError(f"{where}: clusters: no cluster '{name}'", hint)
         refuse_unknown(self.force_bias, clusters, f"{where}: force_bias")
-        for key in ("stiffness", "rest_positions"):
-            if len(getattr(self, key)) != points:
-                raise ConfigurationError(
-                    f"{where}: {key} has {len(getattr(self, key))} rows for {points} tiles", _AGAIN
-                )
-        of_wrench = None
-        if self.of_wrench is not None:
-            of_wrench = self.of_wrench.model(geometry, f"{where}: of_wrench")
-        rigid = {"reference_pose": self.reference_pose, "wrench_slope": self.wrench_slope}
+        for key, rows in (("stiffness", self.stiffness), ("rest_positions", self.rest_positions)):
+            if len(rows) != points:
+                fact = f"{where}: {key} has {len(rows)} rows for {points} tiles"
+                raise ConfigurationError(fact, _AGAIN)
+        of_wrench = self.of_wrench and self.of_wrench.model(geometry, f"{where}: of_wrench")
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
         return ContactModel(
             variant=self.variant,
             names=geometry.names,
             anchors=geometry.anchors,
             rotations=geometry.rotations,
-            stiffness=np.array(self.stiffness),
-            rest_positions=np.array(self.rest_positions),
             sharpness=self.sharpness,
-            wrench_bias=np.array(self.wrench_bias),
             force_bias={name: np.array(bias) for name, bias in self.force_bias.items()},
             cluster_points={name: geometry.clusters[name] for name in clusters},
             of_wrench=of_wrench,
-            **{name: np.array(value) for name, value in rigid.items() if value is not None},
+            **{name: np.array(value) for name, value in arrays.items() if value is not None},
         )
 
 

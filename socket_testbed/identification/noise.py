@@ -28,8 +28,7 @@ from socket_testbed.samples import Samples
 
 LEAST_DIFFERENCES = 12  # [1]; of a channel, to state its noise
 CUT = 3.0  # [-]; largest size of a difference, in standard deviations
-_KERNEL = np.array([-1.0, 3.0, -3.0, 1.0])
-_GAIN = math.sqrt(20.0)  # [-]; root of the sum of the kernel's squares
+_GAIN = math.sqrt(20.0)  # [-]; root of the sum of the squares of a third difference's weights
 _MEDIAN = 0.67449  # [-]; median size of a standard normal variable
 _TRUNCATED = 0.98658  # [-]; standard deviation of a standard normal variable within +-CUT
 _QUANTISED = math.sqrt(1.0 / 12.0)  # [-]; standard deviation of rounding, in steps
@@ -107,16 +106,13 @@ def noise_groups(noise: ChannelNoise, clusters: tuple[str, ...]) -> dict[str, Fl
 def _gaps(samples: Samples) -> BoolArray:
     """Intervals between samples that are longer than usual, shape (max(N - 1, 0),)."""
     intervals = np.diff(samples.stamps)
-    if len(intervals) == 0:
-        return np.zeros(0, dtype=bool)
-    return np.asarray(intervals > _REGULAR * np.median(intervals))
+    usual = np.median(intervals) if len(intervals) else 0.0
+    return np.asarray(intervals > _REGULAR * usual)
 
 
 def _differences(values: FloatArray, regular: BoolArray) -> FloatArray:
     """Third differences over their gain, NaN across a gap, shape (max(N - 3, 0), ...)."""
-    count = len(regular)
-    terms = [weight * values[k : k + count] for k, weight in enumerate(_KERNEL)]
-    found = np.sum(terms, axis=0) / _GAIN
+    found = np.diff(values, 3, axis=0) / _GAIN
     found[~regular] = np.nan
     return np.asarray(found)
 

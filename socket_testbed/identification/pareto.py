@@ -42,11 +42,7 @@ from socket_testbed.identification.evaluation import ChannelErrors, evaluate, su
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.problem import Objective, Problem, build_objective
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
-from socket_testbed.settings.identification import (
-    PAPER_VARIANTS,
-    IdentificationSettings,
-    Variant,
-)
+from socket_testbed.settings.identification import PAPER_VARIANTS, IdentificationSettings, Variant
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -181,13 +177,12 @@ def pareto_front(
     settings = replace(settings, variant=PAPER_VARIANTS[0])
     objective = build_objective(samples, geometry, settings)
     objective = objective.part(evenly(len(objective.samples), _MOST_SAMPLES))
-    counts = {"wrench": objective.wrench_counts.sum(), "clusters": len(objective.channels)}
-    for group, count in counts.items():
-        if count == 0:
-            raise IdentificationError(
-                f"no channel of the {group} is in the objective: there is nothing to trade off",
-                "leave fewer channels out, or fit a single model with 'fit'",
-            )
+    if not objective.wrench_counts.any() or not objective.channels:
+        group = "clusters" if objective.wrench_counts.any() else "wrench"
+        raise IdentificationError(
+            f"no channel of the {group} is in the objective: there is nothing to trade off",
+            "leave fewer channels out, or fit a single model with 'fit'",
+        )
     points: dict[Variant, list[FrontPoint]] = {variant: [] for variant in PAPER_VARIANTS}
     last: dict[str, FloatArray] = {}
     for done, theta in enumerate(thetas, start=1):
@@ -195,7 +190,7 @@ def pareto_front(
             points[variant].append(point)
         if progress is not None:
             progress(done, len(thetas))
-    channels = _channels(objective)
+    channels = objective.names
     fronts = {variant: Front(variant, channels, found) for variant, found in points.items()}
     if not any(front.sound.any() for front in fronts.values()):
         raise IdentificationError(
@@ -253,20 +248,14 @@ def _solve_at(
 
 def _flawed(objective: Objective, theta: float, error: UncertifiedSolutionError) -> FrontPoint:
     """The point of a theta at which a stage was not certified."""
-    rmse = np.full(len(_channels(objective)), np.nan)
+    rmse = np.full(len(objective.names), np.nan)
     return FrontPoint(theta, None, rmse, np.nan, np.nan, error.residual, error.fact)
 
 
 def _undetermined(program: BoxQP, solution: BoxSolution) -> str:
     """The flaw of a solution that is one of many; empty where it is the only one."""
-    if solution.determined:
-        return ""
-    return f"{program.name}: neither the data nor the smoothness determine all of them"
-
-
-def _channels(objective: Objective) -> tuple[str, ...]:
-    left_out = objective.settings.leave_out
-    return tuple(name for name in objective.samples.channels if name not in left_out)
+    open_flaw = f"{program.name}: neither the data nor the smoothness determine all of them"
+    return "" if solution.determined else open_flaw
 
 
 def find_non_dominated(
@@ -295,19 +284,17 @@ def find_knee(wrench_error: FloatArray, local_error: FloatArray, kept: BoolArray
     if len(front) == 0:
         return Knee(None, np.nan, (np.nan, np.nan), "no knee: no solution is without flaw")
     errors = np.stack([wrench_error[front], local_error[front]])
-    width, height = np.ptp(errors, axis=1).tolist()
-    extent = f"the front spans {width:.2g} by {height:.2g}"
-    if min(width, height) < RESOLUTION:
-        verdict = f"no knee: {extent}, nothing to trade off"
-        return Knee(None, 0.0, (width, height), verdict)
-    low = errors.min(axis=1)
-    depths = 1.0 - (errors[0] - low[0]) / width - (errors[1] - low[1]) / height
+    span = np.ptp(errors, axis=1)
+    extent = f"the front spans {span[0]:.2g} by {span[1]:.2g}"
+    ends = (float(span[0]), float(span[1]))
+    if span.min() < RESOLUTION:
+        return Knee(None, 0.0, ends, f"no knee: {extent}, nothing to trade off")
+    depths = 1.0 - ((errors.T - errors.min(axis=1)) / span).sum(axis=1)
     deepest = int(depths.argmax())
     depth = float(depths[deepest])
     if depth < LEAST_DEPTH:
-        return Knee(None, depth, (width, height), f"no knee: {extent} and is straight")
-    verdict = f"knee of depth {depth:.2f}: {extent}"
-    return Knee(int(front[deepest]), depth, (width, height), verdict)
+        return Knee(None, depth, ends, f"no knee: {extent} and is straight")
+    return Knee(int(front[deepest]), depth, ends, f"knee of depth {depth:.2f}: {extent}")
 
 
 def front_table(fronts: Iterable[Front]) -> pd.DataFrame:
@@ -344,25 +331,20 @@ def _solution(front: Front, index: int) -> dict[str, Any]:
         "median_local_rmse": front.local_rmse,
         "residual": front.residual,
     }
-    document: dict[str, Any] = {
-        name: finite_or_null(float(values[index])) for name, values in figures.items()
-    }
     rmse = zip(front.channels, front.rmse[index].tolist(), strict=True)
-    return document | {
+    return {
+        **{name: finite_or_null(float(values[index])) for name, values in figures.items()},
         "rmse": {name: finite_or_null(value) for name, value in rmse},
         "non_dominated": bool(front.non_dominated[index]),
         "flaw": front.flaws[index] or None,
     }
 
 
-MOMENTS = "mean RMSE of the moments [N m]"
-FORCES = "mean RMSE of the forces [N]"
 MEDIAN = "median RMSE of the clusters in the objective [N]"
-
-# Without and with offsets.
+# Without and with offsets; means and median first, as `_figures` quotes them.
 PUBLISHED: dict[str, tuple[float, float]] = {
-    MOMENTS: (1.69, 0.44),
-    FORCES: (5.94, 5.25),
+    "mean RMSE of the moments [N m]": (1.69, 0.44),
+    "mean RMSE of the forces [N]": (5.94, 5.25),
     MEDIAN: (90.07, 3.76),
     "RMSE of Mx [N m]": (3.99, 0.95),
 }
@@ -401,11 +383,7 @@ def beside_published(
     """
     import pandas as pd
 
-    ours = _figures([errors[variant] for variant in PAPER_VARIANTS])
-    for mark in (SENSOR_ONLY, KNEE, WRENCH_ONLY) if fronts else ():
-        found = [(fronts[variant], fronts[variant].marks.get(mark)) for variant in PAPER_VARIANTS]
-        thetas = [np.nan if i is None else float(front.theta[i]) for front, i in found]
-        ours[f"theta, {mark} [-]"] = thetas
+    both = [_figures(errors[variant], fronts.get(variant)) for variant in PAPER_VARIANTS]
     conditions = differing_conditions(samples, settings)
     local = [error.in_objective for error in errors["stiffness"][6:]]
     left_out = {
@@ -413,7 +391,7 @@ def beside_published(
         for name in settings.leave_out
     }
     rows = {}
-    for name, values in ours.items():
+    for name in both[0]:
         theirs = PUBLISHED.get(name, (np.nan, np.nan))
         differing = [*conditions]
         if name == MEDIAN and sum(local) != PUBLISHED_CHANNELS:
@@ -422,7 +400,7 @@ def beside_published(
         if name in PUBLISHED and differing:
             remark = f"not comparable: {'; '.join(differing)} in the paper"
         remark = left_out.get(name.rpartition(" [")[0], remark)
-        rows[name] = [*values, *theirs, remark]
+        rows[name] = [*(ours[name] for ours in both), *theirs, remark]
     frame = pd.DataFrame.from_dict(rows, orient="index")
     pairs = [(source, variant) for source in (OURS, THEIRS) for variant in (WITHOUT, WITH)]
     frame.columns = pd.MultiIndex.from_tuples([*pairs, ("", "remark")])
@@ -430,19 +408,16 @@ def beside_published(
     return frame
 
 
-def _figures(errors: Sequence[Sequence[ChannelErrors]]) -> dict[str, list[float]]:
-    """Quoted means and median, RMSE of every channel, sigma of the wrench, for two variants."""
-    summaries = [summarise_errors(of_variant) for of_variant in errors]
-    figures = {
-        MOMENTS: [summary.moment_rmse for summary in summaries],
-        FORCES: [summary.force_rmse for summary in summaries],
-        MEDIAN: [summary.local_rmse for summary in summaries],
-    }
-    channels = [*zip(*errors, strict=True)]
-    for pair in channels:
-        figures[f"RMSE of {pair[0].name} [{pair[0].unit}]"] = [error.rmse for error in pair]
-    for pair in channels[:6]:
-        figures[f"sigma of {pair[0].name} [{pair[0].unit}]"] = [error.sigma for error in pair]
+def _figures(errors: Sequence[ChannelErrors], front: Front | None) -> dict[str, float]:
+    """Quoted means and median, RMSE of every channel, sigma of the wrench, thetas of the marks."""
+    summary = summarise_errors(errors)
+    quoted = (summary.moment_rmse, summary.force_rmse, summary.local_rmse)
+    figures = dict(zip(PUBLISHED, quoted, strict=False))
+    figures |= {f"RMSE of {error.name} [{error.unit}]": error.rmse for error in errors}
+    figures |= {f"sigma of {error.name} [{error.unit}]": error.sigma for error in errors[:6]}
+    for mark in (SENSOR_ONLY, KNEE, WRENCH_ONLY) if front is not None else ():
+        index = front.marks.get(mark)
+        figures[f"theta, {mark} [-]"] = np.nan if index is None else float(front.theta[index])
     return figures
 
 

@@ -100,6 +100,12 @@ class Objective:
     channels: tuple[ClusterChannel, ...]  # channels of the clusters in the objective
     channel_shares: FloatArray  # weight of each channel's squared error in J_f, shape (m,) [1/N^2]
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the channels in the objective, the wrench's first."""
+        left_out = self.settings.leave_out
+        return tuple(name for name in self.samples.channels if name not in left_out)
+
     def with_settings(self, **changes: Any) -> Objective:
         """The same samples with another theta, smoothness or variant."""
         return replace(self, settings=replace(self.settings, **changes))
@@ -168,20 +174,10 @@ def build_objective(
     channels = _cluster_channels(samples, geometry, cluster_counts)
     if not wrench_counts.any() and not channels:
         raise IdentificationError("every channel is left out", "leave fewer channels out")
-
-    wrench_shares, channel_shares = _shares(
-        samples, geometry, settings.weights, wrench_counts, channels, noise
-    )
-    return Objective(
-        geometry=geometry,
-        settings=settings,
-        samples=samples,
-        wrench=wrench,
-        wrench_counts=wrench_counts,
-        wrench_shares=wrench_shares,
-        channels=channels,
-        channel_shares=channel_shares,
-    )
+    none = np.zeros(0)
+    objective = Objective(geometry, settings, samples, wrench, wrench_counts, none, channels, none)
+    wrench_shares, channel_shares = _shares(objective, noise)
+    return replace(objective, wrench_shares=wrench_shares, channel_shares=channel_shares)
 
 
 def _cluster_channels(
@@ -209,22 +205,16 @@ def _cluster_channels(
     return tuple(channels)
 
 
-def _shares(
-    samples: Samples,
-    geometry: SocketGeometry,
-    weights: str,
-    wrench_counts: BoolArray,
-    channels: tuple[ClusterChannel, ...],
-    noise: ChannelNoise | None,
-) -> tuple[FloatArray, FloatArray]:
+def _shares(objective: Objective, noise: ChannelNoise | None) -> tuple[FloatArray, FloatArray]:
     """Weights of squared errors of the wrench (6,) and of m channels of clusters: see the module.
 
     The noise is given for the weights `noise` alone.
     """
+    channels, wrench_counts = objective.channels, objective.wrench_counts
     least = np.repeat([LEAST_MOMENT, LEAST_FORCE], 3)
-    power = np.where(wrench_counts, (samples.wrench**2).mean(axis=0), 0.0)
+    power = (objective.wrench**2).mean(axis=0)
     local_power = np.array([np.mean(channel.force**2) for channel in channels])
-    if weights == "raw":
+    if objective.settings.weights == "raw":
         factor = 2.0 / max(power.sum() + local_power.sum(), LEAST_FORCE**2)
         return factor * wrench_counts, np.full(len(channels), factor)
 
@@ -238,11 +228,11 @@ def _shares(
         local_shares = np.full(len(channels), 1.0 / local**2)
         return shares / max(wrench_counts.sum(), 1), local_shares / max(len(channels), 1)
 
-    lever = rms(np.linalg.norm(geometry.anchors, axis=1))
+    lever = rms(np.linalg.norm(objective.geometry.anchors, axis=1))
     model_error = MODEL_ERROR**2 * force * np.repeat([lever**2, 1.0], 3)
     shares = wrench_counts / (np.nan_to_num(noise.wrench) ** 2 + model_error)
-    places = [(samples.clusters.index(c.cluster), c.axis) for c in channels]
-    deviations = np.array([noise.local_forces[place] for place in places])
+    clusters = objective.samples.clusters
+    deviations = np.array([noise.local_forces[clusters.index(c.cluster), c.axis] for c in channels])
     local_shares = 1.0 / (np.nan_to_num(deviations) ** 2 + (MODEL_ERROR * local) ** 2)
     zero = max(shares @ power, shares @ least**2, _JITTER)
     local_zero = max(local_shares @ local_power, local_shares.sum() * LEAST_FORCE**2, _JITTER)
@@ -288,12 +278,8 @@ class Problem:
         self.objective = objective
         settings, geometry, pose = objective.settings, objective.geometry, objective.samples.pose
         kind = LAWS[settings.variant]
-        self.law = law = kind(
-            geometry.anchors,
-            geometry.rotations,
-            getattr(settings, kind.SHARPNESS),
-            kind.reference_of(pose, settings),
-        )
+        sharpness, reference = getattr(settings, kind.SHARPNESS), kind.reference_of(pose, settings)
+        self.law = law = kind(geometry.anchors, geometry.rotations, sharpness, reference)
         self._with_offsets = settings.variant in BIAS_VARIANTS
         size = -(-len(pose) // law.MOST_ROWS) if law.MOST_ROWS else 1
         self._motion = _block_means(law.motion(pose), size)
@@ -311,9 +297,8 @@ class Problem:
         ]
         zero = float(self._weights @ (self._wrench**2).mean(axis=0))
         zero += sum(c.weight * float(np.mean(c.force**2)) for c in self.channels)
-        loading = Loading(
-            self._motion, self._wrench, objective.wrench_shares, geometry.neighbours, zero
-        )
+        shares = objective.wrench_shares
+        loading = Loading(self._motion, self._wrench, shares, geometry.neighbours, zero)
         self.settings = law.resolved(settings, loading)
         sizes = law.sizes(self.settings, loading)
         self._scale = sizes.scale

@@ -32,10 +32,7 @@ from socket_testbed.identification.validation import (
     thinned,
     wrench_predictors,
 )
-from socket_testbed.settings.identification import (
-    PAPER_VARIANTS,
-    ForceMapSettings,
-)
+from socket_testbed.settings.identification import PAPER_VARIANTS, ForceMapSettings
 
 
 def rivals(geometry):
