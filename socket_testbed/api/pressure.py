@@ -22,7 +22,6 @@ from socket_testbed.geometry.socket import SocketGeometry, find_regions
 from socket_testbed.identification.force_map import ForceMap, MapEstimate, map_trial
 from socket_testbed.identification.information import Suspension, find_suspension
 from socket_testbed.identification.model_file import finite_or_null
-from socket_testbed.identification.problem import check_channels
 from socket_testbed.identification.pressure import (
     NORMAL_QUANTILE,
     SHARE,
@@ -35,6 +34,7 @@ from socket_testbed.identification.pressure import (
     read_column,
     with_interval,
 )
+from socket_testbed.identification.problem import check_channels
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.tables import write_table

@@ -16,11 +16,11 @@ from socket_testbed.arrays import evenly
 from socket_testbed.errors import ConfigurationError, IdentificationError, TrialError
 from socket_testbed.identification.model_file import record
 from socket_testbed.identification.noise import smooth_poses
-from socket_testbed.identification.problem import LEAST_SAMPLES
 from socket_testbed.identification.plausibility import (
     find_outliers,
     require_position,
 )
+from socket_testbed.identification.problem import LEAST_SAMPLES
 from socket_testbed.identification.validation import (
     LEVELS,
     Judgement,

@@ -23,7 +23,6 @@ from socket_testbed.identification.data_check import LEAST_SAMPLES as LEAST_CHEC
 from socket_testbed.identification.data_check import check_data
 from socket_testbed.identification.evaluation import predict_channels
 from socket_testbed.identification.fit import Fit, fit_contact_model
-from socket_testbed.identification.problem import LEAST_SAMPLES
 from socket_testbed.identification.plausibility import (
     LEAST_FORCE,
     LEAST_MOMENT,
@@ -31,6 +30,7 @@ from socket_testbed.identification.plausibility import (
     require_load,
     sign_note,
 )
+from socket_testbed.identification.problem import LEAST_SAMPLES
 from socket_testbed.live.machine import schedule_ordinarily
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
