@@ -106,9 +106,7 @@ class RegionOutputs:
     integral: Quantity  # pressure-time integral [Pa s]; NaN at instants
     centre: Quantity  # centre of pressure in {S}, with a last axis of 3 [m]
     shear: Quantity  # magnitude of the shear [Pa]
-    # direction of the shear from the tiles' x (proximal) towards y [rad]; the ends of its interval
-    # may lie beyond half a turn
-    direction: Quantity
+    direction: Quantity  # of the shear, from x to y [rad]; its ends may lie beyond half a turn
     share: Quantity  # share of the load [-]
 
 
@@ -121,10 +119,8 @@ def read_column(found: RegionOutputs, title: str) -> Quantity:
 
 def columns_of(found: RegionOutputs, titles: Sequence[str]) -> dict[str, FloatArray]:
     """Columns by their titles, each with the ends of its interval."""
-    columns: dict[str, FloatArray] = {}
-    for title in titles:
-        columns |= with_interval(title, read_column(found, title))
-    return columns
+    columns = (with_interval(title, read_column(found, title)) for title in titles)
+    return {title: values for column in columns for title, values in column.items()}
 
 
 def with_interval(title: str, quantity: Quantity) -> dict[str, FloatArray]:
@@ -175,8 +171,7 @@ class PressureOutputs:
         """Of the regions at every sample, shape (N, R); NaN where nothing was measured."""
         kept = np.flatnonzero(measured_rows(self.samples))
         series: dict[str, Quantity] = {}
-        measured = self.samples[kept]
-        drawn = _expanded(self.force_map, measured, self.reader.areas, self.threshold)
+        drawn = _expanded(self.force_map, self.samples[kept], self.reader.areas, self.threshold)
         for some, alone, instants in drawn:
             for name, quantity in vars(self.reader.outputs(alone, instants)).items():
                 shape = (len(self.samples), *quantity.value.shape[1:])
@@ -216,9 +211,7 @@ class _Reader:
         count, anchors, areas = len(geometry), geometry.anchors, geometry.areas
         self._tiles = np.concatenate([region.tiles for region in regions])
         self._starts = np.cumsum([0, *(len(region.tiles) for region in regions[:-1])])
-        member = np.zeros((count, len(regions)))
-        for number, region in enumerate(regions):
-            member[region.tiles, number] = 1.0
+        member = np.array([np.isin(np.arange(count), region.tiles) for region in regions]).T * 1.0
         self._area_of_tiles = areas[:, None] * member
         self._areas = self._area_of_tiles.sum(axis=0)
         self.areas = areas  # of the tiles
@@ -283,11 +276,8 @@ class _Reader:
             low = np.maximum(low, 0.0)
         if name == "area":
             high = np.minimum(high, self._areas)
-        scale = np.abs(value)
-        if name == "centre":
-            scale = np.broadcast_to(self._extents[:, None], value.shape)
-        if name == "direction":
-            scale = np.full(value.shape, _RIGHT_ANGLE)
+        scales = {"centre": self._extents[:, None], "direction": np.array(_RIGHT_ANGLE)}
+        scale = np.broadcast_to(scales.get(name, np.abs(value)), value.shape)
         return Quantity(value, low, high, scale)
 
 
@@ -296,10 +286,9 @@ class _Span:
 
     def __init__(self, draws: int, areas: FloatArray) -> None:
         tiles = len(areas)
-        self._areas = areas
-        self._samples = 0
+        self._areas, self._samples = areas, 0
         self._force = np.zeros((draws, tiles, 3))
-        self._peak = np.full((draws, tiles), -np.inf)
+        self.peak = np.full((draws, tiles), -np.inf)
         self._contact, self._compression, self._integral = np.zeros((3, draws, tiles))
 
     def add(self, instants: _Fields, weights: FloatArray) -> None:
@@ -315,13 +304,13 @@ class _Span:
 
     def raise_peaks(self, instants: _Fields) -> None:
         """Take k samples into the peaks alone."""
-        np.maximum(self._peak, instants.peak.max(axis=0), out=self._peak)
+        self.peak = np.maximum(self.peak, instants.peak.max(axis=0))
 
     def fields(self) -> _Fields:
         """The fields over the span, with the leading axis D."""
         return _Fields(
             force=self._force / self._samples,
-            peak=self._peak,
+            peak=self.peak,
             contact=self._contact / self._samples,
             compression=self._compression / self._samples,
             integral=self._integral / self._areas,
@@ -360,15 +349,12 @@ def pressure_outputs(
     measured, areas = samples[kept], geometry.areas
     weights = integration_weights(measured.time)
     alone, drawn = _Span(1, areas), _Span(_DRAWS, areas)
-    highest, peaks = np.full(len(areas), -np.inf), np.zeros(len(areas), dtype=np.int64)
+    peaks = np.zeros(len(areas), dtype=np.int64)
     for draws in force_map.sample(measured, _DRAWS):
         instants = _instants(draws.mean()[:, None], areas, threshold)
+        top = instants.peak[:, 0].argmax(axis=0)
+        peaks = np.where(instants.peak.max(axis=0)[0] > alone.peak[0], draws.rows[top], peaks)
         alone.add(instants, weights[draws.rows])
-        pressure = instants.peak[:, 0]
-        top = pressure.argmax(axis=0)
-        higher = pressure.max(axis=0) > highest
-        peaks[higher] = draws.rows[top[higher]]
-        highest = np.maximum(highest, pressure.max(axis=0))
     # What the channels leave open is the same in neighbouring samples: draws at some of them tell
     # how far the means may be off. The peaks of the tiles are of any sample, and are drawn as well.
     groups = np.arange(0, len(kept), -(-len(kept) // MOST_DRAWN))
@@ -386,7 +372,7 @@ def pressure_outputs(
         regions=reader.outputs(*over_span),
         tiles=_Reader(geometry, each).outputs(*over_span),
         integrated=float(weights.sum()),
-        peak_row=int(kept[peaks[highest.argmax()]]),
+        peak_row=int(kept[peaks[alone.peak[0].argmax()]]),
         force_map=force_map,
         samples=samples,
         reader=reader,
