@@ -267,12 +267,8 @@ def _solve_on_sides(problem: BoxQP, side: IntArray) -> tuple[FloatArray, FloatAr
 
 def _wrong_side(problem: BoxQP, side: IntArray, x: FloatArray, gradient: FloatArray) -> IntArray:
     """The side each variable belongs on: -1 lower bound, 0 free, 1 upper bound."""
-    change = side.copy()
-    change[(side == 0) & (x < problem.lower - _ROUNDING)] = -1
-    change[(side == 0) & (x > problem.upper + _ROUNDING)] = 1
-    change[(side < 0) & (gradient < -_ROUNDING)] = 0
-    change[(side > 0) & (gradient > _ROUNDING)] = 0
-    return change
+    beyond = np.where(x < problem.lower - _ROUNDING, -1, x > problem.upper + _ROUNDING)
+    return np.where(side == 0, beyond, np.where(side * gradient > _ROUNDING, 0, side))
 
 
 def is_definite(matrix: FloatArray, least: float) -> bool:

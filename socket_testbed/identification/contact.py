@@ -15,7 +15,7 @@ and in `settings.identification`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar
 
@@ -152,12 +152,6 @@ class ContactLaw(ABC):
     def sizes(self, settings: IdentificationSettings, loading: Loading) -> Sizes:
         """Scales, bounds and prior of the parameters in a fit."""
 
-    def resolved(
-        self, settings: IdentificationSettings, loading: Loading
-    ) -> IdentificationSettings:
-        """The settings of a fit, with a number in place of what is to follow from the samples."""
-        return settings
-
     def bed_stiffness(self, loading: Loading, along: FloatArray) -> tuple[float, float]:
         """Stiffness of the uniform bed that best explains how the wrench changes with the motion.
 
@@ -230,17 +224,14 @@ class PaperLaw(ContactLaw):
         middle = settings.reference_position or pose[:, :3].mean(axis=0)
         return np.concatenate([middle, np.zeros(3)])
 
-    def resolved(
-        self, settings: IdentificationSettings, loading: Loading
-    ) -> IdentificationSettings:
-        """With k0 by the slope of the wrench where it is to follow from the samples."""
-        if settings.initial_stiffness > 0.0:
-            return settings
-        slope, least = self.bed_stiffness(loading, np.ones(3))[0], self.least_stiffness(loading)[1]
-        return replace(settings, initial_stiffness=max(slope, least))
-
     def sizes(self, settings: IdentificationSettings, loading: Loading) -> Sizes:
-        """Sizes as the settings give them; the smoothness has no centre."""
+        """Sizes as the settings give them; the smoothness has no centre.
+
+        Where k0 is to follow from the samples, it is by the slope of the wrench.
+        """
+        stiffness = settings.initial_stiffness or max(
+            self.bed_stiffness(loading, np.ones(3))[0], self.least_stiffness(loading)[1]
+        )
         points, pairs = len(self.anchors), max(len(loading.neighbours), 1)
         scale = np.repeat([_STIFFNESS, _DISTANCE], 3)[:, None] * np.ones(points)
         limit = settings.rest_position_limit
@@ -251,7 +242,7 @@ class PaperLaw(ContactLaw):
         return Sizes(
             scale=scale,
             start=np.zeros_like(scale),
-            springs=np.full((3, points), settings.initial_stiffness),
+            springs=np.full((3, points), stiffness),
             lower=np.repeat([0.0, -limit], 3)[:, None] / scale,
             upper=np.repeat([np.inf, limit], 3)[:, None] / scale,
             prior=np.multiply.outer(weights, smooth),
@@ -387,15 +378,13 @@ class RigidLaw(ContactLaw):
 
     def _expect(self, loading: Loading) -> tuple[FloatArray, float]:
         """Expected stiffness along x, y, z [N/m] and rest displacement [m]: see this class."""
-        best, stiffness = np.inf, np.zeros(3)
-        for ratio in _RATIOS:
-            along = np.array([ratio, ratio, 1.0])
-            normal, miss = self.bed_stiffness(loading, along)
-            if miss < best:
-                best, stiffness = miss, normal * along
+        beds = [np.array([ratio, ratio, 1.0]) for ratio in _RATIOS]
+        found = [self.bed_stiffness(loading, along) for along in beds]
+        best = int(np.argmin([miss for _, miss in found]))
+        stiffness = found[best][0] * beds[best]
         load, least = self.least_stiffness(loading)
         if stiffness.mean() < least:  # the limb hardly moved
-            stiffness = np.full(3, least) if not stiffness.any() else stiffness
+            stiffness = stiffness if stiffness.any() else np.ones(3)
             stiffness *= least / stiffness.mean()
         return stiffness, max(load / (len(self.anchors) * float(stiffness.mean())), _LEAST_SETTLING)
 

@@ -160,12 +160,9 @@ def _courses(samples: Samples, geometry: SocketGeometry) -> Iterator[Finding]:
     if not changes[1] > LEAST_CHANGE:
         return
     note = sign_note(samples, geometry)
-    follows = {
-        name: _correlation(column, load)
-        for name, column in zip(samples.clusters, pressing.T, strict=True)
-    }
-    opposite = [name for name, value in follows.items() if value < OPPOSITE]
-    if note or (len(opposite) > 1 and 2 * len(opposite) > len(follows)):
+    follows = [_correlation(column, load) for column in pressing.T]
+    opposite = sum(value < OPPOSITE for value in follows)
+    if note or (opposite > 1 and 2 * opposite > len(follows)):
         fact = "the clusters are pressed less the more the load cell is"
         yield Finding("the wrench", note or fact, "check the sign of the load cell's channels")
         return
@@ -179,19 +176,15 @@ def _courses(samples: Samples, geometry: SocketGeometry) -> Iterator[Finding]:
     for name, course in (("the clusters", together), ("the limb pose", down)):
         lag = _lag(load, course, period)
         if abs(lag) > max(LATEST, 2.5 * period):
-            yield Finding(
-                name,
-                f"late by {lag:.1f} s against the load cell" if lag > 0.0
-                else f"early by {-lag:.1f} s against the load cell",
-                "check the clocks and the delays of the sources",
-            )  # fmt: skip
+            how = f"{'late' if lag > 0.0 else 'early'} by {abs(lag):.1f} s against the load cell"
+            yield Finding(name, how, "check the clocks and the delays of the sources")
             return
-    normal = channel_noise(samples).local_forces[:, 2].tolist()
-    noises = dict(zip(samples.clusters, normal, strict=True))
+    noises = channel_noise(samples).local_forces[:, 2]
     posed = np.isfinite(samples.pose).any()
     causes = np.hstack([samples.wrench, samples.pose]) if posed else samples.wrench
-    for name, value in follows.items():
-        column = pressing[:, samples.clusters.index(name)]
+    for name, value, column, noise in zip(
+        samples.clusters, follows, pressing.T, noises, strict=True
+    ):
         if value < OPPOSITE:
             yield Finding(
                 name,
@@ -201,7 +194,7 @@ def _courses(samples: Samples, geometry: SocketGeometry) -> Iterator[Finding]:
         elif (
             value < UNRELATED
             and _explained(column, causes) < EXPLAINED
-            and np.nanstd(column) > QUIET * noises[name]  # or it is hardly loaded
+            and np.nanstd(column) > QUIET * noise  # or it is hardly loaded
         ):
             yield Finding(
                 name,
@@ -227,24 +220,18 @@ def _disagreements(samples: Samples, geometry: SocketGeometry) -> Iterator[Findi
     worst = (DISAGREEMENT, "", "")
     compared = left_out_pressures(samples[rows], geometry)
     for error, (name, measured, expected, deviation) in zip(noise, compared, strict=True):
-        if not np.isfinite(measured).any():
-            continue
-        scale = np.hypot(
-            deviation, np.nan_to_num(error[2]) / geometry.areas[geometry.clusters[name]]
-        )
-        off = abs(float(np.nanmean((measured - expected) / scale)))
-        value, middle, reach = (
-            1e-3 * float(np.nanmean(of)) for of in (measured, expected, NORMAL_QUANTILE * scale)
-        )
-        words = f"{value:.0f} kPa where the others and the wrench say {middle - reach:.0f} to"
-        worst = max(worst, (off, name, f"{words} {middle + reach:.0f} kPa"))
-    _, name, words = worst
+        if np.isfinite(measured).any():
+            own = np.nan_to_num(error[2]) / geometry.areas[geometry.clusters[name]]
+            scale = np.hypot(deviation, own)
+            off = abs(float(np.nanmean((measured - expected) / scale)))
+            means = (np.nanmean(of) for of in (measured, expected, NORMAL_QUANTILE * scale))
+            value, middle, reach = (1e-3 * float(mean) for mean in means)
+            words = f"{value:.0f} kPa where the others and the wrench say {middle - reach:.0f} to"
+            worst = max(worst, (off, name, f"it reads {words} {middle + reach:.0f} kPa"))
+    _, name, fact = worst
     if name:
-        yield Finding(
-            name,
-            f"it reads {words}",
-            "check its calibration and its place, and whether clusters are exchanged",
-        )
+        hint = "check its calibration and its place, and whether clusters are exchanged"
+        yield Finding(name, fact, hint)
 
 
 def _channels(samples: Samples) -> Iterator[Finding]:
@@ -276,21 +263,16 @@ def _channels(samples: Samples) -> Iterator[Finding]:
         at_end = max(np.mean(known == known.max()), np.mean(known == known.min()))
         unit = channel_unit(name)
         if still > max(STILL, 4.0 * period):
-            yield Finding(
-                name, f"it does not change for {still:.1f} s", "check the sensor and its driver"
-            )
+            fact, hint = f"it does not change for {still:.1f} s", "check the sensor and its driver"
         elif at_end > CLIPPED:
-            yield Finding(
-                name,
-                f"{100.0 * at_end:.0f} % of its values are at one end, {known.max():.3g} {unit}",
-                "check the sensor's range: it is clipped",
-            )
+            fact = f"{100.0 * at_end:.0f} % of its values are at one end, {known.max():.3g} {unit}"
+            hint = "check the sensor's range: it is clipped"
         elif noise > NOISE[unit]:
-            yield Finding(
-                name,
-                f"its noise is {noise:.3g} {unit}",
-                "check shields, connectors and the supply",
-            )
+            fact = f"its noise is {noise:.3g} {unit}"
+            hint = "check shields, connectors and the supply"
+        else:
+            continue
+        yield Finding(name, fact, hint)
 
 
 def _known(vectors: FloatArray) -> FloatArray:

@@ -187,8 +187,8 @@ class JointDraws:
 
     def __getitem__(self, part: slice) -> JointDraws:
         """The draws of some of the samples."""
-        rows, channels, sizes = (each[part] for each in (self.rows, self.channels, self.sizes))
-        return replace(self, rows=rows, channels=channels, sizes=sizes)
+        channels, sizes = self.channels[part], self.sizes[part]
+        return replace(self, rows=self.rows[part], channels=channels, sizes=sizes)
 
     def values(self) -> FloatArray:
         """The forces in the tiles' frames, in a row, shape (k, D, 3n) [N]."""

@@ -179,7 +179,9 @@ class _Parameters(Document):
             if len(rows) != points:
                 fact = f"{where}: {key} has {len(rows)} rows for {points} tiles"
                 raise ConfigurationError(fact, _AGAIN)
-        of_wrench = self.of_wrench and self.of_wrench.model(geometry, f"{where}: of_wrench")
+        of_wrench = None
+        if self.of_wrench is not None:
+            of_wrench = self.of_wrench.model(geometry, f"{where}: of_wrench")
         arrays = {name: getattr(self, name) for name in _ARRAYS}
         return ContactModel(
             variant=self.variant,

@@ -415,9 +415,10 @@ def _figures(errors: Sequence[ChannelErrors], front: Front | None) -> dict[str, 
     figures = dict(zip(PUBLISHED, quoted, strict=False))
     figures |= {f"RMSE of {error.name} [{error.unit}]": error.rmse for error in errors}
     figures |= {f"sigma of {error.name} [{error.unit}]": error.sigma for error in errors[:6]}
-    for mark in (SENSOR_ONLY, KNEE, WRENCH_ONLY) if front is not None else ():
-        index = front.marks.get(mark)
-        figures[f"theta, {mark} [-]"] = np.nan if index is None else float(front.theta[index])
+    if front is not None:
+        for mark in (SENSOR_ONLY, KNEE, WRENCH_ONLY):
+            index = front.marks.get(mark)
+            figures[f"theta, {mark} [-]"] = np.nan if index is None else float(front.theta[index])
     return figures
 
 

@@ -214,10 +214,7 @@ def _too_large(
 
 
 def implausible_notes(
-    samples: Samples,
-    geometry: SocketGeometry,
-    leave_out: tuple[str, ...],
-    start: int | None = None,
+    samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...], start: int | None = None
 ) -> list[str]:
     """Outliers, a negated wrench, and the proposals even for channels that are left out already.
 

@@ -299,14 +299,16 @@ class Problem:
         zero += sum(c.weight * float(np.mean(c.force**2)) for c in self.channels)
         shares = objective.wrench_shares
         loading = Loading(self._motion, self._wrench, shares, geometry.neighbours, zero)
-        self.settings = law.resolved(settings, loading)
-        sizes = law.sizes(self.settings, loading)
+        sizes = law.sizes(settings, loading)
         self._scale = sizes.scale
         # Quadratic terms of the prior of stiffnesses and rest displacements, (3n, 3n) each, and of
         # all parameters, (6n, 6n) [-].
         self._spread = [np.kron(np.eye(3), prior) for prior in sizes.prior]
         self.prior = block_diag(*self._spread)
         self._springs, self.start = sizes.springs, sizes.start
+        if settings.initial_stiffness == 0.0 and not law.REFINED:
+            settings = replace(settings, initial_stiffness=float(sizes.springs[0, 0]))
+        self.settings = settings
         self.lower, self.upper = sizes.lower, sizes.upper
 
     def stage_one(self) -> BoxQP:

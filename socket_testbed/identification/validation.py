@@ -16,7 +16,7 @@ import dataclasses
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from scipy.special import ndtri
@@ -160,7 +160,7 @@ def judge_wrench(
     found = []
     for name, predict in predictors.items():
         rmse = np.sqrt(np.mean((predict(samples.pose) - samples.wrench) ** 2, axis=0))
-        figures = {"samples": len(samples)}
+        figures: dict[str, Any] = {"samples": len(samples)}
         for kind, part in (("moment", slice(3)), ("force", slice(3, 6))):
             error = finite_mean(rmse[part])
             skill = 1.0 - error / (finite_mean(constant[part]) or np.nan)
