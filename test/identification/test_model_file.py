@@ -27,16 +27,15 @@ def test_a_model_reads_back_as_it_was_written(hold: Path, tmp_path: Path, varian
     write_model(fit, trial.geometry, {"name": "hold"}, "plateau", path)
 
     stored = read_model(path)
-    assert stored.settings == settings and stored.samples == fit.samples
-    assert stored.last_stamp == fit.last_stamp and stored.trial == "hold"
+    assert (stored.settings, stored.samples, stored.trial) == (settings, fit.samples, "hold")
+    assert stored.last_stamp == fit.last_stamp
     np.testing.assert_array_equal(stored.model.stiffness, fit.model.stiffness)
     for name, bias in fit.model.force_bias.items():
         np.testing.assert_array_equal(stored.model.force_bias[name], bias)
-    found, expected = (model.wrench(samples.pose) for model in (stored.model, fit.model))
-    np.testing.assert_allclose(found, expected, atol=1e-5)
-    assert dataclasses.astuple(stored.errors[0]) == dataclasses.astuple(fit.errors[0])
-    assert [error.name for error in stored.errors] == [error.name for error in fit.errors]
-    for before, after in zip(fit.errors, evaluate(samples, stored.model), strict=True):
+    for before, kept, after in zip(
+        fit.errors, stored.errors, evaluate(samples, stored.model), strict=True
+    ):
+        assert dataclasses.astuple(before) == dataclasses.astuple(kept)
         assert after.rmse == pytest.approx(before.rmse, abs=1e-5)
 
 
@@ -46,25 +45,19 @@ SPOILT = (
     (("parameters", "rest_positions", 1, 2), 1e300, "rest_positions[1][2] is 1e+300: give"),
     (("parameters", "force_bias", "elsewhere"), [0, 0, 0], "unknown key 'elsewhere'"),
     (("parameters", "clusters"), ["nowhere"], "clusters: no cluster 'nowhere'"),
+    (("settings", "noise_correction"), True, "unknown key"),  # such a fit cannot be repeated
 )
 
 
-def test_a_spoilt_model_is_refused(hold_model: Path, tmp_path: Path) -> None:
+def test_a_spoilt_model_is_refused_and_one_of_an_older_version_is_read(hold_model, tmp_path):
     path, text = tmp_path / "model.json", hold_model.read_text()
     for place, value, error in SPOILT:
         path.write_text(json.dumps(changed(json.loads(text), place, value)))
         with refused(ConfigurationError, str(path), error):
             read_model(path)
-
-
-def test_a_model_of_an_older_version_is_read(hold_model: Path, tmp_path: Path) -> None:
-    document = json.loads(hold_model.read_text())
+    document = json.loads(text)
     document["quality"].pop("errors")
     document["parameters"]["parameter_factor"] = ["0 1 2"]
     document["settings"]["noise_correction"] = False
-    (tmp_path / "model.json").write_text(json.dumps(document))
-    assert read_model(tmp_path / "model.json").errors == ()
-    document["settings"]["noise_correction"] = True  # such a fit cannot be repeated
-    (tmp_path / "model.json").write_text(json.dumps(document))
-    with pytest.raises(ConfigurationError, match="unknown key 'noise_correction'"):
-        read_model(tmp_path / "model.json")
+    path.write_text(json.dumps(document))
+    assert read_model(path).errors == ()
