@@ -11,9 +11,8 @@ import numpy as np
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
-from socket_testbed.drivers.clusters.chip import CapacitiveChip
 from socket_testbed.drivers.clusters.fdc1004 import Fdc1004
-from socket_testbed.drivers.clusters.i2c import I2cBus, open_i2c
+from socket_testbed.drivers.clusters.i2c import CapacitiveChip, I2cBus, open_i2c
 from socket_testbed.drivers.clusters.reader import ClusterReader
 from socket_testbed.drivers.gpio import (
     GpiodLines,

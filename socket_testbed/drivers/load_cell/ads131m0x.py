@@ -13,7 +13,7 @@ import numpy as np
 
 from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.drivers.device_files import opening_failed
+from socket_testbed.drivers import opening_failed
 from socket_testbed.errors import ConfigurationError, DeviceError
 
 HIGHEST, LOWEST = 0x7FFFFF, -0x800000  # codes of the rails
