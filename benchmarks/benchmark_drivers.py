@@ -29,7 +29,7 @@ from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.bringup import Testbed, simulate_hardware, simulated_testbed
-from socket_testbed.live.hardware import i2c_opener, spi_opener
+from socket_testbed.live.hardware import capacitive_chip, i2c_opener, spi_opener
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.nodes.sensor_node import averaging_span
@@ -109,7 +109,7 @@ def clusters(bench: Bench, testbed: Testbed) -> None:
         buses.append(Metered(opener(number)))
         return buses[-1]
 
-    reader = ClusterReader(settings, open_bus)
+    reader = ClusterReader(settings, capacitive_chip(settings)[0], open_bus)
     reader.read(clocks.monotonic())
     bus, missing = buses[0], 0
     bus.spent, bus.calls = 0.0, 0
