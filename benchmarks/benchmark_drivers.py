@@ -24,6 +24,7 @@ from machine import describe_machine
 
 from socket_testbed import clocks
 from socket_testbed.drivers.clusters.reader import ClusterReader
+from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
 from socket_testbed.drivers.load_cell.load_cell import LoadCell
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker
@@ -134,7 +135,8 @@ def load_cell(bench: Bench, testbed: Testbed) -> None:
         devices.append(Metered(opener()))
         return devices[-1]
 
-    cell = LoadCell(settings, open_device)
+    cell = LoadCell(settings, ConverterReader(settings, open_device))
+    converter = cell.converter
     span = averaging_span(settings.average_over, bench.period)
     stopping, spent, missing = threading.Event(), 0.0, 0
 
@@ -142,8 +144,8 @@ def load_cell(bench: Bench, testbed: Testbed) -> None:
         nonlocal spent
         due = clocks.monotonic()
         while not stopping.is_set():
-            cell.poll()
-            due = max(due + cell.period, clocks.monotonic() - cell.period)
+            converter.poll()
+            due = max(due + converter.period, clocks.monotonic() - converter.period)
             clocks.sleep(max(0.0, due - clocks.monotonic()))
         spent = time.thread_time()
 
@@ -161,9 +163,9 @@ def load_cell(bench: Bench, testbed: Testbed) -> None:
     total = bench(measure)
     stopping.set()
     thread.join()
-    cell.close()
-    per_trigger = round(bench.period / cell.period)
-    floor = bench(lambda moment: [time.sleep(0.8 * cell.period) for _ in range(per_trigger)])
+    converter.close()
+    per_trigger = round(bench.period / converter.period)
+    floor = bench(lambda moment: [time.sleep(0.8 * converter.period) for _ in range(per_trigger)])
     bus = devices[0]
     found = f"{bus.calls / bench.triggers:.0f} frames a trigger, {missing} incomplete"
     bench.row("load cell", bus.spent, total + spent - bus.spent, floor, found)

@@ -169,23 +169,23 @@ def check_load_cell(testbed: Testbed) -> Iterator[Finding]:
     settings = testbed.settings.load_cell_node
     cell = make_load_cell(settings)
     try:
-        yield Finding("load cell", cell.identify())
-        corrupted = cell.check_frames(_FRAMES)
+        yield Finding("load cell", cell.converter.identify())
+        corrupted = cell.converter.check_frames(_FRAMES)
         hint = CHECK_WIRING if corrupted else ""
         yield Finding("load cell CRC", f"{corrupted} of {_FRAMES} frames corrupted", hint)
         ends = clocks.monotonic() + _WATCHED
         while clocks.monotonic() < ends:
-            cell.poll()
-            clocks.sleep(0.5 * cell.period)
+            cell.converter.poll()
+            clocks.sleep(0.5 * cell.converter.period)
         level, message = cell.health(clocks.monotonic())
         if (line := settings.data_ready_line) >= 0:
-            counts = cell.figures()
+            counts = cell.converter.counts()
             found = f"{counts['conversions']} edges on line {line}"
             found += f", STATUS disagrees with {counts['status_disagrees']}"
             yield Finding("load cell DRDY", found)
         yield (_failure if level else Finding)("load cell bridges", message)
     finally:
-        cell.close()
+        cell.converter.close()
 
 
 def check_motion_capture(testbed: Testbed) -> Iterator[Finding]:
@@ -336,7 +336,7 @@ class _Bench:
         def stop() -> None:
             stopping.set()
             polling.join()
-            self._cell.close()
+            self._cell.converter.close()
 
         stack.callback(stop)
 
@@ -366,5 +366,5 @@ class _Bench:
 
     def _poll(self, stopping: threading.Event) -> None:
         while not stopping.is_set():
-            self._cell.poll()
-            clocks.sleep(self._cell.period)
+            self._cell.converter.poll()
+            clocks.sleep(self._cell.converter.period)

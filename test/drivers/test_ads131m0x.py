@@ -20,7 +20,7 @@ from socket_testbed.drivers.load_cell.ads131m0x import (
     open_spi,
     volts,
 )
-from socket_testbed.drivers.load_cell.converter_reader import ConversionClock, Conversions
+from socket_testbed.drivers.load_cell.converter_reader import ConversionClock
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.simulation.devices.ads131m0x import SimulatedAds131m0x
 
@@ -202,10 +202,10 @@ def test_conversions_are_timed_closer_than_they_are_read() -> None:
                 worst = max(worst, abs(end - ends[waiting]))
                 taken += 1
             waiting += 1
-        times.nothing_waits(now)
+        times.nothing_waits(now, now)
         if waiting % 500 == 250:
             times.lose()
-            times.nothing_waits(now)
+            times.nothing_waits(now, now)
     assert taken > 2700
     assert worst < 0.25 * PERIOD
 
@@ -221,21 +221,11 @@ def test_a_pause_leaves_no_conversion_with_a_wrong_time() -> None:
         (1.0505, 1.0509, 1.0507),  # the conversions themselves had paused
     ):
         if waiting is not None:
-            times.nothing_waits(waiting)
+            times.nothing_waits(waiting, waiting)
         found = times.conversion_end(end)
         assert found is None if expected is None else found == pytest.approx(expected, abs=1e-4)
     times.lose()  # a frame that may have held one was corrupted
     assert times.conversion_end(1.0515) is None
-
-
-def test_the_last_conversions_are_kept_in_order() -> None:
-    conversions = Conversions(10, 6)
-    for k in range(25):
-        conversions.add(0.1 * k, np.arange(k, k + 6))
-        assert conversions.newest(3)[:, 1].tolist() == list(range(max(k - 1, 1), k + 2))
-        assert len(conversions.between(-1.0, 9.0)[0]) >= min(k + 1, 10)
-    assert conversions.between(1.95, 2.15)[1][:, 0].tolist() == [20, 21]
-    assert conversions.between(5.0, 4.0)[1].shape == (0, 6)
 
 
 def test_the_bus_is_opened_in_mode_1_or_says_why_not(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,7 +18,8 @@ from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.drivers import gpio
 from socket_testbed.drivers.load_cell.ads131m0x import Ads131m0x
-from socket_testbed.drivers.load_cell.load_cell import LoadCell
+from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
+from socket_testbed.drivers.load_cell.load_cell import LoadCell, check_settings
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.live.hardware import make_load_cell
 from socket_testbed.samples import Status
@@ -64,10 +65,11 @@ class Bench:
         self.tared = np.zeros(6)
         self.chip = simulated_load_cell(wrench, settings, self.faults, self.clock, seed)
         self.line = line
-        self.cell = LoadCell(
+        self.converter = ConverterReader(
             settings, self.open_device, self.clock, self.sleep,
             (lambda: self.chip) if line else None,
         )  # fmt: skip
+        self.cell = LoadCell(settings, self.converter)
         self.readings: list[tuple[float, object]] = []
         self._asked: list[float] = []
         self._next = self.now
@@ -88,10 +90,10 @@ class Bench:
         """Poll for a while, now and then late; ask for a wrench every 13 ms."""
         end = self.now + duration
         while self.now < end:
-            self.now += self.cell.period * self.rng.uniform(0.4, 1.6)
+            self.now += self.converter.period * self.rng.uniform(0.4, 1.6)
             if self.rng.random() < pause:
-                self.now += self.rng.uniform(2.0, 9.0) * self.cell.period
-            self.cell.poll()
+                self.now += self.rng.uniform(2.0, 9.0) * self.converter.period
+            self.converter.poll()
             if self.now >= self._next:
                 self._asked.append(self.now)
                 self._next = self.now + 0.013
@@ -122,7 +124,7 @@ class Bench:
         right = np.clip(reading.wrench, np.min(truth, axis=0), np.max(truth, axis=0))
         # Conversions are known to a fraction of a period, in which the wrench moves by so much.
         known = 0.15 if self.line else 0.5
-        slack = known * self.cell.period * 2 * np.pi * FREQUENCY * AMPLITUDE + QUANTUM
+        slack = known * self.converter.period * 2 * np.pi * FREQUENCY * AMPLITUDE + QUANTUM
         np.testing.assert_array_less(np.abs(reading.wrench - right), slack)
 
     def worst(self) -> float:
@@ -166,7 +168,7 @@ def test_a_wrench_is_the_mean_over_the_span_around_its_time() -> None:
         assert counts <= set(range(fewest, fewest + 3))
         moment = bench.now - 0.3
         around = moment + np.linspace(-0.5 * span, 0.5 * span, 1001)
-        slack = 0.5 * bench.cell.period * 2 * np.pi * FREQUENCY * AMPLITUDE + QUANTUM
+        slack = 0.5 * bench.converter.period * 2 * np.pi * FREQUENCY * AMPLITUDE + QUANTUM
         mean = moving(around).mean(axis=0)
         assert (np.abs(bench.cell.wrench_at(moment, span).wrench - mean) < slack).all()
 
@@ -251,14 +253,14 @@ def test_the_line_is_asked_for_falling_edges_on_the_steady_clock(monkeypatch) ->
     monkeypatch.setattr(clocks, "_scale", 1.0)  # hardware keeps to real time
     monkeypatch.setattr(gpio.Path, "glob", lambda *_: iter(()))
     with refused(DeviceError, "data_ready_chip", "data_ready_line to -1"):
-        make_load_cell(settings)._reader._open_line()
+        make_load_cell(settings).converter.open_line()
     monkeypatch.setattr(gpio, "_chip", lambda *_: "/dev/gpiochip4")
     monkeypatch.setattr(
         gpiod,
         "request_lines",
         lambda path, consumer, config: asked.update(path=path, config=config) or request,
     )
-    line = make_load_cell(settings)._reader._open_line()
+    line = make_load_cell(settings).converter.open_line()
     (wanted,) = asked["config"].values()
     assert asked["path"] == "/dev/gpiochip4" and list(asked["config"]) == [22]
     assert (wanted.direction, wanted.edge_detection) == (Direction.INPUT, Edge.FALLING)
@@ -266,7 +268,7 @@ def test_the_line_is_asked_for_falling_edges_on_the_steady_clock(monkeypatch) ->
     assert line.edges(0.0) == pytest.approx([5.0, 5.002, 5.004]) and line.edges(0.0) == []
     line.close()
     assert asked["released"]
-    assert make_load_cell(SETTINGS)._reader._open_line is None
+    assert make_load_cell(SETTINGS).converter.open_line is None
 
 
 def test_another_converter_is_named_until_it_is_changed() -> None:
@@ -279,22 +281,22 @@ def test_another_converter_is_named_until_it_is_changed() -> None:
     level, text = bench.cell.health(bench.now)
     assert level == 2 and "ID 0x2802, not 0x26xx" in text and "channels" in text
     with pytest.raises(DeviceError, match="0x2802"):
-        bench.cell.identify()
+        bench.converter.identify()
     bench.chip = right
     bench.run(0.6)
-    assert bench.cell.identify() == "ADS131M06 on spidev0.0, ID 0x2602"
-    assert bench.cell.check_frames(20) == 0
+    assert bench.converter.identify() == "ADS131M06 on spidev0.0, ID 0x2602"
+    assert bench.converter.check_frames(20) == 0
     bench.fault("flipped_bits", 1.0)
     # A flipped bit behind the checksum, one in 24 bytes, harms nothing.
-    assert 40 <= bench.cell.check_frames(50) <= 50
+    assert 40 <= bench.converter.check_frames(50) <= 50
 
     def missing():
         raise DeviceError("there is no /dev/spidev0.0", "enable SPI")
 
-    cell = LoadCell(SETTINGS, missing, lambda: 3.0, lambda duration: None)
-    cell.poll()
+    cell = LoadCell(SETTINGS, ConverterReader(SETTINGS, missing, lambda: 3.0))
+    cell.converter.poll()
     assert cell.health(3.0) == (2, "there is no /dev/spidev0.0: enable SPI")
-    cell.close()
+    cell.converter.close()
 
 
 def still(values):
@@ -415,4 +417,4 @@ def test_wrong_settings_are_named() -> None:
     ):
         with refused(ConfigurationError, f"load_cell_node: {name}{fact}"):
             slow = {"oversampling": 16384}
-            LoadCell(dataclasses.replace(SETTINGS, **(slow | {name: value})), lambda: None)
+            check_settings(dataclasses.replace(SETTINGS, **(slow | {name: value})))
