@@ -67,7 +67,6 @@ def test_a_unicast_server_is_asked_for_little_in_the_wanted_version_and_describe
         link.until_fine()
         table = link.client.describe()
         assert table["server"] == "simulated Motive 3.1, NatNet 4.4"
-        assert table["state"] == "connected"
         assert {"rate", "clock uncertainty", "address"} <= set(table)
         until(lambda: round(link.client.figures()["rate"]) in range(200, 280), "the rate")
         until(lambda: len(link.server.commands) >= 3, "the subscriptions")
@@ -182,7 +181,7 @@ def test_lost_replies_are_asked_for_again_and_do_not_make_more_takes():
     with Link(client=False, seed=3) as link:
         link.faults["mocap.drop"] = 0.7
         link.client.start()
-        until(lambda: "bodies" in link.client.describe(), "the rigid bodies")
+        until(lambda: link.client.describe()["bodies"] != "none", "the rigid bodies")
         until(lambda: len(link.frames) > 20, "frames")
         link.faults.update({"mocap.drop": 0.4, "mocap.duplicate": 0.5, "mocap.truncate": 0.3})
         for number in range(2):

@@ -11,7 +11,6 @@ from struct import pack
 import numpy as np
 
 from socket_testbed.drivers.natnet import messages
-from socket_testbed.drivers.natnet.connection import CommandQueue
 from socket_testbed.drivers.natnet.session import Session
 from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.simulation.devices.natnet_encoding import (
@@ -79,7 +78,7 @@ class NatNetLink:
         self._arrived = dict.fromkeys(("way", "back"), 0.0)
         self._now = 0.0
         self._exposed = 0.0
-        self.session = Session(self.settings, (4, 1), self, CommandQueue(), self._take)
+        self.session = Session(self.settings, self, self._take)
 
     def run(self, duration: float) -> NatNetLink:
         """Let the link be used for a time [s]."""

@@ -43,8 +43,16 @@ def server_address(settings: MocapSettings) -> tuple[str, int]:
             "mocap_node: server is empty", "give the address of the computer that runs Motive"
         )
     for name, value in (("multicast", settings.multicast), ("interface", settings.interface)):
-        if value:
-            _check_address(name, value)
+        if not value:
+            continue
+        fact = f"mocap_node: {name} is '{value}'"
+        try:
+            address = ipaddress.IPv4Address(value)
+        except ValueError:
+            raise ConfigurationError(fact, "give an IPv4 address, or nothing") from None
+        if name == "multicast" and not address.is_multicast:
+            fact = f"{fact}, which is not a multicast group"
+            raise ConfigurationError(fact, "give 239.255.42.99, say")
     try:
         found = socket.getaddrinfo(
             settings.server.strip(), settings.command_port, socket.AF_INET, socket.SOCK_DGRAM
@@ -67,20 +75,6 @@ def bitstream_version(settings: MocapSettings) -> Version:
     if version < OLDEST:
         raise ConfigurationError(f"{fact}, which is too old", "give 3.0 or later, such as 4.1")
     return version
-
-
-def _check_address(name: str, value: str) -> None:
-    try:
-        address = ipaddress.IPv4Address(value)
-    except ValueError:
-        raise ConfigurationError(
-            f"mocap_node: {name} is '{value}'", "give an IPv4 address, or nothing"
-        ) from None
-    if name == "multicast" and not address.is_multicast:
-        raise ConfigurationError(
-            f"mocap_node: multicast is '{value}', which is not a multicast group",
-            "give 239.255.42.99, say",
-        )
 
 
 class NatNetSockets:
@@ -161,9 +155,8 @@ class Answer:
     @property
     def accepted(self) -> bool:
         """Whether the server did it."""
-        return (
-            self.recognized and self.raw is not None and (len(self.raw) != 4 or not any(self.raw))
-        )
+        raw = self.raw
+        return self.recognized and raw is not None and (len(raw) != 4 or not any(raw))
 
     @property
     def text(self) -> str:
