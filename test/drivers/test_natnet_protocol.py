@@ -110,8 +110,7 @@ def test_messages_of_every_version_are_read_as_they_were_written():
         assert (frame.number, frame.mid_exposure, frame.bodies) == (4711, 123_456_789_012, (1, 2))
         assert frame.recording and frame.models_changed
         assert [(m.model, m.member) for m in frame.markers] == [(1, 1), (1, 2), (2, 3), (2, 1)]
-        assert [m.occluded for m in frame.markers] == [False, True, False, True]
-        assert [m.model_filled for m in frame.markers] == [False, False, True, False]
+        assert [m.seen for m in frame.markers] == [True, False, False, False]
         for found, written in zip(frame.markers, CONTENT.markers, strict=True):
             np.testing.assert_allclose(found.position, written.position, rtol=1e-6)
         empty = parse(bytes(encode_frame(Content(number=0), version).data), version)
@@ -128,7 +127,7 @@ def test_frames_by_hand():
         frame = parse_frame(memoryview(payload), version)
         sized = version == (4, 1)
         assert (frame.number, frame.mid_exposure, frame.bodies) == (17 + sized, 1000, (5,))
-        assert frame.markers == ((5, 2, (4.0, 5.0, 6.0), False, False),)
+        assert frame.markers == ((5, 2, (4.0, 5.0, 6.0), True),)
         assert (frame.recording, frame.models_changed) == (not sized, sized)
 
 

@@ -253,9 +253,8 @@ class LabelledMarker(NamedTuple):
 
     model: int  # streaming id of the body that it belongs to; 0: none
     member: int  # its number in the body, from 1
-    position: Position  # its position [m]; where it is occluded, the last or an assumed one
-    occluded: bool  # whether no camera sees it, or its position is not a number
-    model_filled: bool  # whether the position is that of the body's model, not of the marker
+    position: Position  # its position [m]; where it is not seen, the last or an assumed one
+    seen: bool  # whether a camera sees it, and the position is its own, not the body's model's
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,7 +282,15 @@ def parse_frame(payload: bytes | memoryview, version: Version) -> MocapFrame:
     _skip_section(reader, sized, 8, _skip_skeleton)
     if sized:
         _skip_section(reader, sized, 12, _skip_skeleton)  # assets
-    markers = _markers(reader, sized)
+    markers = tuple(
+        LabelledMarker(
+            identity >> 16 & 0xFFFF,
+            identity & 0xFFFF,
+            (x, y, z),
+            not flags & (_OCCLUDED | _MODEL_FILLED) and isfinite(x + y + z),
+        )
+        for identity, x, y, z, _, flags, _ in _elements(reader, sized, _MARKER)
+    )
     for _ in range(2):  # force plates, devices
         _skip_section(reader, sized, 8, _skip_channels)
     _, _, _, ticks, *_, flags, end = reader.unpack(_SUFFIX_4_1 if sized else _SUFFIX_3)
@@ -333,16 +340,3 @@ def _elements(reader: Reader, sized: bool, layout: Struct) -> Iterator[tuple[Any
         raise reader.bad(f"a section of {size} bytes for {count} of {layout.size}")
     begin = reader.skip(count * layout.size)
     return layout.iter_unpack(reader.payload[begin : reader.offset])
-
-
-def _markers(reader: Reader, sized: bool) -> tuple[LabelledMarker, ...]:
-    return tuple(
-        LabelledMarker(
-            (identity >> 16) & 0xFFFF,
-            identity & 0xFFFF,
-            (x, y, z),
-            bool(flags & _OCCLUDED) or not isfinite(x + y + z),
-            bool(flags & _MODEL_FILLED),
-        )
-        for identity, x, y, z, _, flags, _ in _elements(reader, sized, _MARKER)
-    )

@@ -5,10 +5,10 @@ from __future__ import annotations
 import threading
 from bisect import bisect_left, bisect_right
 from collections import Counter, deque
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import NamedTuple, TypeAlias
+from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -29,14 +29,6 @@ from socket_testbed.settings.acquisition import MocapSettings
 _KEPT = 1.0  # [s]
 _VOTES, _FEWEST = 20, 3  # fits that decide on the usual order of the labels
 _LARGEST_STEP = 0.01  # [m]; of a marker between two frames, without a fit of its body
-
-
-class _Entry(NamedTuple):
-    """A frame at its time [s], with the markers of each body, shape (k, 3) [m]."""
-
-    time: float
-    models: BodiesByName | None
-    markers: tuple[FloatArray, ...]
 
 
 @dataclass(frozen=True)
@@ -65,41 +57,32 @@ class BodyTracker:
     """
 
     def __init__(
-        self,
-        settings: MocapSettings,
-        socket_markers: FloatArray,
-        pylon_markers: FloatArray,
+        self, settings: MocapSettings, socket_markers: FloatArray, pylon_markers: FloatArray
     ) -> None:
-        self._stale = settings.stale
         self._bodies = (
             _TrackedBody(settings.socket_body, "socket_body", socket_markers, settings.stale),
             _TrackedBody(settings.pylon_body, "pylon_body", pylon_markers, settings.stale),
         )
-        self._frames: deque[_Entry] = deque()
-        self._changed = threading.Condition()
+        self._changed = threading.Condition()  # its lock may be taken again by its holder
 
     def add(self, frame: MocapFrame, time: float, models: BodiesByName | None) -> None:
         """Add a frame of a time [s] after all before, with the bodies that its ids stand for."""
         with self._changed:
-            if self._frames and time <= self._frames[-1].time:
-                return
-            markers = tuple(body.markers(frame, models) for body in self._bodies)
-            self._frames.append(_Entry(time, models, markers))
-            while self._frames[0].time < time - _KEPT:
-                self._frames.popleft()
+            for body in self._bodies:
+                body.add(frame, time, models)
             self._changed.notify_all()
 
     def ready(self, trigger: float, window: float = 0.0) -> bool:
         """Whether no later frame will make the sample of a trigger [s] better."""
         with self._changed:
-            return self._is_ready(trigger, window)
+            return all(body.ready(trigger, window) for body in self._bodies)
 
     def wait(self, trigger: float, deadline: float, window: float = 0.0) -> bool:
         """Wait until `ready`, or until a time of the steady clock [s]; whether it is ready."""
         # No frame before the window's end can be the last one.
         clocks.sleep(max(0.0, min(trigger + 0.5 * window, deadline) - clocks.monotonic()))
         with self._changed:
-            while not self._is_ready(trigger, window):
+            while not self.ready(trigger, window):
                 left = deadline - clocks.monotonic()
                 if left <= 0.0:
                     return False
@@ -117,59 +100,38 @@ class BodyTracker:
         Markers are always interpolated.
         """
         with self._changed:
-            entries, before = self._around(trigger, 0.5 * window)
-            offsets = np.array([entry.time - trigger for entry in entries])
-            inside = (np.abs(offsets) <= 0.5 * window) & (window > 0.0)
-            bodies = [
-                body.at(entries, [entry.markers[k] for entry in entries], before, offsets, inside)
-                for k, body in enumerate(self._bodies)
-            ]
-        positions, quaternions, seen, faults, frames = zip(*bodies, strict=True)
-        markers = np.full((2, max(map(len, seen)), 3), np.nan)
-        for own, places in zip(markers, seen, strict=True):
-            own[: len(places)] = places
+            socket, pylon = (body.at(trigger, window) for body in self._bodies)
+        markers = np.full((2, max(len(socket.markers), len(pylon.markers)), 3), np.nan)
+        markers[0, : len(socket.markers)] = socket.markers
+        markers[1, : len(pylon.markers)] = pylon.markers
         return MocapSample(
             trigger,
-            np.array(positions),
-            np.array(quaternions),
+            np.array([socket.position, pylon.position]),
+            np.array([socket.quaternion, pylon.quaternion]),
             markers,
-            (faults[0], faults[1]),
-            (frames[0], frames[1]),
-        )
-
-    def _around(self, trigger: float, half: float) -> tuple[list[_Entry], int]:
-        """The frames at most half a window from a time, and two on either side of it."""
-        frames = list(self._frames)
-        times = [entry.time for entry in frames]
-        middle = bisect_left(times, trigger)
-        first = max(0, min(middle - 2, bisect_left(times, trigger - half)))
-        last = max(middle + 2, bisect_right(times, trigger + half))
-        return frames[first:last], middle - first
-
-    def _is_over(self, end: float) -> bool:
-        """Whether the next frame will come after a time, as they follow each other at present."""
-        times = [entry.time for entry in islice(reversed(self._frames), 2)]
-        return bool(times) and 2.0 * times[0] - times[-1] > end
-
-    def _is_ready(self, trigger: float, window: float) -> bool:
-        if window > 0.0 and not self._is_over(trigger + 0.5 * window):
-            return False
-        entries, before = self._around(trigger, 0.0)
-        after = entries[before:]
-        if not after or len(after) == 2 or after[-1].time >= trigger + self._stale:
-            return bool(after)
-        # One more frame is worth the wait where a marker is not seen in this one.
-        return all(
-            body.is_seen(markers, after[0].models)
-            for body, markers in zip(self._bodies, after[0].markers, strict=True)
+            (socket.fault, pylon.fault),
+            (socket.frames, pylon.frames),
         )
 
 
-_Result: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, str, int]
+class _Frame(NamedTuple):
+    time: float  # [s]
+    markers: FloatArray  # of the body by their labels, shape (k, 3) [m]; NaN where one is not seen
+    unknown: str  # why none of the server's rigid bodies is this one; empty: one is
+
+
+class _Found(NamedTuple):
+    """A body at a time; NaN and a fault where it has no pose."""
+
+    markers: FloatArray  # [m]
+    position: FloatArray  # [m]
+    quaternion: FloatArray
+    frames: int = 0
+    fault: str = ""
 
 
 class _TrackedBody:
-    """One of the two bodies: where its markers are in a frame, and in what order."""
+    """One of the two bodies: where its markers are in the frames of the last second."""
 
     def __init__(self, name: str, setting: str, reference: FloatArray, stale: float) -> None:
         self._name = name
@@ -177,57 +139,76 @@ class _TrackedBody:
         self._setting = setting
         self._reference = np.asarray(reference, dtype=float)
         self._count = len(self._reference)
-        self._hidden = [(np.nan, np.nan, np.nan)] * self._count
         self._distances = distances(self._reference)
+        self._frames: deque[_Frame] = deque()
         self._orders: deque[tuple[int, ...]] = deque(maxlen=_VOTES)  # of the labels, lately
 
-    def markers(self, frame: MocapFrame, models: BodiesByName | None) -> FloatArray:
-        """Its markers by their labels, shape (k, 3) [m]; NaN where one is not seen."""
-        markers = self._hidden.copy()
-        definition = models.get(self._name) if models is not None else None
+    def add(self, frame: MocapFrame, time: float, models: BodiesByName | None) -> None:
+        """Add a frame, unless it is not after all before."""
+        if self._frames and time <= self._frames[-1].time:
+            return
+        markers = [(np.nan, np.nan, np.nan)] * self._count
+        definition = (models or {}).get(self._name)
         if definition is not None:
             own = sorted(marker for marker in frame.markers if marker.model == definition.id)
             for rank, marker in enumerate(own):
                 slot = rank if len(own) == self._count else marker.member - 1
-                if not (marker.occluded or marker.model_filled) and 0 <= slot < self._count:
+                if marker.seen and 0 <= slot < self._count:
                     markers[slot] = marker.position
-        return np.array(markers)
+        self._frames.append(_Frame(time, np.array(markers), self._unknown(models)))
+        while self._frames[0].time < time - _KEPT:
+            self._frames.popleft()
 
-    def is_seen(self, markers: FloatArray, models: BodiesByName | None) -> bool:
-        """Whether all its markers are seen, or never will be."""
-        return bool(self._unknown(models) or np.isfinite(markers).all())
+    def ready(self, trigger: float, window: float) -> bool:
+        """Whether no later frame will make it better at a trigger [s]."""
+        if window > 0.0:
+            # As frames follow each other at present, the next one comes after the window's end.
+            times = [frame.time for frame in islice(reversed(self._frames), 2)]
+            if not times or 2.0 * times[0] - times[-1] <= trigger + 0.5 * window:
+                return False
+        frames, before = self._around(trigger, 0.0)
+        after = frames[before:]
+        if not after or len(after) == 2 or after[-1].time >= trigger + self._stale:
+            return bool(after)
+        # One more frame is worth the wait where a marker is not seen in this one, but may be.
+        return bool(after[0].unknown or np.isfinite(after[0].markers).all())
 
-    def at(
-        self,
-        entries: Sequence[_Entry],
-        markers: Sequence[FloatArray],
-        first_after: int,
-        offsets: FloatArray,
-        inside: BoolArray,
-    ) -> _Result:
-        """Position [m], quaternion, markers [m], fault and number of frames at a time."""
-        nothing = (np.full(3, np.nan), np.full(4, np.nan), np.full((self._count, 3), np.nan))
-        nearest = (first_after - 1, first_after)
-        if not 0 < first_after < len(entries) or _span(offsets, nearest) > self._stale:
-            return *nothing, f"no two frames within {self._stale:g} s around the trigger", 0
-        for row in nearest:
-            if fault := self._unknown(entries[row].models):
-                return *nothing, fault, 0
-        seen = np.array(markers)
+    def at(self, trigger: float, window: float) -> _Found:
+        """The body at a trigger [s]."""
+        frames, after = self._around(trigger, 0.5 * window)
+        offsets = np.array([frame.time - trigger for frame in frames])
+        nowhere = np.full(3, np.nan), np.full(4, np.nan)
+        nothing = _Found(np.full((self._count, 3), np.nan), *nowhere)
+        nearest = (after - 1, after)
+        if not 0 < after < len(frames) or _span(offsets, nearest) > self._stale:
+            return nothing._replace(
+                fault=f"no two frames within {self._stale:g} s around the trigger"
+            )
+        if fault := frames[after - 1].unknown or frames[after].unknown:
+            return nothing._replace(fault=fault)
+        seen = np.array([frame.markers for frame in frames])
         fit = fit_body(self._reference, seen)
         found = fit.found
-        for a in range(first_after - 1, max(first_after - 3, -1), -1):
-            for b in range(first_after, min(first_after + 2, len(entries))):
+        inside = (np.abs(offsets) <= 0.5 * window) & (window > 0.0)
+        for a in range(after - 1, max(after - 3, -1), -1):
+            for b in range(after, min(after + 2, len(frames))):
                 if found[a] and found[b] and _span(offsets, (a, b)) <= self._stale:
                     weight = -offsets[a] / (offsets[b] - offsets[a])
                     labelled = self._interpolate_markers(fit, seen, (a, b), weight)
                     noise = weight**2 + (1.0 - weight) ** 2
                     mean = _mean(fit.pose, offsets, inside & found, noise)
-                    position, quaternion, used = mean or _interpolate(fit.pose, (a, b), weight)
-                    return position, quaternion, labelled, "", used
+                    return _Found(labelled, *(mean or _interpolate(fit.pose, (a, b), weight)))
         weight = -offsets[nearest[0]] / (offsets[nearest[1]] - offsets[nearest[0]])
         labelled = self._by_label(fit, seen, nearest, weight)
-        return *nothing[:2], labelled, self._fault(seen[list(nearest)]), 0
+        return _Found(labelled, *nowhere, fault=self._fault(seen[list(nearest)]))
+
+    def _around(self, trigger: float, half: float) -> tuple[list[_Frame], int]:
+        """The frames at most half a window from a time, and two on either side of it."""
+        frames, time = self._frames, attrgetter("time")
+        middle = bisect_left(frames, trigger, key=time)
+        first = max(0, min(middle - 2, bisect_left(frames, trigger - half, key=time)))
+        last = max(middle + 2, bisect_right(frames, trigger + half, key=time))
+        return list(islice(frames, first, last)), middle - first
 
     def _unknown(self, models: BodiesByName | None) -> str:
         """Why none of the server's rigid bodies is this one; empty: one is."""
