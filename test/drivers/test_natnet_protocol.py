@@ -222,7 +222,7 @@ def test_requests_and_replies_have_the_documented_bytes():
     assert parse_echo(pack("<QQ", 1, 2**63)) == (1, 2**63)
     with pytest.raises(MalformedDatagram):
         parse_echo(bytes(15))
-    assert Answer(bytes(4)).accepted and not Answer(pack("<i", 1)).accepted
-    assert not Answer(bytes(4), recognized=False).accepted
-    assert Answer(pack("<i", -3)).text == "-3"
+    assert Answer(bytes(4)).fault("LiveMode") == ""
+    assert Answer(pack("<i", -3)).fault("LiveMode") == "the server refuses LiveMode (-3)"
+    assert "not know LiveMode" in Answer(bytes(4), recognized=False).fault("LiveMode")
     assert Answer(b"Bitstream,4.1\0").text == "Bitstream,4.1"

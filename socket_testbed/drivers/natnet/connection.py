@@ -153,12 +153,6 @@ class Answer:
     recognized: bool = True  # whether the server knows the command
 
     @property
-    def accepted(self) -> bool:
-        """Whether the server did it."""
-        raw = self.raw
-        return self.recognized and raw is not None and (len(raw) != 4 or not any(raw))
-
-    @property
     def text(self) -> str:
         """The reply for a person."""
         raw = self.raw or b""
@@ -173,7 +167,8 @@ class Answer:
             return f"no answer to {name}"
         if not self.recognized:
             return f"the server does not know {name}"
-        return "" if self.accepted else f"the server refuses {name} ({self.text})"
+        refused = len(self.raw) == 4 and any(self.raw)
+        return f"the server refuses {name} ({self.text})" if refused else ""
 
 
 Done = Callable[[Answer], None]
@@ -188,12 +183,10 @@ class CommandQueue:
     """
 
     def __init__(self) -> None:
-        self._waiting: deque[tuple[str, Done]] = deque()
-        self._current: tuple[str, Done] | None = None
-        self._sent = 0
-        self._next = 0.0
-        self._strays = 0
-        self._quiet = 0.0
+        self._waiting: deque[tuple[str, Done]] = deque()  # the one that is being sent first
+        self._sent = 0  # how often without an answer
+        self._strays = 0  # answers to repetitions of the one before that may still come
+        self._next = 0.0  # [s]
 
     def submit(self, text: str, done: Done) -> None:
         """Have a command sent; `done` is called with its answer."""
@@ -201,36 +194,30 @@ class CommandQueue:
 
     def step(self, now: float, send: Callable[[bytes], None]) -> None:
         """Send the command that is due at a time of the steady clock [s], if any."""
-        if self._current is None:
-            if now < self._quiet or not self._waiting:
-                return
-            self._current, self._sent, self._strays = self._waiting.popleft(), 0, 0
-            self._next = now
-        if now < self._next:
+        if now < self._next or not self._waiting:
             return
         if self._sent == _ATTEMPTS:
             self._finish(Answer(None), now)
             return
         self._sent += 1
+        self._strays = 0
         self._next = now + _INTERVAL
-        send(encode_command(self._current[0]))
+        send(encode_command(self._waiting[0][0]))
 
     def answer(self, answer: Answer, now: float) -> None:
         """Take a reply."""
-        if self._current is not None and self._sent:
+        if self._sent:
             self._sent -= 1
             self._finish(answer, now)
         elif self._strays:
             self._strays -= 1
             if not self._strays:
-                self._quiet = now + _DUPLICATES
+                self._next = now + _DUPLICATES
 
     def _finish(self, answer: Answer, now: float) -> None:
-        assert self._current is not None
-        _, done = self._current
-        self._current = None
-        self._strays = self._sent
-        self._quiet = now + (_STRAYS if self._strays else _DUPLICATES)
+        self._strays, self._sent = self._sent, 0
+        self._next = now + (_STRAYS if self._strays else _DUPLICATES)
+        _, done = self._waiting.popleft()
         done(answer)
 
 

@@ -50,13 +50,13 @@ _RECORDING, _MODELS_CHANGED = 1, 2
 
 # In a layout: a text, beside numbers of bytes and tuples of what each counted element has.
 _TEXT = str
-Layout: TypeAlias = tuple[Any, ...]
+_Layout: TypeAlias = tuple[Any, ...]
 
-_MARKER_SET: Layout = (_TEXT, (12,))
-_BODIES: Layout = (4, (_BODY.size,))  # a skeleton, an asset: id, bodies
-_CHANNELS: Layout = (4, ((4,),))  # a force plate, a device: id, values by channel
+_MARKER_SET: _Layout = (_TEXT, (12,))
+_BODIES: _Layout = (4, (_BODY.size,))  # a skeleton, an asset: id, bodies
+_CHANNELS: _Layout = (4, ((4,),))  # a force plate, a device: id, values by channel
 _RIGID_BODY, _SKELETON = 1, 2
-_DEFINITIONS: dict[int, Layout] = {  # all others, by their types
+_DEFINITIONS: dict[int, _Layout] = {  # all others, by their types
     0: (_TEXT, (_TEXT,)),  # marker set: name, markers
     _SKELETON: (_TEXT, 4),  # name, id; its bones follow
     # force plate: id, serial number; size, origin, calibration, corners; two types; channels
@@ -67,7 +67,7 @@ _DEFINITIONS: dict[int, Layout] = {  # all others, by their types
 
 
 @cache
-def _smallest(layout: Layout) -> int:
+def _smallest(layout: _Layout) -> int:
     """Fewest bytes that a layout takes."""
     return sum(part if isinstance(part, int) else 1 if part is _TEXT else 4 for part in layout)
 
@@ -307,7 +307,7 @@ def parse_frame(payload: bytes | memoryview, version: Version) -> MocapFrame:
     return MocapFrame(number, bodies, markers, ticks, bool(flags & _RECORDING), changed)
 
 
-def _skip_section(reader: Reader, sized: bool, elements: Layout) -> None:
+def _skip_section(reader: Reader, sized: bool, elements: _Layout) -> None:
     """Pass over a section: by its size from 4.1 on, element by element before."""
     if not sized:
         reader.pass_over(elements)

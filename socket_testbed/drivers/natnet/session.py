@@ -364,10 +364,8 @@ class Session:
 
         def settle(answer: Answer) -> None:
             named = re.search(r"(\d+)\.(\d+)", answer.text)
-            if not answer.accepted:
-                self._version = info.version
-            else:
-                self._version = (int(named[1]), int(named[2])) if named else wanted
+            granted = (int(named[1]), int(named[2])) if named else wanted
+            self._version = info.version if answer.fault("Bitstream") else granted
             for text in _SUBSCRIPTIONS:
                 self._command(text)
 
