@@ -14,7 +14,6 @@ health. It never raises for a fault of the hardware.
 from __future__ import annotations
 
 import errno
-import os
 
 from socket_testbed.errors import DeviceError
 
@@ -39,9 +38,4 @@ def opening_failed(
         )
     if error.errno in {errno.ENOENT, errno.ENODEV, errno.ENXIO}:
         return DeviceError(f"there is no {path}", missing)
-    return DeviceError(f"{path} cannot be opened ({reason(error)})", otherwise)
-
-
-def reason(error: OSError) -> str:
-    """The system's text for an error."""
-    return os.strerror(error.errno) if error.errno else str(error)
+    return DeviceError(f"{path} cannot be opened ({error.strerror or error})", otherwise)

@@ -169,8 +169,9 @@ def check_load_cell(testbed: Testbed) -> Iterator[Finding]:
     settings = testbed.settings.load_cell_node
     cell = make_load_cell(settings)
     try:
-        yield Finding("load cell", cell.converter.identify())
-        corrupted = cell.converter.check_frames(_FRAMES)
+        chip = cell.converter.connect()
+        yield Finding("load cell", chip.description)
+        corrupted = chip.check_frames(_FRAMES)
         hint = CHECK_WIRING if corrupted else ""
         yield Finding("load cell CRC", f"{corrupted} of {_FRAMES} frames corrupted", hint)
         ends = clocks.monotonic() + _WATCHED

@@ -2,6 +2,7 @@
 
 import errno
 import itertools
+import os
 import random
 from collections.abc import Callable
 from dataclasses import replace
@@ -226,7 +227,9 @@ def test_a_chip_that_is_another_or_keeps_no_settings_is_refused() -> None:
 
 def failing_bus(number: int) -> Mock:
     dead = OSError(errno.EBADF, "x")
-    return Mock(**{"i2c_rdwr.side_effect": OSError(number, "x"), "close.side_effect": dead})
+    return Mock(
+        **{"i2c_rdwr.side_effect": OSError(number, os.strerror(number)), "close.side_effect": dead}
+    )
 
 
 def test_errors_of_the_bus_name_the_place_and_a_hint() -> None:

@@ -281,14 +281,14 @@ def test_another_converter_is_named_until_it_is_changed() -> None:
     level, text = bench.cell.health(bench.now)
     assert level == 2 and "ID 0x2802, not 0x26xx" in text and "channels" in text
     with pytest.raises(DeviceError, match="0x2802"):
-        bench.converter.identify()
+        bench.converter.connect()
     bench.chip = right
     bench.run(0.6)
-    assert bench.converter.identify() == "ADS131M06 on spidev0.0, ID 0x2602"
-    assert bench.converter.check_frames(20) == 0
+    assert bench.converter.connect().description == "ADS131M06 on spidev0.0, ID 0x2602"
+    assert bench.converter.connect().check_frames(20) == 0
     bench.fault("flipped_bits", 1.0)
     # A flipped bit behind the checksum, one in 24 bytes, harms nothing.
-    assert 40 <= bench.converter.check_frames(50) <= 50
+    assert 40 <= bench.converter.connect().check_frames(50) <= 50
 
     def missing():
         raise DeviceError("there is no /dev/spidev0.0", "enable SPI")

@@ -113,7 +113,8 @@ class I2cPort:
             raise self._named(error) from error
 
     def _named(self, error: OSError) -> BusError:
-        kind, fact = BusError, f"transfer failed at {self.where} ({drivers.reason(error)})"
+        said = error.strerror or error
+        kind, fact = BusError, f"transfer failed at {self.where} ({said})"
         hint = f"check the {self._part}'s wiring"
         if error.errno in {errno.EREMOTEIO, errno.ENXIO}:
             fact = f"no answer at {self.where}"
@@ -122,8 +123,7 @@ class I2cPort:
             kind, fact = BusTimeoutError, f"the bus hangs at {self.where}"
             hint = "check SDA and SCL for a short, their pull-ups, and doctor's kernel row"
         elif error.errno in {errno.ENODEV, errno.ENOENT, errno.EBADF, errno.EIO}:
-            kind = BusGoneError
-            fact = f"the bus is gone at {self.where} ({drivers.reason(error)})"
+            kind, fact = BusGoneError, f"the bus is gone at {self.where} ({said})"
             hint = f"check the adapter of {self._bus_name}; it is opened again by itself"
         return kind(fact, hint, self._address)
 

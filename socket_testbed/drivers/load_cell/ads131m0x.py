@@ -163,6 +163,11 @@ class Ads131m0x:
         self._name = name
         self._sleep = sleep
 
+    @property
+    def description(self) -> str:
+        """Which converter this is, and where."""
+        return f"ADS131M{self._channels:02d} on {self._name}, ID 0x{self.identity:04X}"
+
     def reset_and_configure(self, oversampling: int, gain: int, clock_in: float = 8.192e6) -> None:
         """Reset it, write its registers, read them back and drop unsettled conversions.
 

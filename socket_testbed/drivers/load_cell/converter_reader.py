@@ -169,7 +169,7 @@ class ConverterReader:
             self._fail(error)
 
     def connect(self) -> Ads131m0x:
-        """The converter, connected and configured."""
+        """The converter, connected and configured; for a thread that does not poll meanwhile."""
         if self._converter is None:
             settings = self._settings
             self.close()
@@ -184,15 +184,6 @@ class ConverterReader:
             self._connected = self.clock()
             self._converter = converter
         return self._converter
-
-    def identify(self) -> str:
-        """Which converter this is; for a thread that does not poll at the same time."""
-        identity = self.connect().identity
-        return f"ADS131M{self._settings.channels:02d} on {self._name}, ID 0x{identity:04X}"
-
-    def check_frames(self, count: int) -> int:
-        """Number of corrupted frames out of so many; as `identify`, and loses conversions."""
-        return self.connect().check_frames(count)
 
     def close(self) -> None:
         """Give the bus and the line back."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import threading
 from collections import Counter, deque
@@ -36,6 +37,7 @@ _EARLIEST, _LATEST = 1.0, 0.005  # [s]; before and after its arrival that a fram
 _LATEST_BY = 100  # frames; numbers further back are those of another stream
 _MOST_LOST = 1000  # frames
 
+FRAMES = "frames"
 BAD, LOST, LATE = "bad_datagrams", "lost_frames", "duplicate_or_late_frames"
 IMPLAUSIBLE, FAILED = "frames_of_implausible_time", "frames_that_could_not_be_used"
 _FAULTS = (BAD, LOST, LATE, IMPLAUSIBLE, FAILED)
@@ -168,41 +170,37 @@ class LinkStatistics:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._recent: deque[tuple[float, str, int]] = deque(maxlen=_MOST)  # faults: time [s], kind
-        self._totals = dict.fromkeys(("frames", *_FAULTS), 0)
-        self._frames: deque[float] = deque(maxlen=_MOST)
+        self._totals = dict.fromkeys((FRAMES, *_FAULTS), 0)
+        self._events: deque[tuple[float, str, int]] = deque(maxlen=_MOST)  # time [s], kind, number
+        self._last_frame = -math.inf  # [s]
         self._last_error = ""
 
     def count(self, kind: str, now: float, number: int = 1, error: str = "") -> None:
-        """Count a fault."""
+        """Count frames that were delivered, or a fault."""
         with self._lock:
             self._totals[kind] += number
-            self._recent.append((now, kind, number))
+            self._events.append((now, kind, number))
             self._last_error = error or self._last_error
-
-    def delivered(self, now: float) -> None:
-        """Count a frame that was delivered."""
-        with self._lock:
-            self._totals["frames"] += 1
-            self._frames.append(now)
+            # One frame alone is no stream.
+            if kind == FRAMES and self._totals[FRAMES] > 1:
+                self._last_frame = now
 
     def quiet(self, now: float) -> float:
-        """Time since the last frame that was delivered, of two at least [s]."""
-        with self._lock:
-            return now - self._frames[-1] if len(self._frames) > 1 else float("inf")
+        """Time since the last frame that was delivered [s]."""
+        return now - self._last_frame
 
     def rate(self, now: float) -> float:
         """Frames delivered per second, over the last one [Hz]."""
         with self._lock:
-            recent = [moment for moment in self._frames if moment >= now - _SPAN]
-        return (len(recent) - 1) / max(recent[-1] - recent[0], 1e-6) if len(recent) > 1 else 0.0
+            times = [at for at, kind, _ in self._events if kind == FRAMES and at > now - _SPAN]
+        return (len(times) - 1) / max(times[-1] - times[0], 1e-6) if len(times) > 1 else 0.0
 
     def warning(self, now: float) -> str:
         """The faults of the last second in one line; empty for none."""
         counts: Counter[str] = Counter()
         with self._lock:
-            for moment, kind, number in self._recent:
-                counts[kind] += number if moment > now - _RECENT else 0
+            for at, kind, number in self._events:
+                counts[kind] += number if at > now - _RECENT else 0
         found = [f"{counts[kind]} {kind.replace('_', ' ')}" for kind in _FAULTS if counts[kind]]
         last = f" (the last: {self._last_error})" if counts[BAD] or counts[FAILED] else ""
         return ", ".join(found) + last
@@ -417,7 +415,7 @@ class Session:
         self.clock_error = error
         if error <= self.settings.clock_uncertainty:
             self._on_frame(frame, moment, self.models)
-            self.statistics.delivered(now)
+            self.statistics.count(FRAMES, now)
 
     def _is_next(self, number: int, now: float) -> bool:
         """Whether a frame is newer than all before it."""
