@@ -185,7 +185,7 @@ def mocap(bench: Bench, testbed: Testbed, world: Callable[[], float]) -> None:
     def place(moment: float) -> None:
         nonlocal missing
         tracker.wait(moment, moment + 0.5 * window + settings.stale, window)
-        missing += any(tracker.sample(moment, window).faults)
+        missing += any(body.fault for body in tracker.sample(moment, window))
 
     client.start()
     while not tracker.ready(clocks.monotonic() - 0.1):

@@ -216,9 +216,10 @@ def check_motion_capture(testbed: Testbed) -> Iterator[Finding]:
     yield Finding("motion capture clock", f"known within {link['clock uncertainty']}")
     counts = (len(geometry.socket_markers), len(geometry.pylon_markers))
     names = (settings.socket_body, settings.pylon_body)
-    for body, count, fault in zip(names, counts, seen.faults, strict=True):
-        what, number = f"rigid body {body}", "three" if count == FEWEST_MARKERS else count
-        yield _failure(what, fault) if fault else Finding(what, f"its {number} markers are seen")
+    for name, count, body in zip(names, counts, seen, strict=True):
+        what, number = f"rigid body {name}", "three" if count == FEWEST_MARKERS else count
+        found = f"its {number} markers are seen"
+        yield _failure(what, body.fault) if body.fault else Finding(what, found)
 
 
 CHECKS: tuple[Callable[[Testbed], Iterator[Finding]], ...] = (

@@ -123,7 +123,7 @@ class Bench:
         self.clock.now = max(self.clock.now, trigger) + self.overhead
         reading = self.reader.read(trigger)
         missing = reading.status == MISSING
-        for row, name in enumerate(reading.names):
+        for row, name in enumerate(self.settings.names):
             assert missing[row].all() or not missing[row].any()
             if missing[row].any() or name in reading.faults:
                 check_line(reading.faults[name])

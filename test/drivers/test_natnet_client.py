@@ -7,7 +7,6 @@ import pytest
 from support.natnet import Link, scene, until
 from support.wording import refused
 
-from socket_testbed import clocks
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.settings.acquisition import MocapSettings
@@ -121,7 +120,7 @@ def test_changed_rigid_bodies_are_asked_for():
         assert link.client.describe()["bodies"] == "other, socket"
         names[1] = "pylon"
         until(lambda: "pylon" in link.client.describe()["bodies"], "the new body")
-        until(lambda: link.tracker.sample(clocks.monotonic() - 0.02).faults == ("", ""), "a sample")
+        link.check_sample()
 
 
 def test_what_others_send_does_not_disturb(link):

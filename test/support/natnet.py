@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from socket_testbed import clocks
 from socket_testbed.drivers.natnet.client import NatNetClient
-from socket_testbed.drivers.natnet.tracker import BodyTracker, MocapSample
+from socket_testbed.drivers.natnet.tracker import BodyTracker
 from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
 from support import HANGS
@@ -108,18 +108,13 @@ class Link:
         return until(reached, f"level {level} '{text}'")
 
     def check_sample(self) -> float:
-        """The largest error of a marker, at a trigger from now or soon [m]."""
-        sample = self.sample()
-        truth = np.array([markers_at(body, sample.time) for body in range(2)])
-        return float(np.linalg.norm(sample.markers - truth, axis=2).max())
-
-    def sample(self) -> MocapSample:
-        """A sample at a trigger from now or soon in which both bodies have a pose."""
+        """The largest error of a marker, at a trigger from now or soon with both poses [m]."""
         deadline = clocks.monotonic() + HANGS
         while True:
             trigger = clocks.monotonic()
             assert trigger < deadline, "no sample came"
             self.tracker.wait(trigger, trigger + self.settings.stale)
             sample = self.tracker.sample(trigger)
-            if not any(sample.faults):
-                return sample
+            if not any(body.fault for body in sample):
+                off = [body.markers - markers_at(n, trigger) for n, body in enumerate(sample)]
+                return float(np.linalg.norm(off, axis=2).max())

@@ -39,8 +39,7 @@ _SETTLING = 0.5  # two conversions: the one under way has the former range
 class ClusterReading:
     """The clusters' values for one trigger."""
 
-    names: tuple[str, ...]  # names of the c clusters
-    capacitance: FloatArray  # capacitances by input, shape (c, 4) [pF]; NaN where there is none
+    capacitance: FloatArray  # of c clusters by input, shape (c, 4) [pF]; NaN where there is none
     status: StatusArray  # OK, SATURATED or MISSING (`Status`) of each input, shape (c, 4)
     faults: dict[str, str]  # fault and hint in one line, by the cluster's name
 
@@ -109,7 +108,7 @@ class ClusterReader:
                 fault = fault or "; ".join(entry.fault for entry in cluster.inputs if entry.fault)
             if fault:
                 faults[name] = fault
-        return ClusterReading(self._settings.names, capacitance, status, faults)
+        return ClusterReading(capacitance, status, faults)
 
     def identify(self) -> dict[str, str | DeviceError]:
         """The chip found at each cluster's place, or the error there, by the cluster's name."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from bisect import bisect_left, bisect_right
 from collections import Counter, deque
-from dataclasses import dataclass
 from itertools import islice
 from operator import attrgetter
 from typing import NamedTuple
@@ -19,7 +18,6 @@ from socket_testbed.drivers.natnet.messages import BodiesByName, MocapFrame
 from socket_testbed.geometry.marker_bodies import (
     EDGE_TOLERANCE,
     FEWEST_MARKERS,
-    BodyFit,
     distances,
     fit_body,
 )
@@ -31,18 +29,16 @@ _VOTES, _FEWEST = 20, 3  # fits that decide on the usual order of the labels
 _LARGEST_STEP = 0.01  # [m]; of a marker between two frames, without a fit of its body
 
 
-@dataclass(frozen=True)
-class MocapSample:
-    """Socket and pylon, in this order, at the time of a trigger; NaN where they are not seen."""
+class SeenBody(NamedTuple):
+    """A body at the time of a trigger."""
 
-    time: float  # time of the trigger on the steady clock [s]
-    positions: FloatArray  # origins of the bodies in the world, shape (2, 3) [m]
-    quaternions: FloatArray  # their orientations (x, y, z, w), shape (2, 4) [-]
-    # their markers in the bodies' order, as labelled where they do not fit, shape (2, k, 3) [m],
-    # where k is that of the body with more; beyond its own, a body's are NaN
+    # its k markers in its own order, as labelled where they do not fit, shape (k, 3) [m]; NaN
+    # where one is not seen
     markers: FloatArray
-    faults: tuple[str, str]  # why a body has no pose; empty if it has one
-    frames: tuple[int, int]  # number of frames that make each pose [1]; 0 where there is none
+    position: FloatArray  # of its origin in the world, shape (3,) [m]; NaN where it has no pose
+    quaternion: FloatArray  # its orientation (x, y, z, w), shape (4,) [-]; likewise
+    frames: int = 0  # number of frames that make the pose [1]
+    fault: str = ""  # why it has no pose; empty if it has one
 
 
 class BodyTracker:
@@ -89,8 +85,8 @@ class BodyTracker:
                 self._changed.wait(clocks.real(left))
             return True
 
-    def sample(self, trigger: float, window: float = 0.0) -> MocapSample:
-        """The bodies at a time of the steady clock [s], from the frames there are.
+    def sample(self, trigger: float, window: float = 0.0) -> tuple[SeenBody, SeenBody]:
+        """Socket and pylon at a time of the steady clock [s], from the frames there are.
 
         A pose is the mean on SE(3) of the frames in the window: positions by their mean,
         rotations by the mean of their matrices (chordal). Frames are not even about the trigger,
@@ -101,33 +97,13 @@ class BodyTracker:
         """
         with self._changed:
             socket, pylon = (body.at(trigger, window) for body in self._bodies)
-        markers = np.full((2, max(len(socket.markers), len(pylon.markers)), 3), np.nan)
-        markers[0, : len(socket.markers)] = socket.markers
-        markers[1, : len(pylon.markers)] = pylon.markers
-        return MocapSample(
-            trigger,
-            np.array([socket.position, pylon.position]),
-            np.array([socket.quaternion, pylon.quaternion]),
-            markers,
-            (socket.fault, pylon.fault),
-            (socket.frames, pylon.frames),
-        )
+        return socket, pylon
 
 
 class _Frame(NamedTuple):
     time: float  # [s]
     markers: FloatArray  # of the body by their labels, shape (k, 3) [m]; NaN where one is not seen
     unknown: str  # why none of the server's rigid bodies is this one; empty: one is
-
-
-class _Found(NamedTuple):
-    """A body at a time; NaN and a fault where it has no pose."""
-
-    markers: FloatArray  # [m]
-    position: FloatArray  # [m]
-    quaternion: FloatArray
-    frames: int = 0
-    fault: str = ""
 
 
 class _TrackedBody:
@@ -173,12 +149,12 @@ class _TrackedBody:
         # One more frame is worth the wait where a marker is not seen in this one, but may be.
         return bool(after[0].unknown or np.isfinite(after[0].markers).all())
 
-    def at(self, trigger: float, window: float) -> _Found:
+    def at(self, trigger: float, window: float) -> SeenBody:
         """The body at a trigger [s]."""
         frames, after = self._around(trigger, 0.5 * window)
         offsets = np.array([frame.time - trigger for frame in frames])
         nowhere = np.full(3, np.nan), np.full(4, np.nan)
-        nothing = _Found(np.full((self._count, 3), np.nan), *nowhere)
+        nothing = SeenBody(np.full((self._count, 3), np.nan), *nowhere)
         nearest = (after - 1, after)
         if not 0 < after < len(frames) or _span(offsets, nearest) > self._stale:
             return nothing._replace(
@@ -188,19 +164,27 @@ class _TrackedBody:
             return nothing._replace(fault=fault)
         seen = np.array([frame.markers for frame in frames])
         fit = fit_body(self._reference, seen)
-        found = fit.found
-        inside = (np.abs(offsets) <= 0.5 * window) & (window > 0.0)
-        for a in range(after - 1, max(after - 3, -1), -1):
-            for b in range(after, min(after + 2, len(frames))):
-                if found[a] and found[b] and _span(offsets, (a, b)) <= self._stale:
-                    weight = -offsets[a] / (offsets[b] - offsets[a])
-                    labelled = self._interpolate_markers(fit, seen, (a, b), weight)
-                    noise = weight**2 + (1.0 - weight) ** 2
-                    mean = _mean(fit.pose, offsets, inside & found, noise)
-                    return _Found(labelled, *(mean or _interpolate(fit.pose, (a, b), weight)))
-        weight = -offsets[nearest[0]] / (offsets[nearest[1]] - offsets[nearest[0]])
-        labelled = self._by_label(fit, seen, nearest, weight)
-        return _Found(labelled, *nowhere, fault=self._fault(seen[list(nearest)]))
+        pairs = [
+            (a, b)
+            for a in range(after - 1, max(after - 3, -1), -1)
+            for b in range(after, min(after + 2, len(frames)))
+            if fit.found[a] and fit.found[b] and _span(offsets, (a, b)) <= self._stale
+        ]
+        a, b = pair = pairs[0] if pairs else nearest
+        weight = -offsets[a] / (offsets[b] - offsets[a])
+        if pairs:
+            whole = [fit.order[row] for row in pair if (fit.order[row] >= 0).all()]
+            self._orders += [tuple(order.tolist()) for order in whole]
+        start, end = (self._in_order(seen[row], fit.order[row]) for row in pair)
+        markers = start + weight * (end - start)
+        if pairs:
+            inside = (np.abs(offsets) <= 0.5 * window) & (window > 0.0)
+            noise = weight**2 + (1.0 - weight) ** 2
+            mean = _mean(fit.pose, offsets, inside & fit.found, noise)
+            return SeenBody(markers, *(mean or _interpolate(fit.pose, pair, weight)))
+        near = np.linalg.norm(end - start, axis=1) < _LARGEST_STEP
+        markers = np.where(near[:, None], markers, np.nan)
+        return SeenBody(markers, *nowhere, fault=self._fault(seen[list(pair)]))
 
     def _around(self, trigger: float, half: float) -> tuple[list[_Frame], int]:
         """The frames at most half a window from a time, and two on either side of it."""
@@ -228,51 +212,25 @@ class _TrackedBody:
             )
         return ""
 
-    def _interpolate_markers(
-        self, fit: BodyFit, seen: FloatArray, pair: tuple[int, int], weight: float
-    ) -> FloatArray:
-        whole = [row for row in pair if (fit.order[row] >= 0).all()]
-        self._orders += [tuple(fit.order[row].tolist()) for row in whole]
-        start, end = (_in_order(seen[row], fit.order[row]) for row in pair)
-        return np.asarray(start + weight * (end - start))
-
-    def _by_label(
-        self, fit: BodyFit, seen: FloatArray, pair: tuple[int, int], weight: float
-    ) -> FloatArray:
-        """Markers that are seen in both frames and moved little, though a body has no fit.
+    def _in_order(self, markers: FloatArray, order: IntArray) -> FloatArray:
+        """A frame's markers in the body's order, shape (k, 3) [m]; NaN where that is not known.
 
         All of a body whose markers are not where the geometry has them are kept as labelled: its
-        poses can be fitted later, with the right geometry.
+        poses can be fitted later, with the right geometry. Those that are left of a body without
+        a fit are in the usual order of the labels, if their distances do not contradict it.
         """
-        known = self._usual_order()
-        start, end = (
-            _in_order(seen[row], fit.order[row])
-            if fit.found[row]
-            else seen[row]
-            if np.isfinite(seen[row]).all()
-            else self._labelled(seen[row], known)
-            for row in pair
-        )
-        step = np.linalg.norm(end - start, axis=1)
-        near = np.where(np.isfinite(step), step, np.inf) < _LARGEST_STEP
-        return np.where(near[:, None], start + weight * (end - start), np.nan)
-
-    def _usual_order(self) -> IntArray | None:
-        """The order of most fits lately: a swap of labels that lasts must not be learnt."""
-        if not self._orders:
-            return None
-        order, votes = Counter(self._orders).most_common(1)[0]
-        return np.array(order) if votes >= max(_FEWEST, 0.75 * len(self._orders)) else None
-
-    def _labelled(self, markers: FloatArray, order: IntArray | None) -> FloatArray:
-        """Markers in the body's order by their labels; NaN where distances contradict them."""
-        unknown = np.full((self._count, 3), np.nan)
-        if order is None:
-            return unknown
-        mismatch = np.abs(distances(markers[order]) - self._distances)
-        if (mismatch[np.isfinite(mismatch)] > EDGE_TOLERANCE).any():
-            return unknown
-        return np.asarray(markers[order])
+        if (order >= 0).any():
+            return np.where((order >= 0)[:, None], markers[order], np.nan)
+        if np.isfinite(markers).all():
+            return markers
+        # A swap of labels that lasts must not be learnt.
+        usual, votes = Counter(self._orders).most_common(1)[0] if self._orders else ((), 0)
+        if votes >= max(_FEWEST, 0.75 * len(self._orders)):
+            markers = markers[list(usual)]
+            mismatch = np.abs(distances(markers) - self._distances)
+            if not (mismatch > EDGE_TOLERANCE).any():
+                return markers
+        return np.full((self._count, 3), np.nan)
 
     def _fault(self, seen: FloatArray) -> str:
         hidden = np.isnan(seen).any(axis=(0, 2))
@@ -286,11 +244,6 @@ class _TrackedBody:
             f"the markers of rigid body '{self._name}' do not fit its {kind}: check the geometry"
             " file, or that no other marker is taken for one of them"
         )
-
-
-def _in_order(markers: FloatArray, order: IntArray) -> FloatArray:
-    """Markers in the body's order, shape (k, 3) [m]; NaN where it names none."""
-    return np.where((order >= 0)[:, None], markers[order], np.nan)
 
 
 def _span(offsets: FloatArray, pair: tuple[int, int]) -> float:
