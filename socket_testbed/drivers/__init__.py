@@ -21,14 +21,9 @@ from socket_testbed.errors import DeviceError
 def opening_failed(
     path: str, error: OSError, group: str, missing: str, otherwise: str
 ) -> DeviceError:
-    """The error of a device file that could not be opened.
+    """The error of a device file that could not be opened, and that the members of a group may use.
 
-    Args:
-        path: The device file.
-        error: Why it could not be opened.
-        group: Group whose members may use it.
-        missing: Hint if there is no such file.
-        otherwise: Hint if it cannot be opened for another reason.
+    Its hint is `missing` if there is no such file.
     """
     if error.errno in {errno.EACCES, errno.EPERM}:
         return DeviceError(

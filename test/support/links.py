@@ -69,7 +69,6 @@ class NatNetLink:
     settings: MocapSettings = field(default_factory=lambda: MocapSettings(server="127.0.0.1"))
 
     def __post_init__(self) -> None:
-        self.opened = True
         # Time, error and stated uncertainty of each frame that was used [s].
         self.frames: list[tuple[float, float, float]] = []
         self._rng = np.random.default_rng(self.seed)

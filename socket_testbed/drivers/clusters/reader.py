@@ -6,7 +6,7 @@ import errno
 import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from smbus2 import i2c_msg
@@ -75,7 +75,7 @@ class ClusterReader:
             place = f"behind channel {channel} of 0x{address:02X}" if address else ""
             port = I2cPort(bus, bus.name, chip.address, place)
             made = chip(port, settings.sample_rate, sleep)
-            self._clusters[name] = _Cluster(bus, address, channel, made, self._cycle, clock)
+            self._clusters[name] = _Cluster(bus, (address, channel), made, self._cycle, clock)
 
     def read(self, trigger: float) -> ClusterReading:
         """Read the clusters for a trigger at a time of the steady clock [s]."""
@@ -96,13 +96,13 @@ class ClusterReader:
         status = np.full(shape, Status.MISSING, dtype=np.uint8)
         faults = {}
         for row, (name, cluster) in enumerate(self._clusters.items()):
-            fault = cluster.fault
-            if late or (not cluster.pending and cluster.read_last > latest):
+            fault, whole = cluster.fault, not cluster.pending
+            if late or (whole and max(entry.read for entry in cluster.inputs) > latest):
                 fault = (
                     f"read more than {self._settings.latest:g} s after the trigger:"
                     " lower the trigger's rate, or relieve the computer"
                 )
-            elif not cluster.pending:
+            elif whole:
                 capacitance[row] = values = [entry.value for entry in cluster.inputs]
                 status[row] = np.where(np.isnan(values), Status.SATURATED, Status.OK)
                 fault = fault or "; ".join(entry.fault for entry in cluster.inputs if entry.fault)
@@ -249,6 +249,7 @@ class _Input:
     fault: str = ""
 
 
+@dataclass
 class _Cluster:
     """A chip at its place, and its four inputs, read for each trigger.
 
@@ -256,54 +257,41 @@ class _Cluster:
     not the time of the read, limits how old a value can be, even if the chip has hung meanwhile.
     """
 
-    def __init__(
-        self,
-        bus: _Bus,
-        multiplexer: int,  # its address; 0: none
-        channel: int,
-        chip: CapacitiveChip,
-        cycle: float,  # [s]
-        clock: Callable[[], float],
-    ) -> None:
-        self.bus = bus
-        self.chip = chip
-        self.inputs: list[_Input] = []
-        self.pending: set[int] = set()  # inputs without a value for the present trigger
-        self.configured = False
-        self.fault = ""
-        self.backoff = clocks.Backoff()
-        self._place = multiplexer, channel
-        self._cycle = cycle
-        self._clock = clock
-        self._trigger = self._begun = -math.inf  # [s]
-
-    @property
-    def read_last(self) -> float:
-        """When the last of the inputs was read [s]."""
-        return max(entry.read for entry in self.inputs)
+    bus: _Bus
+    place: tuple[int, int]  # its multiplexer's address, 0: none, and channel
+    chip: CapacitiveChip
+    cycle: float  # [s]
+    clock: Callable[[], float]
+    inputs: list[_Input] = field(default_factory=list)
+    pending: set[int] = field(default_factory=set)  # without a value for the present trigger
+    trigger: float = -math.inf  # [s]
+    begun: float = -math.inf  # to read for it [s]
+    configured: bool = False
+    fault: str = ""
+    backoff: clocks.Backoff = field(default_factory=clocks.Backoff)
 
     def begin(self, trigger: float) -> None:
         """Begin to gather the inputs' values for a trigger at a time of the steady clock [s]."""
         self.pending = set(range(INPUTS))
-        self._trigger = trigger
-        self._begun = self._clock()
+        self.trigger = trigger
+        self.begun = self.clock()
 
     def select(self) -> None:
         """Connect the chip, and it alone."""
         self.bus.open()
-        self.bus.select(*self._place)
+        self.bus.select(*self.place)
 
     def configure(self) -> None:
         """Reset and configure the chip; drops what came before."""
-        begun = self._clock()
+        begun = self.clock()
         self.chip.reset_and_configure()
         self.inputs = [_Input(low=begun) for _ in range(INPUTS)]
-        self._begun = self._clock()
+        self.begun = self.clock()
         self.configured = True
 
     def poll(self) -> bool:
         """Read what is done; returns whether inputs are still pending."""
-        asked = self._clock()
+        asked = self.clock()
         done = self.chip.done()
         codes = {n: self._read(n) for n in sorted(self.pending) if done[n]}
         for n in self.pending - codes.keys():
@@ -316,17 +304,17 @@ class _Cluster:
                 entry, conversion = self.inputs[n], self.chip.convert(n, code)
                 entry.value, entry.fault = conversion.picofarads, conversion.fault
                 if conversion.shifted:
-                    entry.settled = self._clock() + _SETTLING * self._cycle
+                    entry.settled = self.clock() + _SETTLING * self.cycle
                 self.pending.discard(n)
         return bool(self.pending)
 
     def _read(self, n: int) -> int | None:
         """The code of an input [1], or None if it may be too old; it is cleared either way."""
         entry = self.inputs[n]
-        entry.since, entry.low = entry.low, self._clock()
+        entry.since, entry.low = entry.low, self.clock()
         code = self.chip.read(n)
-        entry.read = self._clock()
-        if entry.since < max(self._trigger - _OLDEST * self._cycle, entry.settled):
+        entry.read = self.clock()
+        if entry.since < max(self.trigger - _OLDEST * self.cycle, entry.settled):
             entry.since = -math.inf
             return None
         return code
@@ -336,11 +324,11 @@ class _Cluster:
         entry.low = asked
         # At triggers as fast as the cycle, waiting for the next conversion each time would
         # make the readings fall behind; the last one may be nearer to this trigger.
-        near = _SHARED * self._cycle
-        is_young = entry.since >= self._trigger - _OLDEST * self._cycle
-        if asked >= self._trigger + near and entry.read >= self._trigger - near and is_young:
+        near = _SHARED * self.cycle
+        is_young = entry.since >= self.trigger - _OLDEST * self.cycle
+        if asked >= self.trigger + near and entry.read >= self.trigger - near and is_young:
             self.pending.discard(n)
-        elif asked - max(self._begun, entry.read) > _UNFINISHED * self._cycle:
+        elif asked - max(self.begun, entry.read) > _UNFINISHED * self.cycle:
             raise DeviceError(
                 f"conversions of input {n + 1} do not finish at {self.chip.where}",
                 "the chip is reset; if this comes again, check its supply",

@@ -137,8 +137,6 @@ def check_settings(settings: LoadCellSettings) -> None:
     if any(abs(sign) != 1.0 for sign in settings.sign):
         raise _wrong("sign holds a value other than 1 and -1", _NUMBERS["sign"][1])
     matrix = np.array(settings.matrix).reshape(6, 6)
-    if not np.isfinite(matrix).all():
-        raise _wrong("matrix holds a value that is not finite", _NUMBERS["matrix"][1])
     # Forces and moments differ in size by their units; that is no fault of a matrix.
     lengths = np.linalg.norm(matrix, axis=1, keepdims=True)
     if not lengths.all() or np.linalg.cond(matrix / lengths) > _WORST_CONDITION:

