@@ -38,9 +38,8 @@ class GpiodLines:
     Args:
         label: Label of the chip.
         uses: Use of each line, by its number.
-        node: Node whose settings name the lines, for the hints.
-        setting: Its setting of the chip's label.
-        without: Setting to do without the lines.
+        node: Node whose settings name the lines, for the hints: `setting` names the chip, and
+            with `without` it does without them.
     """
 
     def __init__(
@@ -66,16 +65,14 @@ class GpiodLines:
             for line, use in uses.items()
         }
         path = _chip(gpiod, label, f"set {node}'s {setting}, or its {without}")
-        names = " and ".join(map(str, uses))
+        names = " and ".join(f"line {line}" for line in uses)
         try:
             self._request = gpiod.request_lines(path, consumer="socket_testbed", config=lines)
         except PermissionError:
             raise _not_permitted(path) from None
         except (OSError, ValueError) as error:
-            fact = (
-                f"{path}: {'lines' if len(uses) > 1 else 'line'} {names} cannot be used ({error})"
-            )
-            raise DeviceError(fact, "check that no other program or overlay uses them") from None
+            fact = f"{path}: {names} cannot be used ({error})"
+            raise DeviceError(fact, "check that no other program or overlay does") from None
 
     def set(self, line: int, active: bool) -> None:
         """Set an output line."""

@@ -75,11 +75,10 @@ class I2cPort:
     Transfers that fail raise a `BusError`.
 
     Args:
-        bus: The bus.
-        bus_name: Its name, such as i2c-1.
+        bus_name: The bus's name, such as i2c-1.
         address: The chip's address [1].
         place: Where it is on the bus, such as "behind channel 2 of 0x70".
-        part: Name of the part to check when it does not answer.
+        part: What to check when it does not answer.
     """
 
     def __init__(

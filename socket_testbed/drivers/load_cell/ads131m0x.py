@@ -16,7 +16,6 @@ from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.drivers import opening_failed
 from socket_testbed.errors import ConfigurationError, DeviceError
 
-HIGHEST, LOWEST = 0x7FFFFF, -0x800000  # codes of the rails
 _SINC3_LONGEST = 1024  # a higher oversampling is reached by a sinc1 behind it
 _REFERENCE = 1.2  # [V]
 _WORD = 3  # [bytes]
@@ -44,7 +43,6 @@ class SpiDevice(Protocol):
 
     def close(self) -> None:
         """Give the bus back."""
-        ...
 
 
 def check_device(device: str) -> tuple[int, int]:
@@ -134,7 +132,7 @@ def volts(codes: IntArray, gain: int) -> FloatArray:
 
 def at_rail(codes: IntArray) -> BoolArray:
     """Whether codes are clipped: what was measured is beyond them."""
-    return (codes >= HIGHEST) | (codes <= LOWEST)
+    return (codes == 0x7FFFFF) | (codes == -0x800000)
 
 
 class Ads131m0x:

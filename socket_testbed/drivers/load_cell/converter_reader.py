@@ -73,13 +73,9 @@ class ConversionClock:
             self._waiting = 0
 
     def conversion_end(self, read: float) -> float | None:
-        """When a conversion ended [s].
+        """When a conversion ended that a frame brought, which was over at a time [s].
 
-        Args:
-            read: Time at which the frame that brought it was over [s].
-
-        Returns:
-            The time, or None if it is not known which conversion this is.
+        None if it is not known which conversion this is.
         """
         if self._empty is None:
             return None

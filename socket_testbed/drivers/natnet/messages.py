@@ -186,8 +186,8 @@ def parse_server_info(payload: bytes) -> ServerInfo:
     reader = Reader(payload, "server info")
     begin = reader.skip(_NAME)
     name = payload[begin : begin + _NAME].partition(b"\0")[0].decode("utf-8", "replace")
-    app, version = (tuple(payload[(at := reader.skip(4)) : at + 4]) for _ in range(2))
-    natnet = (version[0], version[1])
+    versions = reader.unpack(Struct("<8B"))
+    app, natnet = versions[:4], (versions[4], versions[5])
     if natnet < OLDEST:
         return ServerInfo(name, app, natnet)
     clock, port, multicast, *group = reader.unpack(Struct("<QHB4B"))

@@ -82,12 +82,7 @@ class EchoClock:
         return len(self._echoes)
 
     def add(self, request: float, ticks: int, arrival: float) -> bool:
-        """Take an echo.
-
-        Args:
-            request: When it was asked for, on the steady clock [s].
-            ticks: The server's clock in the reply [ticks].
-            arrival: When the reply came [s].
+        """Take an echo: the server's clock [ticks], read between request and arrival [s].
 
         Returns:
             False if it contradicts the map: this is another clock, and the map starts anew.
