@@ -39,9 +39,6 @@ class Wire:
         self.sent.append(list(data))
         return self.alter(self.chip.xfer2(data))
 
-    def close(self) -> None:
-        pass
-
 
 def words(*values: int, length: int = 24) -> list[int]:
     """A frame of 16-bit words at the heads of words of 24 bits."""
@@ -74,8 +71,7 @@ def test_checksums_delays_and_periods_are_those_of_the_data_sheet() -> None:
 def test_a_frame_is_read_as_written_by_hand() -> None:
     body = bytes.fromhex("013F00000001FFFFFF7FFFFF800000123456FEDCBA")
     frame = body + checksum(body, "ccitt").to_bytes(2, "big") + b"\0"
-    wire = SimpleNamespace(xfer2=lambda data: list(frame), close=lambda: None)
-    read = Ads131m0x(wire, 6).read()
+    read = Ads131m0x(Mock(xfer2=lambda data: list(frame)), 6).read()
     assert read.new
     assert read.codes.tolist() == [1, -1, 0x7FFFFF, -0x800000, 0x123456, 0xFEDCBA - (1 << 24)]
     assert at_rail(read.codes).tolist() == [False, False, True, True, False, False]
@@ -117,17 +113,6 @@ def test_voltages_come_through_and_no_flipped_bit_passes() -> None:
                 converter.read()
 
 
-def test_another_configuration_follows_an_earlier_one() -> None:
-    """After a crash of the computer the chip is as it was left, checksum and lock included."""
-    clock, chip, wire, converter = bench(crc="ansi")
-    converter.reset_and_configure(1024, 2)
-    chip.xfer2(words(0x0555))
-    again = Ads131m0x(wire, 6, "ccitt", "spidev0.0", clock.sleep)
-    again.reset_and_configure(4096, 1)
-    clock.sleep(PERIOD)
-    assert again.read().new
-
-
 def test_a_chip_that_is_another_or_dead_or_deaf_is_named() -> None:
     for channels, other in ((6, 8), (8, 6)):
         _, _, _, converter = bench(channels, chip_channels=other)
@@ -138,55 +123,46 @@ def test_a_chip_that_is_another_or_dead_or_deaf_is_named() -> None:
         wire.alter = lambda answer, bit=bit: [255 * bit] * len(answer)
         with refused(DeviceError, f"spidev0.0: no answer (every bit reads {bit})", "MISO"):
             converter.reset_and_configure(4096, 1)
-
-    def fail(answer):
-        raise OSError(110, "Connection timed out")
-
-    wire.alter = fail
+    wire.alter = Mock(side_effect=OSError(110, "Connection timed out"))
     with refused(DeviceError, "spidev0.0: the bus fails (Connection timed out)"):
         converter.read()
     for dead, error in ((0x6103, "register 0x02"), (0x0011, "did not reset")):
         head = list(dead.to_bytes(2, "big"))
-        deaf = SimpleNamespace(
-            xfer2=lambda data, head=head: chip.xfer2(words(0) if data[:2] == head else data),
-            close=lambda: None,
+        deaf = Mock(
+            xfer2=lambda data, head=head: chip.xfer2(words(0) if data[:2] == head else data)
         )
         with refused(DeviceError, error):
             Ads131m0x(deaf, 6, sleep=clock.sleep).reset_and_configure(4096, 1)
 
 
-def test_the_chip_answers_in_the_next_frame() -> None:
-    clock, chip, _, _ = bench()
+def test_the_chip_answers_in_the_next_frame_and_keeps_its_lock() -> None:
+    clock, chip, wire, converter = bench(crc="ansi")
     clock.sleep(1.0)
 
-    def response() -> int:
+    def response(*sent: int, length: int = 24) -> int:
+        chip.xfer2(words(*sent)[:length])
         return int.from_bytes(chip.xfer2(words(0))[:2], "big")
 
-    assert response() & 0xFF00 == 0x0500
-    for command, answer in [(0xA000, 0x2602), (0xA200, 0x0000)]:
-        chip.xfer2(words(command))
-        assert response() == answer
+    assert response(0) & 0xFF00 == 0x0500
+    assert (response(0xA000), response(0xA200)) == (0x2602, 0x0000)
     chip.xfer2(words(0xA102))  # three registers from MODE on
     frame = bytes(chip.xfer2(words(0)))
     assert frame[:12] == bytes(words(0xE102, 0x0510, 0x7F0E, 0x0000, length=12))
     assert int.from_bytes(frame[12:14], "big") == checksum(frame[:12], "ccitt")
-    chip.xfer2(words(0x6200, 0x1111))
-    assert response() == 0x4200
+    assert (response(0x6200, 0x1111), response(0x0555)) == (0x4200, 0x0555)
+    for locked in ((0x6200, 0x2222), (0x0011,)):
+        assert response(*locked) & 0x8500 == 0x8500
+    assert (response(0xA200), response(0x0655)) == (0x1111, 0x0655)
+    assert response(0x0011, length=21) == 0x0011, "a reset takes a whole frame"
+    assert response(0x0011, length=23) & 0xFF00 == 0x0500, "no command ends within a word"
+    assert response(0x0011) == 0xFF26
+    # After a crash of the computer the chip is as it was left, checksum and lock included.
+    converter.reset_and_configure(1024, 2)
     chip.xfer2(words(0x0555))
-    assert response() == 0x0555
-    for locked in (words(0x6200, 0x2222), words(0x0011)):
-        chip.xfer2(locked)
-        assert response() & 0x8500 == 0x8500
-    chip.xfer2(words(0xA200))
-    assert response() == 0x1111
-    chip.xfer2(words(0x0655))
-    assert response() == 0x0655
-    chip.xfer2(words(0x0011)[:-3])
-    assert response() == 0x0011, "a reset takes a whole frame"
-    chip.xfer2(words(0x0011, length=25)[:23])
-    assert response() & 0xFF00 == 0x0500, "no command ends within a word"
-    chip.xfer2(words(0x0011))
-    assert response() == 0xFF26
+    again = Ads131m0x(wire, 6, "ccitt", "spidev0.0", clock.sleep)
+    again.reset_and_configure(4096, 1)
+    clock.sleep(PERIOD)
+    assert again.read().new
 
 
 def test_conversions_are_timed_closer_than_they_are_read() -> None:
@@ -212,18 +188,15 @@ def test_conversions_are_timed_closer_than_they_are_read() -> None:
 
 def test_a_pause_leaves_no_conversion_with_a_wrong_time() -> None:
     times = ConversionClock(PERIOD)
-    for waiting, end, expected in (
-        (None, 1.0, None),  # nothing is known of what waits at first
-        (1.0, 1.0005, 1.00025),
-        (1.001, 1.004, None),
-        (None, 1.004, None),
-        (1.004, 1.0045, 1.00425),
-        (1.0505, 1.0509, 1.0507),  # the conversions themselves had paused
-    ):
-        if waiting is not None:
-            times.nothing_waits(waiting, waiting)
-        found = times.conversion_end(end)
-        assert found is None if expected is None else found == pytest.approx(expected, abs=1e-4)
+    assert times.conversion_end(1.0) is None  # nothing is known of what waits at first
+    times.nothing_waits(1.0, 1.0)
+    assert times.conversion_end(1.0005) == pytest.approx(1.00025, abs=1e-4)
+    times.nothing_waits(1.001, 1.001)
+    assert times.conversion_end(1.004) is times.conversion_end(1.004) is None
+    times.nothing_waits(1.004, 1.004)
+    assert times.conversion_end(1.0045) == pytest.approx(1.00425, abs=1e-4)
+    times.nothing_waits(1.0505, 1.0505)  # the conversions themselves had paused
+    assert times.conversion_end(1.0509) == pytest.approx(1.0507, abs=1e-4)
     times.lose()  # a frame that may have held one was corrupted
     assert times.conversion_end(1.0515) is None
 
