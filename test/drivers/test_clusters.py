@@ -319,31 +319,24 @@ def test_triggers_of_any_rate_lose_nothing_and_slow_ones_wait_about_a_cycle() ->
             assert bench.clock.now - trigger < 1.1 * 4 / sample_rate + 8e-3
 
 
-def test_a_late_reading_is_missing_and_leaves_the_bus_alone() -> None:
-    bench = Bench()
-    bench.run(4.0, 3)
-    transfers = len(bench.buses[0].log)
-    trigger = bench.clock.now
-    bench.clock.now += 0.051
-    reading = bench.read(trigger)
-    assert missing(reading) == [0, 1, 2, 3]
-    for fault in reading.faults.values():
-        check_line(fault, "read more than 0.05 s after the trigger")
-    assert len(bench.buses[0].log) == transfers
-    assert is_good(bench.read())
-
-
-def test_each_place_is_identified_and_at_the_end_no_chip_is_connected() -> None:
+def test_places_are_identified_late_readings_missing_and_at_the_end_no_chip_is_connected() -> None:
     bench = Bench()
     bench.faults.add("nack", 3.0, START, START + 1.0)
     found = bench.reader.identify()
-    sent = [data for address, _, data in bench.buses[0].log if address == 0x70]
-    assert sent == [b"\x01", b"\x02", b"\x04", b"\x08"]
+    log = bench.buses[0].log
+    assert [data for address, _, data in log if address == 0x70] == [b"\1", b"\2", b"\4", b"\x08"]
     check_line(str(found["posterior_distal"]), f"no answer at {PLACE}", "the cluster's plug")
     assert missing(bench.read()) == [2]
+    bench.clock.now += 1.0
+    assert is_good(bench.read())
+    transfers, trigger = len(log), bench.clock.now
+    bench.clock.now += 0.051
+    reading = bench.read(trigger)  # late: the bus is left alone
+    assert missing(reading) == [0, 1, 2, 3] and len(log) == transfers
+    check_line(reading.faults["distal"], "read more than 0.05 s after the trigger")
+    assert is_good(bench.read())
     bench.reader.close()
-    assert bench.buses[0].log[-1] == (0x70, "write", b"\x00")
-    assert not bench.buses[0].is_open
+    assert log[-1] == (0x70, "write", b"\x00") and not bench.buses[0].is_open
     bench.clock.now += 1.0
     assert is_good(bench.read()) and len(bench.buses) == 2
     bench.hardware.multiplexers[1, 0x70].write = Mock(side_effect=OSError(errno.EREMOTEIO, "x"))

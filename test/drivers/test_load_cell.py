@@ -24,6 +24,7 @@ from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
 from socket_testbed.drivers.load_cell.load_cell import LoadCell, check_settings
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.live.hardware import make_load_cell
+from socket_testbed.nodes.sensor_node import averaging_span
 from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.simulation.devices.ads131m0x import simulated_load_cell
@@ -171,6 +172,10 @@ def test_a_wrench_is_the_mean_over_a_span_and_does_not_lag_where_conversions_are
         mean = moving(moment + np.linspace(-0.5 * span, 0.5 * span, 1001)).mean(axis=0)
         off = np.abs(bench.cell.wrench_at(moment, span).wrench - mean)
         assert (off < 0.5 * bench.converter.period * SPEED + QUANTUM).all()
+    for wanted, period, expected in (
+        (-1.0, 0.01, 0.01), (-1.0, 1.0, 0.25), (-1.0, 0.0, 0.0), (0.0, 0.05, 0.0), (0.1, 0.05, 0.1),
+    ):  # fmt: skip
+        assert averaging_span(wanted, period) == expected
     speed = np.array([10.0, -8.0, 6.0, 200.0, -100.0, 900.0])  # [N m/s, N/s]
     for lost, fewest, most in ((0.015, 225, 245), (0.05, 19, 21)):
         bench = Bench(wrench=lambda t: (np.asarray(t)[..., None] - BEGIN) * speed, span=0.25)
