@@ -24,12 +24,13 @@ from machine import describe_machine
 
 from socket_testbed import clocks
 from socket_testbed.drivers.clusters.reader import ClusterReader
+from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
 from socket_testbed.drivers.load_cell.load_cell import LoadCell
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.bringup import Testbed, simulate_hardware, simulated_testbed
-from socket_testbed.live.hardware import i2c_opener, spi_opener
+from socket_testbed.live.hardware import capacitive_chip, i2c_opener, spi_opener
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.nodes.sensor_node import averaging_span
@@ -109,7 +110,7 @@ def clusters(bench: Bench, testbed: Testbed) -> None:
         buses.append(Metered(opener(number)))
         return buses[-1]
 
-    reader = ClusterReader(settings, open_bus)
+    reader = ClusterReader(settings, capacitive_chip(settings)[0], open_bus)
     reader.read(clocks.monotonic())
     bus, missing = buses[0], 0
     bus.spent, bus.calls = 0.0, 0
@@ -134,7 +135,8 @@ def load_cell(bench: Bench, testbed: Testbed) -> None:
         devices.append(Metered(opener()))
         return devices[-1]
 
-    cell = LoadCell(settings, open_device)
+    cell = LoadCell(settings, ConverterReader(settings, open_device))
+    converter = cell.converter
     span = averaging_span(settings.average_over, bench.period)
     stopping, spent, missing = threading.Event(), 0.0, 0
 
@@ -142,8 +144,8 @@ def load_cell(bench: Bench, testbed: Testbed) -> None:
         nonlocal spent
         due = clocks.monotonic()
         while not stopping.is_set():
-            cell.poll()
-            due = max(due + cell.period, clocks.monotonic() - cell.period)
+            converter.poll()
+            due = max(due + converter.period, clocks.monotonic() - converter.period)
             clocks.sleep(max(0.0, due - clocks.monotonic()))
         spent = time.thread_time()
 
@@ -161,9 +163,9 @@ def load_cell(bench: Bench, testbed: Testbed) -> None:
     total = bench(measure)
     stopping.set()
     thread.join()
-    cell.close()
-    per_trigger = round(bench.period / cell.period)
-    floor = bench(lambda moment: [time.sleep(0.8 * cell.period) for _ in range(per_trigger)])
+    converter.close()
+    per_trigger = round(bench.period / converter.period)
+    floor = bench(lambda moment: [time.sleep(0.8 * converter.period) for _ in range(per_trigger)])
     bus = devices[0]
     found = f"{bus.calls / bench.triggers:.0f} frames a trigger, {missing} incomplete"
     bench.row("load cell", bus.spent, total + spent - bus.spent, floor, found)
@@ -183,7 +185,7 @@ def mocap(bench: Bench, testbed: Testbed, world: Callable[[], float]) -> None:
     def place(moment: float) -> None:
         nonlocal missing
         tracker.wait(moment, moment + 0.5 * window + settings.stale, window)
-        missing += any(tracker.sample(moment, window).faults)
+        missing += any(body.fault for body in tracker.sample(moment, window))
 
     client.start()
     while not tracker.ready(clocks.monotonic() - 0.1):

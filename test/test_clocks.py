@@ -33,47 +33,34 @@ class Clocks:
         return SteadyClock(lambda: self.wall, lambda: self.steady)
 
 
-@pytest.fixture
-def clocks() -> Clocks:
-    return Clocks()
-
-
-@pytest.fixture
-def clock(clocks: Clocks) -> SteadyClock:
-    return clocks.clock()
-
-
-def test_it_keeps_its_pace_and_measures_steps_of_the_system_clock(clocks, clock) -> None:
+def test_it_keeps_its_pace_in_all_processes_and_measures_steps_of_the_system_clock(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clocks = Clocks()
+    clock = clocks.clock()
     assert clock.now() == START and clock.step() == 0.0
-    clocks.pass_time(1_234_567_891)
-    assert clock.now() == clocks.wall == START + 1_234_567_891
-    for step in (3600.0, 0.25, -0.25, -3600.0):
+    assert clock.to_epoch(clocks.steady * 1e-9) == START
+    assert clock.to_steady(START) == clocks.steady * 1e-9
+    for step in (3600.0, 0.25, -0.25, -3600.0, 3600.0):
         before, stepped = clock.now(), clock.step()
         clocks.wall += round(step * 1e9)
         assert clock.now() == before
         assert clock.step() - stepped == pytest.approx(step, abs=1e-6)
         clocks.pass_time(7)
         assert clock.now() == before + 7
+    monkeypatch.setenv(BEGINNING, str(clock.beginning))
+    later = clocks.clock()  # of a process that is started after the clock was set
+    assert later.now() == clock.now() and later.step() == clock.step() == 3600.0
+    for seconds in (0.0, 5.25, 86400.125, 1e6):
+        assert later.to_steady(clock.to_epoch(seconds)) == pytest.approx(seconds, abs=1e-9)
+    monkeypatch.delenv(BEGINNING)
     own = SteadyClock()  # by default it reads this machine's clocks
     assert own.now() <= own.now() and abs(own.step()) < 1.0
 
 
-def test_steady_times_and_stamps_are_each_other_s_inverse_in_all_processes(
-    clocks, clock, monkeypatch
+def test_the_processes_of_a_testbed_run_at_its_scale_and_a_wrong_one_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    assert clock.to_epoch(clocks.steady * 1e-9) == START
-    assert clock.to_steady(START) == clocks.steady * 1e-9
-    clocks.pass_time(7_000_000_000)
-    clocks.wall += 3_600_000_000_000  # set before another process starts
-    monkeypatch.setenv(BEGINNING, str(clock.beginning))
-    later = clocks.clock()
-    assert later.now() == clock.now()
-    assert later.step() == clock.step() == 3600.0
-    for seconds in (0.0, 5.25, 86400.125, 1e6):  # the step changes neither
-        assert later.to_steady(clock.to_epoch(seconds)) == pytest.approx(seconds, abs=1e-9)
-
-
-def test_the_processes_of_a_testbed_run_at_its_scale() -> None:
     code = (
         "from socket_testbed import clocks; import time; a = time.monotonic();"
         "print(clocks.time_scale(), clocks.real(3.0), clocks.monotonic() - clocks.time_scale() * a)"
@@ -84,28 +71,23 @@ def test_the_processes_of_a_testbed_run_at_its_scale() -> None:
     assert (found, real) == (0.25, 12.0) and later >= 0.0
     now = int(environment[BEGINNING]) + 0.25 * time.monotonic_ns()
     assert now == pytest.approx(time.time_ns(), abs=60e9)
-
-
-def test_a_wrong_scale_is_refused_in_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
     for scale in ("0", "-1", "1.5", "nan", "slow"):
         monkeypatch.setenv(TIME_SCALE, scale)
         with pytest.raises(SystemExit, match=f"^error: {TIME_SCALE}={scale}: set a number"):
             clocks_module._inherited_scale()
 
 
-def test_a_stamp_finds_its_time_whatever_the_travel_and_though_triggers_were_held_up(clock) -> None:
+def test_a_stamp_finds_its_time_though_triggers_were_held_up_or_a_clock_was_set() -> None:
+    clock = Clocks().clock()
     trigger = TriggerTime(clock)
     for travel in (0.0002, 0.02, 0.3):
         assert trigger.steady(START + 3 * 10**9, 8.0 + travel) == pytest.approx(8.0, abs=1e-6)
     trigger = TriggerTime(clock)
     for k in range(40):  # all at once, when the node begins to listen
-        found = trigger.steady(START + round((3.0 + 0.05 * k) * 1e9), 10.0 + 1e-5 * k)
-        assert found in (-math.inf, pytest.approx(8.0 + 0.05 * k, abs=1e-6))
+        at = trigger.steady(START + round((3.0 + 0.05 * k) * 1e9), 10.0 + 1e-5 * k)
+        assert at in (-math.inf, pytest.approx(8.0 + 0.05 * k, abs=1e-6))
     assert trigger.shift == 0.0
-
-
-def test_a_clock_set_between_two_starts_is_found_by_the_arrival(clock) -> None:
-    for step in (-3600.0, -2.0, 2.0, 86400.0):
+    for step in (-3600.0, -2.0, 2.0, 86400.0):  # between two starts
         trigger, found = TriggerTime(clock), []
         for k in range(10):
             stamp = START + round((10.0 + k + step) * 1e9)
@@ -125,13 +107,10 @@ def periods_of(triggers: list[tuple[float, int]]) -> list[float]:
     return [period.add(1_700_000_000_000_000_000 + round(t * 1e9), n) for t, n in triggers]
 
 
-def test_the_period_is_known_from_the_fourth_trigger_on() -> None:
+def test_jitter_missed_pulses_and_pauses_leave_the_period_and_another_rate_is_followed() -> None:
     assert periods_of([(0.25 * k, k) for k in range(5)]) == pytest.approx([0.0] * 3 + [0.25] * 2)
     late = [(0.05 * k + 0.12 * (k > 0), k) for k in range(5)]  # the first interval is too long
     assert periods_of(late) == pytest.approx([0.0] * 3 + [0.05] * 2)
-
-
-def test_jitter_missed_pulses_and_pauses_leave_the_period_and_another_rate_is_followed() -> None:
     rng = np.random.default_rng(3)
     seen = [k for k in range(200) if rng.random() > 0.4]
     jittery = [(0.05 * k + rng.uniform(0.0, 2e-3), k) for k in seen]
@@ -149,13 +128,11 @@ def test_jitter_missed_pulses_and_pauses_leave_the_period_and_another_rate_is_fo
 
 
 def test_the_waits_double_up_to_the_longest_and_a_success_ends_them() -> None:
-    backoff, now, waits = Backoff(0.4), 10.0, []
-    assert backoff.due(now)
-    for _ in range(6):
+    backoff = Backoff(0.4)
+    for now, wait in enumerate((0.05, 0.1, 0.2, 0.4, 0.4)):
+        assert backoff.due(now)
         backoff.failed(now)
-        assert not backoff.due(now)
-        waits.append(next(w for w in (0.05, 0.1, 0.2, 0.4) if backoff.due(now + w + 1e-9)))
-        now += 1.0
-    assert waits == [0.05, 0.1, 0.2, 0.4, 0.4, 0.4]
+        assert not backoff.due(now + wait - 1e-9) and backoff.due(now + wait + 1e-9)
+    backoff.failed(9.0)
     backoff.succeeded()
-    assert backoff.due(now)
+    assert backoff.due(9.0)

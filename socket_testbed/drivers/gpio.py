@@ -13,8 +13,6 @@ from socket_testbed.settings.acquisition import TriggerSettings
 
 Use: TypeAlias = Literal["output", "rising", "falling"]  # of a line: it is set, or its edges come
 
-_CONSUMER = "socket_testbed"
-
 
 class EdgeLine(Protocol):
     """A line whose edges the kernel stamps."""
@@ -40,9 +38,8 @@ class GpiodLines:
     Args:
         label: Label of the chip.
         uses: Use of each line, by its number.
-        node: Node whose settings name the lines, for the hints.
-        setting: Its setting of the chip's label.
-        without: Setting to do without the lines.
+        node: Node whose settings name the lines, for the hints: `setting` names the chip, and
+            with `without` it does without them.
     """
 
     def __init__(
@@ -68,16 +65,14 @@ class GpiodLines:
             for line, use in uses.items()
         }
         path = _chip(gpiod, label, f"set {node}'s {setting}, or its {without}")
-        names = " and ".join(map(str, uses))
+        names = " and ".join(f"line {line}" for line in uses)
         try:
-            self._request = gpiod.request_lines(path, consumer=_CONSUMER, config=lines)
+            self._request = gpiod.request_lines(path, consumer="socket_testbed", config=lines)
         except PermissionError:
             raise _not_permitted(path) from None
         except (OSError, ValueError) as error:
-            raise DeviceError(
-                f"{path}: {'lines' if len(uses) > 1 else 'line'} {names} cannot be used ({error})",
-                "check that no other program or overlay uses them",
-            ) from None
+            fact = f"{path}: {names} cannot be used ({error})"
+            raise DeviceError(fact, "check that no other program or overlay does") from None
 
     def set(self, line: int, active: bool) -> None:
         """Set an output line."""
@@ -97,24 +92,22 @@ class GpiodLines:
 
 def _chip(gpiod: Any, label: str, hint: str) -> str:
     """Path of the chip with a label; its number differs from kernel to kernel."""
-    labels = []
+    found: dict[str, str] = {}
     refused = ""
-    for path in sorted(Path("/dev").glob("gpiochip*")):
+    for path in sorted(map(str, Path("/dev").glob("gpiochip*"))):
         try:
-            with gpiod.Chip(str(path)) as chip:
-                labels.append(chip.get_info().label)
+            with gpiod.Chip(path) as chip:
+                found.setdefault(chip.get_info().label, path)
         except PermissionError:
-            refused = str(path)
-            continue
+            refused = path
         except OSError:
             continue
-        if labels[-1] == label:
-            return str(path)
+    if label in found:
+        return found[label]
     if refused:
         raise _not_permitted(refused)
-    raise DeviceError(
-        f"there is no GPIO chip '{label}' (there is {', '.join(labels) or 'none'})", hint
-    )
+    there = ", ".join(found) or "none"
+    raise DeviceError(f"there is no GPIO chip '{label}' (there is {there})", hint)
 
 
 def _not_permitted(path: str) -> DeviceError:
@@ -157,13 +150,14 @@ class GpioTrigger:
 
     def fire(self) -> float:
         """Begin a pulse; returns the time of its edge on the steady clock [s]."""
+        settings = self._settings
         try:
             self.stray += len(self._lines.edges(0.0))
             self._begun = self._clock()
-            self._lines.set(self._settings.output_line, True)
+            self._lines.set(settings.output_line, True)
             # The line rises while this process sets it, which a busy machine may hold up.
-            deadline = self._clock() + self._settings.edge_within
-            left = self._settings.edge_within
+            deadline = self._clock() + settings.edge_within
+            left = settings.edge_within
             while True:
                 for edge in self._lines.edges(left):
                     if self._begun <= edge <= deadline:
@@ -178,7 +172,6 @@ class GpioTrigger:
                 f"the GPIO lines cannot be used ({error.strerror or error})",
                 "check that no other program holds them",
             ) from None
-        settings = self._settings
         raise DeviceError(
             f"no edge on line {settings.input_line} within {settings.edge_within * 1e3:g} ms of"
             f" the pulse on line {settings.output_line}",

@@ -169,23 +169,24 @@ def check_load_cell(testbed: Testbed) -> Iterator[Finding]:
     settings = testbed.settings.load_cell_node
     cell = make_load_cell(settings)
     try:
-        yield Finding("load cell", cell.identify())
-        corrupted = cell.check_frames(_FRAMES)
+        chip = cell.converter.connect()
+        yield Finding("load cell", chip.description)
+        corrupted = chip.check_frames(_FRAMES)
         hint = CHECK_WIRING if corrupted else ""
         yield Finding("load cell CRC", f"{corrupted} of {_FRAMES} frames corrupted", hint)
         ends = clocks.monotonic() + _WATCHED
         while clocks.monotonic() < ends:
-            cell.poll()
-            clocks.sleep(0.5 * cell.period)
+            cell.converter.poll()
+            clocks.sleep(0.5 * cell.converter.period)
         level, message = cell.health(clocks.monotonic())
         if (line := settings.data_ready_line) >= 0:
-            counts = cell.figures()
+            counts = cell.converter.counts()
             found = f"{counts['conversions']} edges on line {line}"
             found += f", STATUS disagrees with {counts['status_disagrees']}"
             yield Finding("load cell DRDY", found)
         yield (_failure if level else Finding)("load cell bridges", message)
     finally:
-        cell.close()
+        cell.converter.close()
 
 
 def check_motion_capture(testbed: Testbed) -> Iterator[Finding]:
@@ -215,9 +216,10 @@ def check_motion_capture(testbed: Testbed) -> Iterator[Finding]:
     yield Finding("motion capture clock", f"known within {link['clock uncertainty']}")
     counts = (len(geometry.socket_markers), len(geometry.pylon_markers))
     names = (settings.socket_body, settings.pylon_body)
-    for body, count, fault in zip(names, counts, seen.faults, strict=True):
-        what, number = f"rigid body {body}", "three" if count == FEWEST_MARKERS else count
-        yield _failure(what, fault) if fault else Finding(what, f"its {number} markers are seen")
+    for name, count, body in zip(names, counts, seen, strict=True):
+        what, number = f"rigid body {name}", "three" if count == FEWEST_MARKERS else count
+        found = f"its {number} markers are seen"
+        yield _failure(what, body.fault) if body.fault else Finding(what, found)
 
 
 CHECKS: tuple[Callable[[Testbed], Iterator[Finding]], ...] = (
@@ -336,7 +338,7 @@ class _Bench:
         def stop() -> None:
             stopping.set()
             polling.join()
-            self._cell.close()
+            self._cell.converter.close()
 
         stack.callback(stop)
 
@@ -366,5 +368,5 @@ class _Bench:
 
     def _poll(self, stopping: threading.Event) -> None:
         while not stopping.is_set():
-            self._cell.poll()
-            clocks.sleep(self._cell.period)
+            self._cell.converter.poll()
+            clocks.sleep(self._cell.converter.period)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from itertools import count
 from pathlib import Path
 
@@ -11,19 +12,19 @@ import numpy as np
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
-from socket_testbed.drivers.clusters.chip import CapacitiveChip
 from socket_testbed.drivers.clusters.fdc1004 import Fdc1004
-from socket_testbed.drivers.clusters.i2c import I2cBus, open_i2c
+from socket_testbed.drivers.clusters.i2c import CapacitiveChip, I2cBus, open_i2c
 from socket_testbed.drivers.clusters.reader import ClusterReader
 from socket_testbed.drivers.gpio import (
+    EdgeLine,
     GpiodLines,
     GpioTrigger,
     TimerTrigger,
     Trigger,
-    Use,
     trigger_lines,
 )
 from socket_testbed.drivers.load_cell.ads131m0x import SpiDevice, open_spi
+from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
 from socket_testbed.drivers.load_cell.load_cell import LoadCell
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.settings.acquisition import ClusterSettings, LoadCellSettings, TriggerSettings
@@ -111,20 +112,17 @@ def i2c_opener(settings: ClusterSettings) -> Callable[[int], I2cBus]:
 
 def make_load_cell(settings: LoadCellSettings) -> LoadCell:
     """The load cell, with its converter's DRDY where that is wired."""
-    if settings.data_ready_line < 0:
-        return LoadCell(settings, spi_opener(settings))
-    if settings.simulation:
+    open_device = spi_opener(settings)
+    open_line: Callable[[], EdgeLine] | None = None
+    if settings.data_ready_line >= 0 and settings.simulation:
         chip = _simulated_load_cell(settings)
-        return LoadCell(settings, lambda: chip, open_line=lambda: chip)
-
-    def open_line() -> GpiodLines:
-        uses: dict[int, Use] = {settings.data_ready_line: "falling"}
-        return GpiodLines(
-            settings.data_ready_chip, uses, "load_cell_node", "data_ready_chip",
-            "data_ready_line to -1",
+        open_device = open_line = lambda: chip
+    elif settings.data_ready_line >= 0:
+        open_line = partial(
+            GpiodLines, settings.data_ready_chip, {settings.data_ready_line: "falling"},
+            "load_cell_node", "data_ready_chip", "data_ready_line to -1",
         )  # fmt: skip
-
-    return LoadCell(settings, spi_opener(settings), open_line=open_line)
+    return LoadCell(settings, ConverterReader(settings, open_device, open_line=open_line))
 
 
 def spi_opener(settings: LoadCellSettings) -> Callable[[], SpiDevice]:

@@ -54,7 +54,7 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         super().close()
         self._stopping.set()
         self._polling.join()
-        self._cell.close()
+        self._cell.converter.close()
 
     def figures(self) -> dict[str, object]:
         """Those of the measurements and of the converter, and what the last wrench averages."""
@@ -67,12 +67,12 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
 
     def _poll(self) -> None:
         """Read the converter at its pace; a pause costs nothing but conversions."""
-        due = clocks.monotonic()
+        due, period = clocks.monotonic(), self._cell.converter.period
         while not self._stopping.is_set():
-            self._cell.poll()
+            self._cell.converter.poll()
             with self._polled:
                 self._polled.notify_all()
-            due = max(due + self._cell.period, clocks.monotonic() - self._cell.period)
+            due = max(due + period, clocks.monotonic() - period)
             clocks.sleep(max(0.0, due - clocks.monotonic()))
 
     def measure(self, stamp: int, moment: float) -> None:

@@ -14,7 +14,7 @@ from std_msgs.msg import String
 
 from socket_testbed import clocks
 from socket_testbed.drivers.natnet.client import NatNetClient
-from socket_testbed.drivers.natnet.tracker import BodyTracker, MocapSample
+from socket_testbed.drivers.natnet.tracker import BodyTracker, SeenBody
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.nodes.base import ERROR, OK, WARN, file_or_packaged
@@ -39,8 +39,7 @@ class MocapNode(SensorNode[MocapSettings]):
         self._poses = {topic: self.advertise(topic) for topic in (SOCKET_POSE, PYLON_POSE)}
         self._pack_pose = pose_packer()
         self._markers = self.advertise(MARKERS)
-        self._counts = {"socket": len(bodies[0]), "pylon": len(bodies[1])}
-        self._pack_markers = markers_packer(self._counts)
+        self._pack_markers = markers_packer({"socket": len(bodies[0]), "pylon": len(bodies[1])})
         self._frames = FrameBroadcaster(self, geometry)
         self._averaged, self._delay = 0, 0.0
         self._refused = ""  # why a take's name was not taken
@@ -71,25 +70,23 @@ class MocapNode(SensorNode[MocapSettings]):
         window = averaging_span(self.settings.window, self.period)
         self._tracker.wait(moment, moment + 0.5 * window + self._stale, window)
         sample = self._sample(moment, window)
-        self._averaged = min(sample.frames)
-        vectors = np.hstack([sample.positions, sample.quaternions])
+        self._averaged = min(body.frames for body in sample)
+        vectors = [np.hstack([body.position, body.quaternion]) for body in sample]
         poses = dict(zip(self._poses, vectors, strict=True))
         for topic, pose in poses.items():
             self._poses[topic].publish(self._pack_pose(stamp, pose))
-        counts = self._counts.values()
-        markers = [seen[:count] for seen, count in zip(sample.markers, counts, strict=True)]
-        self._markers.publish(self._pack_markers(stamp, markers))
+        self._markers.publish(self._pack_markers(stamp, [body.markers for body in sample]))
         self._delay = clocks.monotonic() - moment
         self._frames.move(stamp, poses)
-        self.missing += any(sample.faults)
+        self.missing += any(body.fault for body in sample)
 
     def idle(self) -> None:
         """See how the bodies are."""
         self._sample(clocks.monotonic() - self._stale)
 
-    def _sample(self, moment: float, window: float = 0.0) -> MocapSample:
+    def _sample(self, moment: float, window: float = 0.0) -> tuple[SeenBody, ...]:
         sample = self._tracker.sample(moment, window)
-        faults = dict.fromkeys(fault for fault in sample.faults if fault)
+        faults = dict.fromkeys(body.fault for body in sample if body.fault)
         if faults:
             self.fault.note(self._client.clock_fault or "; ".join(faults))
         return sample

@@ -20,7 +20,7 @@ from socket_testbed.drivers.load_cell.ads131m0x import (
     open_spi,
     volts,
 )
-from socket_testbed.drivers.load_cell.converter_reader import ConversionClock, Conversions
+from socket_testbed.drivers.load_cell.converter_reader import ConversionClock
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.simulation.devices.ads131m0x import SimulatedAds131m0x
 
@@ -38,9 +38,6 @@ class Wire:
     def xfer2(self, data: list[int], /) -> list[int]:
         self.sent.append(list(data))
         return self.alter(self.chip.xfer2(data))
-
-    def close(self) -> None:
-        pass
 
 
 def words(*values: int, length: int = 24) -> list[int]:
@@ -71,18 +68,7 @@ def test_checksums_delays_and_periods_are_those_of_the_data_sheet() -> None:
         assert group_delay(8.192e6, oversampling) == pytest.approx(middle, abs=5e-7)
 
 
-def test_a_frame_is_read_as_written_by_hand() -> None:
-    body = bytes.fromhex("013F00000001FFFFFF7FFFFF800000123456FEDCBA")
-    frame = body + checksum(body, "ccitt").to_bytes(2, "big") + b"\0"
-    wire = SimpleNamespace(xfer2=lambda data: list(frame), close=lambda: None)
-    read = Ads131m0x(wire, 6).read()
-    assert read.new
-    assert read.codes.tolist() == [1, -1, 0x7FFFFF, -0x800000, 0x123456, 0xFEDCBA - (1 << 24)]
-    assert at_rail(read.codes).tolist() == [False, False, True, True, False, False]
-    assert volts(read.codes, 4)[3] == pytest.approx(-0.3)
-
-
-def test_the_configuration_is_this_conversation() -> None:
+def test_the_conversation_is_that_of_the_data_sheet() -> None:
     _, _, wire, converter = bench()
     converter.reset_and_configure(4096, 8)
     assert wire.sent == [
@@ -95,6 +81,13 @@ def test_the_configuration_is_this_conversation() -> None:
         *[words(0x0000)] * 3,
     ]
     assert converter.identity == 0x2602
+    body = bytes.fromhex("013F00000001FFFFFF7FFFFF800000123456FEDCBA")
+    frame = body + checksum(body, "ccitt").to_bytes(2, "big") + b"\0"
+    read = Ads131m0x(Mock(xfer2=lambda data: list(frame)), 6).read()
+    assert read.new
+    assert read.codes.tolist() == [1, -1, 0x7FFFFF, -0x800000, 0x123456, 0xFEDCBA - (1 << 24)]
+    assert at_rail(read.codes).tolist() == [False, False, True, True, False, False]
+    assert volts(read.codes, 4)[3] == pytest.approx(-0.3)
 
 
 def test_voltages_come_through_and_no_flipped_bit_passes() -> None:
@@ -117,17 +110,6 @@ def test_voltages_come_through_and_no_flipped_bit_passes() -> None:
                 converter.read()
 
 
-def test_another_configuration_follows_an_earlier_one() -> None:
-    """After a crash of the computer the chip is as it was left, checksum and lock included."""
-    clock, chip, wire, converter = bench(crc="ansi")
-    converter.reset_and_configure(1024, 2)
-    chip.xfer2(words(0x0555))
-    again = Ads131m0x(wire, 6, "ccitt", "spidev0.0", clock.sleep)
-    again.reset_and_configure(4096, 1)
-    clock.sleep(PERIOD)
-    assert again.read().new
-
-
 def test_a_chip_that_is_another_or_dead_or_deaf_is_named() -> None:
     for channels, other in ((6, 8), (8, 6)):
         _, _, _, converter = bench(channels, chip_channels=other)
@@ -138,55 +120,29 @@ def test_a_chip_that_is_another_or_dead_or_deaf_is_named() -> None:
         wire.alter = lambda answer, bit=bit: [255 * bit] * len(answer)
         with refused(DeviceError, f"spidev0.0: no answer (every bit reads {bit})", "MISO"):
             converter.reset_and_configure(4096, 1)
-
-    def fail(answer):
-        raise OSError(110, "Connection timed out")
-
-    wire.alter = fail
+    wire.alter = Mock(side_effect=OSError(110, "Connection timed out"))
     with refused(DeviceError, "spidev0.0: the bus fails (Connection timed out)"):
         converter.read()
     for dead, error in ((0x6103, "register 0x02"), (0x0011, "did not reset")):
         head = list(dead.to_bytes(2, "big"))
-        deaf = SimpleNamespace(
-            xfer2=lambda data, head=head: chip.xfer2(words(0) if data[:2] == head else data),
-            close=lambda: None,
+        deaf = Mock(
+            xfer2=lambda data, head=head: chip.xfer2(words(0) if data[:2] == head else data)
         )
         with refused(DeviceError, error):
             Ads131m0x(deaf, 6, sleep=clock.sleep).reset_and_configure(4096, 1)
 
 
-def test_the_chip_answers_in_the_next_frame() -> None:
-    clock, chip, _, _ = bench()
-    clock.sleep(1.0)
-
-    def response() -> int:
-        return int.from_bytes(chip.xfer2(words(0))[:2], "big")
-
-    assert response() & 0xFF00 == 0x0500
-    for command, answer in [(0xA000, 0x2602), (0xA200, 0x0000)]:
-        chip.xfer2(words(command))
-        assert response() == answer
-    chip.xfer2(words(0xA102))  # three registers from MODE on
-    frame = bytes(chip.xfer2(words(0)))
-    assert frame[:12] == bytes(words(0xE102, 0x0510, 0x7F0E, 0x0000, length=12))
-    assert int.from_bytes(frame[12:14], "big") == checksum(frame[:12], "ccitt")
-    chip.xfer2(words(0x6200, 0x1111))
-    assert response() == 0x4200
+def test_another_configuration_follows_an_earlier_one() -> None:
+    """After a crash of the computer the chip is as it was left, checksum and lock included."""
+    clock, chip, wire, converter = bench(crc="ansi")
+    converter.reset_and_configure(1024, 2)
     chip.xfer2(words(0x0555))
-    assert response() == 0x0555
-    for locked in (words(0x6200, 0x2222), words(0x0011)):
-        chip.xfer2(locked)
-        assert response() & 0x8500 == 0x8500
-    chip.xfer2(words(0xA200))
-    assert response() == 0x1111
-    chip.xfer2(words(0x0655))
-    assert response() == 0x0655
-    chip.xfer2(words(0x0011)[:-3])
-    assert response() == 0x0011, "a reset takes a whole frame"
-    chip.xfer2(words(0x0011, length=25)[:23])
-    assert response() & 0xFF00 == 0x0500, "no command ends within a word"
     chip.xfer2(words(0x0011))
-    assert response() == 0xFF26
+    assert int.from_bytes(chip.xfer2(words(0))[:2], "big") & 0x8500 == 0x8100  # locked, no reset
+    again = Ads131m0x(wire, 6, "ccitt", "spidev0.0", clock.sleep)
+    again.reset_and_configure(4096, 1)
+    clock.sleep(PERIOD)
+    assert again.read().new
 
 
 def test_conversions_are_timed_closer_than_they_are_read() -> None:
@@ -202,40 +158,27 @@ def test_conversions_are_timed_closer_than_they_are_read() -> None:
                 worst = max(worst, abs(end - ends[waiting]))
                 taken += 1
             waiting += 1
-        times.nothing_waits(now)
+        times.nothing_waits(now, now)
         if waiting % 500 == 250:
             times.lose()
-            times.nothing_waits(now)
+            times.nothing_waits(now, now)
     assert taken > 2700
     assert worst < 0.25 * PERIOD
 
 
 def test_a_pause_leaves_no_conversion_with_a_wrong_time() -> None:
     times = ConversionClock(PERIOD)
-    for waiting, end, expected in (
-        (None, 1.0, None),  # nothing is known of what waits at first
-        (1.0, 1.0005, 1.00025),
-        (1.001, 1.004, None),
-        (None, 1.004, None),
-        (1.004, 1.0045, 1.00425),
-        (1.0505, 1.0509, 1.0507),  # the conversions themselves had paused
-    ):
-        if waiting is not None:
-            times.nothing_waits(waiting)
-        found = times.conversion_end(end)
-        assert found is None if expected is None else found == pytest.approx(expected, abs=1e-4)
+    assert times.conversion_end(1.0) is None  # nothing is known of what waits at first
+    times.nothing_waits(1.0, 1.0)
+    assert times.conversion_end(1.0005) == pytest.approx(1.00025, abs=1e-4)
+    times.nothing_waits(1.001, 1.001)
+    assert times.conversion_end(1.004) is times.conversion_end(1.004) is None
+    times.nothing_waits(1.004, 1.004)
+    assert times.conversion_end(1.0045) == pytest.approx(1.00425, abs=1e-4)
+    times.nothing_waits(1.0505, 1.0505)  # the conversions themselves had paused
+    assert times.conversion_end(1.0509) == pytest.approx(1.0507, abs=1e-4)
     times.lose()  # a frame that may have held one was corrupted
     assert times.conversion_end(1.0515) is None
-
-
-def test_the_last_conversions_are_kept_in_order() -> None:
-    conversions = Conversions(10, 6)
-    for k in range(25):
-        conversions.add(0.1 * k, np.arange(k, k + 6))
-        assert conversions.newest(3)[:, 1].tolist() == list(range(max(k - 1, 1), k + 2))
-        assert len(conversions.between(-1.0, 9.0)[0]) >= min(k + 1, 10)
-    assert conversions.between(1.95, 2.15)[1][:, 0].tolist() == [20, 21]
-    assert conversions.between(5.0, 4.0)[1].shape == (0, 6)
 
 
 def test_the_bus_is_opened_in_mode_1_or_says_why_not(monkeypatch: pytest.MonkeyPatch) -> None:

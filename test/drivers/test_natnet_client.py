@@ -7,13 +7,11 @@ import pytest
 from support.natnet import Link, scene, until
 from support.wording import refused
 
-from socket_testbed import clocks
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
 
-VERSIONS = [(3, 0), (3, 1), (4, 0), (4, 1), (4, 2), (4, 3), (4, 4)]
 ACCURACY = 1e-3  # [m]; of a marker that moves at 0.3 m/s, with the loopback's delays
 GROUP = "239.255.77.13"
 
@@ -21,7 +19,7 @@ GROUP = "239.255.77.13"
 @pytest.fixture
 def link():
     with Link() as link:
-        link.until_fine()
+        link.until_level(0)
         yield link
 
 
@@ -33,9 +31,8 @@ def group() -> tuple[str, int]:
         udp.settimeout(1.0)
         try:
             udp.bind((GROUP, 0))
-            udp.setsockopt(
-                socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(GROUP) + local
-            )
+            membership = socket.inet_aton(GROUP) + local
+            udp.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
             udp.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, local)
             udp.sendto(b"?", udp.getsockname())
             udp.recv(10)
@@ -45,14 +42,13 @@ def group() -> tuple[str, int]:
 
 
 def test_frames_of_every_version_come_with_their_exposure_on_the_steady_clock():
-    for version in VERSIONS:
+    for version in ((3, 0), (3, 1), (4, 0), (4, 1), (4, 2), (4, 3), (4, 4)):
         with Link(version=version) as link:
-            link.until_fine()
-            assert min(link.check_sample() for _ in range(5)) < ACCURACY
+            link.until_level(0)
+            assert min(link.worst() for _ in range(5)) < ACCURACY
             assert link.client.describe()["bodies"] == "pylon, socket"
-            restart(link)
-            link.until_fine()
-            assert min(link.check_sample() for _ in range(5)) < ACCURACY
+            link.restart()
+            assert min(link.worst() for _ in range(5)) < ACCURACY
             numbers, moments = zip(*link.frames, strict=True)
             # They begin anew with the server that restarted.
             assert sum(a >= b for a, b in itertools.pairwise(numbers)) <= 1
@@ -64,16 +60,17 @@ def test_frames_of_every_version_come_with_their_exposure_on_the_steady_clock():
 
 def test_a_unicast_server_is_asked_for_little_in_the_wanted_version_and_described():
     with Link(version=(4, 4)) as link:
-        link.until_fine()
-        table = link.client.describe()
-        assert table["server"] == "simulated Motive 3.1, NatNet 4.4"
-        assert table["state"] == "connected"
-        assert {"rate", "clock uncertainty", "address"} <= set(table)
+        link.until_level(0)
+        assert link.client.describe()["server"] == "simulated Motive 3.1, NatNet 4.4"
         until(lambda: round(link.client.figures()["rate"]) in range(200, 280), "the rate")
         until(lambda: len(link.server.commands) >= 3, "the subscriptions")
         assert list(dict.fromkeys(link.server.commands)) == [
             "Bitstream,4.1", "SubscribeToData,RigidBody,All", "SubscribeToData,LabeledMarkers,All",
         ]  # fmt: skip
+    with Link(settings={"clock_uncertainty": 1e-5}) as link:  # less than the loopback's delays
+        link.until_level(
+            1, "(clock_uncertainty is 0.01 ms), so poses are missing: switch the Wi-Fi"
+        )
 
 
 def test_a_server_is_waited_for_and_found():
@@ -85,29 +82,17 @@ def test_a_server_is_waited_for_and_found():
                 link.client.start()
             link.until_level(2, "check that Motive streams (Data Streaming, unicast")
             link.server = NatNetServer(scene, address=address, faults=link.faults, seed=9)
-            assert link.until_fine() < 1.5
-            assert link.check_sample() < ACCURACY
-    with Link(client=False) as link:  # and an interface that is not there yet
-        settings = MocapSettings(server="127.0.0.1", interface="192.0.2.77")
-        link.client = NatNetClient(settings, lambda *_: None)
-        link.client.start()
+            assert link.until_level(0) < 1.5
+            assert link.worst() < ACCURACY
+    with Link(settings={"interface": "192.0.2.77"}) as link:  # which is not there yet
         link.until_level(2, "no network")
-
-
-def restart(link) -> float:
-    """Restart the server; how long it takes to the next frame [s]."""
-    sessions = link.client.figures()["sessions"]
-    link.faults["mocap.restart"] = 1.0
-    took = until(lambda: link.client.figures()["sessions"] > sessions, "a session")
-    received = len(link.frames)
-    return took + until(lambda: len(link.frames) > received, "frames")
 
 
 def test_a_client_that_was_forgotten_comes_back(link):
     link.server._clients = {}  # at once: its thread goes through the old ones
     received = len(link.frames)
     until(lambda: len(link.frames) > received + 10, "frames")
-    link.until_fine()
+    link.until_level(0)
     assert link.client.figures()["sessions"] == 1  # it is the same server, and the same clock
 
 
@@ -118,14 +103,14 @@ def test_changed_rigid_bodies_are_asked_for():
         return [(name, *rest[1:]) for name, rest in zip(names, scene(moment), strict=True)]
 
     with Link(bodies=renamed) as link:
-        link.until_fine()
+        link.until_level(0)
         assert link.client.describe()["bodies"] == "other, socket"
         names[1] = "pylon"
         until(lambda: "pylon" in link.client.describe()["bodies"], "the new body")
-        until(lambda: link.tracker.sample(clocks.monotonic() - 0.02).faults == ("", ""), "a sample")
+        link.worst()
 
 
-def test_what_others_send_does_not_disturb(link):
+def test_neither_strangers_nor_a_callback_that_fails_end_the_stream(link):
     _, port = link.client._sockets._sockets[0].getsockname()
     bad = link.client.figures()["bad_datagrams"]
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
@@ -136,53 +121,46 @@ def test_what_others_send_does_not_disturb(link):
         stranger.bind(("127.0.0.2", 0))
         for _ in range(100):
             stranger.sendto(b"\x09\x00\x00\x00", ("127.0.0.1", port))  # DISCONNECT, not from it
-    assert link.check_sample() < ACCURACY
+    assert link.worst() < ACCURACY
     assert link.client.figures()["sessions"] == 1
+    taken = []
+
+    def take(frame, moment, models):
+        taken.append(frame)
+        raise ValueError("the callback's own")
+
+    link.client._session._on_frame = take
+    until(lambda: len(taken) > 10, "frames")
+    assert "the callback's own" in link.health()[1]
 
 
-def test_a_callback_that_fails_does_not_end_the_thread():
-    with Link(client=False) as link:
-        taken = []
-
-        def take(frame, moment, models):
-            taken.append(frame)
-            raise ValueError("the callback's own")
-
-        link.client = NatNetClient(link.settings, take)
-        link.client.start()
-        until(lambda: len(taken) > 10, "frames")
-        assert "the callback's own" in link.health()[1]
-
-
-def test_a_take_is_named_started_and_stopped_and_its_end_by_hand_is_reported():
-    with Link() as link:
-        link.until_fine()
-        link.client.set_recording("trial_1")
-        until(lambda: link.server.recording, "the recording")
-        until(lambda: link.client._session.takes.settled, "the answer")
-        link.client.set_recording(None)
-        until(lambda: not link.server.recording, "the end")
-        link.client.set_recording("trial_2")
-        until(lambda: link.server.recording, "the recording")
-        link.client.set_recording("trial_3")
-        until(lambda: link.server.takes == ["trial_1", "trial_2", "trial_3"], "another take")
-        until(lambda: link.client.recording_fault == "", "the end of all faults")
-        link.server.recording = False
-        until(lambda: "does not record" in link.client.recording_fault, "the fault")
-        link.client.set_recording(None)
-        until(lambda: link.client._session.takes.settled, "the stop")
-        link.client.set_recording("last")
-        until(lambda: link.server.recording, "the recording")
-        link.client.close()
-        assert not link.server.recording
-        until(lambda: not link.server._clients, "the farewell")
+def test_a_take_is_named_started_and_stopped_and_its_end_by_hand_is_reported(link):
+    link.client.set_recording("trial_1")
+    until(lambda: link.server.recording, "the recording")
+    until(lambda: link.client._session.takes.settled, "the answer")
+    link.client.set_recording(None)
+    until(lambda: not link.server.recording, "the end")
+    link.client.set_recording("trial_2")
+    until(lambda: link.server.recording, "the recording")
+    link.client.set_recording("trial_3")
+    until(lambda: link.server.takes == ["trial_1", "trial_2", "trial_3"], "another take")
+    until(lambda: link.client.recording_fault == "", "the end of all faults")
+    link.server.recording = False
+    until(lambda: "does not record" in link.client.recording_fault, "the fault")
+    link.client.set_recording(None)
+    until(lambda: link.client._session.takes.settled, "the stop")
+    link.client.set_recording("last")
+    until(lambda: link.server.recording, "the recording")
+    link.client.close()
+    assert not link.server.recording
+    until(lambda: not link.server._clients, "the farewell")
 
 
 def test_lost_replies_are_asked_for_again_and_do_not_make_more_takes():
     with Link(client=False, seed=3) as link:
         link.faults["mocap.drop"] = 0.7
         link.client.start()
-        until(lambda: "bodies" in link.client.describe(), "the rigid bodies")
+        until(lambda: link.client.describe()["bodies"] != "none", "the rigid bodies")
         until(lambda: len(link.frames) > 20, "frames")
         link.faults.update({"mocap.drop": 0.4, "mocap.duplicate": 0.5, "mocap.truncate": 0.3})
         for number in range(2):
@@ -216,31 +194,20 @@ def test_a_take_goes_on_after_a_restart_and_after_a_network_that_comes_back(link
     until(lambda: not link.server.recording, "the end")
 
 
-def test_frames_of_a_group_also_after_a_restart(group):
-    with Link(multicast=group, data_port=group[1], version=(4, 2)) as link:
-        link.until_fine()
-        assert link.check_sample() < ACCURACY
+def test_a_group_is_heard_again_after_faults_and_its_misuse_is_named(group):
+    with Link(multicast=group, version=(4, 2)) as link:
+        link.until_level(0)
         link.faults["mocap.unplugged"] = 1.0
         link.until_level(2)
         link.faults.clear()
-        link.until_fine()
-        restart(link)
-        link.until_fine()
-        assert link.check_sample() < ACCURACY
-
-
-def test_a_port_that_another_program_has_and_a_server_in_another_mode(group):
+        link.until_level(0)
+        link.restart()
+        assert link.worst() < ACCURACY
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("", group[1]))
-        settings = MocapSettings(
-            server="127.0.0.1", multicast=group[0], data_port=group[1], interface="127.0.0.1"
-        )
         with refused(DeviceError, f"another program has the data port {group[1]}"):
-            NatNetClient(settings, lambda *_: None).start()
-    with Link(multicast=group, data_port=group[1], client=False) as link:
-        settings = MocapSettings(server="127.0.0.1", command_port=link.server.address[1])
-        link.client = NatNetClient(settings, lambda *_: None)
-        link.client.start()
+            NatNetClient(link.settings, link.take).start()
+    with Link(multicast=group, settings={"multicast": ""}) as link:
         link.until_level(2, f"streams to the group {group[0]}: choose unicast")
 
 

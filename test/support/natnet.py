@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from socket_testbed import clocks
 from socket_testbed.drivers.natnet.client import NatNetClient
-from socket_testbed.drivers.natnet.tracker import BodyTracker, MocapSample
+from socket_testbed.drivers.natnet.tracker import BodyTracker
 from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
 from support import HANGS
@@ -64,23 +66,29 @@ def until(condition: Callable[[], bool], what: str = "it") -> float:
 
 
 class Link:
-    """A server with its faults, and a client whose frames go to a tracker."""
+    """A server with its faults, and a client whose frames go to a tracker.
 
-    def __init__(self, multicast=None, bodies=scene, client=True, data_port=1511, **server):
+    `settings` are those of the client; the rest is the server's.
+    """
+
+    def __init__(self, multicast=None, bodies=scene, client=True, settings=None, **server: Any):
         self.faults: dict[str, float] = {}
         self.frames: list[tuple[int, float]] = []
         self.server = NatNetServer(bodies, faults=self.faults, multicast=multicast, **server)
         host, port = self.server.address
-        self.settings = MocapSettings(
-            server=host, command_port=port, interface=host if multicast else "",
-            multicast=multicast[0] if multicast else "", data_port=data_port,
-        )  # fmt: skip
+        self.settings = MocapSettings(server=host, command_port=port)
+        if multicast:
+            group, data_port = multicast
+            self.settings = replace(
+                self.settings, interface=host, multicast=group, data_port=data_port
+            )
+        self.settings = replace(self.settings, **(settings or {}))
         self.tracker = BodyTracker(self.settings, *TRIADS)
-        self.client = NatNetClient(self.settings, self._take)
+        self.client = NatNetClient(self.settings, self.take)
         if client:
             self.client.start()
 
-    def _take(self, frame, moment, models):
+    def take(self, frame, moment, models):
         self.frames.append((frame.number, moment))
         self.tracker.add(frame, moment, models)
 
@@ -97,9 +105,6 @@ class Link:
     def is_fine(self) -> bool:
         return self.health()[0] == 0
 
-    def until_fine(self) -> float:
-        return until(self.is_fine, "health")
-
     def until_level(self, level: int, text: str = "") -> float:
         def reached() -> bool:
             now, message = self.health()
@@ -107,19 +112,21 @@ class Link:
 
         return until(reached, f"level {level} '{text}'")
 
-    def check_sample(self) -> float:
-        """The largest error of a marker, at a trigger from now or soon [m]."""
-        sample = self.sample()
-        truth = np.array([markers_at(body, sample.time) for body in range(2)])
-        return float(np.linalg.norm(sample.markers - truth, axis=2).max())
+    def restart(self) -> None:
+        """Restart the server, and wait for its frames."""
+        sessions = self.client.figures()["sessions"]
+        self.faults["mocap.restart"] = 1.0
+        until(lambda: self.client.figures()["sessions"] > sessions, "a session")
+        self.until_level(0)
 
-    def sample(self) -> MocapSample:
-        """A sample at a trigger from now or soon in which both bodies have a pose."""
+    def worst(self) -> float:
+        """The largest error of a marker, at a trigger from now or soon with both poses [m]."""
         deadline = clocks.monotonic() + HANGS
         while True:
             trigger = clocks.monotonic()
             assert trigger < deadline, "no sample came"
             self.tracker.wait(trigger, trigger + self.settings.stale)
             sample = self.tracker.sample(trigger)
-            if not any(sample.faults):
-                return sample
+            if not any(body.fault for body in sample):
+                off = [body.markers - markers_at(n, trigger) for n, body in enumerate(sample)]
+                return float(np.linalg.norm(off, axis=2).max())

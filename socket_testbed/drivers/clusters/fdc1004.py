@@ -5,11 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from socket_testbed import clocks
-from socket_testbed.drivers.clusters.chip import (
-    INPUTS,
-    Conversion,
-)
-from socket_testbed.drivers.clusters.i2c import I2cPort
+from socket_testbed.drivers.clusters.i2c import INPUTS, Conversion, I2cPort
 from socket_testbed.errors import DeviceError
 
 _MSB, _LSB, _CONF_MEAS, _FDC_CONF = 0x00, 0x01, 0x08, 0x0C
@@ -109,7 +105,7 @@ class Fdc1004:
                 " check its sensor for a short or a broken wire",
             )
         self._port.write(_CONF_MEAS + channel, self._conf_meas(channel))
-        return Conversion(float("nan"), change=f"CAPDAC {capdac}")
+        return Conversion(float("nan"), shifted=True)
 
     def _conf_meas(self, channel: int) -> int:
         return channel << 13 | _TO_CAPDAC << 10 | self.capdac[channel] << 5

@@ -1,15 +1,19 @@
-"""An I2C bus, and one chip on it with registers of 16 bits, with named errors."""
+"""The clusters' I2C: a bus, a chip's registers on it with named errors, and what a chip can do."""
 
 from __future__ import annotations
 
 import errno
+from collections.abc import Callable
+from dataclasses import dataclass
 from fcntl import ioctl
 from typing import Protocol
 
 from smbus2 import SMBus, i2c_msg
 
-from socket_testbed.drivers import device_files
+from socket_testbed import drivers
 from socket_testbed.errors import DeviceError
+
+INPUTS = 4  # of a chip
 
 _I2C_TIMEOUT = 0x0702  # request of linux/i2c-dev.h
 _TIMEOUT_UNIT = 0.01  # [s]
@@ -55,8 +59,8 @@ def open_i2c(number: int, timeout: float) -> I2cBus:
 
 
 def opening_failed(number: int, error: OSError) -> DeviceError:
-    """The error, with its hint, of a bus that could not be opened."""
-    return device_files.opening_failed(
+    """The error of a bus that could not be opened."""
+    return drivers.opening_failed(
         f"/dev/i2c-{number}",
         error,
         group="i2c",
@@ -66,16 +70,15 @@ def opening_failed(number: int, error: OSError) -> DeviceError:
 
 
 class I2cPort:
-    """One chip on a bus, its registers sent the most significant byte first; for one thread.
+    """One chip on a bus, its registers sent the most significant byte first.
 
     Transfers that fail raise a `BusError`.
 
     Args:
-        bus: The bus.
-        bus_name: Its name, such as i2c-1.
+        bus_name: The bus's name, such as i2c-1.
         address: The chip's address [1].
         place: Where it is on the bus, such as "behind channel 2 of 0x70".
-        part: Name of the part to check when it does not answer.
+        part: What to check when it does not answer.
     """
 
     def __init__(
@@ -85,28 +88,22 @@ class I2cPort:
         self._bus_name = bus_name
         self._address = address
         self._part = part
-        self._written: dict[tuple[int, ...], i2c_msg] = {}  # made once: that takes its time
-        self._answer = i2c_msg.read(address, 2)
         # where it is wired, such as "0x50 behind channel 2 of 0x70 on i2c-1"
         self.where = " ".join(f"0x{address:02X} {place} on {bus_name}".split())
 
     def read(self, register: int) -> int:
         """Read a register, 0..0xFFFF [1]: its pointer, then a repeated start."""
-        self._transfer(self._message(register), self._answer)
-        return int.from_bytes(self._answer.buf[:2], "big")
+        answer = i2c_msg.read(self._address, 2)
+        self._transfer(i2c_msg.write(self._address, [register]), answer)
+        return int.from_bytes(answer.buf[:2], "big")
 
     def write(self, register: int, value: int) -> None:
         """Write a register, 0..0xFFFF [1]."""
-        self._transfer(self._message(register, value >> 8, value & 0xFF))
+        self._transfer(i2c_msg.write(self._address, [register, value >> 8, value & 0xFF]))
 
     def write_byte(self, value: int) -> None:
         """Write one byte to a chip without registers."""
-        self._transfer(self._message(value))
-
-    def _message(self, *data: int) -> i2c_msg:
-        if (known := self._written.get(data)) is None:
-            known = self._written[data] = i2c_msg.write(self._address, list(data))
-        return known
+        self._transfer(i2c_msg.write(self._address, [value]))
 
     def _transfer(self, *messages: i2c_msg) -> None:
         try:
@@ -115,7 +112,8 @@ class I2cPort:
             raise self._named(error) from error
 
     def _named(self, error: OSError) -> BusError:
-        kind, fact = BusError, f"transfer failed at {self.where} ({device_files.reason(error)})"
+        said = error.strerror or error
+        kind, fact = BusError, f"transfer failed at {self.where} ({said})"
         hint = f"check the {self._part}'s wiring"
         if error.errno in {errno.EREMOTEIO, errno.ENXIO}:
             fact = f"no answer at {self.where}"
@@ -124,7 +122,53 @@ class I2cPort:
             kind, fact = BusTimeoutError, f"the bus hangs at {self.where}"
             hint = "check SDA and SCL for a short, their pull-ups, and doctor's kernel row"
         elif error.errno in {errno.ENODEV, errno.ENOENT, errno.EBADF, errno.EIO}:
-            kind = BusGoneError
-            fact = f"the bus is gone at {self.where} ({device_files.reason(error)})"
+            kind, fact = BusGoneError, f"the bus is gone at {self.where} ({said})"
             hint = f"check the adapter of {self._bus_name}; it is opened again by itself"
         return kind(fact, hint, self._address)
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """The meaning of a code."""
+
+    picofarads: float  # capacitance [pF]; NaN if it is out of range
+    # whether the chip shifted the input's range, which holds from the next conversion that begins
+    shifted: bool = False
+    fault: str = ""  # why an input that is out of range cannot have another one, and the hint
+
+
+class CapacitiveChip(Protocol):
+    """A converter of four capacitances, all the time and in turn.
+
+    Every method raises a `DeviceError` if the chip or its bus fails.
+    """
+
+    name: str  # its name, for people
+    address: int  # its address on the bus [1]
+    sample_rates: tuple[int, ...]  # conversions, shared by the inputs, that it can make [1/s]
+    where: str  # where it is wired, for messages
+
+    def __init__(
+        self, port: I2cPort, sample_rate: int, sleep: Callable[[float], None], /
+    ) -> None: ...
+
+    def check_identity(self) -> None:
+        """Check that it is this chip."""
+
+    def reset_and_configure(self) -> None:
+        """Reset it, check its identity, and let it convert all inputs in turn."""
+
+    def done(self) -> tuple[bool, ...]:
+        """Whether each input was converted since it was last read, shape (4,).
+
+        A chip that has lost its settings is an error.
+        """
+        ...
+
+    def read(self, channel: int) -> int:
+        """Code of the last conversion of an input [1]; the input is not `done` any more."""
+        ...
+
+    def convert(self, channel: int, code: int) -> Conversion:
+        """Capacitance of a code of an input; shifts the range of an input that left it."""
+        ...

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 
@@ -12,11 +13,12 @@ from smbus2 import i2c_msg
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray, StatusArray
-from socket_testbed.drivers.clusters.chip import INPUTS, CapacitiveChip, InputReader
 from socket_testbed.drivers.clusters.i2c import (
+    INPUTS,
     BusError,
     BusGoneError,
     BusTimeoutError,
+    CapacitiveChip,
     I2cBus,
     I2cPort,
     opening_failed,
@@ -25,19 +27,21 @@ from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import ClusterSettings
 
-_PAUSE = 0.05  # between two polls of the chips that still convert [cycles]
+# In cycles, each the time that a chip takes for its four inputs.
+_PAUSE = 0.05  # between two polls of the chips that still convert
+_OLDEST = 2.0  # age at the trigger
+_SHARED = 0.5  # a value read so shortly before a trigger is nearer than the next conversion
+_UNFINISHED = 2.5
+_SETTLING = 0.5  # two conversions: the one under way has the former range
 
 
 @dataclass(frozen=True)
 class ClusterReading:
     """The clusters' values for one trigger."""
 
-    names: tuple[str, ...]  # names of the c clusters
-    capacitance: FloatArray  # capacitances by input, shape (c, 4) [pF]; NaN where there is none
+    capacitance: FloatArray  # of c clusters by input, shape (c, 4) [pF]; NaN where there is none
     status: StatusArray  # OK, SATURATED or MISSING (`Status`) of each input, shape (c, 4)
-    # fault and hint in one line, by the cluster's name
-    faults: dict[str, str]
-    notes: tuple[str, ...] = ()  # of this reading, such as a set-up
+    faults: dict[str, str]  # fault and hint in one line, by the cluster's name
 
 
 class ClusterReader:
@@ -60,49 +64,62 @@ class ClusterReader:
     ) -> None:
         check_settings(settings, chip)
         self._settings = settings
-        self._chip = chip
         self._clock = clock
         self._sleep = sleep
-        self._pause = _PAUSE * INPUTS / settings.sample_rate  # [s]
+        self._cycle = INPUTS / settings.sample_rate  # [s]
         self._buses = {number: _Bus(number, open_bus) for number in settings.buses}
-        places = zip(settings.buses, settings.each_multiplexer, settings.channels, strict=True)
-        self._clusters = [
-            self._describe(name, *place) for name, place in zip(settings.names, places, strict=True)
-        ]
+        self._clusters: dict[str, _Cluster] = {}
+        for name, (number, address, channel) in _places(settings):
+            bus = self._buses[number]
+            bus.add_multiplexer(address)
+            place = f"behind channel {channel} of 0x{address:02X}" if address else ""
+            port = I2cPort(bus, bus.name, chip.address, place)
+            made = chip(port, settings.sample_rate, sleep)
+            self._clusters[name] = _Cluster(bus, (address, channel), made, self._cycle, clock)
 
     def read(self, trigger: float) -> ClusterReading:
         """Read the clusters for a trigger at a time of the steady clock [s]."""
         for bus in self._buses.values():
             bus.given_up = ""
-        for cluster in self._clusters:
-            cluster.inputs.begin(trigger)
-        if self._clock() > trigger + self._settings.latest:
-            return self._reading(trigger, self._too_late)
-
+        clusters = self._clusters.values()
+        for cluster in clusters:
+            cluster.begin(trigger)
+        latest = trigger + self._settings.latest
+        late = self._clock() > latest
         # Those to be set up come last: they would hold up the others.
-        waiting = sorted(self._clusters, key=lambda cluster: not cluster.configured)
+        waiting = [] if late else sorted(clusters, key=lambda cluster: not cluster.configured)
         while waiting := [cluster for cluster in waiting if self._advance(cluster)]:
-            self._sleep(self._pause)
-        return self._reading(trigger)
+            self._sleep(_PAUSE * self._cycle)
 
-    @property
-    def _too_late(self) -> str:
-        return (
-            f"read more than {self._settings.latest:g} s after the trigger:"
-            " lower the trigger's rate, or relieve the computer"
-        )
+        shape = (len(clusters), INPUTS)
+        capacitance = np.full(shape, np.nan)
+        status = np.full(shape, Status.MISSING, dtype=np.uint8)
+        faults = {}
+        for row, (name, cluster) in enumerate(self._clusters.items()):
+            fault, whole = cluster.fault, not cluster.pending
+            if late or (whole and max(entry.read for entry in cluster.inputs) > latest):
+                fault = (
+                    f"read more than {self._settings.latest:g} s after the trigger:"
+                    " lower the trigger's rate, or relieve the computer"
+                )
+            elif whole:
+                capacitance[row] = values = [entry.value for entry in cluster.inputs]
+                status[row] = np.where(np.isnan(values), Status.SATURATED, Status.OK)
+                fault = fault or "; ".join(entry.fault for entry in cluster.inputs if entry.fault)
+            if fault:
+                faults[name] = fault
+        return ClusterReading(capacitance, status, faults)
 
     def identify(self) -> dict[str, str | DeviceError]:
         """The chip found at each cluster's place, or the error there, by the cluster's name."""
         found: dict[str, str | DeviceError] = {}
-        for cluster in self._clusters:
-            chip = cluster.inputs.chip
+        for name, cluster in self._clusters.items():
             try:
                 cluster.select()
-                chip.check_identity()
-                found[cluster.name] = f"{chip.name} at {chip.where}"
+                cluster.chip.check_identity()
+                found[name] = f"{cluster.chip.name} at {cluster.chip.where}"
             except DeviceError as error:
-                found[cluster.name] = error
+                found[name] = error
         return found
 
     def close(self) -> None:
@@ -112,14 +129,6 @@ class ClusterReader:
                 with suppress(DeviceError):
                     bus.disconnect()
             self._close(bus)
-
-    def _describe(self, name: str, number: int, address: int, channel: int) -> _Cluster:
-        bus = self._buses[number]
-        bus.add_multiplexer(address)
-        place = f"behind channel {channel} of 0x{address:02X}" if address else ""
-        port, rate = I2cPort(bus, bus.name, self._chip.address, place), self._settings.sample_rate
-        inputs = InputReader(self._chip(port, rate, self._sleep), rate, self._clock)
-        return _Cluster(name, bus, address, channel, inputs)
 
     def _advance(self, cluster: _Cluster) -> bool:
         """Poll a cluster once; returns whether to poll it again."""
@@ -135,9 +144,8 @@ class ClusterReader:
                 return False
             cluster.select()
             if not cluster.configured:
-                cluster.inputs.configure()
-                cluster.configured = True
-            if cluster.inputs.poll():
+                cluster.configure()
+            if cluster.poll():
                 return True
         except DeviceError as error:
             self._failed(cluster, error)
@@ -154,8 +162,8 @@ class ClusterReader:
         if isinstance(error, BusTimeoutError):
             # Every transfer on a bus that hangs takes its whole time-out: one is enough.
             bus.given_up = str(error)
-        of_multiplexer = isinstance(error, BusError) and error.address != self._chip.address
-        if bus.is_open and not of_multiplexer and not isinstance(error, BusGoneError):
+        of_chip = not isinstance(error, BusError) or error.address == cluster.chip.address
+        if bus.is_open and of_chip and not isinstance(error, BusGoneError):
             cluster.backoff.failed(now)
             return
         bus.given_up = bus.fault = str(error)
@@ -164,31 +172,9 @@ class ClusterReader:
 
     def _close(self, bus: _Bus) -> None:
         bus.close()
-        for cluster in self._clusters:
+        for cluster in self._clusters.values():
             if cluster.bus is bus:
                 cluster.configured = False
-
-    def _reading(self, trigger: float, fault: str = "") -> ClusterReading:
-        shape = (len(self._clusters), INPUTS)
-        reading = ClusterReading(
-            self._settings.names,
-            np.full(shape, np.nan),
-            np.full(shape, Status.MISSING, dtype=np.uint8),
-            faults={},
-            notes=tuple(f"{c.name}: {note}" for c in self._clusters for note in c.inputs.notes),
-        )
-        for row, cluster in enumerate(self._clusters):
-            inputs, wrong = cluster.inputs, fault or cluster.fault
-            if not inputs.pending:
-                if inputs.read > trigger + self._settings.latest:
-                    wrong = self._too_late
-                else:
-                    reading.capacitance[row] = inputs.capacitance
-                    reading.status[row] = inputs.status
-                    wrong = wrong or inputs.faults
-            if wrong:
-                reading.faults[cluster.name] = wrong
-        return reading
 
 
 class _Bus:
@@ -199,7 +185,7 @@ class _Bus:
     """
 
     def __init__(self, number: int, open_bus: Callable[[int], I2cBus]) -> None:
-        self.name = f"i2c-{number}"  # its name, such as i2c-1
+        self.name = f"i2c-{number}"
         self.backoff = clocks.Backoff()
         self.fault = ""  # why it was closed
         self.given_up = ""  # why nothing more is read from it for the present trigger
@@ -254,19 +240,105 @@ class _Bus:
 
 
 @dataclass
-class _Cluster:
-    name: str
-    bus: _Bus
-    multiplexer: int  # its address; 0: none
-    channel: int
-    inputs: InputReader
-    backoff: clocks.Backoff = field(default_factory=clocks.Backoff)
-    configured: bool = False
+class _Input:
+    low: float  # it was not done then [s]
+    settled: float = -math.inf  # a conversion that may have ended before has another range [s]
+    since: float = -math.inf  # the value's conversion ended after this [s]
+    read: float = -math.inf  # a conversion was last read then [s]
+    value: float = math.nan  # [pF]; NaN if out of range
     fault: str = ""
 
+
+@dataclass
+class _Cluster:
+    """A chip at its place, and its four inputs, read for each trigger.
+
+    A conversion ended after the last time that its input was known not to be done. That bound,
+    not the time of the read, limits how old a value can be, even if the chip has hung meanwhile.
+    """
+
+    bus: _Bus
+    place: tuple[int, int]  # its multiplexer's address, 0: none, and channel
+    chip: CapacitiveChip
+    cycle: float  # [s]
+    clock: Callable[[], float]
+    inputs: list[_Input] = field(default_factory=list)
+    pending: set[int] = field(default_factory=set)  # without a value for the present trigger
+    trigger: float = -math.inf  # [s]
+    begun: float = -math.inf  # to read for it [s]
+    configured: bool = False
+    fault: str = ""
+    backoff: clocks.Backoff = field(default_factory=clocks.Backoff)
+
+    def begin(self, trigger: float) -> None:
+        """Begin to gather the inputs' values for a trigger at a time of the steady clock [s]."""
+        self.pending = set(range(INPUTS))
+        self.trigger = trigger
+        self.begun = self.clock()
+
     def select(self) -> None:
+        """Connect the chip, and it alone."""
         self.bus.open()
-        self.bus.select(self.multiplexer, self.channel)
+        self.bus.select(*self.place)
+
+    def configure(self) -> None:
+        """Reset and configure the chip; drops what came before."""
+        begun = self.clock()
+        self.chip.reset_and_configure()
+        self.inputs = [_Input(low=begun) for _ in range(INPUTS)]
+        self.begun = self.clock()
+        self.configured = True
+
+    def poll(self) -> bool:
+        """Read what is done; returns whether inputs are still pending."""
+        asked = self.clock()
+        done = self.chip.done()
+        codes = {n: self._read(n) for n in sorted(self.pending) if done[n]}
+        for n in self.pending - codes.keys():
+            self._await(n, asked)
+        if codes:
+            # A chip that lost its supply while it was read gave zeros that look like values.
+            self.chip.done()
+        for n, code in codes.items():
+            if code is not None:
+                entry, conversion = self.inputs[n], self.chip.convert(n, code)
+                entry.value, entry.fault = conversion.picofarads, conversion.fault
+                if conversion.shifted:
+                    entry.settled = self.clock() + _SETTLING * self.cycle
+                self.pending.discard(n)
+        return bool(self.pending)
+
+    def _read(self, n: int) -> int | None:
+        """The code of an input [1], or None if it may be too old; it is cleared either way."""
+        entry = self.inputs[n]
+        entry.since, entry.low = entry.low, self.clock()
+        code = self.chip.read(n)
+        entry.read = self.clock()
+        if entry.since < max(self.trigger - _OLDEST * self.cycle, entry.settled):
+            entry.since = -math.inf
+            return None
+        return code
+
+    def _await(self, n: int, asked: float) -> None:
+        entry = self.inputs[n]
+        entry.low = asked
+        # At triggers as fast as the cycle, waiting for the next conversion each time would
+        # make the readings fall behind; the last one may be nearer to this trigger.
+        near = _SHARED * self.cycle
+        is_young = entry.since >= self.trigger - _OLDEST * self.cycle
+        if asked >= self.trigger + near and entry.read >= self.trigger - near and is_young:
+            self.pending.discard(n)
+        elif asked - max(self.begun, entry.read) > _UNFINISHED * self.cycle:
+            raise DeviceError(
+                f"conversions of input {n + 1} do not finish at {self.chip.where}",
+                "the chip is reset; if this comes again, check its supply",
+            )
+
+
+def _places(settings: ClusterSettings) -> Iterator[tuple[str, tuple[int, int, int]]]:
+    """The clusters' names with their bus, their multiplexer's address (0: none) and channel."""
+    places = zip(settings.buses, settings.each_multiplexer, settings.channels, strict=True)
+    return zip(settings.names, places, strict=True)
 
 
 def check_settings(settings: ClusterSettings, chip: type[CapacitiveChip]) -> None:
@@ -284,12 +356,11 @@ def check_settings(settings: ClusterSettings, chip: type[CapacitiveChip]) -> Non
             f"sample_rate is {settings.sample_rate}",
             f"give one of those of the {chip.name}: {', '.join(map(str, chip.sample_rates))}",
         )
-    for address in multiplexers:
+    at: dict[str, str] = {}
+    for name, (bus, address, channel) in _places(settings):
         if address and address < 0x70:
             fact = f"multiplexer is 0x{address:02X}"
             raise ConfigurationError(fact, "give 0x70 to 0x77, or 0 for none")
-    at: dict[str, str] = {}
-    for name, bus, address, channel in zip(names, buses, multiplexers, channels, strict=True):
         place = f"bus {bus}" + (f", channel {channel} of 0x{address:02X}" if address else "")
         if name in at.values() or place in at:
             raise ConfigurationError(

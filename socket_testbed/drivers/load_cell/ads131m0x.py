@@ -13,10 +13,9 @@ import numpy as np
 
 from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.drivers.device_files import opening_failed
+from socket_testbed.drivers import opening_failed
 from socket_testbed.errors import ConfigurationError, DeviceError
 
-HIGHEST, LOWEST = 0x7FFFFF, -0x800000  # codes of the rails
 _SINC3_LONGEST = 1024  # a higher oversampling is reached by a sinc1 behind it
 _REFERENCE = 1.2  # [V]
 _WORD = 3  # [bytes]
@@ -44,7 +43,6 @@ class SpiDevice(Protocol):
 
     def close(self) -> None:
         """Give the bus back."""
-        ...
 
 
 def check_device(device: str) -> tuple[int, int]:
@@ -134,7 +132,7 @@ def volts(codes: IntArray, gain: int) -> FloatArray:
 
 def at_rail(codes: IntArray) -> BoolArray:
     """Whether codes are clipped: what was measured is beyond them."""
-    return (codes >= HIGHEST) | (codes <= LOWEST)
+    return (codes == 0x7FFFFF) | (codes == -0x800000)
 
 
 class Ads131m0x:
@@ -163,6 +161,11 @@ class Ads131m0x:
         self._name = name
         self._sleep = sleep
 
+    @property
+    def description(self) -> str:
+        """Which converter this is, and where."""
+        return f"ADS131M{self._channels:02d} on {self._name}, ID 0x{self.identity:04X}"
+
     def reset_and_configure(self, oversampling: int, gain: int, clock_in: float = 8.192e6) -> None:
         """Reset it, write its registers, read them back and drop unsettled conversions.
 
@@ -176,12 +179,20 @@ class Ads131m0x:
         self._transfer(_UNLOCK)
         self._transfer(_RESET)
         self._sleep(_RESET_TIME)
-        acknowledged = self._transfer(_READ | _ID << 7)
-        self._check_identity(self._transfer(_NULL))
-        if _response(acknowledged) != 0xFF20 | self._channels:
+        acknowledged = _response(self._transfer(_READ | _ID << 7))
+        answer = self._transfer(_NULL)
+        # Ahead of the checksum, whose place in the frame depends on the number of channels.
+        self.identity = _response(answer)
+        if self.identity >> 8 != 0x20 | self._channels:
             raise DeviceError(
-                f"{self._name}: the converter did not reset (it says "
-                f"0x{_response(acknowledged):04X})",
+                f"{self._name}: the converter says ID 0x{self.identity:04X}, not "
+                f"0x{0x20 | self._channels:02X}xx",
+                "check load_cell_node's channels, and that its device is this converter",
+            )
+        self._check(answer)
+        if acknowledged != 0xFF20 | self._channels:
+            raise DeviceError(
+                f"{self._name}: the converter did not reset (it says 0x{acknowledged:04X})",
                 "check DIN and SCLK, or lower load_cell_node's spi_clock",
             )
         self._configure(oversampling, gain)
@@ -218,43 +229,32 @@ class Ads131m0x:
         return errors
 
     def _configure(self, oversampling: int, gain: int) -> None:
-        step = gain.bit_length() - 1
-        gains = [sum(step << 4 * place for place in range(4))] * 2
-        existing = [0x7777, 0x7777 & (1 << 4 * (self._channels - 4)) - 1]
         enabled = ((1 << self._channels) - 1) << 8
         rate = (oversampling.bit_length() - 8) << 2
         kind = _ANSI if self._wanted_crc == "ansi" else 0
-        values = [
-            _WORDS_OF_24_BITS | _TIMEOUT | kind,  # and the reset bit, cleared
-            enabled | rate | _HIGH_RESOLUTION,
-            *(value & mask for value, mask in zip(gains, existing, strict=True)),
-        ]
-        # Reserved bits read differently from one edition of the datasheet to the next.
-        masks = [0xFFFF, enabled | 0x1F, *existing]
+        gains = 0x1111 * (gain.bit_length() - 1)
+        others = 0x7777 & (1 << 4 * (self._channels - 4)) - 1  # gains from the fifth on
+        # From MODE on. Reserved bits read differently from one edition of the datasheet to the
+        # next: with each value the bits that count.
+        registers = (
+            (_WORDS_OF_24_BITS | _TIMEOUT | kind, 0xFFFF),  # and the reset bit, cleared
+            (enabled | rate | _HIGH_RESOLUTION, enabled | 0x1F),
+            (gains, 0x7777),
+            (gains & others, others),
+        )
         # The checksum may change its kind within the frame that sets it.
+        values = [value for value, _ in registers]
         self._transfer(_WRITE | _MODE << 7 | len(values) - 1, *values)
         self._crc = self._wanted_crc
-        self._exchange(_READ | _MODE << 7)
-        for k, (value, mask) in enumerate(zip(values, masks, strict=True)):
-            last = k == len(values) - 1
-            answer = self._exchange(_NULL if last else _READ | (_MODE + k + 1) << 7)
-            if _response(answer) & mask != value:
+        reads = [_READ | _MODE + k << 7 for k in range(len(values))]
+        _, *answers = [_response(self._exchange(command)) for command in (*reads, _NULL)]
+        for k, (answer, (value, mask)) in enumerate(zip(answers, registers, strict=True)):
+            if answer & mask != value:
                 raise DeviceError(
-                    f"{self._name}: register 0x{_MODE + k:02X} reads "
-                    f"0x{_response(answer):04X} after 0x{value:04X} was written",
+                    f"{self._name}: register 0x{_MODE + k:02X} reads 0x{answer:04X} after"
+                    f" 0x{value:04X} was written",
                     "check DIN, or lower load_cell_node's spi_clock",
                 )
-
-    def _check_identity(self, answer: bytes) -> None:
-        # Ahead of the checksum, whose place in the frame depends on the number of channels.
-        self.identity = _response(answer)
-        if self.identity >> 8 != 0x20 | self._channels:
-            raise DeviceError(
-                f"{self._name}: the converter says ID 0x{self.identity:04X}, not "
-                f"0x{0x20 | self._channels:02X}xx",
-                "check load_cell_node's channels, and that its device is this converter",
-            )
-        self._check(answer)
 
     def _exchange(self, *words: int) -> bytes:
         answer = self._transfer(*words)

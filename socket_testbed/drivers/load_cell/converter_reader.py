@@ -28,10 +28,11 @@ from socket_testbed.drivers.load_cell.ads131m0x import (
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import LoadCellSettings
 
+RECENT = 0.8  # [s]; how long a trouble that is over is reported
+
 _FRAMES = 8  # read in a row at most; two conversions can wait, and frames can be corrupted
 _HELD_UP = 0.25  # periods; a frame takes less
 _SILENCE = 0.1  # [s] without a conversion
-_RECENT = 0.8  # [s]; how long a trouble that is over is reported
 _KEPT = 61.0  # [s]; more than the longest tare
 _PAUSE = 1.95  # periods; two conversions wait, a third would be lost
 _WAITING = 2  # conversions that the converter keeps
@@ -63,19 +64,18 @@ class ConversionClock:
         self._empty = None
         self._continuous = False
 
-    def nothing_waits(self, begin: float) -> None:
-        """A frame that was begun at this time [s] brought nothing new."""
-        self._empty = begin
-        self._waiting = 0
+    def nothing_waits(self, begin: float, read: float) -> None:
+        """A frame that was begun and over at these times [s] brought nothing new."""
+        if read - begin >= _HELD_UP * self._period:  # nobody knows when nothing waited
+            self.lose()
+        else:
+            self._empty = begin
+            self._waiting = 0
 
     def conversion_end(self, read: float) -> float | None:
-        """When a conversion ended [s].
+        """When a conversion ended that a frame brought, which was over at a time [s].
 
-        Args:
-            read: Time at which the frame that brought it was over [s].
-
-        Returns:
-            The time, or None if it is not known which conversion this is.
+        None if it is not known which conversion this is.
         """
         if self._empty is None:
             return None
@@ -84,56 +84,23 @@ class ConversionClock:
             return None
         low = self._empty + self._waiting * self._period
         high = min(read, low + self._period)
-        middle = 0.5 * (low + high)
-        end = middle if self._last is None else self._next_end(self._last, middle)
-        if abs(end - middle) > self._period:  # conversions paused, and begin anew
-            end = middle
+        end = middle = 0.5 * (low + high)
+        if self._last is not None:
+            # A period after the last one; where some were lost, several, nearest to the middle.
+            steps = 1 if self._continuous else round((middle - self._last) / self._period)
+            end = self._last + self._period * steps
+            if abs(end - middle) > self._period:  # conversions paused, and begin anew
+                end = middle
         self._last = min(max(end, low), high)
         self._waiting += 1
         self._continuous = True
         return self._last
 
-    def _next_end(self, last: float, middle: float) -> float:
-        """A period after the last conversion; if some are lost, several, nearest to a time."""
-        steps = 1 if self._continuous else round((middle - last) / self._period)
-        return last + self._period * steps
-
-
-class Conversions:
-    """The last conversions, so many at least, in the order of their times."""
-
-    def __init__(self, count: int, channels: int) -> None:
-        self._count = count
-        self._channels = channels
-        self._times: list[float] = []
-        self._codes: list[IntArray] = []
-
-    def add(self, time: float, codes: IntArray) -> None:
-        """Add a conversion, measured later [s] than all before; its codes, shape (channels,)."""
-        self._times.append(time)
-        self._codes.append(codes)
-        if len(self._times) >= 2 * self._count:
-            del self._times[: -self._count], self._codes[: -self._count]
-
-    def between(self, start: float, end: float) -> tuple[FloatArray, IntArray]:
-        """Conversions measured after `start` and until `end` [s].
-
-        Returns:
-            Their times, shape (n,) [s], and their codes, shape (n, channels).
-        """
-        rows = slice(bisect_right(self._times, start), bisect_right(self._times, end))
-        codes = np.array(self._codes[rows], dtype=np.int64)
-        return np.array(self._times[rows]), codes.reshape(-1, self._channels)
-
-    def newest(self, count: int) -> IntArray:
-        """Codes of so many conversions at the end, shape (n, channels); fewer at first."""
-        return np.array(self._codes[-count:], dtype=np.int64).reshape(-1, self._channels)
-
 
 class ConverterReader:
     """The converter of a load cell, with the conversions that it made.
 
-    One thread calls `poll` and `close`; the other methods may be called from any.
+    One thread polls it and closes it in the end; any other thread may ask for the rest.
 
     Args:
         open_device: Opens its bus; called again after a failure.
@@ -148,30 +115,31 @@ class ConverterReader:
         sleep: Callable[[float], None] = clocks.sleep,
         open_line: Callable[[], EdgeLine] | None = None,
     ) -> None:
-        # time from one conversion to the next [s]
+        # time from one conversion to the next [s]: how often to poll
         self.period = conversion_period(settings.clock_in, settings.oversampling)
-        # time without a conversion that is an error [s]
-        self.silence = max(_SILENCE, 5.0 * self.period)
+        self.clock = clock
+        self.open_line = open_line
+        self._silence = max(_SILENCE, 5.0 * self.period)  # without a conversion: an error [s]
         self._delay = group_delay(settings.clock_in, settings.oversampling)
         self._settings = settings
         self._open_device = open_device
-        self._clock = clock
         self._sleep = sleep
         self._name = f"spidev{settings.device}"
 
-        self._open_line = open_line
         self._line: EdgeLine | None = None
         self._synchronised = False  # with the line: no conversion waits that had its edge
         self._spi: SpiDevice | None = None
         self._converter: Ads131m0x | None = None
         self._backoff = clocks.Backoff()
-        self._times = ConversionClock(self.period)
+        self._ends = ConversionClock(self.period)
         self._connected = -np.inf  # [s]
         self._matched = -np.inf  # last frame that matched its checksum [s]
 
         self._lock = threading.Lock()  # of all below
-        kept = min(math.ceil(_KEPT / self.period), _ROWS)
-        self._conversions = Conversions(kept, settings.channels)
+        # The last conversions, in the order of their times [s], with their codes.
+        self._kept = min(math.ceil(_KEPT / self.period), _ROWS)
+        self._times: list[float] = []
+        self._codes: list[IntArray] = []
         self._emptied = self._corrupted = self._failed = -np.inf  # [s]
         self._arrived = self._stored = clock()  # a conversion; one whose time is known [s]
         self._fault: DeviceError | None = None
@@ -180,19 +148,24 @@ class ConverterReader:
             self._counts["status_disagrees"] = 0
 
     def poll(self) -> None:
-        """Read the conversions that wait, or connect to the converter again when that is due."""
+        """Read the conversions that wait, or connect to the converter again when that is due.
+
+        `trouble` reports a device that fails; nothing is raised. A pause of two periods or
+        more costs the conversions since, whose times nobody knows.
+        """
         try:
-            if self._converter is not None and self._line is not None:
+            if self._converter is None:
+                if self._backoff.due(self.clock()):
+                    self.connect()
+            elif self._line is not None:
                 self._read_edges(self._converter, self._line)
-            elif self._converter is not None:
+            else:
                 self._read_waiting(self._converter)
-            elif self._backoff.due(self._clock()):
-                self.connect()
         except DeviceError as error:
             self._fail(error)
 
     def connect(self) -> Ads131m0x:
-        """The converter, connected and configured."""
+        """The converter, connected and configured; for a thread that does not poll meanwhile."""
         if self._converter is None:
             settings = self._settings
             self.close()
@@ -201,32 +174,38 @@ class ConverterReader:
                 self._spi, settings.channels, settings.crc, self._name, self._sleep
             )
             converter.reset_and_configure(settings.oversampling, settings.gain, settings.clock_in)
-            if self._open_line is not None:
-                self._line, self._synchronised = self._open_line(), False
-            self._times = ConversionClock(self.period)  # a reset begins another train of them
-            self._connected = self._clock()
+            if self.open_line is not None:
+                self._line, self._synchronised = self.open_line(), False
+            self._ends = ConversionClock(self.period)  # a reset begins another train of them
+            self._connected = self.clock()
             self._converter = converter
         return self._converter
 
     def close(self) -> None:
-        """Give the bus back."""
+        """Give the bus and the line back."""
         self._converter = None
-        if self._spi is not None:
-            self._spi.close()
-            self._spi = None
-        if self._line is not None:
-            self._line.close()
-            self._line = None
+        for opened in (self._spi, self._line):
+            if opened is not None:
+                opened.close()
+        self._spi = self._line = None
 
     def between(self, start: float, end: float) -> tuple[FloatArray, IntArray]:
-        """Conversions measured after `start` and until `end` [s], as `Conversions.between`."""
+        """Conversions measured after `start` and until `end` [s].
+
+        Returns:
+            Their times, shape (n,) [s], and their codes, shape (n, channels).
+        """
         with self._lock:
-            return self._conversions.between(start, end)
+            rows = slice(bisect_right(self._times, start), bisect_right(self._times, end))
+            return np.array(self._times[rows]), self._stacked(self._codes[rows])
 
     def newest(self, count: int) -> IntArray:
         """Codes of so many conversions at the end, shape (n, channels); fewer at first."""
         with self._lock:
-            return self._conversions.newest(count)
+            return self._stacked(self._codes[-count:])
+
+    def _stacked(self, codes: list[IntArray]) -> IntArray:
+        return np.array(codes, dtype=np.int64).reshape(-1, self._settings.channels)
 
     def over(self, until: float) -> float:
         """When the conversions measured until a time have ended [s]."""
@@ -242,48 +221,42 @@ class ConverterReader:
         with self._lock:
             return dict(self._counts)
 
-    def trouble(self, now: float) -> tuple[int, str, str]:
-        """The converter's trouble at a time [s].
-
-        Returns:
-            0 (nothing), 1 (a warning) or 2 (an error), with the fact and the hint.
-        """
+    def trouble(self, now: float) -> tuple[int, DeviceError | None]:
+        """The converter's trouble at a time [s]: 0 (none), 1 (a warning) or 2 (an error)."""
+        found: tuple[int, DeviceError | None] = 0, None
         with self._lock:
-            level, fact, hint = 0, "", ""
             if (fault := self._fault) is not None and self._failed >= self._stored:
-                level, fact, hint = 2, fault.fact, fault.hint
-            elif now - self._arrived > self.silence:
-                level, fact, hint = 2, f"{self._name}: converts no more", _CHECK_CLOCK
-            elif now - self._stored > self.silence:
-                level, fact = 2, f"{self._name}: conversions are read too late to know their times"
+                found = 2, fault
+            elif now - self._arrived > self._silence:
+                found = 2, self._error("converts no more", _CHECK_CLOCK)
+            elif now - self._stored > self._silence:
                 hint = "relieve the computer, or raise load_cell_node's oversampling"
-            elif fault is not None and now - self._failed < _RECENT:
-                level, fact, hint = 1, f"{fault.fact}, and is read again", fault.hint
-            elif now - self._corrupted < _RECENT:
-                level, hint = 1, CHECK_WIRING
-                fact = f"{self._name}: frames do not match their checksums and are left out"
+                found = 2, self._error("conversions are read too late to know their times", hint)
+            elif fault is not None and now - self._failed < RECENT:
+                found = 1, DeviceError(f"{fault.fact}, and is read again", fault.hint)
+            elif now - self._corrupted < RECENT:
+                fact = "frames do not match their checksums and are left out"
+                found = 1, self._error(fact, CHECK_WIRING)
             elif not self._counts["conversions"]:
-                level, fact, hint = 1, f"{self._name}: no conversion yet", "wait for the first"
-            return level, fact, hint
+                found = 1, self._error("no conversion yet", "wait for the first")
+        return found
+
+    def _error(self, fact: str, hint: str) -> DeviceError:
+        return DeviceError(f"{self._name}: {fact}", hint)
 
     def _read_waiting(self, converter: Ads131m0x) -> None:
         for _ in range(_FRAMES):
-            begin = self._clock()
+            begin = self.clock()
             if (frame := self._read(converter, begin)) is None:
                 # It may have held a conversion: those behind it cannot be told apart.
-                self._times.lose()
+                self._ends.lose()
                 continue
-            read = self._matched
             if not frame.new:
-                # Held up in the middle of a frame, nobody knows when nothing waited.
-                if read - begin < _HELD_UP * self.period:
-                    self._times.nothing_waits(begin)
-                else:
-                    self._times.lose()
+                self._ends.nothing_waits(begin, self._matched)
                 with self._lock:
                     self._emptied = begin
                 break
-            self._take(frame.codes, read, self._times.conversion_end(read))
+            self._take(frame, self._ends.conversion_end(self._matched))
         self._expect_conversions()
 
     def _read(self, converter: Ads131m0x, begin: float) -> ConverterFrame | None:
@@ -295,25 +268,24 @@ class ConverterReader:
                 self._corrupted = begin
                 self._counts["checksum_errors"] += 1
             return None
-        self._matched = self._clock()
+        self._matched = self.clock()
         return frame
 
     def _read_edges(self, converter: Ads131m0x, line: EdgeLine) -> None:
         """Read a frame for each edge; ambiguous ones are dropped."""
-        begin = self._clock()
+        begin = self.clock()
         edges = self._edges(line)
         if edges and not (self._synchronised and len(edges) <= _WAITING):
             self._synchronise(converter, line)
             edges = []
         for edge in edges:
-            if (frame := self._read(converter, begin)) is None:
-                self._synchronised = False  # whether it took a conversion along is unknown
-                return
-            read = self._matched
-            if read > edges[0] + _PAUSE * self.period:  # a third conversion pushed out the first
+            frame = self._read(converter, begin)
+            # Whether a corrupted one took a conversion along is unknown; late, a third conversion
+            # has pushed out the first.
+            if frame is None or self._matched > edges[0] + _PAUSE * self.period:
                 self._synchronised = False
                 return
-            self._take(frame.codes, read, edge)
+            self._take(frame, edge)
             with self._lock:
                 self._counts["status_disagrees"] += not frame.new
         with self._lock:
@@ -323,8 +295,7 @@ class ConverterReader:
     def _synchronise(self, converter: Ads131m0x, line: EdgeLine) -> None:
         """Drop all conversions that wait (datasheet SBAS950B, 8.5.1.9), between two edges."""
         for _ in range(_ATTEMPTS):
-            for _ in range(_WAITING):
-                converter.check_frames(1)
+            converter.check_frames(_WAITING)
             if not self._edges(line):
                 self._synchronised = True
                 return
@@ -333,37 +304,37 @@ class ConverterReader:
         try:
             return line.edges(0.0)
         except OSError as error:
-            raise DeviceError(
-                f"{self._name}: DRDY's line fails ({error.strerror or error})",
-                "check that no other program holds it",
-            ) from None
+            fact = f"DRDY's line fails ({error.strerror or error})"
+            raise self._error(fact, "check that no other program holds it") from None
 
-    def _take(self, codes: IntArray, read: float, end: float | None) -> None:
-        """Keep a conversion that a frame brought, and that ended at a time [s]; None: unknown."""
+    def _take(self, frame: ConverterFrame, end: float | None) -> None:
+        """Keep a conversion, read just now, that ended at a time [s]; None: unknown."""
         with self._lock:
-            self._arrived = read
+            self._arrived = self._matched
             if end is None:
                 return
-            self._stored = read
+            self._stored = self._matched
             self._counts["conversions"] += 1
-            self._conversions.add(end - self._delay, codes)
+            self._times.append(end - self._delay)
+            self._codes.append(frame.codes)
+            if len(self._times) >= 2 * self._kept:
+                del self._times[: -self._kept], self._codes[: -self._kept]
 
     def _expect_conversions(self) -> None:
-        now = self._clock()
-        if now - max(self._arrived, self._connected) <= self.silence:
+        now = self.clock()
+        if now - max(self._arrived, self._connected) <= self._silence:
             return
         if self._line is not None and self._converter is not None and self._converter.read().new:
-            raise DeviceError(
-                f"{self._name}: converts, but no edge comes on line"
-                f" {self._settings.data_ready_line}",
+            raise self._error(
+                f"converts, but no edge comes on line {self._settings.data_ready_line}",
                 "check the wire from DRDY, or set load_cell_node's data_ready_line to -1",
             )
-        if self._line is None and now - self._matched > self.silence:
-            raise ChecksumError(f"{self._name}: no frame matches its checksum", CHECK_WIRING)
-        raise DeviceError(f"{self._name}: converts no more", _CHECK_CLOCK)
+        if self._line is None and now - self._matched > self._silence:
+            raise self._error("no frame matches its checksum", CHECK_WIRING)
+        raise self._error("converts no more", _CHECK_CLOCK)
 
     def _fail(self, error: DeviceError) -> None:
-        now = self._clock()
+        now = self.clock()
         # A converter that worked until now is tried at once: after a dip its supply is back.
         if self._converter is not None and self._arrived > self._connected:
             self._backoff.succeeded()

@@ -5,28 +5,24 @@ from __future__ import annotations
 import json
 import math
 import threading
-from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 from msgspec import Meta
 
-from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, line_weights
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.documents import Document, read_document
-from socket_testbed.drivers.gpio import EdgeLine
 from socket_testbed.drivers.load_cell.ads131m0x import (
-    SpiDevice,
     at_rail,
     check_device,
     conversion_period,
     volts,
 )
-from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
+from socket_testbed.drivers.load_cell.converter_reader import RECENT, ConverterReader
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.files import atomic_output, make_folder
 from socket_testbed.samples import Status
@@ -34,22 +30,19 @@ from socket_testbed.settings.acquisition import LoadCellSettings
 
 AXES = ("Mx", "My", "Mz", "Fx", "Fy", "Fz")
 UNITS = ("N m", "N m", "N m", "N", "N", "N")
-_MAKERS_ORDER = (3, 4, 5, 0, 1, 2)  # of Fx Fy Fz Mx My Mz, to have the moments first
-_NUMBERS = {  # settings with a number for each bridge or axis
-    "inputs": "give the input of each of the six bridges, 6 numbers",
-    "amplifier_gain": "give the gain of each of the six bridges, 6 numbers",
-    "sign": "give the sign of each of the six bridges, 6 numbers",
-    "full_scale": "give the maker's full scale of each axis, 6 numbers",
-    "matrix": "give the maker's 36 numbers, row by row",
+_NUMBERS = {  # settings with several numbers: how many, and what to give
+    "inputs": (6, "give the input of each of the six bridges"),
+    "amplifier_gain": (6, "give the gain of each of the six bridges"),
+    "sign": (6, "give the sign, 1 or -1, of each of the six bridges"),
+    "full_scale": (6, "give the maker's full scale of each axis, 6 numbers"),
+    "matrix": (36, "give the maker's 36 numbers, row by row"),
 }
 _WORST_CONDITION = 1e6  # [-]; of the maker's matrix with rows of length one
 
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _BROKEN_WIRE = 5  # conversions in a row at a rail
 _AFTER = 0.25  # part of the window that is after the trigger
 _WORST = 3.0  # variance of a wrench from what is left of a window, against the complete one's
 _NEARLY_ALL = 0.9  # part of the conversions in a span that are averaged, at least
-_RECENT = 0.8  # [s]; span of a report of health
 
 
 class Bridges:
@@ -61,7 +54,7 @@ class Bridges:
 
     def __init__(self, settings: LoadCellSettings) -> None:
         check_settings(settings)
-        order = list(_MAKERS_ORDER)
+        order = [3, 4, 5, 0, 1, 2]  # of the maker's Fx Fy Fz Mx My Mz, to have the moments first
         # input of the converter that each bridge is on, shape (6,)
         self.inputs: IntArray = np.array(settings.inputs, dtype=np.int64)
         # wrench [M; F] over the bridges' ratios, shape (6, 6) [N m, N per mV/V]
@@ -131,11 +124,9 @@ def check_settings(settings: LoadCellSettings) -> None:
         value = getattr(settings, name)
         if value.bit_count() != 1 or not low <= value <= high:
             raise _wrong(f"{name} is {value}", f"give a power of two from {low} to {high}")
-    for name, hint in _NUMBERS.items():
-        values = getattr(settings, name)
-        if len(values) != (36 if name == "matrix" else 6):
-            count = f"has {len(values)} numbers" if values else "is empty"
-            raise _wrong(f"{name} {count}", hint)
+    for name, (count, hint) in _NUMBERS.items():
+        if (given := len(getattr(settings, name))) != count:
+            raise _wrong(f"{name} has {given} numbers" if given else f"{name} is empty", hint)
     if len(set(settings.inputs)) < len(settings.inputs):
         raise _wrong("inputs names an input twice", "give each bridge an input of its own")
     if max(settings.inputs) >= settings.channels:
@@ -144,10 +135,8 @@ def check_settings(settings: LoadCellSettings) -> None:
             f"give inputs from 0 to {settings.channels - 1}",
         )
     if any(abs(sign) != 1.0 for sign in settings.sign):
-        raise _wrong("sign holds a value other than 1 and -1", "give 1 or -1 for each bridge")
+        raise _wrong("sign holds a value other than 1 and -1", _NUMBERS["sign"][1])
     matrix = np.array(settings.matrix).reshape(6, 6)
-    if not np.isfinite(matrix).all():
-        raise _wrong("matrix holds a value that is not finite", "give the maker's 36 numbers")
     # Forces and moments differ in size by their units; that is no fault of a matrix.
     lengths = np.linalg.norm(matrix, axis=1, keepdims=True)
     if not lengths.all() or np.linalg.cond(matrix / lengths) > _WORST_CONDITION:
@@ -170,24 +159,25 @@ class Tare:
     def __init__(self, path: str) -> None:
         self._path = Path(path).expanduser() if path else None
         self._writing = threading.Lock()
-        # ratios at no load, shape (6,) [mV/V], and when they were taken, since the epoch [ns]; 0 if
-        # never
+        # ratios at no load, shape (6,) [mV/V], and when they were taken, since the epoch [ns],
+        # to a microsecond; 0 if never
         self.no_load: tuple[FloatArray, int] = np.zeros(6), 0
         if self._path is not None and self._path.exists():
             try:
                 document = read_document(self._path, _TareDocument)
             except ConfigurationError as error:
                 raise ConfigurationError(error.fact, "remove the file and tare again") from None
-            microseconds = (document.time - _EPOCH) // timedelta(microseconds=1)
+            microseconds = round(1e6 * document.time.timestamp())
             self.no_load = np.array(document.offsets_mV_per_V), 1000 * microseconds
 
-    def set(self, offsets: FloatArray, time: int) -> None:
-        """Take other ratios and write them to the file.
+    @property
+    def taken(self) -> str:
+        """When it was taken, in the form of ISO 8601."""
+        time = self.no_load[1]
+        return _written(time) if time else "never"
 
-        Args:
-            offsets: Ratios at no load, shape (6,) [mV/V].
-            time: When they were taken, since the epoch [ns]; kept to a microsecond.
-        """
+    def set(self, offsets: FloatArray, time: int) -> None:
+        """Take other ratios, of a time since the epoch [ns], and write them to the file."""
         with self._writing:
             if self._path is not None:
                 content = {"offsets_mV_per_V": offsets.tolist(), "time": _written(time)}
@@ -199,7 +189,7 @@ class Tare:
 
 def _written(time: int) -> str:
     """A time since the epoch [ns] in the form of ISO 8601, to a microsecond."""
-    return (_EPOCH + timedelta(microseconds=time // 1000)).isoformat()
+    return datetime.fromtimestamp((time // 1000) / 1e6, UTC).isoformat()
 
 
 _Ratio = Annotated[float, Meta(ge=-1e3, le=1e3)]  # [mV/V]; no bridge comes near it
@@ -224,68 +214,24 @@ class WrenchReading:
 
 
 class LoadCell:
-    """A load cell behind an ADS131M06 or ADS131M08.
-
-    One thread polls it and closes it in the end; any other thread may ask for the rest.
+    """A load cell behind an ADS131M06 or ADS131M08; any thread may call its methods.
 
     Args:
-        open_device: Opens its bus; called again after a failure.
-        open_line: Opens the line that DRDY is wired to; None: it is not wired.
+        settings: Its settings; others may be assigned, of which the window and those of the tare
+            are followed.
+        converter: What reads its converter, and is polled and closed by one thread.
     """
 
-    def __init__(
-        self,
-        settings: LoadCellSettings,
-        open_device: Callable[[], SpiDevice],
-        clock: Callable[[], float] = clocks.monotonic,
-        sleep: Callable[[float], None] = clocks.sleep,
-        open_line: Callable[[], EdgeLine] | None = None,
-    ) -> None:
-        # others may be assigned, of which the window and those of the tare are followed
+    def __init__(self, settings: LoadCellSettings, converter: ConverterReader) -> None:
         self.settings = settings
-        self._clock = clock
+        self.converter = converter
         self._bridges = Bridges(settings)
         self._tare = Tare(settings.tare_file)
-        self._reader = ConverterReader(settings, open_device, clock, sleep, open_line)
-
-    @property
-    def period(self) -> float:
-        """Time from one conversion to the next [s]: how often to poll."""
-        return self._reader.period
-
-    def poll(self) -> None:
-        """Read the conversions that wait, and connect to the converter again after a failure.
-
-        `health` reports a device that fails; nothing is raised. A pause of two periods or
-        more costs the conversions since, whose times nobody knows.
-        """
-        self._reader.poll()
-
-    def close(self) -> None:
-        """Give the bus back."""
-        self._reader.close()
-
-    def identify(self) -> str:
-        """Which converter this is; for a thread that does not poll at the same time."""
-        converter = self._reader.connect()
-        settings = self.settings
-        return (
-            f"ADS131M{settings.channels:02d} on spidev{settings.device}, "
-            f"ID 0x{converter.identity:04X}"
-        )
-
-    def check_frames(self, count: int) -> int:
-        """Number of corrupted frames out of so many; as `identify`, and loses conversions."""
-        return self._reader.connect().check_frames(count)
 
     def figures(self) -> dict[str, object]:
         """Numbers of conversions, of corrupted frames and of restarts, and the tare."""
-        offsets, time = self._tare.no_load
-        tare = {
-            "tare": in_words(self._bridges.wrenches(offsets)),
-            "tared": _written(time) if time else "never",
-        }
-        return {**self._reader.counts(), **tare}
+        tare = in_words(self._bridges.wrenches(self._tare.no_load[0]))
+        return {**self.converter.counts(), "tare": tare, "tared": self._tare.taken}
 
     def over(self, moment: float, span: float = 0.0) -> float:
         """When the last conversion ends that makes the wrench at a time [s].
@@ -294,17 +240,17 @@ class LoadCell:
             moment: The time on the steady clock [s].
             span: Span centred on it that is averaged where the window is shorter [s].
         """
-        return self._reader.over(moment + self._reach(span)[1])
+        return self.converter.over(moment + self._reach(span)[1])
 
     def ready(self, moment: float, span: float = 0.0) -> bool:
         """Whether waiting adds nothing to the wrench at a time; arguments as of `over`.
 
         Either all conversions around it are in, or they are over and the converter fails.
         """
-        if self._reader.has_all(moment + self._reach(span)[1]):
+        if self.converter.has_all(moment + self._reach(span)[1]):
             return True
-        now = self._clock()
-        return now >= self.over(moment, span) and self._reader.trouble(now)[0] > 1
+        now = self.converter.clock()
+        return now >= self.over(moment, span) and self.converter.trouble(now)[0] > 1
 
     def wrench_at(self, moment: float, span: float = 0.0) -> WrenchReading:
         """The wrench at a time; arguments as of `over`.
@@ -318,37 +264,28 @@ class LoadCell:
         are there: once it is centred on the time, the line's value is their mean.
         """
         before, after = self._reach(span)
-        window = before + after
-        end = moment + after
-        times, ratios, rails = self._between(end - window, end)
-        if span > 0.0 and (rails.any() or len(times) < _NEARLY_ALL * window / self.period):
+        times, ratios, rails = self._between(moment - before, moment + after)
+        count, expected = len(times), (before + after) / self.converter.period
+        if span > 0.0 and (rails.any() or count < _NEARLY_ALL * expected):
             return self.wrench_at(moment)
-        missing = np.full(6, np.nan)
-        if rails.any():
-            fault = self._saturated(rails)
-            return self._reading(missing, len(times), Status.SATURATED, fault)
-        expected = window / self.period
         weights = line_weights(times - moment)
         # The line of all conversions has a variance of 1.75 / expected of theirs: see _AFTER.
         uncertain = weights @ weights > _WORST * 1.75 / expected
-        if len(times) < max(1.0, 0.5 * expected) or uncertain:
-            fault = f"{len(times)} of {expected:.0f} conversions around the trigger"
-            level, fact, hint = self._reader.trouble(self._clock())
-            fault = f"{fault}; {fact}: {hint}" if level else fault
-            return self._reading(missing, len(times), Status.MISSING, fault)
-        return self._reading(weights @ ratios, len(times))
-
-    def _reading(
-        self, ratios: FloatArray, conversions: int, status: Status = Status.OK, fault: str = ""
-    ) -> WrenchReading:
-        """The reading of ratios, shape (6,) [mV/V], which are NaN unless the status is OK."""
-        offsets, time = self._tare.no_load
-        wrench = self._bridges.wrenches(ratios - offsets)
+        value, status, fault = np.full(6, np.nan), Status.MISSING, ""
+        if rails.any():
+            status, fault = Status.SATURATED, self._saturated(rails)
+        elif count < max(1.0, 0.5 * expected) or uncertain:
+            fault = f"{count} of {expected:.0f} conversions around the trigger"
+            _, trouble = self.converter.trouble(self.converter.clock())
+            fault = f"{fault}; {trouble}" if trouble else fault
+        else:
+            value, status = weights @ ratios, Status.OK
+        offsets, tared = self._tare.no_load
+        wrench, tare = self._bridges.wrenches(np.array([value - offsets, offsets]))
         if status is Status.OK:
             level, text = self._bridges.overload(np.abs(wrench))
             fault = text if level > 1 else ""
-        tare = self._bridges.wrenches(offsets)
-        return WrenchReading(wrench, ratios, tare, time, status, conversions, fault)
+        return WrenchReading(wrench, value, tare, tared, status, count, fault)
 
     def health(self, now: float) -> tuple[int, str]:
         """How it is at a time [s].
@@ -356,10 +293,10 @@ class LoadCell:
         Returns:
             0 (well), 1 (a warning) or 2 (an error), and the fact with the hint.
         """
-        level, fact, hint = self._reader.trouble(now)
-        found = [(level, f"{fact}: {hint}")] if level else []
-        _, ratios, rails = self._between(now - _RECENT, now)
-        newest = at_rail(self._reader.newest(_BROKEN_WIRE)[:, self._bridges.inputs])
+        level, trouble = self.converter.trouble(now)
+        found = [(level, str(trouble))]
+        _, ratios, rails = self._between(now - RECENT, now)
+        newest = at_rail(self.converter.newest(_BROKEN_WIRE)[:, self._bridges.inputs])
         broken = newest.sum(axis=0) == _BROKEN_WIRE
         if broken.any():
             fact = f"{self._saturated(broken)} for {_BROKEN_WIRE} conversions or more"
@@ -373,23 +310,18 @@ class LoadCell:
         level, text = max(found, key=lambda entry: entry[0])
         return level, text if level else f"spidev{self.settings.device} converts"
 
-    def tare(self, now: float | None = None, forced: bool = False) -> str:
+    def tare(self, forced: bool = False) -> str:
         """Let the load of the last `tare_duration` stand for no load.
 
-        Args:
-            now: End of that span [s]; None for the present.
-            forced: Whether a load above `tare_load` is removed, too.
-
-        Returns:
-            The load that was removed, in words.
+        A load above `tare_load` is removed only if that is forced; returns what was, in words.
         """
         settings = self.settings
-        now = self._clock() if now is None else now
-        level, fact, hint = self._reader.trouble(now)
-        if level > 1:
-            raise DeviceError(f"cannot tare: {fact}", hint)
+        now = self.converter.clock()
+        level, trouble = self.converter.trouble(now)
+        if trouble and level > 1:
+            raise DeviceError(f"cannot tare: {trouble.fact}", trouble.hint)
         _, ratios, rails = self._between(now - settings.tare_duration, now)
-        expected = settings.tare_duration / self.period
+        expected = settings.tare_duration / self.converter.period
         if len(ratios) < 0.5 * expected:
             raise DeviceError(
                 f"cannot tare: {len(ratios)} of {expected:.0f} conversions in the last "
@@ -424,7 +356,7 @@ class LoadCell:
 
     def _between(self, start: float, end: float) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Times [s] of the conversions, ratios [mV/V] and which are clipped, shape (n, 6) each."""
-        times, codes = self._reader.between(start, end)
+        times, codes = self.converter.between(start, end)
         return times, self._bridges.ratios(codes), at_rail(codes[:, self._bridges.inputs])
 
     def _reach(self, span: float) -> tuple[float, float]:

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import threading
+from contextlib import suppress
 
 from socket_testbed import clocks
-from socket_testbed.drivers.natnet.connection import (
-    CommandQueue,
-    NatNetSockets,
-    bitstream_version,
-    server_address,
-)
+from socket_testbed.drivers.natnet.connection import NatNetSockets, server_address
 from socket_testbed.drivers.natnet.messages import (
     DISCONNECT,
     MalformedDatagram,
     ServerInfo,
     encode_message,
 )
-from socket_testbed.drivers.natnet.session import CONNECTED, SILENCE, OnFrame, Session
+from socket_testbed.drivers.natnet.session import BAD, FAILED, SILENCE, OnFrame, Session
 from socket_testbed.settings.acquisition import MocapSettings
 
 OK, WARN, ERROR = 0, 1, 2
@@ -38,29 +34,22 @@ class NatNetClient:
         self._address = server_address(settings)
         self._where = f"{self._address[0]}:{self._address[1]}"
         self._sockets = NatNetSockets(settings, self._address)
-        self._commands = CommandQueue()
-        self._session = Session(
-            settings, bitstream_version(settings), self._sockets, self._commands, on_frame
-        )
+        self._session = Session(settings, self._sockets, on_frame)
         self._closing = threading.Event()
-        self._thread: threading.Thread | None = None
+        self._thread = threading.Thread(target=self._run, name="natnet", daemon=True)
 
     def start(self) -> None:
         """Begin; a server or a network that is not there yet is waited for."""
-        try:
+        with suppress(OSError):  # a port that another program has is no OSError
             self._sockets.open()
-        except OSError as error:
-            self._session.network_failed(error)
-        self._thread = threading.Thread(target=self._run, name="natnet", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
         """Stop a take that is on, leave the server and end the thread."""
         self.set_recording(None)
         self._closing.set()
-        if self._thread is not None:
+        if self._thread.is_alive():
             self._thread.join()
-            self._thread = None
         self._sockets.close()
 
     @property
@@ -75,7 +64,7 @@ class NatNetClient:
         if known <= limit:
             return ""
         return (
-            f"Motive's clock is known within {_shown(known)} ms only (clock_uncertainty is"
+            f"Motive's clock is known within {1e3 * known:.3g} ms only (clock_uncertainty is"
             f" {1e3 * limit:g} ms), so poses are missing: switch the Wi-Fi's power saving off"
             " (iw dev wlan0 set power_save off), or use a free channel or a cable"
         )
@@ -86,31 +75,21 @@ class NatNetClient:
 
     def health(self, now: float) -> tuple[int, str]:
         """State of the link at a time of the steady clock [s]: 0, 1 or 2, and a line of text."""
-        session = self._session
-        server = session.server
-        if self._thread is None:
-            return ERROR, "not started"
-        if session.state != CONNECTED or server is None:
+        session, server = self._session, self._session.server
+        if server is None:
             return ERROR, self._why_no_server()
-        if fault := self._frames_fault(server, now):
-            return fault
-        if session.models is None:
-            return WARN, f"{server} has not sent its rigid bodies yet"
-        return OK, (
-            f"frames of {server} come, its clock is known within"
-            f" {_shown(session.echoes.uncertainty)} ms"
-        )
-
-    def _frames_fault(self, server: ServerInfo, now: float) -> tuple[int, str] | None:
-        """The fault of a server's frames, in the form of `health`; None for none."""
-        statistics = self._session.statistics
-        missing, warning = self._why_no_frames(server, now), statistics.warning(now)
+        missing, warning = self._why_no_frames(server, now), session.statistics.warning(now)
         if not missing and (fault := self.clock_fault):
             return WARN, fault
-        if statistics.quiet(now) > SILENCE:
+        if session.statistics.quiet(now) > SILENCE:
             reason = warning or "its clock is not known yet"
             return ERROR, missing or f"no frame from {self._where} can be used: {reason}"
-        return (WARN, f"{warning}: check the Wi-Fi") if warning else None
+        if warning:
+            return WARN, f"{warning}: check the Wi-Fi"
+        if session.models is None:
+            return WARN, f"{server} has not sent its rigid bodies yet"
+        known = f"{1e3 * session.echoes.uncertainty:.3g} ms"
+        return OK, f"frames of {server} come, its clock is known within {known}"
 
     def _why_no_server(self) -> str:
         session = self._session
@@ -144,7 +123,7 @@ class NatNetClient:
         """Counts since the begin, and the state of the clock and the rate, by name."""
         session = self._session
         return {
-            **session.statistics.figures(),
+            **session.statistics.totals(),
             "sessions": session.sessions,
             "rate": round(session.statistics.rate(clocks.monotonic()), 1),
             "clock_uncertainty": round(session.echoes.uncertainty, 6),
@@ -153,15 +132,13 @@ class NatNetClient:
     def describe(self) -> dict[str, str]:
         """The server and the link to it: texts by their names."""
         session = self._session
-        table = {"address": self._where, "state": session.state}
-        if (server := session.server) is not None:
-            table["server"] = str(server)
-        if len(session.echoes):
-            table["clock uncertainty"] = f"{1e3 * session.echoes.uncertainty:.2f} ms"
-        table["rate"] = f"{session.statistics.rate(clocks.monotonic()):.0f} Hz"
-        if (models := session.models) is not None:
-            table["bodies"] = ", ".join(sorted(models)) or "none"
-        return table
+        return {
+            "address": self._where,
+            "server": str(session.server or "no server"),
+            "clock uncertainty": f"{1e3 * session.echoes.uncertainty:.2f} ms",
+            "rate": f"{session.statistics.rate(clocks.monotonic()):.0f} Hz",
+            "bodies": ", ".join(sorted(session.models or {})) or "none",
+        }
 
     def _run(self) -> None:
         deadline = float("inf")
@@ -186,13 +163,8 @@ class NatNetClient:
                 try:
                     session.take(datagram, arrival)
                 except MalformedDatagram as error:
-                    session.statistics.count("bad", arrival, error=error.fact)
+                    session.statistics.count(BAD, arrival, error=error.fact)
             # After the datagrams: a thread that was held up has not lost the server.
             session.step(clocks.monotonic())
         except Exception as error:  # whatever it was, the next datagram is another one
-            session.statistics.count("failed", now, error=f"{type(error).__name__}: {error}")
-
-
-def _shown(uncertainty: float) -> str:
-    """An uncertainty [s] in ms."""
-    return f"{1e3 * uncertainty:.3g}"
+            session.statistics.count(FAILED, now, error=f"{type(error).__name__}: {error}")

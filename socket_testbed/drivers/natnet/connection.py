@@ -28,7 +28,7 @@ _AT_ONCE = 64  # datagrams
 _ATTEMPTS = 10
 _INTERVAL = 0.02  # [s]; as the maker's own client
 _DUPLICATES = 0.01  # [s]; how long a second copy of an answer may take
-_STRAYS = 0.06  # [s]; how long answers to the repetitions may take
+_STRAYS = 0.06  # [s]; how long answers to repetitions may take
 
 _RETRY = 0.25  # [s]; from a command that failed to the next
 _IN_FLIGHT = 0.1  # [s]; after which no frame is from before a command
@@ -43,8 +43,16 @@ def server_address(settings: MocapSettings) -> tuple[str, int]:
             "mocap_node: server is empty", "give the address of the computer that runs Motive"
         )
     for name, value in (("multicast", settings.multicast), ("interface", settings.interface)):
-        if value:
-            _check_address(name, value)
+        if not value:
+            continue
+        fact = f"mocap_node: {name} is '{value}'"
+        try:
+            address = ipaddress.IPv4Address(value)
+        except ValueError:
+            raise ConfigurationError(fact, "give an IPv4 address, or nothing") from None
+        if name == "multicast" and not address.is_multicast:
+            fact = f"{fact}, which is not a multicast group"
+            raise ConfigurationError(fact, "give 239.255.42.99, say")
     try:
         found = socket.getaddrinfo(
             settings.server.strip(), settings.command_port, socket.AF_INET, socket.SOCK_DGRAM
@@ -69,20 +77,6 @@ def bitstream_version(settings: MocapSettings) -> Version:
     return version
 
 
-def _check_address(name: str, value: str) -> None:
-    try:
-        address = ipaddress.IPv4Address(value)
-    except ValueError:
-        raise ConfigurationError(
-            f"mocap_node: {name} is '{value}'", "give an IPv4 address, or nothing"
-        ) from None
-    if name == "multicast" and not address.is_multicast:
-        raise ConfigurationError(
-            f"mocap_node: multicast is '{value}', which is not a multicast group",
-            "give 239.255.42.99, say",
-        )
-
-
 class NatNetSockets:
     """One socket for commands and, in unicast, data; another for a group's data."""
 
@@ -91,14 +85,10 @@ class NatNetSockets:
         self._server = server
         self._sockets: list[socket.socket] = []  # that of the commands first
 
-    @property
-    def opened(self) -> bool:
-        """Whether the sockets are open."""
-        return bool(self._sockets)
-
     def open(self) -> None:
-        """Open the sockets, or open them anew."""
-        self.close()
+        """Open the sockets, unless they are."""
+        if self._sockets:
+            return
         interface, group = self._settings.interface, self._settings.multicast
         try:
             self._add((interface, 0))
@@ -159,13 +149,6 @@ class Answer:
     recognized: bool = True  # whether the server knows the command
 
     @property
-    def accepted(self) -> bool:
-        """Whether the server did it."""
-        return (
-            self.recognized and self.raw is not None and (len(self.raw) != 4 or not any(self.raw))
-        )
-
-    @property
     def text(self) -> str:
         """The reply for a person."""
         raw = self.raw or b""
@@ -180,7 +163,8 @@ class Answer:
             return f"no answer to {name}"
         if not self.recognized:
             return f"the server does not know {name}"
-        return "" if self.accepted else f"the server refuses {name} ({self.text})"
+        refused = len(self.raw) == 4 and any(self.raw)
+        return f"the server refuses {name} ({self.text})" if refused else ""
 
 
 Done = Callable[[Answer], None]
@@ -190,17 +174,13 @@ class CommandQueue:
     """Sends commands one after the other, since replies do not name their command.
 
     A command is repeated until it is answered; before the next one, the answers to the
-    repetitions are awaited.
-    `submit` may be called from any thread, all else from one.
+    repetitions are awaited. `submit` may be called from any thread, all else from one.
     """
 
     def __init__(self) -> None:
-        self._waiting: deque[tuple[str, Done]] = deque()
-        self._current: tuple[str, Done] | None = None
-        self._sent = 0
-        self._next = 0.0
-        self._strays = 0
-        self._quiet = 0.0
+        self._waiting: deque[tuple[str, Done]] = deque()  # the one that is being sent first
+        self._sent = 0  # how often without an answer
+        self._next = 0.0  # [s]
 
     def submit(self, text: str, done: Done) -> None:
         """Have a command sent; `done` is called with its answer."""
@@ -208,36 +188,24 @@ class CommandQueue:
 
     def step(self, now: float, send: Callable[[bytes], None]) -> None:
         """Send the command that is due at a time of the steady clock [s], if any."""
-        if self._current is None:
-            if now < self._quiet or not self._waiting:
-                return
-            self._current, self._sent, self._strays = self._waiting.popleft(), 0, 0
-            self._next = now
-        if now < self._next:
+        if now < self._next or not self._waiting:
             return
         if self._sent == _ATTEMPTS:
             self._finish(Answer(None), now)
             return
         self._sent += 1
         self._next = now + _INTERVAL
-        send(encode_command(self._current[0]))
+        send(encode_command(self._waiting[0][0]))
 
     def answer(self, answer: Answer, now: float) -> None:
         """Take a reply."""
-        if self._current is not None and self._sent:
-            self._sent -= 1
+        if self._sent:
             self._finish(answer, now)
-        elif self._strays:
-            self._strays -= 1
-            if not self._strays:
-                self._quiet = now + _DUPLICATES
 
     def _finish(self, answer: Answer, now: float) -> None:
-        assert self._current is not None
-        _, done = self._current
-        self._current = None
-        self._strays = self._sent
-        self._quiet = now + (_STRAYS if self._strays else _DUPLICATES)
+        self._next = now + (_STRAYS if self._sent > 1 else _DUPLICATES)
+        self._sent = 0
+        _, done = self._waiting.popleft()
         done(answer)
 
 

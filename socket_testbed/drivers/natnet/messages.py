@@ -5,8 +5,9 @@ A datagram whose counts contradict its size is a `MalformedDatagram`, whoever re
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from math import isfinite
 from struct import Struct
 from typing import Any, NamedTuple, TypeAlias
@@ -45,6 +46,30 @@ _SUFFIX_3 = Struct("<IIdQQQhi")
 _SUFFIX_4_1 = Struct("<IIdQQQIIhi")
 _OCCLUDED, _MODEL_FILLED = 1, 4
 _RECORDING, _MODELS_CHANGED = 1, 2
+
+
+# In a layout: a text, beside numbers of bytes and tuples of what each counted element has.
+_TEXT = str
+_Layout: TypeAlias = tuple[Any, ...]
+
+_MARKER_SET: _Layout = (_TEXT, (12,))
+_BODIES: _Layout = (4, (_BODY.size,))  # a skeleton, an asset: id, bodies
+_CHANNELS: _Layout = (4, ((4,),))  # a force plate, a device: id, values by channel
+_RIGID_BODY, _SKELETON = 1, 2
+_DEFINITIONS: dict[int, _Layout] = {  # all others, by their types
+    0: (_TEXT, (_TEXT,)),  # marker set: name, markers
+    _SKELETON: (_TEXT, 4),  # name, id; its bones follow
+    # force plate: id, serial number; size, origin, calibration, corners; two types; channels
+    3: (4, _TEXT, 4 * (2 + 3 + 144 + 12) + 8, (_TEXT,)),
+    4: (4, _TEXT, _TEXT, 8, (_TEXT,)),  # device: id, name, serial number, two types, channels
+    5: (_TEXT, 28),  # camera: name, position, orientation
+}
+
+
+@cache
+def _smallest(layout: _Layout) -> int:
+    """Fewest bytes that a layout takes."""
+    return sum(part if isinstance(part, int) else 1 if part is _TEXT else 4 for part in layout)
 
 
 class MalformedDatagram(DeviceError):  # noqa: N818  (the datagram's name, not the error's)
@@ -89,6 +114,17 @@ class Reader:
         if number < 0 or number * smallest > self.end - self.offset:
             raise self.bad(f"a count of {number} before")
         return number
+
+    def pass_over(self, *layout: Any) -> None:
+        """Go on over texts, numbers of bytes, and lists of what each counted element has."""
+        for part in layout:
+            if part is _TEXT:
+                self.text()
+            elif isinstance(part, int):
+                self.skip(part)
+            else:
+                for _ in range(self.count(_smallest(part))):
+                    self.pass_over(*part)
 
     def text(self) -> str:
         """The next text, up to its NUL."""
@@ -150,8 +186,8 @@ def parse_server_info(payload: bytes) -> ServerInfo:
     reader = Reader(payload, "server info")
     begin = reader.skip(_NAME)
     name = payload[begin : begin + _NAME].partition(b"\0")[0].decode("utf-8", "replace")
-    app, version = (tuple(payload[(at := reader.skip(4)) : at + 4]) for _ in range(2))
-    natnet = (version[0], version[1])
+    versions = reader.unpack(Struct("<8B"))
+    app, natnet = versions[:4], (versions[4], versions[5])
     if natnet < OLDEST:
         return ServerInfo(name, app, natnet)
     clock, port, multicast, *group = reader.unpack(Struct("<QHB4B"))
@@ -182,22 +218,25 @@ BodiesByName: TypeAlias = dict[str, RigidBodyDefinition]
 
 def parse_model_definitions(payload: bytes, version: Version) -> BodiesByName:
     """Parse MODELDEF; of all that is defined, the rigid bodies are kept, by name."""
-    sized = version >= (4, 1)
     reader = Reader(bytes(payload), "model definitions")
     bodies: BodiesByName = {}
     for _ in range(reader.count(8)):
-        kind = reader.integer()
-        stop = None
-        if sized:
+        kind, stop = reader.integer(), None
+        if version >= (4, 1):
             size = reader.count(1)
             stop = reader.offset + size
-        if kind == 1:
+        if kind == _RIGID_BODY:
             body = _rigid_body(reader, version)
             bodies[body.name] = body
         elif stop is None:
-            _skip_definition(reader, kind, version)
+            if kind not in _DEFINITIONS:
+                raise reader.bad(f"an unknown type {kind}")
+            reader.pass_over(*_DEFINITIONS[kind])
+            if kind == _SKELETON:
+                for _ in range(reader.count(20)):
+                    _rigid_body(reader, version)
         if stop is not None:
-            if reader.offset > stop or (kind == 1 and reader.offset != stop):
+            if reader.offset > stop or (kind == _RIGID_BODY and reader.offset != stop):
                 raise reader.bad(f"a definition of {size} bytes ends elsewhere")
             reader.offset = stop
     return bodies
@@ -210,42 +249,9 @@ def _rigid_body(reader: Reader, version: Version) -> RigidBodyDefinition:
     values = reader.unpack(Struct(f"<{3 * count}f"))
     reader.skip(4 * count)  # labels of active markers
     if version >= (4, 0):
-        _skip_texts(reader, count)
+        reader.pass_over(*[_TEXT] * count)
     markers = tuple(zip(values[::3], values[1::3], values[2::3], strict=True))
     return RigidBodyDefinition(name, identity, markers)
-
-
-def _skip_definition(reader: Reader, kind: int, version: Version) -> None:
-    """Pass over another definition than that of a rigid body."""
-    match kind:
-        case 0:  # marker set: name, markers
-            reader.text()
-            _skip_texts(reader, reader.count(1))
-        case 2:  # skeleton: name, id, bones
-            reader.text()
-            reader.skip(4)
-            for _ in range(reader.count(20)):
-                _rigid_body(reader, version)
-        case 3:  # force plate: id, serial number; size, origin, calibration, corners; two types
-            reader.skip(4)
-            reader.text()
-            reader.skip(4 * (2 + 3 + 144 + 12) + 8)
-            _skip_texts(reader, reader.count(1))
-        case 4:  # device: id, name, serial number, two types, channels
-            reader.skip(4)
-            _skip_texts(reader, 2)
-            reader.skip(8)
-            _skip_texts(reader, reader.count(1))
-        case 5:  # camera: name, position, orientation
-            reader.text()
-            reader.skip(28)
-        case _:
-            raise reader.bad(f"an unknown type {kind}")
-
-
-def _skip_texts(reader: Reader, count: int) -> None:
-    for _ in range(count):
-        reader.text()
 
 
 class LabelledMarker(NamedTuple):
@@ -253,9 +259,8 @@ class LabelledMarker(NamedTuple):
 
     model: int  # streaming id of the body that it belongs to; 0: none
     member: int  # its number in the body, from 1
-    position: Position  # its position [m]; where it is occluded, the last or an assumed one
-    occluded: bool  # whether no camera sees it, or its position is not a number
-    model_filled: bool  # whether the position is that of the body's model, not of the marker
+    position: Position  # its position [m]; where it is not seen, the last or an assumed one
+    seen: bool  # whether a camera sees it, and the position is its own, not the body's model's
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,15 +282,23 @@ def parse_frame(payload: bytes | memoryview, version: Version) -> MocapFrame:
     if version < OLDEST:
         raise reader.bad(f"NatNet {version[0]}.{version[1]} is too old")
     number = reader.integer()
-    _skip_section(reader, sized, 5, _skip_marker_set)
-    _skip_section(reader, sized, 12, lambda reader: reader.skip(12))  # other markers
+    _skip_section(reader, sized, _MARKER_SET)
+    _skip_section(reader, sized, (12,))  # other markers
     bodies = tuple(identity for identity, *_ in _elements(reader, sized, _BODY))
-    _skip_section(reader, sized, 8, _skip_skeleton)
+    _skip_section(reader, sized, _BODIES)  # skeletons
     if sized:
-        _skip_section(reader, sized, 12, _skip_skeleton)  # assets
-    markers = _markers(reader, sized)
+        _skip_section(reader, sized, _BODIES)  # assets
+    markers = tuple(
+        LabelledMarker(
+            identity >> 16 & 0xFFFF,
+            identity & 0xFFFF,
+            (x, y, z),
+            not flags & (_OCCLUDED | _MODEL_FILLED) and isfinite(x + y + z),
+        )
+        for identity, x, y, z, _, flags, _ in _elements(reader, sized, _MARKER)
+    )
     for _ in range(2):  # force plates, devices
-        _skip_section(reader, sized, 8, _skip_channels)
+        _skip_section(reader, sized, _CHANNELS)
     _, _, _, ticks, *_, flags, end = reader.unpack(_SUFFIX_4_1 if sized else _SUFFIX_3)
     # A count that lies leads elsewhere than to the end tag. A newer version may hold more.
     if end != 0 or (version <= _NEWEST and reader.offset != reader.end):
@@ -294,36 +307,16 @@ def parse_frame(payload: bytes | memoryview, version: Version) -> MocapFrame:
     return MocapFrame(number, bodies, markers, ticks, bool(flags & _RECORDING), changed)
 
 
-def _skip_section(
-    reader: Reader, sized: bool, smallest: int, skip_element: Callable[[Reader], object]
-) -> None:
+def _skip_section(reader: Reader, sized: bool, elements: _Layout) -> None:
     """Pass over a section: by its size from 4.1 on, element by element before."""
-    count = reader.count(smallest)
-    if sized:
-        size = reader.count(1)
-        if size < count * smallest:
-            raise reader.bad(f"a section of {size} bytes for {count}")
-        reader.skip(size)
+    if not sized:
+        reader.pass_over(elements)
         return
-    for _ in range(count):
-        skip_element(reader)
-
-
-def _skip_marker_set(reader: Reader) -> None:
-    reader.text()
-    reader.skip(12 * reader.count(12))
-
-
-def _skip_skeleton(reader: Reader) -> None:
-    reader.skip(4)
-    reader.skip(_BODY.size * reader.count(_BODY.size))
-
-
-def _skip_channels(reader: Reader) -> None:
-    """A force plate or a device."""
-    reader.skip(4)
-    for _ in range(reader.count(4)):
-        reader.skip(4 * reader.count(4))
+    count = reader.count(smallest := _smallest(elements))
+    size = reader.count(1)
+    if size < count * smallest:
+        raise reader.bad(f"a section of {size} bytes for {count}")
+    reader.skip(size)
 
 
 def _elements(reader: Reader, sized: bool, layout: Struct) -> Iterator[tuple[Any, ...]]:
@@ -333,16 +326,3 @@ def _elements(reader: Reader, sized: bool, layout: Struct) -> Iterator[tuple[Any
         raise reader.bad(f"a section of {size} bytes for {count} of {layout.size}")
     begin = reader.skip(count * layout.size)
     return layout.iter_unpack(reader.payload[begin : reader.offset])
-
-
-def _markers(reader: Reader, sized: bool) -> tuple[LabelledMarker, ...]:
-    return tuple(
-        LabelledMarker(
-            (identity >> 16) & 0xFFFF,
-            identity & 0xFFFF,
-            (x, y, z),
-            bool(flags & _OCCLUDED) or not isfinite(x + y + z),
-            bool(flags & _MODEL_FILLED),
-        )
-        for identity, x, y, z, _, flags, _ in _elements(reader, sized, _MARKER)
-    )

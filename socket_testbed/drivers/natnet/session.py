@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import re
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 from socket_testbed.clocks import Backoff
 from socket_testbed.drivers.natnet import messages
-from socket_testbed.drivers.natnet.connection import Answer, CommandQueue, NatNetSockets, TakeKeeper
+from socket_testbed.drivers.natnet.connection import (
+    Answer,
+    CommandQueue,
+    NatNetSockets,
+    TakeKeeper,
+    bitstream_version,
+)
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import MocapSettings
 
@@ -30,15 +37,10 @@ _EARLIEST, _LATEST = 1.0, 0.005  # [s]; before and after its arrival that a fram
 _LATEST_BY = 100  # frames; numbers further back are those of another stream
 _MOST_LOST = 1000  # frames
 
-KINDS = {
-    "bad": "bad datagrams",
-    "lost": "lost frames",
-    "late": "duplicate or late frames",
-    "implausible": "frames of implausible time",
-    "failed": "frames that could not be used",
-}
-
-CONNECTING, CONNECTED, LOST = "connecting", "connected", "lost"
+FRAMES = "frames"
+BAD, LOST, LATE = "bad_datagrams", "lost_frames", "duplicate_or_late_frames"
+IMPLAUSIBLE, FAILED = "frames_of_implausible_time", "frames_that_could_not_be_used"
+_FAULTS = (BAD, LOST, LATE, IMPLAUSIBLE, FAILED)
 
 OnFrame: TypeAlias = Callable[[messages.MocapFrame, float, messages.BodiesByName | None], None]
 
@@ -50,21 +52,6 @@ _WANDER = 1e-5  # [-]; change of the drift within the oldest echo's age, at most
 _TOLERANCE = 0.005  # [s]; of an echo against the map
 
 _Region: TypeAlias = list[tuple[float, float]]  # corners: offset [s], drift [-]
-
-
-class _Map(NamedTuple):
-    """The possible offsets at a time of the server, and drifts from it."""
-
-    at: float
-    base: float
-    region: _Region
-
-    def offsets(self, elapsed: float) -> tuple[float, float]:
-        """Least and largest offset at a time of the server [s]."""
-        ahead = elapsed - self.at
-        offsets = [offset + drift * ahead for offset, drift in self.region]
-        slack = _WANDER * abs(ahead)
-        return self.base + min(offsets) - slack, self.base + max(offsets) + slack
 
 
 class EchoClock:
@@ -82,23 +69,20 @@ class EchoClock:
     """
 
     def __init__(self, frequency: int) -> None:
+        self.uncertainty = 0.0  # largest error at the newest echo [s]
         self._frequency = frequency
+        # Both clocks are counted from the first echo on: the server's, and the request.
+        self._origin = 0, 0.0  # [ticks], [s]
         # Time of the server, and the offset's bounds: request and arrival less that time [s].
         self._echoes: deque[tuple[float, float, float]] = deque(maxlen=_WINDOW)
-        self._origin = 0  # [ticks]
-        self._map = _Map(0.0, 0.0, [])
-        self.uncertainty = 0.0  # largest error at the newest echo [s]
+        # The possible offsets at the newest echo's time, and drifts from it.
+        self._region: _Region = []
 
     def __len__(self) -> int:
         return len(self._echoes)
 
     def add(self, request: float, ticks: int, arrival: float) -> bool:
-        """Take an echo.
-
-        Args:
-            request: When it was asked for, on the steady clock [s].
-            ticks: The server's clock in the reply [ticks].
-            arrival: When the reply came [s].
+        """Take an echo: the server's clock [ticks], read between request and arrival [s].
 
         Returns:
             False if it contradicts the map: this is another clock, and the map starts anew.
@@ -107,15 +91,16 @@ class EchoClock:
             return True
         consistent = True
         if self._echoes:
-            elapsed = self._elapsed(ticks)
-            low, high = (offset + elapsed for offset in self._map.offsets(elapsed))
-            slack = _TOLERANCE + 2.0 * _DRIFT * abs(elapsed - self._map.at)
+            low, high = self._bounds(ticks)
+            ahead = self._elapsed(ticks) - self._echoes[-1][0]
+            slack = _TOLERANCE + 2.0 * _DRIFT * abs(ahead)
             consistent = request - slack <= high and low <= arrival + slack
         if not consistent or not self._echoes:
             self._echoes.clear()
-            self._origin = ticks
+            self._origin = ticks, request
         elapsed = self._elapsed(ticks)
-        self._echoes.append((elapsed, float(request - elapsed), float(arrival - elapsed)))
+        begun = self._origin[1] + elapsed
+        self._echoes.append((elapsed, request - begun, arrival - begun))
         while elapsed - self._echoes[0][0] > _OLDEST:
             self._echoes.popleft()
         self._fit()
@@ -125,45 +110,45 @@ class EchoClock:
         """Steady time at the server's ticks, and its largest error [s]; None without a map."""
         if len(self._echoes) < _NEEDED:
             return None
-        elapsed = self._elapsed(ticks)
-        low, high = self._map.offsets(elapsed)
-        return elapsed + 0.5 * (low + high), 0.5 * (high - low)
+        low, high = self._bounds(ticks)
+        return 0.5 * (low + high), 0.5 * (high - low)
 
     def _elapsed(self, ticks: int) -> float:
-        return (ticks - self._origin) / self._frequency
+        return (ticks - self._origin[0]) / self._frequency
+
+    def _bounds(self, ticks: int) -> tuple[float, float]:
+        """Earliest and latest steady time of the server's ticks [s]."""
+        elapsed = self._elapsed(ticks)
+        ahead, begun = elapsed - self._echoes[-1][0], self._origin[1] + elapsed
+        offsets = [offset + drift * ahead for offset, drift in self._region]
+        slack = _WANDER * abs(ahead)
+        return begun + min(offsets) - slack, begun + max(offsets) + slack
 
     def _fit(self) -> None:
         """Narrow the region by the echoes, from the newest on."""
-        at, low, high = self._echoes[-1]
-        base = 0.5 * (low + high)  # keeps the numbers small
-        half = 0.5 * (high - low)
-        region: _Region = [(-half, -_DRIFT), (half, -_DRIFT), (half, _DRIFT), (-half, _DRIFT)]
+        at, least, most = self._echoes[-1]
+        region = [(least, -_DRIFT), (most, -_DRIFT), (most, _DRIFT), (least, _DRIFT)]
         for number, (elapsed, low, high) in enumerate(reversed(self._echoes)):
-            age = at - elapsed
-            slack = _WANDER * abs(age)
-            region = _between(region, -age, low - slack - base, high + slack - base)
+            ahead = elapsed - at
+            slack = _WANDER * abs(ahead)
+            region = _below(_below(region, ahead, high + slack), ahead, low - slack, sign=-1.0)
             if not region:  # the drift was another one then
                 while len(self._echoes) > number:
                     self._echoes.popleft()
                 break
-            self._map = _Map(at, base, region)
-        low, high = self._map.offsets(at)
-        self.uncertainty = 0.5 * (high - low)
+            self._region = region
+        offsets = [offset for offset, _ in self._region]
+        self.uncertainty = 0.5 * (max(offsets) - min(offsets))
 
 
-def _between(region: _Region, ahead: float, low: float, high: float) -> _Region:
-    """The part of a convex region whose offset some time ahead is between two bounds [s]."""
-    offsets = [offset + drift * ahead for offset, drift in region]
-    if max(offsets) > high:
-        region = _cut(region, [offset - high for offset in offsets])
-        offsets = [offset + drift * ahead for offset, drift in region]
-    if offsets and min(offsets) < low:
-        region = _cut(region, [low - offset for offset in offsets])
-    return region
+def _below(region: _Region, ahead: float, limit: float, sign: float = 1.0) -> _Region:
+    """The part of a convex region whose offset some time ahead is below a limit [s].
 
-
-def _cut(region: _Region, excess: list[float]) -> _Region:
-    """The part of a convex region on one side of a line (Sutherland and Hodgman 1974)."""
+    With the sign -1, the part above it (Sutherland and Hodgman 1974).
+    """
+    excess = [sign * (offset + drift * ahead - limit) for offset, drift in region]
+    if max(excess, default=0.0) <= 0.0:
+        return region
     kept: _Region = []
     for k, (corner, over) in enumerate(zip(region, excess, strict=True)):
         (x, y), over_before = region[k - 1], excess[k - 1]
@@ -180,92 +165,72 @@ class LinkStatistics:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._recent: deque[tuple[float, str, int]] = deque(maxlen=_MOST)  # faults: time [s], kind
-        self._totals = dict.fromkeys(KINDS, 0)
-        self._frames: deque[float] = deque(maxlen=_MOST)
-        self._delivered = 0
+        self._totals = dict.fromkeys((FRAMES, *_FAULTS), 0)
+        self._events: deque[tuple[float, str, int]] = deque(maxlen=_MOST)  # time [s], kind, number
+        self._last_frame = -math.inf  # [s]
         self._last_error = ""
 
     def count(self, kind: str, now: float, number: int = 1, error: str = "") -> None:
-        """Count a fault."""
+        """Count frames that were delivered, or a fault."""
         with self._lock:
             self._totals[kind] += number
-            self._recent.append((now, kind, number))
+            self._events.append((now, kind, number))
             self._last_error = error or self._last_error
-
-    def delivered(self, now: float) -> None:
-        """Count a frame that was delivered."""
-        with self._lock:
-            self._delivered += 1
-            self._frames.append(now)
+            # One frame alone is no stream.
+            if kind == FRAMES and self._totals[FRAMES] > 1:
+                self._last_frame = now
 
     def quiet(self, now: float) -> float:
-        """Time since the last frame that was delivered, of two at least [s]."""
-        with self._lock:
-            return now - self._frames[-1] if len(self._frames) > 1 else float("inf")
+        """Time since the last frame that was delivered [s]."""
+        return now - self._last_frame
 
     def rate(self, now: float) -> float:
         """Frames delivered per second, over the last one [Hz]."""
         with self._lock:
-            while self._frames and self._frames[0] < now - _SPAN:
-                self._frames.popleft()
-            if len(self._frames) < 2:
-                return 0.0
-            return (len(self._frames) - 1) / max(self._frames[-1] - self._frames[0], 1e-6)
+            times = [at for at, kind, _ in self._events if kind == FRAMES and at > now - _SPAN]
+        return (len(times) - 1) / max(times[-1] - times[0], 1e-6) if len(times) > 1 else 0.0
 
     def warning(self, now: float) -> str:
         """The faults of the last second in one line; empty for none."""
-        counts = dict.fromkeys(KINDS, 0)
+        counts: Counter[str] = Counter()
         with self._lock:
-            for moment, kind, number in self._recent:
-                counts[kind] += number if moment > now - _RECENT else 0
-        text = ", ".join(f"{number} {KINDS[kind]}" for kind, number in counts.items() if number)
-        last = f" (the last: {self._last_error})" if counts["bad"] or counts["failed"] else ""
-        return text + last
+            for at, kind, number in self._events:
+                counts[kind] += number if at > now - _RECENT else 0
+        found = [f"{counts[kind]} {kind.replace('_', ' ')}" for kind in _FAULTS if counts[kind]]
+        last = f" (the last: {self._last_error})" if counts[BAD] or counts[FAILED] else ""
+        return ", ".join(found) + last
 
-    def figures(self) -> dict[str, object]:
+    def totals(self) -> dict[str, int]:
         """All counts since the begin, by name."""
         with self._lock:
-            totals = {KINDS[kind].replace(" ", "_"): n for kind, n in self._totals.items()}
-            return {"frames": self._delivered, **totals}
+            return dict(self._totals)
 
 
 class Session:
     """The client's side of the link; all of it on one thread."""
 
-    def __init__(
-        self,
-        settings: MocapSettings,
-        bitstream: messages.Version,
-        sockets: NatNetSockets,
-        commands: CommandQueue,
-        on_frame: OnFrame,
-    ) -> None:
+    def __init__(self, settings: MocapSettings, sockets: NatNetSockets, on_frame: OnFrame) -> None:
         self.settings = settings
-        self.state = CONNECTING  # one of connecting, connected and lost
-        self.server: messages.ServerInfo | None = None  # how the server described itself last
+        self.server: messages.ServerInfo | None = None  # its description; None: not connected
         self.models: messages.BodiesByName | None = None  # its rigid bodies; None: not known yet
         self.echoes = EchoClock(0)  # the map of its clock
         self.clock_error = 0.0  # largest error of the last frame's time [s]
         self.statistics = LinkStatistics()
-        self.takes = TakeKeeper(commands.submit)
-        self.streaming = False  # whether the version of its frames is settled
         self.sessions = 0  # how often a session has begun
         self.last_frame = 0.0  # when a frame came last [s]
         self.stranger = ""  # the host, not the server, that a datagram came from last
         self.network = ""  # why the network takes nothing; empty: it does
-        self._bitstream = bitstream
-        self._version: messages.Version = bitstream
+        self._bitstream = bitstream_version(settings)
+        self._version: messages.Version | None = None  # of its frames; None: not settled
         self._sockets = sockets
-        self._commands = commands
+        self._commands = CommandQueue()
+        self.takes = TakeKeeper(self._commands.submit)
         self._on_frame = on_frame
         self._connecting = Backoff()
         self._awaiting = False
-        self._heard = self._next_echo = self._next_keepalive = 0.0
+        self._heard = self._next_echo = self._next_keepalive = self._next_models = 0.0
         self._pending: deque[int] = deque(maxlen=_PENDING)  # echoes by when they were sent [ns]
-        self._models_wanted = False
-        self._next_models = 0.0
-        self._models_changed = False
+        self._models_wanted = self._models_changed = False
         self._number: int | None = None  # of the last frame
         self._handlers: dict[int, Callable[[bytes, float], None]] = {
             messages.SERVERINFO: self._take_server_info,
@@ -273,24 +238,24 @@ class Session:
             messages.MODELDEF: self._take_models,
             messages.ECHORESPONSE: self._take_echo,
             messages.DISCONNECT: lambda payload, now: self._restart(),
-            messages.RESPONSE: lambda payload, now: commands.answer(Answer(payload), now),
-            messages.UNRECOGNIZED: lambda payload, now: commands.answer(
+            messages.RESPONSE: lambda payload, now: self._commands.answer(Answer(payload), now),
+            messages.UNRECOGNIZED: lambda payload, now: self._commands.answer(
                 Answer(payload, recognized=False), now
             ),
         }
 
     def step(self, now: float) -> None:
         """Send all that is due at a time of the steady clock [s]."""
-        if self.state == CONNECTED and now - self._heard > SILENCE:
+        if self.server is not None and now - self._heard > SILENCE:
             self._lose()
         silent = now - self.last_frame > SILENCE
         # A server that answers but streams nothing may have forgotten this client.
-        if (self.state != CONNECTED or silent) and self._connecting.due(now):
+        if (self.server is None or silent) and self._connecting.due(now):
             self._connect(now)
-        if self.state == CONNECTED:
+        if self.server is not None:
             self._stay(now)
         self._commands.step(now, self.send)
-        self.takes.step(now, self.state == CONNECTED and self.streaming)
+        self.takes.step(now, self._version is not None)
 
     def take(self, datagram: bytes, now: float) -> None:
         """Take a datagram of the server."""
@@ -306,30 +271,22 @@ class Session:
             self._sockets.send(datagram)
             self.network = ""
         except OSError as error:
-            self.network_failed(error)
-
-    def network_failed(self, error: OSError) -> None:
-        """Note that the network is not there, and open the sockets anew later."""
-        self.network = error.strerror or str(error)
-        self._lose()
-        self._sockets.close()
+            self.network = error.strerror or str(error)
+            self._lose()
+            self._sockets.close()
 
     def _lose(self) -> None:
-        if self.state == CONNECTED:
-            self.state = LOST
         self._forget()
         if self.settings.multicast:  # the membership may have gone with the network
             self._sockets.close()
 
     def _restart(self) -> None:
         """The server is another one, or leaves."""
-        self.state = CONNECTING
         self._forget()
         self._connecting.succeeded()
 
     def _forget(self) -> None:
-        self.streaming = False
-        self.models = None
+        self.server = self.models = self._version = None
         self.echoes = EchoClock(0)
         self.clock_error = 0.0
         self._pending.clear()
@@ -337,12 +294,11 @@ class Session:
     def _connect(self, now: float) -> None:
         self._connecting.failed(now)  # until it is answered
         self._awaiting = True
-        if not self._sockets.opened:
-            try:
-                self._sockets.open()
-            except (OSError, DeviceError) as error:
-                self.network = str(error)
-                return
+        try:
+            self._sockets.open()
+        except (OSError, DeviceError) as error:
+            self.network = str(error)
+            return
         self.send(messages.encode_connect("socket_testbed", self._bitstream))
 
     def _stay(self, now: float) -> None:
@@ -359,25 +315,25 @@ class Session:
             stamp = round(now * 1e9)
             self._pending.append(stamp)
             self.send(messages.encode_echo(stamp))
-        if self._models_wanted and self.streaming and now >= self._next_models:
+        if self._models_wanted and self._version is not None and now >= self._next_models:
             self._next_models = now + _MODELS_RETRY
             self.send(messages.encode_message(messages.REQUEST_MODELDEF))
 
     def _take_server_info(self, payload: bytes, now: float) -> None:
         info = messages.parse_server_info(payload)
         if not self._awaiting:
-            if self.state == CONNECTED and info != self.server:
+            if self.server not in (None, info):
                 self._restart()
             return
         self._awaiting = False
-        if self.state != CONNECTED or info != self.server:
+        if info != self.server:
             self._begin(info, now)
         self._negotiate(info)
 
     def _begin(self, info: messages.ServerInfo, now: float) -> None:
-        self.state, self.server = CONNECTED, info
-        self.sessions += 1
         self._forget()
+        self.server = info
+        self.sessions += 1
         self.echoes = EchoClock(info.clock)
         self._number = None
         self._next_echo = self._next_keepalive = self._next_models = 0.0
@@ -389,38 +345,36 @@ class Session:
     def _negotiate(self, info: messages.ServerInfo) -> None:
         """Settle the version of the stream, and subscribe to the needed sections: Wi-Fi is slow."""
         if self.settings.multicast or info.version < (4, 1):
-            self._version, self.streaming = info.version, info.version >= messages.OLDEST
+            self._version = info.version if info.version >= messages.OLDEST else None
             return
-        session = self.sessions
         wanted = min(self._bitstream, info.version)
-        self.streaming = False
+        self._version = None
 
         def settle(answer: Answer) -> None:
-            if session != self.sessions or self.state != CONNECTED:
+            named = re.search(r"(\d+)\.(\d+)", answer.text)
+            granted = (int(named[1]), int(named[2])) if named else wanted
+            self._version = info.version if answer.fault("Bitstream") else granted
+            for text in _SUBSCRIPTIONS:
+                self._command(text)
+
+        self._command(f"Bitstream,{wanted[0]}.{wanted[1]}", settle)
+
+    def _command(self, text: str, then: Callable[[Answer], None] | None = None) -> None:
+        """Have a command answered in this session, however often it takes."""
+        session = self.sessions
+
+        def done(answer: Answer) -> None:
+            if session != self.sessions or self.server is None:
                 return
             if answer.raw is None:
-                self._negotiate(info)
-                return
-            named = re.search(r"(\d+)\.(\d+)", answer.text)
-            if not answer.accepted:
-                self._version = info.version
-            else:
-                self._version = (int(named[1]), int(named[2])) if named else wanted
-            self.streaming = True
-            for text in _SUBSCRIPTIONS:
-                subscribe(text)
+                self._command(text, then)
+            elif then is not None:
+                then(answer)
 
-        def subscribe(text: str) -> None:
-            def done(answer: Answer) -> None:
-                if answer.raw is None and session == self.sessions:
-                    subscribe(text)
-
-            self._commands.submit(text, done)
-
-        self._commands.submit(f"Bitstream,{wanted[0]}.{wanted[1]}", settle)
+        self._commands.submit(text, done)
 
     def _take_models(self, payload: bytes, now: float) -> None:
-        if self.streaming:
+        if self._version is not None:
             self.models = messages.parse_model_definitions(payload, self._version)
             self._models_wanted = False
             self._next_models = now + _MODELS_AGAIN
@@ -433,7 +387,7 @@ class Session:
                 self._restart()
 
     def _take_frame(self, payload: bytes, now: float) -> None:
-        if not self.streaming:
+        if self._version is None:
             return
         frame = messages.parse_frame(payload, self._version)
         self.last_frame = now
@@ -446,31 +400,30 @@ class Session:
             return
         moment, error = exposed
         if not now - _EARLIEST - error <= moment <= now + _LATEST + error:
-            self.statistics.count("implausible", now)  # another clock: the next echo tells
+            self.statistics.count(IMPLAUSIBLE, now)  # another clock: the next echo tells
             return
         self.clock_error = error
         if error <= self.settings.clock_uncertainty:
             self._on_frame(frame, moment, self.models)
-            self.statistics.delivered(now)
+            self.statistics.count(FRAMES, now)
 
     def _is_next(self, number: int, now: float) -> bool:
         """Whether a frame is newer than all before it."""
         step = 1 if self._number is None else number - self._number
         if -_LATEST_BY < step <= 0:
-            self.statistics.count("late", now)
+            self.statistics.count(LATE, now)
             return False
         if step > 1:
-            self.statistics.count("lost", now, min(step - 1, _MOST_LOST))
+            self.statistics.count(LOST, now, min(step - 1, _MOST_LOST))
         self._number = number
         return True
 
     def _watch_models(self, frame: messages.MocapFrame) -> None:
-        changed = frame.models_changed and not self._models_changed
-        self._models_changed = frame.models_changed
-        if changed:
+        """Ask for the rigid bodies when they change, or a frame has another one."""
+        if frame.models_changed and not self._models_changed:
             self._next_models = 0.0
             self._models_wanted = True
-        elif self.models is not None and not {body.id for body in self.models.values()}.issuperset(
-            frame.bodies
-        ):
+        self._models_changed = frame.models_changed
+        known = {body.id for body in (self.models or {}).values()}
+        if not known.issuperset(frame.bodies):
             self._models_wanted = True  # at most once a second

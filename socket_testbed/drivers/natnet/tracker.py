@@ -5,10 +5,9 @@ from __future__ import annotations
 import threading
 from bisect import bisect_left, bisect_right
 from collections import Counter, deque
-from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import islice
-from typing import NamedTuple, TypeAlias
+from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,7 +18,6 @@ from socket_testbed.drivers.natnet.messages import BodiesByName, MocapFrame
 from socket_testbed.geometry.marker_bodies import (
     EDGE_TOLERANCE,
     FEWEST_MARKERS,
-    BodyFit,
     distances,
     fit_body,
 )
@@ -31,26 +29,16 @@ _VOTES, _FEWEST = 20, 3  # fits that decide on the usual order of the labels
 _LARGEST_STEP = 0.01  # [m]; of a marker between two frames, without a fit of its body
 
 
-class _Entry(NamedTuple):
-    """A frame at its time [s], with the markers of each body, shape (k, 3) [m]."""
+class SeenBody(NamedTuple):
+    """A body at the time of a trigger."""
 
-    time: float
-    models: BodiesByName | None
-    markers: tuple[FloatArray, ...]
-
-
-@dataclass(frozen=True)
-class MocapSample:
-    """Socket and pylon, in this order, at the time of a trigger; NaN where they are not seen."""
-
-    time: float  # time of the trigger on the steady clock [s]
-    positions: FloatArray  # origins of the bodies in the world, shape (2, 3) [m]
-    quaternions: FloatArray  # their orientations (x, y, z, w), shape (2, 4) [-]
-    # their markers in the bodies' order, as labelled where they do not fit, shape (2, k, 3) [m],
-    # where k is that of the body with more; beyond its own, a body's are NaN
+    # its k markers in its own order, as labelled where they do not fit, shape (k, 3) [m]; NaN
+    # where one is not seen
     markers: FloatArray
-    faults: tuple[str, str]  # why a body has no pose; empty if it has one
-    frames: tuple[int, int]  # number of frames that make each pose [1]; 0 where there is none
+    position: FloatArray  # of its origin in the world, shape (3,) [m]; NaN where it has no pose
+    quaternion: FloatArray  # its orientation (x, y, z, w), shape (4,) [-]; likewise
+    frames: int = 0  # number of frames that make the pose [1]
+    fault: str = ""  # why it has no pose; empty if it has one
 
 
 class BodyTracker:
@@ -65,49 +53,40 @@ class BodyTracker:
     """
 
     def __init__(
-        self,
-        settings: MocapSettings,
-        socket_markers: FloatArray,
-        pylon_markers: FloatArray,
+        self, settings: MocapSettings, socket_markers: FloatArray, pylon_markers: FloatArray
     ) -> None:
-        self._stale = settings.stale
         self._bodies = (
             _TrackedBody(settings.socket_body, "socket_body", socket_markers, settings.stale),
             _TrackedBody(settings.pylon_body, "pylon_body", pylon_markers, settings.stale),
         )
-        self._frames: deque[_Entry] = deque()
-        self._changed = threading.Condition()
+        self._changed = threading.Condition()  # its lock may be taken again by its holder
 
     def add(self, frame: MocapFrame, time: float, models: BodiesByName | None) -> None:
         """Add a frame of a time [s] after all before, with the bodies that its ids stand for."""
         with self._changed:
-            if self._frames and time <= self._frames[-1].time:
-                return
-            markers = tuple(body.markers(frame, models) for body in self._bodies)
-            self._frames.append(_Entry(time, models, markers))
-            while self._frames[0].time < time - _KEPT:
-                self._frames.popleft()
+            for body in self._bodies:
+                body.add(frame, time, models)
             self._changed.notify_all()
 
     def ready(self, trigger: float, window: float = 0.0) -> bool:
         """Whether no later frame will make the sample of a trigger [s] better."""
         with self._changed:
-            return self._is_ready(trigger, window)
+            return all(body.ready(trigger, window) for body in self._bodies)
 
     def wait(self, trigger: float, deadline: float, window: float = 0.0) -> bool:
         """Wait until `ready`, or until a time of the steady clock [s]; whether it is ready."""
         # No frame before the window's end can be the last one.
         clocks.sleep(max(0.0, min(trigger + 0.5 * window, deadline) - clocks.monotonic()))
         with self._changed:
-            while not self._is_ready(trigger, window):
+            while not self.ready(trigger, window):
                 left = deadline - clocks.monotonic()
                 if left <= 0.0:
                     return False
                 self._changed.wait(clocks.real(left))
             return True
 
-    def sample(self, trigger: float, window: float = 0.0) -> MocapSample:
-        """The bodies at a time of the steady clock [s], from the frames there are.
+    def sample(self, trigger: float, window: float = 0.0) -> tuple[SeenBody, SeenBody]:
+        """Socket and pylon at a time of the steady clock [s], from the frames there are.
 
         A pose is the mean on SE(3) of the frames in the window: positions by their mean,
         rotations by the mean of their matrices (chordal). Frames are not even about the trigger,
@@ -117,59 +96,18 @@ class BodyTracker:
         Markers are always interpolated.
         """
         with self._changed:
-            entries, before = self._around(trigger, 0.5 * window)
-            offsets = np.array([entry.time - trigger for entry in entries])
-            inside = (np.abs(offsets) <= 0.5 * window) & (window > 0.0)
-            bodies = [
-                body.at(entries, [entry.markers[k] for entry in entries], before, offsets, inside)
-                for k, body in enumerate(self._bodies)
-            ]
-        positions, quaternions, seen, faults, frames = zip(*bodies, strict=True)
-        markers = np.full((2, max(map(len, seen)), 3), np.nan)
-        for own, places in zip(markers, seen, strict=True):
-            own[: len(places)] = places
-        return MocapSample(
-            trigger,
-            np.array(positions),
-            np.array(quaternions),
-            markers,
-            (faults[0], faults[1]),
-            (frames[0], frames[1]),
-        )
-
-    def _around(self, trigger: float, half: float) -> tuple[list[_Entry], int]:
-        """The frames at most half a window from a time, and two on either side of it."""
-        frames = list(self._frames)
-        times = [entry.time for entry in frames]
-        middle = bisect_left(times, trigger)
-        first = max(0, min(middle - 2, bisect_left(times, trigger - half)))
-        last = max(middle + 2, bisect_right(times, trigger + half))
-        return frames[first:last], middle - first
-
-    def _is_over(self, end: float) -> bool:
-        """Whether the next frame will come after a time, as they follow each other at present."""
-        times = [entry.time for entry in islice(reversed(self._frames), 2)]
-        return bool(times) and 2.0 * times[0] - times[-1] > end
-
-    def _is_ready(self, trigger: float, window: float) -> bool:
-        if window > 0.0 and not self._is_over(trigger + 0.5 * window):
-            return False
-        entries, before = self._around(trigger, 0.0)
-        after = entries[before:]
-        if not after or len(after) == 2 or after[-1].time >= trigger + self._stale:
-            return bool(after)
-        # One more frame is worth the wait where a marker is not seen in this one.
-        return all(
-            body.is_seen(markers, after[0].models)
-            for body, markers in zip(self._bodies, after[0].markers, strict=True)
-        )
+            socket, pylon = (body.at(trigger, window) for body in self._bodies)
+        return socket, pylon
 
 
-_Result: TypeAlias = tuple[FloatArray, FloatArray, FloatArray, str, int]
+class _Frame(NamedTuple):
+    time: float  # [s]
+    markers: FloatArray  # of the body by their labels, shape (k, 3) [m]; NaN where one is not seen
+    unknown: str  # why none of the server's rigid bodies is this one; empty: one is
 
 
 class _TrackedBody:
-    """One of the two bodies: where its markers are in a frame, and in what order."""
+    """One of the two bodies: where its markers are in the frames of the last second."""
 
     def __init__(self, name: str, setting: str, reference: FloatArray, stale: float) -> None:
         self._name = name
@@ -177,57 +115,84 @@ class _TrackedBody:
         self._setting = setting
         self._reference = np.asarray(reference, dtype=float)
         self._count = len(self._reference)
-        self._hidden = [(np.nan, np.nan, np.nan)] * self._count
         self._distances = distances(self._reference)
+        self._frames: deque[_Frame] = deque()
         self._orders: deque[tuple[int, ...]] = deque(maxlen=_VOTES)  # of the labels, lately
 
-    def markers(self, frame: MocapFrame, models: BodiesByName | None) -> FloatArray:
-        """Its markers by their labels, shape (k, 3) [m]; NaN where one is not seen."""
-        markers = self._hidden.copy()
-        definition = models.get(self._name) if models is not None else None
+    def add(self, frame: MocapFrame, time: float, models: BodiesByName | None) -> None:
+        """Add a frame, unless it is not after all before."""
+        if self._frames and time <= self._frames[-1].time:
+            return
+        markers = [(np.nan, np.nan, np.nan)] * self._count
+        definition = (models or {}).get(self._name)
         if definition is not None:
             own = sorted(marker for marker in frame.markers if marker.model == definition.id)
             for rank, marker in enumerate(own):
                 slot = rank if len(own) == self._count else marker.member - 1
-                if not (marker.occluded or marker.model_filled) and 0 <= slot < self._count:
+                if marker.seen and 0 <= slot < self._count:
                     markers[slot] = marker.position
-        return np.array(markers)
+        self._frames.append(_Frame(time, np.array(markers), self._unknown(models)))
+        while self._frames[0].time < time - _KEPT:
+            self._frames.popleft()
 
-    def is_seen(self, markers: FloatArray, models: BodiesByName | None) -> bool:
-        """Whether all its markers are seen, or never will be."""
-        return bool(self._unknown(models) or np.isfinite(markers).all())
+    def ready(self, trigger: float, window: float) -> bool:
+        """Whether no later frame will make it better at a trigger [s]."""
+        if window > 0.0:
+            # As frames follow each other at present, the next one comes after the window's end.
+            times = [frame.time for frame in islice(reversed(self._frames), 2)]
+            if not times or 2.0 * times[0] - times[-1] <= trigger + 0.5 * window:
+                return False
+        frames, before = self._around(trigger, 0.0)
+        after = frames[before:]
+        if not after or len(after) == 2 or after[-1].time >= trigger + self._stale:
+            return bool(after)
+        # One more frame is worth the wait where a marker is not seen in this one, but may be.
+        return bool(after[0].unknown or np.isfinite(after[0].markers).all())
 
-    def at(
-        self,
-        entries: Sequence[_Entry],
-        markers: Sequence[FloatArray],
-        first_after: int,
-        offsets: FloatArray,
-        inside: BoolArray,
-    ) -> _Result:
-        """Position [m], quaternion, markers [m], fault and number of frames at a time."""
-        nothing = (np.full(3, np.nan), np.full(4, np.nan), np.full((self._count, 3), np.nan))
-        nearest = (first_after - 1, first_after)
-        if not 0 < first_after < len(entries) or _span(offsets, nearest) > self._stale:
-            return *nothing, f"no two frames within {self._stale:g} s around the trigger", 0
-        for row in nearest:
-            if fault := self._unknown(entries[row].models):
-                return *nothing, fault, 0
-        seen = np.array(markers)
+    def at(self, trigger: float, window: float) -> SeenBody:
+        """The body at a trigger [s]."""
+        frames, after = self._around(trigger, 0.5 * window)
+        offsets = np.array([frame.time - trigger for frame in frames])
+        nowhere = np.full(3, np.nan), np.full(4, np.nan)
+        nothing = SeenBody(np.full((self._count, 3), np.nan), *nowhere)
+        nearest = (after - 1, after)
+        if not 0 < after < len(frames) or _span(offsets, nearest) > self._stale:
+            return nothing._replace(
+                fault=f"no two frames within {self._stale:g} s around the trigger"
+            )
+        if fault := frames[after - 1].unknown or frames[after].unknown:
+            return nothing._replace(fault=fault)
+        seen = np.array([frame.markers for frame in frames])
         fit = fit_body(self._reference, seen)
-        found = fit.found
-        for a in range(first_after - 1, max(first_after - 3, -1), -1):
-            for b in range(first_after, min(first_after + 2, len(entries))):
-                if found[a] and found[b] and _span(offsets, (a, b)) <= self._stale:
-                    weight = -offsets[a] / (offsets[b] - offsets[a])
-                    labelled = self._interpolate_markers(fit, seen, (a, b), weight)
-                    noise = weight**2 + (1.0 - weight) ** 2
-                    mean = _mean(fit.pose, offsets, inside & found, noise)
-                    position, quaternion, used = mean or _interpolate(fit.pose, (a, b), weight)
-                    return position, quaternion, labelled, "", used
-        weight = -offsets[nearest[0]] / (offsets[nearest[1]] - offsets[nearest[0]])
-        labelled = self._by_label(fit, seen, nearest, weight)
-        return *nothing[:2], labelled, self._fault(seen[list(nearest)]), 0
+        pairs = [
+            (a, b)
+            for a in range(after - 1, max(after - 3, -1), -1)
+            for b in range(after, min(after + 2, len(frames)))
+            if fit.found[a] and fit.found[b] and _span(offsets, (a, b)) <= self._stale
+        ]
+        a, b = pair = pairs[0] if pairs else nearest
+        weight = -offsets[a] / (offsets[b] - offsets[a])
+        if pairs:
+            whole = [fit.order[row] for row in pair if (fit.order[row] >= 0).all()]
+            self._orders += [tuple(order.tolist()) for order in whole]
+        start, end = (self._in_order(seen[row], fit.order[row]) for row in pair)
+        markers = start + weight * (end - start)
+        if pairs:
+            inside = (np.abs(offsets) <= 0.5 * window) & (window > 0.0)
+            noise = weight**2 + (1.0 - weight) ** 2
+            mean = _mean(fit.pose, offsets, inside & fit.found, noise)
+            return SeenBody(markers, *(mean or _interpolate(fit.pose, pair, weight)))
+        near = np.linalg.norm(end - start, axis=1) < _LARGEST_STEP
+        markers = np.where(near[:, None], markers, np.nan)
+        return SeenBody(markers, *nowhere, fault=self._fault(seen[list(pair)]))
+
+    def _around(self, trigger: float, half: float) -> tuple[list[_Frame], int]:
+        """The frames at most half a window from a time, and two on either side of it."""
+        frames, time = self._frames, attrgetter("time")
+        middle = bisect_left(frames, trigger, key=time)
+        first = max(0, min(middle - 2, bisect_left(frames, trigger - half, key=time)))
+        last = max(middle + 2, bisect_right(frames, trigger + half, key=time))
+        return list(islice(frames, first, last)), middle - first
 
     def _unknown(self, models: BodiesByName | None) -> str:
         """Why none of the server's rigid bodies is this one; empty: one is."""
@@ -247,51 +212,25 @@ class _TrackedBody:
             )
         return ""
 
-    def _interpolate_markers(
-        self, fit: BodyFit, seen: FloatArray, pair: tuple[int, int], weight: float
-    ) -> FloatArray:
-        whole = [row for row in pair if (fit.order[row] >= 0).all()]
-        self._orders += [tuple(fit.order[row].tolist()) for row in whole]
-        start, end = (_in_order(seen[row], fit.order[row]) for row in pair)
-        return np.asarray(start + weight * (end - start))
-
-    def _by_label(
-        self, fit: BodyFit, seen: FloatArray, pair: tuple[int, int], weight: float
-    ) -> FloatArray:
-        """Markers that are seen in both frames and moved little, though a body has no fit.
+    def _in_order(self, markers: FloatArray, order: IntArray) -> FloatArray:
+        """A frame's markers in the body's order, shape (k, 3) [m]; NaN where that is not known.
 
         All of a body whose markers are not where the geometry has them are kept as labelled: its
-        poses can be fitted later, with the right geometry.
+        poses can be fitted later, with the right geometry. Those that are left of a body without
+        a fit are in the usual order of the labels, if their distances do not contradict it.
         """
-        known = self._usual_order()
-        start, end = (
-            _in_order(seen[row], fit.order[row])
-            if fit.found[row]
-            else seen[row]
-            if np.isfinite(seen[row]).all()
-            else self._labelled(seen[row], known)
-            for row in pair
-        )
-        step = np.linalg.norm(end - start, axis=1)
-        near = np.where(np.isfinite(step), step, np.inf) < _LARGEST_STEP
-        return np.where(near[:, None], start + weight * (end - start), np.nan)
-
-    def _usual_order(self) -> IntArray | None:
-        """The order of most fits lately: a swap of labels that lasts must not be learnt."""
-        if not self._orders:
-            return None
-        order, votes = Counter(self._orders).most_common(1)[0]
-        return np.array(order) if votes >= max(_FEWEST, 0.75 * len(self._orders)) else None
-
-    def _labelled(self, markers: FloatArray, order: IntArray | None) -> FloatArray:
-        """Markers in the body's order by their labels; NaN where distances contradict them."""
-        unknown = np.full((self._count, 3), np.nan)
-        if order is None:
-            return unknown
-        mismatch = np.abs(distances(markers[order]) - self._distances)
-        if (mismatch[np.isfinite(mismatch)] > EDGE_TOLERANCE).any():
-            return unknown
-        return np.asarray(markers[order])
+        if (order >= 0).any():
+            return np.where((order >= 0)[:, None], markers[order], np.nan)
+        if np.isfinite(markers).all():
+            return markers
+        # A swap of labels that lasts must not be learnt.
+        usual, votes = Counter(self._orders).most_common(1)[0] if self._orders else ((), 0)
+        if votes >= max(_FEWEST, 0.75 * len(self._orders)):
+            markers = markers[list(usual)]
+            mismatch = np.abs(distances(markers) - self._distances)
+            if not (mismatch > EDGE_TOLERANCE).any():
+                return markers
+        return np.full((self._count, 3), np.nan)
 
     def _fault(self, seen: FloatArray) -> str:
         hidden = np.isnan(seen).any(axis=(0, 2))
@@ -305,11 +244,6 @@ class _TrackedBody:
             f"the markers of rigid body '{self._name}' do not fit its {kind}: check the geometry"
             " file, or that no other marker is taken for one of them"
         )
-
-
-def _in_order(markers: FloatArray, order: IntArray) -> FloatArray:
-    """Markers in the body's order, shape (k, 3) [m]; NaN where it names none."""
-    return np.where((order >= 0)[:, None], markers[order], np.nan)
 
 
 def _span(offsets: FloatArray, pair: tuple[int, int]) -> float:
