@@ -14,7 +14,7 @@ from socket_testbed.drivers.natnet import messages
 from socket_testbed.drivers.natnet.connection import CommandQueue
 from socket_testbed.drivers.natnet.session import Session
 from socket_testbed.settings.acquisition import MocapSettings
-from socket_testbed.simulation.devices.natnet_encoding import (
+from socket_testbed.simulation.devices.natnet_server import (
     Content,
     Message,
     encode_frame,
