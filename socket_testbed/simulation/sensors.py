@@ -9,12 +9,14 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import ClusterCalibration, shear_terms
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.simulation.sensor_errors import SensorErrors
+from socket_testbed.simulation.world import SensorErrors
 
 CAMERA_RATE = 240.0  # [Hz]
 _CONVERTER_STEP = 2.0**-19  # [pF]; of the FDC1004
 _NEWTON_STEPS, _EXACT = 20, 1e-11  # [1], [pF]
 _CREEP_TIME = 40.0  # [s]; of the load cell
+_VIBRATION = 13.5  # [Hz]; of a stand; a trigger of 4 Hz sees 1.5 Hz
+_LEVERS = (0.167, 0.03, 0.015)  # [m]; of its moments: the stand is weakest about x
 # Signs of a cluster's four channels in its two differences.
 _SIGNS = np.array([[-1.0, 1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]])
 _SOCKET_IN_WORLD = Pose(
@@ -106,6 +108,28 @@ def cluster_stress(geometry: SocketGeometry, cluster: str, forces: FloatArray) -
     """
     tile = geometry.clusters[cluster]
     return geometry.cluster_stress(cluster, forces[:, tile] @ geometry.rotations[tile])
+
+
+def vibration(amplitudes: FloatArray, time: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Vibrations of m channels in random phases, shape (N, m).
+
+    Args:
+        amplitudes: Their amplitudes in any unit, shape (m,).
+        time: Times, shape (N,) [s].
+        rng: Source of the phases.
+    """
+    phases = rng.uniform(0.0, 2.0 * np.pi, len(amplitudes))
+    return np.asarray(amplitudes * np.sin(2.0 * np.pi * _VIBRATION * time[:, None] + phases))
+
+
+def wrench_vibration(errors: SensorErrors) -> FloatArray:
+    """Amplitudes of the load cell's vibration, [M; F], shape (6,) [N m, N]."""
+    return errors.force_vibration * np.array([*_LEVERS, 1.0, 1.0, 1.0])
+
+
+def wrench_offset(errors: SensorErrors, rng: np.random.Generator) -> FloatArray:
+    """The rest of the load cell's offset after taring, [M; F], shape (6,) [N m, N]."""
+    return rng.normal(0.0, 1.0, 6) * np.repeat([errors.moment_offset, errors.force_offset], 3)
 
 
 def wrench_creep(

@@ -23,21 +23,18 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, load_history
-from socket_testbed.simulation.sensor_errors import (
-    SensorErrors,
-    vibration,
-    wrench_noise,
-    wrench_offset,
-    wrench_vibration,
-)
 from socket_testbed.simulation.sensors import (
     CAMERA_RATE,
     ClusterSensor,
     MarkerBodies,
     cluster_stress,
     observe_markers,
+    vibration,
     wrench_creep,
+    wrench_offset,
+    wrench_vibration,
 )
+from socket_testbed.simulation.world import SensorErrors
 from socket_testbed.trials.bag import BagWriter
 from socket_testbed.trials.messages import (
     capacitance_packer,
@@ -163,7 +160,8 @@ def simulate(
         size = errors.stress_vibration * shake_rng.uniform(0.5, 1.5, 3)
         stress += vibration(size, time, shake_rng)
         capacitance[cluster] = sensor.read(stress, time, cluster_rng)
-    felt = load + wrench_offset(errors, cell_rng) + wrench_noise(errors, count, cell_rng)
+    felt = load + wrench_offset(errors, cell_rng)
+    felt += cell_rng.normal(0.0, 1.0, load.shape) * errors.wrench_noise
     felt += wrench_creep(errors, load, time, cell_rng)
     felt += vibration(wrench_vibration(errors), time, shake_rng)
 

@@ -8,8 +8,8 @@ import pytest
 import socket_testbed as st
 from socket_testbed.identification.evaluation import summarise_errors
 from socket_testbed.simulation.limb import load_history
-from socket_testbed.simulation.sensor_errors import LIKE_PAPER
 from socket_testbed.simulation.sensors import wrench_creep
+from socket_testbed.simulation.world import LIKE_PAPER
 
 
 def test_the_load_cell_creeps_by_so_much() -> None:
@@ -49,7 +49,7 @@ def test_the_vibration_leaves_the_plateau(tmp_path, monkeypatch) -> None:
     shaken = trial.samples()
     segment = st.select_segment(shaken, "hold")
     still = replace(LIKE_PAPER, force_vibration=0.0, stress_vibration=0.0)
-    monkeypatch.setattr("socket_testbed.simulation.sensor_errors.LIKE_PAPER", still)
+    monkeypatch.setattr("socket_testbed.simulation.world.LIKE_PAPER", still)
     calm = st.simulate(tmp_path / "calm", seed=1, duration=60, like_paper=True).samples()
     assert segment == st.select_segment(calm, "hold")
     difference = (shaken.values - calm.values)[segment.rows]

@@ -19,10 +19,10 @@ from socket_testbed.simulation.limb import (
     load_history,
     make_tissue,
 )
-from socket_testbed.simulation.sensor_errors import SensorErrors
 from socket_testbed.simulation.sensors import CAMERA_RATE, observe_markers
 from socket_testbed.simulation.socket_scan import make_socket_scan
 from socket_testbed.simulation.trial import simulate
+from socket_testbed.simulation.world import SensorErrors
 from socket_testbed.socket_design.design import place_by_directions
 from socket_testbed.socket_design.interior import find_interior
 from socket_testbed.socket_design.motive import read_motive_csv
