@@ -9,7 +9,7 @@ import json
 import signal
 import sys
 import threading
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -142,8 +142,8 @@ class LiveTestbed:
         }
         moments = columns.pop("moment").tolist()
         stamps = np.array([clock.to_epoch(moment) for moment in moments], dtype=np.int64)
-        truth = GroundTruth(**{each.name: columns.pop(each.name) for each in fields(GroundTruth)})
-        save_truth(path, self._geometry.names, stamps, truth, **columns)
+        true = [columns.pop(name) for name in ("forces", "wrench", "position", "rotation")]
+        save_truth(path, stamps, GroundTruth(self._geometry.names, *true), **columns)
 
 
 def markers_at(geometry: SocketGeometry, poses: FloatArray) -> list[FloatArray]:

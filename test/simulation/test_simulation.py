@@ -178,7 +178,7 @@ def test_a_seed_gives_one_trial(geometry, calibration) -> None:
         simulate(geometry, calibration, "protocol", 6.0, 4.0, seed) for seed in (5, 5, 6)
     )
     np.testing.assert_array_equal(first.wrench, second.wrench)
-    np.testing.assert_array_equal(first.pylon_markers, second.pylon_markers)
+    np.testing.assert_array_equal(first.markers["pylon"], second.markers["pylon"])
     np.testing.assert_array_equal(first.truth.forces, second.truth.forces)
     assert not np.array_equal(first.truth.forces, other.truth.forces)
 
@@ -228,7 +228,7 @@ def test_the_protocol_excites_all_six_numbers_of_the_pose(geometry, tissue) -> N
 def test_perfect_sensors_see_the_truth(geometry, calibration) -> None:
     trial = simulate(geometry, calibration, "ramp", 5.0, 4.0, 0, errors=PERFECT, mocap_window=0.0)
     np.testing.assert_allclose(trial.wrench, trial.truth.wrench)
-    limb = geometry.limb_pose(trial.socket_pose, trial.pylon_pose)
+    limb = geometry.limb_pose(trial.poses["socket"], trial.poses["pylon"])
     # The stand moves the whole testbed, not the limb in the socket.
     np.testing.assert_allclose(limb.translation, trial.truth.position, atol=1e-9)
     np.testing.assert_allclose(limb.rotation_vector(), trial.truth.rotation, atol=1e-9)
@@ -264,12 +264,15 @@ def test_a_body_of_five_markers_keeps_its_pose_through_occlusions(geometry, cali
         simulate(of, calibration, "ramp", 5.0, 4.0, 0, errors=errors, mocap_window=0.0)
         for of, errors in ((geometry, PERFECT), (larger, faulty))
     )
-    assert trial.socket_markers.shape[1:] == (5, 3) and trial.pylon_markers.shape[1:] == (3, 3)
-    position = trial.socket_pose.translation
+    assert trial.markers["socket"].shape[1:] == (5, 3) and trial.markers["pylon"].shape[1:] == (
+        3,
+        3,
+    )
+    position = trial.poses["socket"].translation
     found = np.isfinite(position).all(axis=1)
-    whole = np.isfinite(trial.socket_markers).all(axis=(1, 2))
+    whole = np.isfinite(trial.markers["socket"]).all(axis=(1, 2))
     assert found[whole].all() and found.sum() > whole.sum()
-    np.testing.assert_allclose(position[found], plain.socket_pose.translation[found], atol=1e-9)
+    np.testing.assert_allclose(position[found], plain.poses["socket"].translation[found], atol=1e-9)
 
 
 def test_the_noise_of_a_marker_is_that_of_a_real_take(shared_data: Path) -> None:
@@ -295,8 +298,8 @@ def measure(geometry, window: float, rate: float = 4.0, **errors: float) -> tupl
     trial = simulate(
         geometry, calibration, "ramp", 100.0 / rate, rate, 2, errors=sizes, mocap_window=window
     )
-    limb = geometry.limb_pose(trial.socket_pose, trial.pylon_pose)
-    return limb.translation - trial.truth.position, trial.pylon_markers
+    limb = geometry.limb_pose(trial.poses["socket"], trial.poses["pylon"])
+    return limb.translation - trial.truth.position, trial.markers["pylon"]
 
 
 def test_the_mean_over_the_window_averages_the_cameras_noise_and_does_not_lag(geometry) -> None:
