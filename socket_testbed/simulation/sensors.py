@@ -16,7 +16,8 @@ _CONVERTER_STEP = 2.0**-19  # [pF]; of the FDC1004
 _NEWTON_STEPS, _EXACT = 20, 1e-11  # [1], [pF]
 _CREEP_TIME = 40.0  # [s]; of the load cell
 _VIBRATION = 13.5  # [Hz]; of a stand; a trigger of 4 Hz sees 1.5 Hz
-_LEVERS = (0.167, 0.03, 0.015)  # [m]; of its moments: the stand is weakest about x
+# Wrench of a force along each axis as the stand vibrates, which is weakest about x [m, -].
+SHAKEN = np.array([0.167, 0.03, 0.015, 1.0, 1.0, 1.0])
 # Signs of a cluster's four channels in its two differences.
 _SIGNS = np.array([[-1.0, 1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]])
 _SOCKET_IN_WORLD = Pose(
@@ -122,11 +123,6 @@ def vibration(amplitudes: FloatArray, time: FloatArray, rng: np.random.Generator
     return np.asarray(amplitudes * np.sin(2.0 * np.pi * _VIBRATION * time[:, None] + phases))
 
 
-def wrench_vibration(errors: SensorErrors) -> FloatArray:
-    """Amplitudes of the load cell's vibration, [M; F], shape (6,) [N m, N]."""
-    return errors.force_vibration * np.array([*_LEVERS, 1.0, 1.0, 1.0])
-
-
 def wrench_offset(errors: SensorErrors, rng: np.random.Generator) -> FloatArray:
     """The rest of the load cell's offset after taring, [M; F], shape (6,) [N m, N]."""
     return rng.normal(0.0, 1.0, 6) * np.repeat([errors.moment_offset, errors.force_offset], 3)
@@ -203,11 +199,6 @@ class MarkerBodies:
         return Pose(pose.rotation @ turn.as_matrix(), pose.translation + shift)
 
 
-def place_markers(pose: Pose, markers: FloatArray) -> FloatArray:
-    """Markers of N bodies in the world, shape (N, k, 3) [m], from theirs in the body's frame."""
-    return np.asarray(markers @ np.swapaxes(pose.rotation, 1, 2) + pose.translation[:, None])
-
-
 def observe_markers(
     pose: Pose, markers: FloatArray, errors: SensorErrors, rng: np.random.Generator
 ) -> FloatArray:
@@ -222,7 +213,7 @@ def observe_markers(
     Returns:
         Labelled positions in the world, shape (N, k, 3) [m]; NaN where occluded.
     """
-    seen = place_markers(pose, markers)
+    seen = pose.place(markers)
     seen += rng.normal(0.0, errors.marker_noise, seen.shape)
     count, size = seen.shape[:2]
     swapped = np.flatnonzero(rng.uniform(size=count) < errors.label_swap)

@@ -25,6 +25,7 @@ from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, load_history
 from socket_testbed.simulation.sensors import (
     CAMERA_RATE,
+    SHAKEN,
     ClusterSensor,
     MarkerBodies,
     cluster_stress,
@@ -32,7 +33,6 @@ from socket_testbed.simulation.sensors import (
     vibration,
     wrench_creep,
     wrench_offset,
-    wrench_vibration,
 )
 from socket_testbed.simulation.world import SensorErrors
 from socket_testbed.trials.bag import BagWriter
@@ -161,7 +161,7 @@ def simulate(
     felt = load + wrench_offset(errors, cell_rng)
     felt += cell_rng.normal(0.0, 1.0, load.shape) * errors.wrench_noise
     felt += wrench_creep(errors, load, time, cell_rng)
-    felt += vibration(wrench_vibration(errors), time, shake_rng)
+    felt += vibration(errors.force_vibration * SHAKEN, time, shake_rng)
 
     window = min(mocap_window, 1.0 / rate)
     markers, poses = _motion_capture(geometry, truth, rate, window, errors, marker_rng)
