@@ -78,8 +78,7 @@ def nearest_rotations(matrices: FloatArray) -> FloatArray:
 
 def misfit(points: FloatArray, observed: FloatArray, pose: Pose) -> FloatArray:
     """Distances of observed points from where poses put them, shape (M, k) [m]."""
-    fitted = points @ np.swapaxes(pose.rotation, 1, 2) + pose.translation[:, None]
-    return _lengths(observed - fitted)
+    return _lengths(observed - pose.place(points))
 
 
 def _lengths(vectors: FloatArray) -> FloatArray:

@@ -64,6 +64,10 @@ class Pose:
         """Points of the body in the frame, shape (3,) or (N, 3) [m]."""
         return _rotate(self.rotation, points) + self.translation
 
+    def place(self, points: FloatArray) -> FloatArray:
+        """The same k points of N bodies, (k, 3) [m], in the frame, shape (N, k, 3) [m]."""
+        return points @ np.swapaxes(self.rotation, 1, 2) + self.translation[:, None]
+
 
 def _rotate(rotation: FloatArray, vectors: FloatArray) -> FloatArray:
     return np.einsum("...ij,...j->...i", rotation, vectors)

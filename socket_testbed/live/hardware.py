@@ -30,10 +30,8 @@ from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.settings.acquisition import ClusterSettings, LoadCellSettings, TriggerSettings
 from socket_testbed.simulation.devices.ads131m0x import SimulatedAds131m0x, simulated_load_cell
 from socket_testbed.simulation.devices.fdc1004 import SimulatedFdc1004
-from socket_testbed.simulation.devices.gpio import SimulatedLines
 from socket_testbed.simulation.devices.i2c import SimulatedChip, SimulatedClusterHardware
-from socket_testbed.simulation.sensor_errors import SensorErrors, wrench_noise
-from socket_testbed.simulation.world import World
+from socket_testbed.simulation.world import SensorErrors, SimulatedLines, World
 
 # The driver of each chip that clusters can have and its simulated counterpart, by the name that
 # cluster_node's setting `chip` gives it.
@@ -137,8 +135,8 @@ def spi_opener(settings: LoadCellSettings) -> Callable[[], SpiDevice]:
 def _simulated_load_cell(settings: LoadCellSettings) -> SimulatedAds131m0x:
     world = World(Path(settings.simulation))
     rng = np.random.default_rng()
-    errors = SensorErrors()
-    noise = (row for _ in count() for row in wrench_noise(errors, _BLOCK, rng))
+    size = SensorErrors().wrench_noise
+    noise = (row for _ in count() for row in rng.normal(0.0, size, (_BLOCK, 6)))
 
     def wrench(moment: float) -> FloatArray:
         return world.wrench(moment) + next(noise)

@@ -9,7 +9,7 @@ import json
 import signal
 import sys
 import threading
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,15 +24,15 @@ from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.live.processes import end_with_starter
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
 from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, load_history
-from socket_testbed.simulation.sensor_errors import SensorErrors, wrench_offset
 from socket_testbed.simulation.sensors import (
     CAMERA_RATE,
     ClusterSensor,
     MarkerBodies,
     cluster_stress,
+    wrench_offset,
 )
 from socket_testbed.simulation.trial import GroundTruth, random_streams, save_truth
-from socket_testbed.simulation.world import World
+from socket_testbed.simulation.world import SensorErrors, World
 
 _PERIOD = 0.04  # [s]; of the physics; between two states the world is linear
 _LEAD = 0.2  # [s]; of the physics ahead of the clock: a busy machine does not stop the world
@@ -142,8 +142,8 @@ class LiveTestbed:
         }
         moments = columns.pop("moment").tolist()
         stamps = np.array([clock.to_epoch(moment) for moment in moments], dtype=np.int64)
-        truth = GroundTruth(**{each.name: columns.pop(each.name) for each in fields(GroundTruth)})
-        save_truth(path, self._geometry.names, stamps, truth, **columns)
+        true = [columns.pop(name) for name in ("forces", "wrench", "position", "rotation")]
+        save_truth(path, stamps, GroundTruth(self._geometry.names, *true), **columns)
 
 
 def markers_at(geometry: SocketGeometry, poses: FloatArray) -> list[FloatArray]:

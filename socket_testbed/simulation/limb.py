@@ -142,21 +142,11 @@ class Tissue:
     creep_time: float  # time constant of the relaxation [s]
 
 
-@dataclass(frozen=True)
-class _Stiffness:
-    """Difference between kinds of tissue (see `Tissue`): means and spreads over the surface."""
-
-    modulus: float
-    shear_modulus: float
-    variation: float
-    stiffening: float
-    fit: float
-    fit_spread: float
-
-
-_STIFFNESS: dict[TissueKind, _Stiffness] = {
-    "soft": _Stiffness(1.5e6, 2.7e5, 0.25, 0.015, 0.002, 0.001),
-    "stiff": _Stiffness(6.0e6, 2.7e6, 0.45, 0.004, 0.0008, 0.0006),
+# By kind: modulus and shear modulus [Pa/m], their variation over the surface [-], stiffening, and
+# mean and spread of the fit [m] (see `Tissue`).
+_KINDS: dict[TissueKind, tuple[float, ...]] = {
+    "soft": (1.5e6, 2.7e5, 0.25, 0.015, 0.002, 0.001),
+    "stiff": (6.0e6, 2.7e6, 0.45, 0.004, 0.0008, 0.0006),
 }
 
 
@@ -194,7 +184,7 @@ def make_tissue(
         rng: Source of the variation.
         kind: The published silicone, or a firmer tissue.
     """
-    stiffness = _STIFFNESS[kind]
+    modulus, shear_modulus, spread, stiffening, fit, fit_spread = _KINDS[kind]
     edges = np.sqrt(geometry.areas)
     offsets = (np.arange(_GRID) + 0.5) / _GRID - 0.5
     grid = np.array([[x, y, 0.0] for x in offsets for y in offsets])
@@ -212,7 +202,7 @@ def make_tissue(
     points = np.vstack([on_tiles.reshape(-1, 3), between])
     tile = np.full(len(points), -1)
     tile[:count] = np.repeat(np.arange(len(geometry)), _GRID**2)
-    variation = np.exp(stiffness.variation * _smooth_field(points, rng))
+    variation = np.exp(spread * _smooth_field(points, rng))
     return Tissue(
         points=points,
         normals=np.vstack([np.repeat(normals, _GRID**2, axis=0), between_normals]),
@@ -220,11 +210,11 @@ def make_tissue(
             [np.repeat(geometry.areas / _GRID**2, _GRID**2), np.full(len(a), gap_area)]
         ),
         tile=tile,
-        modulus=stiffness.modulus * variation,
-        stiffening=stiffness.stiffening,
-        shear_modulus=stiffness.shear_modulus * variation,
+        modulus=modulus * variation,
+        stiffening=stiffening,
+        shear_modulus=shear_modulus * variation,
         friction=0.5,
-        fit=stiffness.fit + stiffness.fit_spread * _smooth_field(points, rng),
+        fit=fit + fit_spread * _smooth_field(points, rng),
         creep=0.18,
         creep_time=35.0,
     )
@@ -237,63 +227,82 @@ def _smooth_field(points: FloatArray, rng: np.random.Generator) -> FloatArray:
     return np.sqrt(2.0 / 12.0) * np.cos(points @ waves.T + phases).sum(axis=1)
 
 
-class LimbInSocket:
-    """A limb as a rigid bone in tissue, moved from equilibrium to equilibrium.
+class LoadedLimb:
+    """A limb, a rigid bone in tissue, that is donned under a first load and follows it.
+
+    It moves from equilibrium to equilibrium.
 
     Args:
-        tissue: The tissue.
-        centre: Point of the bone about which it turns, shape (3,) [m].
+        geometry: Geometry of the socket.
+        load: The first load [M; F], shape (6,) [N m, N].
+        rng: Source of the tissue's variation.
+        kind: Kind of the tissue.
     """
 
-    def __init__(self, tissue: Tissue, centre: FloatArray) -> None:
-        self._tissue = tissue
-        self._centre = centre
+    def __init__(
+        self,
+        geometry: SocketGeometry,
+        load: FloatArray,
+        rng: np.random.Generator,
+        kind: TissueKind = "soft",
+    ) -> None:
+        self.tissue = tissue = make_tissue(geometry, rng, kind)
+        self._tiles = len(geometry)
+        self._centre = geometry.anchors.mean(axis=0)  # of the bone, about which it turns
         self._axes = _axes(tissue.normals)
-        arms = np.cross(tissue.points - centre, self._axes)
+        arms = np.cross(tissue.points - self._centre, self._axes)
         # Displacements of the points along their axes, of that of the bone: they are linear.
         self._moved = np.concatenate([self._axes, arms], axis=2).reshape(-1, 6)
         self._tangent: FloatArray | None = None  # of the imbalance, at the last equilibrium
-        # displacement of the centre [m] and rotation vector [rad] of the bone since donning, shape
-        # (6,)
-        self.displacement = np.zeros(6)
+        self._displacement = np.zeros(6)  # of the centre [m], and rotation vector [rad]
         self._crept = tissue.creep * np.maximum(tissue.fit, 0.0)
         self._traction = np.zeros((2, len(tissue.points)))
         self._tangential = np.zeros((2, len(tissue.points)))
+        for share in (0.25, 0.5, 0.75):  # donning: the first load comes in steps
+            self.step(share * load, 1.0)
 
-    def step(self, wrench: FloatArray, duration: float) -> FloatArray:
+    def step(self, load: FloatArray, duration: float) -> FloatArray:
         """Move to the equilibrium under a load.
 
         Args:
-            wrench: Load on the limb about the origin of {S}, [M; F], shape (6,) [N m, N].
+            load: Load on the limb about the origin of {S}, [M; F], shape (6,) [N m, N].
             duration: Time since the step before [s].
 
         Returns:
-            Forces of the limb on the socket at every surface point, shape (p, 3) [N].
+            Force of the limb on the socket at every tile, shape (n, 3) [N].
         """
         scale = 1e-3 * np.repeat([1.0, 1.0 / _LENGTH], 3)
-        load = np.concatenate([wrench[3:], wrench[:3] - np.cross(self._centre, wrench[3:])])
+        balance = np.concatenate([load[3:], load[:3] - np.cross(self._centre, load[3:])])
         lengths = np.repeat([1.0, _LENGTH], 3)
 
         def imbalance(x: FloatArray) -> FloatArray:
             # By virtual work: about the limb's centre the moments do not repeat the forces.
             forces = self._respond(x * scale, duration)[0]
-            return np.asarray((forces.ravel() @ self._moved - load) / lengths)
+            return np.asarray((forces.ravel() @ self._moved - balance) / lengths)
 
-        start = self.displacement / scale
+        start = self._displacement / scale
         answer = self._solve(imbalance, start)
         if np.abs(answer.fun).max() > _BALANCE:
             # Where the surface begins to slip Powell's steps may stall: start from rest.
             answer = root(imbalance, start, method="lm", options={"xtol": 1e-12, "ftol": 1e-14})
         if np.abs(answer.fun).max() > _HELD:
             raise TestbedError(
-                f"no equilibrium under the load {np.round(wrench, 2).tolist()} [N m, N]",
+                f"no equilibrium under the load {np.round(load, 2).tolist()} [N m, N]",
                 "give a smaller load or a socket that holds the limb",
             )
-        self.displacement = answer.x * scale
+        self._displacement = answer.x * scale
         forces, self._crept, self._traction, self._tangential = self._respond(
-            self.displacement, duration
+            self._displacement, duration
         )
-        return np.einsum("ap,api->pi", forces, self._axes)
+        # limb position q in {S}, shape (3,) [m], and rotation vector since donning, (3,) [rad]
+        self.position = self._centre + self._displacement[:3]
+        self.rotation = self._displacement[3:].copy()
+        # force on the socket at every surface point, shape (p, 3) [N]
+        self.forces = np.einsum("ap,api->pi", forces, self._axes)
+        on_tiles = np.zeros((self._tiles, 3))
+        covered = self.tissue.tile >= 0
+        np.add.at(on_tiles, self.tissue.tile[covered], self.forces[covered])
+        return on_tiles
 
     def _solve(self, imbalance: Callable[[FloatArray], FloatArray], start: FloatArray) -> Any:
         """Solve by Powell's hybrid method, from the tangent of the step before at first."""
@@ -315,7 +324,7 @@ class LimbInSocket:
         The forces are along the axes of the points, shape (3, p), the tractions and tangential
         displacements along the last two of them, shape (2, p).
         """
-        tissue = self._tissue
+        tissue = self.tissue
         along_normal, *across = (self._moved @ displacement).reshape(3, -1)
         compression = tissue.fit - along_normal
 
@@ -341,42 +350,3 @@ def _axes(normals: FloatArray) -> FloatArray:
     first = np.cross(normals, least)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     return np.stack([normals, first, np.cross(normals, first)])
-
-
-class LoadedLimb:
-    """A limb that is donned under a first load and follows it from equilibrium to equilibrium."""
-
-    def __init__(
-        self,
-        geometry: SocketGeometry,
-        load: FloatArray,
-        rng: np.random.Generator,
-        kind: TissueKind = "soft",
-    ) -> None:
-        tissue = make_tissue(geometry, rng, kind)
-        self._centre = geometry.anchors.mean(axis=0)
-        self._limb = LimbInSocket(tissue, self._centre)
-        self._covered = tissue.tile >= 0
-        self._tile = tissue.tile[self._covered]
-        self._tiles = len(geometry)
-        for share in (0.25, 0.5, 0.75):  # donning: the first load comes in steps
-            self.step(share * load, 1.0)
-
-    def step(self, load: FloatArray, duration: float) -> FloatArray:
-        """Follow a load for a while.
-
-        Args:
-            load: Load [M; F], shape (6,) [N m, N].
-            duration: Time since the step before [s].
-
-        Returns:
-            Force of the limb on the socket at every tile, shape (n, 3) [N].
-        """
-        response = self._limb.step(load, duration)
-        # limb position q in {S}, shape (3,) [m]
-        self.position = self._centre + self._limb.displacement[:3]
-        # rotation vector of the limb since donning, shape (3,) [rad]
-        self.rotation = self._limb.displacement[3:].copy()
-        forces = np.zeros((self._tiles, 3))
-        np.add.at(forces, self._tile, response[self._covered])
-        return forces

@@ -9,12 +9,15 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import ClusterCalibration, shear_terms
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.simulation.sensor_errors import SensorErrors
+from socket_testbed.simulation.world import SensorErrors
 
 CAMERA_RATE = 240.0  # [Hz]
 _CONVERTER_STEP = 2.0**-19  # [pF]; of the FDC1004
 _NEWTON_STEPS, _EXACT = 20, 1e-11  # [1], [pF]
 _CREEP_TIME = 40.0  # [s]; of the load cell
+_VIBRATION = 13.5  # [Hz]; of a stand; a trigger of 4 Hz sees 1.5 Hz
+# Wrench of a force along each axis as the stand vibrates, which is weakest about x [m, -].
+SHAKEN = np.array([0.167, 0.03, 0.015, 1.0, 1.0, 1.0])
 # Signs of a cluster's four channels in its two differences.
 _SIGNS = np.array([[-1.0, 1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]])
 _SOCKET_IN_WORLD = Pose(
@@ -108,6 +111,23 @@ def cluster_stress(geometry: SocketGeometry, cluster: str, forces: FloatArray) -
     return geometry.cluster_stress(cluster, forces[:, tile] @ geometry.rotations[tile])
 
 
+def vibration(amplitudes: FloatArray, time: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Vibrations of m channels in random phases, shape (N, m).
+
+    Args:
+        amplitudes: Their amplitudes in any unit, shape (m,).
+        time: Times, shape (N,) [s].
+        rng: Source of the phases.
+    """
+    phases = rng.uniform(0.0, 2.0 * np.pi, len(amplitudes))
+    return np.asarray(amplitudes * np.sin(2.0 * np.pi * _VIBRATION * time[:, None] + phases))
+
+
+def wrench_offset(errors: SensorErrors, rng: np.random.Generator) -> FloatArray:
+    """The rest of the load cell's offset after taring, [M; F], shape (6,) [N m, N]."""
+    return rng.normal(0.0, 1.0, 6) * np.repeat([errors.moment_offset, errors.force_offset], 3)
+
+
 def wrench_creep(
     errors: SensorErrors, load: FloatArray, time: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
@@ -179,11 +199,6 @@ class MarkerBodies:
         return Pose(pose.rotation @ turn.as_matrix(), pose.translation + shift)
 
 
-def place_markers(pose: Pose, markers: FloatArray) -> FloatArray:
-    """Markers of N bodies in the world, shape (N, k, 3) [m], from theirs in the body's frame."""
-    return np.asarray(markers @ np.swapaxes(pose.rotation, 1, 2) + pose.translation[:, None])
-
-
 def observe_markers(
     pose: Pose, markers: FloatArray, errors: SensorErrors, rng: np.random.Generator
 ) -> FloatArray:
@@ -198,7 +213,7 @@ def observe_markers(
     Returns:
         Labelled positions in the world, shape (N, k, 3) [m]; NaN where occluded.
     """
-    seen = place_markers(pose, markers)
+    seen = pose.place(markers)
     seen += rng.normal(0.0, errors.marker_noise, seen.shape)
     count, size = seen.shape[:2]
     swapped = np.flatnonzero(rng.uniform(size=count) < errors.label_swap)

@@ -23,21 +23,18 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, load_history
-from socket_testbed.simulation.sensor_errors import (
-    SensorErrors,
-    vibration,
-    wrench_noise,
-    wrench_offset,
-    wrench_vibration,
-)
 from socket_testbed.simulation.sensors import (
     CAMERA_RATE,
+    SHAKEN,
     ClusterSensor,
     MarkerBodies,
     cluster_stress,
     observe_markers,
+    vibration,
     wrench_creep,
+    wrench_offset,
 )
+from socket_testbed.simulation.world import SensorErrors
 from socket_testbed.trials.bag import BagWriter
 from socket_testbed.trials.messages import (
     capacitance_packer,
@@ -81,6 +78,7 @@ Progress = Callable[[int, int], None]
 class GroundTruth:
     """The true motion and forces, in {S}."""
 
+    tiles: tuple[str, ...]  # names of the n tiles
     forces: FloatArray  # force of the limb on the socket at every tile, shape (N, n, 3) [N]
     wrench: FloatArray  # wrench on the socket [M; F], shape (N, 6) [N m, N]
     position: FloatArray  # limb position q, shape (N, 3) [m]
@@ -91,17 +89,14 @@ class GroundTruth:
 class SimulatedTrial:
     """The measurements and the truth, one row per trigger."""
 
-    tiles: tuple[str, ...]
     stamps: IntArray  # times of the triggers since the epoch, shape (N,) [ns]
     capacitance: dict[str, FloatArray]  # capacitances by cluster and input, shape (N, 4) each [pF]
     wrench: FloatArray  # measured wrench [M; F], shape (N, 6) [N m, N]
-    # observed markers of the socket in the world, in the frame at the trigger, shape (N, k, 3) [m]
-    socket_markers: FloatArray
-    pylon_markers: FloatArray  # the same of the pylon
-    # mean pose of the socket's body in the frames around the trigger; NaN where none of them shows
-    # it
-    socket_pose: Pose
-    pylon_pose: Pose  # the same for the pylon's body
+    # observed markers of socket and pylon in the world, in the frame at the trigger, by the body's
+    # name, shape (N, k, 3) [m]
+    markers: dict[str, FloatArray]
+    # mean pose of each body in the frames around the trigger; NaN where none of them shows it
+    poses: dict[str, Pose]
     truth: GroundTruth
 
 
@@ -154,7 +149,7 @@ def simulate(
         position[k], rotation[k] = limb.position, limb.rotation
         if progress is not None:
             progress(k + 1, count)
-    truth = GroundTruth(forces, load, position, rotation)
+    truth = GroundTruth(geometry.names, forces, load, position, rotation)
 
     capacitance = {}
     for cluster in geometry.clusters:
@@ -163,23 +158,15 @@ def simulate(
         size = errors.stress_vibration * shake_rng.uniform(0.5, 1.5, 3)
         stress += vibration(size, time, shake_rng)
         capacitance[cluster] = sensor.read(stress, time, cluster_rng)
-    felt = load + wrench_offset(errors, cell_rng) + wrench_noise(errors, count, cell_rng)
+    felt = load + wrench_offset(errors, cell_rng)
+    felt += cell_rng.normal(0.0, 1.0, load.shape) * errors.wrench_noise
     felt += wrench_creep(errors, load, time, cell_rng)
-    felt += vibration(wrench_vibration(errors), time, shake_rng)
+    felt += vibration(errors.force_vibration * SHAKEN, time, shake_rng)
 
     window = min(mocap_window, 1.0 / rate)
     markers, poses = _motion_capture(geometry, truth, rate, window, errors, marker_rng)
-    return SimulatedTrial(
-        tiles=geometry.names,
-        stamps=_START + np.round(time * 1e9).astype(np.int64),
-        capacitance=capacitance,
-        wrench=felt,
-        socket_markers=markers[0],
-        pylon_markers=markers[1],
-        socket_pose=poses[0],
-        pylon_pose=poses[1],
-        truth=truth,
-    )
+    stamps = _START + np.round(time * 1e9).astype(np.int64)
+    return SimulatedTrial(stamps, capacitance, felt, markers, poses, truth)
 
 
 def _motion_capture(
@@ -189,29 +176,30 @@ def _motion_capture(
     window: float,
     errors: SensorErrors,
     rng: np.random.Generator,
-) -> tuple[list[FloatArray], list[Pose]]:
+) -> tuple[dict[str, FloatArray], dict[str, Pose]]:
     """Markers of both bodies at each trigger and their mean poses in the window around it.
 
     Between the triggers the limb moves linearly, and so on before the first and after the last.
     """
     bodies = MarkerBodies(geometry, errors, rng)
-    references = (geometry.socket_markers, geometry.pylon_markers)
+    references = {"socket": geometry.socket_markers, "pylon": geometry.pylon_markers}
     reach = int(0.5 * window * CAMERA_RATE)
     offsets = np.arange(-reach, reach + 1) * rate / CAMERA_RATE  # [triggers]
     count = len(truth.wrench)
-    markers = [np.empty((count, *reference.shape)) for reference in references]
-    poses = [Pose(np.empty((count, 3, 3)), np.empty((count, 3))) for _ in references]
+    markers = {name: np.empty((count, *own.shape)) for name, own in references.items()}
+    poses = {name: Pose(np.empty((count, 3, 3)), np.empty((count, 3))) for name in references}
     pieces = 1 + count * len(offsets) // _FRAMES_AT_ONCE
     for rows in np.array_split(np.arange(count), pieces):
         at = (rows[:, None] + offsets).ravel()
         after = np.clip(np.ceil(at).astype(int), 1, count - 1)
         moved = (truth.position, truth.rotation, truth.wrench)
         true = bodies.poses(*(_between(values, after, at - after + 1.0) for values in moved))
-        for i, reference in enumerate(references):
-            seen = observe_markers(true[i], reference, errors, rng)
-            markers[i][rows] = seen[reach :: len(offsets)]
-            mean = _mean_poses(fit_body(reference, seen).pose, len(rows))
-            poses[i].rotation[rows], poses[i].translation[rows] = mean.rotation, mean.translation
+        for pose, (name, own) in zip(true, references.items(), strict=True):
+            seen = observe_markers(pose, own, errors, rng)
+            markers[name][rows] = seen[reach :: len(offsets)]
+            mean = _mean_poses(fit_body(own, seen).pose, len(rows))
+            poses[name].rotation[rows] = mean.rotation
+            poses[name].translation[rows] = mean.translation
     return markers, poses
 
 
@@ -251,19 +239,13 @@ def write_simulated_trial(
             for stamp, topic, message in _messages(trial, ratios):
                 bag.write("/" + topic.name, stamp + _DELAYS[topic], message)
         store_configuration(staging, configuration)
-        save_truth(staging / TRUTH_FILE, trial.tiles, trial.stamps, trial.truth)
+        save_truth(staging / TRUTH_FILE, trial.stamps, trial.truth)
 
 
-def save_truth(
-    path: Path,
-    tiles: tuple[str, ...],
-    stamps: IntArray,
-    truth: GroundTruth,
-    **more: FloatArray,
-) -> None:
-    """Write a ground truth with the names of its tiles, its times [ns], shape (N,), and more."""
-    arrays: dict[str, Any] = {**vars(truth), "names": np.array(tiles), "stamps": stamps, **more}
-    np.savez_compressed(path, **arrays)
+def save_truth(path: Path, stamps: IntArray, truth: GroundTruth, **more: FloatArray) -> None:
+    """Write a ground truth with its times [ns], shape (N,), and more."""
+    arrays: dict[str, Any] = {**vars(truth), **more}
+    np.savez_compressed(path, names=np.array(arrays.pop("tiles")), stamps=stamps, **arrays)
 
 
 def read_truth(path: Path, stamps: IntArray | None = None) -> GroundTruth:
@@ -274,7 +256,22 @@ def read_truth(path: Path, stamps: IntArray | None = None) -> GroundTruth:
         stamps: Times since the epoch for which it is wanted, shape (N,) [ns]; between the
             times of the simulation it is linear. None for the simulation's own.
     """
-    return _read_truth(path, stamps)[0]
+    try:
+        with np.load(path / TRUTH_FILE) as data:
+            times, tiles = data["stamps"], tuple(data["names"].tolist())
+            arrays = [data[field.name] for field in fields(GroundTruth)[1:]]
+        if times.ndim != 1 or len(times) < 2 or any(len(times) != len(array) for array in arrays):
+            raise ValueError("its arrays differ in length")
+    except Exception as error:  # it raises whatever its parsing meets
+        raise TrialError(
+            f"{path / TRUTH_FILE}: is damaged ({error})",
+            "simulate the trial again, or remove the file",
+        ) from None
+    stamps = times if stamps is None else stamps
+    after = np.clip(np.searchsorted(times, stamps), 1, len(times) - 1)
+    span = times[after] - times[after - 1]
+    share = np.clip((stamps - times[after - 1]) / span, 0.0, 1.0)
+    return GroundTruth(tiles, *(_between(array, after, share) for array in arrays))
 
 
 def read_true_forces(path: Path, stamps: IntArray, tiles: Sequence[str]) -> FloatArray | None:
@@ -291,28 +288,8 @@ def read_true_forces(path: Path, stamps: IntArray, tiles: Sequence[str]) -> Floa
     """
     if not (path / TRUTH_FILE).is_file():
         return None
-    truth, simulated = _read_truth(path, stamps)
-    return truth.forces if simulated == list(tiles) else None
-
-
-def _read_truth(path: Path, stamps: IntArray | None) -> tuple[GroundTruth, list[str]]:
-    """The ground truth, and the names of its tiles."""
-    try:
-        with np.load(path / TRUTH_FILE) as data:
-            times, names = data["stamps"], data["names"].tolist()
-            arrays = [data[field.name] for field in fields(GroundTruth)]
-        if times.ndim != 1 or len(times) < 2 or any(len(times) != len(array) for array in arrays):
-            raise ValueError("its arrays differ in length")
-    except Exception as error:  # it raises whatever its parsing meets
-        raise TrialError(
-            f"{path / TRUTH_FILE}: is damaged ({error})",
-            "simulate the trial again, or remove the file",
-        ) from None
-    stamps = times if stamps is None else stamps
-    after = np.clip(np.searchsorted(times, stamps), 1, len(times) - 1)
-    span = times[after] - times[after - 1]
-    share = np.clip((stamps - times[after - 1]) / span, 0.0, 1.0)
-    return GroundTruth(*(_between(array, after, share) for array in arrays)), names
+    truth = read_truth(path, stamps)
+    return truth.forces if truth.tiles == tuple(tiles) else None
 
 
 def _between(values: FloatArray, after: IntArray, share: FloatArray) -> FloatArray:
@@ -329,20 +306,19 @@ def _messages(trial: SimulatedTrial, ratios: FloatArray) -> Iterator[tuple[int, 
     """
     pack_trigger, pack_wrench, pack_pose = trigger_packer(), wrench_packer(), pose_packer()
     pack_raw = load_cell_raw_packer()
-    markers = {"socket": trial.socket_markers, "pylon": trial.pylon_markers}
-    pack_markers = markers_packer({name: seen.shape[1] for name, seen in markers.items()})
+    pack_markers = markers_packer({name: seen.shape[1] for name, seen in trial.markers.items()})
     pack_capacitance = capacitance_packer(list(trial.capacitance))
     capacitance = np.stack(list(trial.capacitance.values()), axis=1)
     status = np.where(np.isfinite(capacitance), Status.OK, Status.MISSING).astype(np.uint8)
-    socket, pylon = (
-        np.hstack([pose.translation, pose.quaternion()])
-        for pose in (trial.socket_pose, trial.pylon_pose)
-    )
+    poses = {
+        topic: np.hstack([trial.poses[name].translation, trial.poses[name].quaternion()])
+        for topic, name in ((SOCKET_POSE, "socket"), (PYLON_POSE, "pylon"))
+    }
     for k, stamp in enumerate(trial.stamps.tolist()):
         yield stamp, TRIGGER, pack_trigger(stamp, k)
         yield stamp, WRENCH, pack_wrench(stamp, trial.wrench[k])
         yield stamp, LOAD_CELL_RAW, pack_raw(stamp, ratios[k], np.zeros(6), 0, Status.OK)
-        yield stamp, SOCKET_POSE, pack_pose(stamp, socket[k])
-        yield stamp, PYLON_POSE, pack_pose(stamp, pylon[k])
-        yield stamp, MARKERS, pack_markers(stamp, [seen[k] for seen in markers.values()])
+        for topic, pose in poses.items():
+            yield stamp, topic, pack_pose(stamp, pose[k])
+        yield stamp, MARKERS, pack_markers(stamp, [seen[k] for seen in trial.markers.values()])
         yield stamp, CAPACITANCE, pack_capacitance(stamp, capacitance[k], status[k])

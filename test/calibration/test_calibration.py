@@ -45,11 +45,10 @@ def test_stresses_are_the_line_over_the_mean_and_the_surfaces_over_the_differenc
     for along_x, along_y in ((0.0, 0.0), (2.0, 0.0), (0.0, -1.5), (1.2, 2.4)):
         stress, status = cluster.apply(make_capacitance(8.3, along_x, along_y), ALL_OK)
         assert status == Status.OK and stress[0] == pytest.approx(line(8.3), rel=1e-12)
-        for axis in range(2):
-            one, x, y, xx, xy, yy = cluster.shear[axis]
+        for found, (one, x, y, xx, xy, yy) in zip(stress[1:], cluster.shear, strict=True):
             table = [[one, y, yy], [x, xy, 0.0], [xx, 0.0, 0.0]]  # [power of dx][power of dy]
             surface = np.polynomial.polynomial.polyval2d(along_x, along_y, table)
-            assert stress[1 + axis] == pytest.approx(surface, rel=1e-12)
+            assert found == pytest.approx(surface, rel=1e-12)
 
 
 def test_stacked_clusters_give_the_results_of_single_readings():
@@ -70,60 +69,40 @@ def test_stacked_clusters_give_the_results_of_single_readings():
     stress, result = stacked.apply(capacitance, status)
     assert set(result.ravel().tolist()) == {0, 1, 2, 3}
     for row, column in np.ndindex(90, 3):
-        cluster = clusters["cab"[column]]
-        # Channel c is wired to input wiring[c].
-        channels, own = capacitance[row, column, cluster.wiring], status[row, column]
+        cluster = clusters["cab"[column]]  # whose channel c is wired to input wiring[c]
         plain = dataclasses.replace(cluster, wiring=np.arange(4))
-        alone, worst = plain.apply(channels, own[cluster.wiring])
+        of_channels = (values[row, column, cluster.wiring] for values in (capacitance, status))
+        alone, worst = plain.apply(*of_channels)
         np.testing.assert_allclose(stress[row, column], alone, rtol=1e-12)
         assert result[row, column] == worst
 
 
 def test_the_worst_status_wins_and_only_a_full_reading_gives_a_stress():
     for statuses, values, expected in (
-        ((0, 0, 0, 0), (8.0, 8.0, 8.0, 8.0), Status.OK),
-        ((0, 0, 0, 0), (20.0, 20.0, 20.0, 20.0), Status.OUT_OF_RANGE),
         ((0, 0, 0, 0), make_capacitance(12.0, 3.0, -3.0), Status.OK),
         ((0, 0, 0, 0), make_capacitance(3.99, 0.0, 0.0), Status.OUT_OF_RANGE),
         ((0, 0, 0, 0), make_capacitance(8.0, 3.01, 0.0), Status.OUT_OF_RANGE),
         ((0, 0, 0, 0), make_capacitance(8.0, 0.0, -3.01), Status.OUT_OF_RANGE),
         ((1, 0, 0, 0), (20.0, 20.0, 20.0, 20.0), Status.SATURATED),
         ((1, 0, 0, 0), (np.nan, 8.0, 8.0, 8.0), Status.SATURATED),
-        ((0, 2, 0, 0), (8.0, np.nan, 8.0, 8.0), Status.MISSING),
         ((0, 0, 0, 2), (8.0, 8.0, 8.0, 8.0), Status.MISSING),
         ((1, 2, 0, 0), (8.0, np.nan, 8.0, 8.0), Status.MISSING),
-        ((0, 0, 0, 0), (8.0, 8.0, np.nan, 8.0), Status.MISSING),
         ((0, 0, 0, 0), (np.inf, -np.inf, 8.0, 8.0), Status.MISSING),
     ):
-        found = make_cluster().apply(np.array(values), np.array(statuses, dtype=np.uint8))
-        stress, status = found
+        stress, status = make_cluster().apply(np.array(values), np.array(statuses, dtype=np.uint8))
         assert status == expected
-        usable = expected in (Status.OK, Status.OUT_OF_RANGE)
-        assert np.isfinite(stress).all() == usable and np.isnan(stress).all() != usable
+        is_usable = expected in (Status.OK, Status.OUT_OF_RANGE)
+        assert (np.isfinite(stress) == is_usable).all() and (np.isnan(stress) != is_usable).all()
 
 
-@pytest.fixture
-def calibration():
-    clusters = {"distal": make_cluster(), "brim": make_cluster(wiring=np.array([2, 0, 3, 1]))}
-    return Calibration(clusters, "2026-05-04", "bench run 7")
-
-
-def test_a_calibration_survives_its_file(calibration, tmp_path):
+def test_a_calibration_survives_its_file_and_coefficients_that_cannot_be_are_refused(tmp_path):
     path = tmp_path / "calibration.yaml"
+    clusters = {"distal": make_cluster(), "brim": make_cluster(wiring=np.array([2, 0, 3, 1]))}
+    calibration = Calibration(clusters, "2026-05-04", "bench run 7")
     write_calibration(calibration, path)
     path.write_text(path.read_text().replace("'2026-05-04'", "2026-05-04"))  # a date of YAML
     found = read_calibration(path)
-    assert (found.date, found.source) == (calibration.date, calibration.source)
-    assert list(found.clusters) == list(calibration.clusters)
-    for name, cluster in calibration.clusters.items():
-        for field in ("normal", "shear", "mean_range", "difference_range", "wiring"):
-            np.testing.assert_array_equal(
-                getattr(found.clusters[name], field), getattr(cluster, field)
-            )
-
-
-def test_coefficients_that_cannot_be_are_refused(calibration, tmp_path):
-    path = tmp_path / "calibration.yaml"
+    assert found.to_document() == calibration.to_document()
     for key, value, error in (
         ("normal", [0.0, 1.0], "the gain of normal is 1 Pa/pF: give [offset in Pa, gain"),
         ("mean_range", [4.0, 4.0], "mean_range is [4, 4]: give [low, high] in pF"),

@@ -29,7 +29,7 @@ from socket_testbed.drivers.natnet.messages import (
     parse_server_info,
     split_datagram,
 )
-from socket_testbed.simulation.devices.natnet_encoding import (
+from socket_testbed.simulation.devices.natnet_server import (
     MODEL_FILLED,
     OCCLUDED,
     Body,

@@ -76,23 +76,16 @@ def test_limb_pose_composes_the_four_poses_wherever_the_world_is(rng):
         assert np.isfinite(values[2:]).all()
 
 
-def test_cluster_force_is_the_area_times_shear_and_inward_pull(rng):
-    geometry = random_socket(rng)
-    for name in geometry.clusters:
-        # 20 kPa of compression on 9 cm^2 push the socket outwards with 18 N.
-        force = geometry.cluster_force(name, np.array([20_000.0, 1_000.0, -2_000.0]))
-        np.testing.assert_allclose(force, [0.9, -1.8, -18.0], atol=1e-12)
-    stress = rng.normal(0.0, 1e4, (4, 2, 3))
-    stress[1, 0] = np.nan
-    force = geometry.cluster_force(name, stress)
-    np.testing.assert_array_equal(np.isnan(force).all(axis=2), np.isnan(stress).all(axis=2))
-
-
-def test_the_force_of_a_turned_cluster_is_turned_into_its_tile_frame(rng):
+def test_a_cluster_s_force_is_the_area_times_shear_and_inward_pull_turned_to_its_tile(rng):
+    plain = random_socket(rng)
+    # 20 kPa of compression on 9 cm^2 push the socket outwards with 18 N.
+    force = plain.cluster_force("cluster_0", np.array([20_000.0, 1_000.0, -2_000.0]))
+    np.testing.assert_allclose(force, [0.9, -1.8, -18.0], atol=1e-12)
+    stress = rng.normal(0.0, 1e4, (7, 3))
+    stress[1] = np.nan
     for angle in (0.5 * np.pi, -2.5):
-        plain = random_socket(rng)
         geometry = dataclasses.replace(plain, turned={"cluster_1": angle})
-        tile, stress = geometry.clusters["cluster_1"], rng.normal(0.0, 1e4, (7, 3))
+        tile = geometry.clusters["cluster_1"]
         cluster_in_load_cell = geometry.square_frames()[tile]
         x_in_tile = geometry.rotations[tile].T @ cluster_in_load_cell[:, 0]
         assert x_in_tile == pytest.approx([np.cos(angle), np.sin(angle), 0.0], abs=1e-12)
@@ -102,9 +95,8 @@ def test_the_force_of_a_turned_cluster_is_turned_into_its_tile_frame(rng):
             force @ geometry.rotations[tile].T, on_cluster @ cluster_in_load_cell.T, atol=1e-9
         )
         np.testing.assert_allclose(geometry.cluster_stress("cluster_1", force), stress, atol=1e-8)
-        for name in ("cluster_0", "cluster_2"):
-            expected = plain.cluster_force(name, stress)
-            np.testing.assert_array_equal(geometry.cluster_force(name, stress), expected)
+        expected = plain.cluster_force("cluster_2", stress)
+        np.testing.assert_array_equal(geometry.cluster_force("cluster_2", stress), expected)
 
 
 # --- the file
@@ -115,23 +107,21 @@ def test_a_socket_survives_its_file(rng, tmp_path):
     plain = random_socket(rng, rings=3, columns=5, clusters=4)
     scan = ScanFrame(0.001, random_pose(rng))
     more = {"turned": {"cluster_1": 0.5 * np.pi}, "regions": {"heel": (3, 5)}, "scan": scan}
-    turned = dataclasses.replace(plain, **more)
-    for geometry in (plain, turned):
+    for geometry in (plain, dataclasses.replace(plain, **more)):
         write_socket(geometry, path)
         found = read_socket(path)
         for field in ("names", "clusters", "regions"):
             assert getattr(found, field) == getattr(geometry, field)
         assert found.turned == pytest.approx(geometry.turned, abs=1e-9)
-        np.testing.assert_array_equal(found.neighbours, geometry.neighbours)
-        np.testing.assert_array_equal(found.areas, geometry.areas)
-        for field in ("anchors", "rotations", "socket_markers", "pylon_markers"):
+        arrays = ("anchors", "rotations", "areas", "neighbours", "socket_markers", "pylon_markers")
+        for field in arrays:
             np.testing.assert_allclose(getattr(found, field), getattr(geometry, field), atol=1e-8)
         for field in ("socket_body", "limb"):
             expected = homogeneous(getattr(geometry, field))
             np.testing.assert_allclose(homogeneous(getattr(found, field)), expected, atol=1e-8)
+        assert (found.scan is None) == (geometry.scan is None)
         write_socket(found, tmp_path / "again.yaml")
         assert (tmp_path / "again.yaml").read_text() == path.read_text()
-        assert (found.scan is None) == (geometry.scan is None)
     assert "turned: 90.0}" in path.read_text() and "unit: 0.001" in path.read_text()
     picked = rng.normal(0.0, 100.0, (5, 3))
     expected = scan.in_load_cell.apply(0.001 * picked)
@@ -163,7 +153,6 @@ def test_tiles_may_be_numbered_and_pairs_of_neighbours_given_twice(document, tmp
 
 LEFT_HANDED = np.diag([1.0, 1.0, -1.0]).tolist()
 LINE = [[0.0, 0.0, 0.0], [0.05, 0.0, 0.0], [0.1, 0.0, 0.0]]
-IN_MILLIMETRES_OF_NOTHING = [[0.0, 0.0, 0.0], [0.001, 0.0, 0.0], [0.0, 0.001, 0.0]]
 TILE = ("tiles", "tile_0_1")
 BAD = [
     ((*TILE, "frame"), LEFT_HANDED, "tile_0_1: frame is not a right-handed orthonormal"),
@@ -173,7 +162,6 @@ BAD = [
     (("clusters", "cluster_0"), "tile_0_x", "cluster_0: no tile 'tile_0_x': did you mean"),
     (("clusters",), {"a": "tile_0_0", "b": "tile_0_0"}, "on 'tile_0_0': give each its own tile"),
     (("bodies", "socket", "markers"), LINE, "the markers are on one line"),
-    (("bodies", "pylon", "markers"), IN_MILLIMETRES_OF_NOTHING, "1.0 mm apart: move them"),
     (("regions",), {"heel": []}, "regions: heel has no tiles"),
     (("regions",), {"heel": ["tile_0_0", "tile_0_0"]}, "holds a tile twice"),
     (("regions",), {"socket": ["tile_0_0"]}, "name of a standard region"),

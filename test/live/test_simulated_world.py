@@ -12,8 +12,7 @@ from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.simulated_world import LiveTestbed, Simulation, markers_at
 from socket_testbed.simulation.limb import SCENARIOS
-from socket_testbed.simulation.sensor_errors import SensorErrors
-from socket_testbed.simulation.world import World
+from socket_testbed.simulation.world import SensorErrors, World
 
 PERIOD = 10.0  # [s]; of the scenario
 

@@ -1,3 +1,5 @@
+"""The simulated FDC1004 register by register, as a host sees it over a bus."""
+
 import errno
 from collections.abc import Callable
 
@@ -8,8 +10,7 @@ from support.clocks import FakeClock
 from socket_testbed.simulation.devices.fdc1004 import SimulatedFdc1004
 from socket_testbed.simulation.devices.i2c import SimulatedI2cBus
 
-CHIP, MULTIPLEXER = 0x50, 0x70
-FDC_CONF = 0x0C
+CHIP, FDC_CONF = 0x50, 0x0C
 UNIT = 2.0**-19  # [pF]
 
 
@@ -20,6 +21,9 @@ class Host:
         self.clock = FakeClock()
         self.faults: dict[str, float] = {}
         self.chip = SimulatedFdc1004(capacitance, self.clock, self.faults)
+        self.restart()
+
+    def restart(self) -> None:
         self.bus = SimulatedI2cBus([self.chip], faults=self.faults, sleep=self.clock.sleep)
 
     def read(self, register: int) -> int:
@@ -45,13 +49,11 @@ def test_the_registers_reset_to_what_the_datasheet_says() -> None:
     expected = dict.fromkeys(range(8), 0) | dict.fromkeys(range(0x08, 0x0C), 0x1C00)
     expected |= {FDC_CONF: 0} | dict.fromkeys(range(0x0D, 0x11), 0)
     expected |= dict.fromkeys(range(0x11, 0x15), 0x4000) | {0xFE: 0x5449, 0xFF: 0x1004}
-    assert {register: host.read(register) for register in expected} == expected
-
     for register in (0x08, 0x0D, 0x11):
         host.write(register, 0x1234)
         assert host.read(register) == 0x1234
-    host.write(FDC_CONF, 0x8000)
-    assert {register: host.read(register) for register in expected} == expected
+        host.write(FDC_CONF, 0x8000)
+        assert {register: host.read(register) for register in expected} == expected
     for register in (0x00, 0x07, 0x15, 0xFD, 0xFE, 0xFF):  # read-only or unused
         with pytest.raises(OSError, match="acknowledgement") as caught:
             host.write(register, 0)
@@ -65,17 +67,15 @@ def test_conversions_end_in_turn_and_done_falls_after_msb_and_lsb() -> None:
         assert host.read(FDC_CONF) & 0xF == sum(8 >> k for k in range(n))
         host.clock.now += 2.5e-3 + 1e-9
     assert host.read(FDC_CONF) == 0x0DFF
-    host.read(0x00)
-    assert host.read(FDC_CONF) & 0xF == 0xF
-    host.read(0x01)
-    assert host.read(FDC_CONF) & 0xF == 0x7
+    for register, done in ((0x00, 0xF), (0x01, 0x7)):
+        host.read(register)
+        assert host.read(FDC_CONF) & 0xF == done
     host.clock.now += 2.5e-3
-    assert host.read(FDC_CONF) & 0xF == 0xF
     host.read(0x01)
     assert host.read(FDC_CONF) & 0xF == 0xF  # an LSB alone clears nothing
 
 
-def test_the_newest_value_is_that_of_the_end_of_its_conversion() -> None:
+def test_a_code_is_the_difference_at_the_end_of_its_conversion_clipped_to_the_rails() -> None:
     for rate, period in ((1, 0.01), (2, 0.005), (3, 0.0025)):
         host = Host(lambda n, t: t - 100.0 + 2.0 * n)
         host.write(0x08, 4 << 10)
@@ -84,43 +84,30 @@ def test_the_newest_value_is_that_of_the_end_of_its_conversion() -> None:
         host.clock.now += 100.5 * period
         assert host.code(0) * UNIT == pytest.approx(99 * period, abs=UNIT)
         assert host.code(1) * UNIT == pytest.approx(2.0 + 100 * period, abs=UNIT)
-
-
-def test_a_code_is_the_difference_clipped_to_the_rails() -> None:
     for settings, picofarads in (
         (0 << 13 | 4 << 10 | 3 << 5, 20.0 - 9.375),
-        (0 << 13 | 4 << 10 | 31 << 5, 20.0 - 96.875),
-        (0 << 13 | 7 << 10 | 3 << 5, 20.0),  # CAPDAC acts with CHB = 4 alone
+        (0 << 13 | 4 << 10 | 31 << 5, -16.0),  # 20.0 - 96.875
+        (0 << 13 | 7 << 10 | 3 << 5, 16.0 - UNIT),  # 20.0: CAPDAC acts with CHB = 4 alone
     ):
         host = Host(lambda n, t: 20.0 + 2.0 * n)
         host.write(0x08, settings)
         host.write(FDC_CONF, 0x0D80)
-        host.clock.now += 0.01
-        assert host.code(0) == min(max(round(picofarads / UNIT), -0x800000), 0x7FFFFF)
-
-
-def test_a_conversion_under_way_keeps_its_capdac() -> None:
-    host = Host(lambda n, t: 10.0)
-    host.write(0x08, 4 << 10)
-    host.write(FDC_CONF, 0x0D80)
-    host.clock.now += 1e-3
-    host.write(0x08, 4 << 10 | 2 << 5)
-    host.clock.now += 2e-3
-    assert host.code(0) * UNIT == 10.0
-    host.clock.now += 2.5e-3
-    assert host.code(0) * UNIT == 10.0 - 6.25
+        host.clock.now += 1e-3
+        host.write(0x08, 4 << 10 | 2 << 5)  # not of the conversion under way
+        host.clock.now += 2e-3
+        assert host.code(0) * UNIT == picofarads
+        host.clock.now += 2.5e-3
+        assert host.code(0) * UNIT == 20.0 - 6.25
 
 
 def test_a_restart_of_the_host_can_shift_the_inputs_until_a_reset() -> None:
     host = Host()
-    host.repeat()
     host.faults["clusters.shifted"] = 1.0
-    host.clock.now += 0.02
-    assert host.code(0) == 1 << 19
-    host.bus = SimulatedI2cBus([host.chip], faults=host.faults, sleep=host.clock.sleep)
-    host.clock.now += 0.02
-    assert [host.code(n) >> 19 for n in range(4)] == [2, 3, 4, 1]
-    host.write(FDC_CONF, 0x8000)
-    host.repeat()
-    host.clock.now += 0.02
-    assert [host.code(n) >> 19 for n in range(4)] == [1, 2, 3, 4]
+    for disturb, expected in (
+        (host.repeat, [1, 2, 3, 4]),
+        (host.restart, [2, 3, 4, 1]),
+        (lambda: (host.write(FDC_CONF, 0x8000), host.repeat()), [1, 2, 3, 4]),
+    ):
+        disturb()
+        host.clock.now += 0.02
+        assert [host.code(n) >> 19 for n in range(4)] == expected

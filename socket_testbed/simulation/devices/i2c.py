@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import errno
 import math
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial, reduce
 from operator import and_
 from types import MappingProxyType
+from typing import TypeAlias
 
 from smbus2 import i2c_msg
 
@@ -83,8 +85,10 @@ class SimulatedChip:
         if self._has("shifted"):
             self._shift = 1
 
-    def strike(self) -> None:
-        """Apply the faults that are on, at a transfer."""
+    def parts_at(self, address: int) -> list[Part]:
+        """The chip itself if the address is its own; the faults that are on strike it then."""
+        if address != self.address:
+            return []
         was_stuck, self._stuck = self._stuck, self._has("stuck_done")
         if self._stuck and not was_stuck:
             self.stop()
@@ -94,6 +98,7 @@ class SimulatedChip:
             self.power_up()
         if self._has("nack"):
             raise no_answer()
+        return [self]
 
     def _has(self, fault: str) -> bool:
         return self._faults.get(f"clusters.{fault}", 0.0) == self._number
@@ -107,10 +112,22 @@ class SimulatedTca9548a:
         self.mask = 0  # bit n connects channel n [1]
         self.chips: dict[int, SimulatedChip] = {}  # by their channels
 
-    @property
-    def connected(self) -> list[SimulatedChip]:
-        """The chips that are on the bus's wires now."""
-        return [chip for channel, chip in self.chips.items() if self.mask >> channel & 1]
+    def power_up(self) -> None:
+        """Disconnect all channels, whose chips lost their power as well."""
+        self.mask = 0
+        for chip in self.chips.values():
+            chip.power_up()
+
+    def host_restarted(self) -> None:
+        """The host opened its bus again, as the chips see it, too."""
+        for chip in self.chips.values():
+            chip.host_restarted()
+
+    def parts_at(self, address: int) -> list[Part]:
+        """The chips behind connected channels that an address reaches, and the multiplexer."""
+        connected = [chip for channel, chip in self.chips.items() if self.mask >> channel & 1]
+        reached = [part for chip in connected for part in chip.parts_at(address)]
+        return [*reached, self] if address == self.address else reached
 
     def write(self, data: bytes) -> None:
         """Take the mask, the last byte of a write."""
@@ -119,6 +136,9 @@ class SimulatedTca9548a:
     def read(self, length: int) -> bytes:
         """Answer with the mask."""
         return bytes([self.mask]) * length
+
+
+Part: TypeAlias = SimulatedTca9548a | SimulatedChip
 
 
 class SimulatedI2cBus:
@@ -134,7 +154,7 @@ class SimulatedI2cBus:
 
     def __init__(
         self,
-        parts: Sequence[SimulatedTca9548a | SimulatedChip],
+        parts: Sequence[Part],
         faults: Mapping[str, float] = MappingProxyType({}),
         frequency: float | None = None,
         clock: Callable[[], float] = clocks.monotonic,
@@ -147,14 +167,15 @@ class SimulatedI2cBus:
         self._sleep = sleep
         self._owed = 0.0  # time of the transfers that was not slept yet [s]
         self._is_gone = False
-        for chip in _chips_of(parts):
-            chip.host_restarted()
+        for part in parts:
+            part.host_restarted()
 
     def i2c_rdwr(self, *messages: i2c_msg) -> None:
         """Transfer messages with repeated starts between them."""
         if self._faults.get("clusters.unplugged", 0.0):
             self._is_gone = True
-            _power_down(self._parts)
+            for part in self._parts:
+                part.power_up()
         if self._is_gone:
             raise OSError(errno.ENODEV, "the bus is gone (simulated)")
         hangs_for = self._faults.get("clusters.timeout", 0.0)
@@ -163,7 +184,9 @@ class SimulatedI2cBus:
             raise OSError(errno.ETIMEDOUT, "the bus hangs (simulated)")
         self._take_time(sum(1 + message.len for message in messages))
         for message in messages:
-            parts = self._addressed(message.addr)
+            parts = [part for each in self._parts for part in each.parts_at(message.addr)]
+            if not parts:
+                raise no_answer()
             if message.flags & _READ:
                 # On open-drain wires whoever sends a zero wins.
                 answers = [part.read(message.len) for part in parts]
@@ -176,18 +199,6 @@ class SimulatedI2cBus:
     def close(self) -> None:
         """Close the bus: nothing goes over it any more."""
         self._is_gone = True
-
-    def _addressed(self, address: int) -> Sequence[SimulatedTca9548a | SimulatedChip]:
-        multiplexers = [part for part in self._parts if isinstance(part, SimulatedTca9548a)]
-        chips = [part for part in self._parts if isinstance(part, SimulatedChip)]
-        chips += [chip for multiplexer in multiplexers for chip in multiplexer.connected]
-        struck = [chip for chip in chips if chip.address == address]
-        for chip in struck:
-            chip.strike()
-        found = [part for part in multiplexers if part.address == address]
-        if not (struck or found):
-            raise no_answer()
-        return [*struck, *found]
 
     def _take_time(self, transferred: int) -> None:
         if self._frequency is None:
@@ -224,44 +235,27 @@ class SimulatedClusterHardware:
         speeds: Sequence[float] = (),
     ) -> None:
         self.multiplexers: dict[tuple[int, int], SimulatedTca9548a] = {}  # by bus and address
-        self.chips: list[SimulatedChip] = []
-        self._buses: dict[int, list[SimulatedTca9548a | SimulatedChip]] = {}
+        self._buses: dict[int, list[Part]] = defaultdict(list)
         places = zip(settings.buses, settings.each_multiplexer, settings.channels, strict=True)
         for n, (bus, address, channel) in enumerate(places):
             speed = speeds[n] if speeds else 1.0
             made = chip(partial(capacitance, n), clock, faults, 1 + n, speed)
-            self.chips.append(made)
-            wires = self._buses.setdefault(bus, [])
             if not address:
-                wires.append(made)
+                self._buses[bus].append(made)
                 continue
             if (bus, address) not in self.multiplexers:
-                wires.append(
-                    self.multiplexers.setdefault((bus, address), SimulatedTca9548a(address))
-                )
+                self.multiplexers[bus, address] = SimulatedTca9548a(address)
+                self._buses[bus].append(self.multiplexers[bus, address])
             self.multiplexers[bus, address].chips[channel] = made
         self._faults = faults
         self._timing = frequency, clock, sleep
 
     def open_bus(self, number: int) -> I2cBus:
         """Open a bus by its number [1]; chips that were unplugged come back reset."""
-        unplugged = bool(self._faults.get("clusters.unplugged", 0.0))
-        if unplugged:
-            _power_down(self._buses.get(number, ()))
-        if unplugged or number not in self._buses:
+        parts = self._buses.get(number, [])
+        if unplugged := self._faults.get("clusters.unplugged", 0.0):
+            for part in parts:
+                part.power_up()
+        if unplugged or not parts:
             raise opening_failed(number, FileNotFoundError(errno.ENOENT, "simulated"))
-        return SimulatedI2cBus(self._buses[number], self._faults, *self._timing)
-
-
-def _chips_of(parts: Sequence[SimulatedTca9548a | SimulatedChip]) -> list[SimulatedChip]:
-    """All chips of a bus, connected or not."""
-    behind = [[part] if isinstance(part, SimulatedChip) else part.chips.values() for part in parts]
-    return [chip for some in behind for chip in some]
-
-
-def _power_down(parts: Sequence[SimulatedTca9548a | SimulatedChip]) -> None:
-    for part in parts:
-        if isinstance(part, SimulatedTca9548a):
-            part.mask = 0
-    for chip in _chips_of(parts):
-        chip.power_up()
+        return SimulatedI2cBus(parts, self._faults, *self._timing)

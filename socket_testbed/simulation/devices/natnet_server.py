@@ -1,30 +1,34 @@
-"""A NatNet server on real sockets: its cameras, the faults of its network, its commands."""
+"""A NatNet server, 3.0 to 4.4, on real sockets: messages, cameras, faulty network, commands."""
 
 from __future__ import annotations
 
 import select
 import socket
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from struct import pack
+from struct import pack, pack_into
 from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
 from socket_testbed.drivers.natnet import messages
-from socket_testbed.simulation.devices import natnet_encoding as encoding
-from socket_testbed.simulation.devices.natnet_encoding import Message
+from socket_testbed.drivers.natnet.messages import RigidBodyDefinition, ServerInfo, Version
+
+OCCLUDED, SOLVED, MODEL_FILLED, HAS_MODEL = 1, 2, 4, 8  # flags of a marker
 
 # Name, markers in the world (m, 3) [m], position (3,) [m], quaternion (4,) of each body.
 Bodies: TypeAlias = Callable[[float], Sequence[tuple[str, FloatArray, FloatArray, FloatArray]]]
 Address: TypeAlias = tuple[str, int]
+Parts: TypeAlias = list[bytes | int]  # of a message in their order; an int is a count
 
-CLOCK = 10_000_000  # [Hz]
+_WRONG_COUNTS = (-1, 0, 1, 2, 7, 1000, 0x7FFFFFFF, -0x80000000)
+_CLOCK = 10_000_000  # [Hz]
 _LATENCY = 0.004  # [s]; from mid-exposure to transmission
 _BEHIND = 0.25  # [s]; frames that are later than this are left out
 _SILENCE = 10.0  # [s]; after which a client is forgotten
@@ -33,6 +37,155 @@ _VERSIONS = {  # a stream can be asked for
     f"{major}.{minor}": (major, minor)
     for major, minor in ((3, 0), (3, 1), (4, 0), (4, 1), (4, 2), (4, 3), (4, 4))
 }
+
+
+@dataclass(frozen=True)
+class Body:
+    """A rigid body in a frame: id, position [m], quaternion (x, y, z, w)."""
+
+    id: int
+    position: FloatArray
+    quaternion: FloatArray
+    tracked: bool = True
+
+
+@dataclass(frozen=True)
+class Marker:
+    """A labelled marker in a frame: model, member, position [m], flags."""
+
+    model: int
+    member: int
+    position: FloatArray
+    flags: int = SOLVED | HAS_MODEL
+
+
+@dataclass(frozen=True)
+class Content:
+    """A frame: its sections of skeletons, assets, force plates and devices are empty."""
+
+    number: int
+    # server's clock at mid-exposure, at data received and at transmission [ticks]
+    ticks: tuple[int, int, int] = (0, 0, 0)
+    bodies: Sequence[Body] = ()
+    markers: Sequence[Marker] = ()
+    # positions of the markers of each set, shape (m, 3) [m]
+    marker_sets: Mapping[str, FloatArray] = field(default_factory=dict)
+    others: ArrayLike = ()  # positions of the unlabelled markers, shape (m, 3) [m]
+    recording: bool = False
+    models_changed: bool = False
+
+
+@dataclass(frozen=True)
+class Message:
+    """A message as it is sent, and where in it counts stand."""
+
+    data: bytes
+    counts: Sequence[int]
+
+    @classmethod
+    def of(cls, kind: int, *parts: bytes | int) -> Message:
+        """A message of a kind with its parts, see `Parts`."""
+        payload, counts = _join(parts)
+        return cls(pack("<HH", kind, len(payload)) + payload, [4 + at for at in counts])
+
+    def corrupted(self, rng: np.random.Generator) -> bytes:
+        """Its bytes with one count changed; its header's size if there is no other."""
+        data = bytearray(self.data)
+        if not self.counts:
+            pack_into("<H", data, 2, (len(data) - 4 + int(rng.integers(1, 60000))) % 65536)
+            return bytes(data)
+        at = int(rng.choice(self.counts))
+        true = int.from_bytes(data[at : at + 4], "little", signed=True)
+        wrong = [count for count in (*_WRONG_COUNTS, true - 1, true + 1) if count != true]
+        pack_into("<i", data, at, int(rng.choice(wrong)))
+        return bytes(data)
+
+
+def encode_server_info(info: ServerInfo) -> Message:
+    """SERVERINFO; before NatNet 3.0 it ends after the versions."""
+    data = info.name.encode()[:255].ljust(256, b"\0")
+    data += bytes(info.app_version) + bytes((*info.version, 0, 0))
+    if info.version >= messages.OLDEST:
+        group = socket.inet_aton(info.group or "0.0.0.0")
+        data += pack("<QHB", info.clock, info.data_port, info.multicast) + group
+    return Message.of(messages.SERVERINFO, data)
+
+
+def encode_frame(content: Content, version: Version) -> Message:
+    """FRAME with all its sections."""
+    sized = version >= (4, 1)
+    sets: Parts = []
+    for name, positions in content.marker_sets.items():
+        sets += [_text(name), len(positions), _floats(positions)]
+    others = _floats(content.others)
+    bodies: Parts = [
+        pack("<i8fh", body.id, *body.position, *body.quaternion, 1e-4, body.tracked)
+        for body in content.bodies
+    ]
+    markers: Parts = [
+        pack("<i4fhf", m.model << 16 | m.member, *m.position, 0.014, m.flags, 2e-4)
+        for m in content.markers
+    ]
+    sections: list[tuple[int, Parts]] = [
+        (len(content.marker_sets), sets),
+        (len(others) // 12, [others]),
+        (len(bodies), bodies),
+        *[(0, Parts())] * (2 if sized else 1),  # skeletons; assets
+        (len(markers), markers),
+        *[(0, Parts())] * 2,  # force plates, devices
+    ]
+    parts: Parts = [pack("<i", content.number)]
+    for number, section in sections:
+        parts += [number, *_sized(section, sized)]
+    flags = content.recording | 2 * content.models_changed
+    precision = (0, 0) if sized else ()
+    since_begin = (content.ticks[0] % 10**14) * 1e-7  # [s]
+    suffix = (0, 0, since_begin, *content.ticks, *precision, flags, 0)
+    end = pack("<IIdQQQIIhi" if sized else "<IIdQQQhi", *suffix)
+    return Message.of(messages.FRAME, *parts, end)
+
+
+def encode_model_definitions(
+    definitions: Iterable[RigidBodyDefinition], version: Version
+) -> Message:
+    """MODELDEF of rigid bodies, with the marker set that Motive makes of each."""
+    parts: Parts = []
+    number = 0
+    for definition in definitions:
+        count = len(definition.markers)
+        names = b"".join(_text(f"Marker {k + 1}") for k in range(count))
+        marker_set: Parts = [_text(definition.name), count, names]
+        body: Parts = [_text(definition.name), pack("<ii3f", definition.id, -1, 0.0, 0.0, 0.0)]
+        body += [pack("<4f", 0.0, 0.0, 0.0, 1.0)] if version >= (4, 2) else []
+        body += [count, _floats(definition.markers), bytes(4 * count)]
+        body += [names] if version >= (4, 0) else []
+        for kind, part in enumerate((marker_set, body)):
+            number += 1
+            parts += [pack("<i", kind), *_sized(part, version >= (4, 1))]
+    return Message.of(messages.MODELDEF, number, *parts)
+
+
+def _join(parts: Iterable[bytes | int]) -> tuple[bytes, list[int]]:
+    """The bytes of parts, and where among them counts stand."""
+    data, counts = bytearray(), []
+    for part in parts:
+        if isinstance(part, int):
+            counts.append(len(data))
+        data += pack("<i", part) if isinstance(part, int) else part
+    return bytes(data), counts
+
+
+def _sized(parts: Parts, sized: bool) -> Parts:
+    """Parts behind their size, where the version has it."""
+    return [len(_join(parts)[0]), *parts] if sized else parts
+
+
+def _text(text: str) -> bytes:
+    return text.encode() + b"\0"
+
+
+def _floats(values: ArrayLike) -> bytes:
+    return np.asarray(values, dtype="<f4").tobytes()
 
 
 class Scene:
@@ -55,21 +208,21 @@ class Scene:
         self._seen.clear()
         self._names = ()
 
-    def definitions(self, moment: float) -> list[messages.RigidBodyDefinition]:
+    def definitions(self, moment: float) -> list[RigidBodyDefinition]:
         """The rigid bodies as they are defined at a time of the steady clock [s]."""
         found = []
         for name, markers, position, quaternion in self._bodies(moment):
             in_body = Rotation.from_quat(quaternion).inv().apply(markers - position)
             places = tuple((float(x), float(y), float(z)) for x, y, z in in_body)
-            found.append(messages.RigidBodyDefinition(name, self._identify(name), places))
+            found.append(RigidBodyDefinition(name, self._identify(name), places))
         return found
 
     def content(
         self, moment: float, number: int, ticks: tuple[int, int, int], recording: bool
-    ) -> encoding.Content:
+    ) -> Content:
         """The frame that is exposed at a time of the steady clock [s]."""
-        bodies: list[encoding.Body] = []
-        labelled: list[encoding.Marker] = []
+        bodies: list[Body] = []
+        labelled: list[Marker] = []
         sets: dict[str, FloatArray] = {}
         scene = self._bodies(moment)
         names = tuple(name for name, *_ in scene)
@@ -79,19 +232,18 @@ class Scene:
         self._changed = max(0, self._changed - 1)
         for name, true, position, quaternion in scene:
             identity = self._identify(name)
-            markers, hidden = self._observe(name, np.asarray(true, dtype=float))
-            bodies.append(encoding.Body(identity, position, quaternion, not hidden.any()))
-            sets[name] = markers
-            for k in range(len(markers)):
-                flags = encoding.HAS_MODEL | (encoding.OCCLUDED if hidden[k] else encoding.SOLVED)
-                labelled.append(encoding.Marker(identity, k + 1, markers[k], flags))
-        return encoding.Content(
+            sets[name], hidden = self._observe(name, np.asarray(true, dtype=float))
+            bodies.append(Body(identity, position, quaternion, not hidden.any()))
+            for k, (marker, is_hidden) in enumerate(zip(sets[name], hidden, strict=True)):
+                flags = HAS_MODEL | (OCCLUDED if is_hidden else SOLVED)
+                labelled.append(Marker(identity, k + 1, marker, flags))
+        return Content(
             number=number,
             ticks=ticks,
             bodies=bodies,
             markers=labelled,
             marker_sets=sets,
-            others=np.array([[1.0, 2.0, 0.5]]),  # a reflection on the floor
+            others=[[1.0, 2.0, 0.5]],  # a reflection on the floor
             recording=recording,
             models_changed=self._changed > 0,
         )
@@ -101,9 +253,7 @@ class Scene:
 
     def _observe(self, name: str, true: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Markers by their labels, and which of them are hidden."""
-        markers = (
-            true + self._rng.normal(0.0, self._noise, true.shape) if self._noise else true.copy()
-        )
+        markers = true + (self._rng.normal(0.0, self._noise, true.shape) if self._noise else 0.0)
         hidden = np.zeros(len(markers), dtype=bool)
         occluded = round(self._faults.get("mocap.occlude", 0.0)) - 1
         if 0 <= occluded < len(markers):  # its last position goes out, as from Motive
@@ -142,32 +292,27 @@ class FaultyNetwork:
         if self._faults.get("mocap.unplugged", 0.0):
             self._held.clear()
             return
-        data, copies = bytes(message.data), 1
+        data, copies = message.data, 1
         for fault, strike in _STRIKES.items():
             if self._happens(fault):
                 data, copies = strike(message, data, self._rng)
         if copies and not self._held and self._happens("reorder"):
             self._held.append((data, address))
             return
-        for _ in range(copies):
-            self._put(data, address)
-        held, self._held = self._held, []
-        for late in held:
-            self._put(*late)
+        due, self._held = [*[(data, address)] * copies, *self._held], []
+        for datagram in due:
+            with suppress(OSError):  # a client that is gone, a buffer that is full
+                self._socket.sendto(*datagram)
 
     def _happens(self, fault: str) -> bool:
         probability = self._faults.get(f"mocap.{fault}", 0.0)
         return bool(probability) and self._rng.random() < probability
 
-    def _put(self, data: bytes, address: Address) -> None:
-        with suppress(OSError):  # a client that is gone, a buffer that is full
-            self._socket.sendto(data, address)
-
 
 @dataclass
 class _Client:
     heard: float
-    version: messages.Version
+    version: Version
     subscriptions: set[str] = field(default_factory=set)  # of sections; none: it gets everything
 
 
@@ -189,7 +334,7 @@ class NatNetServer:
         self,
         bodies: Bodies,
         rate: float = 240.0,
-        version: messages.Version = (4, 1),
+        version: Version = (4, 1),
         address: Address = ("127.0.0.1", 0),
         multicast: Address | None = None,
         faults: Mapping[str, float] | None = None,
@@ -204,10 +349,9 @@ class NatNetServer:
         self._version = version
         self._multicast = multicast
         self._faults: Mapping[str, float] = {} if faults is None else faults
-        clock_rng, network_rng, scene_rng = (
+        self._rng, network_rng, scene_rng = (
             np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(3)
         )
-        self._rng = clock_rng
         self._scene = Scene(bodies, self._faults, noise, scene_rng)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -217,14 +361,6 @@ class NatNetServer:
             self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
             self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
         self._network = FaultyNetwork(self._socket, self._faults, network_rng)
-        self._answers: dict[int, Callable[[bytes, Address, float], Message | None]] = {
-            messages.CONNECT: self._connect,
-            messages.REQUEST: self._request,
-            messages.REQUEST_MODELDEF: self._define_models,
-            messages.KEEPALIVE: lambda payload, client, now: None,
-            messages.ECHOREQUEST: self._echo,
-            messages.DISCONNECT: self._disconnect,
-        }
         self._restarts = self._faults.get("mocap.restart", 0.0)
         self._restart(clocks.monotonic())
         self._closing = threading.Event()
@@ -252,7 +388,7 @@ class NatNetServer:
         self._scene.restart()
 
     def _ticks(self, moment: float) -> int:
-        return self._offset + round((moment - self._origin) * CLOCK)
+        return self._offset + round((moment - self._origin) * _CLOCK)
 
     def _run(self) -> None:
         while not self._closing.is_set():
@@ -281,50 +417,44 @@ class NatNetServer:
                 continue
             if self._faults.get("mocap.unplugged", 0.0):
                 continue
-            try:
-                message, payload = messages.split_datagram(datagram)
-            except messages.MalformedDatagram:
-                continue
-            now = clocks.monotonic()
-            if client in self._clients:
-                self._clients[client].heard = now
-            answer = self._answers.get(message, self._unrecognized)
-            if (reply := answer(payload, client, now)) is not None:
-                self._network.send(reply, client)
+            with suppress(messages.MalformedDatagram):
+                kind, payload = messages.split_datagram(datagram)
+                answer = self._answer(kind, payload, client, clocks.monotonic())
+                if answer is not None:
+                    self._network.send(answer, client)
 
-    def _unrecognized(self, payload: bytes, client: Address, now: float) -> Message:
-        return Message.of(messages.UNRECOGNIZED)
-
-    def _connect(self, payload: bytes, client: Address, now: float) -> Message:
-        """Accept any of the three forms that clients send."""
-        if self._multicast is None:
-            self._clients[client] = _Client(now, self._version)
-        group, port = self._multicast or ("", 1511)
-        app, version = (3, 1, 0, 0), self._version
-        return encoding.encode_server_info(
-            messages.ServerInfo("simulated Motive", app, version, CLOCK, port, bool(group), group)
-        )
-
-    def _disconnect(self, payload: bytes, client: Address, now: float) -> None:
-        self._clients.pop(client, None)
-
-    def _echo(self, payload: bytes, client: Address, now: float) -> Message | None:
-        if len(payload) < 8:
-            return None
-        return Message.of(messages.ECHORESPONSE, payload[:8] + pack("<Q", self._ticks(now)))
-
-    def _define_models(self, payload: bytes, client: Address, now: float) -> Message:
-        known = self._clients.get(client)
-        version = known.version if known else self._version
-        return encoding.encode_model_definitions(self._scene.definitions(now), version)
-
-    def _request(self, payload: bytes, client: Address, now: float) -> Message:
-        text = payload.partition(b"\0")[0].decode("utf-8", "replace")
-        self.commands.append(text)
-        reply = self._obey(*text.partition(",")[::2], self._clients.get(client))
-        return Message.of(
-            messages.UNRECOGNIZED if reply is None else messages.RESPONSE, reply or b""
-        )
+    def _answer(self, kind: int, payload: bytes, address: Address, now: float) -> Message | None:
+        """The answer to a message of a client; None for none."""
+        client = self._clients.get(address)
+        if client is not None:
+            client.heard = now
+        answer: Message | None = Message.of(messages.UNRECOGNIZED)
+        match kind:
+            case messages.CONNECT:  # in any of the three forms that clients send
+                if self._multicast is None:
+                    self._clients[address] = _Client(now, self._version)
+                group, port = self._multicast or ("", 1511)
+                who, app, is_group = "simulated Motive", (3, 1, 0, 0), bool(group)
+                info = ServerInfo(who, app, self._version, _CLOCK, port, is_group, group)
+                answer = encode_server_info(info)
+            case messages.REQUEST:
+                text = payload.partition(b"\0")[0].decode("utf-8", "replace")
+                self.commands.append(text)
+                reply = self._obey(*text.partition(",")[::2], client)
+                if reply is not None:
+                    answer = Message.of(messages.RESPONSE, reply)
+            case messages.REQUEST_MODELDEF:
+                version = client.version if client else self._version
+                answer = encode_model_definitions(self._scene.definitions(now), version)
+            case messages.ECHOREQUEST if len(payload) >= 8:
+                ticks = pack("<Q", self._ticks(now))
+                answer = Message.of(messages.ECHORESPONSE, payload[:8], ticks)
+            case messages.DISCONNECT:
+                self._clients.pop(address, None)
+                answer = None
+            case messages.KEEPALIVE | messages.ECHOREQUEST:
+                answer = None
+        return answer
 
     def _obey(self, name: str, argument: str, client: _Client | None) -> bytes | None:
         """The reply to a command; None for an unknown one."""
@@ -339,10 +469,6 @@ class NatNetServer:
                 self.recording = False
             case "SetRecordTakeName":
                 self._take = argument
-            case "FrameRate":
-                return pack("<f", self._rate)
-            case "UnitsToMillimeters":
-                return pack("<f", 1000.0)
             case "Bitstream" if client is not None:
                 wanted = _VERSIONS.get(argument, (9, 9))
                 if wanted > self._version:
@@ -365,12 +491,11 @@ class NatNetServer:
         ticks = (self._ticks(moment), self._ticks(moment + 0.5 * _LATENCY), self._ticks(now))
         content = self._scene.content(moment, self._number, ticks, self.recording)
         for address, client in targets.items():
-            self._network.send(
-                encoding.encode_frame(_subscribed(content, client), client.version), address
-            )
+            frame = encode_frame(_subscribed(content, client), client.version)
+            self._network.send(frame, address)
 
 
-def _subscribed(content: encoding.Content, client: _Client) -> encoding.Content:
+def _subscribed(content: Content, client: _Client) -> Content:
     """The part of a frame that a client has subscribed to."""
     if not client.subscriptions:
         return content
@@ -379,5 +504,5 @@ def _subscribed(content: encoding.Content, client: _Client) -> encoding.Content:
         bodies=content.bodies if "RigidBody" in client.subscriptions else (),
         markers=content.markers if "LabeledMarkers" in client.subscriptions else (),
         marker_sets={},
-        others=np.empty((0, 3)),
+        others=(),
     )
