@@ -205,7 +205,6 @@ def _nearest(cell: IntArray, depth: FloatArray, chosen: BoolArray) -> FloatArray
 _FACE_ON = 0.4  # [-]; cosine from which on a seen face needs no other witness
 _OPPOSITE = -0.75  # [-]; cosine between the normals of the two sides of a wall
 _NEAR = 1.5  # [-]; of the thickness: here the outer wall decides
-_BAND = 3.0  # [-]; of the thickness: farther from the border nothing is rim
 _POCKET = 0.2  # [-]; of the seen area, for a piece in the shadow of the wall itself
 _REAL_OUTSIDE = 0.01  # [-]; of the seen area, for an outer wall that is worth the name
 _PROBES = 2000  # of the thickness
@@ -271,30 +270,19 @@ def _without_rims(
     """The faces that belong to a wall, not to the rim of its brim or to a cut, shape (F,).
 
     A face of a rim has the outer wall beside it; a face of the inner wall has it behind, turned
-    the other way, or far off. What is seen at a slant needs it behind. Only what lies near the
-    way from what is sure to the outside can be rim.
+    the other way, or far off. What is seen at a slant needs it behind.
     """
     back = np.flatnonzero(outside[samples.owners])
     some = samples.points[back[:: max(1, len(back) // _PROBES)]]
     front = cKDTree(samples.points[sure[samples.owners]])
     thickness = float(np.median(front.query(some)[0]))
 
-    near_border = _within(_BAND * thickness, _border(mesh, sure, outside), mesh.triangles_center)
-    band = np.flatnonzero((seen | sure) & near_border)
+    band = np.flatnonzero(seen | sure)
     near = _within(_NEAR * thickness, samples.points[back], mesh.triangles_center[band])
     opposite = _opposite(mesh, samples, band, back, thickness)
     kept = sure.copy()
     kept[band] = np.where(sure[band], ~near | opposite, near & opposite)
     return kept
-
-
-def _border(mesh: trimesh.Trimesh, sure: BoolArray, outside: BoolArray) -> FloatArray:
-    """Centres of the faces where what is sure meets what leads outside, shape (B, 3) [m]."""
-    labels = _pieces(mesh, ~sure)
-    leads_out = ~sure & (np.bincount(labels, outside) > 0)[labels]
-    one, other = mesh.face_adjacency.T
-    meet = (sure[one] & leads_out[other]) | (sure[other] & leads_out[one])
-    return mesh.triangles_center[np.unique(mesh.face_adjacency[meet])]
 
 
 def _within(reach: float, places: FloatArray, points: FloatArray) -> BoolArray:
