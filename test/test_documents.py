@@ -37,7 +37,7 @@ from socket_testbed.identification.model_file import read_model, write_model
 from socket_testbed.settings.testbed import TestbedSettings, read_testbed
 from socket_testbed.socket_design.clusters import read_cluster_places
 from socket_testbed.socket_design.design import place_by_landmarks
-from socket_testbed.socket_design.landmarks import read_landmarks
+from socket_testbed.socket_design.registration import read_landmarks
 from socket_testbed.trials.metadata import read_metadata
 
 

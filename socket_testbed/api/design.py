@@ -464,16 +464,12 @@ def register(
     >>> found
     Registration(take.csv: ... frames; ... mm rms)
     """
-    from socket_testbed.socket_design.landmarks import read_landmarks
-    from socket_testbed.socket_design.registration import read_static_take, register_take
+    from socket_testbed.socket_design.motive import read_motive_csv
+    from socket_testbed.socket_design.registration import read_landmarks, register_take
 
     with threadpool_limits(1):
-        found = register_take(
-            read_static_take(Path(take)),
-            read_landmarks(Path(landmarks)),
-            read_socket(Path(socket)),
-            force,
-        )
+        seen, sides = read_motive_csv(Path(take)), read_landmarks(Path(landmarks))
+        found = register_take(seen, sides, read_socket(Path(socket)), force)
     if output is not None:
         write_socket(found.geometry, Path(output))
     return found

@@ -25,8 +25,11 @@ from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import check_outputs
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.socket_design.design import parse_point
-from socket_testbed.socket_design.landmarks import LANDMARK_FILE_HELP
-from socket_testbed.socket_design.registration import RegisteredBody, Registration
+from socket_testbed.socket_design.registration import (
+    LANDMARK_FILE_HELP,
+    RegisteredBody,
+    Registration,
+)
 from socket_testbed.socket_design.tiling import TilingSettings
 
 _MM = 1e3

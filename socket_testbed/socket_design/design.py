@@ -25,7 +25,7 @@ from socket_testbed.geometry.pose import Pose, about_z
 from socket_testbed.geometry.socket import ScanFrame, SocketGeometry
 from socket_testbed.socket_design.clusters import ClusterPlace
 from socket_testbed.socket_design.interior import find_interior
-from socket_testbed.socket_design.landmarks import register_landmarks
+from socket_testbed.socket_design.registration import register_landmarks
 from socket_testbed.socket_design.scan_file import METRES, Scan, refuse_implausible
 from socket_testbed.socket_design.squares import Squares
 from socket_testbed.socket_design.tiling import Tiling, TilingSettings, tile_interior

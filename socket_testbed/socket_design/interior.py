@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,7 +20,6 @@ from socket_testbed.socket_design.scan_file import (
     number_cells,
     plain_mesh,
     separate,
-    wind_alike,
 )
 
 _EXACT = 1e-6  # [-]; misfit of an axis that is as good as exact
@@ -34,6 +33,12 @@ class Axis:
 
     origin: FloatArray  # a point of it; (3,) [m]
     direction: FloatArray  # unit vector along it; (3,)
+
+    def cylindrical(self, mesh: trimesh.Trimesh) -> tuple[FloatArray, FloatArray]:
+        """Places of the faces along the axis from its origin and off it, each of shape (F,) [m]."""
+        offset = mesh.triangles_center - self.origin
+        along = offset @ self.direction
+        return along, np.linalg.norm(offset - along[:, None] * self.direction, axis=1)
 
 
 @dataclass(frozen=True)
@@ -112,19 +117,12 @@ def _spine_along(axis: Axis, wall: trimesh.Trimesh, open_above: bool = False) ->
     What is much closer to the axis than the wall does not count: a bore in the distal end would
     draw the segment too far down to see the floor around it.
     """
-    along, distance = _off_axis(axis, wall)
+    along, distance = axis.cylindrical(wall)
     radius = _weighted_median(distance, wall.area_faces)
     wide = along[distance >= _NARROW * radius]
     low, high = float(wide.min()), float(wide.max())
     radius = min(radius, _LONGEST_ROUND * (high - low))
     return Spine(axis, low + radius, np.inf if open_above else high - radius, radius)
-
-
-def _off_axis(axis: Axis, mesh: trimesh.Trimesh) -> tuple[FloatArray, FloatArray]:
-    """Places of the faces along an axis from its origin and off it, each of shape (F,) [m]."""
-    offset = mesh.triangles_center - axis.origin
-    along = offset @ axis.direction
-    return along, np.linalg.norm(offset - along[:, None] * axis.direction, axis=1)
 
 
 def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
@@ -137,16 +135,6 @@ _FINENESS = 100  # samples along the side of a square of the surface's area
 _PER_SQUARE = 10  # samples in a square of the spacing, on average
 _NO_DEPTH = 1e-9  # [m]; a point on the spine has a direction, too
 _GRAZING = 0.2  # [-]; cosine below which a face is seen from neither side
-
-
-@dataclass(frozen=True)
-class Visibility:
-    """What is seen of every face."""
-
-    facing: FloatArray  # (F,); cosine between a face's normal and the direction to the spine
-    seen: BoolArray  # faces whose front is the first thing in its direction; (F,)
-    hidden: BoolArray  # faces that show their back, behind the front of another; (F,)
-    front_share: float  # share of the directions with anything in them whose first thing is a front
 
 
 @dataclass(frozen=True)
@@ -174,156 +162,6 @@ def _spread_samples(mesh: trimesh.Trimesh) -> SurfaceSamples:
     )
 
 
-def _view_from(mesh: trimesh.Trimesh, samples: SurfaceSamples, spine: Spine) -> Visibility:
-    """Look around from the spine."""
-    rays = samples.points - spine.feet(samples.points)
-    depth = np.fmax(np.linalg.norm(rays, axis=1), _NO_DEPTH)
-    facing = -diagonal_dot(mesh.face_normals[samples.owners], rays) / depth
-    # Every direction is a point of the capsule around the spine: no poles, no seam.
-    capsule = samples.points + rays * (spine.radius / depth - 1.0)[:, None]
-    # A cell's middle, not its corner, is on the axis.
-    cell = number_cells(capsule - spine.axis.origin + 0.5 * samples.spacing, samples.spacing)
-    front, back = facing > _GRAZING, facing < -_GRAZING
-    first_front = _nearest(cell, depth, front)
-    first_back = _nearest(cell, depth, back)
-    any_seen = np.isfinite(np.fmin(first_front, first_back))
-    return Visibility(
-        facing=facing[: len(mesh.faces)],  # the first samples are the faces' centres
-        seen=samples.majority(front & (depth <= first_back[cell] + samples.spacing)),
-        hidden=samples.majority(back & (first_front[cell] < depth)),
-        front_share=float((first_front < first_back).sum() / max(any_seen.sum(), 1)),
-    )
-
-
-def _nearest(cell: IntArray, depth: FloatArray, chosen: BoolArray) -> FloatArray:
-    """Smallest depth of the chosen points a cell, shape (cells,); infinite where none is."""
-    nearest = np.full(int(cell.max()) + 1, np.inf)
-    np.minimum.at(nearest, cell[chosen], depth[chosen])
-    return nearest
-
-
-_FACE_ON = 0.4  # [-]; cosine from which on a seen face needs no other witness
-_OPPOSITE = -0.75  # [-]; cosine between the normals of the two sides of a wall
-_NEAR = 1.5  # [-]; of the thickness: here the outer wall decides
-_BAND = 3.0  # [-]; of the thickness: farther from the border nothing is rim
-_POCKET = 0.2  # [-]; of the seen area, for a piece in the shadow of the wall itself
-_REAL_OUTSIDE = 0.01  # [-]; of the seen area, for an outer wall that is worth the name
-_PROBES = 2000  # of the thickness
-
-
-def _inner_wall(
-    mesh: trimesh.Trimesh, samples: SurfaceSamples, visibility: Visibility
-) -> BoolArray:
-    """Faces of the inner wall, in one piece without holes of shadow, shape (F,)."""
-    if not visibility.seen.any():
-        return visibility.seen
-    face_on = visibility.seen & (visibility.facing > _FACE_ON)
-    seen_area = float(mesh.area_faces @ visibility.seen)
-    pockets = _pockets(mesh, face_on, _POCKET * seen_area)
-    outside = visibility.hidden & ~pockets
-    if mesh.area_faces @ outside < _REAL_OUTSIDE * seen_area:
-        return _main_piece(mesh, np.ones(len(mesh.faces), bool))
-    kept = _without_rims(mesh, samples, visibility.seen, face_on | pockets, outside)
-    return _fill(mesh, _main_piece(mesh, kept), outside)
-
-
-def _main_piece(mesh: trimesh.Trimesh, chosen: BoolArray) -> BoolArray:
-    """The largest connected piece of the chosen faces, shape (F,)."""
-    labels = _pieces(mesh, chosen)
-    areas = np.bincount(labels, mesh.area_faces * chosen)
-    return chosen & (labels == np.argmax(areas))
-
-
-def _pockets(mesh: trimesh.Trimesh, face_on: BoolArray, largest: float) -> BoolArray:
-    """Faces that those seen face-on surround, in pieces up to an area [m^2], shape (F,)."""
-    labels = _pieces(mesh, ~face_on)
-    small = np.bincount(labels, mesh.area_faces) < largest
-    return ~face_on & (small & ~_reach_edge(mesh, labels))[labels]
-
-
-def _fill(mesh: trimesh.Trimesh, wall: BoolArray, outside: BoolArray) -> BoolArray:
-    """The wall with the pieces that it surrounds and that hold nothing of the outside, (F,)."""
-    labels = _pieces(mesh, ~wall)
-    within = (np.bincount(labels, outside) == 0) & ~_reach_edge(mesh, labels)
-    return wall | within[labels]
-
-
-def _reach_edge(mesh: trimesh.Trimesh, labels: IntArray) -> BoolArray:
-    """Whether each numbered piece has an edge of the surface, shape (pieces,)."""
-    reach = np.zeros(int(labels.max()) + 1, bool)
-    reach[labels[boundary_half_edges(mesh.faces) // 3]] = True
-    return reach
-
-
-def _pieces(mesh: trimesh.Trimesh, chosen: BoolArray) -> IntArray:
-    """Numbers of the pieces; every face that is not chosen is a piece of its own."""
-    pairs = mesh.face_adjacency
-    return connected_component_labels(pairs[chosen[pairs].all(axis=1)], node_count=len(chosen))
-
-
-def _without_rims(
-    mesh: trimesh.Trimesh,
-    samples: SurfaceSamples,
-    seen: BoolArray,
-    sure: BoolArray,
-    outside: BoolArray,
-) -> BoolArray:
-    """The faces that belong to a wall, not to the rim of its brim or to a cut, shape (F,).
-
-    A face of a rim has the outer wall beside it; a face of the inner wall has it behind, turned
-    the other way, or far off. What is seen at a slant needs it behind. Only what lies near the
-    way from what is sure to the outside can be rim.
-    """
-    back = np.flatnonzero(outside[samples.owners])
-    some = samples.points[back[:: max(1, len(back) // _PROBES)]]
-    front = cKDTree(samples.points[sure[samples.owners]])
-    thickness = float(np.median(front.query(some)[0]))
-
-    near_border = _within(_BAND * thickness, _border(mesh, sure, outside), mesh.triangles_center)
-    band = np.flatnonzero((seen | sure) & near_border)
-    near = _within(_NEAR * thickness, samples.points[back], mesh.triangles_center[band])
-    opposite = _opposite(mesh, samples, band, back, thickness)
-    kept = sure.copy()
-    kept[band] = np.where(sure[band], ~near | opposite, near & opposite)
-    return kept
-
-
-def _border(mesh: trimesh.Trimesh, sure: BoolArray, outside: BoolArray) -> FloatArray:
-    """Centres of the faces where what is sure meets what leads outside, shape (B, 3) [m]."""
-    labels = _pieces(mesh, ~sure)
-    leads_out = ~sure & (np.bincount(labels, outside) > 0)[labels]
-    one, other = mesh.face_adjacency.T
-    meet = (sure[one] & leads_out[other]) | (sure[other] & leads_out[one])
-    return mesh.triangles_center[np.unique(mesh.face_adjacency[meet])]
-
-
-def _within(reach: float, places: FloatArray, points: FloatArray) -> BoolArray:
-    """Whether some place is within reach of each point, shape (N,)."""
-    return cKDTree(places).query(points, distance_upper_bound=reach)[0] < np.inf
-
-
-def _opposite(
-    mesh: trimesh.Trimesh,
-    samples: SurfaceSamples,
-    faces: IntArray,
-    back: IntArray,
-    thickness: float,
-) -> BoolArray:
-    """Whether the part of the outer wall that suits a face best faces the other way, (M,)."""
-    normals = mesh.face_normals[samples.owners[back]]
-    turn = 2.0 * thickness  # a normal that is off counts as much as this distance
-    own = mesh.face_normals[faces]
-    _, partner = cKDTree(np.hstack([samples.points[back], turn * normals])).query(
-        np.hstack([mesh.triangles_center[faces], -turn * own])
-    )
-    return diagonal_dot(normals[partner], own) < _OPPOSITE
-
-
-def _area_vectors(mesh: trimesh.Trimesh) -> FloatArray:
-    """Normals of the faces times their areas, shape (F, 3) [m^2]."""
-    return 0.5 * np.asarray(mesh.triangles_cross)
-
-
 _SOLID = 0.5  # [-]; share of directions in which a cavity sees the front of something first
 _LEAST_WALL = 0.05  # [-]; area of the wall of a cavity, of that of the surface
 _FLAT = 0.95  # [-]; area of the caps that close a wall, of its own
@@ -332,29 +170,37 @@ _CLEARLY_OPEN = 0.1  # [-]; net opening, of a section of the cavity
 
 @dataclass(frozen=True)
 class Cavity:
-    """A surface with its normals into the cavity, as its spine sees it."""
+    """A surface with its normals into the cavity, and what its spine sees of every face."""
 
     mesh: trimesh.Trimesh
     samples: SurfaceSamples  # points on all of its faces
     spine: Spine
-    visibility: Visibility  # what it sees
+    facing: FloatArray  # (F,); cosine between a face's normal and the direction to the spine
+    seen: BoolArray  # faces whose front is the first thing in its direction; (F,)
+    hidden: BoolArray  # faces that show their back, behind the front of another; (F,)
+    front_share: float  # share of the directions with anything in them whose first thing is a front
 
     @cached_property
     def wall(self) -> trimesh.Trimesh:
         """The largest piece of what is seen from its front."""
-        return plain_mesh(
-            self.mesh.vertices, self.mesh.faces[_main_piece(self.mesh, self.visibility.seen)]
-        )
+        return plain_mesh(self.mesh.vertices, self.mesh.faces[_main_piece(self.mesh, self.seen)])
 
     @cached_property
+    def caps(self) -> FloatArray:
+        """Area vector of the caps that would close the wall, turned outwards, shape (3,) [m^2].
+
+        The area vectors of a closed surface add up to nothing, so those of the wall, which
+        point inwards, add up to those of its caps.
+        """
+        return np.asarray(0.5 * self.wall.triangles_cross.sum(axis=0))
+
+    @property
     def net_opening(self) -> float:
         """Area of the openings in the direction of the spine [m^2].
 
-        The area vectors of a closed surface add up to nothing, so those of the wall, which
-        point inwards, add up to those of the caps that would close it, turned outwards. An
-        opening at the spine's beginning counts against one at its end; one at its side not.
+        An opening at the spine's beginning counts against one at its end; one at its side not.
         """
-        return float(_area_vectors(self.wall).sum(axis=0) @ self.spine.axis.direction)
+        return float(self.caps @ self.spine.axis.direction)
 
     @property
     def has_clear_end(self) -> bool:
@@ -365,24 +211,53 @@ class Cavity:
     def has_wall(self) -> bool:
         """Whether what is seen from its front is large and not flat."""
         area = float(self.wall.area)
-        caps = float(np.linalg.norm(_area_vectors(self.wall).sum(axis=0)))
-        return area > _LEAST_WALL * float(self.mesh.area) and caps < _FLAT * area
+        flat = float(np.linalg.norm(self.caps)) >= _FLAT * area
+        return area > _LEAST_WALL * float(self.mesh.area) and not flat
 
     def along(self, axis: Axis, open_above: bool = False) -> Cavity:
         """The same cavity seen from another axis; see `_spine_along`."""
-        spine = _spine_along(axis, self.wall, open_above)
-        return Cavity(self.mesh, self.samples, spine, _view_from(self.mesh, self.samples, spine))
+        return _look(self.mesh, self.samples, _spine_along(axis, self.wall, open_above))
+
+
+def _look(mesh: trimesh.Trimesh, samples: SurfaceSamples, spine: Spine) -> Cavity:
+    """Look around from a spine."""
+    rays = samples.points - spine.feet(samples.points)
+    depth = np.fmax(np.linalg.norm(rays, axis=1), _NO_DEPTH)
+    facing = -diagonal_dot(mesh.face_normals[samples.owners], rays) / depth
+    # Every direction is a point of the capsule around the spine: no poles, no seam.
+    capsule = samples.points + rays * (spine.radius / depth - 1.0)[:, None]
+    # A cell's middle, not its corner, is on the axis.
+    cell = number_cells(capsule - spine.axis.origin + 0.5 * samples.spacing, samples.spacing)
+    front, back = facing > _GRAZING, facing < -_GRAZING
+    first_front, first_back = (np.full(int(cell.max()) + 1, np.inf) for _ in range(2))
+    np.minimum.at(first_front, cell[front], depth[front])
+    np.minimum.at(first_back, cell[back], depth[back])
+    any_seen = np.isfinite(np.fmin(first_front, first_back))
+    return Cavity(
+        mesh,
+        samples,
+        spine,
+        facing=facing[: len(mesh.faces)],  # the first samples are the faces' centres
+        seen=samples.majority(front & (depth <= first_back[cell] + samples.spacing)),
+        hidden=samples.majority(back & (first_front[cell] < depth)),
+        front_share=float((first_front < first_back).sum() / max(any_seen.sum(), 1)),
+    )
 
 
 def _find_cavity(name: str, mesh: trimesh.Trimesh) -> Cavity:
     """Find the cavity of a surface."""
+    if mesh.is_watertight and mesh.volume < 0.0:
+        mesh = _flipped(mesh)
     samples = _spread_samples(mesh)
     likeliest = None
     for axis in _fit_axis(mesh).likely():
-        cavity = _see(mesh, samples, axis)
+        cavity = _look(mesh, samples, _spine_along(axis, mesh))
+        if cavity.front_share < _SOLID and not mesh.is_watertight:
+            # An open surface may be wound either way.
+            cavity = _look(_flipped(mesh), samples, cavity.spine)
         if cavity.has_wall:  # seen from the axis of its wall alone
             cavity = cavity.along(_fit_axis(cavity.wall).near(cavity.spine.axis.direction))
-        if cavity.has_wall and cavity.visibility.front_share > _SOLID:
+        if cavity.has_wall and cavity.front_share > _SOLID:
             likeliest = likeliest or cavity
             # A shallow oval cup is nearly round about its long side, too; but both ends of that
             # axis are closed.
@@ -396,13 +271,72 @@ def _find_cavity(name: str, mesh: trimesh.Trimesh) -> Cavity:
     return likeliest
 
 
-def _see(mesh: trimesh.Trimesh, samples: SurfaceSamples, axis: Axis) -> Cavity:
-    spine = _spine_along(axis, mesh)
-    visibility = _view_from(mesh, samples, spine)
-    if visibility.front_share < _SOLID and not mesh.is_watertight:
-        mesh = _flipped(mesh)  # an open surface may be wound either way
-        visibility = _view_from(mesh, samples, spine)
-    return Cavity(mesh, samples, spine, visibility)
+def _flipped(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The same surface with its normals reversed."""
+    return plain_mesh(mesh.vertices, mesh.faces[:, ::-1])
+
+
+_FACE_ON = 0.4  # [-]; cosine from which on a seen face needs no other witness
+_OPPOSITE = -0.75  # [-]; cosine between the normals of the two sides of a wall
+_NEAR = 1.5  # [-]; of the thickness: here the outer wall decides
+_POCKET = 0.2  # [-]; of the seen area, for a piece in the shadow of the wall itself
+_PROBES = 2000  # of the thickness
+
+
+def _inner_wall(cavity: Cavity) -> BoolArray:
+    """Faces of the inner wall, in one piece without holes of shadow, shape (F,)."""
+    mesh, seen = cavity.mesh, cavity.seen
+    face_on = seen & (cavity.facing > _FACE_ON)
+    # What those seen face-on surround, in small pieces, is a pocket in the shadow of the wall.
+    labels = _pieces(mesh, ~face_on)
+    small = np.bincount(labels, mesh.area_faces) < _POCKET * float(mesh.area_faces @ seen)
+    small[labels[boundary_half_edges(mesh.faces) // 3]] = False
+    pockets = ~face_on & small[labels]
+    outside = cavity.hidden & ~pockets
+    if not outside.any():
+        return _main_piece(mesh, np.ones(len(mesh.faces), bool))
+    wall = _main_piece(mesh, _without_rims(cavity, face_on | pockets, outside))
+    # So is what the wall surrounds and that holds nothing of the outside.
+    labels = _pieces(mesh, ~wall)
+    return wall | (np.bincount(labels, outside) == 0)[labels]
+
+
+def _main_piece(mesh: trimesh.Trimesh, chosen: BoolArray) -> BoolArray:
+    """The largest connected piece of the chosen faces, shape (F,)."""
+    labels = _pieces(mesh, chosen)
+    areas = np.bincount(labels, mesh.area_faces * chosen)
+    return chosen & (labels == np.argmax(areas))
+
+
+def _pieces(mesh: trimesh.Trimesh, chosen: BoolArray) -> IntArray:
+    """Numbers of the pieces; every face that is not chosen is a piece of its own."""
+    pairs = mesh.face_adjacency
+    return connected_component_labels(pairs[chosen[pairs].all(axis=1)], node_count=len(chosen))
+
+
+def _without_rims(cavity: Cavity, sure: BoolArray, outside: BoolArray) -> BoolArray:
+    """The faces that belong to a wall, not to the rim of its brim or to a cut, shape (F,).
+
+    A face of a rim has the outer wall beside it; a face of the inner wall has it behind, turned
+    the other way, or far off. What is seen at a slant needs it behind.
+    """
+    mesh, samples = cavity.mesh, cavity.samples
+    back = np.flatnonzero(outside[samples.owners])
+    places, normals = samples.points[back], mesh.face_normals[samples.owners[back]]
+    front = cKDTree(samples.points[sure[samples.owners]])
+    thickness = float(np.median(front.query(places[:: max(1, len(back) // _PROBES)])[0]))
+
+    faces = np.flatnonzero(cavity.seen | sure)
+    centres, own = mesh.triangles_center[faces], mesh.face_normals[faces]
+    near = cKDTree(places).query(centres, distance_upper_bound=_NEAR * thickness)[0] < np.inf
+    # The part of the outer wall that suits a face best: a normal that is off counts as distance.
+    turn = 2.0 * thickness
+    suits = cKDTree(np.hstack([places, turn * normals]))
+    partner = suits.query(np.hstack([centres, -turn * own]))[1]
+    opposite = diagonal_dot(normals[partner], own) < _OPPOSITE
+    kept = np.zeros(len(mesh.faces), bool)
+    kept[faces] = np.where(near, opposite, sure[faces])
+    return kept
 
 
 _NARROWEST = 2.0  # [-]; around a brim, of the radius of the cavity
@@ -414,14 +348,11 @@ _SKEW = 30.0  # [deg]; between a given direction and the axis, worth a note
 class Interior:
     """The interior of a socket, in the scan's axes."""
 
-    # The inner wall with the inside of the distal end; its normals point into the cavity, and
-    # every boundary vertex is on one opening
+    # The inner wall with the inside of the distal end; its normals point into the cavity
     mesh: trimesh.Trimesh
     proximal: FloatArray  # unit vector from the distal end to the opening; (3,)
     length: float  # extent along it [m]
     girth: float  # around the axis, at the median distance of the wall from it [m]
-    # Vertices of the boundary loops, in order around; the brim (the longest) first
-    openings: tuple[IntArray, ...]
     notes: tuple[str, ...]  # one plain line for every finding
 
 
@@ -433,25 +364,25 @@ def find_interior(mesh: trimesh.Trimesh, proximal: FloatArray | None = None) -> 
     separates the wall from rims and cuts.
 
     Args:
-        mesh: One body in metres, as `read_scan` gives it.
+        mesh: One body in metres, as `read_scan` gives it: its faces are wound alike.
         proximal: Direction from the distal end to the brim, in the scan's axes, shape (3,); if
             it is not given, the more open end of the cavity is the proximal one.
     """
-    name, metadata = str(mesh.metadata.get("file_name", "the scan")), dict(mesh.metadata)
-    given = None if proximal is None else _unit(proximal)
-    cavity = _find_cavity(name, _outward(name, mesh))
-    decided = cavity.has_clear_end
-    axis = _aim(cavity, given)
+    name = str(mesh.metadata.get("file_name", "the scan"))
+    given = None if proximal is None else proximal / np.linalg.norm(proximal)
+    cavity = _find_cavity(name, mesh)
+    decided, axis = cavity.has_clear_end, cavity.spine.axis
+    towards = cavity.net_opening if decided or given is None else given @ axis.direction
+    if not towards > 0.0:
+        axis = replace(axis, direction=-axis.direction)
     cavity = cavity.along(axis, open_above=True)
-    mesh = cavity.mesh
-    kept = _inner_wall(mesh, cavity.samples, cavity.visibility)
+    kept = _inner_wall(cavity)
 
-    interior = plain_mesh(*separate(np.asarray(mesh.vertices), np.asarray(mesh.faces)[kept]))
-    interior.metadata.update(metadata)
-    loops = boundary_loops(np.asarray(interior.faces))
-    around = [loop_length(np.asarray(interior.vertices), loop) for loop in loops]
-    order = np.argsort(around)[::-1]  # the brim is the longest
-    if not loops or around[order[0]] < _NARROWEST * cavity.spine.radius:
+    vertices, faces = separate(
+        np.asarray(cavity.mesh.vertices), np.asarray(cavity.mesh.faces)[kept]
+    )
+    around = sorted((loop_length(vertices, loop) for loop in boundary_loops(faces)), reverse=True)
+    if not around or around[0] < _NARROWEST * cavity.spine.radius:
         raise ScanError(
             f"{name}: the cavity is closed, no hole in it is as wide as a brim",
             "cut the scan open at the brim",
@@ -461,64 +392,31 @@ def find_interior(mesh: trimesh.Trimesh, proximal: FloatArray | None = None) -> 
             f"{name}: the two ends of the cavity are equally open, either may be proximal",
             "give --proximal, the direction to the brim",
         )
-    shown = ", ".join(f"{1e3 * around[i]:.0f}" for i in order)
+    interior = plain_mesh(vertices, faces)
+    shown = ", ".join(f"{1e3 * length:.0f}" for length in around)
     notes = [
-        *_notes_on_area(mesh, kept, cavity.visibility.seen),
-        f"openings: {len(loops)}, the brim first, {shown} mm around",
+        *_notes_on_area(cavity, kept),
+        f"openings: {len(around)}, the brim first, {shown} mm around",
     ]
     if given is not None:
         notes += _notes_on_direction(given, axis, decided)
     elif not _fit_axis(interior).is_sharp:
         notes.append("no axis of the cavity stands out: check the proximal direction or give it")
     upwards = axis.direction if given is None else given
-    _, distance = _off_axis(axis, interior)
+    _, distance = axis.cylindrical(interior)
     return Interior(
         mesh=interior,
         proximal=upwards,
-        length=float(np.ptp(np.asarray(interior.vertices) @ upwards)),
+        length=float(np.ptp(vertices @ upwards)),
         girth=2.0 * np.pi * _weighted_median(distance, interior.area_faces),
-        openings=tuple(loops[i] for i in order),
         notes=tuple(notes),
     )
 
 
-def _unit(proximal: FloatArray) -> FloatArray:
-    direction = np.asarray(proximal, dtype=float)
-    length = float(np.linalg.norm(direction))
-    if direction.shape != (3,) or not 0.0 < length < np.inf:
-        raise ScanError(
-            f"the proximal direction {np.array2string(direction)} has no length",
-            "give three numbers, not all zero",
-        )
-    return direction / length
-
-
-def _outward(name: str, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The mesh wound alike; if it is watertight, with the normals out of its material."""
-    faces, _ = wind_alike(np.asarray(mesh.faces, dtype=np.int64))
-    mesh = plain_mesh(np.asarray(mesh.vertices, dtype=float), faces)
-    if not mesh.area_faces.any():
-        raise ScanError(f"{name}: has no cavity, it has no area", "export the scan again")
-    return _flipped(mesh) if mesh.is_watertight and mesh.volume < 0.0 else mesh
-
-
-def _flipped(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The same surface with its normals reversed."""
-    return plain_mesh(mesh.vertices, mesh.faces[:, ::-1])
-
-
-def _aim(cavity: Cavity, given: FloatArray | None) -> Axis:
-    """The cavity's axis, from its distal end to its proximal one."""
-    axis, towards = cavity.spine.axis, cavity.net_opening
-    if given is not None and not cavity.has_clear_end:
-        towards = float(given @ axis.direction)
-    return axis if towards > 0.0 else Axis(axis.origin, -axis.direction)
-
-
-def _notes_on_area(mesh: trimesh.Trimesh, kept: BoolArray, seen: BoolArray) -> list[str]:
+def _notes_on_area(cavity: Cavity, kept: BoolArray) -> list[str]:
     """What was kept, and what was left out although the cavity sees it."""
-    area, total = mesh.area_faces[kept].sum(), mesh.area
-    lost = mesh.area_faces[seen & ~kept].sum()
+    areas = cavity.mesh.area_faces
+    area, total, lost = areas[kept].sum(), areas.sum(), areas[cavity.seen & ~kept].sum()
     if kept.all():
         return [f"the scan is one surface: all of it is the interior, {1e4 * area:.0f} cm2"]
     notes = [

@@ -14,7 +14,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -58,37 +58,33 @@ class MotiveTake:
             raise self._missing("rigid body", name, self.bodies)
         return self.bodies[name]
 
-    def stack(self, names: Iterable[str]) -> FloatArray:
+    def stack(self, names: Collection[str]) -> FloatArray:
         """Measured markers in `world`, shape (N, k, 3) [m]; NaN where occluded."""
-        return np.stack([self._marker(name) for name in names], axis=1)
+        for name in names:
+            if name not in self.markers:
+                raise self._missing("marker", name, self.markers)
+        return np.stack([self.markers[name] for name in names], axis=1)
 
     def markers_of(self, body: str) -> tuple[str, ...]:
         """Names of the measured markers of a rigid body."""
         self.body(body)
         return tuple(name for name in self.markers if name.startswith(f"{body}:"))
 
-    def _marker(self, name: str) -> FloatArray:
-        if name in self.markers:
-            return self.markers[name]
-        if name in self.solved:
-            raise RegistrationError(
-                f"{self.path}: '{name}' is where a rigid body expects a marker, not a measured one",
-                "export the take with its markers ('Markers' in Motive's export)",
-            )
-        raise self._missing("marker", name, self.markers)
-
     def _missing(self, what: str, name: str, known: Collection[str]) -> RegistrationError:
-        if name in self.doubled:
-            return RegistrationError(
-                f"{self.path}: the name '{name}' occurs twice", "rename one in Motive"
-            )
         labelled = [word for word in known if not word.startswith(_UNNAMED)]
-        return RegistrationError(f"{self.path}: has no {what} '{name}'", closest(name, labelled))
+        fact, hint = f"has no {what} '{name}'", closest(name, labelled)
+        if what == "marker" and name in self.solved:
+            fact = f"'{name}' is where a rigid body expects a marker, not a measured one"
+            hint = "export the take with its markers ('Markers' in Motive's export)"
+        elif name in self.doubled:
+            fact, hint = f"the name '{name}' occurs twice", "rename one in Motive"
+        return RegistrationError(f"{self.path}: {fact}", hint)
 
 
 _OLDEST, _NEWEST = 1.2, 1.25  # versions of the format
 _METRES = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3}
 _AGAIN = "export the take from Motive again"
+_WITH_HEADER = "export the take to CSV from Motive, with the header information"
 _LARGEST_FILE = 2**28  # [bytes]
 _LARGEST = 1e9  # nothing that Motive writes is larger, frame numbers included
 _UNIT_LENGTH = 1e-3  # [-]; the quaternions have six decimals
@@ -99,35 +95,51 @@ _ROTATION: list[_Part] = [("Rotation", axis) for axis in "XYZW"]
 _POSITION: list[_Part] = [("Position", axis) for axis in "XYZ"]
 _NEEDED = {_BODY: _ROTATION + _POSITION, _MARKER: _POSITION, _SOLVED: _POSITION}
 _FIRST = 2  # column behind the frame and the time
+_TITLE_ROWS = 4
 _Columns = dict[tuple[str, str], dict[_Part, int]]  # by type and name
 
 
 def read_motive_csv(path: Path) -> MotiveTake:
     """Read a take; a last line that was cut short is left out, with a note."""
+    if path.is_dir():
+        raise RegistrationError(
+            f"{path}: is a folder; a trial holds the two triads but no landmarks",
+            "record a static take with landmark markers in Motive and export it to CSV",
+        )
     text = read_text(path, "a take", _LARGEST_FILE)
-    header, titles, first = _read_titles(text, path)
-    values, notes = _read_header(header, path)
-    columns, doubled = _find_columns(titles, path)
-    rows, more = _read_rows(text, first, len(titles[0]), path)
+    try:
+        return _parse(text, path)
+    except RegistrationError as error:
+        raise RegistrationError(f"{path}: {error.fact}", error.hint) from None
+
+
+def _parse(text: str, path: Path) -> MotiveTake:
+    """The take in a text; its errors do not name the file."""
+    header, titles, first = _read_titles(text)
+    values, notes = _read_header(header)
+    columns, doubled = _find_columns(titles)
+    rows = _read_rows(text, first, len(titles[0]), notes)
     exported = values.get("Total Exported Frames", "")
     if exported.isdecimal() and int(exported) != len(rows):
-        more.append(f"{path}: holds {len(rows)} frames, {exported} were exported")
-    table = _read_numbers(rows, columns, path)
+        notes.append(f"holds {len(rows)} frames, {exported} were exported")
+    table = _read_numbers(rows, columns)
     scale = _METRES[values["Length Units"].lower()]
 
-    def take_columns(parts: dict[_Part, int], which: list[_Part]) -> FloatArray:
-        return table[:, [parts[part] for part in which]]
+    def take(kind: str, parts: list[_Part]) -> dict[str, FloatArray]:
+        return {
+            name: table[:, [places[part] for part in parts]]
+            for (other, name), places in columns.items()
+            if other == kind
+        }
 
     def positions(kind: str) -> dict[str, FloatArray]:
-        own = {name: parts for (other, name), parts in columns.items() if other == kind}
-        return {name: scale * take_columns(parts, _POSITION) for name, parts in own.items()}
+        return {name: scale * values for name, values in take(kind, _POSITION).items()}
 
-    bodies = {}
-    for name, place in positions(_BODY).items():
-        quaternion = take_columns(columns[_BODY, name], _ROTATION)
+    bodies, places = {}, positions(_BODY)
+    for name, quaternion in take(_BODY, _ROTATION).items():
         off = np.abs(np.linalg.norm(quaternion, axis=1) - 1.0) > _UNIT_LENGTH
-        _refuse_rows(off, rows, f"the quaternion of '{name}' is not of length 1", path)
-        bodies[name] = Pose.from_quaternion(place, quaternion)
+        _refuse_rows(off, rows, f"the quaternion of '{name}' is not of length 1")
+        bodies[name] = Pose.from_quaternion(places[name], quaternion)
     return MotiveTake(
         path=path,
         version=values["Format Version"],
@@ -139,11 +151,11 @@ def read_motive_csv(path: Path) -> MotiveTake:
         markers=positions(_MARKER),
         solved=positions(_SOLVED),
         doubled=doubled,
-        notes=(*notes, *more),
+        notes=tuple(f"{path}: {note}" for note in notes),
     )
 
 
-def _read_titles(text: str, path: Path) -> tuple[list[str], list[list[str]], int]:
+def _read_titles(text: str) -> tuple[list[str], list[list[str]], int]:
     """The header, the rows of titles padded to one width, and the number of lines above data."""
     reader = csv.reader(io.StringIO(text), strict=True)
     rows: list[list[str]] = []
@@ -156,28 +168,19 @@ def _read_titles(text: str, path: Path) -> tuple[list[str], list[list[str]], int
             if row[:1] == ["Frame"]:
                 break
     except csv.Error as error:
-        raise RegistrationError(
-            f"{path}: line {reader.line_num} is not CSV ({error})", _AGAIN
-        ) from None
+        raise RegistrationError(f"line {reader.line_num} is not CSV ({error})", _AGAIN) from None
     if not rows:
-        raise RegistrationError(
-            f"{path}: is not a Motive export, which begins with 'Format Version'",
-            "export the take to CSV from Motive, with the header information",
-        )
+        fact = "is not a Motive export, which begins with 'Format Version'"
+        raise RegistrationError(fact, _WITH_HEADER)
     if len(rows) <= _TITLE_ROWS or rows[-1][0] != "Frame":
-        raise RegistrationError(
-            f"{path}: has no rows of types, names, properties and axes above its frames",
-            "export the take again, with the header information",
-        )
+        fact = "has no rows of types, names, properties and axes above its frames"
+        raise RegistrationError(fact, _WITH_HEADER)
     width = max(i + 1 for row in rows[1:] for i, cell in enumerate(row) if cell)
     titles = [(row + [""] * width)[:width] for row in rows[1:]]
     return rows[0], titles, reader.line_num
 
 
-_TITLE_ROWS = 4
-
-
-def _read_header(cells: list[str], path: Path) -> tuple[dict[str, str], list[str]]:
+def _read_header(cells: list[str]) -> tuple[dict[str, str], list[str]]:
     """Values of the header by their keys, and notes."""
     # A comma in the name of the take shifts the pairs: the value follows its key.
     values = dict(pairwise(cells))
@@ -186,7 +189,7 @@ def _read_header(cells: list[str], path: Path) -> tuple[dict[str, str], list[str
     )
     for key in ("Format Version", "Length Units", "Rotation Type", "Export Frame Rate"):
         if not values.get(key):
-            raise RegistrationError(f"{path}: the header has no '{key}'", _AGAIN)
+            raise RegistrationError(f"the header has no '{key}'", _AGAIN)
     version, units = values["Format Version"], values["Length Units"]
     space = values.get("Coordinate Space", "Global")
     rotation, metres = values["Rotation Type"], "metres, centimetres or millimetres"
@@ -198,13 +201,13 @@ def _read_header(cells: list[str], path: Path) -> tuple[dict[str, str], list[str
         (_number(values["Export Frame Rate"]) > 0.0, "no frame rate in its header", _AGAIN),
     ):
         if not right:
-            raise RegistrationError(f"{path}: has {fact}", hint)
+            raise RegistrationError(f"has {fact}", hint)
     newer = _number(version) > _NEWEST
-    note = f"{path}: the format version {version} is not known; read as {_NEWEST}"
+    note = f"the format version {version} is not known; read as {_NEWEST}"
     return values, [note] if newer else []
 
 
-def _find_columns(titles: list[list[str]], path: Path) -> tuple[_Columns, frozenset[str]]:
+def _find_columns(titles: list[list[str]]) -> tuple[_Columns, frozenset[str]]:
     """Columns of each thing by property and axis, and the names that occur twice."""
     *names_rows, properties, axes = titles
     labelled = {row[1]: row for row in names_rows}
@@ -221,46 +224,39 @@ def _find_columns(titles: list[list[str]], path: Path) -> tuple[_Columns, frozen
             parts[meaning, axis] = column
     columns = {key: parts for key, parts in columns.items() if key not in doubled}
     if not columns:
-        raise RegistrationError(
-            f"{path}: has neither rigid bodies nor markers",
-            "export rigid bodies and markers from Motive",
-        )
+        fact = "has neither rigid bodies nor markers"
+        raise RegistrationError(fact, "export rigid bodies and markers from Motive")
     for (kind, name), parts in columns.items():
         for meaning, axis in _NEEDED[kind]:
             if (meaning, axis) not in parts:
-                raise RegistrationError(
-                    f"{path}: the {kind.lower()} '{name}' has no column {meaning} {axis}",
-                    "export the take again, with all its columns",
-                )
+                fact = f"the {kind.lower()} '{name}' has no column {meaning} {axis}"
+                raise RegistrationError(fact, "export the take again, with all its columns")
     return columns, frozenset(name for _, name in doubled)
 
 
-def _read_rows(
-    text: str, first: int, width: int, path: Path
-) -> tuple[dict[int, list[str]], list[str]]:
-    """The cells of the complete frames by their lines, and notes."""
+def _read_rows(text: str, first: int, width: int, notes: list[str]) -> dict[int, list[str]]:
+    """The cells of the complete frames by their lines."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     rows = {
         number: [cell.strip() for cell in line.split(",")]
         for number, line in enumerate(lines[first:], start=first + 1)
         if line.strip(", ")
     }
-    last, notes = max(rows, default=0), []
+    last = max(rows, default=0)
     # Without its line end even a last line of full width may lack digits of its last number.
     if rows and (lines[-1] or len(rows[last]) < width):
-        notes.append(f"{path}: line {last}, the last, is cut short; it is left out")
+        notes.append(f"line {last}, the last, is cut short; it is left out")
         del rows[last]
     if not rows:
-        raise RegistrationError(f"{path}: holds no frame", _AGAIN)
+        raise RegistrationError("holds no frame", _AGAIN)
     for line, row in rows.items():
         if len(row) < width or any(row[width:]):
-            raise RegistrationError(
-                f"{path}: line {line} has {len(row)} columns, the header {width}", _AGAIN
-            )
-    return rows, notes
+            fact = f"line {line} has {len(row)} columns, the header {width}"
+            raise RegistrationError(fact, _AGAIN)
+    return rows
 
 
-def _read_numbers(rows: dict[int, list[str]], columns: _Columns, path: Path) -> FloatArray:
+def _read_numbers(rows: dict[int, list[str]], columns: _Columns) -> FloatArray:
     """A table as wide as the file, NaN where a cell is blank or in a column that is not read."""
     titles = {0: "frame", 1: "time"} | {
         column: f"{kind} {name}, {meaning} {axis}".rstrip()
@@ -272,13 +268,11 @@ def _read_numbers(rows: dict[int, list[str]], columns: _Columns, path: Path) -> 
         for column, title in titles.items():
             numbers[column] = _number(row[column])
             if row[column] and not abs(numbers[column]) < _LARGEST:
-                raise RegistrationError(
-                    f"{path}: line {line}, column {column + 1} ({title}) holds '{row[column]}'",
-                    f"{_AGAIN}, or put the number there",
-                )
+                fact = f"line {line}, column {column + 1} ({title}) holds '{row[column]}'"
+                raise RegistrationError(fact, f"{_AGAIN}, or put the number there")
     for column in (0, 1):
         rising = np.diff(table[:, column], prepend=-np.inf) > 0.0  # a blank cell does not, either
-        _refuse_rows(~rising, rows, f"the {titles[column]} does not follow the one before", path)
+        _refuse_rows(~rising, rows, f"the {titles[column]} does not follow the one before")
     return table
 
 
@@ -290,6 +284,6 @@ def _number(cell: str) -> float:
         return math.nan
 
 
-def _refuse_rows(wrong: BoolArray, rows: dict[int, list[str]], fact: str, path: Path) -> None:
+def _refuse_rows(wrong: BoolArray, rows: dict[int, list[str]], fact: str) -> None:
     if wrong.any():
-        raise RegistrationError(f"{path}: line {[*rows][np.argmax(wrong)]}: {fact}", _AGAIN)
+        raise RegistrationError(f"line {[*rows][np.argmax(wrong)]}: {fact}", _AGAIN)

@@ -15,12 +15,16 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.errors import RegistrationError
+from socket_testbed.documents import Document, FieldError, Text, read_document
+from socket_testbed.errors import ConfigurationError, RegistrationError
 from socket_testbed.geometry.axis import socket_axis
 from socket_testbed.geometry.marker_bodies import (
     FEWEST_MARKERS,
@@ -31,19 +35,180 @@ from socket_testbed.geometry.marker_bodies import (
     distances,
     fit_body,
     fit_rigid,
+    misfit,
     pose_uncertainty,
     root_mean_square,
 )
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.socket_design.landmarks import (
-    LandmarkFile,
-    LandmarkFit,
-    Side,
-    TriadLabels,
-    register_landmarks,
-)
-from socket_testbed.socket_design.motive import MotiveTake, read_motive_csv
+from socket_testbed.socket_design.motive import MotiveTake
+
+LANDMARK_FILE_HELP = """LANDMARKS.yaml names the markers and gives the landmarks' coordinates.
+
+    bodies:                # the markers that stay on the bodies (3 to 8), as the take names them
+      socket: [Socket:Marker1, Socket:Marker2, Socket:Marker3]
+      pylon:               # or a rigid body of Motive, 3 to 8 markers; its frame is kept
+        rigid_body: Pylon
+    load_cell:             # landmarks on the load cell or the socket: coordinates in {S} [m]
+      Cell:Marker1: [0.030, 0.0, 0.012]
+      Cell:Marker2: [-0.030, 0.0, 0.012]
+      Cell:Marker3: [0.0, 0.055, 0.040]
+    limb:                  # landmarks on the limb: coordinates in its frame [m], whose origin
+      Limb:Marker1: [0.0, 0.070, 0.10]    # is the lumped mass
+      Limb:Marker2: [0.05, -0.030, 0.12]
+      Limb:Marker3: [-0.06, -0.020, 0.09]
+
+All keys are required; load_cell and limb name three landmarks or more, as the take names them.
+Of three, or of more in one plane, a wrong sign has no residual: better give a fourth off the plane.
+"""
+
+_FEWEST = 3
+_TOO_FEW = f"give {_FEWEST} or more that are not on one line"
+_FARTHEST = 2.0  # [m]; what is farther is in another unit
+_Metres = Annotated[float, Meta(ge=-_FARTHEST, le=_FARTHEST)]
+_Coordinates = dict[str, tuple[_Metres, _Metres, _Metres]]
+_Names = Annotated[list[Text], Meta(min_length=FEWEST_MARKERS, max_length=MOST_MARKERS)]
+
+
+class _RigidBody(Document):
+    rigid_body: Text
+
+
+class _Bodies(Document):
+    socket: _RigidBody | _Names
+    pylon: _RigidBody | _Names
+
+    def __post_init__(self) -> None:
+        for body, names in (("socket", self.socket), ("pylon", self.pylon)):
+            if isinstance(names, list) and len({*map(str, names)}) < len(names):
+                raise FieldError(f"{body} names a marker twice", "name each marker once")
+
+
+class _Landmarks(Document):
+    bodies: _Bodies
+    load_cell: _Coordinates
+    limb: _Coordinates
+
+    def __post_init__(self) -> None:
+        for frame, known in (("load_cell", self.load_cell), ("limb", self.limb)):
+            if len(known) < _FEWEST:
+                raise FieldError(f"{frame}: {len(known)} landmarks hold no frame", _TOO_FEW)
+
+
+@dataclass(frozen=True)
+class Side:
+    """A marker body and the landmarks that are rigid to it."""
+
+    body: str  # the body, `socket` or `pylon`
+    # The names of its own three to eight markers, or that of a rigid body of Motive
+    markers: str | tuple[str, ...]
+    frame: str  # the frame in which the landmarks are known: `load_cell` or `limb`
+    where: str  # what names the landmarks in an error: the file and the frame
+    names: tuple[str, ...]  # of the landmarks
+    known: FloatArray  # their coordinates; (k, 3) [m]
+
+
+def read_landmarks(path: Path) -> tuple[Side, Side]:
+    """Read LANDMARKS.yaml: the sides of the socket and of the limb."""
+    document = read_document(path, _Landmarks)
+    sides, named = [], list[set[str]]()
+    for body, frame in (("socket", "load_cell"), ("pylon", "limb")):
+        given, landmarks = getattr(document.bodies, body), getattr(document, frame)
+        markers = [given.rigid_body] if isinstance(given, _RigidBody) else given
+        words = tuple(map(str, markers))
+        known = np.array([*landmarks.values()])
+        labels = words[0] if isinstance(given, _RigidBody) else words
+        sides.append(Side(body, labels, frame, f"{path}: {frame}", tuple(landmarks), known))
+        named.append({*words, *landmarks})
+    # The socket and the limb move against each other: no marker is on both.
+    for name in sorted(named[0] & named[1]):
+        raise ConfigurationError(
+            f"{path}: '{name}' is on the socket's side and on the limb's",
+            "name each marker on one side",
+        )
+    return sides[0], sides[1]
+
+
+_FLAT = 0.001  # [m]; mirrored landmarks leave twice this residual
+_SMALLEST = 0.005  # [m]; landmarks closer to each other or to one line hold no rotation
+
+
+@dataclass(frozen=True)
+class LandmarkFit:
+    """A frame registered by k landmarks."""
+
+    names: tuple[str, ...]
+    pose: Pose  # pose of the frame in which they are known, in the frame in which they are measured
+    residual: FloatArray  # distances of the landmarks from where the fit puts them; (k,) [m]
+    noise: float  # 1-sigma error of a coordinate of a landmark [m]
+    degrees: int  # degrees of freedom of the residual, 3k - 6
+    uncertainty: PoseUncertainty  # 1-sigma uncertainty of the pose, in the axes of the known frame
+    flat: bool  # whether the landmarks lie in one plane: a coordinate's wrong sign has no residual
+
+    @property
+    def rms(self) -> float:
+        """Root-mean-square residual [m]."""
+        return float(root_mean_square(self.residual))
+
+
+def register_landmarks(
+    known: FloatArray, measured: FloatArray, names: Sequence[str], noise: float = 0.0
+) -> LandmarkFit:
+    """Least-squares pose of a frame from landmarks.
+
+    The uncertainty is the first-order one (`pose_uncertainty`). Sigma comes from the residuals,
+    ``sigma^2 = sum(residual^2) / (3k - 6)``, unless it is less than a given noise: few landmarks
+    may fit by chance better than they are known (three of them leave 3 degrees of freedom). An
+    error that all landmarks share, such as a wrong origin of the known frame, is in no residual.
+
+    Args:
+        known: Landmarks in the frame to register, shape (k, 3) [m].
+        measured: The same landmarks in another frame, shape (k, 3) [m].
+        names: Names of the k landmarks.
+        noise: Least 1-sigma error of a coordinate of a landmark [m].
+    """
+    if len(names) < _FEWEST:
+        named = ", ".join(names) or "none"
+        raise RegistrationError(f"{len(names)} landmarks ({named}) hold no frame", _TOO_FEW)
+    _require_spread(known, names, "are given")
+    _require_spread(measured, names, "were measured")
+
+    batch = fit_rigid(known, measured[None])
+    residual = misfit(known, measured[None], batch)[0]
+    degrees = 3 * len(names) - 6
+    sigma = max(float(np.sqrt((residual**2).sum() / degrees)), noise)
+    return LandmarkFit(
+        names=tuple(names),
+        pose=Pose(batch.rotation[0], batch.translation[0]),
+        residual=residual,
+        noise=sigma,
+        degrees=degrees,
+        uncertainty=pose_uncertainty(known, sigma),
+        flat=float(_stretch(known)[2]) < _FLAT,
+    )
+
+
+def _require_spread(points: FloatArray, names: Sequence[str], how: str) -> None:
+    for (name, point), (other, beside) in combinations(zip(names, points, strict=True), 2):
+        apart = float(np.linalg.norm(point - beside))
+        if apart < _SMALLEST:
+            raise RegistrationError(
+                f"landmarks {name} and {other} {how} {1e3 * apart:.1f} mm apart",
+                "give landmarks far from each other",
+            )
+    off_line = float(np.hypot(*_stretch(points)[1:]))
+    if off_line < _SMALLEST:
+        raise RegistrationError(
+            f"landmarks {', '.join(names)} {how} on one line (within {1e3 * off_line:.1f} mm)",
+            "move one of them away from the line of the others",
+        )
+
+
+def _stretch(points: FloatArray) -> FloatArray:
+    """Root-mean-square extents along the principal axes, the longest first, shape (3,) [m]."""
+    stretch = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return np.asarray(stretch / np.sqrt(len(points)))
+
 
 NOTED_DRIFT = 0.0002  # [m]
 NOTED_SPREAD = 0.0004  # [m]; well above the noise of a marker
@@ -69,23 +234,7 @@ class StillMarkers:
     occluded: IntArray  # number of frames in which each marker is occluded; (k,)
     mislabelled: int  # number of frames left out whose body fits in no order of its labels
     jumped: int  # number of frames left out in which a marker is far from its usual place
-
-    def motions(self) -> tuple[tuple[str, FloatArray, float], ...]:
-        """In words how the markers moved, how far, shape (k,) [m], and when it is noted [m]."""
-        return (
-            ("drifted", self.drift, NOTED_DRIFT),
-            ("moved about", self.spread, NOTED_SPREAD),
-        )
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Markers that moved more than noise does, yet little enough to be used."""
-        return tuple(
-            f"{name} {verb} by {1e3 * moved:.2f} mm over the take"
-            for verb, motion, limit in self.motions()
-            for name, moved in zip(self.names, motion, strict=True)
-            if moved > limit
-        )
+    notes: tuple[str, ...]  # markers that moved more than noise does, yet little enough to be used
 
 
 def average_still(
@@ -124,28 +273,37 @@ def average_still(
         )
     positions = positions[used]
     mean, third = positions.mean(axis=0), len(positions) // 3
-    drift = positions[-third:].mean(axis=0) - positions[:third].mean(axis=0)
+    spread = root_mean_square(np.linalg.norm(positions - mean, axis=2), axis=0)
+    moved = positions[-third:].mean(axis=0) - positions[:third].mean(axis=0)
+    drift = np.linalg.norm(moved, axis=1)
     blocks = np.array([block.mean(axis=0) for block in np.array_split(positions, _BLOCKS)])
-    still = StillMarkers(
+    notes = []
+    for verb, motion, noted in (
+        ("drifted", drift, NOTED_DRIFT),
+        ("moved about", spread, NOTED_SPREAD),
+    ):
+        words = [
+            f"{name} {verb} by {1e3 * way:.2f} mm over the take"
+            for name, way in zip(names, motion, strict=True)
+        ]
+        if motion.max() > MOST_MOTION:
+            raise RegistrationError(
+                f"{where}: {words[int(motion.argmax())]} (at most {1e3 * MOST_MOTION:g} mm)",
+                "record a take in which nothing moves, or export its still part",
+            )
+        notes += [words[marker] for marker in np.flatnonzero(motion > noted)]
+    return StillMarkers(
         names=tuple(names),
         mean=mean,
-        spread=root_mean_square(np.linalg.norm(positions - mean, axis=2), axis=0),
-        drift=np.linalg.norm(drift, axis=1),
+        spread=spread,
+        drift=drift,
         noise=float(np.sqrt(blocks.var(axis=0, ddof=1).mean() / _BLOCKS)),
         used=used,
         occluded=occluded,
         mislabelled=mislabelled,
         jumped=jumped,
+        notes=tuple(notes),
     )
-    for verb, motion, _ in still.motions():
-        worst = int(motion.argmax())
-        if motion[worst] > MOST_MOTION:
-            raise RegistrationError(
-                f"{where}: {names[worst]} {verb} by {1e3 * motion[worst]:.2f} mm over the take"
-                f" (at most {1e3 * MOST_MOTION:g} mm)",
-                "record a take in which nothing moves, or export its still part",
-            )
-    return still
 
 
 def own_frame(markers: FloatArray) -> Pose:
@@ -274,47 +432,28 @@ class Registration:
         return _in_axes(position, to_body), _in_axes(self.pylon.rotation_covariance(), to_body)
 
 
-def read_static_take(path: Path) -> MotiveTake:
-    """Read a take to register with."""
-    if path.is_dir():
-        raise RegistrationError(
-            f"{path}: is a folder; a trial holds the two triads but no landmarks",
-            "record a static take with landmark markers in Motive and export it to CSV",
-        )
-    return read_motive_csv(path)
-
-
 def register_take(
-    take: MotiveTake, landmarks: LandmarkFile, geometry: SocketGeometry, force: bool = False
+    take: MotiveTake, sides: tuple[Side, Side], geometry: SocketGeometry, force: bool = False
 ) -> Registration:
     """Register a socket's marker bodies and its limb.
 
     Args:
         take: A static take that shows both bodies and all landmarks.
-        landmarks: Which marker is what.
+        sides: Which marker is what, of the socket and of the limb.
         geometry: The socket, whose tiles stay.
         force: Accept landmarks whose residual is above `MOST_RESIDUAL`, or that put the limb
             outside the socket.
     """
-    notes = [*take.notes]
-    bodies = []
-    for side in (landmarks.socket, landmarks.pylon):
-        body = _register_body(take, side)
-        fit = body.landmarks
-        worst = int(fit.residual.argmax())
-        if fit.residual[worst] > MOST_RESIDUAL and not force:
-            raise RegistrationError(
-                f"{side.where}: landmark {fit.names[worst]} is {1e3 * fit.residual[worst]:.1f} mm"
-                f" off (at most {1e3 * MOST_RESIDUAL:g} mm; rms {1e3 * fit.rms:.1f} mm)",
-                "check the landmarks' coordinates and names, or accept it with --force",
-            )
-        notes += [f"{side.frame}: {note}" for note in _notes(body)]
-        bodies.append(body)
-    socket, pylon = bodies
+    socket, pylon = (_register_body(take, side, force) for side in sides)
     limb_in_cell = socket.landmarks.pose.inverse() @ pylon.landmarks.pose
     q, turn, origin = limb_in_cell.translation, limb_in_cell.rotation, np.zeros(3)
     if not force:
-        _require_limb_in_socket(q, geometry, landmarks.socket.where)
+        _require_limb_in_socket(q, geometry, sides[0].where)
+    notes = [
+        f"{side.frame}: {note}"
+        for side, body in zip(sides, (socket, pylon), strict=True)
+        for note in _notes(body)
+    ]
     return Registration(
         take=take,
         geometry=dataclasses.replace(
@@ -332,27 +471,39 @@ def register_take(
         covariance=socket.covariance_at(q) + _in_axes(pylon.covariance_at(origin), turn),
         single=socket.in_axes(socket.single, q)
         + _in_axes(pylon.in_axes(pylon.single, origin), turn),
-        notes=tuple(notes),
+        notes=(*take.notes, *notes),
     )
 
 
-def _register_body(take: MotiveTake, side: Side) -> RegisteredBody:
-    where = f"{take.path}: {side.body}"
-    names = _body_names(take, side.triad, where)
-    count = len(names)
+def _register_body(take: MotiveTake, side: Side, force: bool) -> RegisteredBody:
+    where, labels = f"{take.path}: {side.body}", side.markers
+    names = _markers_of(take, labels, where) if isinstance(labels, str) else labels
     observed = take.stack(names)
     fit = fit_labels(observed, where)
-    positions = np.concatenate([relabel(observed, fit.order), take.stack(side.landmarks)], axis=1)
+    observed = relabel(observed, fit.order)
+    positions = np.concatenate([observed, take.stack(side.names)], axis=1)
     whole = np.asarray((fit.order >= 0).all(axis=1))
-    still = average_still((*names, *side.landmarks), positions, whole, where)
-    if isinstance(side.triad, str):
-        tracked = take.body(side.triad)
-        used = Pose(tracked.rotation[still.used], tracked.translation[still.used])
-        in_world = tracked_frame(positions[still.used, :count], used, where)
+    still = average_still((*names, *side.names), positions, whole, where)
+    own, measured = np.split(still.mean, [len(names)])
+    if isinstance(labels, str):
+        body, used = take.body(labels), still.used
+        pose = Pose(body.rotation[used], body.translation[used])
+        in_world = tracked_frame(observed[used], pose, where)
     else:
-        in_world = own_frame(still.mean[:count])
-    markers = in_world.inverse().apply(still.mean[:count])
-    landmarks = _register_landmarks(side, still)
+        in_world = own_frame(own)
+    markers = in_world.inverse().apply(own)
+    try:
+        landmarks = register_landmarks(side.known, measured, side.names, still.noise)
+    except RegistrationError as error:
+        raise RegistrationError(f"{side.where}: {error.fact}", error.hint) from None
+    worst = int(landmarks.residual.argmax())
+    if landmarks.residual[worst] > MOST_RESIDUAL and not force:
+        raise RegistrationError(
+            f"{side.where}: landmark {side.names[worst]} is"
+            f" {1e3 * landmarks.residual[worst]:.1f} mm off (at most {1e3 * MOST_RESIDUAL:g} mm;"
+            f" rms {1e3 * landmarks.rms:.1f} mm)",
+            "check the landmarks' coordinates and names, or accept it with --force",
+        )
     return RegisteredBody(
         still=still,
         markers=markers,
@@ -363,30 +514,16 @@ def _register_body(take: MotiveTake, side: Side) -> RegisteredBody:
     )
 
 
-def _body_names(take: MotiveTake, triad: TriadLabels, where: str) -> tuple[str, ...]:
-    if not isinstance(triad, str):
-        return triad
-    names = take.markers_of(triad)
+def _markers_of(take: MotiveTake, body: str, where: str) -> tuple[str, ...]:
+    """The names of the measured markers of a rigid body of Motive."""
+    names = take.markers_of(body)
     if not FEWEST_MARKERS <= len(names) <= MOST_MARKERS:
         raise RegistrationError(
-            f"{where}: the rigid body '{triad}' has {len(names)} measured markers in the take"
+            f"{where}: the rigid body '{body}' has {len(names)} measured markers in the take"
             f" ({', '.join(names) or 'none'})",
             "export its markers, or name three to eight of them instead of 'rigid_body'",
         )
     return names
-
-
-def _register_landmarks(side: Side, still: StillMarkers) -> LandmarkFit:
-    known, measured = side.points(), still.mean[-len(side.landmarks) :]
-    names = tuple(side.landmarks)
-    try:
-        fit = register_landmarks(known, measured, names)
-        # Few landmarks may fit by chance better than their means are known.
-        if fit.noise < still.noise:
-            fit = register_landmarks(known, measured, names, still.noise)
-    except RegistrationError as error:
-        raise RegistrationError(f"{side.where}: {error.fact}", error.hint) from None
-    return fit
 
 
 _AROUND = 0.03  # [m]; a limb whose position is farther from the tiles' cylinder is in no socket

@@ -23,8 +23,8 @@ from socket_testbed.__main__ import run
 from socket_testbed.errors import ConfigurationError, RegistrationError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import read_socket, write_socket
-from socket_testbed.socket_design.landmarks import LANDMARK_FILE_HELP, read_landmarks
-from socket_testbed.socket_design.registration import read_static_take
+from socket_testbed.socket_design.motive import read_motive_csv
+from socket_testbed.socket_design.registration import LANDMARK_FILE_HELP, read_landmarks
 
 
 @pytest.fixture
@@ -75,15 +75,15 @@ def test_the_landmark_file_in_the_help_is_one(tmp_path, capsys):
     _, example, _ = LANDMARK_FILE_HELP.split("\n\n")
     path = tmp_path / "landmarks.yaml"
     path.write_text(textwrap.dedent(example))
-    landmarks = read_landmarks(path)
-    assert landmarks.socket.triad == SOCKET_NAMES and landmarks.pylon.triad == "Pylon"
-    np.testing.assert_array_equal(landmarks.socket.landmarks["Cell:Marker3"], [0.0, 0.055, 0.04])
-    assert list(landmarks.pylon.landmarks) == [f"Limb:Marker{i}" for i in (1, 2, 3)]
+    socket, pylon = read_landmarks(path)
+    assert socket.markers == SOCKET_NAMES and pylon.markers == "Pylon"
+    np.testing.assert_array_equal(socket.known[2], [0.0, 0.055, 0.04])
+    assert pylon.names == tuple(f"Limb:Marker{i}" for i in (1, 2, 3))
 
 
 def test_a_trial_cannot_register(hold):
     with wording.refused(RegistrationError, "two triads but no landmarks", "static take"):
-        read_static_take(hold)
+        read_motive_csv(hold)
 
 
 @pytest.fixture

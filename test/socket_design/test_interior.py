@@ -1,4 +1,4 @@
-"""The interior of sockets: known by their making, and real; and its openings."""
+"""The interior of sockets: known by their making, and real."""
 
 from pathlib import Path
 
@@ -100,9 +100,8 @@ def test_sockets_that_are_not_round_or_are_shallow():
 
 def test_a_rim_that_slants_towards_the_cavity_is_no_part_of_the_wall():
     def bevelled(points):
-        outer_brim = (points[:, 2] > CONE[2] - 1e-3) & (
-            np.hypot(points[:, 0], points[:, 1]) > CONE[1] + 0.5 * WALL
-        )
+        radius = np.hypot(points[:, 0], points[:, 1])
+        outer_brim = (points[:, 2] > CONE[2] - 1e-3) & (radius > CONE[1] + 0.5 * WALL)
         return points + np.outer(WALL * outer_brim, UP)
 
     scan = moved(shell(*CONE, EDGE, WALL, dome=True), bevelled)
@@ -115,17 +114,17 @@ def test_noise_makes_no_holes(rng):
     interior = find_interior(moved(clean, lambda points: points + shift))
     expected = moved(inner, lambda points: points + shift[: len(points)])
     assert_same_faces(interior.mesh, expected, 1e-3)
-    assert len(interior.openings) == 1
+    assert "openings: 1, " in interior.notes[1]
 
 
-def test_neither_the_pose_nor_the_winding_nor_the_order_of_the_faces_matters(rng):
+def test_neither_the_pose_nor_the_order_of_the_faces_matters(rng):
     for shape in ({"dome": True}, {"arc": 4.0}):
         cone = open_cone(*CONE, EDGE, **shape)
-        for mesh in (cone, shell(*CONE, EDGE, WALL, **shape)):
+        solid = shell(*CONE, EDGE, WALL, **shape)
+        for mesh in (cone, solid, inside_out(solid)):
             turn, shift = Rotation.random(random_state=5), rng.normal(0.0, 1.0, 3)
-            faces = rng.permutation(mesh.faces)
-            faces = np.where(rng.random((len(faces), 1)) < 0.4, faces[:, ::-1], faces)
-            scan = trimesh.Trimesh(turn.apply(mesh.vertices) + shift, faces, process=False)
+            vertices = turn.apply(mesh.vertices) + shift
+            scan = trimesh.Trimesh(vertices, rng.permutation(mesh.faces), process=False)
             inner = moved(cone, lambda points: turn.apply(points) + shift)  # noqa: B023
             check(scan, inner, turn.apply(UP))
 
@@ -147,7 +146,7 @@ def test_a_window_is_an_opening_and_its_rim_is_no_wall():
     inner = with_faces(cone, np.linalg.norm(place, axis=1) > 0.02)
     interior = find_interior(thickened(inner, WALL))
     assert_same_faces(interior.mesh, inner)
-    assert len(interior.openings) == 2
+    assert "openings: 2, the brim first, 377, 146 mm around" in interior.notes
 
 
 def thickened(surface: trimesh.Trimesh, thickness: float) -> trimesh.Trimesh:
@@ -198,8 +197,7 @@ def test_the_inner_wall_of_a_real_shell(shared_data: Path):
 
     # The whole is the inner wall, its offset, and the strip between them along their edge.
     offset = moved(mesh, lambda points: points - thickness * mesh.vertex_normals)
-    (loop,) = (mesh.vertices[opening] for opening in interior.openings)
-    strip = thickness * np.linalg.norm(loop - np.roll(loop, 1, axis=0), axis=1).sum()
+    strip = thickness * mesh.edges_unique_length[np.bincount(mesh.edges_unique_inverse) == 1].sum()
     assert mesh.area + offset.area + strip == pytest.approx(body.area, rel=0.01)
 
     # A wall's thickness behind every face lies the body's surface, before it lies nothing.
@@ -222,22 +220,8 @@ def test_a_real_limb_is_kept_whole_and_separated_from_a_shell_around_it(shared_d
     assert interior.mesh.area == pytest.approx(1e-6 * raw.area, rel=1e-9)
     mesh = interior.mesh  # its normals point into the limb: test_tile.py
     assert angle_between(interior.proximal, UP) < 5.0
-    assert len(interior.openings) == 1
-    assert mesh.vertices[interior.openings[0]][:, 2].min() > 0.03
+    assert "openings: 1, " in interior.notes[1]
     assert_same_faces(find_interior(thickened(mesh, 0.006)).mesh, mesh, 2e-3)
-
-
-# --- openings
-
-
-def test_the_brim_comes_first_of_the_openings_and_lies_on_the_circle():
-    interior = find_interior(shell(*CONE, 0.003, WALL, hole=0.01))
-    brim, hole = (interior.mesh.vertices[loop] for loop in interior.openings)
-    for loop, radius, height in ((brim, 0.06, 0.2), (hole, 0.01, 0.0)):
-        np.testing.assert_allclose(np.hypot(loop[:, 0], loop[:, 1]), radius, atol=1e-9)
-        np.testing.assert_allclose(loop[:, 2], height, atol=1e-9)
-        around = np.linalg.norm(loop - np.roll(loop, 1, axis=0), axis=1)
-        assert around.sum() == pytest.approx(2.0 * np.pi * radius, rel=0.01)
 
 
 def test_the_more_open_end_is_proximal_and_equal_ends_need_a_direction():
@@ -261,9 +245,6 @@ def test_the_more_open_end_is_proximal_and_equal_ends_need_a_direction():
         assert_same_faces(interior.mesh, inner)
         notes = [note for note in interior.notes if "direction" in note or "decides" in note]
         assert (words in notes[0]) if words else not notes
-    for none in ([0.0, 0.0, 0.0], [0.0, np.nan, 1.0], [1.0, 2.0]):
-        with pytest.raises(ScanError, match="proximal direction"):
-            find_interior(socket, np.array(none))
 
 
 def test_scans_without_a_cavity_or_an_opening_are_refused():

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from socket_testbed.errors import RegistrationError, TestbedError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.socket_design.landmarks import read_landmarks
-from socket_testbed.socket_design.registration import Registration, read_static_take, register_take
+from socket_testbed.socket_design.motive import read_motive_csv
+from socket_testbed.socket_design.registration import Registration, read_landmarks, register_take
 from support.problems import PYLON_TRIAD, SOCKET_TRIAD, random_pose, random_socket
 
 RATE = 120.0  # [Hz]
@@ -181,7 +181,7 @@ def write_landmarks(document: dict, path: Path) -> Path:
 
 def register(bench: Bench, folder: Path, force: bool = False) -> Registration:
     """Register a bench through its files."""
-    take = read_static_take(write_take(bench.take, folder / "take.csv"))
+    take = read_motive_csv(write_take(bench.take, folder / "take.csv"))
     landmarks = read_landmarks(write_landmarks(bench.document, folder / "landmarks.yaml"))
     return register_take(take, landmarks, bench.geometry, force)
 
