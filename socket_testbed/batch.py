@@ -28,8 +28,8 @@ from socket_testbed.files import (
 from socket_testbed.tables import split_unit, write_table
 from socket_testbed.trials.bag import is_storage
 from socket_testbed.trials.metadata import METADATA_FILE
+from socket_testbed.trials.recording import holds_nothing
 from socket_testbed.trials.reprocess import RECORDED
-from socket_testbed.trials.salvage import holds_nothing
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:

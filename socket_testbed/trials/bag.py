@@ -33,7 +33,7 @@ from socket_testbed.documents import load_yaml
 from socket_testbed.errors import TrialError
 from socket_testbed.files import TemporaryFolder, hold
 from socket_testbed.trials.layout import typestore
-from socket_testbed.trials.salvage import SalvagedRecording, check_sums
+from socket_testbed.trials.recording import Recording
 from socket_testbed.trials.topics import PUBLISHER_DEPTH, REQUIRED, TOPICS, Topic, match_topics
 
 _STORAGE = (".mcap", ".db3")
@@ -48,7 +48,6 @@ _CHUNK = 2**20 - 2**10  # [bytes]; the library closes a chunk at 1 MiB
 _CHUNK_SPAN = 10**9  # [ns]; damage costs a chunk
 _CHECKSUM_BEFORE = 4 + 8  # [bytes] from the end of the file: that of the index
 _CHECKSUM_AT = 9 + 3 * 8  # [bytes] from the start of a chunk's record
-_TRUNCATED = ("end magic", "truncated", "footer", "empty", "ended before")
 
 
 @dataclass(frozen=True)
@@ -90,16 +89,14 @@ class BagReader:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._stack = ExitStack()
-        self._readers: list[Reader | SalvagedRecording] = []
-        self._packed: dict[Path, Path] = {}  # files by what they were unpacked to
-        self._lacks = False  # messages
+        self._readers: list[tuple[Path, Any]] = []  # of rosbags, or a Recording
         self.notes: list[str] = []
 
     def __enter__(self) -> Self:
         metadata = _read_metadata(self.path)
         try:
             for file in self._storage_files(metadata):
-                self._readers.append(self._open(file))
+                self._readers.append((file, self._open(file)))
             if metadata is not None:
                 self._compare(metadata[1])
         except BaseException:
@@ -114,7 +111,7 @@ class BagReader:
     def counts(self) -> dict[str, int]:
         """Number of messages by topic, as the storage files hold them."""
         counts: dict[str, int] = {}
-        for reader in self._readers:
+        for _, reader in self._readers:
             for connection in reader.connections:
                 counts[connection.topic] = counts.get(connection.topic, 0) + connection.msgcount
         return counts
@@ -122,12 +119,12 @@ class BagReader:
     @property
     def types(self) -> dict[str, str]:
         """Message type by topic."""
-        return {c.topic: c.msgtype for reader in self._readers for c in reader.connections}
+        return {c.topic: c.msgtype for _, reader in self._readers for c in reader.connections}
 
     @property
     def duration(self) -> float:
         """Time from the first to the last message [s]; 0 for an empty bag."""
-        spans = [(r.start_time, r.end_time) for r in self._readers if r.message_count]
+        spans = [(r.start_time, r.end_time) for _, r in self._readers if r.message_count]
         if not spans:
             return 0.0
         return (max(end for _, end in spans) - min(start for start, _ in spans) - 1) * 1e-9
@@ -159,14 +156,13 @@ class BagReader:
             block.data.append(data)
         yield from blocks.values()
 
-    def _entries(self, topics: Collection[str] | None) -> Iterator[tuple[Connection, int, bytes]]:
+    def _entries(self, topics: Collection[str] | None) -> Iterator[tuple[Any, int, bytes]]:
         """The messages of some topics, or of all, with their connections and times."""
-        for reader in self._readers:
+        for file, reader in self._readers:
             connections = [c for c in reader.connections if topics is None or c.topic in topics]
             if not connections:
                 continue
             left = {connection.id: connection.msgcount for connection in connections}
-            file = self._packed.get(Path(str(reader.path)), reader.path)
             try:
                 for connection, time, data in reader.messages(connections):
                     left[connection.id] -= 1
@@ -179,7 +175,7 @@ class BagReader:
             if lacking := sum(left.values()):
                 raise TrialError(
                     f"{file}: is damaged: its index lists {lacking} messages more than can be read",
-                    "copy the trial again, or save what is there with 'mcap recover'",
+                    "copy the trial again if it is whole elsewhere",
                 )
 
     def _storage_files(self, metadata: tuple[list[str], Any] | None) -> list[Path]:
@@ -203,38 +199,23 @@ class BagReader:
                 )
         return files
 
-    def _open(self, file: Path) -> Reader | SalvagedRecording:
-        if file.suffix == _PACKED:
-            file = self._unpack(file)
+    def _open(self, file: Path) -> Reader | Recording:
+        path = self._unpack(file) if file.suffix == _PACKED else file
+        if path.suffix == ".mcap":
+            recording = self._stack.enter_context(Recording(path, file))
+            self.notes += recording.notes
+            return recording
         journal = file.with_name(file.name + "-wal")  # of SQLite
         if journal.exists() and journal.stat().st_size:
             self.notes.append(
                 f"{journal.name}, which may hold the newest messages, is not read:"
                 f" 'sqlite3 {file} vacuum' takes them in"
             )
-        sound, checked = check_sums(file) if file.suffix == ".mcap" else (True, False)
-        if not sound:
-            return self._salvage(file)
-        if not checked:
-            self.notes.append(f"{file.name} has no checksums: damage in it cannot be seen")
+        self.notes.append(f"{path.name} has no checksums: damage in it cannot be seen")
         try:
-            return self._stack.enter_context(Reader(file))
+            return self._stack.enter_context(Reader(path))
         except Exception as error:  # the library raises whatever the bytes lead it to
-            if file.suffix == ".mcap":
-                with suppress(TrialError):
-                    return self._salvage(file)
-            raise _damaged(self._packed.get(file, file), error) from None
-
-    def _salvage(self, file: Path) -> SalvagedRecording:
-        """What can be read of a recording that was cut short or damaged."""
-        try:
-            salvaged = self._stack.enter_context(SalvagedRecording(file))
-        except TrialError as error:
-            fact = error.fact.replace(str(file), str(self._packed.get(file, file)))
-            raise TrialError(fact, error.hint) from None
-        self._lacks = True
-        self.notes.append(salvaged.note)
-        return salvaged
+            raise _damaged(file, error) from None
 
     def _unpack(self, file: Path) -> Path:
         """A storage file unpacked into a folder that goes with this reader."""
@@ -247,18 +228,20 @@ class BagReader:
                     left -= target.write(content)
                     if left < 0:
                         raise ValueError("it is too large once unpacked")
-        except (OSError, EOFError, ValueError, zstd.ZstdError) as error:
+        except EOFError:
+            raise TrialError(f"{file}: is truncated", "copy the trial again") from None
+        except (OSError, ValueError, zstd.ZstdError) as error:
             raise _damaged(file, error) from None
-        self._packed[unpacked] = file
         return unpacked
 
     def _compare(self, promised: Mapping[str, int]) -> None:
         """Compare the counts of metadata.yaml with those of the files."""
         counts = self.counts
+        lacks = any(isinstance(r, Recording) and r.lacks for _, r in self._readers)
         for name, count in promised.items():
             held = counts.get(name, 0)
             # A recording that was cut short or damaged has fewer; a note says so.
-            if held != count and not (self._lacks and held < count):
+            if held != count and not (lacks and held < count):
                 raise TrialError(
                     f"{self.path}: metadata.yaml lists {count} messages on {name},"
                     f" the storage file holds {held}",
@@ -328,29 +311,9 @@ def is_storage(file: Path) -> bool:
     return file.name.endswith(STORAGE_SUFFIXES)
 
 
-def _damaged(file: Path | object, error: Exception) -> TrialError:
-    reason = " ".join(str(error).split()).rstrip(".")
-    if any(word in reason.lower() for word in _TRUNCATED):
-        return TrialError(
-            f"{file}: is truncated ({reason})",
-            "copy the trial again, or save what is there with 'mcap recover'",
-        )
+def _damaged(file: Path, error: Exception) -> TrialError:
+    reason = str(error).rstrip(".")
     return TrialError(f"{file}: cannot be read ({reason})", "give an MCAP or SQLite bag of ROS 2")
-
-
-def qos_profile(topic: Topic) -> Qos:
-    """The quality of service with which the testbed offers a topic."""
-    return Qos(
-        QosHistory.KEEP_LAST,
-        1 if topic.latched else PUBLISHER_DEPTH,
-        QosReliability.RELIABLE,
-        QosDurability.TRANSIENT_LOCAL if topic.latched else QosDurability.VOLATILE,
-        _FOREVER,
-        _FOREVER,
-        QosLiveliness.AUTOMATIC,
-        _FOREVER,
-        False,
-    )
 
 
 class BagWriter:
@@ -398,8 +361,19 @@ class BagWriter:
 
     def add_topic(self, name: str, topic: Topic) -> None:
         """Declare a topic under the name it has in the graph."""
+        qos = Qos(
+            QosHistory.KEEP_LAST,
+            1 if topic.latched else PUBLISHER_DEPTH,
+            QosReliability.RELIABLE,
+            QosDurability.TRANSIENT_LOCAL if topic.latched else QosDurability.VOLATILE,
+            _FOREVER,
+            _FOREVER,
+            QosLiveliness.AUTOMATIC,
+            _FOREVER,
+            False,
+        )
         self._connections[name] = self._writer.add_connection(
-            name, topic.type, typestore=typestore(), offered_qos_profiles=[qos_profile(topic)]
+            name, topic.type, typestore=typestore(), offered_qos_profiles=[qos]
         )
 
     def write(self, name: str, time: int, data: bytes) -> None:

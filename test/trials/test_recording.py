@@ -11,6 +11,7 @@ import pytest
 import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as draw
+from mcap.writer import IndexType, Writer
 from rosbags.rosbag2 import CompressionMode
 from rosbags.rosbag2.storage_mcap import McapReader
 from support.bags import copying, written_by_rosbags
@@ -18,7 +19,7 @@ from support.verbs import call
 
 from socket_testbed.errors import TrialError
 from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage
-from socket_testbed.trials.salvage import holds_nothing
+from socket_testbed.trials.recording import holds_nothing
 from socket_testbed.trials.topics import CAPACITANCE, WRENCH
 from socket_testbed.trials.trial import Trial
 
@@ -287,3 +288,37 @@ def test_a_recording_killed_while_it_started_holds_nothing(
     (trial / "trial.mcap").write_bytes(b"")
     (trial / "metadata.yaml").touch()
     assert not holds_nothing(trial)
+
+
+def test_a_file_of_another_recorder_is_read_without_chunks_and_without_an_index(
+    recording: Recording, tmp_path: Path
+) -> None:
+    """As `ros2 bag record` writes it with the profile fastwrite, also if it was cut short."""
+    expected = recording.first(CHUNKS)
+    for chunked in (False, True):
+        path = tmp_path / "bag" / "bag.mcap"
+        path.parent.mkdir(exist_ok=True)
+        with path.open("wb") as file:
+            options = {"use_statistics": False, "repeat_channels": False, "repeat_schemas": False}
+            writer = Writer(file, 500, use_chunking=chunked, index_types=IndexType.NONE, **options)
+            writer.start("ros2")
+            channels = {
+                kind.name: writer.register_channel(
+                    f"/{kind.name}", "cdr", writer.register_schema(kind.type, "ros2msg", b"")
+                )
+                for kind in (WRENCH, CAPACITANCE)
+            }
+            for message in expected:
+                channel = channels[message.topic[1:]]
+                writer.add_message(channel, message.time, message.data, message.time)
+            writer.finish()
+        assert read(path) == expected
+        data = path.read_bytes()
+        path.write_bytes(data[: len(data) // 2])
+        found = read(path)
+        assert found and found == expected[: len(found)]
+        # A length that is wrong hides what follows it, and that is said.
+        last = data.rindex(b"\4\0\0\0zstd") - 28 if chunked else data.index(expected[30].data) - 22
+        path.write_bytes(data[: last - 1] + b"\xff" + data[last:])
+        with BagReader(path) as bag:
+            assert "what is missing is" in bag.notes[-1]
