@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 from support.bags import rewrite
+from support.verbs import call
 from support.wording import refused
 
 import socket_testbed as st
-from socket_testbed.__main__ import run
 from socket_testbed.errors import TestbedError, TrialError
 from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.pose import Pose
@@ -157,23 +157,24 @@ def test_what_cannot_be_repaired_is_refused(
             Trial(path, **given).samples()
 
 
-def test_results_of_many_trials_depend_on_load_cell_and_tare(
+def test_results_of_many_trials_depend_on_load_cell_tare_and_options(
     hold: Path, right: LoadCellSettings, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "study").mkdir()
     (tmp_path / "study" / "hold").symlink_to(hold)
     file = store(right, tmp_path / "right.yaml")
-    words = ["fit", str(tmp_path / "study"), "-o", str(tmp_path / "models"), "--jobs", "1"]
+    words = ["fit", tmp_path / "study", "-o", tmp_path / "models", "--jobs", "1", "--tare", "0:5"]
     for given, text in (
-        (["--tare", "0:5"], "hold: ok, "),
-        (["--tare", "0:5"], "hold: skipped"),
-        (["--tare", "0:5", "--load-cell", str(file)], "hold: ok, "),
+        ([], "hold: ok, "),
+        ([], "hold: skipped"),
+        (["--load-cell", file], "hold: ok, "),
+        (["--load-cell", file, "--theta", 0.9], "hold: ok, "),
     ):
-        assert run([*words, *given]) == 0
-        out, err = capsys.readouterr()
+        _, out, err = call(capsys, *words, *given)
         assert text in out and "made anew from load_cell/raw" in err
-    identity = json.loads((tmp_path / "models" / "hold.json").read_text())["trial"]
-    assert (identity["tare"], identity["load_cell"]) == ("0:5", str(file))
+    model = json.loads((tmp_path / "models" / "hold.json").read_text())
+    assert (model["trial"]["tare"], model["trial"]["load_cell"]) == ("0:5", str(file))
+    assert model["settings"]["theta"] == 0.9
 
 
 @pytest.fixture(scope="module")
