@@ -28,12 +28,10 @@ from socket_testbed.trials.topics import MARKERS
 from socket_testbed.trials.trial import Trial
 
 WRONG = {"sign": (1.0, -1.0, 1.0, 1.0, 1.0, 1.0), "excitation": 4.0, "inputs": (1, 0, 2, 3, 4, 5)}
-HALVES = ("torque", "force")
 
 
 def set_vectors(wrench: Any, values: np.ndarray) -> None:
-    for half, numbers in zip(HALVES, values.reshape(2, 3), strict=True):
-        vector = getattr(wrench, half)
+    for vector, numbers in zip((wrench.torque, wrench.force), values.reshape(2, 3), strict=True):
         vector.x, vector.y, vector.z = numbers.tolist()
 
 
@@ -91,40 +89,28 @@ def test_a_wrong_load_cell_and_tare_are_repaired(
     hold: Path, miswired: Path, right: LoadCellSettings, tmp_path: Path
 ) -> None:
     file, notes = store(right, tmp_path / "right.yaml"), []
-    true = Trial(hold).samples()
-    assert np.abs(Trial(miswired).samples().wrench - true.wrench).max() > 100.0
+    true, recorded = Trial(hold).samples(), Trial(miswired).samples()
+    assert np.abs(recorded.wrench - true.wrench).max() > 100.0
     before = {path.name: path.read_bytes() for path in miswired.iterdir()}
-
-    def wrench(tare: str) -> np.ndarray:
-        trial = st.open_trial(miswired, load_cell=file, tare=tare, notify=notes.append)
-        return trial.samples().wrench
-
-    np.testing.assert_allclose(wrench("none"), true.wrench, rtol=0.0, atol=1e-9)
     unloaded = true.wrench[true.time <= 5.0].mean(axis=0)
-    np.testing.assert_allclose(wrench("0:5"), true.wrench - unloaded, rtol=0.0, atol=1e-9)
-    # The tare was of the hundredth sample's ratios: it is by the new matrix, too.
-    np.testing.assert_allclose(
-        wrench("recorded"), true.wrench - true.wrench[100], rtol=0.0, atol=1e-9
-    )
+    # The recorded tare was of the hundredth sample's ratios: it is by the new matrix, too.
+    for tare, offset in (("none", 0.0), ("0:5", unloaded), ("recorded", true.wrench[100])):
+        trial = st.open_trial(miswired, load_cell=file, tare=tare, notify=notes.append)
+        np.testing.assert_allclose(trial.samples().wrench, true.wrench - offset, rtol=0, atol=1e-9)
     assert "with the tare 0:5: Mx" in notes[1]
     assert {path.name: path.read_bytes() for path in miswired.iterdir()} == before
-
-
-def test_without_stored_settings_ratios_are_used_as_they_are(
-    hold: Path, miswired: Path, right: LoadCellSettings, tmp_path: Path
-) -> None:
-    recorded = Trial(miswired).samples()
-    mean = recorded.wrench[recorded.time <= 5.0].mean(axis=0)
+    # Without stored settings ratios are used as they are; a tare alone needs no matrix.
     path = Path(shutil.copytree(miswired, tmp_path / "miswired"))
     (path / "testbed.yaml").unlink()
-    shifted = Trial(path, tare="0:5").samples()  # a tare alone needs no matrix
-    np.testing.assert_allclose(shifted.wrench, recorded.wrench - mean, rtol=0.0, atol=1e-9)
+    mean = recorded.wrench[recorded.time <= 5.0].mean(axis=0)
+    shifted = Trial(path, tare="0:5").samples().wrench
+    np.testing.assert_allclose(shifted, recorded.wrench - mean, rtol=0.0, atol=1e-9)
     path = Path(shutil.copytree(hold, tmp_path / "hold"))
     (path / "testbed.yaml").unlink()
     doubled = dataclasses.replace(right, matrix=tuple(2.0 * np.array(right.matrix)))
     file = store(doubled, tmp_path / "doubled.yaml")
     wrench = Trial(path, load_cell_file=file).samples().wrench
-    np.testing.assert_allclose(wrench, 2.0 * Trial(hold).samples().wrench, rtol=1e-12, atol=1e-11)
+    np.testing.assert_allclose(wrench, 2.0 * true.wrench, rtol=1e-12, atol=1e-11)
 
 
 def without(topic: str) -> Callable[[str, Any], Any]:
@@ -211,9 +197,7 @@ def moved_marker(geometry: SocketGeometry, by: float) -> SocketGeometry:
 
 
 @pytest.mark.parametrize("by", [0.005, 0.001])
-def test_a_marker_that_was_registered_wrong_is_repaired(
-    hold: Path, geometry: SocketGeometry, tmp_path: Path, by: float
-) -> None:
+def test_a_marker_that_was_registered_wrong_is_repaired(hold, geometry, tmp_path, by) -> None:
     """Wrong by 5 mm it has no pose, by 1 mm a wrong one."""
     path, notes = recorded_with(hold, tmp_path / "trial", moved_marker(geometry, by)), []
     file, true = hold / "socket.yaml", Trial(hold).measurements()
@@ -270,7 +254,7 @@ def test_markers_that_cannot_be_fitted_are_noted_or_refused(
     np.testing.assert_array_equal(found.socket, Trial(hold).measurements().socket)
     assert len(notes) == 1 and notes[0].startswith("the poses stay as recorded, with markers")
     bare = rewrite(hold, tmp_path / "bare", without(f"/{MARKERS.name}"))
-    with pytest.raises(TrialError, match="bare: holds no 'mocap/markers', so its poses cannot"):
+    with refused(TrialError, "bare: holds no 'mocap/markers', so its poses cannot"):
         Trial(bare, other).samples()
 
     def four(topic: str, message: Any) -> Any:
@@ -279,5 +263,5 @@ def test_markers_that_cannot_be_fitted_are_noted_or_refused(
         return message
 
     more = rewrite(hold, tmp_path / "more", four)
-    with pytest.raises(TrialError, match="4 markers of the socket were recorded, and the geometry"):
+    with refused(TrialError, "4 markers of the socket were recorded, and the geometry"):
         Trial(more, other).samples()
