@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import os
 import zlib
+from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
@@ -36,9 +37,8 @@ from socket_testbed.trials.layout import typestore
 from socket_testbed.trials.recording import Recording
 from socket_testbed.trials.topics import PUBLISHER_DEPTH, REQUIRED, TOPICS, Topic, match_topics
 
-_STORAGE = (".mcap", ".db3")
 _PACKED = ".zstd"
-STORAGE_SUFFIXES = (*_STORAGE, *(suffix + _PACKED for suffix in _STORAGE))
+_STORAGE = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _ZSTD = b"\x28\xb5\x2f\xfd"  # a message as it was recorded begins with a zero
 _LARGEST = 2**28  # [bytes] of a packed file once unpacked, or
 _LARGEST_RATIO = 500  # times its size; recorders come to 20
@@ -110,11 +110,11 @@ class BagReader:
     @property
     def counts(self) -> dict[str, int]:
         """Number of messages by topic, as the storage files hold them."""
-        counts: dict[str, int] = {}
+        counts: dict[str, int] = defaultdict(int)
         for _, reader in self._readers:
             for connection in reader.connections:
-                counts[connection.topic] = counts.get(connection.topic, 0) + connection.msgcount
-        return counts
+                counts[connection.topic] += connection.msgcount
+        return dict(counts)
 
     @property
     def types(self) -> dict[str, str]:
@@ -140,11 +140,10 @@ class BagReader:
         They are read for a duration from the first of these messages [s].
         """
         blocks: dict[str, Block] = {}
-        first, end = math.inf, math.inf
+        end = math.inf
         for connection, time, data in self._entries(topics):
-            if time < first:
-                first, end = time, time + 1e9 * duration
-            elif time > end:
+            end = min(end, time + 1e9 * duration)
+            if time > end:
                 break
             block = blocks.get(connection.topic)
             if block is None or len(block.data) == _BLOCK or block.type != connection.msgtype:
@@ -182,8 +181,8 @@ class BagReader:
         if self.path.is_file():
             return [self.path]
         if metadata is None:
-            files = sorted(p for p in self.path.iterdir() if p.name.endswith(_STORAGE))
-            files = files or sorted(p for p in self.path.iterdir() if is_storage(p))
+            found = sorted(filter(is_storage, self.path.iterdir()))
+            files = [file for file in found if file.suffix != _PACKED] or found
             self.notes.append("no metadata.yaml: the storage files were read as they are")
         else:
             files = [self.path / name for name in metadata[0]]
@@ -237,10 +236,10 @@ class BagReader:
     def _compare(self, promised: Mapping[str, int]) -> None:
         """Compare the counts of metadata.yaml with those of the files."""
         counts = self.counts
+        # A recording that was cut short or damaged has fewer; a note says so.
         lacks = any(isinstance(r, Recording) and r.lacks for _, r in self._readers)
         for name, count in promised.items():
             held = counts.get(name, 0)
-            # A recording that was cut short or damaged has fewer; a note says so.
             if held != count and not (lacks and held < count):
                 raise TrialError(
                     f"{self.path}: metadata.yaml lists {count} messages on {name},"
@@ -256,24 +255,19 @@ class BagReader:
 
 def required_topics(bag: BagReader) -> dict[Topic, str]:
     """Names in the bag of the testbed's topics; a TrialError unless the required ones are there."""
-    topics = match_topics(bag.counts, str(bag.path))
-    if not any(bag.counts.values()):
+    topics, counts, types = match_topics(bag.counts, str(bag.path)), bag.counts, bag.types
+    if not any(counts.values()):
         raise TrialError(f"{bag.path}: holds no message", "record the trial again")
     for topic in REQUIRED:
         if topic not in topics:
-            raise TrialError(
-                f"{bag.path}: has no topic '{topic.name}'",
-                "record all topics of the testbed with 'record'",
-            )
-        name = topics[topic]
-        if bag.counts[name] == 0:
-            raise TrialError(
-                f"{bag.path}: '{name}' holds no message", "check that its node ran and record again"
-            )
-        if bag.types[name] != topic.type:
-            raise TrialError(
-                f"{bag.path}: '{name}' is a {bag.types[name]}", f"record it as {topic.type}"
-            )
+            fact, hint = f"has no topic '{topic.name}'", "record all of them with 'record'"
+        elif counts[name := topics[topic]] == 0:
+            fact, hint = f"'{name}' holds no message", "check that its node ran and record again"
+        elif types[name] != topic.type:
+            fact, hint = f"'{name}' is a {types[name]}", f"record it as {topic.type}"
+        else:
+            continue
+        raise TrialError(f"{bag.path}: {fact}", hint)
     return {topic: topics[topic] for topic in TOPICS if topic in topics}
 
 
@@ -284,7 +278,7 @@ def _read_metadata(bag: Path) -> tuple[list[str], dict[str, int]] | None:
     if not (bag.is_dir() or bag.is_file()):
         raise TrialError(f"{bag}: is neither a folder nor a file", "give the folder of a trial")
     file = bag / "metadata.yaml"
-    if bag.is_file() or not file.exists():
+    if not file.exists():
         return None
     try:
         content = load_yaml(file)["rosbag2_bagfile_information"]
@@ -308,7 +302,7 @@ def _read_metadata(bag: Path) -> tuple[list[str], dict[str, int]] | None:
 
 def is_storage(file: Path) -> bool:
     """Whether a file is a bag's storage, by its name."""
-    return file.name.endswith(STORAGE_SUFFIXES)
+    return file.name.endswith(_STORAGE)
 
 
 def _damaged(file: Path, error: Exception) -> TrialError:
@@ -329,29 +323,29 @@ class BagWriter:
     def __enter__(self) -> Self:
         self._writer.open()
         self._lock = hold(self.path)
-        for folder in (self.path, self.path.parent):
-            with suppress(OSError):  # network drives cannot
-                sync(folder)
+        with suppress(OSError):  # network drives cannot
+            sync(self.path)
+            sync(self.path.parent)
         return self
 
     def __exit__(self, *error: object) -> None:
         # Even after an error: what was recorded so far is a complete bag.
         self._close_chunk()
         self._writer.close()
-        self._sign()
-        for file in (self.path / f"{self.path.name}.mcap", self._writer.metapath):
+        recording = self.path / f"{self.path.name}.mcap"
+        self._sign(recording)
+        for file in (recording, self._writer.metapath):
             sync(file)
         os.close(self._lock)
 
-    def _sign(self) -> None:
+    def _sign(self, file: Path) -> None:
         """Write the checksum of the index, for which the library writes zero: unchecked."""
-        with (self.path / f"{self.path.name}.mcap").open("r+b") as file:
-            place = file.seek(-_CHECKSUM_BEFORE, os.SEEK_END)
-            file.seek(place - 16)
-            start = int.from_bytes(file.read(8), "little")
-            file.seek(start)
-            checksum = zlib.crc32(file.read(place - start))
-            file.write(checksum.to_bytes(4, "little"))
+        with file.open("r+b") as stream:
+            place = stream.seek(-_CHECKSUM_BEFORE, os.SEEK_END)
+            stream.seek(place - 16)
+            start = int.from_bytes(stream.read(8), "little")
+            stream.seek(start)
+            stream.write(zlib.crc32(stream.read(place - start)).to_bytes(4, "little"))
 
     def abandon(self) -> None:
         """Leave the bag without an end after its storage failed; a reader salvages its content."""
