@@ -79,10 +79,8 @@ def is_held(folder: Path) -> bool:
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    except OSError:  # network drives cannot
-        return False
+    except OSError as error:  # network drives cannot
+        return isinstance(error, BlockingIOError)
     finally:
         os.close(descriptor)
     return False

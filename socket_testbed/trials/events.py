@@ -22,7 +22,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.errors import ConfigurationError, TrialError, closest
+from socket_testbed.errors import ConfigurationError, TrialError, likely
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
 from socket_testbed.trials.bag import BagReader
@@ -108,10 +108,9 @@ def read_events(bag: BagReader, samples: Samples) -> list[Event]:
     apart = (time < -_EDGE) | (time > (last - first) * 1e-9 + _EDGE)
     if apart.any():
         triggers = list(bag.messages([topics[TRIGGER]]))
-        recorded = np.array([raw.time - first for raw in triggers])
         reader = Reader(TRIGGER, bag.path)
         stamps = [reader.read(raw.data)[0] - first for raw in triggers]
-        moments = np.array([raw.time - first for raw in raws])
+        recorded, moments = ([raw.time - first for raw in each] for each in (triggers, raws))
         time = np.where(apart, 1e-9 * np.interp(moments, recorded, stamps), time)
     return [
         Event(_printable(label), when, "recorded")
@@ -244,9 +243,7 @@ def _moment(end: str, events: Sequence[Event], after: float) -> float:
     parts = _END.fullmatch(end)
     assert parts is not None  # it takes anything
     label, offset = parts["label"], float(parts["offset"] or 0.0)
-    times = [event.time for event in events if event.label == label]
-    if not times:
-        raise TrialError(f"the trial has no event '{label}'", _suggestion(label, events))
+    times = [event.time for event in _labelled(label, events)]
     if parts["number"] is not None:
         number = int(parts["number"])
         if not 1 <= number <= len(times):
@@ -255,22 +252,23 @@ def _moment(end: str, events: Sequence[Event], after: float) -> float:
                 f"'{label}' happens {_times(len(times))}: give #1 to #{len(times)}",
             )
         return times[number - 1] + offset
-    later = [time + offset for time in times if time + offset > after]
-    if not later:
-        raise TrialError(
-            f"no '{end}' is after {after:.2f} s", f"the last '{label}' is at {times[-1]:.2f} s"
-        )
-    return later[0]
+    for time in times:
+        if time + offset > after:
+            return time + offset
+    raise TrialError(
+        f"no '{end}' is after {after:.2f} s", f"the last '{label}' is at {times[-1]:.2f} s"
+    )
 
 
-def _suggestion(label: str, events: Sequence[Event]) -> str:
-    """A hint at the events that there are."""
+def _labelled(label: str, events: Sequence[Event]) -> list[Event]:
+    """The events of a label; a TrialError that suggests others if there are none."""
+    found = [event for event in events if event.label == label]
+    if found:
+        return found
     counts = Counter(event.label for event in events)
-    if not counts:
-        return "it has none: mark events while you record (mark LABEL), or give T0:T1"
     listed = ", ".join(f"{name} ({_times(count)})" for name, count in counts.items())
-    hint = closest(label, counts)
-    return f"{hint} it has {listed}" if hint.endswith("?") else f"it has {listed}"
+    hint = f"it has {listed}" if counts else "it has none: mark events (mark LABEL), or give T0:T1"
+    raise TrialError(f"the trial has no event '{label}'", f"{likely(label, counts)} {hint}".strip())
 
 
 def _times(count: int) -> str:
@@ -291,8 +289,7 @@ def cycle_spans(events: Sequence[Event], by: str = PLACED) -> list[tuple[float, 
     start, _, end = (part.strip() for part in by.partition(":"))
     end = end or start
     for label in (start, end):
-        if not any(event.label == label for event in events):
-            raise TrialError(f"the trial has no event '{label}'", _suggestion(label, events))
+        _labelled(label, events)
     spans: list[tuple[float, float]] = []
     begin: float | None = None
     for event in events:

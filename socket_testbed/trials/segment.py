@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.errors import ConfigurationError, TrialError, closest
+from socket_testbed.errors import ConfigurationError, TrialError, likely
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
 from socket_testbed.trials.events import Event, event_span, find_events, is_loaded, loaded_span
@@ -81,11 +81,10 @@ def select_segment(
     try:
         start, end = (float(part) for part in specification.split(":"))
     except ValueError:
+        near = likely(specification, ("plateau", "hold", "auto", "all"))
         hint = "give plateau, hold, auto, all, T0:T1 in seconds, or event:A:B"
-        near = closest(specification, _NAMES)
         raise ConfigurationError(
-            f"unknown segment '{specification}'",
-            f"{near} Otherwise {hint}" if near.endswith("?") else hint,
+            f"unknown segment '{specification}'", f"{near} {hint}".strip()
         ) from None
     return _span(samples, start, end, "span")
 
@@ -96,9 +95,6 @@ def first_frames(segment: Segment, samples: Samples, frames: int) -> Segment:
     if not 0 < frames < stop - start:
         return segment
     return _segment(segment.kind, samples, start, start + frames)
-
-
-_NAMES = ("plateau", "hold", "auto", "all")
 
 
 def _find_hold(
@@ -112,9 +108,8 @@ def _find_hold(
 
 
 def _no_plateau(what: str, samples: Samples, settings: PlateauSettings) -> NoReturn:
-    span = loaded_span(samples, settings)
     hint = "give --segment all or --segment T0:T1"
-    if span is not None:
+    if span := loaded_span(samples, settings):
         hint = f"give --segment {span[0]:.2f}:{span[1]:.2f} (the part under load), --segment auto"
     raise TrialError(
         f"no {what} of {settings.least_duration:g} s or more in the {samples.time[-1]:.1f} s of"
@@ -157,11 +152,10 @@ def find_plateaus(
 def find_newest_plateaus(
     samples: Samples, settings: PlateauSettings, leave_out: tuple[str, ...] = ()
 ) -> list[Segment]:
-    """Find the steady stretches of a trial that runs, the newest first.
+    """Find the steady stretches of a trial that runs, the newest first, as in `find_plateaus`.
 
-    The criteria are those of `find_plateaus`. Of a stretch that drifts, the newest part counts
-    rather than the longest. The cause names the channels that drift, or the clusters' channels that
-    slipped under a steady wrench.
+    Of a stretch that drifts, the newest part counts rather than the longest. The cause names the
+    channels that drift, or the clusters' channels that slipped under a steady wrench.
     """
     steady = _steadiness(samples, settings, leave_out)
     found = []
@@ -178,8 +172,7 @@ def find_newest_plateaus(
     return [part for part in found if part.end - part.start >= settings.least_duration]
 
 
-@dataclass(frozen=True)
-class _Steadiness:
+class _Steadiness(NamedTuple):
     """Where samples are steady."""
 
     runs: list[tuple[int, int]]  # half-open index ranges without a change of load
@@ -294,9 +287,8 @@ def longest_within(values: FloatArray, limits: FloatArray) -> tuple[int, int]:
 def _starts_within(values: FloatArray, limits: FloatArray, length: int) -> IntArray:
     """Where ranges of a length start over which every column is within its limit."""
     starts = slice(length // 2, length // 2 + len(values) - length + 1)
-    highest = maximum_filter1d(values, length, axis=0)[starts]
-    lowest = minimum_filter1d(values, length, axis=0)[starts]
-    return np.flatnonzero((highest - lowest <= limits).all(axis=1))
+    spread = maximum_filter1d(values, length, axis=0) - minimum_filter1d(values, length, axis=0)
+    return np.flatnonzero((spread[starts] <= limits).all(axis=1))
 
 
 def _segment(kind: str, samples: Samples, start: int, end: int) -> Segment:

@@ -253,18 +253,11 @@ def correct_measurements(
 ) -> Measurements:
     """Bring the clusters' readings to the baseline of their calibration.
 
-    The drift is linear between two spans without load. The baseline of a calibration
-    is that of an unloaded cluster. If it stores none, or the load cell measured a load in the
-    first span (a pylon alone has a weight, too), only the drift since the first span is corrected.
-
-    Args:
-        measured: The measurements of a trial.
-        spans: One or two spans without load, since the first sample [s].
-        calibration: The clusters' own.
-        least_force: Force that is a load [N].
-        where: Name of the trial in an error.
-        notify: Called with the drift between two spans, a large one flagged, and with what is not
-            corrected.
+    The drift is linear between two spans without load [s]. The baseline of a calibration is that of
+    an unloaded cluster. If it stores none, or the load cell measured more than `least_force` [N] in
+    the first span (a pylon alone has a weight, too), only the drift since that span is corrected.
+    `notify` is called with the drift between two spans, a large one flagged, and with what is not
+    corrected; `where` names the trial in an error.
     """
     loads = _loads_without_load(measured, spans, least_force, where)
     stored = any(calibration.clusters[name].baseline is not None for name in measured.clusters)
@@ -425,10 +418,7 @@ def check_unloaded(spans: tuple[tuple[float, float], ...]) -> None:
             f"--unloaded has {len(spans)} spans", "give one before, or one before and one after"
         )
     for start, end in spans:
-        if not start < end:
-            raise ConfigurationError(
-                f"--unloaded is '{start:g}:{end:g}'", "give seconds as T0:T1, with T0 before T1"
-            )
+        parse_span(f"{start}:{end}", "--unloaded")
     if len(spans) == 2 and not spans[0][1] < spans[1][0]:
         first, second = (f"{start:g}:{end:g}" for start, end in spans)
         raise ConfigurationError(
@@ -448,10 +438,9 @@ def parse_span(span: str, option: str, others: str = "") -> tuple[float, float]:
     """A span written as `T0:T1` [s]; the option, and what else it takes, are for the error."""
     try:
         start, end = (float(part) for part in span.split(":"))
-        if start < end:
-            return start, end
     except ValueError:
-        pass
-    raise ConfigurationError(
-        f"{option} is '{span}'", f"give seconds as T0:T1, with T0 before T1{others}"
-    )
+        start = end = 0.0
+    if not start < end:
+        hint = f"give seconds as T0:T1, with T0 before T1{others}"
+        raise ConfigurationError(f"{option} is '{span}'", hint)
+    return start, end

@@ -170,7 +170,7 @@ class Trial:
 
     @cached_property
     def _samples(self) -> Samples:
-        return self.samples_of(self.measurements())
+        return self.measurements_and_samples()[1]
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
@@ -186,13 +186,9 @@ class Trial:
     def measurements_and_samples(self) -> tuple[Measurements, Samples]:
         """`measurements` and `samples` from one reading."""
         measured = self.measurements()
-        self.__dict__.setdefault("_samples", self.samples_of(measured))
-        return measured, self._samples
-
-    def samples_of(self, measured: Measurements) -> Samples:
-        """The samples that some measurements of the trial make."""
         self._require_clusters(measured.clusters)
-        return make_samples(measured, self.calibration, self.geometry)
+        samples = make_samples(measured, self.calibration, self.geometry)
+        return measured, self.__dict__.setdefault("_samples", samples)
 
     def check(self) -> tuple[str, ...]:
         """Refuse a trial that cannot be worked on, before long work or a graph is started.
