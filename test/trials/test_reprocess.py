@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.bags import rewrite
+from support.bags import copying, rewrite
 from support.verbs import call
 from support.wording import refused
 
@@ -24,26 +24,36 @@ from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.settings.testbed import TestbedSettings, read_testbed, write_testbed
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.layout import decode, stamp_of
-from socket_testbed.trials.topics import MARKERS
+from socket_testbed.trials.messages import load_cell_raw_packer, pose_packer, wrench_packer
+from socket_testbed.trials.synchronise import Measurements, read_measurements
+from socket_testbed.trials.topics import LOAD_CELL_RAW, MARKERS
 from socket_testbed.trials.trial import Trial
 
 WRONG = {"sign": (1.0, -1.0, 1.0, 1.0, 1.0, 1.0), "excitation": 4.0, "inputs": (1, 0, 2, 3, 4, 5)}
 
 
-def set_vectors(wrench: Any, values: np.ndarray) -> None:
-    for vector, numbers in zip((wrench.torque, wrench.force), values.reshape(2, 3), strict=True):
-        vector.x, vector.y, vector.z = numbers.tolist()
+def measured_of(trial: Path) -> Measurements:
+    with BagReader(trial) as bag:
+        return read_measurements(bag, lambda note: None, more=(LOAD_CELL_RAW, MARKERS))
 
 
-def matrix_of(settings: LoadCellSettings) -> np.ndarray:
-    """[M; F] over the ratios in V/V."""
-    return 1e3 * np.roll(np.reshape(settings.matrix, (6, 6)), 3, axis=0)
+def recorded_as(hold: Path, path: Path, packed: dict[str, Callable[[int, int], bytes]]) -> Path:
+    """A copy of the hold; what packs a message of its stamp and row replaces those of a topic."""
+    stamps = measured_of(hold).stamps.tolist()
+    with copying(hold, path) as (old, new):
+        for raw in old.messages():
+            data = raw.data
+            if pack := packed.get(raw.topic):
+                stamp = stamp_of(decode(data, raw.type))
+                data = pack(stamp, stamps.index(stamp))
+            new.write(raw.topic, raw.time, data)
+    return path
 
 
-def raws_of(path: Path) -> dict[int, Any]:
-    with BagReader(path) as bag:
-        raws = bag.messages(["/load_cell/raw"])
-        return {stamp_of(m): m for m in (decode(raw.data, raw.type) for raw in raws)}
+def store(settings: LoadCellSettings, path: Path) -> Path:
+    nodes = dataclasses.replace(TestbedSettings(), load_cell_node=settings).nodes()
+    write_testbed({"load_cell_node": nodes["load_cell_node"]}, path)
+    return path
 
 
 @pytest.fixture(scope="module")
@@ -57,31 +67,19 @@ def miswired(hold: Path, right: LoadCellSettings, tmp_path_factory: pytest.TempP
     rng = np.random.default_rng(4)
     matrix = np.array(right.matrix) * (1.0 + 0.1 * rng.normal(size=36))
     wrong = dataclasses.replace(right, matrix=tuple(matrix), **WRONG)
-    true = {stamp: np.array(m.ratios) for stamp, m in raws_of(hold).items()}
-
-    def misread(ratios: np.ndarray) -> np.ndarray:
-        return ratios[list(WRONG["inputs"])] * WRONG["sign"] * right.excitation / 4.0
-
-    under_load = matrix_of(wrong) @ misread(list(true.values())[100])
-
-    def change(topic: str, message: Any) -> Any:
-        if topic.startswith("/load_cell"):
-            ratios = misread(true[stamp_of(message)])
-            if topic == "/load_cell/wrench":
-                set_vectors(message.wrench, matrix_of(wrong) @ ratios - under_load)
-            else:
-                message.ratios = ratios
-                set_vectors(message.tare, under_load)
-        return message
-
-    path = rewrite(hold, tmp_path_factory.mktemp("trials") / "miswired", change)
+    ratios = measured_of(hold).ratios[:, WRONG["inputs"]] * WRONG["sign"] * right.excitation / 4.0
+    # The matrix gives [F; M] over the ratios in mV/V.
+    wrench = 1e3 * np.roll(ratios @ matrix.reshape(6, 6).T, 3, axis=1)
+    tare, pack_raw, pack_wrench = wrench[100], load_cell_raw_packer(), wrench_packer()
+    path = recorded_as(
+        hold,
+        tmp_path_factory.mktemp("trials") / "miswired",
+        {
+            "/load_cell/wrench": lambda stamp, row: pack_wrench(stamp, wrench[row] - tare),
+            "/load_cell/raw": lambda stamp, row: pack_raw(stamp, 1e3 * ratios[row], tare, 0, 0),
+        },
+    )
     store(wrong, path / "testbed.yaml")
-    return path
-
-
-def store(settings: LoadCellSettings, path: Path) -> Path:
-    nodes = dataclasses.replace(TestbedSettings(), load_cell_node=settings).nodes()
-    write_testbed({"load_cell_node": nodes["load_cell_node"]}, path)
     return path
 
 
@@ -170,22 +168,9 @@ def geometry(hold: Path) -> SocketGeometry:
 
 def recorded_with(hold: Path, path: Path, wrong: SocketGeometry) -> Path:
     """The hold as the node would record it that knows other markers of the socket."""
-    with BagReader(hold) as bag:
-        stamps, markers = [], []
-        for raw in bag.messages([f"/{MARKERS.name}"]):
-            message = decode(raw.data, raw.type)
-            stamps.append(stamp_of(message))
-            markers.append([(m.x, m.y, m.z) for m in message.bodies[0].markers])
-    pose = fit_body(wrong.socket_markers, np.array(markers)).pose
-    rows = dict(zip(stamps, np.hstack([pose.translation, pose.quaternion()]), strict=True))
-
-    def change(topic: str, message: Any) -> Any:
-        if topic == "/mocap/socket/pose":
-            p, q = message.pose.position, message.pose.orientation
-            p.x, p.y, p.z, q.x, q.y, q.z, q.w = rows[stamp_of(message)].tolist()
-        return message
-
-    path = rewrite(hold, path, change)
+    pose = fit_body(wrong.socket_markers, measured_of(hold).markers["socket"][:, :3]).pose
+    rows, pack = np.hstack([pose.translation, pose.quaternion()]), pose_packer()
+    recorded_as(hold, path, {"/mocap/socket/pose": lambda stamp, row: pack(stamp, rows[row])})
     write_socket(wrong, path / "socket.yaml")
     return path
 
