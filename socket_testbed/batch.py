@@ -18,11 +18,11 @@ from threadpoolctl import threadpool_limits
 from socket_testbed.documents import load_json
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
 from socket_testbed.files import (
-    atomic_output,
     check_new_folder,
     check_outputs,
     end_with_parent,
     make_folder,
+    write_text,
 )
 from socket_testbed.tables import split_unit, write_table
 from socket_testbed.trials.bag import is_storage
@@ -238,8 +238,7 @@ def _do(task: Task, job: Job) -> tuple[str, Row]:
             with threadpool_limits(1):  # the cores are for as many trials
                 figures = task.work(replace(job, trial=trial))
             figures = {**figures, "computing_time [s]": round(time.perf_counter() - start, 3)}
-            with atomic_output(record) as staging:
-                staging.write_text(json.dumps([inputs, _stamp(job.output), figures, notes]))
+            write_text(record, json.dumps([inputs, _stamp(job.output), figures, notes]))
             row |= figures
     except TestbedError as error:
         row |= {"status": "failed", "error": str(error)}

@@ -206,5 +206,11 @@ def atomic_output(path: Path, replace: bool = False) -> Iterator[Path]:
         ) from None
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, complete or not at all."""
+    with atomic_output(path) as staging:
+        staging.write_text(text, encoding="utf-8")
+
+
 _PICTURES = (".png", ".pdf")
 WIDTHS = (88, 180)  # [mm]; of a figure: a column of a paper, and its page

@@ -127,7 +127,7 @@ class Recording:
         wanted = {connection.id: connection for connection in connections}
         chunks = [chunk for chunk in self._chunks if wanted.keys() & chunk.counts.keys()]
         chunks.sort(key=lambda chunk: chunk.first_time)
-        next_times = [*(chunk.first_time for chunk in chunks[1:]), math.inf]
+        next_times = (*(chunk.first_time for chunk in chunks[1:]), math.inf)
         waiting: list[tuple[int, int, Connection, bytes]] = []  # for those of chunks that overlap
         for chunk, next_time in zip(chunks, next_times, strict=False):
             waiting += self._messages_of(chunk.place, wanted)
@@ -156,8 +156,7 @@ class Recording:
         walked = [place for place in places if place.packed]
         if index.places != walked:
             listed = [_Chunk(self._file, place) for place in index.places]
-            if sum(c.counts.total() for c in listed) > sum(c.counts.total() for c in found):
-                found = listed
+            found = max(found, listed, key=lambda each: sum(c.counts.total() for c in each))
         if not index.ended:
             # Before its size reaches the disk, a chunk may have zeros or old blocks for content.
             # That is so only for what was not flushed: from the back, the first sound one ends it.
@@ -167,11 +166,8 @@ class Recording:
         definitions = [*index.definitions, *(d for chunk in found for d in chunk.definitions)]
         found = [chunk for chunk in found if chunk.counts or not chunk.sound]
         self._chunks = [chunk for chunk in found if chunk.sound]
-        self.lacks = (
-            not (index.sound and complete)
-            or index.places not in ([], walked)
-            or len(self._chunks) < len(found)
-        )
+        whole = index.sound and complete and index.places in ([], walked)
+        self.lacks = not whole or len(self._chunks) < len(found)
         if self.lacks and not self._chunks:
             raise self._nothing(name, index.ended)
         # As rosbags has it, the end is a nanosecond behind the last message.
@@ -186,32 +182,29 @@ class Recording:
         if not all(chunk.checked for chunk in self._chunks):
             self.notes.append(f"{self.path.name} has no checksums: damage in it cannot be seen")
         if self.lacks and (index.ended or len(self._chunks) < len(found)):
-            known = complete or (index.sound and index.places)
+            known = complete or bool(index.sound and index.places)
             start = min(self.start_time, index.start_time)
-            self.notes.append(self._describe_damage(found, start, bool(known)))
+            self.notes.append(self._describe_damage(found, start, known))
         elif self.lacks:
             torn = size - self._chunks[-1].place.index_end
             self.notes.append(self._describe_cut(torn, complete))
 
     def _nothing(self, name: Path, ended: bool) -> TrialError:
         """Why there is no complete chunk of messages."""
-        if _is_bare(self.path):
-            return TrialError(
-                f"{name}: holds nothing: its recorder was ended before anything was on the disk",
-                "remove it, or copy the trial again if it is complete elsewhere",
-            )
-        if ended:
-            return TrialError(f"{name}: is damaged, nothing in it can be read", _HINT)
         self._file.seek(0)
-        if not _MAGIC.startswith(self._file.read(len(_MAGIC)).rstrip(b"\0")):
-            return TrialError(
-                f"{name}: cannot be read (it is not an MCAP file)",
-                "give an MCAP or SQLite bag of ROS 2",
-            )
-        return TrialError(
-            f"{name}: is truncated (it has no end, and no complete chunk of messages)",
-            "record the trial again; 'mcap recover' may still find a part of it",
-        )
+        magic = self._file.read(len(_MAGIC)).rstrip(b"\0")
+        if _is_bare(self.path):
+            fact = "holds nothing: its recorder was ended before anything was on the disk"
+            hint = "remove it, or copy the trial again if it is complete elsewhere"
+        elif ended:
+            fact, hint = "is damaged, nothing in it can be read", _HINT
+        elif not _MAGIC.startswith(magic):
+            fact = "cannot be read (it is not an MCAP file)"
+            hint = "give an MCAP or SQLite bag of ROS 2"
+        else:
+            fact = "is truncated (it has no end, and no complete chunk of messages)"
+            hint = "record the trial again; 'mcap recover' may still find a part of it"
+        return TrialError(f"{name}: {fact}", hint)
 
     def _describe_cut(self, torn: int, complete: bool) -> str:
         """What was saved and what was not; torn is what follows the chunks [bytes]."""
