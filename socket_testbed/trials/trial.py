@@ -18,7 +18,6 @@ from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, TestbedSettings, read_testbed
 from socket_testbed.trials.bag import BagReader, required_topics, sync
-from socket_testbed.trials.events import Event, find_events, join_events, read_events
 from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.metadata import METADATA_FILE, TrialMetadata, read_metadata
 from socket_testbed.trials.reprocess import (
@@ -29,6 +28,7 @@ from socket_testbed.trials.reprocess import (
     refit_poses,
     remake_wrenches,
 )
+from socket_testbed.trials.segment import Event, find_events, join_events, read_events
 from socket_testbed.trials.synchronise import (
     Measurements,
     check_unloaded,

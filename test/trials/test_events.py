@@ -11,7 +11,8 @@ from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.settings.identification import PlateauSettings
-from socket_testbed.trials.events import (
+from socket_testbed.trials.layout import encode, message_class
+from socket_testbed.trials.segment import (
     Event,
     check_label,
     cycle_spans,
@@ -19,7 +20,6 @@ from socket_testbed.trials.events import (
     find_events,
     is_loaded,
 )
-from socket_testbed.trials.layout import encode, message_class
 from socket_testbed.trials.topics import EVENT
 from socket_testbed.trials.trial import Trial
 
