@@ -8,9 +8,8 @@ import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -19,17 +18,17 @@ from threadpoolctl import threadpool_limits
 from socket_testbed.documents import load_json
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
 from socket_testbed.files import (
-    atomic_output,
     check_new_folder,
     check_outputs,
     end_with_parent,
     make_folder,
+    write_text,
 )
 from socket_testbed.tables import split_unit, write_table
 from socket_testbed.trials.bag import is_storage
 from socket_testbed.trials.metadata import METADATA_FILE
+from socket_testbed.trials.recording import holds_nothing
 from socket_testbed.trials.reprocess import RECORDED
-from socket_testbed.trials.salvage import holds_nothing
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -111,10 +110,6 @@ class Task:
     replace: bool = False  # files that it did not write are replaced
 
 
-Work: TypeAlias = Callable[[Job], tuple[str, Row]]
-Results: TypeAlias = Generator[tuple[str, Row], None, None]
-
-
 def plan_jobs(
     trials: Mapping[str, Path],
     output: Path,
@@ -179,7 +174,7 @@ def run_batch(
     make_folder(records)
     rows: dict[str, Row] = {}
     try:
-        with closing(_spread(partial(_do, task), jobs, processes, dask)) as done:
+        with closing(_spread(task, jobs, processes, dask)) as done:
             for name, row in done:
                 rows[name] = row
                 report(f"[{len(rows)}/{len(jobs)}] {_line(name, row)}")
@@ -187,9 +182,9 @@ def run_batch(
                     warn(f"note: {name}: {row['notes']}")
     finally:
         if rows:  # else an older summary stays, as its results do
-            all_rows = {job.name: rows.get(job.name, _NOT_REACHED) for job in jobs}
+            table = _summary([{"trial": job.name, **rows.get(job.name, _MISSED)} for job in jobs])
             for path in summaries:
-                write_table(_summary(all_rows), path)
+                write_table(table, path)
     report(f"summary in {summaries[0]} and summary.parquet")
     failed = [name for name in sorted(rows) if rows[name]["status"] == "failed"]
     for name in failed:
@@ -201,7 +196,7 @@ def run_batch(
         )
 
 
-_NOT_REACHED: Row = {"status": "not reached", "error": None}
+_MISSED: Row = {"status": "not reached", "error": None}
 
 
 def _line(name: str, row: Row) -> str:
@@ -216,12 +211,11 @@ def _line(name: str, row: Row) -> str:
     return ", ".join(words)
 
 
-def _summary(rows: Mapping[str, Row]) -> pd.DataFrame:
+def _summary(rows: list[Row]) -> pd.DataFrame:
     """The table; a skipped trial is `ok`: it has a result, whichever run made it."""
     import pandas as pd
 
-    listed = [{"trial": name, **row} for name, row in rows.items()]
-    table = pd.DataFrame(listed, dtype=object)  # counts stay integers even where one is missing
+    table = pd.DataFrame(rows, dtype=object)  # counts stay integers even where one is missing
     table["status"] = table["status"].replace("skipped", "ok")
     return table
 
@@ -244,8 +238,7 @@ def _do(task: Task, job: Job) -> tuple[str, Row]:
             with threadpool_limits(1):  # the cores are for as many trials
                 figures = task.work(replace(job, trial=trial))
             figures = {**figures, "computing_time [s]": round(time.perf_counter() - start, 3)}
-            with atomic_output(record) as staging:
-                staging.write_text(json.dumps([inputs, _stamp(job.output), figures, notes]))
+            write_text(record, json.dumps([inputs, _stamp(job.output), figures, notes]))
             row |= figures
     except TestbedError as error:
         row |= {"status": "failed", "error": str(error)}
@@ -287,29 +280,29 @@ def _remove_older(output: Path, record: Path, replace_others: bool) -> None:
 
 def _read_record(path: Path) -> list[Any]:
     """Inputs, stamp of the output, figures and notes of a finished job; empty without any."""
-    try:
-        found = load_json(path, "a record")
-    except ConfigurationError:
-        return []
-    return found if isinstance(found, list) else []
+    with suppress(ConfigurationError, TypeError):
+        return list(load_json(path, "a record"))
+    return []
 
 
-def _spread(work: Work, jobs: Sequence[Job], processes: int | None, dask: str | None) -> Results:
+def _spread(
+    task: Task, jobs: Sequence[Job], processes: int | None, dask: str | None
+) -> Generator[tuple[str, Row], None, None]:
     """Names and rows of jobs as they come; close it to give up those that are not done."""
     if processes == 1 and dask is None:
-        yield from map(work, jobs)
+        yield from (_do(task, job) for job in jobs)
         return
     from joblib import cpu_count
 
     with _executor(min(processes or cpu_count(), len(jobs)), dask) as executor:
-        futures = {executor.submit(work, job): job for job in jobs}
+        futures = {executor.submit(_do, task, job): job for job in jobs}
         for future in as_completed(futures):
             job, error = futures[future], future.exception()
             if error is None:
                 yield future.result()
             elif isinstance(error, BrokenProcessPool) and len(jobs) > 1:
                 # A worker that dies, as for want of memory, takes the others' work with it.
-                yield from _spread(work, [job], processes, dask)
+                yield from _spread(task, [job], processes, dask)
             else:
                 hint = "): check that it has this package and memory enough, or give fewer --jobs"
                 yield job.name, _failure(job, "its worker failed (", error, hint)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
+from itertools import count, repeat
 from pathlib import Path
-from typing import Annotated, Any, TypeAlias, TypeVar
+from types import UnionType
+from typing import Annotated, Any, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 import yaml
@@ -76,72 +78,56 @@ def plain(value: Any) -> Any:
 def _explained(
     error: msgspec.ValidationError, data: Any, kind: Any, where: str, strict: bool
 ) -> ConfigurationError:
-    """The error for a person: msgspec names the place, the type there gives the hint."""
-    value, expected = data, _chosen(inspect.type_info(kind), data)
-    place = str(error).rpartition(" - at `$")[2] if " - at `$" in str(error) else ""
-    for name, index in re.findall(r"\.(\w+)|\[(\d+|\.\.\.)\]", place):
-        if index.isdecimal():
-            step: Any = int(index)
-            where = f"{where}[{index}]"
-        else:
-            step = name or _wrong_key(error, data, value, kind, strict)
-            where = f"{where}: {step}" if where else step
-        value = value[step]
-        expected = _chosen(_below(expected, step), value)
+    """The error for a person: the innermost part that is wrong, and a hint by its type."""
+    for step, value, own in _parts(data, kind):
+        try:
+            msgspec.convert(value, own, strict=strict)
+        except msgspec.ValidationError as inner:
+            named = f"{where}[{step}]" if isinstance(step, int) else f"{where}: {step}".lstrip(": ")
+            return _explained(inner, value, own, named, strict)
     if isinstance(error.__cause__, FieldError):
         fact, hint = error.__cause__.args
         return ConfigurationError(f"{where}: {fact}", hint)
-    if isinstance(expected, _OF_FIELDS) and isinstance(value, dict):
-        refuse_unknown(value, [field.encode_name for field in expected.fields], where)
-        for field in expected.fields:
-            if field.required and field.encode_name not in value:
-                key = field.encode_name
-                return ConfigurationError(f"{where}: '{key}' is missing", f"add '{key}: ...'")
-    return ConfigurationError(f"{where} is {shown(value)}", _hint(expected, value))
+    for fields in filter(None, map(_fields, _alternatives(kind) if isinstance(data, dict) else ())):
+        refuse_unknown(data, [field.name for field in fields], where)
+        for field in fields:
+            if field.required and field.name not in data:
+                return ConfigurationError(
+                    f"{where}: '{field.name}' is missing", f"add '{field.name}: ...'"
+                )
+    return ConfigurationError(f"{where} is {shown(data)}", _hint(inspect.type_info(kind), data))
 
 
-def _wrong_key(
-    error: msgspec.ValidationError, data: Any, mapping: dict[str, Any], kind: Any, strict: bool
-) -> str:
-    """The key of a wrong entry: msgspec names fields, not the keys of other mappings."""
-    entries = dict(mapping)
-    try:
-        for key, value in entries.items():
-            mapping.clear()
-            mapping[key] = value
-            try:
-                msgspec.convert(data, kind, strict=strict)
-            except msgspec.ValidationError as again:
-                if str(again) == str(error):
-                    return key
-    finally:
-        mapping.clear()
-        mapping.update(entries)
-    raise AssertionError(str(error))
+def _parts(data: Any, kind: Any) -> list[tuple[str | int, Any, Any]]:
+    """The entries or items of some data, with the types that they are to have."""
+    for each in _alternatives(kind):
+        origin, types = get_origin(each), get_args(each)
+        if isinstance(data, dict) and origin is dict:
+            return [(key, value, types[1]) for key, value in data.items()]
+        if isinstance(data, dict) and _fields(each):
+            hints = get_type_hints(each, include_extras=True)
+            return [(key, value, hints[key]) for key, value in data.items() if key in hints]
+        if isinstance(data, list | tuple) and origin in (list, tuple):
+            own = repeat(types[0]) if origin is list or types[-1] is ... else types
+            return [*zip(count(), data, own, strict=False)]
+    return []
 
 
-_OF_FIELDS = (inspect.StructType, inspect.DataclassType)
+def _alternatives(kind: Any) -> list[Any]:
+    """The types of a union, without what limits them."""
+    if get_origin(kind) is Annotated:
+        return _alternatives(get_args(kind)[0])
+    if get_origin(kind) in (Union, UnionType):
+        return [each for one in get_args(kind) for each in _alternatives(one)]
+    return [kind]
+
+
+def _fields(kind: Any) -> Sequence[inspect.Field]:
+    """The fields of a document or a dataclass, none of another type."""
+    return getattr(inspect.type_info(kind), "fields", ())
+
+
 _OF_NUMBERS = (inspect.FloatType, inspect.IntType)
-_OF_LISTS = (inspect.ListType, inspect.TupleType, inspect.VarTupleType)
-
-
-def _chosen(expected: inspect.Type, value: Any) -> inspect.Type:
-    """The type of a union that a mapping or a list is to be; any other type itself."""
-    if not isinstance(value, dict | list):
-        return expected
-    kinds = (*_OF_FIELDS, inspect.DictType) if isinstance(value, dict) else _OF_LISTS
-    types = getattr(expected, "types", (expected,))
-    return next((each for each in types if isinstance(each, kinds)), expected)
-
-
-def _below(expected: Any, step: str | int) -> inspect.Type:
-    """The type of a field, an entry or an item."""
-    if isinstance(expected, _OF_FIELDS):
-        return next(each.type for each in expected.fields if each.encode_name == step)
-    if isinstance(expected, inspect.TupleType):
-        return expected.item_types[int(step)]
-    item: inspect.Type = getattr(expected, "value_type", None) or expected.item_type
-    return item
 
 
 def _hint(expected: Any, value: Any) -> str:

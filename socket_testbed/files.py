@@ -79,10 +79,8 @@ def is_held(folder: Path) -> bool:
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    except OSError:  # network drives cannot
-        return False
+    except OSError as error:  # network drives cannot
+        return isinstance(error, BlockingIOError)
     finally:
         os.close(descriptor)
     return False
@@ -206,6 +204,12 @@ def atomic_output(path: Path, replace: bool = False) -> Iterator[Path]:
             f"{path}: cannot be written ({error.strerror or error})",
             "check the folder, its permissions and the space left",
         ) from None
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, complete or not at all."""
+    with atomic_output(path) as staging:
+        staging.write_text(text, encoding="utf-8")
 
 
 _PICTURES = (".png", ".pdf")

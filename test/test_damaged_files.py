@@ -7,7 +7,6 @@ import pickle
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +15,8 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as draw
-from rosbags.rosbag2 import StoragePlugin, Writer
-from support.bags import rewrite
+from rosbags.rosbag2 import StoragePlugin
+from support.bags import rewrite, written_by_rosbags
 from support.benches import exact_bench, write_bench
 from support.damage import damaged, numbers_of, without_a_number
 from support.meshes import open_cone, scaled
@@ -28,16 +27,12 @@ from support.wording import refused
 import socket_testbed as st
 from socket_testbed.calibration.bench_data import read_bench
 from socket_testbed.drivers.clusters.i2c import BusError
-from socket_testbed.errors import ConfigurationError, ScanError, TestbedError
+from socket_testbed.errors import ScanError, TestbedError
 from socket_testbed.files import packaged
-from socket_testbed.geometry.socket import socket_from_document
 from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
 from socket_testbed.socket_design.motive import read_motive_csv
 from socket_testbed.socket_design.scan_file import Scan, read_scan
 from socket_testbed.trials.bag import BagReader
-from socket_testbed.trials.events import read_events
-from socket_testbed.trials.layout import typestore
-from socket_testbed.trials.synchronise import make_samples, read_measurements
 from socket_testbed.trials.trial import Trial
 
 MEMORY = 64 * 2**20  # [bytes] more than before
@@ -52,20 +47,11 @@ class Sampled:
     events: list[float]
 
 
-@cache
-def setup_of_trial() -> Trial:
-    """A trial without a bag, for its geometry and calibration."""
-    files = (packaged("config", "socket.yaml"), packaged("config", "calibration.yaml"))
-    return Trial(Path("nowhere"), *files)
-
-
 def sampled(bag: Path) -> Sampled:
-    with BagReader(bag) as reader:
-        measured = read_measurements(reader, lambda note: None)
-        setup_of_trial()._require_clusters(measured.clusters)
-        samples = make_samples(measured, setup_of_trial().calibration, setup_of_trial().geometry)
-        events = read_events(reader, samples)
-    return Sampled(samples.stamps, samples.values, [event.time for event in events])
+    configuration = (packaged("config", "socket.yaml"), packaged("config", "calibration.yaml"))
+    trial = Trial(bag, *configuration)
+    samples = trial.samples()
+    return Sampled(samples.stamps, samples.values, [event.time for event in trial.events()])
 
 
 def sampled_folder(file: Path) -> Sampled:
@@ -82,8 +68,8 @@ READERS: dict[str, tuple[str, Callable[[Path], Any], bool, bool, bool]] = {
     "ply": ("scan.ply", read_scan, False, False, False),
     "text ply": ("text/scan.ply", read_scan, True, False, False),
     "obj": ("scan.obj", read_scan, True, False, False),
-    "mcap": ("bag/bag.mcap", sampled_folder, False, True, True),
-    "mcap alone": ("bag/bag.mcap", sampled, False, True, True),
+    "mcap": ("bag/hold.mcap", sampled_folder, False, True, True),
+    "mcap alone": ("bag/hold.mcap", sampled, False, True, True),
     "sqlite": ("old/old.db3", sampled_folder, False, True, False),
     "metadata.yaml": ("bag/metadata.yaml", sampled_folder, False, True, True),
     "truth": (f"truth/{TRUTH_FILE}", lambda path: read_truth(path.parent), False, True, True),
@@ -107,22 +93,12 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "text/scan.stl").write_text(trimesh.exchange.stl.export_stl_ascii(mesh))
     (folder / "text/scan.ply").write_bytes(mesh.export(file_type="ply", encoding="ascii"))
     st.simulate(folder / "hold", "static_hold", duration=2.0)
-    (folder / "bag").mkdir()
-    shutil.copy(folder / "hold/hold.mcap", folder / "bag/bag.mcap")
-    text = (folder / "hold/metadata.yaml").read_text()
-    (folder / "bag/metadata.yaml").write_text(text.replace("hold.mcap", "bag.mcap"))
-    (folder / "truth").mkdir()
-    shutil.copy(folder / "hold" / TRUTH_FILE, folder / "truth")
-    with (
-        BagReader(folder / "hold") as source,
-        Writer(folder / "old", version=8, storage_plugin=StoragePlugin.SQLITE3) as target,
-    ):
-        connections = {
-            name: target.add_connection(name, kind, typestore=typestore())
-            for name, kind in source.types.items()
-        }
-        for raw in source.messages():
-            target.write(connections[raw.topic], raw.time, raw.data)
+    for name, files in {"bag": ("hold.mcap", "metadata.yaml"), "truth": (TRUTH_FILE,)}.items():
+        (folder / name).mkdir()
+        for file in files:
+            shutil.copy(folder / "hold" / file, folder / name)
+    with BagReader(folder / "hold") as source:
+        written_by_rosbags(source.messages(), folder / "old", StoragePlugin.SQLITE3)
     return folder
 
 
@@ -169,14 +145,6 @@ def none_differs(found: Any, sound: Any) -> bool:
     return bool(np.isclose(numbers[known], expected[known], rtol=1e-12, atol=0.0).all())
 
 
-def memory(reset: bool = False) -> int:
-    """Largest memory of this process since it was last reset [bytes]; reset: what it has now."""
-    if reset:
-        Path("/proc/self/clear_refs").write_text("5")
-    status = Path("/proc/self/status").read_text()
-    return 1024 * int(status.partition("VmHWM:")[2].split()[0])
-
-
 def test_an_error_is_one_printable_line_and_comes_back_from_a_worker_process() -> None:
     error = TestbedError("a\x1b[2J\udc80b\nc" + 10**6 * "x", "hint\0")
     assert str(error).isprintable() and len(str(error)) < 3000
@@ -204,8 +172,8 @@ def test_a_value_that_no_sensor_reads_is_missing_and_noted(good: Path, tmp_path:
         return message
 
     notes: list[str] = []
-    with BagReader(rewrite(good / "hold", tmp_path / "hold", change)) as bag:
-        measured = read_measurements(bag, notes.append)
+    trial = Trial(rewrite(good / "hold", tmp_path / "hold", change), notify=notes.append)
+    measured = trial.measurements()
     assert np.isnan(measured.wrench[:, 5]).all() and np.isfinite(measured.wrench[:, :5]).all()
     assert any("holds 8 values beyond 1e+06" in note for note in notes)
 
@@ -234,31 +202,17 @@ CLAIMS = {
 }
 
 
+def memory() -> int:
+    """Largest memory of this process since it was last reset [bytes]."""
+    status = Path("/proc/self/status").read_text()
+    return 1024 * int(status.partition("VmHWM:")[2].split()[0])
+
+
 def test_a_scan_that_claims_more_than_it_holds_takes_no_memory(tmp_path: Path) -> None:
     for name, content in CLAIMS.items():
         (tmp_path / name).write_bytes(content)
-        before = memory(reset=True)
+        Path("/proc/self/clear_refs").write_text("5")
+        before = memory()
         with pytest.raises(ScanError):
             read_scan(tmp_path / name)
         assert memory() - before < MEMORY, name
-
-
-def test_a_socket_of_thousands_of_tiles_takes_no_memory_of_their_square() -> None:
-    frame = np.eye(3).tolist()
-    tiles = {
-        f"t{i}": {"anchor": [1e-3 * (i % 60), 1e-3 * (i // 60), 0.0], "frame": frame, "area": 1e-4}
-        for i in range(3000)
-    }
-    tiles["t2999"]["anchor"] = tiles["t7"]["anchor"]
-    document = {"tiles": tiles, "neighbours": [], "clusters": {}, "bodies": {}}
-    document["bodies"] = {
-        name: {"markers": SOCKET_TRIAD.tolist(), key: {"rotation": frame, "translation": [0, 0, 0]}}
-        for name, key in (("socket", "in_load_cell"), ("pylon", "limb_in_body"))
-    }
-    before = memory(reset=True)
-    with refused(ConfigurationError, "is at the same place as t"):
-        socket_from_document(document, "socket.yaml")
-    assert memory() - before < MEMORY
-    tiles["t2999"]["anchor"] = [0.03, 0.02, 0.1]
-    with refused(ConfigurationError, "t2999: is 100 mm from all others"):
-        socket_from_document(document, "socket.yaml")

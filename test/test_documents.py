@@ -62,8 +62,6 @@ WRONG: list[tuple[Any, str]] = [
     ({"power": 1, "colur": "red"}, "lamp: unknown key 'colur': did you mean 'colour'?"),
     ({"power": 101}, "lamp: power is 101: give a number from 0 to 100: what it takes [W]"),
     ({"power": True}, "lamp: power is True: give a number"),
-    ({"power": "1e-8"}, "lamp: power is '1e-8': give a number"),
-    ({"power": 10**400}, "lamp: power is 1000"),
     ({"power": 13}, "lamp: power is 13: give another number"),
     ({"power": 1, "colour": "rad"}, "lamp: colour is 'rad': did you mean 'red'?"),
     ({"power": 1, "count": 1.5}, "lamp: count is 1.5: give a whole number"),
@@ -71,11 +69,7 @@ WRONG: list[tuple[Any, str]] = [
     ({"power": 1, "names": ["a", []]}, "lamp: names[1] is a list of 0: give a text, in quotes"),
     ({"power": 1, "at": [1, 2]}, "lamp: at[0] is 1: give a list of 2"),
     ({"power": 1, "at": 3}, "lamp: at is 3: give a list of 2 lists of 2"),
-    ({"power": 1, "inside": []}, "lamp: inside is a list of 0: give 'key: value' lines"),
-    (
-        {"power": 1, "inside": {"a": {"power": 1}, "b": {"power": 2, "inside": {"c": {}}}}},
-        "lamp: inside: b: inside: c: 'power' is missing",
-    ),
+    ({"power": 1, "inside": {"a": {"power": 1, "inside": {"c": {}}}}}, "a: inside: c: 'power' is"),
     ([], "lamp is a list of 0: give 'key: value' lines"),
 ]
 
@@ -84,13 +78,9 @@ def test_an_error_names_the_field_and_tells_what_belongs_there() -> None:
     for data, error in WRONG:
         with refused(ConfigurationError, error):
             convert(data, Lamp, "lamp")
-
-
-def test_whole_numbers_are_numbers_and_names_may_be_numbers() -> None:
     lamp = convert({"power": 2, "names": [12, "a"]}, Lamp, "lamp")
     assert isinstance(lamp.power, float) and [str(name) for name in lamp.names] == ["12", "a"]
     assert check_number(np.float32(0.5), "x") == check_number(np.array(0.5), "x") == 0.5
-    assert check_number(np.int64(2**60), "x") == 2.0**60
 
 
 # --- YAML
@@ -111,22 +101,15 @@ BAD_YAML = {
 }
 
 
-def test_no_yaml_that_cannot_be_is_more_than_one_line(tmp_path: Path) -> None:
+def test_no_file_that_cannot_be_is_more_than_one_line(tmp_path: Path) -> None:
     path = tmp_path / "damaged.yaml"
     for text, problem in BAD_YAML.items():
         path.write_text(text, encoding="utf-8")
         with refused(ConfigurationError, str(path), problem) as caught:
             load_yaml(path)
         assert len(str(caught.value)) < 300
-
-
-def test_a_file_that_is_no_text_or_is_not_there_is_named(tmp_path: Path) -> None:
-    (tmp_path / "binary.yaml").write_bytes(bytes(range(256)))
-    for name, problem in (
-        ("binary.yaml", "UTF-8"),
-        ("none.yaml", "check the path"),
-        ("", "cannot"),
-    ):
+    path.write_bytes(bytes(range(256)))
+    for name, problem in ((path.name, "UTF-8"), ("none.yaml", "check the path"), ("", "cannot")):
         with refused(ConfigurationError, str(tmp_path / name), problem):
             load_yaml(tmp_path / name)
     for text in ("[" * 10_000, '{"a": NaN}', '{"a": 1e999}', "{"):
@@ -246,3 +229,13 @@ def test_whatever_stands_in_a_field_is_read_or_refused_by_its_name(name, folder,
     else:
         known = numbers_of(found)
         assert np.isfinite(known[~np.isnan(known)]).all()
+
+
+def test_tiles_in_one_place_or_far_from_all_others_are_named(folder: Path) -> None:
+    document, path = documents()["socket"][0], folder / "tiles.yaml"
+    first, second, *_ = document["tiles"]
+    x, y, z = document["tiles"][first]["anchor"]
+    for anchor, problem in (([x, y, z], "is at the same place"), ([x, y, -2.0], "from all others")):
+        path.write_text(yaml.safe_dump(changed(document, ("tiles", second, "anchor"), anchor)))
+        with refused(ConfigurationError, str(path), second, problem):
+            read_socket(path)

@@ -65,20 +65,18 @@ def test_an_output_replaces_nothing_and_makes_no_folder_unless_asked(
         own.write_text("ours")
     assert (tmp_path / "new.json").read_text() == "another's"
     (tmp_path / "new.json").unlink()
-    with monkeypatch.context() as patch:
-        patch.setattr("os.access", lambda path, mode: False)
-        with refused(ConfigurationError, "no right to write"):
-            check_outputs(tmp_path / "other.json", replace=False)
-    with refused(ConfigurationError, "exists already", "--replace"):
-        check_outputs(None, taken, replace=False)
-    with refused(ConfigurationError, "as a folder"):
-        check_outputs(tmp_path, replace=True)
     check_new_folder(tmp_path / "trials" / "s01")
     with refused(ConfigurationError, "no such folder"):
         check_new_folder(tmp_path / "home/trials/s01")
-    for mistyped, fact in (("modles/m.json", "no such folder"), ("bench.csv/m", "is not a folder")):
+    for name, replace, fact in (
+        ("bench.csv", False, "--replace"),
+        (".", True, "as a folder"),
+        ("modles/m.json", True, "no such folder"),
+        ("bench.csv/m", True, "is not a folder"),
+    ):
         with refused(ConfigurationError, fact):
-            check_outputs(tmp_path / mistyped, replace=True)
-        with refused(ConfigurationError, fact), atomic_output(tmp_path / mistyped):
-            pass
+            check_outputs(None, tmp_path / name, replace=replace)
+    monkeypatch.setattr("os.access", lambda path, mode: False)
+    with refused(ConfigurationError, "no right to write"), atomic_output(tmp_path / "other.json"):
+        pass
     assert list(tmp_path.iterdir()) == [taken]

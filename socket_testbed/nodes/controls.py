@@ -31,8 +31,8 @@ from socket_testbed.nodes.base import (
     subscriber_qos,
 )
 from socket_testbed.settings.testbed import NextTrialSettings
-from socket_testbed.trials.events import check_label
 from socket_testbed.trials.layout import stamp_of
+from socket_testbed.trials.segment import check_label
 from socket_testbed.trials.topics import EVENT, RECORDED_TRIAL, TRIGGER, full_namespace
 
 _POLL = 0.02  # [s]

@@ -52,8 +52,13 @@ from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS, Variant
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.simulation.trial import read_true_forces
-from socket_testbed.trials.events import Event
-from socket_testbed.trials.segment import Segment, find_plateaus, first_frames, select_segment
+from socket_testbed.trials.segment import (
+    Event,
+    Segment,
+    find_plateaus,
+    first_frames,
+    select_segment,
+)
 from socket_testbed.trials.trial import Trial
 
 GIVEN = "given"

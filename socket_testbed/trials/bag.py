@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import os
 import zlib
+from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
@@ -33,12 +34,11 @@ from socket_testbed.documents import load_yaml
 from socket_testbed.errors import TrialError
 from socket_testbed.files import TemporaryFolder, hold
 from socket_testbed.trials.layout import typestore
-from socket_testbed.trials.salvage import SalvagedRecording, check_sums
+from socket_testbed.trials.recording import Recording
 from socket_testbed.trials.topics import PUBLISHER_DEPTH, REQUIRED, TOPICS, Topic, match_topics
 
-_STORAGE = (".mcap", ".db3")
 _PACKED = ".zstd"
-STORAGE_SUFFIXES = (*_STORAGE, *(suffix + _PACKED for suffix in _STORAGE))
+_STORAGE = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _ZSTD = b"\x28\xb5\x2f\xfd"  # a message as it was recorded begins with a zero
 _LARGEST = 2**28  # [bytes] of a packed file once unpacked, or
 _LARGEST_RATIO = 500  # times its size; recorders come to 20
@@ -48,7 +48,6 @@ _CHUNK = 2**20 - 2**10  # [bytes]; the library closes a chunk at 1 MiB
 _CHUNK_SPAN = 10**9  # [ns]; damage costs a chunk
 _CHECKSUM_BEFORE = 4 + 8  # [bytes] from the end of the file: that of the index
 _CHECKSUM_AT = 9 + 3 * 8  # [bytes] from the start of a chunk's record
-_TRUNCATED = ("end magic", "truncated", "footer", "empty", "ended before")
 
 
 @dataclass(frozen=True)
@@ -90,16 +89,14 @@ class BagReader:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._stack = ExitStack()
-        self._readers: list[Reader | SalvagedRecording] = []
-        self._packed: dict[Path, Path] = {}  # files by what they were unpacked to
-        self._lacks = False  # messages
+        self._readers: list[tuple[Path, Any]] = []  # of rosbags, or a Recording
         self.notes: list[str] = []
 
     def __enter__(self) -> Self:
         metadata = _read_metadata(self.path)
         try:
             for file in self._storage_files(metadata):
-                self._readers.append(self._open(file))
+                self._readers.append((file, self._open(file)))
             if metadata is not None:
                 self._compare(metadata[1])
         except BaseException:
@@ -113,21 +110,21 @@ class BagReader:
     @property
     def counts(self) -> dict[str, int]:
         """Number of messages by topic, as the storage files hold them."""
-        counts: dict[str, int] = {}
-        for reader in self._readers:
+        counts: dict[str, int] = defaultdict(int)
+        for _, reader in self._readers:
             for connection in reader.connections:
-                counts[connection.topic] = counts.get(connection.topic, 0) + connection.msgcount
-        return counts
+                counts[connection.topic] += connection.msgcount
+        return dict(counts)
 
     @property
     def types(self) -> dict[str, str]:
         """Message type by topic."""
-        return {c.topic: c.msgtype for reader in self._readers for c in reader.connections}
+        return {c.topic: c.msgtype for _, reader in self._readers for c in reader.connections}
 
     @property
     def duration(self) -> float:
         """Time from the first to the last message [s]; 0 for an empty bag."""
-        spans = [(r.start_time, r.end_time) for r in self._readers if r.message_count]
+        spans = [(r.start_time, r.end_time) for _, r in self._readers if r.message_count]
         if not spans:
             return 0.0
         return (max(end for _, end in spans) - min(start for start, _ in spans) - 1) * 1e-9
@@ -143,11 +140,10 @@ class BagReader:
         They are read for a duration from the first of these messages [s].
         """
         blocks: dict[str, Block] = {}
-        first, end = math.inf, math.inf
+        end = math.inf
         for connection, time, data in self._entries(topics):
-            if time < first:
-                first, end = time, time + 1e9 * duration
-            elif time > end:
+            end = min(end, time + 1e9 * duration)
+            if time > end:
                 break
             block = blocks.get(connection.topic)
             if block is None or len(block.data) == _BLOCK or block.type != connection.msgtype:
@@ -159,14 +155,13 @@ class BagReader:
             block.data.append(data)
         yield from blocks.values()
 
-    def _entries(self, topics: Collection[str] | None) -> Iterator[tuple[Connection, int, bytes]]:
+    def _entries(self, topics: Collection[str] | None) -> Iterator[tuple[Any, int, bytes]]:
         """The messages of some topics, or of all, with their connections and times."""
-        for reader in self._readers:
+        for file, reader in self._readers:
             connections = [c for c in reader.connections if topics is None or c.topic in topics]
             if not connections:
                 continue
             left = {connection.id: connection.msgcount for connection in connections}
-            file = self._packed.get(Path(str(reader.path)), reader.path)
             try:
                 for connection, time, data in reader.messages(connections):
                     left[connection.id] -= 1
@@ -179,15 +174,15 @@ class BagReader:
             if lacking := sum(left.values()):
                 raise TrialError(
                     f"{file}: is damaged: its index lists {lacking} messages more than can be read",
-                    "copy the trial again, or save what is there with 'mcap recover'",
+                    "copy the trial again if it is whole elsewhere",
                 )
 
     def _storage_files(self, metadata: tuple[list[str], Any] | None) -> list[Path]:
         if self.path.is_file():
             return [self.path]
         if metadata is None:
-            files = sorted(p for p in self.path.iterdir() if p.name.endswith(_STORAGE))
-            files = files or sorted(p for p in self.path.iterdir() if is_storage(p))
+            found = sorted(filter(is_storage, self.path.iterdir()))
+            files = [file for file in found if file.suffix != _PACKED] or found
             self.notes.append("no metadata.yaml: the storage files were read as they are")
         else:
             files = [self.path / name for name in metadata[0]]
@@ -203,38 +198,23 @@ class BagReader:
                 )
         return files
 
-    def _open(self, file: Path) -> Reader | SalvagedRecording:
-        if file.suffix == _PACKED:
-            file = self._unpack(file)
+    def _open(self, file: Path) -> Reader | Recording:
+        path = self._unpack(file) if file.suffix == _PACKED else file
+        if path.suffix == ".mcap":
+            recording = self._stack.enter_context(Recording(path, file))
+            self.notes += recording.notes
+            return recording
         journal = file.with_name(file.name + "-wal")  # of SQLite
         if journal.exists() and journal.stat().st_size:
             self.notes.append(
                 f"{journal.name}, which may hold the newest messages, is not read:"
                 f" 'sqlite3 {file} vacuum' takes them in"
             )
-        sound, checked = check_sums(file) if file.suffix == ".mcap" else (True, False)
-        if not sound:
-            return self._salvage(file)
-        if not checked:
-            self.notes.append(f"{file.name} has no checksums: damage in it cannot be seen")
+        self.notes.append(f"{path.name} has no checksums: damage in it cannot be seen")
         try:
-            return self._stack.enter_context(Reader(file))
+            return self._stack.enter_context(Reader(path))
         except Exception as error:  # the library raises whatever the bytes lead it to
-            if file.suffix == ".mcap":
-                with suppress(TrialError):
-                    return self._salvage(file)
-            raise _damaged(self._packed.get(file, file), error) from None
-
-    def _salvage(self, file: Path) -> SalvagedRecording:
-        """What can be read of a recording that was cut short or damaged."""
-        try:
-            salvaged = self._stack.enter_context(SalvagedRecording(file))
-        except TrialError as error:
-            fact = error.fact.replace(str(file), str(self._packed.get(file, file)))
-            raise TrialError(fact, error.hint) from None
-        self._lacks = True
-        self.notes.append(salvaged.note)
-        return salvaged
+            raise _damaged(file, error) from None
 
     def _unpack(self, file: Path) -> Path:
         """A storage file unpacked into a folder that goes with this reader."""
@@ -247,18 +227,20 @@ class BagReader:
                     left -= target.write(content)
                     if left < 0:
                         raise ValueError("it is too large once unpacked")
-        except (OSError, EOFError, ValueError, zstd.ZstdError) as error:
+        except EOFError:
+            raise TrialError(f"{file}: is truncated", "copy the trial again") from None
+        except (OSError, ValueError, zstd.ZstdError) as error:
             raise _damaged(file, error) from None
-        self._packed[unpacked] = file
         return unpacked
 
     def _compare(self, promised: Mapping[str, int]) -> None:
         """Compare the counts of metadata.yaml with those of the files."""
         counts = self.counts
+        # A recording that was cut short or damaged has fewer; a note says so.
+        lacks = any(isinstance(r, Recording) and r.lacks for _, r in self._readers)
         for name, count in promised.items():
             held = counts.get(name, 0)
-            # A recording that was cut short or damaged has fewer; a note says so.
-            if held != count and not (self._lacks and held < count):
+            if held != count and not (lacks and held < count):
                 raise TrialError(
                     f"{self.path}: metadata.yaml lists {count} messages on {name},"
                     f" the storage file holds {held}",
@@ -273,24 +255,19 @@ class BagReader:
 
 def required_topics(bag: BagReader) -> dict[Topic, str]:
     """Names in the bag of the testbed's topics; a TrialError unless the required ones are there."""
-    topics = match_topics(bag.counts, str(bag.path))
-    if not any(bag.counts.values()):
+    topics, counts, types = match_topics(bag.counts, str(bag.path)), bag.counts, bag.types
+    if not any(counts.values()):
         raise TrialError(f"{bag.path}: holds no message", "record the trial again")
     for topic in REQUIRED:
         if topic not in topics:
-            raise TrialError(
-                f"{bag.path}: has no topic '{topic.name}'",
-                "record all topics of the testbed with 'record'",
-            )
-        name = topics[topic]
-        if bag.counts[name] == 0:
-            raise TrialError(
-                f"{bag.path}: '{name}' holds no message", "check that its node ran and record again"
-            )
-        if bag.types[name] != topic.type:
-            raise TrialError(
-                f"{bag.path}: '{name}' is a {bag.types[name]}", f"record it as {topic.type}"
-            )
+            fact, hint = f"has no topic '{topic.name}'", "record all of them with 'record'"
+        elif counts[name := topics[topic]] == 0:
+            fact, hint = f"'{name}' holds no message", "check that its node ran and record again"
+        elif types[name] != topic.type:
+            fact, hint = f"'{name}' is a {types[name]}", f"record it as {topic.type}"
+        else:
+            continue
+        raise TrialError(f"{bag.path}: {fact}", hint)
     return {topic: topics[topic] for topic in TOPICS if topic in topics}
 
 
@@ -301,7 +278,7 @@ def _read_metadata(bag: Path) -> tuple[list[str], dict[str, int]] | None:
     if not (bag.is_dir() or bag.is_file()):
         raise TrialError(f"{bag}: is neither a folder nor a file", "give the folder of a trial")
     file = bag / "metadata.yaml"
-    if bag.is_file() or not file.exists():
+    if not file.exists():
         return None
     try:
         content = load_yaml(file)["rosbag2_bagfile_information"]
@@ -325,32 +302,12 @@ def _read_metadata(bag: Path) -> tuple[list[str], dict[str, int]] | None:
 
 def is_storage(file: Path) -> bool:
     """Whether a file is a bag's storage, by its name."""
-    return file.name.endswith(STORAGE_SUFFIXES)
+    return file.name.endswith(_STORAGE)
 
 
-def _damaged(file: Path | object, error: Exception) -> TrialError:
-    reason = " ".join(str(error).split()).rstrip(".")
-    if any(word in reason.lower() for word in _TRUNCATED):
-        return TrialError(
-            f"{file}: is truncated ({reason})",
-            "copy the trial again, or save what is there with 'mcap recover'",
-        )
+def _damaged(file: Path, error: Exception) -> TrialError:
+    reason = str(error).rstrip(".")
     return TrialError(f"{file}: cannot be read ({reason})", "give an MCAP or SQLite bag of ROS 2")
-
-
-def qos_profile(topic: Topic) -> Qos:
-    """The quality of service with which the testbed offers a topic."""
-    return Qos(
-        QosHistory.KEEP_LAST,
-        1 if topic.latched else PUBLISHER_DEPTH,
-        QosReliability.RELIABLE,
-        QosDurability.TRANSIENT_LOCAL if topic.latched else QosDurability.VOLATILE,
-        _FOREVER,
-        _FOREVER,
-        QosLiveliness.AUTOMATIC,
-        _FOREVER,
-        False,
-    )
 
 
 class BagWriter:
@@ -366,29 +323,29 @@ class BagWriter:
     def __enter__(self) -> Self:
         self._writer.open()
         self._lock = hold(self.path)
-        for folder in (self.path, self.path.parent):
-            with suppress(OSError):  # network drives cannot
-                sync(folder)
+        with suppress(OSError):  # network drives cannot
+            sync(self.path)
+            sync(self.path.parent)
         return self
 
     def __exit__(self, *error: object) -> None:
         # Even after an error: what was recorded so far is a complete bag.
         self._close_chunk()
         self._writer.close()
-        self._sign()
-        for file in (self.path / f"{self.path.name}.mcap", self._writer.metapath):
+        recording = self.path / f"{self.path.name}.mcap"
+        self._sign(recording)
+        for file in (recording, self._writer.metapath):
             sync(file)
         os.close(self._lock)
 
-    def _sign(self) -> None:
+    def _sign(self, file: Path) -> None:
         """Write the checksum of the index, for which the library writes zero: unchecked."""
-        with (self.path / f"{self.path.name}.mcap").open("r+b") as file:
-            place = file.seek(-_CHECKSUM_BEFORE, os.SEEK_END)
-            file.seek(place - 16)
-            start = int.from_bytes(file.read(8), "little")
-            file.seek(start)
-            checksum = zlib.crc32(file.read(place - start))
-            file.write(checksum.to_bytes(4, "little"))
+        with file.open("r+b") as stream:
+            place = stream.seek(-_CHECKSUM_BEFORE, os.SEEK_END)
+            stream.seek(place - 16)
+            start = int.from_bytes(stream.read(8), "little")
+            stream.seek(start)
+            stream.write(zlib.crc32(stream.read(place - start)).to_bytes(4, "little"))
 
     def abandon(self) -> None:
         """Leave the bag without an end after its storage failed; a reader salvages its content."""
@@ -398,8 +355,19 @@ class BagWriter:
 
     def add_topic(self, name: str, topic: Topic) -> None:
         """Declare a topic under the name it has in the graph."""
+        qos = Qos(
+            QosHistory.KEEP_LAST,
+            1 if topic.latched else PUBLISHER_DEPTH,
+            QosReliability.RELIABLE,
+            QosDurability.TRANSIENT_LOCAL if topic.latched else QosDurability.VOLATILE,
+            _FOREVER,
+            _FOREVER,
+            QosLiveliness.AUTOMATIC,
+            _FOREVER,
+            False,
+        )
         self._connections[name] = self._writer.add_connection(
-            name, topic.type, typestore=typestore(), offered_qos_profiles=[qos_profile(topic)]
+            name, topic.type, typestore=typestore(), offered_qos_profiles=[qos]
         )
 
     def write(self, name: str, time: int, data: bytes) -> None:

@@ -24,7 +24,7 @@ from mcap.writer import Writer
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.files import atomic_output
+from socket_testbed.files import atomic_output, write_text
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, moments_about
 from socket_testbed.tables import split_unit
 from socket_testbed.trials.bag import required_topics
@@ -61,13 +61,13 @@ def write_gait_file(
         places = np.broadcast_to(np.zeros(3) if about is None else about, (len(wrench), 3))
         loads = np.hstack([wrench[:, 3:], places, wrench[:, :3]])
         table = pd.DataFrame(loads, columns=_LOADS, index=time)
-        _write_text(path, _storage(table))
+        write_text(path, _storage(table))
         return table
     labels, points = _markers(trial, samples)
     columns = [f"{label}_{axis}" for label in labels for axis in "xyz"]
     table = pd.DataFrame(points[rows].reshape(len(time), -1), columns=columns, index=time)
     if suffix == ".trc":
-        _write_text(path, _markers_text(table, labels, path.name))
+        write_text(path, _markers_text(table, labels, path.name))
         return table
     table[list(WRENCH_CHANNELS)] = wrench
     _write_c3d(path, table, labels)
@@ -81,15 +81,10 @@ def write_standard_bag(
 
     Of all measurements `rows` are written; the table has a row for each of these.
     """
-    import pandas as pd
-
     stamps = measured.stamps[rows].tolist()
     standard = [(topic, pack, vectors[rows]) for topic, pack, vectors in measured.packed()]
-    series = {
-        _topic_name(title): values.to_numpy()
-        for title, values in table.items()
-        if pd.api.types.is_float_dtype(values)
-    }
+    numbers = table.select_dtypes("float")
+    series = {_topic_name(title): values.to_numpy() for title, values in numbers.items()}
     with atomic_output(path) as staging, staging.open("wb") as file:
         writer = Writer(file)
         writer.start(profile="ros2")
@@ -175,11 +170,6 @@ def _markers_text(table: pd.DataFrame, labels: list[str], name: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _write_text(path: Path, text: str) -> None:
-    with atomic_output(path) as staging:
-        staging.write_text(text, encoding="utf-8")
-
-
 def _write_c3d(path: Path, table: pd.DataFrame, labels: list[str]) -> None:
     try:
         import ezc3d
@@ -191,13 +181,12 @@ def _write_c3d(path: Path, table: pd.DataFrame, labels: list[str]) -> None:
     points = table.to_numpy()[:, : 3 * len(labels)].reshape(len(table), -1, 3)
     place = np.ones((4, len(labels), len(table)))
     place[:3] = points.transpose(2, 1, 0)
-    parameters = file["parameters"]
-    parameters["POINT"]["RATE"]["value"] = [rate]
-    parameters["POINT"]["LABELS"]["value"] = labels
-    parameters["POINT"]["UNITS"]["value"] = ["mm"]
-    parameters["ANALOG"]["RATE"]["value"] = [rate]
-    parameters["ANALOG"]["LABELS"]["value"] = list(WRENCH_CHANNELS)
-    parameters["ANALOG"]["UNITS"]["value"] = ["Nm"] * 3 + ["N"] * 3
+    for group, names, units in (
+        ("POINT", labels, ["mm"]),
+        ("ANALOG", list(WRENCH_CHANNELS), ["Nm"] * 3 + ["N"] * 3),
+    ):
+        for name, value in (("RATE", [rate]), ("LABELS", names), ("UNITS", units)):
+            file["parameters"][group][name]["value"] = value
     file["data"]["points"] = place
     file["data"]["analogs"] = table[list(WRENCH_CHANNELS)].to_numpy().T[None]
     with atomic_output(path) as staging:

@@ -138,8 +138,7 @@ class Layout:
         self._size = len(sample)
         self._fixed = np.flatnonzero(walk.fixed)
         self._expected = np.frombuffer(sample, np.uint8)[self._fixed]
-        mask = (255 * np.array(walk.fixed, dtype=np.uint8)).tobytes()
-        self._mask = int.from_bytes(mask, "little")
+        self._mask = int.from_bytes((255 * walk.fixed.astype(np.uint8)).tobytes(), "little")
         self._masked = int.from_bytes(sample, "little") & self._mask
 
     def record(self, message: bytes | bytearray) -> Record | None:
@@ -189,11 +188,8 @@ def stamps_of(records: Record) -> IntArray:
     return np.asarray(stamp["sec"].astype(np.int64) * 1_000_000_000 + stamp["nanosec"])
 
 
-class _Placed(NamedTuple):
-    """What is placed in a message: where it starts [bytes], and its type."""
-
-    start: int
-    dtype: np.dtype[Any]
+_Placed: TypeAlias = tuple[int, np.dtype[Any]] | None
+"""Where in a message [bytes] a part of it is, and its type; None if there is no number in it."""
 
 
 class _Walk:
@@ -205,17 +201,20 @@ class _Walk:
         self._order: Literal["<", ">"] = "<" if content[1] else ">"
         self._content = content
         self._at = _HEADER
-        self.fixed = [True, True] + [False] * (len(content) - 2)
+        self.fixed = np.zeros(len(content), dtype=bool)
+        self.fixed[:2] = True
 
     def message(self, message_type: str) -> np.dtype[Any]:
         """The type of the whole message."""
-        placed = {field.name: self._field(field) for field in fields_of(message_type)}
-        if not 0 <= len(self._content) - self._at <= _PADDING:
+        placed = self._message(message_type)
+        if placed is None or not 0 <= len(self._content) - self._at <= _PADDING:
             raise ValueError(f"not a {message_type}: the message has another length")
-        return _structure(placed, 0, len(self._content))
+        return placed[1]
 
-    def _field(self, field: Field) -> _Placed | None:
-        """Place a field; None if there is no number in it."""
+    def _message(self, name: str) -> _Placed:
+        return self._group({field.name: self._field(field) for field in fields_of(name)})
+
+    def _field(self, field: Field) -> _Placed:
         if field.number is None:
             return self._one(field.type)
         count = field.number or self._length()
@@ -224,68 +223,52 @@ class _Walk:
         if count > len(self._content):
             raise ValueError("a sequence is longer than the message")
         parts = [self._one(field.type) for _ in range(count)]
-        if field.type == "string" or not parts:
-            return None
-        if parts[0] is not None and parts[0].dtype.shape:
-            return _Placed(parts[0].start, np.dtype((parts[0].dtype, (count,))))
+        if parts and parts[0] is not None and parts[0][1].shape:
+            start, vector = parts[0]
+            return start, np.dtype((vector, (count,)))
         return self._group({str(number): part for number, part in enumerate(parts)})
 
-    def _one(self, name: str) -> _Placed | None:
+    def _one(self, name: str) -> _Placed:
         if name in _NUMBERS:
             return self._numbers(name)
         if name == "string":
-            self._string()
+            length = self._length()
+            if length == 0 or self._take(length)[-1:] != b"\0":
+                raise ValueError("a string has no end")
+            self.fixed[self._at - length : self._at] = True
             return None
         fields = fields_of(name)
         kinds = {field.type for field in fields}
         single = all(field.number is None for field in fields)
         if single and len(fields) > 1 and len(kinds) == 1 and kinds <= _NUMBERS.keys():
             return self._numbers(fields[0].type, len(fields))
-        return self._group({field.name: self._field(field) for field in fields})
+        return self._message(name)
 
-    def _numbers(self, name: str, count: int | None = None) -> _Placed:
+    def _numbers(self, name: str, count: int | None = None) -> tuple[int, np.dtype[Any]]:
         dtype = np.dtype(_NUMBERS[name]).newbyteorder(self._order)
         if count != 0:
             self._at += -(self._at - _HEADER) % dtype.itemsize
         start = self._at
         placed = dtype if count is None else np.dtype((dtype, (count,)))
-        self._advance(placed.itemsize)
-        return _Placed(start, placed)
+        self._take(placed.itemsize)
+        return start, placed
 
     def _length(self) -> int:
         start, dtype = self._numbers("uint32")
-        self.fixed[start : self._at] = [True] * dtype.itemsize
+        self.fixed[start : self._at] = True
         return int(np.frombuffer(self._content, dtype, 1, start)[0])
 
-    def _string(self) -> None:
-        length, start = self._length(), self._at
-        self._advance(length)
-        if length == 0 or self._content[self._at - 1] != 0:
-            raise ValueError("a string has no end")
-        self.fixed[start : self._at] = [True] * length
-
-    def _advance(self, size: int) -> None:
+    def _take(self, size: int) -> bytes:
         self._at += size
         if self._at > len(self._content):
             raise ValueError("the message is too short")
+        return self._content[self._at - size : self._at]
 
-    def _group(self, placed: dict[str, _Placed | None]) -> _Placed | None:
-        parts = [part for part in placed.values() if part is not None]
-        if not parts:
+    def _group(self, parts: dict[str, _Placed]) -> _Placed:
+        """A type of named parts; as long as the message, so that its parts are where they are."""
+        placed = {name: part for name, part in parts.items() if part is not None}
+        if not placed:
             return None
-        start = min(part.start for part in parts)
-        end = max(part.start + part.dtype.itemsize for part in parts)
-        return _Placed(start, _structure(placed, start, end))
-
-
-def _structure(placed: dict[str, _Placed | None], start: int, end: int) -> np.dtype[Any]:
-    """A type of named parts that lie between two bytes of the message."""
-    parts = {name: part for name, part in placed.items() if part is not None}
-    return np.dtype(
-        {
-            "names": list(parts),
-            "formats": [part.dtype for part in parts.values()],
-            "offsets": [part.start - start for part in parts.values()],
-            "itemsize": end - start,
-        }
-    )
+        starts, kinds = zip(*placed.values(), strict=True)
+        names, size = list(placed), len(self._content)
+        return 0, np.dtype({"names": names, "formats": kinds, "offsets": starts, "itemsize": size})

@@ -262,15 +262,13 @@ def stress_packer(names: Sequence[str]) -> Callable[[int, FloatArray, StatusArra
 
 def _markers(records: Record, sample: Any) -> list[tuple[str, FloatArray]]:
     """Name and m markers, shape (..., m, 3) [m] in the world, of each body."""
-    return [
-        (
-            body.name,
-            records["bodies"][str(number)]["markers"].astype(np.float64)
-            if body.markers
-            else np.empty((*records.shape, 0, 3)),
-        )
-        for number, body in enumerate(sample.bodies)
-    ]
+    found = []
+    for number, body in enumerate(sample.bodies):
+        markers = np.empty((*records.shape, len(body.markers), 3))
+        if body.markers:
+            markers[:] = records["bodies"][str(number)]["markers"]
+        found.append((body.name, markers))
+    return found
 
 
 def markers_packer(counts: Mapping[str, int]) -> Callable[[int, Sequence[FloatArray]], bytes]:
@@ -290,9 +288,15 @@ def markers_packer(counts: Mapping[str, int]) -> Callable[[int, Sequence[FloatAr
     return pack
 
 
+def _per_name(topic: Topic, names: Sequence[str], fields: Sequence[str], **more: Any) -> Template:
+    """A template whose fields have an element for each of the names."""
+    blanks: dict[str, Any] = dict.fromkeys(fields, [None] * len(names))
+    return Template(topic.type, names=names, **blanks, **more)
+
+
 def local_forces_packer(names: Sequence[str]) -> VectorPacker:
     """Packs a LocalForceArray from its stamp [ns] and forces in {S}, shape (n, 3) [N]."""
-    template = Template(LOCAL_FORCES.type, names=names, forces=[None] * len(names))
+    template = _per_name(LOCAL_FORCES, names, ["forces"])
     return lambda stamp, values: template.serialised(stamp, forces=values)
 
 
@@ -304,21 +308,15 @@ _MAP_FIELDS = (
 
 def _force_map(records: Record, sample: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
     """Names of the n tiles; and the fields of N maps, as `MapEstimate` takes them."""
-    fields: dict[str, Any] = {
-        name: records[name].astype(np.float64).reshape(-1, *records[name].shape[records.ndim :])
-        for name in _MAP_FIELDS
-    }
+    records = np.atleast_1d(records)
+    fields: dict[str, Any] = {name: records[name].astype(np.float64) for name in _MAP_FIELDS}
     return tuple(sample.names), {**fields, "source": sample.source}
 
 
 def force_map_packer(names: Sequence[str]) -> Callable[[int, MapEstimate], bytes]:
     """Packs a ForceMap of n tiles from its stamp [ns] and an estimate with N = 1."""
-
-    @cache  # few: by the channels that are there
-    def template_of(source: str) -> Template:
-        blanks: list[Any] = [None] * len(names)
-        numbers: dict[str, Any] = dict.fromkeys(_MAP_FIELDS, blanks)
-        return Template(FORCE_MAP.type, names=names, source=source, **numbers)
+    # Few: by the channels that are there.
+    template_of = cache(lambda source: _per_name(FORCE_MAP, names, _MAP_FIELDS, source=source))
 
     def pack(stamp: int, estimate: MapEstimate) -> bytes:
         numbers = {field: getattr(estimate, field)[0] for field in _MAP_FIELDS}
@@ -341,9 +339,7 @@ def _regions(records: Record, sample: Any) -> tuple[tuple[str, ...], dict[str, F
 
 def regions_packer(names: Sequence[str]) -> Callable[[int, RegionOutputs], bytes]:
     """Packs a RegionPressures of R regions from its stamp [ns] and outputs with N = 1."""
-    blanks: list[Any] = [None] * len(names)
-    numbers: dict[str, Any] = dict.fromkeys(_REGION_COLUMNS, blanks)
-    template = Template(REGIONS.type, names=names, **numbers)
+    template = _per_name(REGIONS, names, _REGION_COLUMNS)
 
     def pack(stamp: int, outputs: RegionOutputs) -> bytes:
         quantities = [getattr(outputs, output) for output in REGION_FIELDS]

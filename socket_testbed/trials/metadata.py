@@ -13,7 +13,7 @@ from msgspec import Meta
 
 from socket_testbed.documents import convert, plain, read_document, refuse_unknown
 from socket_testbed.errors import ConfigurationError, closest
-from socket_testbed.files import atomic_output
+from socket_testbed.files import write_text
 from socket_testbed.geometry.regions import Side
 
 METADATA_FILE = "trial.yaml"
@@ -114,8 +114,7 @@ def read_metadata(path: Path) -> TrialMetadata:
 
 def write_metadata(metadata: TrialMetadata, path: Path) -> None:
     """Write the metadata to a `trial.yaml`; the file is complete or the older one stays."""
-    with atomic_output(path) as staging:
-        staging.write_text(metadata_text(metadata), encoding="utf-8")
+    write_text(path, metadata_text(metadata))
 
 
 def metadata_text(metadata: TrialMetadata) -> str:

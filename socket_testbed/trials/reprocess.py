@@ -57,7 +57,7 @@ def remake_wrenches(
         measured: The measurements, with ratios and tares.
         recorded: Settings with which they were recorded; without a matrix if the trial has none.
         given: Settings to use instead, if any.
-        tare: `recorded`, `none`, or `T0:T1` in seconds since the first sample, whose mean it is.
+        tare: As of a `Trial`.
         where: Name of the trial in an error.
         notify: Called with the tare that is used.
     """
@@ -122,12 +122,11 @@ def _mean_load(
 def other_markers(recorded: SocketGeometry, given: SocketGeometry) -> tuple[str, ...]:
     """The bodies, of `socket` and `pylon`, whose markers differ between two geometries."""
 
-    def differ(old: FloatArray, new: FloatArray) -> bool:
+    def differs(body: str) -> bool:
+        old, new = (getattr(geometry, f"{body}_markers") for geometry in (recorded, given))
         return old.shape != new.shape or not np.allclose(old, new, rtol=0.0, atol=_SAME_MARKER)
 
-    bodies = ("socket", "pylon")
-    markers = [[getattr(of, f"{body}_markers") for of in (recorded, given)] for body in bodies]
-    return tuple(body for body, pair in zip(bodies, markers, strict=True) if differ(*pair))
+    return tuple(filter(differs, ("socket", "pylon")))
 
 
 def refit_poses(

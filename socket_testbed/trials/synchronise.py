@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -121,7 +121,10 @@ def read_measurements(
     clusters = tuple(name for topic, name in series if topic is CAPACITANCE)
     for note in _stamp_notes(series):
         notify(note)
-    stamps = _union(columns[0] for columns in series.values())
+    stamps = np.empty(0, dtype=np.int64)
+    for found, *_ in series.values():
+        if not np.array_equal(found, stamps):  # most are equal, and a union takes long
+            stamps = np.union1d(stamps, found)
     capacitance = np.empty((len(stamps), len(clusters), 4))
     status = np.empty(capacitance.shape, dtype=np.uint8)
     for number, name in enumerate(clusters):
@@ -210,50 +213,34 @@ def _rows(columns: _Columns, stamps: IntArray) -> _Columns:
     return tables
 
 
-def _union(every: Iterable[IntArray]) -> IntArray:
-    """All stamps that there are, in order."""
-    union = np.empty(0, dtype=np.int64)
-    for stamps in every:
-        if not np.array_equal(stamps, union):
-            union = np.union1d(union, stamps)
-    return union
-
-
 def _stamp_notes(series: dict[tuple[Topic, str], _Columns]) -> Iterator[str]:
-    """Notes on stamps out of order and on doubled stamps."""
-    every = {
-        f"{MARKERS.name} of {name}" if topic is MARKERS else name: stamps
-        for (topic, name), (stamps, *_) in series.items()
-    }
-    first = min(int(stamps.min()) for stamps in every.values())
-    backward: dict[str, list[str]] = {}
-    doubled: dict[str, list[str]] = {}
-    for name, stamps in every.items():
+    """Notes on stamps out of order and on doubled stamps, one for all topics that are alike."""
+    first = min(int(stamps.min()) for stamps, *_ in series.values())
+    found: dict[str, list[str]] = defaultdict(list)
+    for (topic, name), (stamps, *_) in series.items():
+        own = f"{MARKERS.name} of {name}" if topic is MARKERS else name
         time = (stamps - first) * 1e-9
         back = np.flatnonzero(np.diff(stamps) < 0)
         if len(back):
-            jumps = [f"from {time[i]:.2f} s to {time[i + 1]:.2f} s" for i in back[:_NAMED]]
-            backward.setdefault(_listed(jumps, len(back)), []).append(name)
+            jumps = [f"from {time[i]:.2f} s to {time[i + 1]:.2f} s" for i in back]
+            found[
+                f"jump back, {_listed(jumps)}; samples are in the order of their stamps: check the"
+                " clock of the recording"
+            ].append(own)
         values, counts = np.unique(stamps, return_counts=True)
         again = (values[counts > 1] - first) * 1e-9
         if len(again):
-            times = [f"at {at:.2f} s" for at in again[:_NAMED]]
-            lost = int((counts - 1).sum())
-            text = f"{_listed(times, len(again))}: {lost} earlier values are replaced by later ones"
-            doubled.setdefault(text, []).append(name)
-    for text, names in backward.items():
-        yield (
-            f"the stamps of {', '.join(names)} jump back, {text}; samples are in the order of their"
-            " stamps: check the clock of the recording"
-        )
-    for text, names in doubled.items():
-        yield f"the stamps of {', '.join(names)} are doubled, {text}"
+            times, lost = _listed([f"at {at:.2f} s" for at in again]), len(stamps) - len(values)
+            text = f"are doubled, {times}: {lost} earlier values are replaced by later ones"
+            found[text].append(own)
+    for text, names in found.items():
+        yield f"the stamps of {', '.join(names)} {text}"
 
 
-def _listed(parts: list[str], count: int) -> str:
-    more = f" and {count - len(parts)} more" if count > len(parts) else ""
-    times = "once" if count == 1 else f"{count} times"
-    return f"{times} ({', '.join(parts)}{more})"
+def _listed(parts: list[str]) -> str:
+    more = f" and {len(parts) - _NAMED} more" if len(parts) > _NAMED else ""
+    times = "once" if len(parts) == 1 else f"{len(parts)} times"
+    return f"{times} ({', '.join(parts[:_NAMED])}{more})"
 
 
 def correct_measurements(
@@ -266,18 +253,11 @@ def correct_measurements(
 ) -> Measurements:
     """Bring the clusters' readings to the baseline of their calibration.
 
-    The drift is linear between two spans without load. The baseline of a calibration
-    is that of an unloaded cluster. If it stores none, or the load cell measured a load in the
-    first span (a pylon alone has a weight, too), only the drift since the first span is corrected.
-
-    Args:
-        measured: The measurements of a trial.
-        spans: One or two spans without load, since the first sample [s].
-        calibration: The clusters' own.
-        least_force: Force that is a load [N].
-        where: Name of the trial in an error.
-        notify: Called with the drift between two spans, a large one flagged, and with what is not
-            corrected.
+    The drift is linear between two spans without load [s]. The baseline of a calibration is that of
+    an unloaded cluster. If it stores none, or the load cell measured more than `least_force` [N] in
+    the first span (a pylon alone has a weight, too), only the drift since that span is corrected.
+    `notify` is called with the drift between two spans, a large one flagged, and with what is not
+    corrected; `where` names the trial in an error.
     """
     loads = _loads_without_load(measured, spans, least_force, where)
     stored = any(calibration.clusters[name].baseline is not None for name in measured.clusters)
@@ -438,10 +418,7 @@ def check_unloaded(spans: tuple[tuple[float, float], ...]) -> None:
             f"--unloaded has {len(spans)} spans", "give one before, or one before and one after"
         )
     for start, end in spans:
-        if not start < end:
-            raise ConfigurationError(
-                f"--unloaded is '{start:g}:{end:g}'", "give seconds as T0:T1, with T0 before T1"
-            )
+        parse_span(f"{start}:{end}", "--unloaded")
     if len(spans) == 2 and not spans[0][1] < spans[1][0]:
         first, second = (f"{start:g}:{end:g}" for start, end in spans)
         raise ConfigurationError(
@@ -461,10 +438,9 @@ def parse_span(span: str, option: str, others: str = "") -> tuple[float, float]:
     """A span written as `T0:T1` [s]; the option, and what else it takes, are for the error."""
     try:
         start, end = (float(part) for part in span.split(":"))
-        if start < end:
-            return start, end
     except ValueError:
-        pass
-    raise ConfigurationError(
-        f"{option} is '{span}'", f"give seconds as T0:T1, with T0 before T1{others}"
-    )
+        start = end = 0.0
+    if not start < end:
+        hint = f"give seconds as T0:T1, with T0 before T1{others}"
+        raise ConfigurationError(f"{option} is '{span}'", hint)
+    return start, end

@@ -18,7 +18,6 @@ from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, TestbedSettings, read_testbed
 from socket_testbed.trials.bag import BagReader, required_topics, sync
-from socket_testbed.trials.events import Event, find_events, join_events, read_events
 from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.metadata import METADATA_FILE, TrialMetadata, read_metadata
 from socket_testbed.trials.reprocess import (
@@ -29,6 +28,7 @@ from socket_testbed.trials.reprocess import (
     refit_poses,
     remake_wrenches,
 )
+from socket_testbed.trials.segment import Event, find_events, join_events, read_events
 from socket_testbed.trials.synchronise import (
     Measurements,
     check_unloaded,
@@ -170,7 +170,7 @@ class Trial:
 
     @cached_property
     def _samples(self) -> Samples:
-        return self.samples_of(self.measurements())
+        return self.measurements_and_samples()[1]
 
     @cached_property
     def findings(self) -> tuple[Finding, ...]:
@@ -186,13 +186,9 @@ class Trial:
     def measurements_and_samples(self) -> tuple[Measurements, Samples]:
         """`measurements` and `samples` from one reading."""
         measured = self.measurements()
-        self.__dict__.setdefault("_samples", self.samples_of(measured))
-        return measured, self._samples
-
-    def samples_of(self, measured: Measurements) -> Samples:
-        """The samples that some measurements of the trial make."""
         self._require_clusters(measured.clusters)
-        return make_samples(measured, self.calibration, self.geometry)
+        samples = make_samples(measured, self.calibration, self.geometry)
+        return measured, self.__dict__.setdefault("_samples", samples)
 
     def check(self) -> tuple[str, ...]:
         """Refuse a trial that cannot be worked on, before long work or a graph is started.

@@ -103,7 +103,7 @@ def test_all_but_the_graph_works_without_ros(tmp_path: Path) -> None:
 
 
 def test_a_broken_trial_is_named_and_leaves_nothing(hold, tmp_path, capsys) -> None:
-    """All that a file may hold: test_documents.py and test_salvage.py."""
+    """All that a file may hold: test_documents.py and test_recording.py."""
     output, trial = tmp_path / "model.json", tmp_path / "hold"
 
     def rename_cluster(document) -> None:

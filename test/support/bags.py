@@ -11,7 +11,7 @@ import yaml
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage
-from socket_testbed.trials.layout import decode, encode, message_class, typestore
+from socket_testbed.trials.layout import decode, encode, make_message, typestore
 from socket_testbed.trials.topics import EVENT, match_topics
 from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial
 
@@ -84,8 +84,6 @@ def add_events(
 
     A stamp that is not finite is left out.
     """
-    kind, stamp_of = message_class(EVENT.type), message_class("builtin_interfaces/msg/Time")
-    header_of = message_class("std_msgs/msg/Header")
     first = int(Trial(source).samples().stamps[0])
     with copying(source, target, namespace) as (old, new):
         new.add_topic(f"{namespace}/event", EVENT)
@@ -93,8 +91,8 @@ def add_events(
             new.write(namespace + raw.topic, raw.time, raw.data)
         for label, stamp, time in events:
             nanoseconds = first + round(stamp * 1e9) if np.isfinite(stamp) else 0
-            header = header_of(stamp_of(*divmod(nanoseconds, 10**9)), "load_cell")
-            message = kind(header, label)
+            at = dict(zip(("sec", "nanosec"), divmod(nanoseconds, 10**9), strict=True))
+            message = make_message(EVENT.type, header={"stamp": at}, label=label)
             new.write(f"{namespace}/event", first + round(time * 1e9), encode(message, EVENT.type))
     return Trial(target)
 

@@ -20,19 +20,8 @@ NO_NUMBERS = (
 )
 _NASTY = (
     *(word.encode() for word in NO_NUMBERS),
-    *(
-        b"",
-        b"\0" * 16,
-        b"\xff" * 8,
-        b"\xef\xbb\xbf",
-        b"\n",
-        b",,,",
-        b";;;",
-        b"\t",
-        b"\r",
-        b"\x1b[2J",
-    ),
-    *(b"-1", b"0", b"1e308", b"1e-320", b"&a [*a]", b"- - - 1", b"{a: ", b"---"),
+    *(b"", b"\0" * 16, b"\xff" * 8, b"\xef\xbb\xbf", b"\n", b",,,", b";;;", b"\t", b"\r"),
+    *(b"\x1b[2J", b"-1", b"0", b"1e308", b"1e-320", b"&a [*a]", b"- - - 1", b"{a: ", b"---"),
     b"x" * 140_000,
     *(n.to_bytes(8, "little") for n in (0x7F, 2**31 - 1, 2**32 - 1, 2**40, 2**63 - 1)),
 )
@@ -65,10 +54,9 @@ def changed(document: Any, place: Sequence[str | int], value: Any) -> Any:
     parent = document
     for key in place[:-1]:
         parent = parent[key]
+    parent[place[-1]] = value
     if value is DELETE:
         del parent[place[-1]]
-    else:
-        parent[place[-1]] = value
     return document
 
 

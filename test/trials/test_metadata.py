@@ -2,9 +2,12 @@
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
-from support.verbs import call, refused
+from support.verbs import call as verb
+from support.verbs import refused as call_refused
+from support.wording import check_line, refused
 
 import socket_testbed as st
 from socket_testbed.errors import ConfigurationError
@@ -54,11 +57,10 @@ WRONG = [
 
 def test_a_wrong_value_is_refused_by_its_field(folder: Path) -> None:
     for given, says in WRONG:
-        with pytest.raises(ConfigurationError) as caught:
+        with refused(ConfigurationError, next(iter(given)), says):
             st.annotate(Trial(folder), **given)
-        assert says in str(caught.value) and next(iter(given)) in str(caught.value)
     for path in (folder.parent, folder / "hold.mcap"):
-        with pytest.raises(st.TestbedError, match="no folder of a trial"):
+        with refused(st.TestbedError, "no folder of a trial"):
             st.annotate(Trial(path), subject="S01")
     assert sorted(path.name for path in folder.iterdir()) == ["hold.mcap", "metadata.yaml"]
     assert [*folder.parent.iterdir()] == [folder]
@@ -70,38 +72,38 @@ def test_a_broken_file_is_a_note_and_nothing_is_written_over_it(folder: Path) ->
         notes: list[str] = []
         assert Trial(folder, notify=notes.append).metadata == TrialMetadata()
         (note,) = notes
-        assert says in note and METADATA_FILE in note and "\n" not in note
-        with pytest.raises(ConfigurationError, match=METADATA_FILE):
+        check_line(note, says, METADATA_FILE)
+        with refused(ConfigurationError, METADATA_FILE):
             st.annotate(Trial(folder), subject="S02")
         assert (folder / METADATA_FILE).read_text(encoding="latin-1") == text
     (folder / METADATA_FILE).write_text("# to be filled in\nsubject:\nmass: 70\n")
     assert Trial(folder).metadata == TrialMetadata(mass=70.0)
 
 
-def test_annotate_adds_changes_removes_and_leaves_the_bag_alone(folder: Path) -> None:
+def test_annotate_adds_changes_removes_and_leaves_the_bag_alone(folder: Path, capsys: Any) -> None:
     before = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
+    other = shutil.copytree(folder, folder.parent / "other")
+    words = ["--subject", "S07", "--side", "left", "--mass", "81.5", "--notes", "new foot"]
+    code, shown, _ = verb(capsys, "annotate", folder, other, *words)
+    assert code == 0 and shown.count("S07") == 2 and shown.count("81.5 kg") == 2
+    shown = verb(capsys, "annotate", folder, "--remove", "mass", "--remove", "notes")[1]
+    assert "S07" in shown and "kg" not in shown
     trial = Trial(folder)
-    st.annotate(trial, subject="S01", side="left")
-    st.annotate(trial, side="right", mass=70.0)
-    assert trial.metadata == TrialMetadata("S01", "right", mass=70.0)
+    assert st.annotate(trial, side="right", mass=70.0) == TrialMetadata("S07", "right", mass=70.0)
     assert st.annotate(trial, remove=["subject", "mass"]) == TrialMetadata(side="right")
-    with pytest.raises(ConfigurationError, match="did you mean 'socket'"):
+    assert trial.metadata == TrialMetadata(side="right")
+    with refused(ConfigurationError, "did you mean 'socket'"):
         st.annotate(trial, remove=["sockte"])
+    call_refused(capsys, "annotate", folder, "--mass", "815", named=["--mass is 815.0"])
     after = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
     assert after.keys() - before.keys() == {METADATA_FILE}
     assert {name: after[name] for name in before} == before
 
 
-def test_the_verb_states_and_info_shows(hold: Path, tmp_path: Path, capsys) -> None:
-    trials = [shutil.copytree(hold, tmp_path / name) for name in ("a", "b")]
-    words = ["--subject", "S07", "--side", "left", "--mass", "81.5", "--notes", "new foot"]
-    code, shown, _ = call(capsys, "annotate", *trials, *words)
-    assert code == 0 and shown.count("S07") == 2 and shown.count("81.5 kg") == 2
-    assert (
-        "kg" not in call(capsys, "annotate", trials[0], "--remove", "mass", "--remove", "notes")[1]
-    )
-    shown = call(capsys, "info", trials[0])[1]
-    assert "S07" in shown and "left" in shown and "kg" not in shown
-    refused(capsys, "annotate", trials[0], "--mass", "815", named=["--mass is 815.0"])
-    (trials[0] / METADATA_FILE).write_text("side: lft")
-    assert "note: the metadata are left out" in call(capsys, "info", trials[0])[1]
+def test_info_shows_what_is_stated(hold: Path, tmp_path: Path, capsys: Any) -> None:
+    trial = Path(shutil.copytree(hold, tmp_path / "a"))
+    write_metadata(TrialMetadata("S07", mass=81.5), trial / METADATA_FILE)
+    shown = verb(capsys, "info", trial)[1]
+    assert "S07" in shown and "81.5 kg" in shown
+    (trial / METADATA_FILE).write_text("side: lft")
+    assert "note: the metadata are left out" in verb(capsys, "info", trial)[1]

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.bags import rewrite
+from support.bags import copying, rewrite
+from support.verbs import call
 from support.wording import refused
 
 import socket_testbed as st
-from socket_testbed.__main__ import run
 from socket_testbed.errors import TestbedError, TrialError
 from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.pose import Pose
@@ -24,28 +24,36 @@ from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.settings.testbed import TestbedSettings, read_testbed, write_testbed
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.layout import decode, stamp_of
-from socket_testbed.trials.topics import MARKERS
+from socket_testbed.trials.messages import load_cell_raw_packer, pose_packer, wrench_packer
+from socket_testbed.trials.synchronise import Measurements, read_measurements
+from socket_testbed.trials.topics import LOAD_CELL_RAW, MARKERS
 from socket_testbed.trials.trial import Trial
 
 WRONG = {"sign": (1.0, -1.0, 1.0, 1.0, 1.0, 1.0), "excitation": 4.0, "inputs": (1, 0, 2, 3, 4, 5)}
-HALVES = ("torque", "force")
 
 
-def set_vectors(wrench: Any, values: np.ndarray) -> None:
-    for half, numbers in zip(HALVES, values.reshape(2, 3), strict=True):
-        vector = getattr(wrench, half)
-        vector.x, vector.y, vector.z = numbers.tolist()
+def measured_of(trial: Path) -> Measurements:
+    with BagReader(trial) as bag:
+        return read_measurements(bag, lambda note: None, more=(LOAD_CELL_RAW, MARKERS))
 
 
-def matrix_of(settings: LoadCellSettings) -> np.ndarray:
-    """[M; F] over the ratios in V/V."""
-    return 1e3 * np.roll(np.reshape(settings.matrix, (6, 6)), 3, axis=0)
+def recorded_as(hold: Path, path: Path, packed: dict[str, Callable[[int, int], bytes]]) -> Path:
+    """A copy of the hold; what packs a message of its stamp and row replaces those of a topic."""
+    stamps = measured_of(hold).stamps.tolist()
+    with copying(hold, path) as (old, new):
+        for raw in old.messages():
+            data = raw.data
+            if pack := packed.get(raw.topic):
+                stamp = stamp_of(decode(data, raw.type))
+                data = pack(stamp, stamps.index(stamp))
+            new.write(raw.topic, raw.time, data)
+    return path
 
 
-def raws_of(path: Path) -> dict[int, Any]:
-    with BagReader(path) as bag:
-        raws = bag.messages(["/load_cell/raw"])
-        return {stamp_of(m): m for m in (decode(raw.data, raw.type) for raw in raws)}
+def store(settings: LoadCellSettings, path: Path) -> Path:
+    nodes = dataclasses.replace(TestbedSettings(), load_cell_node=settings).nodes()
+    write_testbed({"load_cell_node": nodes["load_cell_node"]}, path)
+    return path
 
 
 @pytest.fixture(scope="module")
@@ -59,31 +67,19 @@ def miswired(hold: Path, right: LoadCellSettings, tmp_path_factory: pytest.TempP
     rng = np.random.default_rng(4)
     matrix = np.array(right.matrix) * (1.0 + 0.1 * rng.normal(size=36))
     wrong = dataclasses.replace(right, matrix=tuple(matrix), **WRONG)
-    true = {stamp: np.array(m.ratios) for stamp, m in raws_of(hold).items()}
-
-    def misread(ratios: np.ndarray) -> np.ndarray:
-        return ratios[list(WRONG["inputs"])] * WRONG["sign"] * right.excitation / 4.0
-
-    under_load = matrix_of(wrong) @ misread(list(true.values())[100])
-
-    def change(topic: str, message: Any) -> Any:
-        if topic.startswith("/load_cell"):
-            ratios = misread(true[stamp_of(message)])
-            if topic == "/load_cell/wrench":
-                set_vectors(message.wrench, matrix_of(wrong) @ ratios - under_load)
-            else:
-                message.ratios = ratios
-                set_vectors(message.tare, under_load)
-        return message
-
-    path = rewrite(hold, tmp_path_factory.mktemp("trials") / "miswired", change)
+    ratios = measured_of(hold).ratios[:, WRONG["inputs"]] * WRONG["sign"] * right.excitation / 4.0
+    # The matrix gives [F; M] over the ratios in mV/V.
+    wrench = 1e3 * np.roll(ratios @ matrix.reshape(6, 6).T, 3, axis=1)
+    tare, pack_raw, pack_wrench = wrench[100], load_cell_raw_packer(), wrench_packer()
+    path = recorded_as(
+        hold,
+        tmp_path_factory.mktemp("trials") / "miswired",
+        {
+            "/load_cell/wrench": lambda stamp, row: pack_wrench(stamp, wrench[row] - tare),
+            "/load_cell/raw": lambda stamp, row: pack_raw(stamp, 1e3 * ratios[row], tare, 0, 0),
+        },
+    )
     store(wrong, path / "testbed.yaml")
-    return path
-
-
-def store(settings: LoadCellSettings, path: Path) -> Path:
-    nodes = dataclasses.replace(TestbedSettings(), load_cell_node=settings).nodes()
-    write_testbed({"load_cell_node": nodes["load_cell_node"]}, path)
     return path
 
 
@@ -91,40 +87,28 @@ def test_a_wrong_load_cell_and_tare_are_repaired(
     hold: Path, miswired: Path, right: LoadCellSettings, tmp_path: Path
 ) -> None:
     file, notes = store(right, tmp_path / "right.yaml"), []
-    true = Trial(hold).samples()
-    assert np.abs(Trial(miswired).samples().wrench - true.wrench).max() > 100.0
+    true, recorded = Trial(hold).samples(), Trial(miswired).samples()
+    assert np.abs(recorded.wrench - true.wrench).max() > 100.0
     before = {path.name: path.read_bytes() for path in miswired.iterdir()}
-
-    def wrench(tare: str) -> np.ndarray:
-        trial = st.open_trial(miswired, load_cell=file, tare=tare, notify=notes.append)
-        return trial.samples().wrench
-
-    np.testing.assert_allclose(wrench("none"), true.wrench, rtol=0.0, atol=1e-9)
     unloaded = true.wrench[true.time <= 5.0].mean(axis=0)
-    np.testing.assert_allclose(wrench("0:5"), true.wrench - unloaded, rtol=0.0, atol=1e-9)
-    # The tare was of the hundredth sample's ratios: it is by the new matrix, too.
-    np.testing.assert_allclose(
-        wrench("recorded"), true.wrench - true.wrench[100], rtol=0.0, atol=1e-9
-    )
+    # The recorded tare was of the hundredth sample's ratios: it is by the new matrix, too.
+    for tare, offset in (("none", 0.0), ("0:5", unloaded), ("recorded", true.wrench[100])):
+        trial = st.open_trial(miswired, load_cell=file, tare=tare, notify=notes.append)
+        np.testing.assert_allclose(trial.samples().wrench, true.wrench - offset, rtol=0, atol=1e-9)
     assert "with the tare 0:5: Mx" in notes[1]
     assert {path.name: path.read_bytes() for path in miswired.iterdir()} == before
-
-
-def test_without_stored_settings_ratios_are_used_as_they_are(
-    hold: Path, miswired: Path, right: LoadCellSettings, tmp_path: Path
-) -> None:
-    recorded = Trial(miswired).samples()
-    mean = recorded.wrench[recorded.time <= 5.0].mean(axis=0)
+    # Without stored settings ratios are used as they are; a tare alone needs no matrix.
     path = Path(shutil.copytree(miswired, tmp_path / "miswired"))
     (path / "testbed.yaml").unlink()
-    shifted = Trial(path, tare="0:5").samples()  # a tare alone needs no matrix
-    np.testing.assert_allclose(shifted.wrench, recorded.wrench - mean, rtol=0.0, atol=1e-9)
+    mean = recorded.wrench[recorded.time <= 5.0].mean(axis=0)
+    shifted = Trial(path, tare="0:5").samples().wrench
+    np.testing.assert_allclose(shifted, recorded.wrench - mean, rtol=0.0, atol=1e-9)
     path = Path(shutil.copytree(hold, tmp_path / "hold"))
     (path / "testbed.yaml").unlink()
     doubled = dataclasses.replace(right, matrix=tuple(2.0 * np.array(right.matrix)))
     file = store(doubled, tmp_path / "doubled.yaml")
     wrench = Trial(path, load_cell_file=file).samples().wrench
-    np.testing.assert_allclose(wrench, 2.0 * Trial(hold).samples().wrench, rtol=1e-12, atol=1e-11)
+    np.testing.assert_allclose(wrench, 2.0 * true.wrench, rtol=1e-12, atol=1e-11)
 
 
 def without(topic: str) -> Callable[[str, Any], Any]:
@@ -157,23 +141,24 @@ def test_what_cannot_be_repaired_is_refused(
             Trial(path, **given).samples()
 
 
-def test_results_of_many_trials_depend_on_load_cell_and_tare(
+def test_results_of_many_trials_depend_on_load_cell_tare_and_options(
     hold: Path, right: LoadCellSettings, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "study").mkdir()
     (tmp_path / "study" / "hold").symlink_to(hold)
     file = store(right, tmp_path / "right.yaml")
-    words = ["fit", str(tmp_path / "study"), "-o", str(tmp_path / "models"), "--jobs", "1"]
+    words = ["fit", tmp_path / "study", "-o", tmp_path / "models", "--jobs", "1", "--tare", "0:5"]
     for given, text in (
-        (["--tare", "0:5"], "hold: ok, "),
-        (["--tare", "0:5"], "hold: skipped"),
-        (["--tare", "0:5", "--load-cell", str(file)], "hold: ok, "),
+        ([], "hold: ok, "),
+        ([], "hold: skipped"),
+        (["--load-cell", file], "hold: ok, "),
+        (["--load-cell", file, "--theta", 0.9], "hold: ok, "),
     ):
-        assert run([*words, *given]) == 0
-        out, err = capsys.readouterr()
+        _, out, err = call(capsys, *words, *given)
         assert text in out and "made anew from load_cell/raw" in err
-    identity = json.loads((tmp_path / "models" / "hold.json").read_text())["trial"]
-    assert (identity["tare"], identity["load_cell"]) == ("0:5", str(file))
+    model = json.loads((tmp_path / "models" / "hold.json").read_text())
+    assert (model["trial"]["tare"], model["trial"]["load_cell"]) == ("0:5", str(file))
+    assert model["settings"]["theta"] == 0.9
 
 
 @pytest.fixture(scope="module")
@@ -183,22 +168,9 @@ def geometry(hold: Path) -> SocketGeometry:
 
 def recorded_with(hold: Path, path: Path, wrong: SocketGeometry) -> Path:
     """The hold as the node would record it that knows other markers of the socket."""
-    with BagReader(hold) as bag:
-        stamps, markers = [], []
-        for raw in bag.messages([f"/{MARKERS.name}"]):
-            message = decode(raw.data, raw.type)
-            stamps.append(stamp_of(message))
-            markers.append([(m.x, m.y, m.z) for m in message.bodies[0].markers])
-    pose = fit_body(wrong.socket_markers, np.array(markers)).pose
-    rows = dict(zip(stamps, np.hstack([pose.translation, pose.quaternion()]), strict=True))
-
-    def change(topic: str, message: Any) -> Any:
-        if topic == "/mocap/socket/pose":
-            p, q = message.pose.position, message.pose.orientation
-            p.x, p.y, p.z, q.x, q.y, q.z, q.w = rows[stamp_of(message)].tolist()
-        return message
-
-    path = rewrite(hold, path, change)
+    pose = fit_body(wrong.socket_markers, measured_of(hold).markers["socket"][:, :3]).pose
+    rows, pack = np.hstack([pose.translation, pose.quaternion()]), pose_packer()
+    recorded_as(hold, path, {"/mocap/socket/pose": lambda stamp, row: pack(stamp, rows[row])})
     write_socket(wrong, path / "socket.yaml")
     return path
 
@@ -210,9 +182,7 @@ def moved_marker(geometry: SocketGeometry, by: float) -> SocketGeometry:
 
 
 @pytest.mark.parametrize("by", [0.005, 0.001])
-def test_a_marker_that_was_registered_wrong_is_repaired(
-    hold: Path, geometry: SocketGeometry, tmp_path: Path, by: float
-) -> None:
+def test_a_marker_that_was_registered_wrong_is_repaired(hold, geometry, tmp_path, by) -> None:
     """Wrong by 5 mm it has no pose, by 1 mm a wrong one."""
     path, notes = recorded_with(hold, tmp_path / "trial", moved_marker(geometry, by)), []
     file, true = hold / "socket.yaml", Trial(hold).measurements()
@@ -269,7 +239,7 @@ def test_markers_that_cannot_be_fitted_are_noted_or_refused(
     np.testing.assert_array_equal(found.socket, Trial(hold).measurements().socket)
     assert len(notes) == 1 and notes[0].startswith("the poses stay as recorded, with markers")
     bare = rewrite(hold, tmp_path / "bare", without(f"/{MARKERS.name}"))
-    with pytest.raises(TrialError, match="bare: holds no 'mocap/markers', so its poses cannot"):
+    with refused(TrialError, "bare: holds no 'mocap/markers', so its poses cannot"):
         Trial(bare, other).samples()
 
     def four(topic: str, message: Any) -> Any:
@@ -278,5 +248,5 @@ def test_markers_that_cannot_be_fitted_are_noted_or_refused(
         return message
 
     more = rewrite(hold, tmp_path / "more", four)
-    with pytest.raises(TrialError, match="4 markers of the socket were recorded, and the geometry"):
+    with refused(TrialError, "4 markers of the socket were recorded, and the geometry"):
         Trial(more, other).samples()

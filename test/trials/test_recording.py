@@ -1,24 +1,28 @@
-"""Recordings that were cut short: every cut gives what was whole before it, or an error."""
+"""Recordings that were cut short or damaged: all that is whole is read, or an error."""
 
+import io
 import os
 import struct
 import tracemalloc
-import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as draw
-from rosbags.rosbag2 import CompressionMode
-from rosbags.rosbag2.storage_mcap import McapReader
-from support.bags import copying, written_by_rosbags
+from mcap.data_stream import ReadDataStream
+from mcap.reader import make_reader
+from mcap.records import Chunk, Message
+from mcap.stream_reader import breakup_chunk
+from mcap.writer import IndexType, Writer
+from support.bags import copying
 from support.verbs import call
 
 from socket_testbed.errors import TrialError
 from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage
-from socket_testbed.trials.salvage import holds_nothing
+from socket_testbed.trials.recording import holds_nothing
 from socket_testbed.trials.topics import CAPACITANCE, WRENCH
 from socket_testbed.trials.trial import Trial
 
@@ -28,16 +32,28 @@ MESSAGES = 9  # a chunk
 
 
 class Recording:
-    """A recording of several chunks: its bytes, and the messages of each chunk."""
+    """A recording of several chunks: its bytes, and by the MCAP library what each chunk holds."""
 
-    def __init__(self, path: Path, chunks: list[list[RawMessage]]) -> None:
+    def __init__(self, path: Path) -> None:
         self.data = path.read_bytes()
-        self.chunks = chunks
-        reader = McapReader(path)
-        reader.open()
-        # Where the chunks end in the file [bytes].
-        self.ends = [chunk.chunk_start_offset + chunk.chunk_length for chunk in reader.chunks]
-        reader.close()
+        with path.open("rb") as file:
+            summary = make_reader(file).get_summary()
+        assert summary is not None
+        self.ends: list[int] = []  # of the chunks in the file [bytes]
+        self.chunks: list[list[RawMessage]] = []
+        for index in summary.chunk_indexes:
+            self.ends.append(index.chunk_start_offset + index.chunk_length)
+            content = self.data[index.chunk_start_offset + 9 : self.ends[-1]]
+            chunk = Chunk.read(ReadDataStream(io.BytesIO(content)))
+            found = [m for m in breakup_chunk(chunk) if isinstance(m, Message)]
+            channels = [summary.channels[m.channel_id] for m in found]
+            kinds = [summary.schemas[channel.schema_id].name for channel in channels]
+            self.chunks.append(
+                [
+                    RawMessage(channel.topic, kind, message.log_time, message.data)
+                    for channel, kind, message in zip(channels, kinds, found, strict=True)
+                ]
+            )
 
     def before(self, cut: int) -> list[RawMessage]:
         """The messages of the chunks that are whole before a cut, in the order of their times."""
@@ -48,8 +64,9 @@ class Recording:
         return sorted((m for chunk in self.chunks[:number] for m in chunk), key=lambda m: m.time)
 
 
-def make_messages(rng: np.random.Generator) -> list[list[RawMessage]]:
+def make_messages() -> list[RawMessage]:
     """Messages of two topics, not quite in the order of their times, some with zeros last."""
+    rng = np.random.default_rng(0)
     times = START + np.arange(CHUNKS * MESSAGES) * 10_000_000
     times[2::5] -= 25_000_000
     messages = []
@@ -57,23 +74,44 @@ def make_messages(rng: np.random.Generator) -> list[list[RawMessage]]:
         topic = (WRENCH, CAPACITANCE)[int(rng.integers(2))]
         body = rng.bytes(int(rng.integers(20, 90))) + bytes(int(rng.integers(0, 9)))
         messages.append(RawMessage("/" + topic.name, topic.type, time, body))
-    return [messages[k : k + MESSAGES] for k in range(0, len(messages), MESSAGES)]
+    return messages
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    chunks = make_messages(np.random.default_rng(0))
     path = tmp_path_factory.mktemp("recording") / "bag"
     with BagWriter(path) as bag:
         for topic in (WRENCH, CAPACITANCE):
             bag.add_topic("/" + topic.name, topic)
-        for chunk in chunks:
-            for message in chunk:
-                bag.write(message.topic, message.time, message.data)
-            bag.flush()
-    recording = Recording(path / "bag.mcap", chunks)
+        for number, message in enumerate(make_messages(), 1):
+            bag.write(message.topic, message.time, message.data)
+            if number % MESSAGES == 0:
+                bag.flush()
+    recording = Recording(path / "bag.mcap")
     assert len(recording.ends) == CHUNKS
     return recording
+
+
+def written_by_mcap(path: Path, **options: Any) -> Path:
+    """The same messages as another recorder writes them, in chunks of some 500 bytes."""
+    path.parent.mkdir(exist_ok=True)
+    with path.open("wb") as file:
+        writer = Writer(file, 500, **options)
+        writer.start("ros2")
+        channels = {}
+        for topic in (WRENCH, CAPACITANCE):
+            schema = writer.register_schema(topic.type, "ros2msg", b"")
+            channels["/" + topic.name] = writer.register_channel("/" + topic.name, "cdr", schema)
+        for message in make_messages():
+            channel = channels[message.topic]
+            writer.add_message(channel, message.time, message.data, message.time)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+@pytest.fixture(scope="module")
+def compressed(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return Recording(written_by_mcap(tmp_path_factory.mktemp("packed") / "bag.mcap"))
 
 
 def read(path: Path) -> list[RawMessage]:
@@ -105,11 +143,8 @@ def check(recording: Recording, data: bytes, folder: Path) -> None:
         assert read(write(folder, data)) == expected, same
     except TrialError as error:
         assert expected == [], same
-        if len(data) <= header_end(whole):
-            assert "bag.mcap: holds nothing: " in str(error)
-        else:
-            assert "bag.mcap: is truncated" in str(error)
-            assert "record the trial again" in str(error)
+        what = "holds nothing: " if len(data) <= header_end(whole) else "is truncated"
+        assert f"bag.mcap: {what}" in str(error)
 
 
 def test_a_torn_file_gives_exactly_the_whole_chunks_before_the_damage(recording, tmp_path) -> None:
@@ -158,54 +193,28 @@ def test_a_lying_length_takes_no_memory(recording, tmp_path: Path) -> None:
         assert messages == recording.first(3) and peak < 2**24
 
 
-@pytest.fixture(scope="module")
-def compressed(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Recording:
-    """The recording with compressed chunks, and the checksums that rosbags' writer leaves out."""
-    messages = [message for chunk in recording.chunks for message in chunk]
-    path = tmp_path_factory.mktemp("packed") / "bag"
-    written_by_rosbags(messages, path, mode=CompressionMode.STORAGE, chunk=MESSAGES)
-    compressed = Recording(path / "bag.mcap", recording.chunks)
-    data, reader = bytearray(compressed.data), McapReader(path / "bag.mcap")
-    reader.open()
-    for chunk in reader.chunks:
-        start = chunk.chunk_start_offset
-        packed = bytes(data[start : start + chunk.chunk_length][-chunk.compressed_size :])
-        data[start + 33 : start + 37] = zlib.crc32(zstandard.decompress(packed)).to_bytes(
-            4, "little"
-        )
-    reader.close()
-    start = int.from_bytes(data[-28:-20], "little")
-    data[-12:-8] = zlib.crc32(data[start:-12]).to_bytes(4, "little")
-    compressed.data = bytes(data)
-    return compressed
-
-
-def test_compressed_chunks_are_saved_as_well(compressed: Recording, tmp_path: Path) -> None:
-    for cut in np.random.default_rng(3).integers(compressed.ends[0], len(compressed.data), 60):
-        folder = write(tmp_path / "bag", compressed.data[:cut])
-        assert read(folder) == compressed.before(cut)
-
-
 def test_a_changed_byte_costs_its_chunk_and_nothing_else(recording, compressed, tmp_path) -> None:
     """Anywhere in a complete file, plain or compressed: what is read is as it was written."""
     for whole, places in ((recording, 400), (compressed, 100)):
         rng, costs = np.random.default_rng(5), []
+        count = len(whole.chunks)
         for place in rng.integers(0, len(whole.data), places).tolist():
             changed = bytes([whole.data[place] ^ int(rng.integers(1, 256))])
             folder = write(tmp_path / "bag", whole.data[:place] + changed + whole.data[place + 1 :])
             with BagReader(folder) as bag:
                 found, notes = list(bag.messages()), bag.notes
-            kept = [k for k in range(CHUNKS) if whole.chunks[k][0] in found]
-            assert found == sorted(
-                (m for k in kept for m in whole.chunks[k]), key=lambda m: m.time
-            ), place
-            costs.append(CHUNKS - len(kept))
+            kept = [chunk for chunk in whole.chunks if chunk[0] in found]
+            expected = sorted((m for chunk in kept for m in chunk), key=lambda m: m.time)
+            assert found == expected, place
+            costs.append(count - len(kept))
             if costs[-1]:
-                assert f"is damaged: 1 of its {CHUNKS} chunks cannot be read" in notes[-1]
+                assert f"is damaged: 1 of its {count} chunks cannot be read" in notes[-1]
+            folder = write(tmp_path / "bag", whole.data[: max(place, whole.ends[0])])
+            assert read(folder) == whole.before(max(place, whole.ends[0]))
         assert max(costs) == 1 and costs.count(0) > 0
 
 
-def test_the_missing_seconds_are_named(recording, tmp_path: Path) -> None:
+def test_notes_name_what_was_saved_and_what_is_missing(recording, tmp_path: Path) -> None:
     spans = ("from the start to 0.10 s", "from 0.17 s to 0.25 s", "from 0.45 s to the end")
     for k, span in zip((0, 2, 5), spans, strict=True):
         place = recording.data.index(recording.chunks[k][3].data)
@@ -213,9 +222,6 @@ def test_the_missing_seconds_are_named(recording, tmp_path: Path) -> None:
         with BagReader(write(tmp_path / "bag", data)) as bag:
             assert len(list(bag.messages())) == (CHUNKS - 1) * MESSAGES
             assert span in bag.notes[-1], bag.notes
-
-
-def test_the_note_says_what_was_saved(recording, tmp_path: Path) -> None:
     cut = recording.ends[2] + 5
     folder = write(tmp_path / "bag", recording.data[:cut])
     with BagReader(folder) as bag:
@@ -224,14 +230,29 @@ def test_the_note_says_what_was_saved(recording, tmp_path: Path) -> None:
     assert "no metadata.yaml" in metadata
     assert f"cut short (no end): {3 * MESSAGES} messages up to " in note
     assert "(0.3 s) were saved, the last second may be missing (5 bytes cannot be read)" in note
-
+    assert read(folder / "bag.mcap") == recording.before(cut)  # a single file
     with BagReader(write(tmp_path / "bag", recording.data[:-1])) as bag:
         assert bag.notes[-1].endswith("were saved, none is missing")
     with pytest.raises(TrialError, match="cannot be read"):
         read(write(tmp_path / "bag", b"no MCAP at all, whatever its name says: " * 9))
-    # A single file is opened as well.
-    (tmp_path / "bag" / "bag.mcap").write_bytes(recording.data[:cut])
-    assert read(tmp_path / "bag" / "bag.mcap") == recording.before(cut)
+
+
+def test_a_file_without_chunks_or_an_index_is_read(tmp_path: Path) -> None:
+    """As `ros2 bag record` writes it with the profile fastwrite, also if it was cut short."""
+    bare = {"use_statistics": False, "repeat_channels": False, "repeat_schemas": False}
+    expected = sorted(make_messages(), key=lambda message: message.time)
+    for chunked in (False, True):
+        options = {"use_chunking": chunked, "index_types": IndexType.NONE, **bare}
+        path = written_by_mcap(tmp_path / "bag" / "bag.mcap", **options)
+        assert read(path) == expected
+        data = path.read_bytes()
+        path.write_bytes(data[: len(data) // 2])
+        assert 20 < len(read(path)) < 40
+        # A length that is wrong hides what follows it, and that is said.
+        last = data.rindex(b"\4\0\0\0zstd") - 28 if chunked else data.index(expected[30].data) - 22
+        path.write_bytes(data[: last - 1] + b"\xff" + data[last:])
+        with BagReader(path) as bag:
+            assert "what is missing is" in bag.notes[-1]
 
 
 def test_memory_holds_a_few_chunks_and_not_the_recording(tmp_path: Path) -> None:
@@ -261,7 +282,7 @@ def test_a_trial_cut_short_gives_the_samples_of_the_whole_one(hold, tmp_path, ca
                 new.flush()
     (trial / "metadata.yaml").unlink()
     file = trial / "trial.mcap"
-    file.write_bytes(file.read_bytes()[: Recording(file, []).ends[-1] - 4000])
+    file.write_bytes(file.read_bytes()[: Recording(file).ends[-1] - 4000])
     samples, whole = Trial(trial).samples(), Trial(hold).samples()
     assert 190 <= len(samples) < 200
     np.testing.assert_array_equal(samples.values, whole.values[: len(samples)])

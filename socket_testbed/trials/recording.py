@@ -1,0 +1,372 @@
+"""MCAP recordings: every sound chunk is read, however the file ends and whatever is damaged in it.
+
+A recorder that was killed, a power cut or a full disk leaves an MCAP file without its index and
+end, often with a torn chunk last; a bad disk or copy changes bytes anywhere. The chunks are found
+by their headers, or by the file's index where that has more of them. The MCAP library unpacks each
+and checks its checksum; a chunk without one has to consist of whole records. Lengths are checked
+before anything is read. The file is only read. The format: https://mcap.dev/spec.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import struct
+import zlib
+from bisect import bisect_left
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
+from datetime import datetime
+from itertools import groupby
+from operator import itemgetter
+from pathlib import Path
+from typing import BinaryIO, NamedTuple, Self
+
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, ChunkIndex, Schema
+from mcap.stream_reader import get_chunk_data_stream
+
+from socket_testbed.errors import TrialError
+
+_MAGIC = b"\x89MCAP0\r\n"
+_RECORD = struct.Struct("<BQ")  # opcode, length of the content [bytes]
+_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, times of recording and publishing [ns]
+_IS_MESSAGE = int(Opcode.MESSAGE)  # looked up for every message
+_FOOTER = _RECORD.pack(Opcode.FOOTER, 20)
+_END_SIZE = _RECORD.size + 20 + len(_MAGIC)
+_CHUNK_FIELDS = 8 + 8 + 8 + 4 + 4 + 8  # [bytes] of a chunk besides its data and a name
+_LARGEST_CHUNK = 2**28  # [bytes]; recorders write 1 MiB, a larger length is a lie
+_LOOSE = 2**20  # [bytes] of messages outside chunks that are taken for one
+_OF_APPLICATIONS = 0x80  # opcodes from here on
+
+_HINT = "copy the trial again if it is whole elsewhere"
+
+
+class _Place(NamedTuple):
+    """Where a chunk is in its file, or messages outside of one, as some recorders write them."""
+
+    start: int  # [bytes]; of its content
+    end: int
+    index_end: int  # and of its messages' indexes behind it
+    packed: bool = True
+
+
+class Connection(NamedTuple):
+    """A topic of a recording, with the names that rosbags gives to its parts."""
+
+    id: int
+    topic: str
+    msgtype: str
+    msgcount: int
+
+
+class _Chunk:
+    """What a chunk holds."""
+
+    def __init__(self, file: BinaryIO, place: _Place) -> None:
+        self.place = place
+        self.definitions: list[Schema | Channel] = []
+        self.sound, self.checked = True, True  # all of it can be read; by a checksum
+        channels, times = [], []
+        try:
+            content, self.checked = _unpack(file, place)
+            for opcode, start, end in _records(content):
+                if opcode == _IS_MESSAGE:
+                    if end - start < _MESSAGE.size:
+                        raise ValueError("the chunk holds a torn message")
+                    channel, _, time, _ = _MESSAGE.unpack_from(content, start)
+                    channels.append(channel)
+                    times.append(time)
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    self.definitions.append(_definition(opcode, content[start:end]))
+                elif opcode < _OF_APPLICATIONS:
+                    raise ValueError("the chunk holds another record")
+        except Exception:  # the libraries raise whatever the bytes lead them to
+            self.sound, self.definitions, channels, times = False, [], [], []
+        self.counts = Counter(channels)
+        self.first_time = min(times, default=0)  # [ns]
+        self.last_time = max(times, default=0)  # [ns]
+
+
+class Recording:
+    """What can be read of a recording; it is used like a reader of rosbags.
+
+    Args:
+        path: The file.
+        name: How errors name it.
+
+    Attributes:
+        notes: What was not read, or cannot be checked, one line per note.
+        lacks: Whether messages may be missing.
+
+    Raises:
+        TrialError: If a recording that was cut short or damaged holds no complete chunk with a
+            message, or what its topics are is lost.
+    """
+
+    def __init__(self, path: Path, name: Path) -> None:
+        self.path = path
+        self._file = path.open("rb")
+        try:
+            self._read(name)
+        except BaseException:
+            self._file.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._file.close()
+
+    def messages(
+        self, connections: Collection[Connection]
+    ) -> Iterator[tuple[Connection, int, bytes]]:
+        """The messages of some connections in the order of their times [ns]."""
+        wanted = {connection.id: connection for connection in connections}
+        chunks = [chunk for chunk in self._chunks if wanted.keys() & chunk.counts.keys()]
+        chunks.sort(key=lambda chunk: chunk.first_time)
+        next_times = (*(chunk.first_time for chunk in chunks[1:]), math.inf)
+        waiting: list[tuple[int, int, Connection, bytes]] = []  # for those of chunks that overlap
+        for chunk, next_time in zip(chunks, next_times, strict=False):
+            waiting += self._messages_of(chunk.place, wanted)
+            waiting.sort(key=itemgetter(0, 1))
+            ready = bisect_left(waiting, next_time, key=itemgetter(0))
+            for time, _, connection, data in waiting[:ready]:
+                yield connection, time, data
+            del waiting[:ready]
+
+    def _messages_of(
+        self, place: _Place, wanted: Mapping[int, Connection]
+    ) -> Iterator[tuple[int, int, Connection, bytes]]:
+        """The messages of a chunk: time [ns], where the chunk starts, connection and content."""
+        content, _ = _unpack(self._file, place)
+        for opcode, start, end in _records(content):
+            if opcode == _IS_MESSAGE:
+                channel, _, time, _ = _MESSAGE.unpack_from(content, start)
+                if channel in wanted:
+                    yield time, place.start, wanted[channel], content[start + _MESSAGE.size : end]
+
+    def _read(self, name: Path) -> None:
+        size = self._file.seek(0, io.SEEK_END)
+        index = _Index(self._file)
+        places, complete = _walk(self._file, size)
+        found = [_Chunk(self._file, place) for place in places]
+        walked = [place for place in places if place.packed]
+        if index.places != walked:
+            listed = [_Chunk(self._file, place) for place in index.places]
+            found = max(found, listed, key=lambda each: sum(c.counts.total() for c in each))
+        if not index.ended:
+            # Before its size reaches the disk, a chunk may have zeros or old blocks for content.
+            # That is so only for what was not flushed: from the back, the first sound one ends it.
+            while found and not found[-1].sound:
+                found.pop()
+                complete = False
+        definitions = [*index.definitions, *(d for chunk in found for d in chunk.definitions)]
+        found = [chunk for chunk in found if chunk.counts or not chunk.sound]
+        self._chunks = [chunk for chunk in found if chunk.sound]
+        whole = index.sound and complete and index.places in ([], walked)
+        self.lacks = not whole or len(self._chunks) < len(found)
+        if self.lacks and not self._chunks:
+            raise self._nothing(name, index.ended)
+        # As rosbags has it, the end is a nanosecond behind the last message.
+        self.start_time = min((chunk.first_time for chunk in self._chunks), default=0)
+        self.end_time = max((chunk.last_time for chunk in self._chunks), default=-1) + 1
+        counts = sum((chunk.counts for chunk in self._chunks), Counter[int]())
+        self.message_count = counts.total()
+        self.connections = _connections(definitions, counts)
+        if sum(connection.msgcount for connection in self.connections) < self.message_count:
+            raise TrialError(f"{name}: is damaged, what its topics are is lost", _HINT)
+        self.notes: list[str] = []
+        if not all(chunk.checked for chunk in self._chunks):
+            self.notes.append(f"{self.path.name} has no checksums: damage in it cannot be seen")
+        if self.lacks and (index.ended or len(self._chunks) < len(found)):
+            known = complete or bool(index.sound and index.places)
+            start = min(self.start_time, index.start_time)
+            self.notes.append(self._describe_damage(found, start, known))
+        elif self.lacks:
+            torn = size - self._chunks[-1].place.index_end
+            self.notes.append(self._describe_cut(torn, complete))
+
+    def _nothing(self, name: Path, ended: bool) -> TrialError:
+        """Why there is no complete chunk of messages."""
+        self._file.seek(0)
+        magic = self._file.read(len(_MAGIC)).rstrip(b"\0")
+        if _is_bare(self.path):
+            fact = "holds nothing: its recorder was ended before anything was on the disk"
+            hint = "remove it, or copy the trial again if it is complete elsewhere"
+        elif ended:
+            fact, hint = "is damaged, nothing in it can be read", _HINT
+        elif not _MAGIC.startswith(magic):
+            fact = "cannot be read (it is not an MCAP file)"
+            hint = "give an MCAP or SQLite bag of ROS 2"
+        else:
+            fact = "is truncated (it has no end, and no complete chunk of messages)"
+            hint = "record the trial again; 'mcap recover' may still find a part of it"
+        return TrialError(f"{name}: {fact}", hint)
+
+    def _describe_cut(self, torn: int, complete: bool) -> str:
+        """What was saved and what was not; torn is what follows the chunks [bytes]."""
+        until = datetime.fromtimestamp((self.end_time - 1) * 1e-9).strftime("%H:%M:%S")
+        unread = f" ({torn} bytes cannot be read)" if torn else ""
+        return (
+            f"the recording {self.path.name} was cut short (no end): {self.message_count} messages"
+            f" up to {until} ({(self.end_time - 1 - self.start_time) * 1e-9:.1f} s) were saved, "
+            + ("none is missing" if complete else f"the last second may be missing{unread}")
+        )
+
+    def _describe_damage(self, found: list[_Chunk], start: float, known: bool) -> str:
+        """What is missing of a recording from a start on [ns]; known is whether all were found."""
+
+        def at(time: int) -> str:
+            return f"{1e-9 * (time - start):.2f} s"
+
+        runs = [list(run) for _, run in groupby(found, key=lambda chunk: chunk.sound)]
+        gaps = []
+        for before, run, after in zip([[], *runs], runs, [*runs[1:], []], strict=False):
+            if not run[0].sound:
+                begin = at(before[-1].last_time) if before else "the start"
+                end = at(after[0].first_time) if after else "the end"
+                gaps.append(f"from {begin} to {end}")
+        if not known and found[-1].sound:
+            gaps.append(f"what may follow {at(found[-1].last_time)}")
+        lost = len(found) - len(self._chunks)
+        counted = f"{lost} of its {len(found)} chunks cannot be read, " if lost else ""
+        what = f"{counted}what is missing is {', '.join(gaps)}" if gaps else "no message is missing"
+        return f"the recording {self.path.name} is damaged: {what} ({_HINT})"
+
+
+class _Index:
+    """What the end of a file says of its chunks and topics; nothing where it cannot be read."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self.places: list[_Place] = []  # its chunks
+        self.start_time = math.inf  # of the first message [ns]; infinite if it is not sure
+        self.definitions: list[Schema | Channel] = []
+        footer_start = max(0, file.seek(0, io.SEEK_END) - _END_SIZE)
+        file.seek(footer_start)
+        end = file.read()
+        self.ended = end.startswith(_FOOTER) and end.endswith(_MAGIC)
+        self.sound = self.ended  # with the right checksum, if it has one
+        if self.ended:
+            try:
+                self._read(file, footer_start, *struct.unpack_from("<QQI", end, _RECORD.size))
+            except Exception:  # the library raises whatever the bytes lead it to
+                self.sound, self.start_time = False, math.inf
+
+    def _read(self, file: BinaryIO, stop: int, start: int, _: int, checksum: int) -> None:
+        if not start:
+            return
+        if not 0 < start <= stop:
+            raise ValueError("the index is nowhere")
+        file.seek(start)
+        content = file.read()[: -len(_MAGIC) - 4]
+        if checksum and zlib.crc32(content) != checksum:
+            raise ValueError("the index has another checksum")
+        for opcode, first, end in _records(content[: stop - start]):
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self.definitions.append(_definition(opcode, content[first:end]))
+            elif opcode == Opcode.CHUNK_INDEX:
+                chunk = ChunkIndex.read(ReadDataStream(io.BytesIO(content[first:end])))
+                chunk_end = chunk.chunk_start_offset + chunk.chunk_length
+                place = chunk.chunk_start_offset + _RECORD.size, chunk_end
+                self.places.append(_Place(*place, chunk_end + chunk.message_index_length))
+                self.start_time = min(self.start_time, chunk.message_start_time)
+
+
+def _walk(file: BinaryIO, size: int) -> tuple[list[_Place], bool]:
+    """The chunks by the headers of the records, and whether all messages are before the end."""
+    places: list[_Place] = []
+    chunked = False
+    position = len(_MAGIC)
+    while position + _RECORD.size <= size:
+        file.seek(position)
+        opcode, length = _RECORD.unpack(file.read(_RECORD.size))
+        start, position = position, position + _RECORD.size + length
+        # A recorder that writes chunks writes no messages beside them.
+        if position > size or opcode == 0 or (chunked and opcode == _IS_MESSAGE):
+            break
+        if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+            return places, True
+        if opcode == Opcode.CHUNK:
+            chunked = True
+            places.append(_Place(start + _RECORD.size, position, position))
+        elif opcode == Opcode.MESSAGE_INDEX and places:
+            places[-1] = places[-1]._replace(index_end=position)
+        elif opcode in (_IS_MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
+            last = places.pop() if places else _Place(start, start, start, packed=False)
+            if last.packed or last.end != start or last.end - last.start > _LOOSE:
+                places.append(last)
+                last = _Place(start, start, start, packed=False)
+            places.append(last._replace(end=position, index_end=position))
+    return places, False
+
+
+def holds_nothing(folder: Path) -> bool:
+    """Whether a recording was cut short before anything of a message was on the disk.
+
+    So does a recorder leave it that is killed while it starts. A folder with a `metadata.yaml` is
+    none of them: its files may be complete elsewhere.
+    """
+    files = list(folder.glob("*.mcap"))
+    return bool(files) and not (folder / "metadata.yaml").exists() and all(map(_is_bare, files))
+
+
+def _is_bare(path: Path) -> bool:
+    """Whether there is no more of an MCAP file than its first record, or a part of that."""
+    with path.open("rb") as file:
+        start = file.read(len(_MAGIC) + _RECORD.size)
+    if len(start) < len(_MAGIC) + _RECORD.size:
+        return _MAGIC.startswith(start[: len(_MAGIC)])
+    opcode, length = _RECORD.unpack(start[len(_MAGIC) :])
+    whole = path.stat().st_size <= len(start) + length
+    return start.startswith(_MAGIC) and opcode == Opcode.HEADER and whole
+
+
+def _unpack(file: BinaryIO, place: _Place) -> tuple[bytes, bool]:
+    """The records of a chunk, and whether a checksum says that they are right."""
+    if not 0 <= place.end - place.start <= _LARGEST_CHUNK:
+        raise ValueError("the chunk is too large")
+    file.seek(place.start)
+    content = file.read(place.end - place.start)
+    if not place.packed:
+        return content, False
+    chunk = Chunk.read(ReadDataStream(io.BytesIO(content)))
+    if _CHUNK_FIELDS + len(chunk.compression) + len(chunk.data) != len(content):
+        raise ValueError("the chunk does not fill its record")
+    if chunk.uncompressed_size > _LARGEST_CHUNK:
+        raise ValueError("the chunk is too large once unpacked")
+    stream, length = get_chunk_data_stream(chunk, validate_crc=True)
+    if length != chunk.uncompressed_size:
+        raise ValueError("the chunk has another size")
+    return stream.read(length), bool(chunk.uncompressed_crc)
+
+
+def _records(content: bytes) -> Iterator[tuple[int, int, int]]:
+    """Opcode, start and end of every record; raises where one is torn."""
+    end = 0
+    while end < len(content):
+        opcode, size = _RECORD.unpack_from(content, end)
+        start = end + _RECORD.size
+        end = start + size
+        if end > len(content):
+            raise ValueError("a record is torn")
+        yield opcode, start, end
+
+
+def _definition(opcode: int, content: bytes) -> Schema | Channel:
+    stream = ReadDataStream(io.BytesIO(content))
+    return Schema.read(stream) if opcode == Opcode.SCHEMA else Channel.read(stream)
+
+
+def _connections(definitions: list[Schema | Channel], counts: Counter[int]) -> list[Connection]:
+    """The channels whose types are known, with their counts."""
+    schemas = {record.id: record.name for record in definitions if isinstance(record, Schema)}
+    schemas.setdefault(0, "none")  # says the format
+    channels = {record.id: record for record in definitions if isinstance(record, Channel)}
+    return [
+        Connection(channel.id, channel.topic, schemas[channel.schema_id], counts[channel.id])
+        for channel in channels.values()
+        if channel.schema_id in schemas
+    ]
