@@ -33,9 +33,8 @@ from socket_testbed.live.bringup import (
     summary,
 )
 from socket_testbed.live.graph_status import GraphStatus
-from socket_testbed.live.machine import SLOWEST, busy_note, measure_speed, pace
 from socket_testbed.live.processes import Graph, require_ros
-from socket_testbed.live.simulated_world import Simulation
+from socket_testbed.live.simulated_world import SLOWEST, Simulation, busy_note, measure_speed, pace
 from socket_testbed.pages.document import part_of
 from socket_testbed.report.figures.style import (
     LINE_STYLES,

@@ -23,7 +23,8 @@ from socket_testbed.geometry.marker_bodies import FEWEST_MARKERS
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.live.hardware import make_clusters, make_load_cell, make_trigger
-from socket_testbed.live.machine import LATEST, measure_lateness
+from socket_testbed.live.processes import measure_lateness
+from socket_testbed.live.simulated_world import LATEST
 
 _FRAMES = 1000
 _PULSES = 5

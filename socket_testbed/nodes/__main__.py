@@ -22,12 +22,10 @@ from typing import Any
 
 try:
     import rclpy
-    from rclpy.experimental.events_executor import EventsExecutor
     from rclpy.node import Node
 
     from socket_testbed.errors import ConfigurationError, TestbedError, closest
-    from socket_testbed.live.machine import schedule
-    from socket_testbed.live.processes import RESTARTED, SPARE, end_with_starter
+    from socket_testbed.live.processes import RESTARTED, SPARE, end_with_starter, schedule
     from socket_testbed.nodes.base import TestbedNode, spin
     from socket_testbed.settings.acquisition import SchedulingSettings
     from socket_testbed.settings.testbed import TestbedSettings
@@ -91,7 +89,11 @@ def _run(names: list[str]) -> int:
                 _schedule(nodes[-1])
             if ready is not None:
                 ready.destroy_node()
-            _spin(nodes)
+            # What is there now stays: looking through it for garbage would hold up a trigger by
+            # 30 ms.
+            gc.collect()
+            gc.freeze()
+            spin(nodes)
         finally:
             for node in nodes:
                 node.close()
@@ -126,16 +128,6 @@ def _schedule(node: TestbedNode[Any]) -> None:
     settings = getattr(node.settings, "scheduling", SchedulingSettings())
     for line in schedule(settings):
         node.get_logger().warning(line)
-
-
-def _spin(nodes: list[TestbedNode[Any]]) -> None:
-    # What is there now stays: looking through it for garbage would hold up a trigger by 30 ms.
-    gc.collect()
-    gc.freeze()
-    executor = EventsExecutor()
-    for node in nodes:
-        executor.add_node(node)
-    spin(executor, [node.finished for node in nodes])
 
 
 if __name__ == "__main__":

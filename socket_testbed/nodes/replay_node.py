@@ -19,9 +19,16 @@ from std_srvs.srv import SetBool
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
-from socket_testbed.nodes.base import ERROR, OK, WARN, TestbedNode, is_acknowledged, stamp_to_ros
-from socket_testbed.nodes.followers import Followers
-from socket_testbed.nodes.frames import FrameBroadcaster
+from socket_testbed.nodes.base import (
+    ERROR,
+    OK,
+    WARN,
+    Followers,
+    TestbedNode,
+    is_acknowledged,
+    stamp_to_ros,
+)
+from socket_testbed.nodes.mocap_node import FrameBroadcaster
 from socket_testbed.settings.testbed import ReplaySettings
 from socket_testbed.trials.bag import BagReader, RawMessage
 from socket_testbed.trials.messages import Reader, VectorPacker

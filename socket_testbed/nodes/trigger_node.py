@@ -19,8 +19,7 @@ from socket_testbed.clocks import SteadyClock
 from socket_testbed.drivers.gpio import Trigger
 from socket_testbed.errors import DeviceError
 from socket_testbed.live.hardware import make_trigger, wall_clock
-from socket_testbed.nodes.base import ERROR, OK, WARN, RecentFault, TestbedNode
-from socket_testbed.nodes.followers import Followers
+from socket_testbed.nodes.base import ERROR, OK, WARN, Followers, RecentFault, TestbedNode
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.trials.messages import Reader, trigger_packer
 from socket_testbed.trials.topics import TRIGGER

@@ -33,7 +33,7 @@ from socket_testbed.nodes.base import (
     ELAPSED,
     FREE,
     OK,
-    PolledSubscription,
+    Inbox,
     TestbedNode,
     file_or_packaged,
 )
@@ -106,7 +106,8 @@ class LiveSource:
         self._geometry, self._controls, self._node = geometry, controls, node
         self._own = node.get_fully_qualified_name()
         self._prefix = self._own.removesuffix(node.get_name())
-        self._inbox: _Inbox | None = None
+        self._inbox: Inbox | None = None
+        self._readers = {topic: Reader(topic) for topic in _DEPTHS}
         self._asked_at = 0.0  # [s]; when a browser last asked
         self._newest: dict[Topic, tuple[int, Any, float]] = {}  # stamp [ns], values, arrival [s]
         self._wrenches: dict[int, FloatArray] = {}  # by stamp [ns]
@@ -138,7 +139,7 @@ class LiveSource:
         del time
         self._asked_at = clocks.monotonic()
         if self._inbox is None:
-            self._inbox = _Inbox(self._node)
+            self._inbox = self._subscribe()
         self._take(self._inbox)
         self._renew(self._inbox)
         measured, predicted = self._recent(WRENCH), self._recent(ESTIMATED_WRENCH)
@@ -175,11 +176,28 @@ class LiveSource:
             self._inbox = None
             self._newest.clear()
 
-    def _take(self, inbox: _Inbox) -> None:
+    def _subscribe(self) -> Inbox:
+        node = Node(
+            f"_{self._node.get_name()}_inbox",
+            namespace=self._node.get_namespace(),
+            context=self._node.context,
+            start_parameter_services=False,
+            use_global_arguments=False,
+        )
+        # Whoever publishes waits for no page: a message that is lost is not sent again.
+        reliability = ReliabilityPolicy.BEST_EFFORT
+        depths = _DEPTHS.items()
+        return Inbox(node, {t: QoSProfile(depth=n, reliability=reliability) for t, n in depths})
+
+    def _read(self, inbox: Inbox, topic: Topic) -> list[tuple[int, Any]]:
+        """Stamps and values of what has come, in its order; at most as many as are kept."""
+        return [self._readers[topic].read(data) for data in inbox.take(topic)]
+
+    def _take(self, inbox: Inbox) -> None:
         """Take maps and wrenches."""
         now = clocks.monotonic()
         for topic in (FORCE_MAP, WRENCH, ESTIMATED_WRENCH):
-            for stamp, values in inbox.take(topic):
+            for stamp, values in self._read(inbox, topic):
                 self._newest[topic] = stamp, values, now
                 if topic is WRENCH:
                     if self._wrenches and stamp < next(iter(self._wrenches)):
@@ -191,16 +209,16 @@ class LiveSource:
         while len(self._wrenches) > _MOST_WRENCHES:
             del self._wrenches[next(iter(self._wrenches))]
 
-    def _renew(self, inbox: _Inbox) -> None:
+    def _renew(self, inbox: Inbox) -> None:
         """Take what the clusters measure, and the outputs by region with their map."""
         now, geometry, places = clocks.monotonic(), self._geometry, self._places
         if now - self._shown_at > _OLD:
             self._shown, self._measured = {}, []
-        for _, stresses in inbox.take(STRESS):
+        for _, stresses in self._read(inbox, STRESS):
             of_clusters = [stresses.get(name, _NOTHING) for name in geometry.clusters]
             normal = [s[0] if status == Status.OK else np.nan for s, status in of_clusters]
             self._measured = numbers(1e-3 * np.array(normal), 1)
-        for stamp, (names, outputs) in inbox.take(REGIONS):
+        for stamp, (names, outputs) in self._read(inbox, REGIONS):
             _, mapped, _ = self._newest.get(FORCE_MAP, (0, None, 0.0))
             known = tuple(place.name for place in places) == names
             if mapped is None or mapped[0] != geometry.names or not known:
@@ -308,31 +326,3 @@ def _region_outputs(fields: dict[str, FloatArray]) -> RegionOutputs:
         for name, field in REGION_FIELDS.items()
     }
     return RegionOutputs(**(unknown | found))  # type: ignore[arg-type]
-
-
-class _Inbox:
-    """Takes the messages that the page draws, and reads them."""
-
-    def __init__(self, node: TestbedNode[Any]) -> None:
-        self._node = Node(
-            f"_{node.get_name()}_inbox",
-            namespace=node.get_namespace(),
-            context=node.context,
-            start_parameter_services=False,
-            use_global_arguments=False,
-        )
-        self._subscriptions = {topic: self._subscribe(topic) for topic in _DEPTHS}
-        self._readers = {topic: Reader(topic) for topic in _DEPTHS}
-
-    def close(self) -> None:
-        """Unsubscribe."""
-        self._node.destroy_node()
-
-    def take(self, topic: Topic) -> list[tuple[int, Any]]:
-        """Stamps and values of what has come, in its order; at most as many as are kept."""
-        return [self._readers[topic].read(data) for data in self._subscriptions[topic].take()]
-
-    def _subscribe(self, topic: Topic) -> PolledSubscription:
-        # Whoever publishes waits for no page: a message that is lost is not sent again.
-        qos = QoSProfile(depth=_DEPTHS[topic], reliability=ReliabilityPolicy.BEST_EFFORT)
-        return PolledSubscription(self._node, topic, qos)

@@ -55,11 +55,11 @@ def test_a_spare_process_takes_the_place_of_a_killed_node() -> None:
 NODE = """
 import os, signal, rclpy
 from socket_testbed.live.processes import RESTARTED
-from socket_testbed.nodes.base import OK
-from socket_testbed.nodes.listeners import ListenerNode
+from socket_testbed.nodes.base import OK, TestbedNode
+from socket_testbed.settings.fields import Settings
 
 rclpy.init()
-node = ListenerNode("worker", lambda: None)
+node = TestbedNode("worker", Settings)
 node.report(OK, "works")
 if RESTARTED not in os.environ:
     os.kill(os.getpid(), signal.SIGKILL)

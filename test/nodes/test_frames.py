@@ -19,7 +19,7 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.bringup import replay_nodes
 from socket_testbed.live.processes import Graph
-from socket_testbed.nodes.frames import FrameBroadcaster, fixed_frames
+from socket_testbed.nodes.mocap_node import FrameBroadcaster, fixed_frames
 from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
 from socket_testbed.trials.layout import stamp_of
 from socket_testbed.trials.topics import ESTIMATED_WRENCH, FORCE_MAP, TF, TF_STATIC, Topic
@@ -70,10 +70,7 @@ def test_without_tf2_msgs_a_node_goes_on_and_warns_once(monkeypatch: pytest.Monk
     monkeypatch.setitem(sys.modules, "tf2_msgs", None)
     monkeypatch.delitem(sys.modules, "tf2_msgs.msg", raising=False)
     said: list[str] = []
-    node = SimpleNamespace(
-        resolve_topic_name=lambda name: name,
-        get_logger=lambda: SimpleNamespace(warning=said.append),
-    )
+    node = SimpleNamespace(get_logger=lambda: SimpleNamespace(warning=said.append))
     broadcaster = FrameBroadcaster(node, GEOMETRY)
     assert not broadcaster.wanted
     broadcaster.move(0, {})

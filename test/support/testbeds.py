@@ -15,9 +15,8 @@ import numpy as np
 
 from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.live.bringup import Testbed, end, simulated_testbed, start
-from socket_testbed.live.machine import SLOWEST, busy_note
 from socket_testbed.live.processes import Graph
-from socket_testbed.live.simulated_world import Simulation
+from socket_testbed.live.simulated_world import SLOWEST, Simulation, busy_note
 from socket_testbed.simulation.trial import TRUTH_FILE
 from socket_testbed.simulation.world import World
 from socket_testbed.trials.layout import decode, stamp_of
