@@ -32,9 +32,8 @@ from socket_testbed.live.bringup import (
     testbed_settings,
 )
 from socket_testbed.live.doctor import examine, press_test
-from socket_testbed.live.machine import busy_note, measure_speed, pace
 from socket_testbed.live.processes import Graph, GraphNode
-from socket_testbed.live.simulated_world import Simulation
+from socket_testbed.live.simulated_world import Simulation, busy_note, measure_speed, pace
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import (
     RecorderSettings,

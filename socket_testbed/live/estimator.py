@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict, deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError, Future
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,8 +33,8 @@ from socket_testbed.identification.pressure import (
     measured_rows,
     pressure_outputs,
 )
-from socket_testbed.live.fit_worker import FitWorker, Refit, Steady
-from socket_testbed.samples import Samples, Status, channel_names
+from socket_testbed.live.fit_worker import FitWorker, Refit, Steady, check_samples, fit_samples
+from socket_testbed.samples import Samples, Status
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE, STRESS, WRENCH, Topic
@@ -43,40 +43,6 @@ MEASURED = (STRESS, WRENCH, SOCKET_POSE, PYLON_POSE)  # each is part of a sample
 
 _FIRST_ATTEMPT = 10  # samples between attempts at the first model
 _CHECK_PERIOD = 2_000_000_000  # [ns]; between checks of the data
-
-
-class StampSynchroniser:
-    """Puts measurements with equal stamps together; nothing is matched by nearest.
-
-    So many pending stamps are kept while their measurements come in; `incomplete` counts those that
-    were given up.
-    """
-
-    def __init__(self, topics: Iterable[Topic], pending: int) -> None:
-        self._topics = frozenset(topics)
-        self._pending = pending
-        self._open: OrderedDict[int, dict[Topic, Any]] = OrderedDict()
-        self.incomplete = 0
-
-    def add(self, topic: Topic, stamp: int, value: Any) -> dict[Topic, Any] | None:
-        """Add a measurement by the stamp of its trigger [ns].
-
-        Returns:
-            All measurements of the stamp if this was the last, else None.
-        """
-        entry = self._open.setdefault(stamp, {})
-        entry[topic] = value
-        if entry.keys() == self._topics:
-            del self._open[stamp]
-            return entry
-        while len(self._open) > self._pending:
-            self._open.popitem(last=False)
-            self.incomplete += 1
-        return None
-
-    def clear(self) -> None:
-        """Forget pending measurements, as after a jump back in time."""
-        self._open.clear()
 
 
 class SampleWindow:
@@ -121,30 +87,11 @@ class SampleWindow:
         return Samples(clusters=self._clusters, **{name: rows[name] for name in names})
 
 
-def cluster_forces(
-    geometry: SocketGeometry, stresses: Mapping[str, tuple[FloatArray, int]]
-) -> tuple[FloatArray, StatusArray]:
-    """The forces on a socket's c clusters, in their tiles' frames {L}, shape (c, 3) [N]; statuses.
-
-    By cluster there are normal stress, shear x and y, shape (3,) [Pa], and status. A cluster that
-    is not there is missing; what is missing is NaN.
-    """
-    missing = (np.full(3, np.nan), Status.MISSING)
-    found = [stresses.get(name, missing) for name in geometry.clusters]
-    forces = [
-        geometry.cluster_force(name, stress)
-        for name, (stress, _) in zip(geometry.clusters, found, strict=True)
-    ]
-    return np.array(forces), np.array([status for _, status in found], dtype=np.uint8)
-
-
 class OnlineMap:
-    """Maps the forces on all tiles from the clusters and the wrench of a trigger.
+    """Maps the forces on all tiles from the clusters and the wrench of one sample after the other.
 
-    It needs neither a fitted model nor the motion capture: the first sample has a map.
     Channels that are left out of the objective do not count, and neither do values that no limb in
-    a socket gives. Stresses are normal stress, shear x and y, shape (3,) [Pa], and status by
-    cluster; wrenches [M; F] in {S}, shape (6,) [N m, N]. The settings may change meanwhile.
+    a socket gives. The settings may change meanwhile.
 
     Attributes:
         count: Number of maps.
@@ -154,84 +101,52 @@ class OnlineMap:
     def __init__(self, geometry: SocketGeometry, settings: Callable[[], EstimatorSettings]) -> None:
         self._geometry = geometry
         self._settings = settings
-        self._clusters = tuple(geometry.clusters)
-        self._limits = channel_limits(geometry, self._clusters)
-        self._names = channel_names(self._clusters)
-        self._synchroniser = StampSynchroniser((STRESS, WRENCH), settings().window.pending)
+        self._limits = channel_limits(geometry, tuple(geometry.clusters))
         self._prior = settings().force_map
-        self._map = ForceMap(geometry, self._clusters, self._prior)
-        self._newest: tuple[FloatArray, Mapping[str, tuple[FloatArray, int]]]
+        self._map = ForceMap(geometry, tuple(geometry.clusters), self._prior)
+        self._newest: Samples
         self.count = 0
         self.places = all_regions(geometry)
 
-    def clear(self) -> None:
-        """Forget pending measurements, as after a jump back in time."""
-        self._synchroniser.clear()
-
-    def add(self, topic: Topic, stamp: int, value: Any) -> MapEstimate | None:
-        """Add a measurement, as to `OnlineEstimator.add`; topics that the map ignores may come too.
-
-        Returns:
-            The map, with N = 1, if this completes the clusters and the wrench of the stamp.
-        """
-        if topic not in (STRESS, WRENCH):
-            return None
-        measured = self._synchroniser.add(topic, stamp, value)
-        if measured is None:
-            return None
-        self._newest = measured[WRENCH], measured[STRESS]
-        sample = self._sample(*self._newest)
-        self.count += 1
-        return self._map.update(sample)
-
-    def newest_outputs(self) -> PressureOutputs | None:
-        """The outputs of the sample that was mapped last, from joint draws; None if it is empty."""
-        sample = self._sample(*self._newest)
-        if not measured_rows(sample)[0]:
-            return None
-        return pressure_outputs(self._map, sample, self._geometry, self.places, THRESHOLD)
-
-    def _sample(
-        self, wrench: FloatArray, stresses: Mapping[str, tuple[FloatArray, int]]
-    ) -> Samples:
-        """The channels of one sample that count; from now on the map has the present prior."""
+    def update(self, sample: Samples) -> MapEstimate:
+        """The map of one sample, with N = 1; it needs no pose."""
         settings = self._settings()
         if settings.force_map != self._prior:
             self._prior = settings.force_map
-            self._map = ForceMap(self._geometry, self._clusters, self._prior)
-        forces, status = cluster_forces(self._geometry, stresses)
-        values = np.concatenate([wrench, forces.reshape(-1)])
+            self._map = ForceMap(self._geometry, sample.clusters, self._prior)
+        values = sample.values
         values[~(np.abs(values) <= self._limits)] = np.nan
-        unknown = np.full((1, 3), np.nan)
-        values[np.isin(self._names, settings.identification.leave_out)] = np.nan
-        return Samples(
-            np.zeros(1, dtype=np.int64),
-            unknown,
-            unknown,
-            values[None, :6],
-            self._clusters,
-            values[None, 6:].reshape(1, -1, 3),
-            status[None],
-        )
+        values[:, np.isin(sample.channels, settings.identification.leave_out)] = np.nan
+        forces = values[:, 6:].reshape(1, -1, 3)
+        self._newest = replace(sample, wrench=values[:, :6], local_forces=forces)
+        self.count += 1
+        return self._map.update(self._newest)
+
+    def outputs(self) -> PressureOutputs | None:
+        """The outputs of the sample that was mapped last, from joint draws; None if it is empty."""
+        if not measured_rows(self._newest)[0]:
+            return None
+        return pressure_outputs(self._map, self._newest, self._geometry, self.places, THRESHOLD)
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """A prediction of one sample, from the pose alone."""
+class Estimates(NamedTuple):
+    """What a measurement completes, if anything."""
 
-    stamp: int  # stamp of the sample's trigger since the epoch [ns]
-    model: ContactModel
-    wrench: FloatArray  # predicted wrench [M; F] in {S}, shape (6,) [N m, N]
-    forces: FloatArray  # predicted force at each of the n points in {S}, shape (n, 3) [N]
+    force_map: MapEstimate | None = None  # with N = 1
+    wrench: FloatArray | None = None  # predicted [M; F] in {S}, shape (6,) [N m, N]
+    forces: FloatArray | None = None  # predicted at each of the n points in {S}, shape (n, 3) [N]
 
 
 class OnlineEstimator:
-    """Predicts every synchronised sample with the newest model, and has models fitted.
+    """Maps and predicts every sample, and has models fitted.
 
-    The settings are asked for as they are now. `notify` is called with each new model: a `Fit`, in
-    a thread of the fitter's, or the `StoredModel` that was loaded.
+    Measurements with equal stamps belong together; nothing is matched by nearest. The clusters and
+    the wrench make a map, with both poses the newest model predicts. The settings are asked for as
+    they are now. `notify` is called with each new model: a `Fit`, in a thread of the fitter's, or
+    the `StoredModel` that was loaded.
 
     Attributes:
+        map: The force map.
         newest: Newest stamp of which the sample was predicted [ns]; 0 at first and after a jump
             back in time.
     """
@@ -248,9 +163,8 @@ class OnlineEstimator:
         self._fitter = fitter
         self._notify = notify
         self._clusters = tuple(geometry.clusters)
-        window = settings().window
-        self._synchroniser = StampSynchroniser(MEASURED, window.pending)
-        self._window = SampleWindow(self._clusters, window.duration)
+        self._window = SampleWindow(self._clusters, settings().window.duration)
+        self._open: OrderedDict[int, dict[Topic, Any]] = OrderedDict()  # what is there, by stamp
         self._lock = threading.Lock()  # of the window, and of the fit that runs
         self._fitting = False
         self._since_attempt = 0  # samples
@@ -262,8 +176,10 @@ class OnlineEstimator:
         self._checking = False
         self._last_check = 0  # [ns]
         self._findings: tuple[str, ...] = ()  # on the data of the window
-        self._counts = {"triggers": 0, "samples": 0, "predictions": 0, "fits": 0, "refused": 0}
+        names = ("triggers", "samples", "predictions", "fits", "refused", "incomplete")
+        self._counts = dict.fromkeys(names, 0)
         self._state = (0, "no model yet: waiting for steady data or estimator/fit")
+        self.map = OnlineMap(geometry, settings)
         self.newest = 0
 
     @property
@@ -277,8 +193,7 @@ class OnlineEstimator:
 
     def figures(self) -> dict[str, object]:
         """Counts for the diagnostics, by name."""
-        incomplete = self._synchroniser.incomplete
-        return {**self._counts, "incomplete": incomplete, "window": len(self._window)}
+        return {**self._counts, "window": len(self._window), "maps": self.map.count}
 
     def load(self, path: Path) -> None:
         """Predict with a stored model."""
@@ -288,24 +203,18 @@ class OnlineEstimator:
         self._state = (0, self._origin)
         self._notify(stored)
 
-    def trigger(self, stamp: int) -> bool:
-        """Count a trigger; after a jump back in time [ns] forget all measurements.
-
-        Returns:
-            Whether time jumped back.
-        """
-        jumped = stamp < self._last_trigger
-        if jumped:
-            self._synchroniser.clear()
+    def trigger(self, stamp: int) -> None:
+        """Count a trigger; after a jump back in time [ns] forget all measurements."""
+        if stamp < self._last_trigger:
+            self._open.clear()
             with self._lock:
                 self._window.clear()
             self.newest = self._last_check = self._last_stamp = 0
             self._findings = ()
         self._last_trigger = stamp
         self._counts["triggers"] += 1
-        return jumped
 
-    def add(self, topic: Topic, stamp: int, value: Any) -> Estimate | None:
+    def add(self, topic: Topic, stamp: int, value: Any) -> Estimates:
         """Add a measurement.
 
         Args:
@@ -316,27 +225,24 @@ class OnlineEstimator:
                 quaternion (x, y, z, w), shape (7,).
 
         Returns:
-            The estimate if this completes a sample and there is a model.
+            The map if this completes the clusters and the wrench, the prediction if it completes
+            the sample and there is a model.
         """
-        measured = self._synchroniser.add(topic, stamp, value)
-        if measured is None:
-            return None
-        sample = self._sample(stamp, measured)
-        self._counts["samples"] += 1
-        estimate = None
-        if (model := self._model) is not None:
-            wrench, forces = model.wrench(sample.pose)[0], model.forces(sample.pose)[0]
-            estimate = Estimate(stamp, model, wrench, forces)
-            self._counts["predictions"] += 1
-        self.newest = max(self.newest, stamp)
-        with self._lock:
-            self._window.add(sample)
-        self._since_attempt += 1
-        if self._fit_is_due():
-            self._start_fit(steady=True)
-        if stamp - self._last_check >= _CHECK_PERIOD and not self._checking:
-            self._check(stamp)
-        return estimate
+        measured = self._open.setdefault(stamp, {})
+        measured[topic] = cluster_forces(self._geometry, value) if topic is STRESS else value
+        force_map = None
+        if topic in (STRESS, WRENCH) and STRESS in measured and WRENCH in measured:
+            force_map = self.map.update(self._sample(stamp, measured))
+        if len(measured) == len(MEASURED):
+            del self._open[stamp]
+            sample = self._sample(stamp, measured)
+            estimates = Estimates(force_map, *self._predict(sample))
+            self._keep(sample)
+            return estimates
+        while len(self._open) > self._settings().window.pending:
+            self._open.popitem(last=False)
+            self._counts["incomplete"] += 1
+        return Estimates(force_map)
 
     def fit(self) -> Fit:
         """Fit on all samples of the window, and wait for the model."""
@@ -347,25 +253,47 @@ class OnlineEstimator:
             refit = started.result()
         except (CancelledError, BrokenProcessPool):
             raise IdentificationError("the fit was ended", "ask again") from None
-        if refit is None:
-            raise IdentificationError("no samples to fit on", "ask again when there are some")
+        assert refit is not None  # only where no data is steady
         return refit.fit
 
     def _sample(self, stamp: int, measured: dict[Topic, Any]) -> Samples:
-        both = np.array([measured[SOCKET_POSE], measured[PYLON_POSE]])
-        bodies = Pose.from_quaternion(both[:, :3], both[:, 3:])
-        socket, pylon = map(Pose, bodies.rotation, bodies.translation)
-        forces, status = cluster_forces(self._geometry, measured[STRESS])
-        limb = self._geometry.limb_pose(socket, pylon)
+        """The sample of a stamp; without both poses the limb's is unknown."""
+        forces, status = measured[STRESS]
+        position = rotation = np.full(3, np.nan)
+        if len(measured) == len(MEASURED):
+            both = np.array([measured[SOCKET_POSE], measured[PYLON_POSE]])
+            bodies = Pose.from_quaternion(both[:, :3], both[:, 3:])
+            limb = self._geometry.limb_pose(*map(Pose, bodies.rotation, bodies.translation))
+            position, rotation = limb.translation, limb.rotation_vector()
         return Samples(
             np.array([stamp]),
-            limb.translation[None],
-            limb.rotation_vector()[None],
+            position[None],
+            rotation[None],
             measured[WRENCH][None],
             self._clusters,
             forces[None],
             status[None],
         )
+
+    def _predict(self, sample: Samples) -> tuple[FloatArray | None, FloatArray | None]:
+        model = self._model
+        if model is None:
+            return None, None
+        self._counts["predictions"] += 1
+        return model.wrench(sample.pose)[0], model.forces(sample.pose)[0]
+
+    def _keep(self, sample: Samples) -> None:
+        """Keep a complete sample; a fit and a check of the data may be due."""
+        stamp = int(sample.stamps[0])
+        self._counts["samples"] += 1
+        self.newest = max(self.newest, stamp)
+        with self._lock:
+            self._window.add(sample)
+        self._since_attempt += 1
+        if self._fit_is_due():
+            self._start_fit(steady=True)
+        if stamp - self._last_check >= _CHECK_PERIOD and not self._checking:
+            self._check(stamp)
 
     def _fit_is_due(self) -> bool:
         """Auto fit is on, with enough samples, and enough new ones since the last attempt."""
@@ -387,20 +315,19 @@ class OnlineEstimator:
             self._fitting = True
             self._since_attempt = 0
             samples = self._window.samples()
-        condition = self._condition(settings) if steady else None
-        future = self._fitter.submit(samples, self._geometry, settings.identification, condition)
-        future.add_done_callback(partial(self._take_over, settings.identification))
+        chosen, condition = settings.identification, None
+        if steady:
+            # With changed settings it is compared with no model.
+            changed = chosen != self._fitted_with
+            condition = Steady(
+                plateau=settings.plateau,
+                least_samples=settings.window.least_samples,
+                after=0 if changed else self._last_stamp,
+                rival=None if changed else self._model,
+            )
+        future = self._fitter.run(fit_samples, samples, self._geometry, chosen, condition)
+        future.add_done_callback(partial(self._take_over, chosen))
         return future
-
-    def _condition(self, settings: EstimatorSettings) -> Steady:
-        """Conditions of an automatic fit; with changed settings it is compared with no model."""
-        changed = settings.identification != self._fitted_with
-        return Steady(
-            plateau=settings.plateau,
-            least_samples=settings.window.least_samples,
-            after=0 if changed else self._last_stamp,
-            rival=None if changed else self._model,
-        )
 
     def _take_over(self, settings: IdentificationSettings, future: Future[Refit | None]) -> None:
         """Predict with a fitted model from now on, unless the present one predicts better."""
@@ -433,14 +360,31 @@ class OnlineEstimator:
         self._notify(fit)
 
     def _check(self, stamp: int) -> None:
+        """Have the data of the window checked."""
         self._checking, self._last_check = True, stamp
         with self._lock:
             samples = self._window.samples()
         leave_out = self._settings().identification.leave_out
-        future = self._fitter.check(samples, self._geometry, leave_out)
+        future = self._fitter.run(check_samples, samples, self._geometry, leave_out)
         future.add_done_callback(self._take_findings)
 
     def _take_findings(self, future: Future[tuple[str, ...]]) -> None:
         self._checking = False
         if not future.cancelled() and future.exception() is None:
             self._findings = future.result()
+
+
+def cluster_forces(
+    geometry: SocketGeometry, stresses: Mapping[str, tuple[FloatArray, int]]
+) -> tuple[FloatArray, StatusArray]:
+    """The forces on a socket's c clusters, in their tiles' frames {L}, shape (c, 3) [N]; statuses.
+
+    A cluster that is not there is missing; what is missing is NaN.
+    """
+    missing = (np.full(3, np.nan), Status.MISSING)
+    found = [stresses.get(name, missing) for name in geometry.clusters]
+    forces = [
+        geometry.cluster_force(name, stress)
+        for name, (stress, _) in zip(geometry.clusters, found, strict=True)
+    ]
+    return np.array(forces), np.array([status for _, status in found], dtype=np.uint8)

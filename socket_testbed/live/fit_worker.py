@@ -10,7 +10,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TypeVar
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from socket_testbed.identification.plausibility import (
     sign_note,
 )
 from socket_testbed.identification.problem import LEAST_SAMPLES
-from socket_testbed.live.machine import schedule_ordinarily
+from socket_testbed.live.processes import schedule_ordinarily
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
 from socket_testbed.trials.segment import find_newest_plateaus
@@ -40,6 +40,7 @@ HELD_OUT = 0.2  # [-]; newest share of a steady stretch, by which a refit is jud
 LEAST_HELD_OUT = 10  # [1]
 _NICENESS = 10
 
+P = ParamSpec("P")
 T = TypeVar("T")
 
 
@@ -104,32 +105,14 @@ class FitWorker:
         """Whether the process runs, with its libraries loaded."""
         return self._loaded.done()
 
-    def submit(
-        self,
-        samples: Samples,
-        geometry: SocketGeometry,
-        settings: IdentificationSettings,
-        steady: Steady | None,
-    ) -> Future[Refit | None]:
-        """Fit on the newest steady stretch of some samples; without `steady` on all of them.
-
-        Returns:
-            The fit to come; None where there is no steady stretch that is large and new enough.
-        """
-        return self._submit(partial(_fit, samples, geometry, settings, steady))
-
-    def check(
-        self, samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...]
-    ) -> Future[tuple[str, ...]]:
-        """Say what to look at in some samples, the worst first, but for channels left out."""
-        return self._submit(partial(_check, samples, geometry, leave_out))
-
-    def _submit(self, work: Callable[[], T]) -> Future[T]:
+    def run(self, work: Callable[P, T], *arguments: P.args, **options: P.kwargs) -> Future[T]:
+        """Have a function of a module called in the process."""
+        call = partial(work, *arguments, **options)
         try:
-            return self._pool.submit(work)
+            return self._pool.submit(call)
         except BrokenProcessPool:  # it was killed: the next one takes its place
             self._open()
-            return self._pool.submit(work)
+            return self._pool.submit(call)
 
     def close(self) -> None:
         """End the process, whatever it is doing."""
@@ -147,12 +130,17 @@ def _step_back() -> None:
     end_with_parent(signal.SIGKILL)
 
 
-def _fit(
+def fit_samples(
     samples: Samples,
     geometry: SocketGeometry,
     settings: IdentificationSettings,
     steady: Steady | None,
 ) -> Refit | None:
+    """Fit on the newest steady stretch of some samples; without `steady` on all of them.
+
+    Returns:
+        The fit; None where there is no steady stretch that is large and new enough.
+    """
     # Live, a centred window would lag, and the wrench is measured anyway.
     settings = replace(settings, pose_smoothing=0.0, wrench_sharpness=())
     if steady is None:
@@ -212,9 +200,10 @@ def _compare(
     return Comparison(len(samples), error(old), error(new))
 
 
-def _check(
+def check_samples(
     samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...]
 ) -> tuple[str, ...]:
+    """Say what to look at in some samples, the worst first, but for channels left out."""
     if len(samples) < LEAST_CHECKED:
         return ()
     found = check_data(samples, geometry, leave_out=leave_out, whole=False)

@@ -5,12 +5,14 @@ They end with the command that started them, even if that is killed.
 
 from __future__ import annotations
 
+import ctypes
 import importlib.util
 import json
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -18,11 +20,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, Self
 
+import numpy as np
 import yaml
 
+from socket_testbed.arrays import FloatArray
 from socket_testbed.clocks import Backoff, shared_environment
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.files import TemporaryFolder, end_with_parent
+from socket_testbed.settings.acquisition import SchedulingSettings
 from socket_testbed.settings.fields import Settings, parameter_values
 
 # Each testbed has transforms of its own: in a namespace they are beside its other topics.
@@ -40,6 +45,11 @@ _LOOK = 0.05  # [s]
 _EARLY = 10.0  # [s]; a process that fails within this time was given something wrong
 _LONGEST_WAIT = 10.0  # [s]; before a process that ends again and again is started again
 _CALM = 3.0  # [s]; how long all processes have run before a spare one takes processor time
+
+_LIMITS = "/etc/security/limits.d/socket_testbed.conf"
+# Of mlockall: present and future memory, each page only once it is used.
+_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
+_NAP = 0.002  # [s]; a conversion of the load cell's converter
 
 
 def end_with_starter() -> None:
@@ -220,9 +230,7 @@ class Graph:
     def wait(self, node: str) -> None:
         """Wait until a node has done its work; an error if one ends with one."""
         while (code := self._members[node].exit_code()) is None:
-            for name, member in self._members.items():
-                if name != node and (other := member.exit_code()) is not None:
-                    raise _failure(name, other)
+            self.check(but=node)
             self.pause()
         if code != 0:
             raise _failure(node, code)
@@ -236,10 +244,10 @@ class Graph:
             if time.monotonic() >= ends:
                 return
 
-    def check(self) -> None:
-        """Raise an error if a process has ended."""
+    def check(self, but: str = "") -> None:
+        """Raise an error if a process has ended, but for one."""
         for name, member in self._members.items():
-            if (code := member.exit_code()) is not None:
+            if name != but and (code := member.exit_code()) is not None:
                 raise _failure(name, code)
 
     def watch(self, done: Callable[[], bool], notify: Callable[[str], None]) -> None:
@@ -300,3 +308,72 @@ def _ending(code: int) -> str:
     if code < 0:
         return f"was ended by {signal.Signals(-code).name}"
     return f"ended with exit code {code}"
+
+
+# --- scheduling
+
+
+def schedule(settings: SchedulingSettings) -> list[str]:
+    """Schedule all threads of this process as its settings want it; later threads inherit it.
+
+    Returns:
+        What was refused, a line each: the fact, and how to get the right to it.
+    """
+    cores, priority = settings.cores, settings.priority
+    refused = []
+
+    def change(what: str, hint: str, call: Callable[..., None], *values: Any) -> None:
+        try:
+            for thread in Path("/proc/self/task").iterdir():
+                with suppress(ProcessLookupError):  # it has ended meanwhile
+                    call(int(thread.name), *values)
+        except OSError as error:
+            refused.append(f"scheduling.{what} is refused ({error.strerror}): {hint}")
+
+    if cores:
+        hint = f"this machine has the cores 0 to {(os.cpu_count() or 1) - 1}"
+        change(f"cores {list(cores)}", hint, os.sched_setaffinity, cores)
+    if priority:
+        hint = _right(f"rtprio {priority}", "CAP_SYS_NICE")
+        policy = (os.SCHED_FIFO, os.sched_param(priority))
+        change(f"priority {priority}", hint, os.sched_setscheduler, *policy)
+    libc = ctypes.CDLL(None, use_errno=True)
+    if settings.lock_memory and libc.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT) != 0:
+        reason, hint = os.strerror(ctypes.get_errno()), _right("memlock unlimited", "CAP_IPC_LOCK")
+        refused.append(f"scheduling.lock_memory is refused ({reason}): {hint}")
+    return refused
+
+
+def _right(limit: str, capability: str) -> str:
+    return f"put 'USER - {limit}' into {_LIMITS} and log in anew, or give the right {capability}"
+
+
+def schedule_ordinarily() -> None:
+    """Give a real-time priority that was inherited back."""
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
+def measure_lateness(priority: int = 0, duration: float = 1.0) -> FloatArray:
+    """Measure for a while [s] how late a thread wakes up from short sleeps, each time [s].
+
+    Its real-time priority is 0 for an ordinary thread; without the right to one there is no value.
+    """
+    late: list[float] = []
+
+    def nap() -> None:
+        if priority:
+            try:
+                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))  # of this thread
+            except OSError:
+                return
+        due = time.perf_counter()
+        ends = due + duration
+        while due < ends:
+            due = max(due + _NAP, time.perf_counter())
+            time.sleep(max(0.0, due - time.perf_counter()))
+            late.append(time.perf_counter() - due)
+
+    thread = threading.Thread(target=nap, name="lateness")
+    thread.start()
+    thread.join()
+    return np.array(late)

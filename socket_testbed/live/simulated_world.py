@@ -9,19 +9,20 @@ import json
 import signal
 import sys
 import threading
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.clocks import SteadyClock
+from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
-from socket_testbed.live.processes import end_with_starter
+from socket_testbed.live.processes import end_with_starter, measure_lateness
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
 from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, load_history
 from socket_testbed.simulation.sensors import (
@@ -40,6 +41,21 @@ _SWITCH = 5e-4  # [s]; a frame that is due waits no longer for the physics
 _THUMB = 15e3  # [Pa]; pressure of a thumb on a cluster
 _BODIES = ("socket", "pylon")
 
+SCALES = {  # testbed seconds per real second [-]
+    1.0: "real time",
+    0.5: "half of real time",
+    0.25: "a quarter of real time",
+    0.125: "an eighth of real time",
+    0.0625: "a sixteenth of real time",
+}
+SLOWEST = min(SCALES)
+LATEST = 3e-3  # [s]; lateness that the drivers bridge in real time
+_WATCHED = 0.5  # [s]; for each of the two measurements of the speed
+_UNIT = 115e-6  # [s]; for the unit of work on an idle core of the machine that this was tried on
+# Measured: with 0.034 of such a core for a busy process and threads that wake up 10 ms late, half
+# of real time left 2 % of the samples incomplete, real time 30 %.
+_ENOUGH = 0.13  # [-]; part of such a core that suffices for real time
+
 
 @dataclass(frozen=True)
 class Simulation:
@@ -52,6 +68,45 @@ class Simulation:
     sway: float = 0.0  # how far the stand sways in the world [m]
     time_scale: float = 1.0  # testbed seconds per real second, in (0, 1] [-]
     tissue: TissueKind = "soft"  # kind of the limb's tissue
+
+
+@dataclass(frozen=True)
+class MachineSpeed:
+    """The share of this machine that one more process gets at present."""
+
+    lateness: float  # how late a thread wakes up from a short sleep, 90th percentile [s]
+    speed: float  # work that a thread gets done, relative to an idle core of the reference [-]
+
+    def time_scale(self) -> float:
+        """The fastest scale at which a simulated testbed can be expected to keep up [-]."""
+        fastest = min(self.speed / _ENOUGH, LATEST / max(self.lateness, 1e-9))
+        return next((scale for scale in SCALES if scale <= fastest), SLOWEST)
+
+
+def measure_speed() -> MachineSpeed:
+    """Measure this machine for about a second."""
+    lateness = measure_lateness(duration=_WATCHED)
+    units = 0
+    begin = now = time.perf_counter()
+    while now - begin < _WATCHED:
+        total = 0
+        for k in range(2000):  # the unit of work
+            total += k * k % 7
+        units += 1
+        now = time.perf_counter()
+    return MachineSpeed(float(np.percentile(lateness, 90)), units * _UNIT / (now - begin))
+
+
+def pace(scale: float) -> str:
+    """How fast a simulated testbed runs, in words: 'a quarter of real time'."""
+    return SCALES.get(scale, f"{scale:g} of real time")
+
+
+def busy_note(scale: float) -> str:
+    """A note on the scale that was chosen; empty for real time."""
+    if scale == 1.0:
+        return ""
+    return f"this machine is busy: the simulated testbed runs at {pace(scale)}"
 
 
 class LiveTestbed:
@@ -153,7 +208,7 @@ def markers_at(geometry: SocketGeometry, poses: FloatArray) -> list[FloatArray]:
     """
     references = (geometry.socket_markers, geometry.pylon_markers)
     return [
-        Rotation.from_quat(pose[3:]).apply(markers) + pose[:3]
+        Pose.from_quaternion(pose[:3], pose[3:]).apply(markers)
         for markers, pose in zip(references, poses, strict=True)
     ]
 

@@ -7,19 +7,23 @@ how it is: on /diagnostics at 1 Hz, and at once on a change of level, under its 
 
 from __future__ import annotations
 
-import math
+import dataclasses
 import os
 import platform
 import re
 import sys
-from collections.abc import Callable, Iterator
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
+from functools import partial
 from importlib import import_module
+from itertools import chain
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
-import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import (
@@ -30,7 +34,6 @@ from rcl_interfaces.msg import (
 )
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
-from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -44,7 +47,7 @@ from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.files import packaged
 from socket_testbed.live.processes import RESTARTED
 from socket_testbed.settings.fields import Settings, parameter_values
-from socket_testbed.trials.messages import LOAD_CELL_FRAME
+from socket_testbed.trials.messages import LOAD_CELL_FRAME, Reader
 from socket_testbed.trials.topics import DIAGNOSTICS, PUBLISHER_DEPTH, Topic
 
 OK, WARN, ERROR = 0, 1, 2  # as in DiagnosticStatus
@@ -61,7 +64,7 @@ _SUBSCRIBER_DEPTH = 2000  # [messages]; a fast replay or a busy moment loses not
 _PERIOD = 1.0  # [s]
 _CHECKED = 0.1  # [s]; how often the links and the node are checked
 _RECENT = 0.5  # [s]
-_END = 0.2  # [s]; how often the executor checks whether it is to end
+_POLL = 0.02  # [s]
 
 S = TypeVar("S", bound=Settings)
 
@@ -113,22 +116,32 @@ def is_acknowledged(publisher: Publisher) -> bool:
     return bool(publisher.wait_for_all_acked(Duration()))
 
 
-class PolledSubscription:
-    """A subscription that no executor serves: messages are kept, as many as its depth says."""
+class Inbox:
+    """Messages of a node that no executor serves: kept as the QoS says, until someone asks.
 
-    def __init__(self, node: Node, topic: Topic, qos: QoSProfile) -> None:
-        self._kind = message_type(topic)
-        self._subscription = node.create_subscription(
-            self._kind, topic.name, lambda data: None, qos, raw=True
-        )
+    At 100 Hz that takes 2 % of a core, where an executor takes 4 %.
+    """
 
-    def take(self) -> list[bytes]:
+    def __init__(self, node: Node, topics: Mapping[Topic, QoSProfile]) -> None:
+        self._node = node
+        self._subscriptions = {
+            topic: node.create_subscription(
+                message_type(topic), topic.name, lambda data: None, qos, raw=True
+            )
+            for topic, qos in topics.items()
+        }
+
+    def take(self, topic: Topic) -> list[bytes]:
         """The serialised messages that have come since the last call, in their order."""
-        found, handle = [], self._subscription.handle
-        with handle:
-            while taken := handle.take_message(self._kind, True):
+        found, subscription = [], self._subscriptions[topic]
+        with subscription.handle:
+            while taken := subscription.handle.take_message(subscription.msg_type, True):
                 found.append(taken[0])
         return found
+
+    def close(self) -> None:
+        """Unsubscribe, and end the node."""
+        self._node.destroy_node()
 
 
 class RecentFault:
@@ -145,14 +158,6 @@ class RecentFault:
         """The fault, empty when it was longer ago than this [s]."""
         text, when = self._last
         return text if clocks.monotonic() - when < recent else ""
-
-
-def spin(executor: Any, futures: list[Future]) -> None:
-    """Work until a future is done, the first of which is noticed at once, or until ROS ends."""
-    with suppress(ExternalShutdownException):
-        # spin() of the events executor overflows its wait in Jazzy's release; this does not.
-        while rclpy.ok() and not any(future.done() for future in futures):
-            executor.spin_until_future_complete(futures[0], timeout_sec=_END)
 
 
 class TestbedNode(Node, Generic[S]):
@@ -175,8 +180,9 @@ class TestbedNode(Node, Generic[S]):
         super().__init__(name, cli_args=self.arguments)
         self.finished = Future()
         self._kind = kind
+        fields = kind.flat()
         for parameter, value in parameter_values(kind()).items():
-            self.declare_parameter(parameter, value, _descriptor(parameter, kind))
+            self.declare_parameter(parameter, value, _descriptor(parameter, fields[parameter]))
         self.settings = self._read_settings({})
         self.add_on_set_parameters_callback(self._check_settings)
         self.add_post_set_parameters_callback(self._change_settings)
@@ -185,18 +191,15 @@ class TestbedNode(Node, Generic[S]):
         self._outputs: list[tuple[Publisher, bool]] = []
         self._service_threads: list[ThreadPoolExecutor] = []
         self._settled_at = clocks.monotonic() + settle
-        self._level, self._message = OK, "started"
-        self._has_worked = RESTARTED in os.environ
-        if self._has_worked:  # its first OK is a recovery
-            self._level, self._message = WARN, "started again"
+        again = RESTARTED in os.environ
+        self._level, self._message = (WARN, "started again") if again else (OK, "started")
+        self._has_worked = again  # its first OK is a recovery
         self._waiting: list[str] | None = None
         self._checks = 0
         self._diagnostics = self.create_publisher(
             DiagnosticArray, DIAGNOSTICS.name, publisher_qos(DIAGNOSTICS)
         )
-        # A steady clock: diagnostics go on when the system clock jumps or the replay pauses.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._diagnostics_timer = self.create_timer(_CHECKED, self._check, clock=steady)
+        self.repeat(_CHECKED, self._check)
 
     # What a node overrides.
 
@@ -231,6 +234,10 @@ class TestbedNode(Node, Generic[S]):
             if self.context.ok():
                 raise
 
+    def repeat(self, period: float, callback: Callable[[], None]) -> None:
+        """Call back at every period [s]; even when the system clock jumps or a replay pauses."""
+        self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
     def advertise(self, topic: Topic, name: str = "", needed: bool = False) -> Publisher:
         """A publisher, under another name if given; needed, it is linked only with a subscriber."""
         publisher = self.create_publisher(
@@ -238,6 +245,11 @@ class TestbedNode(Node, Generic[S]):
         )
         self._outputs.append((publisher, needed))
         return publisher
+
+    def sender(self, topic: Topic, pack: Callable[..., bytes]) -> Callable[..., None]:
+        """What publishes the message that a packer makes of the same arguments."""
+        publisher = self.advertise(topic)
+        return lambda *values: publisher.publish(pack(*values))
 
     def listen(
         self,
@@ -262,6 +274,13 @@ class TestbedNode(Node, Generic[S]):
         if needed:
             self._inputs.append(subscription)
 
+    def follow(
+        self, topic: Topic, callback: Callable[[int, Any], None], needed: bool = True
+    ) -> None:
+        """Subscribe: the callback gets stamp [ns] and values of each message, see `Reader`."""
+        read = Reader(topic).read
+        self.listen(topic, lambda data: callback(*read(data)), needed=needed, raw=True)
+
     def serve(self, kind: Any, name: str, answer: Callable[..., str], slow: bool = False) -> None:
         """Offer a service of the type SetBool or Trigger; a slow one has a thread of its own.
 
@@ -278,28 +297,22 @@ class TestbedNode(Node, Generic[S]):
                 response.message = str(error)
             return response
 
-        if slow:
-            self._serve_slowly(kind, name, respond)
-        else:
+        if not slow:
             self.create_service(kind, name, respond)
-
-    def _serve_slowly(self, kind: Any, name: str, respond: Callable[..., Any]) -> None:
-        """Answer a service in a thread of its own: the events executor knows no coroutines.
-
-        The executor answers with what the callback returns, through `send_response`. Both only pass
-        the request on to the thread, which answers when it is done.
-        """
+            return
+        # The events executor knows no coroutines. It answers with what the callback returns,
+        # through `send_response`: both only pass the request on to the thread, which answers.
         thread = ThreadPoolExecutor(1, thread_name_prefix=name)
         service = self.create_service(kind, name, lambda *given: given)
         send = service.send_response
 
-        def answer(given: Any, header: Any) -> None:
+        def answer_later(given: Any, header: Any) -> None:
             with self.until_ros_ends():
                 send(respond(*given), header)
 
         # The result of an answer raises what went wrong, and so prints it.
         service.send_response = lambda given, header: thread.submit(
-            answer, given, header
+            answer_later, given, header
         ).add_done_callback(lambda done: done.result())
         self._service_threads.append(thread)
 
@@ -307,22 +320,22 @@ class TestbedNode(Node, Generic[S]):
         """Report how the node is, fact and hint in one line; what is new goes out at once."""
         if level != OK and clocks.monotonic() < self._settled_at:
             level, message = WARN, f"starting: {message}"
-        if (level, message) == (self._level, self._message):
+        before = self._level, self._message
+        if (level, message) == before:
             return
-        # Figures in a message change all the time: they are no news for the log.
-        known = _without_figures(message) == _without_figures(self._message)
-        recovered = level == OK != self._level and self._has_worked
+        self._level, self._message = level, message
+        recovered = level == OK != before[0] and self._has_worked
         if level == OK:
             self._settled_at = 0.0
             self._has_worked = True
-        changed = level != self._level
-        self._level, self._message = level, message
         logger = self.get_logger()
         if not self.context.ok():  # ROS has ended: only the terminal is left
             print(f"[{logger.name}]: {message}", file=sys.stderr)
             return
-        if known and not changed:
-            return
+        if level != before[0]:
+            self._publish_diagnostics()
+        elif _without_figures(message) == _without_figures(before[1]):
+            return  # figures change all the time: they are no news for the log
         # A line each: rclpy refuses another severity from the same line.
         if level == ERROR:
             logger.error(message)
@@ -330,22 +343,20 @@ class TestbedNode(Node, Generic[S]):
             logger.warning(message)
         else:
             logger.info(f"recovered: {message}" if recovered else message)
-        if changed:
-            self._publish_diagnostics()
 
     def _read_settings(self, changes: dict[str, Any]) -> S:
-        names = self._kind.flat()
-        values = {name: self.get_parameter(name).value for name in names}
-        values |= {name: value for name, value in changes.items() if name in values}
-        cleaned = {name: _from_ros(value) for name, value in values.items()}
-        return self._kind.from_flat(cleaned, self.get_name())
+        values = {
+            name: _from_ros(changes.get(name, self.get_parameter(name).value))
+            for name in self._kind.flat()
+        }
+        return self._kind.from_flat(values, self.get_name())
 
     def _check_settings(self, changes: list[Parameter]) -> SetParametersResult:
-        for change in changes:
-            if change.type_ == Parameter.Type.NOT_SET:
-                reason = f"{change.name} cannot be deleted: set it to another value"
-                return SetParametersResult(successful=False, reason=reason)
         try:
+            for change in changes:
+                if change.type_ == Parameter.Type.NOT_SET:
+                    hint = "set it to another value"
+                    raise ConfigurationError(f"{change.name} cannot be deleted", hint)
             self._read_settings({change.name: change.value for change in changes})
         except ConfigurationError as error:
             return SetParametersResult(successful=False, reason=str(error))
@@ -366,6 +377,13 @@ class TestbedNode(Node, Generic[S]):
                 self._waiting = waiting
                 self._publish_diagnostics()
 
+    def links(self) -> dict[str, tuple[int, int]]:
+        """By the topic of each publisher: matched subscribers, and how many there should be."""
+        there = {
+            p: max(needed, self.count_subscribers(p.topic_name)) for p, needed in self._outputs
+        }
+        return {p.topic_name: (p.get_subscription_count(), count) for p, count in there.items()}
+
     def _unlinked(self) -> list[str]:
         """Topics without a counterpart in the graph, and the node while it starts."""
         waiting = [
@@ -373,18 +391,14 @@ class TestbedNode(Node, Generic[S]):
             for s in self._inputs
             if s.get_publisher_count() < max(1, self.count_publishers(s.topic_name))
         ]
-        waiting += [
-            p.topic_name
-            for p, needed in self._outputs
-            if p.get_subscription_count() < max(needed, self.count_subscribers(p.topic_name))
-        ]
+        waiting += [topic for topic, (known, there) in self.links().items() if known < there]
         settled = clocks.monotonic() >= self._settled_at
         return waiting if settled and self.ready() else [*waiting, "itself"]
 
     def _publish_diagnostics(self) -> None:
         self._checks = 0
         waiting = "(not checked yet)" if self._waiting is None else ", ".join(self._waiting)
-        links = [f"{p.topic_name}={p.get_subscription_count()}" for p, _ in self._outputs]
+        links = [f"{topic}={known}" for topic, (known, _) in self.links().items()]
         hears = " ".join(s.topic_name for s in self._inputs)
         values = {WAITING_FOR: waiting, LINKS: " ".join(links), HEARS: hears, **self.figures()}
         status = DiagnosticStatus(
@@ -403,8 +417,7 @@ def _without_figures(message: str) -> str:
     return re.sub(r"\d+(\.\d+)?", "#", message)
 
 
-def _descriptor(name: str, kind: type[Settings]) -> ParameterDescriptor:
-    item = kind.flat()[name]
+def _descriptor(name: str, item: dataclasses.Field[Any]) -> ParameterDescriptor:
     limits = item.metadata
     text = limits["description"]
     if limits["choices"]:
@@ -413,16 +426,13 @@ def _descriptor(name: str, kind: type[Settings]) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(
         name=name, description=text, dynamic_typing=True, read_only=limits["fixed"]
     )
-    low, high = limits["low"], limits["high"]
-    if isinstance(item.default, bool) or not isinstance(item.default, int | float):
-        return descriptor
-    if math.isfinite(low) and math.isfinite(high):
-        if isinstance(item.default, int):
-            span = IntegerRange(from_value=int(low), to_value=int(high), step=1)
-            descriptor.integer_range = [span]
+    kind = type(item.default)
+    if kind in (int, float):
+        span = {"from_value": kind(limits["low"]), "to_value": kind(limits["high"])}
+        if kind is int:
+            descriptor.integer_range = [IntegerRange(**span, step=1)]
         else:
-            wide = FloatingPointRange(from_value=float(low), to_value=float(high), step=0.0)
-            descriptor.floating_point_range = [wide]
+            descriptor.floating_point_range = [FloatingPointRange(**span)]
     return descriptor
 
 
@@ -430,3 +440,105 @@ def _from_ros(value: Any) -> Any:
     if isinstance(value, str | bool | int | float):
         return value
     return [entry for entry in (value or ()) if entry != ""]
+
+
+class Followers:
+    """Nodes that a trigger or a replay waits for: linked at its start, never left far behind.
+
+    How they are is what their diagnostics report. Their names are in the waiting node's namespace
+    or absolute; `stopped` says whether waiting has become pointless.
+    """
+
+    def __init__(
+        self, node: TestbedNode[Any], names: tuple[str, ...], stopped: Callable[[], bool]
+    ) -> None:
+        namespace = node.get_namespace().rstrip("/")
+        full = (name if name.startswith("/") else f"{namespace}/{name}" for name in names)
+        self._waiting = dict.fromkeys(full, "not seen")
+        self._links: dict[str, dict[str, int]] = {}
+        self._hears: dict[str, list[str]] = {}
+        self._newest: dict[str, int] = {}
+        self._sent: deque[int] = deque()
+        self._stopped = stopped
+        self._news = threading.Condition()
+        self._node = node
+        node.listen(DIAGNOSTICS, self._on_diagnostics, needed=False)
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def await_links(self, patience: float) -> str:
+        """Wait until all that publish and subscribe have found each other.
+
+        A node may not know yet of a subscriber that another knows of, or of one that says so
+        itself, and would publish past it. Returns what is not linked in time, if anything.
+        """
+
+        def linked() -> bool:
+            heard = Counter(chain.from_iterable(self._hears.values()))
+            own = [(name, known, there) for name, (known, there) in self._node.links().items()]
+            theirs = [
+                (name, known, self._node.count_subscribers(name))
+                for links in self._links.values()
+                for name, known in links.items()
+            ]
+            found = all(known >= max(heard[name], there) for name, known, there in own + theirs)
+            return found and not any(self._waiting.values())
+
+        if self.wait(linked, patience) or self._stopped():
+            return ""
+        waiting = [f"{name} ({what})" for name, what in self._waiting.items() if what]
+        return ", ".join(waiting) or "subscribers"
+
+    def sent(self, stamp: int) -> None:
+        """A sample with this stamp [ns] was sent to them."""
+        self._sent.append(stamp)
+
+    def start_over(self) -> None:
+        """Time jumps back: what they had worked off says nothing any more."""
+        with self._news:
+            self._newest = dict.fromkeys(self._newest, 0)
+            self._sent.clear()
+
+    def wait(self, condition: Callable[[], bool], duration: float) -> bool:
+        """Wait until a condition holds; returns whether it does after a duration [s]."""
+        deadline = time.monotonic() + duration
+        with self._news:
+            while not condition():
+                left = deadline - time.monotonic()
+                if left <= 0.0 or self._stopped():
+                    return False
+                self._news.wait(min(left, _POLL))
+        return True
+
+    def catch_up(self, behind: int, patience: float) -> int:
+        """Wait until they are at most so many samples behind, while there is progress in time.
+
+        Returns how many samples they are still behind, 0 if they caught up.
+        """
+        while self._newest and len(self._sent) > behind:
+            before = len(self._sent)
+            if not self.wait(partial(self._fewer_left_than, before), patience):
+                self._sent.clear()
+                return 0 if self._stopped() else before
+        return 0
+
+    def _fewer_left_than(self, count: int) -> bool:
+        slowest = min(self._newest.values())
+        while self._sent and self._sent[0] <= slowest:
+            self._sent.popleft()
+        return len(self._sent) < count
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name not in self._waiting:
+                continue
+            values = {entry.key: entry.value for entry in status.values}
+            links = (link.split("=") for link in values.get(LINKS, "").split())
+            with self._news:
+                self._waiting[status.name] = values.get(WAITING_FOR, "")
+                self._hears[status.name] = values.get(HEARS, "").split()
+                self._links[status.name] = {topic: int(count) for topic, count in links}
+                if NEWEST_STAMP in values:
+                    self._newest[status.name] = int(values[NEWEST_STAMP])
+                self._news.notify_all()

@@ -1,11 +1,11 @@
-"""What a person does to a running testbed: marks events, and calls its services."""
+"""What a person does to a running testbed, and sees of it: events, services, the status line."""
 
 from __future__ import annotations
 
 import math
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -15,15 +15,18 @@ import rclpy
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
-from socket_testbed_msgs.msg import Event
+from socket_testbed_msgs.msg import ContactModel, Event
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from socket_testbed import clocks
 from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.live.graph_status import MEASURED, GraphStatus
 from socket_testbed.nodes.base import (
+    Inbox,
     header_to_ros,
     is_acknowledged,
     message_type,
@@ -32,10 +35,22 @@ from socket_testbed.nodes.base import (
 )
 from socket_testbed.settings.testbed import NextTrialSettings
 from socket_testbed.trials.layout import stamp_of
+from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.segment import check_label
-from socket_testbed.trials.topics import EVENT, RECORDED_TRIAL, TRIGGER, full_namespace
+from socket_testbed.trials.topics import (
+    ESTIMATED_WRENCH,
+    EVENT,
+    PARAMETERS,
+    RECORDED_TRIAL,
+    TRIGGER,
+    Topic,
+    full_namespace,
+    namespace_of,
+)
 
 _POLL = 0.02  # [s]
+
+_WATCHED = (TRIGGER, ESTIMATED_WRENCH, *MEASURED)
 
 # Of an event, in real time:
 _LINKED_WITHIN = 6.0  # [s]; for a subscriber to be found on a busy machine
@@ -54,12 +69,21 @@ _FITS_WITHIN = 120.0  # [s]
 _ASK_AGAIN = 2.5  # [s] of the testbed; the middleware can lose an answer
 
 # Type of each service, and the node that offers it.
+_NEXT_TRIAL = "recorder_node/set_parameters_atomically"
 _SERVICES = {
     "load_cell/tare": (Trigger, "load_cell_node"),
     "estimator/fit": (Trigger, "estimator_node"),
     "trigger/enable": (SetBool, "trigger_node"),
     "recorder/record": (SetBool, "recorder_node"),
-    "recorder_node/set_parameters_atomically": (SetParametersAtomically, "recorder_node"),
+    _NEXT_TRIAL: (SetParametersAtomically, "recorder_node"),
+}
+# The services that controls call as they are.
+_CALLS = {
+    "tare": ("load_cell/tare", Trigger.Request()),
+    "fit": ("estimator/fit", Trigger.Request()),
+    "trigger-on": ("trigger/enable", SetBool.Request(data=True)),
+    "trigger-off": ("trigger/enable", SetBool.Request(data=False)),
+    "stop recording": ("recorder/record", SetBool.Request(data=False)),
 }
 
 
@@ -136,29 +160,17 @@ class EventMarker:
     def mark(self, label: str, called: float) -> Marked:
         """Publish an event, see `publish_event`; only meanwhile are triggers heard."""
         self._triggers.clear()
-        triggers = self._node.create_subscription(
+        subscription = self._node.create_subscription(
             message_type(TRIGGER), TRIGGER.name, self._on_trigger, subscriber_qos(TRIGGER)
         )
         try:
-            return self._mark(label, called)
+            if not self._wait(self._is_linked, _LINKED_WITHIN):
+                raise TestbedError(
+                    f"nobody subscribes to {self._publisher.topic_name}", self._where_else()
+                )
+            stamp = self._stamp_of(called)
         finally:
-            self._node.destroy_subscription(triggers)
-
-    def _mark(self, label: str, called: float) -> Marked:
-        if not self._wait(self._is_linked, _LINKED_WITHIN):
-            raise TestbedError(
-                f"nobody subscribes to {self._publisher.topic_name}", self._where_else()
-            )
-        # The longer ago the call, the longer the triggers from which its time is reckoned.
-        since = time.monotonic() - called
-        self._wait(lambda: self._has_triggers(max(_LEAST, 0.5 * since)), _TRIGGERED_WITHIN)
-        if len(self._triggers) > 1 and _speed(self._triggers) != _REAL_TIME:
-            span = min(_SLOW * since, _LONGEST)
-            self._wait(lambda: self._has_triggers(span), span)
-        if self._triggers:
-            stamp = stamp_by_triggers(called, self._triggers)
-        else:
-            stamp = time.time_ns() - round((time.monotonic() - called) * 1e9)
+            self._node.destroy_subscription(subscription)
         self._publisher.publish(Event(header=header_to_ros(stamp), label=label))
         if not self._wait(partial(is_acknowledged, self._publisher), _HEARD_WITHIN):
             raise TestbedError(
@@ -167,6 +179,18 @@ class EventMarker:
             )
         count = self._publisher.get_subscription_count()
         return Marked(count, self._trial or "", bool(self._triggers))
+
+    def _stamp_of(self, called: float) -> int:
+        """Stamp [ns] of a time of the monotonic clock [s], from the triggers that come now."""
+        # The longer ago the call, the longer the triggers from which its time is reckoned.
+        since = time.monotonic() - called
+        self._wait(lambda: self._has_triggers(max(_LEAST, 0.5 * since)), _TRIGGERED_WITHIN)
+        if not self._triggers:
+            return time.time_ns() - round((time.monotonic() - called) * 1e9)
+        if len(self._triggers) > 1 and _speed(self._triggers) != _REAL_TIME:
+            span = min(_SLOW * since, _LONGEST)
+            self._wait(lambda: self._has_triggers(span), span)
+        return stamp_by_triggers(called, self._triggers)
 
     def _has_triggers(self, span: float) -> bool:
         triggers = self._triggers
@@ -180,11 +204,10 @@ class EventMarker:
     def _where_else(self) -> str:
         """A hint at where an event would be heard."""
         others = [
-            name.removesuffix(EVENT.name).rstrip("/")
-            for name, types in self._node.get_topic_names_and_types()
-            if name.endswith(f"/{EVENT.name}") and EVENT.type in types
-            and self._node.count_subscribers(name)
-        ]  # fmt: skip
+            namespace_of(name, EVENT)
+            for name, _ in self._node.get_topic_names_and_types()
+            if name.endswith(f"/{EVENT.name}") and self._node.count_subscribers(name)
+        ]
         if others:
             return f"give --namespace {' or '.join(others)}"
         return (
@@ -226,10 +249,9 @@ def _speed(triggers: Sequence[tuple[float, int]]) -> float:
 
 
 class ServiceControls:
-    """Calls the services of the testbed in a node's namespace, from any thread but the node's.
+    """What a person does to the testbed in a node's namespace, from any thread but the node's.
 
-    The node is spun elsewhere. Each call returns what came of it in one line, or raises a
-    TestbedError: the service refuses, does not answer, or is not offered.
+    The node is spun elsewhere.
     """
 
     def __init__(self, node: Node) -> None:
@@ -239,53 +261,47 @@ class ServiceControls:
         self._marker = EventMarker(node, _wait)
         self._marking, self._recording = threading.Lock(), threading.Lock()
 
-    def tare(self) -> str:
-        """Take the present wrench as zero."""
-        return self._ask("load_cell/tare", Trigger.Request())
+    def act(self, what: str, given: Mapping[str, str]) -> str:
+        """Do what a button says, with what it needs as text; returns what came of it, in one line.
 
-    def fit(self) -> str:
-        """Fit the contact model on the complete window."""
-        return self._ask("estimator/fit", Trigger.Request())
+        `mark` takes a `label` and the time of this call; `record` the `trial`, without which it is
+        named by date and time, and metadata. A TestbedError says that a service refuses, does not
+        answer, or is not offered.
+        """
+        if what in _CALLS:
+            return self._ask(*_CALLS[what])
+        if what == "mark":
+            return self._mark(given.get("label", "event"))
+        if what == "record":
+            return self._record(given)
+        raise ConfigurationError(f"no button is called '{what}'", "load the page again")
 
-    def trigger(self, on: bool) -> str:
-        """Start or stop the triggers."""
-        return self._ask("trigger/enable", SetBool.Request(data=on))
-
-    def record(self, name: str, metadata: dict[str, str]) -> str:
-        """Record a trial with metadata as text; without a name it has the date and time."""
-        values: dict[str, Any] = {"name": name, **metadata}
-        if "mass" in values:
-            try:
-                values["mass"] = float(values["mass"])
-            except ValueError:
-                raise ConfigurationError(
-                    f"mass is '{values['mass']}'", "give the body mass in kg"
-                ) from None
-        wanted = NextTrialSettings().to_flat("next.")
-        wanted |= {f"next.{field}": value for field, value in values.items()}
-        request = SetParametersAtomically.Request(
-            parameters=[
-                Parameter(key, value=value).to_parameter_msg() for key, value in wanted.items()
-            ]
-        )
-        with self._recording:  # what one browser sets is not for the trial of another
-            result = self._call("recorder_node/set_parameters_atomically", request).result
-            if not result.successful:
-                raise _refusal(result.reason)
-            return self._ask("recorder/record", SetBool.Request(data=True))
-
-    def stop_recording(self) -> str:
-        """Close the trial that is being recorded."""
-        return self._ask("recorder/record", SetBool.Request(data=False))
-
-    def event(self, label: str) -> str:
-        """Mark an event with the time of this call, as the verb `mark` does."""
+    def _mark(self, label: str) -> str:
         called = time.monotonic()
         label = check_label(label)
         with self._marking:  # a later one waits, and keeps its time
             marked = self._marker.mark(label, called)
         where = f" in the trial {marked.trial}" if marked.trial else ""
         return "; ".join([f"marked '{label}'{where}", *marked.notes()])
+
+    def _record(self, given: Mapping[str, str]) -> str:
+        wanted = NextTrialSettings().to_flat() | {"name": given.get("trial", "")}
+        wanted |= {name: value for name, value in given.items() if name != "trial"}
+        try:
+            wanted["mass"] = float(wanted["mass"])
+        except ValueError:
+            hint = "give the body mass in kg"
+            raise ConfigurationError(f"mass is '{wanted['mass']}'", hint) from None
+        parameters = [
+            Parameter(f"next.{name}", value=value).to_parameter_msg()
+            for name, value in wanted.items()
+        ]
+        request = SetParametersAtomically.Request(parameters=parameters)
+        with self._recording:  # what one browser sets is not for the trial of another
+            result = self._call(_NEXT_TRIAL, request).result
+            if not result.successful:
+                raise _refusal(result.reason)
+            return self._ask("recorder/record", SetBool.Request(data=True))
 
     def _ask(self, name: str, request: Any) -> str:
         """Call a service that answers whether it did, and what it did or why not."""
@@ -322,3 +338,51 @@ def _refusal(words: str) -> TestbedError:
     """What a service or a node said, fact and hint, as an error."""
     fact, _, hint = words.rpartition(": ")
     return TestbedError(fact, hint) if fact else TestbedError("refused", words)
+
+
+class StatusListener:
+    """Feeds a graph's status with serialised messages; `pause` names a replay's service, if any.
+
+    The program that draws the status line takes what has come, twenty times a second.
+    """
+
+    def __init__(self, status: GraphStatus, namespace: str = "/", pause: str = "") -> None:
+        self._status = status
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C is the verb's
+        node = Node(
+            "_status_listener",
+            namespace=namespace,
+            start_parameter_services=False,
+            enable_rosout=False,
+        )
+        self._readers = {topic: Reader(topic) for topic in _WATCHED}
+        self._topics = (*_WATCHED, PARAMETERS, RECORDED_TRIAL)
+        self._inbox = Inbox(node, {topic: subscriber_qos(topic) for topic in self._topics})
+        self._pause = node.create_client(SetBool, pause) if pause else None
+
+    def take(self) -> None:
+        """Take what has come since the last call."""
+        for topic in self._topics:
+            for data in self._inbox.take(topic):
+                self.add(topic, data)
+
+    def add(self, topic: Topic, data: bytes) -> None:
+        """Feed a serialised message of a topic."""
+        if topic is PARAMETERS:
+            self._status.variant = deserialize_message(data, ContactModel).variant
+        elif topic is RECORDED_TRIAL:
+            self._status.trial = deserialize_message(data, String).data
+        else:
+            self._status.add(topic, *self._readers[topic].read(data))
+
+    def set_paused(self, paused: bool) -> bool:
+        """Pause the replay or let it go on; returns whether it was there to be asked."""
+        if self._pause is None or not self._pause.service_is_ready():
+            return False
+        self._pause.call_async(SetBool.Request(data=paused))
+        return True
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._inbox.close()
+        rclpy.try_shutdown()

@@ -12,7 +12,7 @@ when enough steady data is in, or on request; a fit runs in a process of its own
 from __future__ import annotations
 
 import math
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.fit import Fit
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.model_file import StoredModel
-from socket_testbed.live.estimator import Estimate, OnlineEstimator, OnlineMap
+from socket_testbed.live.estimator import OnlineEstimator
 from socket_testbed.live.fit_worker import FitWorker
 from socket_testbed.nodes.base import NEWEST_STAMP, TestbedNode, file_or_packaged
 from socket_testbed.settings.identification import check_solver
@@ -34,7 +34,6 @@ from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.layout import blank, elements, encode, make_message
 from socket_testbed.trials.messages import (
     LOAD_CELL_FRAME,
-    Reader,
     force_map_packer,
     local_forces_packer,
     regions_packer,
@@ -79,26 +78,21 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
             self._geometry,
             lambda: self.settings,
             self._worker,
-            lambda model: self._model.publish(model_message(model)),
+            self.sender(PARAMETERS, model_message),
         )
-        self._online_map = OnlineMap(self._geometry, lambda: self.settings)
-        self._pack_map = force_map_packer(self._geometry.names)
-        self._pack_wrench = wrench_packer()
-        self._pack_forces = cache(local_forces_packer)  # by the names of the points
         self._picture = PressureMap(self._geometry)
         self._drawn = 0  # [ns]; stamp of the last picture
-        self._wrench = self.advertise(ESTIMATED_WRENCH)
-        self._forces = self.advertise(LOCAL_FORCES)
-        self._model = self.advertise(PARAMETERS)
-        self._force_map = self.advertise(FORCE_MAP)
+        names = self._geometry.names
+        self._send_wrench = self.sender(ESTIMATED_WRENCH, wrench_packer())
+        self._send_forces = self.sender(LOCAL_FORCES, local_forces_packer(names))
+        self._send_map = self.sender(FORCE_MAP, force_map_packer(names))
         self._pressure_map = self.advertise(PRESSURE_MAP)
         self._regions = self.advertise(REGIONS)
-        self._pack_regions = regions_packer([place.name for place in self._online_map.places])
+        self._pack_regions = regions_packer([place.name for place in self._estimator.map.places])
         self._read = 0  # [ns]; stamp of the last outputs of the regions
         for topic in (STRESS, WRENCH, SOCKET_POSE, PYLON_POSE):
-            self.listen(topic, partial(self._on_measured, topic, Reader(topic)), raw=True)
-        self._triggers = Reader(TRIGGER)
-        self.listen(TRIGGER, self._on_trigger, raw=True)
+            self.follow(topic, partial(self._on_measured, topic))
+        self.follow(TRIGGER, lambda stamp, sequence: self._estimator.trigger(stamp))
         self.serve(TriggerService, "estimator/fit", self._on_fit, slow=True)
         if self.settings.model:
             self._estimator.load(Path(self.settings.model))
@@ -115,8 +109,7 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
 
     def figures(self) -> dict[str, object]:
         """The estimator's counts, and the newest stamp."""
-        maps = self._online_map.count
-        return {**self._estimator.figures(), "maps": maps, NEWEST_STAMP: self._estimator.newest}
+        return {**self._estimator.figures(), NEWEST_STAMP: self._estimator.newest}
 
     def check(self) -> None:
         """Report the estimator's state."""
@@ -126,21 +119,16 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         """Whether the process of the fits runs."""
         return self._worker.ready
 
-    def _on_trigger(self, data: bytes) -> None:
-        if self._estimator.trigger(self._triggers.read(data)[0]):
-            self._online_map.clear()
-
-    def _on_measured(self, topic: Topic, reader: Reader, data: bytes) -> None:
-        stamp, value = reader.read(data)
-        found = self._online_map.add(topic, stamp, value)
-        if found is not None:
-            self._publish_map(stamp, found)
-        estimate = self._estimator.add(topic, stamp, value)
-        if estimate is not None:
-            self._publish_estimate(estimate)
+    def _on_measured(self, topic: Topic, stamp: int, value: Any) -> None:
+        force_map, wrench, forces = self._estimator.add(topic, stamp, value)
+        if force_map is not None:
+            self._publish_map(stamp, force_map)
+        if wrench is not None and forces is not None:
+            self._send_wrench(stamp, wrench)
+            self._send_forces(stamp, forces)
 
     def _publish_map(self, stamp: int, estimate: MapEstimate) -> None:
-        self._force_map.publish(self._pack_map(stamp, estimate))
+        self._send_map(stamp, estimate)
         due = abs(stamp - self._drawn) >= _PICTURE_PERIOD
         if due and self._pressure_map.get_subscription_count() > 0:
             self._drawn = stamp
@@ -148,14 +136,9 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         due = abs(stamp - self._read) >= _REGIONS_PERIOD
         if due and self._regions.get_subscription_count() > 0:
             self._read = stamp
-            outputs = self._online_map.newest_outputs()
+            outputs = self._estimator.map.outputs()
             if outputs is not None:
                 self._regions.publish(self._pack_regions(stamp, outputs.regions))
-
-    def _publish_estimate(self, estimate: Estimate) -> None:
-        stamp, model = estimate.stamp, estimate.model
-        self._wrench.publish(self._pack_wrench(stamp, estimate.wrench))
-        self._forces.publish(self._pack_forces(model.names)(stamp, estimate.forces))
 
     def _on_fit(self) -> str:
         """Fit on the complete window, and answer when it is done."""

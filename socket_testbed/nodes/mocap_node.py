@@ -9,20 +9,51 @@ after it; the markers are interpolated at the trigger.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
+from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
+from rclpy.publisher import Publisher
 from std_msgs.msg import String
 
 from socket_testbed import clocks
+from socket_testbed.arrays import FloatArray
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker, SeenBody
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.geometry.socket import read_socket
-from socket_testbed.nodes.base import ERROR, OK, WARN, file_or_packaged
-from socket_testbed.nodes.frames import FrameBroadcaster
+from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.socket import SocketGeometry, read_socket
+from socket_testbed.nodes.base import (
+    ERROR,
+    OK,
+    WARN,
+    TestbedNode,
+    file_or_packaged,
+    header_to_ros,
+    message_type,
+    publisher_qos,
+)
 from socket_testbed.nodes.sensor_node import SensorNode, averaging_span
 from socket_testbed.settings.acquisition import MocapSettings
-from socket_testbed.trials.messages import markers_packer, pose_packer
-from socket_testbed.trials.topics import MARKERS, PYLON_POSE, RECORDED_TRIAL, SOCKET_POSE
+from socket_testbed.trials.messages import (
+    LOAD_CELL_FRAME,
+    WORLD_FRAME,
+    markers_packer,
+    pose_packer,
+)
+from socket_testbed.trials.topics import (
+    MARKERS,
+    PYLON_POSE,
+    RECORDED_TRIAL,
+    SOCKET_POSE,
+    TF,
+    TF_STATIC,
+    Topic,
+)
+
+SOCKET_FRAME = "socket"  # the socket's marker body
+LIMB_FRAME = "limb"  # its origin is the lumped mass
 
 
 class MocapNode(SensorNode[MocapSettings]):
@@ -36,10 +67,11 @@ class MocapNode(SensorNode[MocapSettings]):
         bodies = (geometry.socket_markers, geometry.pylon_markers)
         self._tracker = BodyTracker(settings, *bodies)
         self._client = NatNetClient(settings, self._tracker.add)
-        self._poses = {topic: self.advertise(topic) for topic in (SOCKET_POSE, PYLON_POSE)}
-        self._pack_pose = pose_packer()
-        self._markers = self.advertise(MARKERS)
-        self._pack_markers = markers_packer({"socket": len(bodies[0]), "pylon": len(bodies[1])})
+        self._send_pose = {
+            topic: self.sender(topic, pose_packer()) for topic in (SOCKET_POSE, PYLON_POSE)
+        }
+        counts = {"socket": len(bodies[0]), "pylon": len(bodies[1])}
+        self._send_markers = self.sender(MARKERS, markers_packer(counts))
         self._frames = FrameBroadcaster(self, geometry)
         self._averaged, self._delay = 0, 0.0
         self._refused = ""  # why a take's name was not taken
@@ -72,10 +104,10 @@ class MocapNode(SensorNode[MocapSettings]):
         sample = self._sample(moment, window)
         self._averaged = min(body.frames for body in sample)
         vectors = [np.hstack([body.position, body.quaternion]) for body in sample]
-        poses = dict(zip(self._poses, vectors, strict=True))
+        poses = dict(zip(self._send_pose, vectors, strict=True))
         for topic, pose in poses.items():
-            self._poses[topic].publish(self._pack_pose(stamp, pose))
-        self._markers.publish(self._pack_markers(stamp, [body.markers for body in sample]))
+            self._send_pose[topic](stamp, pose)
+        self._send_markers(stamp, [body.markers for body in sample])
         self._delay = clocks.monotonic() - moment
         self._frames.move(stamp, poses)
         self.missing += any(body.fault for body in sample)
@@ -108,3 +140,81 @@ class MocapNode(SensorNode[MocapSettings]):
         if level == OK and (fault := self._client.recording_fault):
             return WARN, fault
         return level, message
+
+
+class FrameBroadcaster:
+    """Publishes where socket, load cell, clusters and limb are, as transforms for RViz and others.
+
+        world -> socket -> load_cell -> each cluster      world -> limb
+
+    What moves follows the poses of the motion capture, on /tf; the rest is the socket's geometry,
+    on /tf_static. mocap_node publishes them at the testbed, replay_node when a trial is replayed.
+    Without a namespace of their own, the topics are as the node's are remapped. Without tf2_msgs
+    nothing is published.
+    """
+
+    def __init__(
+        self, node: TestbedNode[Any], geometry: SocketGeometry, namespace: str = ""
+    ) -> None:
+        self._bodies = {
+            SOCKET_POSE: (SOCKET_FRAME, Pose(np.eye(3), np.zeros(3))),
+            PYLON_POSE: (LIMB_FRAME, geometry.limb),
+        }
+        self._publisher: Publisher | None = None
+        try:
+            self._kind = message_type(TF)
+        except ImportError:
+            node.get_logger().warning(
+                "tf2_msgs cannot be imported: transforms are left out: install ros-jazzy-tf2-msgs"
+            )
+            return
+        self._publisher, static = (
+            node.create_publisher(self._kind, namespace + topic.name, publisher_qos(topic))
+            for topic in (TF, TF_STATIC)
+        )
+        now = node.get_clock().now().nanoseconds
+        fixed = [_transform(now, *entry) for entry in fixed_frames(geometry)]
+        static.publish(self._kind(transforms=fixed))
+
+    @property
+    def wanted(self) -> bool:
+        """Whether anybody subscribes."""
+        return self._publisher is not None and self._publisher.get_subscription_count() > 0
+
+    def move(self, stamp: int, poses: Mapping[Topic, FloatArray]) -> None:
+        """Publish where socket and limb are; what the motion capture did not see is left out.
+
+        The poses of a stamp [ns], of SOCKET_POSE, PYLON_POSE or both, are position [m] and
+        quaternion (x, y, z, w), shape (7,).
+        """
+        if self._publisher is None or not self.wanted:
+            return
+        transforms = []
+        for topic, vector in poses.items():
+            if np.isfinite(vector).all():
+                pose = Pose.from_quaternion(vector[:3], vector[3:])
+                name, in_body = self._bodies[topic]
+                transforms.append(_transform(stamp, WORLD_FRAME, name, pose @ in_body))
+        if transforms:
+            self._publisher.publish(self._kind(transforms=transforms))
+
+
+def fixed_frames(geometry: SocketGeometry) -> list[tuple[str, str, Pose]]:
+    """The frames that do not move: parent, name, and pose in the parent."""
+    rotations = geometry.square_frames()
+    clusters = [
+        (LOAD_CELL_FRAME, name, Pose(rotations[tile], geometry.anchors[tile]))
+        for name, tile in geometry.clusters.items()
+    ]
+    return [(SOCKET_FRAME, LOAD_CELL_FRAME, geometry.socket_body.inverse()), *clusters]
+
+
+def _transform(stamp: int, parent: str, name: str, pose: Pose) -> TransformStamped:
+    return TransformStamped(
+        header=header_to_ros(stamp, parent),
+        child_frame_id=name,
+        transform=Transform(
+            translation=Vector3(**dict(zip("xyz", pose.translation.tolist(), strict=True))),
+            rotation=Quaternion(**dict(zip("xyzw", pose.quaternion().tolist(), strict=True))),
+        ),
+    )

@@ -27,13 +27,12 @@ from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.data_check import LOOK
-from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import Quantity, RegionOutputs
 from socket_testbed.nodes.base import (
     ELAPSED,
     FREE,
     OK,
-    PolledSubscription,
+    Inbox,
     TestbedNode,
     file_or_packaged,
 )
@@ -66,9 +65,16 @@ from socket_testbed.trials.topics import (
 _OLD = 2.0  # [s]; what came longer ago is not shown as if it were now
 _SILENT = 3.0  # [s]; a node that reported longer ago is silent
 _IDLE = 3.0  # [s] without a question: no browser is open
-_DEPTHS = {FORCE_MAP: 1, WRENCH: 50, ESTIMATED_WRENCH: 50, STRESS: 1, REGIONS: 5}
+_DEPTHS = {
+    FORCE_MAP: 1,
+    WRENCH: 50,
+    ESTIMATED_WRENCH: 50,
+    STRESS: 1,
+    REGIONS: 5,
+}
 _MOST_WRENCHES = 200  # kept to find that of the regions
 _HISTORY = 30.0  # [s]; of the course
+_NO_PRESSURES, _NO_WRENCH = np.zeros(0), np.full(6, np.nan)
 _NOTHING = (np.full(3, np.nan), Status.MISSING)  # stress and status of no cluster
 _COUNTS = ("samples", "triggers", "messages", "maps")  # among the figures of a node
 _SIGNS = ("\N{BLACK CIRCLE}", "\N{BLACK UP-POINTING TRIANGLE}", "\N{BLACK SQUARE}")
@@ -106,16 +112,18 @@ class LiveSource:
         self._geometry, self._controls, self._node = geometry, controls, node
         self._own = node.get_fully_qualified_name()
         self._prefix = self._own.removesuffix(node.get_name())
-        self._inbox: _Inbox | None = None
+        self._inbox: Inbox | None = None
+        self._readers = {topic: Reader(topic) for topic in _DEPTHS}
         self._asked_at = 0.0  # [s]; when a browser last asked
         self._newest: dict[Topic, tuple[int, Any, float]] = {}  # stamp [ns], values, arrival [s]
-        self._wrenches: dict[int, FloatArray] = {}  # by stamp [ns]
+        self._wrenches: deque[tuple[int, FloatArray]] = deque(maxlen=_MOST_WRENCHES)  # by stamp
         self._first = 0  # [ns]
+        self._foreign = False  # whether the newest map is of another socket
         self._sensors: dict[str, tuple[DiagnosticArray, float]] = {}
         self._rates: dict[str, tuple[float, float, float]] = {}  # count, time [s], rate [Hz]
         self._trial = ("", 0.0)
         self._places = all_regions(geometry)
-        self._measured: list[Any] = []  # pressure by cluster [kPa]
+        self._measured = _NO_PRESSURES  # by cluster [Pa]
         self._shown: Document = {}  # cards but for the data, bars, course
         self._shown_at = -math.inf  # [s]
         self._course: deque[tuple[float, ...]] = deque()  # time [s], force [N], peak and ends [Pa]
@@ -138,35 +146,23 @@ class LiveSource:
         del time
         self._asked_at = clocks.monotonic()
         if self._inbox is None:
-            self._inbox = _Inbox(self._node)
+            self._inbox = self._subscribe()
         self._take(self._inbox)
         self._renew(self._inbox)
         measured, predicted = self._recent(WRENCH), self._recent(ESTIMATED_WRENCH)
         data, sensors = self._state_of_sensors()
         found = {"moment": self._moment(), "sensors": sensors, "recording": self._recording()}
         found |= self._shown | {"cards": [*self._shown.get("cards", []), data]}
-        nothing = np.full(6, np.nan)
-        pair = (nothing if wrench is None else wrench for wrench in (measured, predicted))
+        pair = (_NO_WRENCH if wrench is None else wrench for wrench in (measured, predicted))
         return found | {"wrench": [numbers(wrench) for wrench in pair]}
 
     def act(self, what: str, given: dict[str, Any]) -> str:
         """Call the service of a button."""
-        controls = self._controls
-        if controls is None:
+        if self._controls is None:
             raise ConfigurationError("the buttons are off", "start 'view' with --buttons")
-        given = {name: str(value) for name, value in given.items() if value}
-        acts = {
-            "tare": controls.tare,
-            "fit": controls.fit,
-            "stop recording": controls.stop_recording,
-            "mark": lambda: controls.event(given.get("label", "event")),
-            "trigger-on": lambda: controls.trigger(True),
-            "trigger-off": lambda: controls.trigger(False),
-            "record": lambda: controls.record(given.pop("trial", ""), given),
-        }
-        if what not in acts:
-            raise ConfigurationError(f"no button is called '{what}'", "load the page again")
-        return acts[what]()
+        return self._controls.act(
+            what, {name: str(value) for name, value in given.items() if value}
+        )
 
     def rest(self) -> None:
         """Unsubscribe when nobody has asked for a while."""
@@ -175,38 +171,56 @@ class LiveSource:
             self._inbox = None
             self._newest.clear()
 
-    def _take(self, inbox: _Inbox) -> None:
+    def _subscribe(self) -> Inbox:
+        node = Node(
+            f"_{self._node.get_name()}_inbox",
+            namespace=self._node.get_namespace(),
+            context=self._node.context,
+            start_parameter_services=False,
+            use_global_arguments=False,
+        )
+        # Whoever publishes waits for no page: a message that is lost is not sent again.
+        reliability = ReliabilityPolicy.BEST_EFFORT
+        depths = _DEPTHS.items()
+        return Inbox(node, {t: QoSProfile(depth=n, reliability=reliability) for t, n in depths})
+
+    def _read(self, inbox: Inbox, topic: Topic) -> list[tuple[int, Any]]:
+        """Stamps and values of what has come, in its order; at most as many as are kept."""
+        return [self._readers[topic].read(data) for data in inbox.take(topic)]
+
+    def _take(self, inbox: Inbox) -> None:
         """Take maps and wrenches."""
         now = clocks.monotonic()
         for topic in (FORCE_MAP, WRENCH, ESTIMATED_WRENCH):
-            for stamp, values in inbox.take(topic):
-                self._newest[topic] = stamp, values, now
-                if topic is WRENCH:
-                    if self._wrenches and stamp < next(iter(self._wrenches)):
+            for stamp, values in self._read(inbox, topic):
+                if topic is FORCE_MAP:
+                    self._foreign = values[0] != self._geometry.names
+                    if self._foreign:
+                        continue
+                elif topic is WRENCH:
+                    if self._wrenches and stamp < self._wrenches[0][0]:
                         self._wrenches.clear()  # a graph that was started again
                         self._course.clear()
                         self._first = 0
                     self._first = self._first or stamp
-                    self._wrenches[stamp] = values
-        while len(self._wrenches) > _MOST_WRENCHES:
-            del self._wrenches[next(iter(self._wrenches))]
+                    self._wrenches.append((stamp, values))
+                self._newest[topic] = stamp, values, now
 
-    def _renew(self, inbox: _Inbox) -> None:
+    def _renew(self, inbox: Inbox) -> None:
         """Take what the clusters measure, and the outputs by region with their map."""
         now, geometry, places = clocks.monotonic(), self._geometry, self._places
         if now - self._shown_at > _OLD:
-            self._shown, self._measured = {}, []
-        for _, stresses in inbox.take(STRESS):
+            self._shown, self._measured = {}, _NO_PRESSURES
+        for _, stresses in self._read(inbox, STRESS):
             of_clusters = [stresses.get(name, _NOTHING) for name in geometry.clusters]
             normal = [s[0] if status == Status.OK else np.nan for s, status in of_clusters]
-            self._measured = numbers(1e-3 * np.array(normal), 1)
-        for stamp, (names, outputs) in inbox.take(REGIONS):
-            _, mapped, _ = self._newest.get(FORCE_MAP, (0, None, 0.0))
-            known = tuple(place.name for place in places) == names
-            if mapped is None or mapped[0] != geometry.names or not known:
+            self._measured = np.array(normal)
+        for stamp, (names, outputs) in self._read(inbox, REGIONS):
+            mapped = self._recent(FORCE_MAP)
+            if mapped is None or names != tuple(place.name for place in places):
                 continue
             of = _region_outputs(outputs)
-            wrench = self._wrenches.get(stamp, np.full(6, np.nan))
+            wrench = dict(self._wrenches).get(stamp, _NO_WRENCH)
             force = -wrench[3:] @ proximal_direction(geometry)
             row = (force, of.peak.value[-1], of.peak.low[-1], of.peak.high[-1])
             self._course.append((1e-9 * (stamp - self._first), *map(float, row)))
@@ -222,18 +236,13 @@ class LiveSource:
 
     def _moment(self) -> Document:
         """The newest map."""
-        stamp, found, _ = self._newest.get(FORCE_MAP, (0, None, 0.0))
-        if found is None or self._recent(FORCE_MAP) is None or found[0] != self._geometry.names:
+        found = self._recent(FORCE_MAP)
+        if found is None:
             return {"time": 0.0, "words": "no force map"}
-        estimate = MapEstimate(**found[1])
-        shown = moment(
-            1e-9 * (stamp - self._first),
-            estimate.normal_pressure[0],
-            estimate.normal_pressure_standard_deviation[0],
-            estimate.shear[0],
-            np.full(0, np.nan),
-        )
-        return shown | {"measured": self._measured}
+        names = ("normal_pressure", "normal_pressure_standard_deviation", "shear")
+        pressure, deviation, shear = (found[1][name][0] for name in names)
+        time = 1e-9 * (self._newest[FORCE_MAP][0] - self._first)
+        return moment(time, pressure, deviation, shear, self._measured)
 
     def _recent(self, topic: Topic) -> Any:
         """The newest values; None where they came long ago."""
@@ -252,8 +261,7 @@ class LiveSource:
             shown = f"{rate:.3g} Hz" if math.isfinite(rate) else ""
             rows.append([_SIGNS[min(level, 2)], title, words, shown])
             bad += [(level, f"{title}: {words}")] * (level > 0)
-        _, found, _ = self._newest.get(FORCE_MAP, (0, None, 0.0))
-        if found is not None and found[0] != self._geometry.names:
+        if self._foreign:
             bad.append((3, "the force map is of another socket: give 'view' its --geometry"))
         if bad:
             words = max(bad)[1].removeprefix(f"estimator: {LOOK}")
@@ -287,14 +295,10 @@ class LiveSource:
                 continue
             self._sensors[status.name] = status, now
             values = {entry.key: entry.value for entry in status.values}
-            counts = [float(values[key]) for key in _COUNTS if key in values]
-            if not counts:
-                continue
-            count, since, rate = self._rates.get(status.name, (counts[0], now, math.nan))
+            count = next((float(values[key]) for key in _COUNTS if key in values), math.nan)
+            before, since, _ = self._rates.setdefault(status.name, (count, now, math.nan))
             if now - since > 0.5:
-                rate = (counts[0] - count) / (now - since)
-                count, since = counts[0], now
-            self._rates[status.name] = count, since, rate
+                self._rates[status.name] = count, now, (count - before) / (now - since)
 
     def _on_trial(self, message: String) -> None:
         self._trial = message.data, clocks.monotonic()
@@ -302,37 +306,7 @@ class LiveSource:
 
 def _region_outputs(fields: dict[str, FloatArray]) -> RegionOutputs:
     """The outputs of R regions of a RegionPressures; what it does not hold is NaN."""
-    unknown = dict.fromkeys((field.name for field in dataclasses.fields(RegionOutputs)), np.nan)
-    found = {
-        name: Quantity(*(fields[field + end] for end in ("", "_low", "_high", "")))
-        for name, field in REGION_FIELDS.items()
-    }
-    return RegionOutputs(**(unknown | found))  # type: ignore[arg-type]
-
-
-class _Inbox:
-    """Takes the messages that the page draws, and reads them."""
-
-    def __init__(self, node: TestbedNode[Any]) -> None:
-        self._node = Node(
-            f"_{node.get_name()}_inbox",
-            namespace=node.get_namespace(),
-            context=node.context,
-            start_parameter_services=False,
-            use_global_arguments=False,
-        )
-        self._subscriptions = {topic: self._subscribe(topic) for topic in _DEPTHS}
-        self._readers = {topic: Reader(topic) for topic in _DEPTHS}
-
-    def close(self) -> None:
-        """Unsubscribe."""
-        self._node.destroy_node()
-
-    def take(self, topic: Topic) -> list[tuple[int, Any]]:
-        """Stamps and values of what has come, in its order; at most as many as are kept."""
-        return [self._readers[topic].read(data) for data in self._subscriptions[topic].take()]
-
-    def _subscribe(self, topic: Topic) -> PolledSubscription:
-        # Whoever publishes waits for no page: a message that is lost is not sent again.
-        qos = QoSProfile(depth=_DEPTHS[topic], reliability=ReliabilityPolicy.BEST_EFFORT)
-        return PolledSubscription(self._node, topic, qos)
+    found: dict[str, Any] = {field.name: np.nan for field in dataclasses.fields(RegionOutputs)}
+    for name, field in REGION_FIELDS.items():
+        found[name] = Quantity(*(fields[field + end] for end in ("", "_low", "_high", "")))
+    return RegionOutputs(**found)

@@ -8,7 +8,7 @@ from support.wording import refused
 from socket_testbed.commands import demo
 from socket_testbed.errors import TrialError
 from socket_testbed.live.graph_status import GraphStatus
-from socket_testbed.live.machine import MachineSpeed
+from socket_testbed.live.simulated_world import MachineSpeed
 from socket_testbed.trials.trial import Trial
 
 

@@ -2,10 +2,9 @@
 
 import dataclasses
 import json
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
-from threading import Event, Thread
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,16 +16,19 @@ from support.wording import refused
 from socket_testbed.errors import ConfigurationError, IdentificationError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.identification.fit import Fit, fit_contact_model
+from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.identification.model_file import StoredModel, read_model
-from socket_testbed.live.estimator import MEASURED, Estimate, OnlineEstimator, SampleWindow
-from socket_testbed.live.fit_worker import Comparison, Refit, Steady
+from socket_testbed.identification.pressure import THRESHOLD, pressure_outputs
+from socket_testbed.live.estimator import MEASURED, OnlineEstimator, OnlineMap, SampleWindow
+from socket_testbed.live.fit_worker import Comparison, Refit, Steady, fit_samples
 from socket_testbed.samples import Samples
-from socket_testbed.settings.identification import IdentificationSettings
+from socket_testbed.settings.identification import ForceMapSettings, IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings, WindowSettings
 from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE, STRESS, WRENCH, Topic
 from socket_testbed.trials.trial import Trial
 
 PERIOD = 250_000_000  # [ns]
+PRIOR = ForceMapSettings(draws=4)
 
 
 class FakeFitter:
@@ -36,15 +38,15 @@ class FakeFitter:
         self.requests: list[SimpleNamespace] = []
         self.checks: list[tuple[Samples, Future[tuple[str, ...]]]] = []
 
-    def submit(self, samples, geometry, settings, steady) -> "Future[Refit | None]":
-        future: Future[Refit | None] = Future()
-        asked = SimpleNamespace(samples=samples, settings=settings, steady=steady, future=future)
-        self.requests.append(asked)
+    def run(self, work: Any, samples: Samples, geometry: Any, *given: Any) -> "Future[Any]":
+        future: Future[Any] = Future()
+        if work is fit_samples:
+            self.requests.append(
+                SimpleNamespace(samples=samples, settings=given[0], steady=given[1], future=future)
+            )
+        else:
+            self.checks.append((samples, future))
         return future
-
-    def check(self, samples, geometry, leave_out) -> "Future[tuple[str, ...]]":
-        self.checks.append((samples, Future()))
-        return self.checks[-1][1]
 
 
 @pytest.fixture(scope="module")
@@ -60,11 +62,12 @@ def fit(trial: Trial) -> Fit:
 class Bench:
     """An estimator with what it is given, what it returned and which models it reported."""
 
-    def __init__(self, trial: Trial, fitter: Any = None, **window: Any) -> None:
-        self.fitter = fitter or FakeFitter()
-        self.settings = EstimatorSettings(window=WindowSettings(**window))
+    def __init__(self, trial: Trial, **window: Any) -> None:
+        self.fitter: Any = FakeFitter()
+        self.settings = EstimatorSettings(window=WindowSettings(**window), force_map=PRIOR)
         self.models: list[Fit | StoredModel] = []
-        self.estimates: list[Estimate] = []
+        self.mapped: list[int] = []  # stamps in periods
+        self.predicted: dict[int, np.ndarray] = {}  # wrenches by stamp in periods
         self.geometry = trial.geometry
         self.estimator = OnlineEstimator(
             self.geometry, lambda: self.settings, self.fitter, self.models.append
@@ -72,11 +75,17 @@ class Bench:
 
     def values(self, shift: float = 0.0) -> dict[Topic, Any]:
         """One measurement of each kind; `shift` moves the limb [m]."""
-        clusters = self.geometry.clusters
         upright = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
         moved = np.array([0.0, 0.0, shift, 0.0, 0.0, 0.0, 1.0])
-        stress = {name: (np.array([1e4, 0.0, 0.0]), 0) for name in clusters}
+        stress = {name: (np.array([1e4, 0.0, 0.0]), 0) for name in self.geometry.clusters}
         return {STRESS: stress, WRENCH: np.arange(6.0), SOCKET_POSE: upright, PYLON_POSE: moved}
+
+    def add(self, topic: Topic, number: int, value: Any) -> Any:
+        found = self.estimator.add(topic, number * PERIOD, value)
+        self.mapped += [number] * (found.force_map is not None)
+        if found.wrench is not None:
+            self.predicted[number] = found.wrench
+        return found
 
     def send(self, count: int, start: int = 0, lacking: Topic | None = None) -> None:
         """Send complete samples, or samples that lack a measurement."""
@@ -84,14 +93,11 @@ class Bench:
             self.estimator.trigger(k * PERIOD)
             for topic, value in self.values(1e-4 * k).items():
                 if topic is not lacking:
-                    estimate = self.estimator.add(topic, k * PERIOD, value)
-                    if estimate is not None:
-                        self.estimates.append(estimate)
+                    self.add(topic, k, value)
 
-    def answer(self, request: int, fit: Fit | None, **refit: Any) -> None:
+    def answer(self, request: int, fit: Fit, **refit: Any) -> None:
         """End a fit that was asked for."""
-        result = None if fit is None else Refit(fit, **refit)
-        self.fitter.requests[request].future.set_result(result)
+        self.fitter.requests[request].future.set_result(Refit(fit, **refit))
 
     def figures(self, *names: str) -> list[Any]:
         return [self.estimator.figures()[name] for name in names]
@@ -114,89 +120,129 @@ def fitted(bench: Bench, fit: Fit) -> Bench:
 
 
 def test_a_window_holds_the_newest_samples_in_the_order_of_their_stamps() -> None:
-    window, late = SampleWindow(("p", "q"), duration=3.0), 1.5e9
+    window, pose = SampleWindow(("p", "q"), duration=3.0), np.zeros((1, 3))
     stamps = [round(k * 1e7 * (1.0 + (k > 700))) for k in range(2000)]  # 100 Hz, then 50 Hz
-    for stamp in [*stamps, stamps[-1] - round(late) - 1]:
+    late = stamps[-1] - 1_500_000_001
+    for stamp in [*stamps, late]:
         forces, status = np.full((1, 2, 3), 7.0), np.zeros((1, 2), dtype=np.uint8)
-        pose, wrench = np.zeros((1, 3)), np.full((1, 6), float(stamp))
+        wrench = np.full((1, 6), float(stamp))
         window.add(Samples(np.array([stamp]), pose, pose, wrench, ("p", "q"), forces, status))
     samples = window.samples()
-    kept = [s for s in stamps if s >= stamps[-1] - 3e9]
-    assert samples.stamps.tolist() == sorted([*kept, stamp])
+    assert samples.stamps.tolist() == sorted([*(s for s in stamps if s >= stamps[-1] - 3e9), late])
     assert samples.wrench[:, 0].tolist() == samples.stamps.tolist()
     window.clear()
     assert len(window) == len(window.samples()) == 0
-    assert window.samples().local_forces.shape == (0, 2, 3)
 
 
-# --- samples
-
-
-def test_a_complete_sample_is_estimated_whatever_the_order(fitted: Bench, fit: Fit) -> None:
+def test_a_sample_is_mapped_and_predicted_whatever_the_order(fitted: Bench, fit: Fit) -> None:
     values = fitted.values(2e-3)
     values[PYLON_POSE][3:] = [0.01, -0.02, 0.005, np.sqrt(1.0 - 5.25e-4)]  # turned
     limb = fitted.geometry.limb_pose(
         *(Pose.from_quaternion(v[None, :3], v[None, 3:]) for v in list(values.values())[2:])
     )
     pose = np.hstack([limb.translation, limb.rotation_vector()])
-    wrench, forces = fit.model.wrench(pose), fit.model.forces(pose)
-    arrivals = [(k * PERIOD, topic) for k in range(100, 120) for topic in MEASURED]
+    arrivals = [(k, topic) for k in range(100, 120) for topic in MEASURED]
     np.random.default_rng(0).shuffle(arrivals)
-    found = [fitted.estimator.add(topic, stamp, values[topic]) for stamp, topic in arrivals]
-    estimates = [estimate for estimate in found if estimate is not None]
-    last = {stamp: number for number, (stamp, _) in enumerate(arrivals)}
-    assert [e.stamp for e in estimates] == sorted(last, key=lambda stamp: last[stamp])
-    for estimate in estimates:
-        np.testing.assert_allclose(estimate.wrench, wrench[0])
-        np.testing.assert_allclose(estimate.forces, forces[0])
+    found = [fitted.add(topic, number, values[topic]) for number, topic in arrivals]
+    last = {number: place for place, (number, _) in enumerate(arrivals)}
+    assert list(fitted.predicted) == sorted(last, key=lambda number: last[number])
+    for wrench in list(fitted.predicted.values()):
+        np.testing.assert_allclose(wrench, fit.model.wrench(pose)[0])
+    forces = [estimates.forces for estimates in found if estimates.forces is not None]
+    np.testing.assert_allclose(forces, fit.model.forces(pose).repeat(20, axis=0))
+    # A map asks for no pose.
+    needed = {n: i for i, (n, topic) in enumerate(arrivals) if topic in (STRESS, WRENCH)}
+    assert fitted.mapped[20:] == sorted(needed, key=lambda number: needed[number])
 
 
-def test_an_incomplete_sample_is_never_estimated_fitted_or_matched_by_nearest(trial: Trial) -> None:
+def test_an_incomplete_sample_is_never_predicted_fitted_or_matched_by_nearest(trial: Trial) -> None:
     for lacking in MEASURED:
         bench = Bench(trial, least_samples=10, pending=5)
         bench.send(30, lacking=lacking)
-        value = bench.values()[lacking]
         for stamp in (0, 29 * PERIOD - 1):  # too late, and of no sample
-            assert bench.estimator.add(lacking, stamp, value) is None
-        assert bench.figures("samples", "window") == [0, 0]
+            found = bench.estimator.add(lacking, stamp, bench.values()[lacking])
+            assert found == (None, None, None)
+        assert len(bench.mapped) == (30 if lacking in (SOCKET_POSE, PYLON_POSE) else 0)
+        assert bench.figures("samples", "window") == [0, 0] and not bench.fitter.requests
         assert bench.figures("incomplete")[0] >= 25
-        assert not bench.fitter.requests
 
 
 def test_a_cluster_that_is_not_in_the_message_is_missing(trial: Trial) -> None:
     bench = Bench(trial, least_samples=10)
     values = bench.values()
     absent, _ = values[STRESS].popitem()
-    for stamp in range(0, 10 * PERIOD, PERIOD):
+    for number in range(10):
         for topic, value in values.items():
-            bench.estimator.add(topic, stamp, value)
+            bench.add(topic, number, value)
     samples = bench.fitter.requests[0].samples
     column = samples.clusters.index(absent)
     assert (samples.status[:, column] == 2).all()
     assert np.isnan(samples.local_forces[:, column]).all()
-    assert np.isfinite(np.delete(samples.local_forces, column, axis=1)).all()
+    forces = [trial.geometry.cluster_force(n, s) for n, (s, _) in values[STRESS].items()]
+    np.testing.assert_allclose(np.delete(samples.local_forces, column, axis=1)[4], forces)
 
 
 def test_a_jump_back_in_time_clears_what_was_measured(fitted: Bench, fit: Fit) -> None:
     fitted.send(5, start=1000)
-    fitted.estimator.add(WRENCH, 2 * PERIOD, np.zeros(6))  # pending
+    fitted.add(WRENCH, 2, np.zeros(6))  # pending
     fitted.estimator.trigger(2 * PERIOD)
     assert fitted.figures("window") == [0] and fitted.estimator.newest == 0
     for topic, value in fitted.values().items():
         if topic is not WRENCH:
-            assert fitted.estimator.add(topic, 2 * PERIOD, value) is None
-    # The model stays, what comes then is estimated with it, and older stamps are new to it.
-    fitted.estimates.clear()
+            assert fitted.add(topic, 2, value) == (None, None, None)
+    # The model stays, what comes then is predicted with it, and older stamps are new to it.
+    fitted.predicted.clear()
     fitted.send(30, start=3)
-    assert [e.stamp for e in fitted.estimates[:3]] == [3 * PERIOD, 4 * PERIOD, 5 * PERIOD]
+    assert list(fitted.predicted)[:3] == [3, 4, 5]
     steady = fitted.fitter.requests[1].steady
     assert steady is not None and steady.after == 0 and steady.rival is fit.model
+
+
+# --- the map of a sample
+
+
+def test_channels_that_are_left_out_or_that_no_limb_gives_are_not_mapped(trial: Trial) -> None:
+    """And a changed prior counts from the next sample."""
+    sample, settings = trial.samples()[100:101], EstimatorSettings(force_map=PRIOR)
+    live = OnlineMap(trial.geometry, lambda: settings)
+
+    def check(found: MapEstimate, values: dict[str, Any], prior: ForceMapSettings = PRIOR) -> None:
+        usual = ForceMap(trial.geometry, sample.clusters, prior)
+        for name, own in vars(usual.update(dataclasses.replace(sample, **values))).items():
+            np.testing.assert_equal(getattr(found, name), own)
+
+    spoilt, lacking = sample.wrench.copy(), sample.wrench.copy()
+    spoilt[0, 3], lacking[0, 3] = 1e9, np.nan
+    check(live.update(dataclasses.replace(sample, wrench=spoilt)), {"wrench": lacking})
+    forces = sample.local_forces.copy()
+    forces[0, sample.clusters.index("distal"), 2] = np.nan
+    left_out = IdentificationSettings(leave_out=("distal.Fz", "no such channel"))
+    prior = dataclasses.replace(PRIOR, length=0.1)
+    settings = EstimatorSettings(identification=left_out, force_map=prior)
+    check(live.update(sample), {"local_forces": forces}, prior)
+    # The outputs are those of `pressure`, and none without a value.
+    settings = EstimatorSettings(force_map=PRIOR)
+    live.update(sample)
+    whole = ForceMap(trial.geometry, sample.clusters, PRIOR)
+    whole.update(sample)
+    ours = live.outputs()
+    theirs = pressure_outputs(whole, sample, trial.geometry, live.places, THRESHOLD)
+    assert ours is not None
+    for name in ("mean", "peak", "area", "share"):
+        for mine, other in zip(
+            *(vars(getattr(found.regions, name)).values() for found in (ours, theirs)), strict=True
+        ):
+            np.testing.assert_allclose(mine, other, rtol=1e-9)
+    live.update(
+        dataclasses.replace(sample, wrench=sample.wrench * np.nan, status=sample.status + 2)
+    )
+    assert live.outputs() is None and live.count == 4
 
 
 # --- when to fit
 
 
-def test_it_fits_by_itself_once_the_window_holds_enough_and_estimates_nothing_before(bench) -> None:
+def test_it_fits_by_itself_once_the_window_holds_enough(bench: Bench) -> None:
     bench.send(19)
     assert not bench.fitter.requests
     bench.send(31, start=19)
@@ -204,35 +250,41 @@ def test_it_fits_by_itself_once_the_window_holds_enough_and_estimates_nothing_be
     assert len(request.samples) == 20
     assert request.steady == Steady(bench.settings.plateau, least_samples=20)
     assert request.settings == bench.settings.identification
-    assert not bench.estimates and bench.estimator.newest == 49 * PERIOD
-    assert bench.figures("samples", "triggers", "window") == [50, 50, 50]
-    assert bench.estimator.state[0] == 0 and "no model yet" in bench.estimator.state[1]
+    assert not bench.predicted and bench.estimator.newest == 49 * PERIOD
+    assert bench.figures("samples", "triggers", "window", "maps") == [50, 50, 50, 50]
     # Without a plateau it tries again every ten samples.
-    bench.answer(0, None)
-    assert not bench.models and "no model yet" in bench.estimator.state[1]
+    request.future.set_result(None)
+    assert bench.estimator.state[0] == 0 and "no model yet" in bench.estimator.state[1]
     bench.send(1, start=50)
-    assert len(bench.fitter.requests) == 2
-    bench.answer(1, None)
+    bench.fitter.requests[1].future.set_result(None)
     for more, requests in ((9, 2), (1, 3)):
         bench.send(more, start=51 + 9 * (more == 1))
         assert len(bench.fitter.requests) == requests
 
 
-def test_with_a_model_it_fits_again_after_new_samples_and_compares_models_of_alike_settings(
+def test_it_fits_again_after_new_samples_and_a_fit_that_fails_leaves_the_model(
     fitted: Bench, fit: Fit, trial: Trial
 ) -> None:
+    """Models of alike settings are compared; a model whose settings have changed is replaced."""
     fitted.send(29, start=20)
     assert len(fitted.fitter.requests) == 1
     fitted.send(1, start=49)
     fitted.answer(1, fit)
     theta = dataclasses.replace(fitted.settings.identification, theta=0.1)
     fitted.settings = dataclasses.replace(fitted.settings, identification=theta)
-    for request in (2, 3):
+    wrong = IdentificationError("the samples say nothing", "load the socket")
+    for request, error in ((2, wrong), (3, BrokenProcessPool()), (4, None), (5, None)):
         fitted.send(30, start=30 * request - 10)
-        fitted.answer(request, fit)
+        assert 30 * request + 19 in fitted.predicted
+        if error is None:
+            fitted.answer(request, fit)
+            assert fitted.estimator.state[0] == 0
+        else:
+            fitted.fitter.requests[request].future.set_exception(error)
+            assert fitted.estimator.state == (2, f"no fit: {error}")
     steady = [request.steady for request in fitted.fitter.requests[1:]]
-    assert [each.rival for each in steady] == [fit.model, None, fit.model]
-    assert [each.after for each in steady] == [fit.last_stamp, 0, fit.last_stamp]
+    assert [each.rival for each in steady] == [fit.model, None, None, None, fit.model]
+    assert [each.after for each in steady] == [fit.last_stamp, 0, 0, 0, fit.last_stamp]
     never = Bench(trial, least_samples=20, refit_after=0)
     never.send(20)
     never.answer(0, fit)
@@ -240,58 +292,8 @@ def test_with_a_model_it_fits_again_after_new_samples_and_compares_models_of_ali
     assert len(never.fitter.requests) == 1
 
 
-# --- how a fit ends, and which model stays
-
-
-def test_a_fitted_model_is_taken_over_and_reported(bench: Bench, fit: Fit) -> None:
-    bench.send(20)
-    bench.answer(0, fit, cause="distal.Fz changed by -20.0 N")
-    assert bench.models == [fit]
-    level, text = bench.estimator.state
-    assert level == 0 and f"{fit.model.variant} from {fit.samples} samples" in text
-    assert "older samples left out: distal.Fz changed by -20.0 N" in text
-    bench.send(3, start=20)
-    assert [e.stamp for e in bench.estimates] == [k * PERIOD for k in (20, 21, 22)]
-    assert all(e.model is fit.model for e in bench.estimates)
-    assert bench.figures("fits", "predictions") == [1, 3]
-
-
-def test_a_fit_that_fails_leaves_the_model_and_is_named(fitted: Bench, fit: Fit) -> None:
-    fitted.send(30, start=20)
-    wrong = IdentificationError("the samples say nothing", "load the socket")
-    for number, error in enumerate((wrong, BrokenProcessPool()), start=1):
-        fitted.fitter.requests[number].future.set_exception(error)
-        assert fitted.estimator.state == (2, f"no fit: {error}")
-        fitted.send(30, start=20 + 30 * number)
-        assert fitted.estimates[-1].model is fit.model
-    fitted.answer(3, fit)  # the next one is tried all the same
-    assert fitted.estimator.state[0] == 0 and len(fitted.models) == 2
-
-
-def test_the_model_that_is_better_on_the_newest_samples_stays(trial: Trial, fit: Fit) -> None:
-    for worse in (False, True):
-        bench = Bench(trial, least_samples=20, refit_after=30)
-        bench.send(20)
-        bench.answer(0, fit)
-        bench.send(30, start=20)
-        other = dataclasses.replace(fit, model=dataclasses.replace(fit.model), samples=7)
-        bench.answer(1, other, comparison=Comparison(24, 0.05, 0.06 if worse else 0.04))
-        bench.send(1, start=50)
-        assert bench.estimates[-1].model is (fit.model if worse else other.model)
-        assert bench.figures("fits", "refused") == [2 - worse, worse]
-        assert len(bench.models) == 2 - worse
-        level, text = bench.estimator.state
-        stays = f"from {fit.samples} samples" if worse else "from 7 samples"
-        assert level == 0 and stays in text and ("it stays" in text) == worse
-        assert "the newest 24 samples a refit has an error of 0.0" in text
-        assert "before it 0.05" in text
-
-
-# --- whether the data is good
-
-
-def test_what_to_look_at_in_the_data_is_a_warning(bench: Bench) -> None:
-    """Checked every two seconds, one at a time, with or without fits."""
+def test_without_auto_fit_it_fits_on_request_and_checks_the_data(bench: Bench, fit: Fit) -> None:
+    """A fit on request takes all of the window. Data is checked every two seconds."""
     bench.settings = dataclasses.replace(bench.settings, auto_fit=False)
     bench.send(20)
     ((samples, future),) = bench.fitter.checks
@@ -302,47 +304,39 @@ def test_what_to_look_at_in_the_data_is_a_warning(bench: Bench) -> None:
     bench.send(1, start=20)
     bench.fitter.checks[1][1].set_result(())
     assert "look at" not in bench.estimator.state[1]
-    bench.settings = dataclasses.replace(bench.settings, auto_fit=True)  # while it runs
-    bench.send(1, start=21)
-    assert len(bench.fitter.requests) == 1
+    with ThreadPoolExecutor() as pool:
+        answer = pool.submit(bench.estimator.fit)
+        while not bench.fitter.requests:
+            pass
+        with refused(IdentificationError, "a fit is running already: ask again"):
+            bench.estimator.fit()
+        (request,) = bench.fitter.requests
+        assert len(request.samples) == 21 and request.steady is None
+        request.future.set_result(Refit(fit))
+        assert answer.result(HANGS) is fit and bench.models == [fit]
 
 
-# --- on request
-
-
-def test_a_fit_on_request_takes_all_of_the_window(bench: Bench, fit: Fit) -> None:
-    bench.settings = dataclasses.replace(bench.settings, auto_fit=False)
-    bench.send(7)
-    answers: list[Fit] = []
-    thread = Thread(target=lambda: answers.append(bench.estimator.fit()))
-    thread.start()
-    while not bench.fitter.requests:
-        Event().wait(0.01)
-    (request,) = bench.fitter.requests
-    assert len(request.samples) == 7 and request.steady is None
-    request.future.set_result(Refit(fit))
-    thread.join(HANGS)
-    assert answers == bench.models == [fit]
-
-
-def test_a_request_is_refused_while_a_fit_runs_and_answered_with_the_error_or_the_end(
-    trial: Trial, bench: Bench, fit: Fit
-) -> None:
-    class Failing(FakeFitter):
-        def submit(self, *arguments) -> "Future[Refit | None]":
-            future = super().submit(*arguments)
-            future.set_exception(IdentificationError("only 0 of 0 samples", "record more"))
-            return future
-
-    bench.send(20)
-    with refused(IdentificationError, "a fit is running already: ask again"):
-        bench.estimator.fit()
-    assert len(bench.fitter.requests) == 1
-    with refused(IdentificationError, "only 0 of 0 samples"):
-        Bench(trial, Failing()).estimator.fit()
-
-
-# --- stored models
+def test_the_model_that_is_better_on_the_newest_samples_stays(trial: Trial, fit: Fit) -> None:
+    for worse in (False, True):
+        bench = Bench(trial, least_samples=20, refit_after=30)
+        bench.send(20)
+        bench.answer(0, fit, cause="distal.Fz changed by -20.0 N")
+        level, text = bench.estimator.state
+        assert level == 0 and f"{fit.model.variant} from {fit.samples} samples" in text
+        assert "older samples left out: distal.Fz changed by -20.0 N" in text
+        bench.send(30, start=20)
+        model = dataclasses.replace(fit.model, wrench_bias=fit.model.wrench_bias + 1.0)
+        other = dataclasses.replace(fit, model=model, samples=7)
+        bench.answer(1, other, comparison=Comparison(24, 0.05, 0.06 if worse else 0.04))
+        for topic, value in bench.values(1e-4 * 49).items():
+            bench.add(topic, 50, value)
+        np.testing.assert_allclose(bench.predicted[50] - bench.predicted[49], 1.0 - worse)
+        assert bench.models == [fit, other][: 2 - worse]
+        assert bench.figures("fits", "refused", "predictions") == [2 - worse, worse, 31]
+        level, text = bench.estimator.state
+        stays = f"from {fit.samples} samples" if worse else "from 7 samples"
+        assert level == 0 and stays in text and ("it stays" in text) == worse
+        assert "the newest 24 samples a refit has an error of 0.0" in text
 
 
 def test_a_stored_model_predicts_from_the_first_sample_unless_it_is_of_another_socket(
@@ -354,13 +348,12 @@ def test_a_stored_model_predicts_from_the_first_sample_unless_it_is_of_another_s
     (tmp_path / "model.json").write_text(json.dumps(document))
     with refused(ConfigurationError, "another socket"):
         bench.estimator.load(tmp_path / "model.json")
-    bench.send(2)
-    assert not bench.models and not bench.estimates
     bench.estimator.load(hold_model)
-    stored = read_model(hold_model)
     (reported,) = bench.models
-    assert isinstance(reported, StoredModel) and reported.trial == stored.trial
-    assert bench.estimator.state == (0, f"predicting with the model of {stored.trial}")
-    bench.send(2, start=2)
-    assert len(bench.estimates) == 2
-    np.testing.assert_array_equal(bench.estimates[0].model.stiffness, stored.model.stiffness)
+    assert isinstance(reported, StoredModel) and reported.trial == read_model(hold_model).trial
+    assert bench.estimator.state == (0, f"predicting with the model of {reported.trial}")
+    bench.send(2)
+    for topic, value in bench.values(np.nan).items():  # a marker is occluded
+        bench.add(topic, 2, value)
+    assert list(bench.predicted) == [0, 1, 2]
+    assert np.isnan(bench.predicted[2]).all() and np.isfinite(bench.predicted[1]).all()

@@ -1,3 +1,5 @@
+"""Fits on live data: in the process of the worker, and as the function that it calls."""
+
 import dataclasses
 import os
 import signal
@@ -13,13 +15,11 @@ from support.wording import refused
 from socket_testbed.errors import IdentificationError
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import fit_contact_model
-from socket_testbed.live.fit_worker import FitWorker, Refit, Steady
+from socket_testbed.live.fit_worker import FitWorker, Refit, Steady, check_samples, fit_samples
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
 from socket_testbed.trials.segment import find_plateaus
 from socket_testbed.trials.trial import Trial
-
-pytestmark = pytest.mark.graph
 
 SETTINGS = IdentificationSettings()
 PLATEAU = PlateauSettings()
@@ -45,45 +45,46 @@ def samples(trial: Trial) -> Samples:
     return samples[find_plateaus(samples, PLATEAU)[0].rows]
 
 
-@pytest.fixture
-def slipped(samples: Samples) -> tuple[Samples, int]:
-    """The hold with a cluster that slips by 20 N, and the row of the first sample after it."""
-    row = len(samples) // 2
-    local = samples.local_forces.copy()
-    local[row:, 1, 2] -= 20.0
-    return dataclasses.replace(samples, local_forces=local), row
-
-
-def test_a_fit_is_the_same_in_a_process_of_its_own_but_does_not_average_poses(
+@pytest.mark.graph
+def test_a_process_fits_without_averaging_poses_and_is_replaced_when_killed(
     worker: FitWorker, trial: Trial, samples: Samples
 ) -> None:
     averaging = dataclasses.replace(SETTINGS, pose_smoothing=2.0)
-    refit = worker.submit(samples, trial.geometry, averaging, STEADY).result(HANGS)
+    work = (fit_samples, samples, trial.geometry, averaging, STEADY)
+    refit = worker.run(*work).result(HANGS)
     steady = samples[find_plateaus(samples, PLATEAU)[0].rows]
     here = fit_contact_model(steady, trial.geometry, SETTINGS).model
     assert refit is not None and refit.comparison is None and worker.ready
     assert refit.fit.settings.pose_smoothing == 0.0
-    found = refit.fit.model.stiffness
-    np.testing.assert_allclose(found, here.stiffness, rtol=1e-6, atol=1e-3)
+    np.testing.assert_allclose(refit.fit.model.stiffness, here.stiffness, rtol=1e-6, atol=1e-3)
+    (process,) = worker._pool._processes
+    os.kill(process, signal.SIGKILL)
+    with pytest.raises(BrokenProcessPool):
+        while True:  # until the pool has noticed
+            worker._pool.submit(os.getpid).result(HANGS)
+    assert worker.run(*work).result(HANGS) is not None
 
 
 # --- what is fitted
 
 
-def test_the_newest_stretch_is_fitted_and_none_across_a_slip_of_a_cluster(worker, trial, slipped):
-    samples, row = slipped
-    refit = worker.submit(samples, trial.geometry, SETTINGS, STEADY).result(HANGS)
-    assert refit is not None
-    assert row - 8 <= len(samples) - refit.fit.samples <= row + 8
-    assert refit.fit.last_stamp == samples.stamps[-1]
+def test_the_newest_stretch_since_a_slip_is_fitted_and_judged_by_the_newest_samples(
+    trial: Trial, samples: Samples
+) -> None:
+    """A cluster slips by 20 N in the middle of a hold."""
+    row = len(samples) // 2
+    local = samples.local_forces.copy()
+    local[row:, 1, 2] -= 20.0
+    samples = dataclasses.replace(samples, local_forces=local)
+    found = fit_samples(samples, trial.geometry, SETTINGS, STEADY)
+    assert found is not None
+    assert row - 8 <= len(samples) - found.fit.samples <= row + 8
+    assert found.fit.last_stamp == samples.stamps[-1]
     slip = samples.clusters[1]
-    assert f"{slip}.Fz changed by -" in refit.cause
-    (error,) = (e for e in refit.fit.errors if e.name == f"{slip}.Fz")
+    assert f"{slip}.Fz changed by -" in found.cause
+    (error,) = (e for e in found.fit.errors if e.name == f"{slip}.Fz")
     assert error.rmse < 1.0
 
-
-def test_a_refit_is_judged_by_the_newest_samples_which_it_left_out(worker, trial, slipped) -> None:
-    samples, row = slipped
     before, after = (
         fit_contact_model(part, trial.geometry, SETTINGS).model
         for part in (samples[:row], samples[row:])
@@ -91,7 +92,7 @@ def test_a_refit_is_judged_by_the_newest_samples_which_it_left_out(worker, trial
 
     def refit(window: Samples, rival: ContactModel) -> Refit:
         steady = dataclasses.replace(STEADY, rival=rival)
-        found = worker.submit(window, trial.geometry, SETTINGS, steady).result(HANGS)
+        found = fit_samples(window, trial.geometry, SETTINGS, steady)
         assert found is not None and found.comparison is not None
         newest = window.complete.sum() - found.comparison.samples
         assert found.fit.last_stamp < window.stamps[window.complete][newest]
@@ -104,7 +105,7 @@ def test_a_refit_is_judged_by_the_newest_samples_which_it_left_out(worker, trial
 
 
 def test_without_enough_steady_data_that_is_newer_than_the_model_s_there_is_no_fit(
-    worker: FitWorker, trial: Trial, samples: Samples
+    trial: Trial, samples: Samples
 ) -> None:
     older = dataclasses.replace(STEADY, after=int(samples.stamps[-1]))
     for some, steady in (
@@ -112,39 +113,26 @@ def test_without_enough_steady_data_that_is_newer_than_the_model_s_there_is_no_f
         (samples, Steady(PLATEAU, 10_000)),
         (samples[:20], Steady(PLATEAU, 5)),
     ):
-        assert worker.submit(some, trial.geometry, SETTINGS, steady).result(HANGS) is None
-
-
-def test_what_cannot_be_fitted_is_refused_with_its_error(worker, trial, samples) -> None:
+        assert fit_samples(some, trial.geometry, SETTINGS, steady) is None
     negated = dataclasses.replace(samples, wrench=-samples.wrench)
-    for wrong, steady, text in ((negated, STEADY, "negated"), (samples[:0], None, "only 0 of 0")):
-        submitted = worker.submit(wrong, trial.geometry, SETTINGS, steady)
+    for wrong, condition, text in (
+        (negated, STEADY, "negated"),
+        (samples[:0], None, "only 0 of 0"),
+    ):
         with refused(IdentificationError, text):
-            submitted.result(HANGS)
+            fit_samples(wrong, trial.geometry, SETTINGS, condition)
 
 
-def test_outliers_are_named_by_channel_and_do_not_end_a_stretch(worker, trial, samples) -> None:
+def test_outliers_are_named_by_channel_and_do_not_end_a_stretch(trial, samples) -> None:
     wrench, position = samples.wrench.copy(), samples.position.copy()
     wrench[[20, 30], 3] = 1e9
     position[40] = 5.0
     wrong = dataclasses.replace(samples, wrench=wrench, position=position)
     for left_out in ((), ("Fx",)):
-        found = "; ".join(worker.check(wrong, trial.geometry, left_out).result(HANGS))
+        found = "; ".join(check_samples(wrong, trial.geometry, left_out))
         assert "limb position" in found and ("Fx" in found) is not bool(left_out)
-    assert worker.check(samples, trial.geometry, ()).result(HANGS) == ()
+    assert check_samples(samples, trial.geometry, ()) == ()
     clean, found = (
-        worker.submit(some, trial.geometry, SETTINGS, STEADY).result(HANGS)
-        for some in (samples, wrong)
+        fit_samples(some, trial.geometry, SETTINGS, STEADY) for some in (samples, wrong)
     )
     assert found.fit.samples == clean.fit.samples - 3
-
-
-def test_a_killed_worker_is_replaced(worker: FitWorker, trial: Trial, samples: Samples) -> None:
-    worker.submit(samples, trial.geometry, SETTINGS, None).result(HANGS)
-    (process,) = worker._pool._processes
-    os.kill(process, signal.SIGKILL)
-    with pytest.raises(BrokenProcessPool):
-        while True:  # until the pool has noticed
-            worker._pool.submit(os.getpid).result(HANGS)
-    submitted = worker.submit(samples, trial.geometry, SETTINGS, None)
-    assert submitted.result(HANGS) is not None

@@ -11,8 +11,9 @@ from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.force_map import MapEstimate
-from socket_testbed.nodes.listeners import ListenerNode
+from socket_testbed.nodes.base import TestbedNode
 from socket_testbed.nodes.view_node import LiveSource
+from socket_testbed.settings.fields import Settings
 from socket_testbed.trials.messages import force_map_packer
 from socket_testbed.trials.topics import FORCE_MAP
 
@@ -33,7 +34,7 @@ def test_a_map_of_another_socket_is_named_and_not_drawn() -> None:
     other = dataclasses.replace(GEOMETRY, names=tuple(reversed(GEOMETRY.names)))
     rclpy.init()
     with Probe() as probe:
-        node = ListenerNode("page", lambda: None)
+        node = TestbedNode("page", Settings)
         source = LiveSource(node, GEOMETRY, None)
         source.now(None)  # it listens while a browser asks
         publisher = probe.publisher(FORCE_MAP)

@@ -1,6 +1,6 @@
 """A clock for tests that never wait, and how fast others let a simulated testbed run."""
 
-from socket_testbed.live.machine import SLOWEST, measure_speed
+from socket_testbed.live.simulated_world import SLOWEST, measure_speed
 
 
 def careful_time_scale() -> float:

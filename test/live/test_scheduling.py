@@ -1,4 +1,4 @@
-"""Scheduling, time scale, and what `doctor` makes of the lateness."""
+"""Scheduling, time scale, and what `doctor` makes of lateness and kernels."""
 
 import errno
 import json
@@ -14,9 +14,10 @@ from support.wording import refused
 
 from socket_testbed import clocks
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.live import doctor, hardware, machine
+from socket_testbed.live import doctor, hardware, processes
 from socket_testbed.live.bringup import Testbed, simulated_testbed
-from socket_testbed.live.machine import MachineSpeed, busy_note, measure_lateness, schedule
+from socket_testbed.live.processes import measure_lateness, schedule
+from socket_testbed.live.simulated_world import MachineSpeed, busy_note
 from socket_testbed.settings.acquisition import (
     ClusterSettings,
     LoadCellSettings,
@@ -27,7 +28,7 @@ from socket_testbed.settings.acquisition import (
 EVERY_THREAD = """
 import json, os, threading
 from pathlib import Path
-from socket_testbed.live.machine import schedule
+from socket_testbed.live.processes import schedule
 from socket_testbed.settings.acquisition import SchedulingSettings
 core = min(os.sched_getaffinity(0))
 done = threading.Event()
@@ -40,39 +41,38 @@ print(json.dumps([refused, policies, [list(os.sched_getaffinity(t)) == [core] fo
 """
 
 
-def test_all_threads_get_what_is_set_or_the_refusal_says_which_right_is_missing() -> None:
+def test_all_threads_get_what_is_set_or_the_refusal_says_which_right_is_missing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     _, out, _ = program(sys.executable, "-c", EVERY_THREAD)
     refused, policies, cores = json.loads(out)
     assert len(policies) == 3 and all(cores)
     assert set(policies) == {os.SCHED_OTHER if refused else os.SCHED_FIFO}
     assert not refused or "scheduling.priority 7 is refused" in refused[0]
 
-
-def test_what_is_refused_is_said_and_the_rest_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
-    changed = []
-
-    def refuse(thread: int, *_: object) -> None:
+    def refuse(*_: object) -> None:
         raise PermissionError(errno.EPERM, "Operation not permitted")
 
+    changed = []
     library = SimpleNamespace(mlockall=lambda flags: -1)
     monkeypatch.setattr(os, "sched_setscheduler", refuse)
     monkeypatch.setattr(os, "sched_setaffinity", lambda thread, cores: changed.append(cores))
-    monkeypatch.setattr(machine.ctypes, "CDLL", lambda *_, **__: library)
-    monkeypatch.setattr(machine.ctypes, "get_errno", lambda: errno.EPERM)
+    monkeypatch.setattr(processes.ctypes, "CDLL", lambda *_, **__: library)
+    monkeypatch.setattr(processes.ctypes, "get_errno", lambda: errno.EPERM)
     priority, memory = schedule(SchedulingSettings(priority=20, cores=(1,), lock_memory=True))
-    why = "is refused (Operation not permitted): "
-    assert priority.startswith(f"scheduling.priority 20 {why}") and "CAP_SYS_NICE" in priority
-    assert memory.startswith(f"scheduling.lock_memory {why}")
+    assert priority.startswith("scheduling.priority 20 is refused (Operation not permitted): ")
+    assert memory.startswith("scheduling.lock_memory is refused (Operation not permitted): ")
     assert "'USER - rtprio 20'" in priority and "'USER - memlock unlimited'" in memory
-    assert changed and "\n" not in priority + memory
-    assert len(measure_lateness(20, 0.01)) == 0
+    assert changed and len(measure_lateness(20, 0.01)) == 0
     assert schedule(SchedulingSettings()) == []
     monkeypatch.undo()
     (line,) = schedule(SchedulingSettings(cores=(1023,)))
     assert line.startswith("scheduling.cores [1023] is refused") and "0 to" in line
 
 
-def test_a_busier_machine_gets_a_slower_testbed_and_a_note() -> None:
+def test_a_busier_machine_gets_a_slower_testbed_and_hardware_keeps_to_real_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     for lateness, speed, scale in (
         (0.0, 5.0, 1.0),
         (1e-4, 0.1, 0.5),
@@ -82,9 +82,6 @@ def test_a_busier_machine_gets_a_slower_testbed_and_a_note() -> None:
         assert MachineSpeed(lateness, speed).time_scale() == scale
     assert busy_note(1.0) == ""
     assert busy_note(0.25).endswith("the simulated testbed runs at a quarter of real time")
-
-
-def test_hardware_keeps_to_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clocks, "_scale", 0.5)
     for make in (
         lambda: hardware.make_trigger(TriggerSettings()),
@@ -117,7 +114,9 @@ def test_doctor_says_whether_it_is_enough_for_the_rate(monkeypatch: pytest.Monke
         assert ("no right to a real-time priority" in finding.found) == (urgent is None)
 
 
-def test_doctor_reads_again_what_a_busy_machine_read_late(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_doctor_reads_again_what_came_late_and_names_kernels_whose_bus_locks_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """A cluster that is broken stays so; one that was read late is fine the next time."""
     for late in (0, 12, 1000):
         states = iter([{"distal": "read late: relieve the computer"}] * late + [{}] * 1000)
@@ -129,9 +128,6 @@ def test_doctor_reads_again_what_a_busy_machine_read_late(monkeypatch: pytest.Mo
         monkeypatch.setattr(doctor, "make_clusters", lambda *_, reader=reader: reader)
         (finding,) = doctor.check_clusters(simulated_testbed())
         assert (finding.hint != "") == (late == 1000)
-
-
-def test_kernels_that_lock_up_the_i2c_bus_are_named() -> None:
     pi = "Raspberry Pi 5 Model B Rev 1.0"
     found = doctor.kernel_finding(pi, "6.6.20+rpt-rpi-2712")
     assert "5784" in found.found and found.hint == "update it to 6.6.28 or newer"
