@@ -17,10 +17,9 @@ from socket_testbed.api.trials import PathLike, as_path, as_trial, select
 from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.geometry.regions import Region, all_regions
+from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import SocketGeometry, find_regions
 from socket_testbed.identification.force_map import ForceMap, MapEstimate, map_trial
-from socket_testbed.identification.information import Suspension, find_suspension
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.objective import check_channels
 from socket_testbed.identification.pressure import (
@@ -28,13 +27,13 @@ from socket_testbed.identification.pressure import (
     SHARE,
     THRESHOLD,
     TITLES,
-    PressureOutputs,
     columns_of,
     normal_quantity,
     pressure_outputs,
     read_column,
     with_interval,
 )
+from socket_testbed.report.results import SegmentPressure
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.tables import write_table
@@ -46,7 +45,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from socket_testbed.report.figures.style import FigureStyle
+    from socket_testbed.report.style import FigureStyle
 
 Rows: TypeAlias = dict[tuple[str, str, str], dict[str, Any]]
 """Values of outputs, by part, name and title."""
@@ -153,15 +152,15 @@ class TrialMap(Result):
 
     def _figure(self, style: FigureStyle) -> Figure:
         """The mean pressure on the tiles, and its standard deviation."""
-        from socket_testbed.report.sections.pressure import force_map_figure
+        from socket_testbed.report.pressure import force_map_figure
 
         heading = f"{self.trial.name}, {self.segment}: force map"
         return force_map_figure(self.trial.geometry, self.estimate.mean(), heading, style)
 
     def _draw_into(self, ax: Axes) -> None:
-        from socket_testbed.report.figures.tiles import draw_wall
+        from socket_testbed.report.tiles import draw_wall
 
-        mean, side = self.estimate.mean(), self.trial.metadata.side or ""
+        mean, side = self.estimate.mean(), self.trial.metadata.side
         reach = 1e-3 * NORMAL_QUANTILE * mean.normal_pressure_standard_deviation[0]
         pressure = 1e-3 * mean.normal_pressure[0]
         draw_wall(ax, self.trial.geometry, pressure, "pressure [kPa]", reach, side)
@@ -211,13 +210,9 @@ def force_map(
 
 
 @dataclass(frozen=True, repr=False)
-class TrialPressure(Result):
+class TrialPressure(SegmentPressure, Result):
     """Pressure outputs over a segment of a trial, by region and tile, with 95 % intervals."""
 
-    trial: Trial
-    segment: Segment
-    places: tuple[Region, ...]  # the last one is the socket
-    outputs: PressureOutputs
     threshold: float  # [kPa]; a tile with a higher pressure is in contact
     share: float  # [-]; of a value: if its interval reaches farther, it is uncertain
 
@@ -229,21 +224,11 @@ class TrialPressure(Result):
             f" pressure {low:.1f} to {high:.1f} kPa)"
         )
 
-    @property
-    def time(self) -> FloatArray:
-        """Times of the N samples since the first sample of the trial, shape (N,) [s]."""
-        return np.asarray(self.trial.samples().time[self.segment.rows])
-
     @cached_property
     def map(self) -> TrialMap:
         """The force map that they are computed from, at every sample: 6 kB each."""
         of = self.outputs
         return TrialMap(self.trial, self.segment, self.time, of.estimate, of.samples, of.force_map)
-
-    @cached_property
-    def suspension(self) -> Suspension | None:
-        """How the limb sits in the socket; None without poses and a wrench."""
-        return find_suspension(self.trial.samples()[self.segment.rows], self.trial.geometry)
 
     def rows(self) -> Rows:
         """Every output by its part (`regions`, `tiles` or `limb`), its place and its title.
@@ -386,19 +371,9 @@ class TrialPressure(Result):
 
     def _figure(self, style: FigureStyle) -> Figure:
         """Unrolled maps, mean and at the peak; sectors, heights and own regions over time."""
-        from socket_testbed.report.sections.pressure import pressure_figure
+        from socket_testbed.report.pressure import pressure_figure
 
-        return pressure_figure(
-            self.trial.geometry,
-            self.places,
-            self.outputs,
-            self.time,
-            self.segment,
-            [(event.time, event.label) for event in self.trial.events()],
-            self.trial.metadata.side or "",
-            f"{self.trial.name}: pressure, {self.segment}",
-            style,
-        )
+        return pressure_figure(self, f"{self.trial.name}: pressure, {self.segment}", style)
 
     def _draw_into(self, ax: Axes) -> None:
         self.map._draw_into(ax)

@@ -14,7 +14,11 @@ from support.ring_socket import ring_socket
 from socket_testbed.identification.evaluation import channel_errors
 from socket_testbed.identification.pressure import Quantity
 from socket_testbed.identification.validation import CLOSED, FORCE_MAP, INVERSE_DISTANCE, Judgement
-from socket_testbed.report.figures.style import (
+from socket_testbed.report import quality
+from socket_testbed.report.channels import wrench_section
+from socket_testbed.report.page import Section
+from socket_testbed.report.pressure import draw_regions, group_regions
+from socket_testbed.report.style import (
     DEFAULT_STYLE,
     LINE_STYLES,
     MOST_POINTS,
@@ -22,12 +26,8 @@ from socket_testbed.report.figures.style import (
     thin,
     thin_band,
 )
-from socket_testbed.report.figures.tiles import paint_tiles, tile_map_figure
-from socket_testbed.report.page import Section
-from socket_testbed.report.sections import quality
-from socket_testbed.report.sections.channels import wrench_section
-from socket_testbed.report.sections.pressure import draw_regions, group_regions
-from socket_testbed.report.sections.validation import validation_figure
+from socket_testbed.report.tiles import paint_tiles, tile_map_figure
+from socket_testbed.report.validation import validation_figure
 
 NASTY = "a$_b <i>"
 
@@ -135,7 +135,7 @@ def test_tiles_have_the_colours_of_their_values_on_one_scale_unless_their_ranges
     unit = "stiffness [N/m]"
     for larger in (1.5, 9.0):
         values = {"x": rng.uniform(0.0, 1.0, 18), "y": rng.uniform(0.0, larger, 18)}
-        figure = tile_map_figure(geometry, values, unit, notes={NASTY: "a note"})
+        figure = tile_map_figure(geometry, values, unit)
         rows = [np.concatenate([*values.values()])] if larger < 2.0 else [*values.values()]
         ends = [(row.min(), row.max()) for row in rows]
         np.testing.assert_allclose(scales_of(figure, unit), ends)
@@ -143,7 +143,7 @@ def test_tiles_have_the_colours_of_their_values_on_one_scale_unless_their_ranges
         for axis, row, scale in zip(maps, values.values(), [*ends, *ends], strict=False):
             expected = colormaps[SCALE](Normalize(*scale)(row))
             np.testing.assert_allclose(squares_of(axis).get_facecolors(), expected)
-        assert figure.get_supxlabel() == f"1 {NASTY}: a note"
+        assert figure.get_supxlabel() == f"1 {NASTY}"
     # Maps that are alike share a scale beside another one.
     estimate, truth = rng.uniform(0.0, 30.0, 18), rng.uniform(0.0, 40.0, 18)
     maps = {"estimate": estimate, "its standard deviation": 0.1 * estimate, "truth": truth}
@@ -185,7 +185,7 @@ def test_a_map_with_intervals_is_smooth_and_greyer_where_they_reach_far(rng):
 
 def test_the_sides_of_a_map_are_those_of_the_leg():
     geometry = ring_socket()
-    sides = {"right": ("medial", "lateral"), "left": ("lateral", "medial"), "": ("left", "right")}
+    sides = {"right": ("medial", "lateral"), "left": ("lateral", "medial"), None: ("left", "right")}
     for side, (at_left, at_right) in sides.items():
         axis = tile_map_figure(geometry, {"mean": geometry.areas}, "", side=side).axes[0]
         names = {

@@ -15,7 +15,8 @@ from support.benches import nominal, sensor_bench
 
 from socket_testbed.api import CalibratedCluster, Cycles
 from socket_testbed.calibration.calibrate import calibrate_bench
-from socket_testbed.report.figures.style import (
+from socket_testbed.report.results import Results
+from socket_testbed.report.style import (
     LINE_STYLES,
     SCALE,
     WIDTHS,
@@ -24,7 +25,6 @@ from socket_testbed.report.figures.style import (
     save_figure,
     wrap,
 )
-from socket_testbed.report.results import Results
 from socket_testbed.report.write import SECTIONS
 
 

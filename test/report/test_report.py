@@ -16,11 +16,10 @@ from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.evaluation import summarise_errors
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.identification.validation import CONSTANT, FORCE_MAP, REGRESSION
-from socket_testbed.report import write
+from socket_testbed.report import fronts, validation, write
+from socket_testbed.report.quality import find_drop_outs, find_gaps, unusable
 from socket_testbed.report.results import Results, compute_results
-from socket_testbed.report.sections import fronts, validation
-from socket_testbed.report.sections.quality import find_drop_outs, find_gaps, unusable
-from socket_testbed.report.sections.summary import list_notes, provenance, summarise
+from socket_testbed.report.summary import list_notes, provenance, summarise
 from socket_testbed.report.write import check_page_path, write_report
 from socket_testbed.settings.identification import PAPER_VARIANTS
 from socket_testbed.trials.segment import Segment

@@ -23,7 +23,7 @@ from socket_testbed.__main__ import run
 from socket_testbed.identification.evaluation import evaluate, summarise_errors
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
 from socket_testbed.identification.pressure import TITLES, interval_end
-from socket_testbed.report.figures import style
+from socket_testbed.report import style
 from socket_testbed.report.results import Results
 from socket_testbed.report.write import files_folder, write_report
 from socket_testbed.settings.identification import PAPER_VARIANTS

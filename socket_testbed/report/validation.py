@@ -20,7 +20,9 @@ from socket_testbed.identification.validation import (
     judgements_table,
     summarise_judgements,
 )
-from socket_testbed.report.figures.style import (
+from socket_testbed.report.page import Heading, ReportFigure, Section
+from socket_testbed.report.results import Results
+from socket_testbed.report.style import (
     DEFAULT_STYLE,
     LINE_STYLES,
     FigureStyle,
@@ -28,8 +30,6 @@ from socket_testbed.report.figures.style import (
     lay_out,
     style_axes,
 )
-from socket_testbed.report.page import Bullets, Heading, ReportFigure, Section
-from socket_testbed.report.results import Results
 from socket_testbed.tables import Table, number
 
 _COLOURS = {INVERSE_DISTANCE: "0.75", CLOSED: "0.5", FORCE_MAP: LINE_STYLES[1]["color"]}
@@ -93,11 +93,11 @@ def section(results: Results) -> Section:
             f" {results.motion.directions} of 6 independent directions the motion is"
             f" {LEAST_RATIO:g} times the noise or more; elsewhere the noise shrinks the"
             " stiffnesses, and the smoothness decides them.",
-            Bullets([str(excitation) for excitation in results.motion.excitations]),
+            [str(excitation) for excitation in results.motion.excitations],
             "With the noise of the channels and of the pose, and only the directions of the pose"
             " that move, the data show so many stiffnesses, or combinations of them, to"
             f" {difference:g} N/m or better:",
-            Bullets(known),
+            known,
         ],
     )
 

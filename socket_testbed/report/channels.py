@@ -16,7 +16,9 @@ from socket_testbed.identification.evaluation import (
     summarise_errors,
 )
 from socket_testbed.identification.pareto import THEIRS, beside_published
-from socket_testbed.report.figures.style import (
+from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart
+from socket_testbed.report.results import Results
+from socket_testbed.report.style import (
     LINE_STYLES,
     MEASURED_STYLE,
     SEGMENT_STYLE,
@@ -25,12 +27,10 @@ from socket_testbed.report.figures.style import (
     add_legend,
     in_style,
     lay_out,
-    style_axes,
+    panels,
     thin,
     wrap,
 )
-from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart
-from socket_testbed.report.results import Results
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.settings.identification import PAPER_VARIANTS
 from socket_testbed.tables import Table
@@ -213,9 +213,8 @@ def _draw(
     key = _KEY_LINE * (2.5 + lines * len(models)) if style.titles else 0.0
     figure = style.figure(rows * (_PANEL + key) + (12.0 if style.titles else 20.0))
     style.add_title(figure, title)
-    axes = figure.subplots(rows, across, squeeze=False, sharex=True).ravel()
-    measured = samples.trusted_values
-    for axis, channel in zip(axes, channels, strict=False):
+    axes, measured = panels(figure, len(channels), across), samples.trusted_values
+    for axis, channel in zip(axes, channels, strict=True):
         first = models[0][2][channel]
         axis.axvspan(segment.start, segment.end, **SEGMENT_STYLE)
         axis.plot(*thin(samples.time, measured[:, channel]), label="measured", **MEASURED_STYLE)
@@ -223,17 +222,11 @@ def _draw(
             described = _describe(label, errors[channel], lines)
             axis.plot(*thin(samples.time, predicted[:, channel]), label=described, **look)
         axis.set_ylabel(f"{_QUANTITIES[first.unit]} [{first.unit}]")
-        style_axes(axis)
         name = first.name + " (not in objective)" * (not first.in_objective)
         if lines:
             add_legend(axis, title=name, labelspacing=0.2, handlelength=1.8)
         else:
             axis.set_title(wrap(name, _NAME), loc="left", fontweight="bold", parse_math=False)
-    for axis in axes[len(channels) :]:
-        axis.set_visible(False)
-    for axis in axes[max(0, len(channels) - across) : len(channels)]:
-        axis.set_xlabel("time [s]")
-        axis.tick_params(labelbottom=True)
     if not lines:
         handles, labels = axes[0].get_legend_handles_labels()
         add_legend(figure, handles, labels, loc="outside lower center", ncols=across + 1)

@@ -11,7 +11,9 @@ from matplotlib.figure import Figure, SubFigure
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.pages.document import numbers
-from socket_testbed.report.figures.style import (
+from socket_testbed.report.page import ReportFigure, Section
+from socket_testbed.report.results import Candidate, Results
+from socket_testbed.report.style import (
     LINE_STYLES,
     SEGMENT_STYLE,
     THINNED,
@@ -20,9 +22,7 @@ from socket_testbed.report.figures.style import (
     style_axes,
     thin,
 )
-from socket_testbed.report.figures.tiles import tile_map_figure
-from socket_testbed.report.page import ReportFigure, Section
-from socket_testbed.report.results import Candidate, Results
+from socket_testbed.report.tiles import tile_map_figure
 from socket_testbed.samples import channel_unit
 from socket_testbed.settings.identification import BIAS_VARIANTS
 from socket_testbed.tables import Table, split_unit
@@ -78,7 +78,8 @@ def _rest_offsets(results: Results, candidate: Candidate) -> FloatArray:
     """Rest positions from the mean limb position, in `_frame`, shape (n, 3) [mm]."""
     if candidate.model.is_rigid:
         return 1e3 * candidate.model.rest_positions
-    return 1e3 * (candidate.model.rest_positions - results.mean_position)
+    mean = np.nanmean(results.samples.position[results.segment.rows], axis=0)
+    return 1e3 * (candidate.model.rest_positions - mean)
 
 
 def _tile_maps(results: Results) -> Iterator[ReportFigure]:

@@ -20,7 +20,9 @@ from socket_testbed.identification.pareto import (
     front_table,
 )
 from socket_testbed.pages.document import numbers
-from socket_testbed.report.figures.style import (
+from socket_testbed.report.page import ReportFigure, Section
+from socket_testbed.report.results import Results
+from socket_testbed.report.style import (
     DEFAULT_STYLE,
     LINE_STYLES,
     FigureStyle,
@@ -28,8 +30,6 @@ from socket_testbed.report.figures.style import (
     lay_out,
     style_axes,
 )
-from socket_testbed.report.page import Bullets, ReportFigure, Section
-from socket_testbed.report.results import Results
 from socket_testbed.tables import Table
 
 _MARKS: dict[str, dict[str, Any]] = {
@@ -74,7 +74,7 @@ def section(results: Results) -> Section:
         },
     )
     verdicts = [f"{front.variant}: {front.knee.verdict}." for front in fronts]
-    return Section("fronts", "Pareto fronts", [Bullets(verdicts), figure, marks_table(fronts)])
+    return Section("fronts", "Pareto fronts", [verdicts, figure, marks_table(fronts)])
 
 
 def _points(front: Front) -> tuple[str, dict[str, Any]]:

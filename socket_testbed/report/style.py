@@ -130,6 +130,22 @@ def style_axes(axis: Axes) -> None:
     axis.spines[["top", "right"]].set_visible(False)
 
 
+def panels(
+    figure: Figure | SubFigure, count: int, across: int, label: str = "time [s]", **shared: Any
+) -> list[Axes]:
+    """Panels over a common axis, row by row, labelled below the lowest of each column."""
+    rows = -(-count // across)
+    axes = figure.subplots(rows, across, squeeze=False, sharex=True, **shared).ravel()
+    for axis in axes[count:]:
+        axis.remove()
+    for number, axis in enumerate(axes[:count]):
+        style_axes(axis)
+        if number + across >= count:
+            axis.set_xlabel(label)
+            axis.tick_params(labelbottom=True)
+    return [*axes[:count]]
+
+
 def add_legend(where: Axes | Figure, *entries: Any, **options: Any) -> None:
     """A legend without markup; that of a panel is above it, with a bold title."""
     if isinstance(where, Axes):

@@ -13,10 +13,11 @@ import pandas as pd
 
 from socket_testbed.identification.evaluation import summarise_errors
 from socket_testbed.identification.information import share_warning
-from socket_testbed.report.page import Bullets, Folded, Heading, Section
+from socket_testbed.identification.model_file import StoredModel
+from socket_testbed.report.page import Heading, Section
+from socket_testbed.report.pressure import describe_pressure
+from socket_testbed.report.quality import find_gaps, mean_and_sigma
 from socket_testbed.report.results import Candidate, Results
-from socket_testbed.report.sections.pressure import describe_pressure
-from socket_testbed.report.sections.quality import find_gaps, mean_and_sigma
 from socket_testbed.tables import Table, number, pairs_table
 from socket_testbed.trials.trial import PARAMETERS_FILE
 
@@ -26,13 +27,13 @@ _DIGEST = 16  # hexadecimal digits: enough to tell files apart
 
 def section(results: Results) -> Section:
     """The section on the models that were fitted."""
-    return Section("models", "Fitted models", [Bullets(summarise(results)[2:])])
+    return Section("models", "Fitted models", [summarise(results)[2:]])
 
 
 def notes_section(results: Results) -> Section:
     """The section with what to know of the data."""
     lines = [*map(str, results.data), *list_notes(results)] or ["Nothing."]
-    return Section("notes", "Notes", [Bullets(lines, "notes")])
+    return Section("notes", "Notes", [lines])
 
 
 def summarise(results: Results) -> list[str]:
@@ -40,7 +41,7 @@ def summarise(results: Results) -> list[str]:
     wrench = results.samples.wrench[results.segment.rows]
     (force, _), (moment, _) = mean_and_sigma(wrench[:, 3:]), mean_and_sigma(wrench[:, :3])
     return [
-        describe_pressure(results.pressure, results.trial.geometry),
+        describe_pressure(results.pressure),
         "; ".join(map(str, results.data)).capitalize() or "Data: good.",
         f"Fitted to the segment, {results.segment}: {int(results.in_segment.sum())} of"
         f" {len(results.samples)} samples, mean force {number(force)} N, mean moment"
@@ -92,7 +93,7 @@ def list_notes(results: Results) -> list[str]:
             " position or a channel of the wrench that is in the objective."
         )
     notes += [f"{label}: {warning}." for label, warning in warnings.items() if warning]
-    if results.pressure.side is None:
+    if results.trial.metadata.side is None:
         notes.append(
             "No side of the leg is stated: regions are left and right, not medial and lateral."
             f" 'annotate {results.trial.name} --side left|right' states it."
@@ -128,15 +129,13 @@ def origin_section(results: Results, command: str, made: datetime) -> Section:
                 "What the report was made from and with",
                 provenance(results, command, made),
             ),
-            Folded(
-                "Settings of the identification and the plateaus",
-                [pairs_table("settings", "Settings by their names in parameters.yaml", settings)],
-            ),
             Heading("Solver certificates"),
             "Karush-Kuhn-Tucker residuals and duality gap in the scaled units of each stage,"
             " computed from the solution, whatever the solver reports; none may exceed"
             f" {tolerance:g}.",
             _certificates(results),
+            Heading("Settings of the identification and the plateaus"),
+            pairs_table("settings", "Settings by their names in parameters.yaml", settings),
         ],
     )
 
@@ -165,7 +164,7 @@ def provenance(results: Results, command: str, made: datetime) -> list[tuple[str
     if stored.is_file():
         rows.append(("parameters in the trial", _file(stored, given=False)))
     for candidate in results.candidates:
-        if given := candidate.given:
+        if isinstance(given := candidate.source, StoredModel):
             described = f"{candidate.model.variant} of {given.trial}; {given.status}"
             rows.append((f"model {candidate.label}", described))
     rows += [(f"version of {name}", _version(name)) for name in _LIBRARIES]

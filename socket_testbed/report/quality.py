@@ -10,7 +10,9 @@ from matplotlib.figure import Figure
 
 from socket_testbed.arrays import BoolArray, FloatArray, StatusArray
 from socket_testbed.identification.noise import channel_noise, noise_groups
-from socket_testbed.report.figures.style import (
+from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart
+from socket_testbed.report.results import Results
+from socket_testbed.report.style import (
     THINNED,
     FigureStyle,
     in_style,
@@ -18,8 +20,6 @@ from socket_testbed.report.figures.style import (
     style_axes,
     thin,
 )
-from socket_testbed.report.page import Bullets, Heading, ReportFigure, Section, line_chart
-from socket_testbed.report.results import Results
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status
 from socket_testbed.tables import Table, number
 from socket_testbed.trials.segment import Segment
@@ -49,7 +49,7 @@ def section(results: Results) -> Section:
             f"{len(samples)} samples in {samples.time[-1]:.2f} s at"
             f" {number(1.0 / usual_period(samples.time))} Hz, {int(samples.complete.sum())} with a"
             f" wrench and a limb position; {len(gaps)} gaps longer than {_GAP:g} periods.",
-            Bullets(listed),
+            listed,
             _overview(results),
             Table("drop-outs", "Samples of the trial without a measurement", drop_outs, counts),
             Heading("The segment"),
