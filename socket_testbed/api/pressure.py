@@ -33,9 +33,9 @@ from socket_testbed.identification.pressure import (
     read_column,
     with_interval,
 )
-from socket_testbed.report.results import SegmentPressure
+from socket_testbed.report.results import SegmentPressure, by_place
 from socket_testbed.samples import Samples
-from socket_testbed.settings.testbed import estimator_settings
+from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
 from socket_testbed.tables import write_table
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
@@ -63,9 +63,13 @@ class TrialMap(Result):
     trial: Trial
     segment: Segment
     time: FloatArray  # (N,) [s], of its samples since the first sample of the trial
-    estimate: MapEstimate
     samples: Samples  # with the channels that count
     force_map: ForceMap
+
+    @cached_property
+    def estimate(self) -> MapEstimate:
+        """The map at every sample."""
+        return self.force_map.estimate(self.samples)
 
     def __repr__(self) -> str:
         mean = self.estimate.mean()
@@ -119,8 +123,7 @@ class TrialMap(Result):
             )
         when, samples = self.time[row : row + 1], self.samples[row : row + 1]
         instant = Segment("instant", float(when[0]), float(when[0]), slice(row, row + 1))
-        estimate = self.force_map.estimate(samples)
-        return TrialMap(self.trial, instant, when, estimate, samples, self.force_map)
+        return TrialMap(self.trial, instant, when, samples, self.force_map)
 
     def draws(self, count: int = 200) -> FloatArray:
         """Joint draws of the stresses on all tiles, from which any function has its interval.
@@ -198,15 +201,20 @@ def force_map(
     """
     trial = as_trial(trial)
     settings = estimator_settings(trial.estimator, as_path(params))
-    samples = trial.samples()
+    chosen, mapping, rows = _mapped(trial, segment, settings, trial.geometry)
+    return TrialMap(trial, chosen, np.asarray(trial.samples().time[chosen.rows]), rows, mapping)
+
+
+def _mapped(
+    trial: Trial, segment: str | Segment, settings: EstimatorSettings, geometry: SocketGeometry
+) -> tuple[Segment, ForceMap, Samples]:
+    """A segment, the map of the trial on a socket, and the segment's samples that count."""
+    samples, left_out = trial.samples(), settings.identification.leave_out
+    check_channels(left_out, samples.channels)
     chosen = select(trial, segment, settings)
     with threadpool_limits(1):
-        mapping, trusted = map_trial(
-            samples, trial.geometry, settings.force_map, settings.identification.leave_out
-        )
-        rows = trusted[chosen.rows]
-        estimate = mapping.estimate(rows)
-    return TrialMap(trial, chosen, np.asarray(samples.time[chosen.rows]), estimate, rows, mapping)
+        mapping, trusted = map_trial(samples, geometry, settings.force_map, left_out)
+    return chosen, mapping, trusted[chosen.rows]
 
 
 @dataclass(frozen=True, repr=False)
@@ -228,7 +236,7 @@ class TrialPressure(SegmentPressure, Result):
     def map(self) -> TrialMap:
         """The force map that they are computed from, at every sample: 6 kB each."""
         of = self.outputs
-        return TrialMap(self.trial, self.segment, self.time, of.estimate, of.samples, of.force_map)
+        return TrialMap(self.trial, self.segment, self.time, of.samples, of.force_map)
 
     def rows(self) -> Rows:
         """Every output by its part (`regions`, `tiles` or `limb`), its place and its title.
@@ -280,8 +288,11 @@ class TrialPressure(SegmentPressure, Result):
 
         names = pd.Index([place.name for place in self.places], name="region")
         table = pd.DataFrame(columns_of(self.outputs.regions, TITLES), index=names)
-        centres = table[_CENTRES].to_numpy() * 1e-3
-        table["nearest tile"] = [self._nearest(centre) for centre in centres]
+        geometry, nearest = self.trial.geometry, []
+        for centre in table[_CENTRES].to_numpy() * 1e-3:
+            apart = np.linalg.norm(geometry.anchors - centre, axis=1)
+            nearest.append("" if np.isnan(apart).any() else geometry.names[apart.argmin()])
+        table["nearest tile"] = nearest
         return table
 
     @property
@@ -308,41 +319,30 @@ class TrialPressure(SegmentPressure, Result):
         """
         import pandas as pd
 
-        columns: dict[str, FloatArray] = {}
-        found = columns_of(self.outputs.series, _OVER_TIME)
-        for number, place in enumerate(self.places):
-            columns |= {
-                f"{place.name}.{title}": values[:, number] for title, values in found.items()
-            }
         estimate = self.map.estimate
         of_pressure = normal_quantity(
             1e-3 * estimate.normal_pressure, 1e-3 * estimate.normal_pressure_standard_deviation
         )
         of_shear = normal_quantity(1e-3 * estimate.shear, 1e-3 * estimate.shear_standard_deviation)
         of_shear = dataclasses.replace(of_shear, low=np.maximum(of_shear.low, 0.0))
-        found = with_interval("pressure [kPa]", of_pressure)
-        found |= with_interval("shear [kPa]", of_shear)
-        for tile, name in enumerate(self.trial.geometry.names):
-            columns |= {f"{name}.{title}": values[:, tile] for title, values in found.items()}
+        stresses = with_interval("pressure [kPa]", of_pressure)
+        stresses |= with_interval("shear [kPa]", of_shear)
+        regions = [place.name for place in self.places]
+        columns = by_place(regions, columns_of(self.outputs.series, _OVER_TIME))
+        columns |= by_place(self.trial.geometry.names, stresses)
         return pd.DataFrame(columns, index=pd.Index(self.time, name="time [s]"))
 
     def document(self) -> dict[str, Any]:
         """The outputs for JSON, each value with its interval and whether it is uncertain."""
-        names = self.trial.geometry.names
-        nearest = self.regions["nearest tile"]
-        found: dict[str, dict[str, dict[str, Any]]] = {
-            "regions": {
-                place.name: {
-                    "tiles": [names[tile] for tile in place.tiles],
-                    "nearest tile": nearest[place.name] or None,
-                }
-                for place in self.places
-            },
-            "tiles": {name: {} for name in names},
-            "limb": {"": {}},
-        }
+        names, nearest = self.trial.geometry.names, self.regions["nearest tile"]
+        found: dict[str, dict[str, dict[str, Any]]] = {"regions": {}, "tiles": {}, "limb": {"": {}}}
+        for place in self.places:
+            tiles = [names[tile] for tile in place.tiles]
+            near = nearest[place.name] or None
+            found["regions"][place.name] = {"tiles": tiles, "nearest tile": near}
         for (part, name, title), row in self.rows().items():
-            found[part][name][title] = {key: finite_or_null(value) for key, value in row.items()}
+            values = {key: finite_or_null(value) for key, value in row.items()}
+            found[part].setdefault(name, {})[title] = values
         return {
             **origin(self.trial, self.segment),
             "samples": len(self.time),
@@ -377,13 +377,6 @@ class TrialPressure(SegmentPressure, Result):
 
     def _draw_into(self, ax: Axes) -> None:
         self.map._draw_into(ax)
-
-    def _nearest(self, centre: FloatArray) -> str:
-        """Name of the tile nearest to a point [m]; empty if it is not known."""
-        if not np.isfinite(centre).all():
-            return ""
-        geometry = self.trial.geometry
-        return geometry.names[int(np.linalg.norm(geometry.anchors - centre, axis=1).argmin())]
 
 
 def _clusters_by_tile(geometry: SocketGeometry) -> list[str]:
@@ -437,11 +430,7 @@ def pressure(
         own = find_regions(regions, geometry.names, "regions")
         geometry = dataclasses.replace(geometry, regions=own)
     places = all_regions(geometry, trial.metadata.side)
-    samples, left_out = trial.samples(), settings.identification.leave_out
-    check_channels(left_out, samples.channels)
-    chosen = select(trial, segment, settings)
+    chosen, mapping, rows = _mapped(trial, segment, settings, geometry)
     with threadpool_limits(1):
-        mapping, trusted = map_trial(samples, geometry, settings.force_map, left_out)
-        rows = trusted[chosen.rows]
         outputs = pressure_outputs(mapping, rows, geometry, places, 1e3 * threshold)
     return TrialPressure(trial, chosen, places, outputs, threshold, share)

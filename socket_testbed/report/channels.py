@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import isfinite
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -98,12 +98,7 @@ def errors_section(results: Results) -> Section:
             " another trial.",
             _errors(results, "held-out", caption, held_out),
         ]
-    return Section("errors-section", "Errors", parts, {"errors.csv": errors_frame(results)})
-
-
-def errors_frame(results: Results) -> pd.DataFrame:
-    """The errors of every model, over the segment and the rest, a row per channel."""
-    return pd.DataFrame(
+    every = pd.DataFrame(
         {
             "model": candidate.label,
             "samples of": part,
@@ -117,6 +112,7 @@ def errors_frame(results: Results) -> pd.DataFrame:
         for part, errors in (("segment", candidate.errors), ("rest", candidate.held_out))
         for error in errors
     )
+    return Section("errors-section", "Errors", parts, {"errors.csv": every})
 
 
 def _errors(
@@ -157,56 +153,44 @@ Shown: TypeAlias = tuple[str, FloatArray, Sequence[ChannelErrors]]
 """A model's label, what it predicts for all samples, (N, 6 + 3c), and its errors."""
 
 
-def wrench_figure(
-    samples: Samples, segment: Segment, models: Sequence[Shown], title: str, style: FigureStyle
-) -> Figure:
-    """Measured against predicted wrench, a panel per channel with errors over the segment."""
-    return _draw(samples, segment, models, _FORCES_FIRST, title, style)
-
-
 def _channels(results: Results, name: str, title: str, channels: Sequence[int]) -> ReportFigure:
-    samples, segment = results.samples, results.segment
-    measured, columns = samples.trusted_values, {}
+    samples, measured = results.samples, results.samples.trusted_values
+    columns: dict[str, FloatArray] = {}
+    charts = []
     for i in channels:
         channel, unit = samples.channels[i], channel_unit(samples.channels[i])
+        predicted = {c.label: c.predicted[:, i] for c in results.candidates}
         columns[f"{channel} measured [{unit}]"] = measured[:, i]
-        for candidate in results.candidates:
-            columns[f"{channel} predicted {candidate.label} [{unit}]"] = candidate.predicted[:, i]
+        for label, values in predicted.items():
+            columns[f"{channel} predicted {label} [{unit}]"] = values
+        lines = {"measured": measured[:, i]} | predicted
+        charts.append({"title": f"{channel} [{unit}]", "lines": lines})
     models = [(c.label, c.predicted, c.errors) for c in results.candidates]
     heading = results.title(title)
     return ReportFigure(
         name,
-        f"{title}, {segment}; the errors in the panels are over the shaded segment, to which the"
-        f" variants were fitted (in-sample). {THINNED}",
-        lambda style: _draw(samples, segment, models, channels, heading, style),
+        f"{title}, {results.segment}; the errors in the panels are over the shaded segment, to"
+        f" which the variants were fitted (in-sample). {THINNED}",
+        lambda style: wrench_figure(samples, results.segment, models, heading, style, channels),
         f"{title} over time, a panel per channel with its errors; the table of errors holds them",
         results.series(columns),
-        _chart(results, channels),
+        line_chart(samples.time, charts),
     )
 
 
-def _chart(results: Results, channels: Sequence[int]) -> dict[str, Any]:
-    """A panel per channel for the page."""
-    samples, measured = results.samples, results.samples.trusted_values
-    panels = []
-    for i in channels:
-        name = samples.channels[i]
-        lines = {"measured": measured[:, i]}
-        lines |= {c.label: c.predicted[:, i] for c in results.candidates}
-        panels.append({"title": f"{name} [{channel_unit(name)}]", "lines": lines})
-    return line_chart(samples.time, panels)
-
-
 @in_style
-def _draw(
+def wrench_figure(
     samples: Samples,
     segment: Segment,
     models: Sequence[Shown],
-    channels: Sequence[int],
     title: str,
     style: FigureStyle,
+    channels: Sequence[int] = _FORCES_FIRST,
 ) -> Figure:
-    """A panel per channel, three in a row of a page, with its errors unless there are no titles."""
+    """Measured against predicted channels, those of the wrench unless others are given.
+
+    Each has a panel, three in a row of a page, with its errors unless there are no titles.
+    """
     across = 3 if not style.is_narrow else 1 if style.titles else 2
     rows = -(-len(channels) // across)
     lines = (2 if style.width / across >= _WIDE else 3) if style.titles else 0

@@ -40,7 +40,7 @@ from socket_testbed.pages.document import (
     trial_document,
 )
 from socket_testbed.report.page import Heading, Pictures, ReportFigure, Section
-from socket_testbed.report.results import Results, SegmentPressure
+from socket_testbed.report.results import Results, SegmentPressure, by_place
 from socket_testbed.report.style import (
     LINE_STYLES,
     THINNED,
@@ -112,11 +112,7 @@ def section(results: Results) -> Section:
     names = pd.Index([place.name for place in found.places], name="region")
     outputs = pd.DataFrame(columns_of(found.outputs.regions, [*_DECIMALS]), index=names)
     mean = with_interval("mean pressure [kPa]", found.outputs.mean_pressure().part(..., 1e-3))
-    over_time = {"time [s]": found.time} | {
-        f"{name}.{title}": values[:, column]
-        for column, name in enumerate(names)
-        for title, values in mean.items()
-    }
+    over_time = pd.DataFrame({"time [s]": found.time} | by_place(names, mean))
     return Section(
         "pressure",
         "Pressure",
@@ -136,7 +132,7 @@ def section(results: Results) -> Section:
             _overview(results),
             _force_map(results),
         ],
-        {"pressure.csv": outputs, "pressure_of_regions.csv": pd.DataFrame(over_time)},
+        {"pressure.csv": outputs, "pressure_of_regions.csv": over_time},
     )
 
 
@@ -199,8 +195,7 @@ def _in_words(quantity: Quantity, decimals: int) -> list[tuple[str, str]]:
 
 def _overview(results: Results) -> ReportFigure:
     """Pressure over the segment and at its peak, unrolled, and that of the regions over time."""
-    maps, _ = instant_maps(results.pressure)
-    values = {f"{name} [kPa]": pressure for name, pressure in maps.items()}
+    values = {f"{name} [kPa]": of.value for name, of in _maps(results.pressure).items()}
     return ReportFigure(
         "pressure_map",
         f"Pressure on the unrolled socket, {results.segment}. The greyer, the"
@@ -247,35 +242,30 @@ def force_map_figure(
     return tile_map_figure(geometry, maps, _UNIT, title, style, reach=reach)
 
 
-def instant_maps(found: SegmentPressure) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
-    """Pressures of the tiles over a segment and at its peak, and the reach of their intervals.
-
-    Shapes (n,), in kPa, by what they are.
-    """
+def _maps(found: SegmentPressure) -> dict[str, Quantity]:
+    """Pressures of the tiles over a segment and at its peak, by what they are, (n,) [kPa]."""
     at_peak, kind = found.outputs.peak_map, found.segment.kind
-    deviation = at_peak.normal_pressure_standard_deviation[0]
-    maps = {
-        f"mean over the {kind if kind in _SPANS else 'segment'}": found.outputs.tiles.mean,
+    deviation = 1e-3 * at_peak.normal_pressure_standard_deviation[0]
+    mean = found.outputs.tiles.mean.part(..., 1e-3)
+    return {
+        f"mean over the {kind if kind in _SPANS else 'segment'}": mean,
         f"at the peak, {found.peak_time:.2f} s": normal_quantity(
-            at_peak.normal_pressure[0], deviation
+            1e-3 * at_peak.normal_pressure[0], deviation
         ),
     }
-    reach = {
-        name: 1e-3 * np.maximum(of.high - of.value, of.value - of.low) for name, of in maps.items()
-    }
-    return {name: 1e-3 * of.value for name, of in maps.items()}, reach
 
 
 def pressure_figure(found: SegmentPressure, title: str, style: FigureStyle) -> Figure:
     """Unrolled maps of the pressure, and below them that of sectors, heights and own regions."""
-    maps, reach = instant_maps(found)
+    maps = _maps(found)
+    reach = {name: np.maximum(of.high - of.value, of.value - of.low) for name, of in maps.items()}
     left_out = {SOCKET, UNMEASURED, *PARTS_OF_SECTORS}
     regions = {p.name: i for i, p in enumerate(found.places) if p.name not in left_out}
     mean = found.outputs.mean_pressure()
     events = [(event.time, event.label) for event in found.trial.events()]
     return tile_map_figure(
         found.trial.geometry,
-        maps,
+        {name: of.value for name, of in maps.items()},
         _UNIT,
         title,
         style,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -85,6 +85,15 @@ class SegmentPressure:
     def suspension(self) -> Suspension | None:
         """How the limb sits in the socket; None without poses and a wrench."""
         return find_suspension(self.trial.samples()[self.segment.rows], self.trial.geometry)
+
+
+def by_place(names: Iterable[str], found: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Columns of R places, from arrays (N, R) by their titles: `anterior.mean pressure [kPa]`."""
+    return {
+        f"{name}.{title}": values[:, column]
+        for column, name in enumerate(names)
+        for title, values in found.items()
+    }
 
 
 @dataclass(frozen=True)

@@ -18,11 +18,6 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import WIDTHS, atomic_output, check_picture
 
-TILE = "#A6CBE3"
-CLUSTER = "#D55E00"  # Okabe & Ito's vermilion
-EDGE = "#2B5C7D"
-NO_VALUE = "#FFFFFF"
-HATCH = "/////"  # of what has no value
 SCALE = "viridis"  # even in lightness, told apart by the colour-blind; as on the pages
 
 

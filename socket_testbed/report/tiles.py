@@ -20,20 +20,20 @@ from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.pages.wall import Patch, UnrolledTiles, patches, side_names, unrolled_tiles
 from socket_testbed.report.style import (
-    CLUSTER,
     DEFAULT_STYLE,
-    EDGE,
-    HATCH,
-    NO_VALUE,
     SCALE,
     SMALL,
-    TILE,
     FigureStyle,
     in_style,
     lay_out,
     wrap,
 )
 
+_TILE = "#A6CBE3"
+_CLUSTER = "#D55E00"  # Okabe & Ito's vermilion
+_EDGE = "#2B5C7D"
+_NO_VALUE = "#FFFFFF"
+_HATCH = "/////"  # of what has no value
 _BESIDE = 3.0  # [deg]; free on both sides of the unrolled wall
 _ABOVE = 0.03  # [-]; of its height, free above and below
 _AROUND = 0.06  # [-]; of the distal end's size, free around it
@@ -94,7 +94,7 @@ def paint_tiles(
     """
     tiles, unknown = unrolled_tiles(geometry), np.isnan(values)
     scale = ScalarMappable(Normalize(*(limits or value_range(values))), SCALE)
-    fills = np.where(unknown[:, None], to_rgba(NO_VALUE), scale.to_rgba(values))
+    fills = np.where(unknown[:, None], to_rgba(_NO_VALUE), scale.to_rgba(values))
     if reach is None or unknown.any():
         return TilePaint(geometry, tiles, fills, unknown, scale)
     images = []
@@ -155,18 +155,18 @@ def _draw_part(axis: Axes, paint: TilePaint, name: str, labels: Sequence[str]) -
     tiles = np.flatnonzero(paint.tiles.on_wall == (name == "wall"))
     corners: Any = paint.tiles.corners[tiles]  # matplotlib's types name sequences only
     covered, hatched = paint.covered[tiles], paint.hatched[tiles]
-    edge = to_rgba(EDGE, 0.0 if paint.images else 1.0)
-    edges = np.where(covered[:, None], to_rgba(CLUSTER), edge)
+    edge = to_rgba(_EDGE, 0.0 if paint.images else 1.0)
+    edges = np.where(covered[:, None], to_rgba(_CLUSTER), edge)
     widths = np.where(covered, 1.6, 0.6)
     squares = PolyCollection(
         corners, facecolors=paint.fills[tiles], edgecolors=edges, linewidths=widths
     )
     hatches = PolyCollection(
-        corners[hatched], facecolors="none", edgecolors="0.35", hatch=HATCH, linewidths=0.0
+        corners[hatched], facecolors="none", edgecolors="0.35", hatch=_HATCH, linewidths=0.0
     )
     axis.add_collection(squares)
     axis.add_collection(hatches, autolim=False)
-    for tile, square in zip(tiles, corners, strict=True):
+    for tile, square in zip(tiles.tolist(), corners, strict=True):
         _write(axis, labels[tile], square)
 
 
@@ -187,7 +187,8 @@ def _write(axis: Axes, label: str, corners: FloatArray) -> None:
     if label and look["fontsize"] >= _SMALLEST:
         text = "\n".join(lines).replace("_ ", "_")
         look |= {"ha": "center", "va": "center", "zorder": 3, "parse_math": False}
-        axis.text(*corners.mean(axis=0), text, **look)
+        x, y = corners.mean(axis=0)
+        axis.text(x, y, text, **look)
 
 
 def _points_per_unit(axis: Axes) -> FloatArray:
@@ -359,7 +360,7 @@ def socket_figure(geometry: SocketGeometry, title: str = "") -> Figure:
     for cluster, tile in geometry.clusters.items():
         labels[tile] += f" ({cluster})" * (cluster != labels[tile])
     paint = paint_tiles(geometry, np.full(len(geometry), np.nan))
-    fills = np.where(paint.covered[:, None], to_rgba(CLUSTER), to_rgba(TILE))
+    fills = np.where(paint.covered[:, None], to_rgba(_CLUSTER), to_rgba(_TILE))
     paint = replace(paint, fills=fills, hatched=np.zeros_like(paint.hatched))
     wall, end = figure.subplots(1, 2, width_ratios=(_WALL_SHARE, 1.0))
     _draw_wall(wall, paint, labels, None)
@@ -367,7 +368,7 @@ def socket_figure(geometry: SocketGeometry, title: str = "") -> Figure:
     _draw_end(end, paint, labels)
     end.set(title="distal end, seen through\nthe opening", xlabel="towards right [mm]")
     end.set_ylabel("towards anterior [mm]")
-    kinds = {"tile": TILE, "tile with a cluster": CLUSTER}
+    kinds = {"tile": _TILE, "tile with a cluster": _CLUSTER}
     handles = [Swatch(facecolor=colour, label=name) for name, colour in kinds.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=2)
     return lay_out(figure)

@@ -17,7 +17,7 @@ from socket_testbed.identification.evaluation import summarise_errors
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.identification.validation import CONSTANT, FORCE_MAP, REGRESSION
 from socket_testbed.report import fronts, validation, write
-from socket_testbed.report.quality import find_drop_outs, find_gaps, unusable
+from socket_testbed.report.quality import find_drop_outs, find_gaps, states
 from socket_testbed.report.results import Results, compute_results
 from socket_testbed.report.summary import list_notes, provenance, summarise
 from socket_testbed.report.write import check_page_path, write_report
@@ -168,5 +168,5 @@ def test_gaps_and_drop_outs_are_counted():
     assert lost.loc["Mx", "missing [1]"] == 0 and math.isnan(lost.loc["Mx", "saturated [1]"])
     counts = ["missing [1]", "saturated [1]", "out of range [1]"]
     assert tuple(lost.loc["a (Fx, Fy, Fz)", counts]) == (4, 3, 5)
-    flags = {name: int(rows.sum()) for name, rows in unusable(samples).items() if rows.any()}
+    flags = {name: int((of != 0).sum()) for name, of in states(samples).items() if of.any()}
     assert flags == {"Mz": 10, "limb position": 10, "a (Fx, Fy, Fz)": 12}

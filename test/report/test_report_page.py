@@ -97,7 +97,9 @@ def test_the_errors_on_the_page_and_in_the_file_are_those_of_the_evaluation(
     for table, rows_of in (("errors", inside), ("held-out", ~inside)):
         rows = page.rows(table)
         for column, candidate in enumerate(results.candidates):
-            errors = evaluate(samples[rows_of], candidate.model, candidate.leave_out)
+            errors = evaluate(
+                samples[rows_of], candidate.model, candidate.source.settings.leave_out
+            )
             every.append(errors)
             for error in errors:
                 unit, *cells = rows[error.name]
