@@ -35,32 +35,25 @@ def series(spans: np.ndarray, rate: float = 200.0) -> pd.DataFrame:
 
 
 def test_mean_and_deviation_are_those_of_the_cycles(walk: Trial) -> None:
-    spans = np.column_stack([STEPS[:-1], STEPS[1:]])
-    found = st.cycles(walk, series(spans), by="step")
-    assert len(found) == 6 and found.left_out == 1 and found.titles == ("sine [kPa]", "ramp [-]")
-    assert np.allclose(found.durations, [3, 3.5, 2.5, 3, 3, 3])
-    table = found.to_dataframe()
-    percent = table.index.to_numpy()
-    assert table.index.name == "cycle [%]" and len(table) == 101
+    table = series(np.column_stack([STEPS[:-1], STEPS[1:]]))
+    table.loc[8.7:9.4, "ramp [-]"] = np.nan  # 20 to 40 % of the second cycle
+    cycles = st.cycles(walk, table, by="step")
+    assert len(cycles) == 6 and cycles.left_out == 1 and cycles.titles == (*table,)
+    assert str(cycles).endswith("; 1 left out, longer than twice the median")
+    np.testing.assert_allclose(cycles.durations, [3, 3.5, 2.5, 3, 3, 3])
+    found = cycles.to_dataframe()
+    percent = found.index.to_numpy()
+    assert found.index.name == "cycle [%]" and len(found) == 101
     inner = slice(1, -1)  # at its ends a cycle meets its neighbour
     offsets = np.array([0, 1, 2, 3, 4, 6])  # the pause is number 5
     expected = np.sin(np.pi * percent / 100) ** 2 + offsets.mean()
-    assert np.allclose(table["sine mean [kPa]"][inner], expected[inner], atol=2e-4)
-    assert np.allclose(table["sine sd [kPa]"][inner], offsets.std(ddof=1), atol=2e-4)
-    assert np.allclose(table["ramp mean [-]"][inner], percent[inner] / 100, atol=1e-3)
-    assert (table["sine n [-]"] == 6).all()
-    assert str(found).endswith("; 1 left out, longer than twice the median")
-
-
-def test_two_cycles_have_no_band_and_a_gap_lowers_the_number(walk: Trial) -> None:
-    table = series(np.column_stack([STEPS[:-1], STEPS[1:]]))
+    assert np.allclose(found["sine mean [kPa]"][inner], expected[inner], atol=2e-4)
+    assert np.allclose(found["sine sd [kPa]"][inner], offsets.std(ddof=1), atol=2e-4)
+    assert np.allclose(found["ramp mean [-]"][inner], percent[inner] / 100, atol=1e-3)
+    assert found["ramp n [-]"].min() == 5 and (found["sine n [-]"] == 6).all()
     two = st.cycles(walk, table, by="step", segment="4:12")
-    assert len(two) == 2
+    assert len(two) == 2  # which make no band
     assert np.isnan(two.deviation).all() and np.isfinite(two.mean).all()
-    table.loc[8.7:9.4, "ramp [-]"] = np.nan  # 20 to 40 % of the second cycle
-    found = st.cycles(walk, table, by="step").to_dataframe()
-    assert found["ramp n [-]"].min() == 5 and found["sine n [-]"].min() == 6
-    assert np.isfinite(found["ramp mean [-]"]).all()
 
 
 def test_cycles_between_two_events_end_at_the_second(walk: Trial) -> None:

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-    from socket_testbed.report.figures.style import FigureStyle
+    from socket_testbed.report.style import FigureStyle
 
 T = TypeVar("T")
 
@@ -282,7 +282,7 @@ class Comparison(Result):
         """Maps of the mean pressure on one colour scale."""
         if self.geometry is None:
             return super()._figure(style)
-        from socket_testbed.report.figures.tiles import tile_map_figure
+        from socket_testbed.report.tiles import tile_map_figure
 
         pressures, reaches = self.tile_pressures(VALUE)
         return tile_map_figure(

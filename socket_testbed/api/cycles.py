@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from socket_testbed.report.figures.style import FigureStyle
+    from socket_testbed.report.style import FigureStyle
 
 _POINTS = 101  # 0 to 100 % of a cycle
 _LONG = 2.0  # medians; a longer cycle holds a pause
@@ -105,7 +105,7 @@ class Cycles(Result):
 
     def _figure(self, style: FigureStyle) -> Figure:
         """Each quantity with its band: mean and one standard deviation."""
-        from socket_testbed.report.figures.style import lay_out, style_axes, wrap
+        from socket_testbed.report.style import lay_out, panels, wrap
 
         count = len(self.titles)
         if count > _MOST_PANELS:
@@ -114,20 +114,12 @@ class Cycles(Result):
                 f"name {_MOST_PANELS} at most, such as st.cycles(trial, ['Fz', 'Mx'])",
             )
         across = 1 if style.is_narrow else min(2, count)
-        rows = -(-count // across)
-        figure = style.figure(_HEADING + rows * _PANEL)
+        figure = style.figure(_HEADING + -(-count // across) * _PANEL)
         band = "mean and one standard deviation" if len(self) >= _BAND else "mean, no band"
         style.add_title(figure, f"{self.trial.name}: {self}; {band}")
-        panels = figure.subplots(rows, across, squeeze=False, sharex=True).ravel()
-        for number, (panel, name) in enumerate(zip(panels, self.titles, strict=False)):
+        for number, panel in enumerate(panels(figure, count, across, "cycle [%]")):
             self._draw_quantity(panel, number)
-            panel.set_ylabel(wrap(name, 0.75 * _PANEL), parse_math=False)
-            style_axes(panel)
-        for panel in panels[count:]:
-            panel.remove()
-        for panel in panels[max(0, count - across) : count]:
-            panel.tick_params(labelbottom=True)
-            panel.set_xlabel("cycle [%]")
+            panel.set_ylabel(wrap(self.titles[number], 0.75 * _PANEL), parse_math=False)
         return lay_out(figure)
 
     def _draw_into(self, ax: Axes) -> None:
@@ -141,7 +133,7 @@ class Cycles(Result):
 
     def _draw_quantity(self, panel: Axes, number: int) -> None:
         """Mean of a quantity with its band, and the single cycles."""
-        from socket_testbed.report.figures.style import LINE_STYLES
+        from socket_testbed.report.style import LINE_STYLES
 
         percent, colour = np.linspace(0.0, 100.0, _POINTS), LINE_STYLES[1]["color"]
         mean, deviation = self.mean[:, number], self.deviation[:, number]

@@ -63,7 +63,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-    from socket_testbed.report.figures.style import FigureStyle
+    from socket_testbed.report.style import FigureStyle
 
 
 @dataclass(frozen=True, repr=False)
@@ -161,7 +161,7 @@ class TrialFit(Result):
         return _errors_document(self.trial, model, self.segment, self.fit.samples, self.fit.errors)
 
     def _figure(self, style: FigureStyle) -> Figure:
-        from socket_testbed.report.figures.tiles import tile_map_figure
+        from socket_testbed.report.tiles import tile_map_figure
 
         model = self.fit.model
         frame = "the tile's frame" if model.is_rigid else "{S}"
@@ -229,7 +229,7 @@ class Evaluation(Result):
             self._write_json(path)
 
     def _figure(self, style: FigureStyle) -> Figure:
-        from socket_testbed.report.sections.channels import wrench_figure
+        from socket_testbed.report.channels import wrench_figure
 
         predicted = _predictions(self.trial.samples(), self.model)
         shown = [(self.model.model.variant, predicted, self.errors)]

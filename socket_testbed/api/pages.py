@@ -21,7 +21,6 @@ from socket_testbed.api.trials import (
     started,
 )
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import atomic_output
 from socket_testbed.geometry.socket import SOCKET
 from socket_testbed.identification.pressure import NORMAL_QUANTILE
 from socket_testbed.settings.testbed import estimator_settings
@@ -99,8 +98,8 @@ def write_report(
     """
     trial = as_trial(trial)
     # matplotlib and plotly take their time to import.
-    from socket_testbed.report.figures.style import figure_style
     from socket_testbed.report.results import compute_results
+    from socket_testbed.report.style import figure_style
     from socket_testbed.report.write import check_page_path
     from socket_testbed.report.write import write_report as write_page
 
@@ -148,7 +147,7 @@ def write_comparison(
     >>> st.write_comparison(found, "liners.html")
     """
     # matplotlib takes its time to import.
-    from socket_testbed.report.page import Bullets, Cards, Maps, Section, render
+    from socket_testbed.report.page import Maps, Section, write_page
 
     path = Path(page)
     if path.suffix.lower() not in PAGES:
@@ -164,21 +163,19 @@ def write_comparison(
     made_with = pairs_table("provenance-table", "What the page was made with", origin)
     groups = {
         "": [
-            Section("differing", "", [Cards(), Bullets([*clearest, f"{count}."])]),
+            Section("differing", "", [[*clearest, f"{count}."]]),
             *([Section("maps", "Maps", [Maps(titles, _MAPS)])] if titles else []),
             Section("socket", "Whole socket", [socket]),
         ],
         "Numbers": [Section("intervals", "Intervals", [_INDEPENDENT, LEGEND]), *numbers],
         "Data": [
-            Section("notes", "Notes", [Bullets(found.notes, "notes")]),
+            Section("notes", "Notes", [found.notes]),
             *(Section(name, _HEADINGS[name], tables) for name, tables in parts.items()),
             Section("provenance", "Provenance", [made_with]),
         ],
     }
     title = f"Comparison of trials: {', '.join(found.items)}"
-    text = render(title, found.title, groups, data | {"cards": _cards(found)})
-    with atomic_output(path) as staging:
-        staging.write_text(text, encoding="utf-8")
+    write_page(path, title, found.title, groups, data | {"cards": _cards(found)})
 
 
 def _cards(found: Comparison) -> list[dict[str, Any]]:

@@ -17,17 +17,15 @@ from socket_testbed.api.trials import PathLike, as_path, as_trial, select
 from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.geometry.regions import Region, all_regions
+from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import SocketGeometry, find_regions
 from socket_testbed.identification.force_map import ForceMap, MapEstimate, map_trial
-from socket_testbed.identification.information import Suspension, find_suspension
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.pressure import (
     NORMAL_QUANTILE,
     SHARE,
     THRESHOLD,
     TITLES,
-    PressureOutputs,
     columns_of,
     normal_quantity,
     pressure_outputs,
@@ -35,8 +33,9 @@ from socket_testbed.identification.pressure import (
     with_interval,
 )
 from socket_testbed.identification.problem import check_channels
+from socket_testbed.report.results import SegmentPressure, by_place
 from socket_testbed.samples import Samples
-from socket_testbed.settings.testbed import estimator_settings
+from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
 from socket_testbed.tables import write_table
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
@@ -46,7 +45,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from socket_testbed.report.figures.style import FigureStyle
+    from socket_testbed.report.style import FigureStyle
 
 Rows: TypeAlias = dict[tuple[str, str, str], dict[str, Any]]
 """Values of outputs, by part, name and title."""
@@ -64,9 +63,13 @@ class TrialMap(Result):
     trial: Trial
     segment: Segment
     time: FloatArray  # (N,) [s], of its samples since the first sample of the trial
-    estimate: MapEstimate
     samples: Samples  # with the channels that count
     force_map: ForceMap
+
+    @cached_property
+    def estimate(self) -> MapEstimate:
+        """The map at every sample."""
+        return self.force_map.estimate(self.samples)
 
     def __repr__(self) -> str:
         mean = self.estimate.mean()
@@ -120,8 +123,7 @@ class TrialMap(Result):
             )
         when, samples = self.time[row : row + 1], self.samples[row : row + 1]
         instant = Segment("instant", float(when[0]), float(when[0]), slice(row, row + 1))
-        estimate = self.force_map.estimate(samples)
-        return TrialMap(self.trial, instant, when, estimate, samples, self.force_map)
+        return TrialMap(self.trial, instant, when, samples, self.force_map)
 
     def draws(self, count: int = 200) -> FloatArray:
         """Joint draws of the stresses on all tiles, from which any function has its interval.
@@ -153,15 +155,15 @@ class TrialMap(Result):
 
     def _figure(self, style: FigureStyle) -> Figure:
         """The mean pressure on the tiles, and its standard deviation."""
-        from socket_testbed.report.sections.pressure import force_map_figure
+        from socket_testbed.report.pressure import force_map_figure
 
         heading = f"{self.trial.name}, {self.segment}: force map"
         return force_map_figure(self.trial.geometry, self.estimate.mean(), heading, style)
 
     def _draw_into(self, ax: Axes) -> None:
-        from socket_testbed.report.figures.tiles import draw_wall
+        from socket_testbed.report.tiles import draw_wall
 
-        mean, side = self.estimate.mean(), self.trial.metadata.side or ""
+        mean, side = self.estimate.mean(), self.trial.metadata.side
         reach = 1e-3 * NORMAL_QUANTILE * mean.normal_pressure_standard_deviation[0]
         pressure = 1e-3 * mean.normal_pressure[0]
         draw_wall(ax, self.trial.geometry, pressure, "pressure [kPa]", reach, side)
@@ -199,25 +201,26 @@ def force_map(
     """
     trial = as_trial(trial)
     settings = estimator_settings(trial.estimator, as_path(params))
-    samples = trial.samples()
+    chosen, mapping, rows = _mapped(trial, segment, settings, trial.geometry)
+    return TrialMap(trial, chosen, np.asarray(trial.samples().time[chosen.rows]), rows, mapping)
+
+
+def _mapped(
+    trial: Trial, segment: str | Segment, settings: EstimatorSettings, geometry: SocketGeometry
+) -> tuple[Segment, ForceMap, Samples]:
+    """A segment, the map of the trial on a socket, and the segment's samples that count."""
+    samples, left_out = trial.samples(), settings.identification.leave_out
+    check_channels(left_out, samples.channels)
     chosen = select(trial, segment, settings)
     with threadpool_limits(1):
-        mapping, trusted = map_trial(
-            samples, trial.geometry, settings.force_map, settings.identification.leave_out
-        )
-        rows = trusted[chosen.rows]
-        estimate = mapping.estimate(rows)
-    return TrialMap(trial, chosen, np.asarray(samples.time[chosen.rows]), estimate, rows, mapping)
+        mapping, trusted = map_trial(samples, geometry, settings.force_map, left_out)
+    return chosen, mapping, trusted[chosen.rows]
 
 
 @dataclass(frozen=True, repr=False)
-class TrialPressure(Result):
+class TrialPressure(SegmentPressure, Result):
     """Pressure outputs over a segment of a trial, by region and tile, with 95 % intervals."""
 
-    trial: Trial
-    segment: Segment
-    places: tuple[Region, ...]  # the last one is the socket
-    outputs: PressureOutputs
     threshold: float  # [kPa]; a tile with a higher pressure is in contact
     share: float  # [-]; of a value: if its interval reaches farther, it is uncertain
 
@@ -229,21 +232,11 @@ class TrialPressure(Result):
             f" pressure {low:.1f} to {high:.1f} kPa)"
         )
 
-    @property
-    def time(self) -> FloatArray:
-        """Times of the N samples since the first sample of the trial, shape (N,) [s]."""
-        return np.asarray(self.trial.samples().time[self.segment.rows])
-
     @cached_property
     def map(self) -> TrialMap:
         """The force map that they are computed from, at every sample: 6 kB each."""
         of = self.outputs
-        return TrialMap(self.trial, self.segment, self.time, of.estimate, of.samples, of.force_map)
-
-    @cached_property
-    def suspension(self) -> Suspension | None:
-        """How the limb sits in the socket; None without poses and a wrench."""
-        return find_suspension(self.trial.samples()[self.segment.rows], self.trial.geometry)
+        return TrialMap(self.trial, self.segment, self.time, of.samples, of.force_map)
 
     def rows(self) -> Rows:
         """Every output by its part (`regions`, `tiles` or `limb`), its place and its title.
@@ -295,8 +288,11 @@ class TrialPressure(Result):
 
         names = pd.Index([place.name for place in self.places], name="region")
         table = pd.DataFrame(columns_of(self.outputs.regions, TITLES), index=names)
-        centres = table[_CENTRES].to_numpy() * 1e-3
-        table["nearest tile"] = [self._nearest(centre) for centre in centres]
+        geometry, nearest = self.trial.geometry, []
+        for centre in table[_CENTRES].to_numpy() * 1e-3:
+            apart = np.linalg.norm(geometry.anchors - centre, axis=1)
+            nearest.append("" if np.isnan(apart).any() else geometry.names[apart.argmin()])
+        table["nearest tile"] = nearest
         return table
 
     @property
@@ -323,41 +319,30 @@ class TrialPressure(Result):
         """
         import pandas as pd
 
-        columns: dict[str, FloatArray] = {}
-        found = columns_of(self.outputs.series, _OVER_TIME)
-        for number, place in enumerate(self.places):
-            columns |= {
-                f"{place.name}.{title}": values[:, number] for title, values in found.items()
-            }
         estimate = self.map.estimate
         of_pressure = normal_quantity(
             1e-3 * estimate.normal_pressure, 1e-3 * estimate.normal_pressure_standard_deviation
         )
         of_shear = normal_quantity(1e-3 * estimate.shear, 1e-3 * estimate.shear_standard_deviation)
         of_shear = dataclasses.replace(of_shear, low=np.maximum(of_shear.low, 0.0))
-        found = with_interval("pressure [kPa]", of_pressure)
-        found |= with_interval("shear [kPa]", of_shear)
-        for tile, name in enumerate(self.trial.geometry.names):
-            columns |= {f"{name}.{title}": values[:, tile] for title, values in found.items()}
+        stresses = with_interval("pressure [kPa]", of_pressure)
+        stresses |= with_interval("shear [kPa]", of_shear)
+        regions = [place.name for place in self.places]
+        columns = by_place(regions, columns_of(self.outputs.series, _OVER_TIME))
+        columns |= by_place(self.trial.geometry.names, stresses)
         return pd.DataFrame(columns, index=pd.Index(self.time, name="time [s]"))
 
     def document(self) -> dict[str, Any]:
         """The outputs for JSON, each value with its interval and whether it is uncertain."""
-        names = self.trial.geometry.names
-        nearest = self.regions["nearest tile"]
-        found: dict[str, dict[str, dict[str, Any]]] = {
-            "regions": {
-                place.name: {
-                    "tiles": [names[tile] for tile in place.tiles],
-                    "nearest tile": nearest[place.name] or None,
-                }
-                for place in self.places
-            },
-            "tiles": {name: {} for name in names},
-            "limb": {"": {}},
-        }
+        names, nearest = self.trial.geometry.names, self.regions["nearest tile"]
+        found: dict[str, dict[str, dict[str, Any]]] = {"regions": {}, "tiles": {}, "limb": {"": {}}}
+        for place in self.places:
+            tiles = [names[tile] for tile in place.tiles]
+            near = nearest[place.name] or None
+            found["regions"][place.name] = {"tiles": tiles, "nearest tile": near}
         for (part, name, title), row in self.rows().items():
-            found[part][name][title] = {key: finite_or_null(value) for key, value in row.items()}
+            values = {key: finite_or_null(value) for key, value in row.items()}
+            found[part].setdefault(name, {})[title] = values
         return {
             **origin(self.trial, self.segment),
             "samples": len(self.time),
@@ -386,29 +371,12 @@ class TrialPressure(Result):
 
     def _figure(self, style: FigureStyle) -> Figure:
         """Unrolled maps, mean and at the peak; sectors, heights and own regions over time."""
-        from socket_testbed.report.sections.pressure import pressure_figure
+        from socket_testbed.report.pressure import pressure_figure
 
-        return pressure_figure(
-            self.trial.geometry,
-            self.places,
-            self.outputs,
-            self.time,
-            self.segment,
-            [(event.time, event.label) for event in self.trial.events()],
-            self.trial.metadata.side or "",
-            f"{self.trial.name}: pressure, {self.segment}",
-            style,
-        )
+        return pressure_figure(self, f"{self.trial.name}: pressure, {self.segment}", style)
 
     def _draw_into(self, ax: Axes) -> None:
         self.map._draw_into(ax)
-
-    def _nearest(self, centre: FloatArray) -> str:
-        """Name of the tile nearest to a point [m]; empty if it is not known."""
-        if not np.isfinite(centre).all():
-            return ""
-        geometry = self.trial.geometry
-        return geometry.names[int(np.linalg.norm(geometry.anchors - centre, axis=1).argmin())]
 
 
 def _clusters_by_tile(geometry: SocketGeometry) -> list[str]:
@@ -462,11 +430,7 @@ def pressure(
         own = find_regions(regions, geometry.names, "regions")
         geometry = dataclasses.replace(geometry, regions=own)
     places = all_regions(geometry, trial.metadata.side)
-    samples, left_out = trial.samples(), settings.identification.leave_out
-    check_channels(left_out, samples.channels)
-    chosen = select(trial, segment, settings)
+    chosen, mapping, rows = _mapped(trial, segment, settings, geometry)
     with threadpool_limits(1):
-        mapping, trusted = map_trial(samples, geometry, settings.force_map, left_out)
-        rows = trusted[chosen.rows]
         outputs = pressure_outputs(mapping, rows, geometry, places, 1e3 * threshold)
     return TrialPressure(trial, chosen, places, outputs, threshold, share)

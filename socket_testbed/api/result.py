@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from socket_testbed.report.figures.style import FigureStyle
+    from socket_testbed.report.style import FigureStyle
 
 
 class Result:
@@ -59,7 +59,7 @@ class Result:
             title: Whether it has a title.
         """
         # matplotlib takes its time to import.
-        from socket_testbed.report.figures.style import figure_style, in_style
+        from socket_testbed.report.style import figure_style, in_style
 
         found: Figure = in_style(self._figure)(figure_style(width, title))
         return found
@@ -85,7 +85,7 @@ class Result:
             self._draw_into(ax)
         if path is not None:
             check_picture(Path(path))
-            from socket_testbed.report.figures.style import save_figure
+            from socket_testbed.report.style import save_figure
 
             save_figure(self.figure(width, title), Path(path))
 

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-    from socket_testbed.report.figures.style import FigureStyle
+    from socket_testbed.report.style import FigureStyle
 
 _MOST_THETAS = 10_001
 
@@ -70,7 +70,7 @@ class Tradeoff(Result):
         return origin(self.trial, self.segment) | {"fronts": fronts}
 
     def _figure(self, style: FigureStyle) -> Figure:
-        from socket_testbed.report.sections.fronts import pareto_figure
+        from socket_testbed.report.fronts import pareto_figure
 
         heading = f"{self.trial.name}, {self.segment}: trade-off between wrench and clusters"
         return pareto_figure([*self.fronts.values()], heading, style)

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-    from socket_testbed.report.figures.style import FigureStyle
+    from socket_testbed.report.style import FigureStyle
 
 _MOST_FITTED = 12  # trials that models are fitted on; and trials that each of them is tested on
 
@@ -88,7 +88,7 @@ class Validation(Result):
 
     def _figure(self, style: FigureStyle) -> Figure:
         """Errors by cluster and the coverage of intervals."""
-        from socket_testbed.report.sections.validation import validation_figure
+        from socket_testbed.report.validation import validation_figure
 
         several = len(self.trials) > 1
         name = f"{len(self.trials)} trials, means" if several else self.trials[0]

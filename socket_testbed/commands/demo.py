@@ -36,13 +36,13 @@ from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.live.processes import Graph, require_ros
 from socket_testbed.live.simulated_world import SLOWEST, Simulation, busy_note, measure_speed, pace
 from socket_testbed.pages.document import part_of
-from socket_testbed.report.figures.style import (
+from socket_testbed.report.style import (
     LINE_STYLES,
     add_legend,
     save_figure,
     style_axes,
 )
-from socket_testbed.report.figures.tiles import tile_map_figure
+from socket_testbed.report.tiles import tile_map_figure
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
 from socket_testbed.simulation.trial import TRUTH_FILE, GroundTruth, read_truth

@@ -217,7 +217,7 @@ def validate(
 
 
 def _show_validation(found: api.Validation) -> None:
-    from socket_testbed.report.sections.validation import LEGEND, judged_tables
+    from socket_testbed.report.validation import LEGEND, judged_tables
 
     if len(found.trials) == 1:
         print(f"{found.trials[0]}: the part under load, in two halves")
@@ -265,7 +265,7 @@ def pareto(
 
 
 def _show_fronts(of: str, fronts: Sequence[Front]) -> None:
-    from socket_testbed.report.sections.fronts import marks_table
+    from socket_testbed.report.fronts import marks_table
 
     print(f"{of}, theta from 0 to 1 in {len(fronts[0].theta)} values\n")
     print(f"{text_of(marks_table(fronts))}\n\n{_FRONT_LEGEND}\n")

@@ -229,7 +229,7 @@ class LiveSource:
             time, load, value, low, high = np.array(self._course).T
             self._shown_at = now
             self._shown = {
-                "cards": cards(geometry, places, of, mapped[1]["normal_pressure"][0], {})[:-1],
+                "cards": cards(geometry, places, of, mapped[1]["normal_pressure"][0]),
                 "bars": bars(places, of),
                 "course": course(time, load, Quantity(value, low, high, value), []),
             }

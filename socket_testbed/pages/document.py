@@ -13,23 +13,24 @@ from typing import Any
 import numpy as np
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.geometry.axis import proximal_direction, socket_axis, wall_tiles
-from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.regions import UNMEASURED, Region, Side
 from socket_testbed.geometry.socket import HEIGHTS, PARTS_OF_SECTORS, SOCKET, SocketGeometry
 from socket_testbed.identification.data_check import Finding
-from socket_testbed.identification.force_map import MapEstimate
-from socket_testbed.identification.pressure import Quantity, RegionOutputs, read_column
-from socket_testbed.pages.wall import patches
+from socket_testbed.identification.pressure import (
+    PressureOutputs,
+    Quantity,
+    RegionOutputs,
+    read_column,
+)
+from socket_testbed.pages.wall import Patch, patches, side_names, unrolled_tiles
 from socket_testbed.samples import Samples
+from socket_testbed.trials.trial import Trial
 
-BARS = ("mean pressure [kPa]", "peak pressure [kPa]", "share of load [%]", "shear [kPa]")
-"""Outputs that are drawn as bars."""
+_BARS = ("mean pressure [kPa]", "peak pressure [kPa]", "share of load [%]", "shear [kPa]")
 _MOST_MARKS = 20
-_WEIGHT = 1.0 / 8192.0  # [-]; unit of the stored weights
-_SIDES = {"left": ("lateral", "medial"), "right": ("medial", "lateral"), None: ("left", "right")}
-# Corners of a square of edge 1, counter-clockwise about the inward normal, and closed.
-_SQUARE = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0], [-1, -1, 0]]) / 2.0
+_WEIGHT = 1.0 / 8192.0  # [-]; unit of the stored weights, integers of 16 bits
+_CLOSED = [0, 1, 2, 3, 0]  # corners of a square
 
 Document = dict[str, Any]
 
@@ -43,48 +44,31 @@ def numbers(values: FloatArray, decimals: int = 2) -> list[Any]:
 
 def socket_document(geometry: SocketGeometry, side: Side | None = None) -> Document:
     """The socket: its surface on grids, its tiles, its clusters and what its parts are called."""
-    around = socket_axis(geometry)
-    squares = Pose(geometry.square_frames()[:, None], geometry.anchors[:, None]).apply(
-        np.sqrt(geometry.areas)[:, None, None] * _SQUARE
-    )
-    on_wall = wall_tiles(geometry, around)
-    places = np.column_stack(
-        [np.degrees(around.angles(geometry.anchors)), 1e3 * around.heights(geometry.anchors)]
-    )
-    corners = np.stack([around.angles(squares), 1e3 * around.heights(squares)], axis=-1)
-    turned = np.degrees(corners[..., 0]) - places[:, :1]
-    corners[..., 0] = places[:, :1] + (turned + 180.0) % 360.0 - 180.0
-    flat = np.array([-around.left, around.anterior])
-    places[~on_wall] = 1e3 * (geometry.anchors[~on_wall] - around.end) @ flat.T
-    corners[~on_wall] = 1e3 * (squares[~on_wall] - around.end) @ flat.T
-    left, right = _SIDES[side]
+    tiles = unrolled_tiles(geometry)
     return {
         "names": geometry.names,
         "clusters": dict(geometry.clusters),
-        "on_wall": on_wall.tolist(),
-        "places": numbers(places, 1),
-        "corners": numbers(corners, 1),
-        "squares": numbers(1e3 * squares, 1),
-        "sides": ["posterior", right, "anterior", left, "posterior"],
+        "on_wall": tiles.on_wall.tolist(),
+        "places": numbers(tiles.places, 1),
+        "corners": numbers(tiles.corners[:, _CLOSED], 1),
+        "squares": numbers(1e3 * tiles.squares[:, _CLOSED], 1),
+        "sides": side_names(side),
         "heights": list(reversed(HEIGHTS)),
-        "proximal": numbers(around.proximal, 4),
+        "proximal": numbers(tiles.around.proximal, 4),
         "regions": {name: list(map(int, tiles)) for name, tiles in geometry.regions.items()},
-        "patches": [
-            {
-                "name": patch.name,
-                "x": numbers(patch.x, 1),
-                "y": numbers(patch.y, 1),
-                "points": numbers(1e3 * patch.points, 1),
-                "weights": _packed(patch.weights),
-            }
-            for patch in patches(geometry)
-        ],
+        "patches": [_patch(patch) for patch in patches(geometry)],
     }
 
 
-def _packed(weights: FloatArray) -> str:
-    """Weights as 16 bit integers of `_WEIGHT`, little-endian, in base64."""
-    return base64.b64encode((weights / _WEIGHT).round().astype("<i2").tobytes()).decode()
+def _patch(patch: Patch) -> Document:
+    weights = (patch.weights / _WEIGHT).round().astype("<i2")
+    return {
+        "name": patch.name,
+        "x": numbers(patch.x, 1),
+        "y": numbers(patch.y, 1),
+        "points": numbers(1e3 * patch.points, 1),
+        "weights": base64.b64encode(weights.tobytes()).decode(),
+    }
 
 
 def moment(
@@ -104,21 +88,11 @@ def moment(
     }
 
 
-def moments(
-    time: FloatArray, estimate: MapEstimate, samples: Samples, geometry: SocketGeometry
-) -> list[Document]:
-    """The map at N times [s], and what the clusters measured."""
-    measured = measured_pressure(samples, geometry)
-    return [
-        moment(
-            float(at),
-            estimate.normal_pressure[row],
-            estimate.normal_pressure_standard_deviation[row],
-            estimate.shear[row],
-            measured[row],
-        )
-        for row, at in enumerate(time)
-    ]
+def moments(time: FloatArray, outputs: PressureOutputs, geometry: SocketGeometry) -> list[Document]:
+    """The map at the N samples of some outputs, at times [s], and what the clusters measured."""
+    of, measured = outputs.estimate, measured_pressure(outputs.samples, geometry)
+    stresses = of.normal_pressure, of.normal_pressure_standard_deviation, of.shear
+    return [moment(*row) for row in zip(time.tolist(), *stresses, measured, strict=True)]
 
 
 def measured_pressure(samples: Samples, geometry: SocketGeometry) -> FloatArray:
@@ -131,9 +105,15 @@ def measured_pressure(samples: Samples, geometry: SocketGeometry) -> FloatArray:
     return found
 
 
-def axial_force(samples: Samples, geometry: SocketGeometry) -> FloatArray:
-    """Compressive force along the socket, shape (N,) [N]."""
-    return np.asarray(-samples.wrench[:, 3:] @ proximal_direction(geometry))
+def trial_document(trial: Trial, outputs: PressureOutputs, time: FloatArray) -> Document:
+    """The socket of a trial, and its course from outputs at some times [s]."""
+    force = -outputs.samples.wrench[:, 3:] @ proximal_direction(trial.geometry)
+    peak = outputs.series.peak.part((..., -1))
+    events = [(event.time, event.label) for event in trial.events()]
+    return {
+        "socket": socket_document(trial.geometry, trial.metadata.side),
+        "course": course(time, force, peak, events),
+    }
 
 
 def course(
@@ -158,12 +138,12 @@ def course(
 def bars(places: Sequence[Region], outputs: RegionOutputs) -> Document:
     """Outputs of the regions with their 95 % intervals, by their titles, less parts of sectors."""
     shown = [i for i, place in enumerate(places) if place.name not in PARTS_OF_SECTORS]
-    found = {}
-    for title in BARS:
-        of = read_column(outputs, title)
-        columns = (of.value, of.low, of.high)
-        found[title] = numbers(np.stack(columns, axis=-1)[shown], 1)
-    return {"regions": [places[i].name for i in shown], "values": found}
+    found = {title: read_column(outputs, title) for title in _BARS}
+    values = {
+        title: numbers(np.stack([of.value, of.low, of.high], axis=-1)[shown], 1)
+        for title, of in found.items()
+    }
+    return {"regions": [places[i].name for i in shown], "values": values}
 
 
 def cards(
@@ -171,39 +151,27 @@ def cards(
     places: Sequence[Region],
     outputs: RegionOutputs,
     pressure: FloatArray,
-    data: Document,
 ) -> list[Document]:
-    """The three cards: the peak, the highest pressure where nothing is measured, the data.
+    """Cards of the peak, and of the highest pressure where nothing is measured.
 
-    Args:
-        geometry: The socket.
-        places: Its R regions.
-        outputs: Their outputs.
-        pressure: Pressure on the tiles at the peak, shape (n,) [Pa].
-        data: The third card, see `data_card`.
+    They are of outputs of R regions, with the pressure on the tiles at the peak, shape (n,) [Pa].
     """
     clusters = {tile: name for name, tile in geometry.clusters.items()}
     names = [place.name for place in places]
     peak = int(pressure.argmax())
     how = f"measured by {clusters[peak]}" if peak in clusters else "estimated"
-    words = f"{part_of(places, peak)}, {how}"
-    found = [_card("Peak", outputs.peak, names.index(SOCKET), words)]
+    shown = [("Peak", SOCKET, f"{part_of(places, peak)}, {how}")]
     if UNMEASURED in names:
-        row = names.index(UNMEASURED)
-        bare = places[row].tiles
-        words = f"highest where no sensor is: {part_of(places, int(bare[pressure[bare].argmax()]))}"
-        found.append(_card("Elsewhere", outputs.peak, row, words))
-    return [*found, data]
-
-
-def _card(title: str, of: Quantity, row: int, words: str) -> Document:
-    value, low, high = (f"{1e-3 * ends[row]:.1f}" for ends in (of.value, of.low, of.high))
-    return {
-        "title": title,
-        "value": f"{value} kPa",
-        "interval": f"{low} to {high}",
-        "words": words,
-    }
+        bare = places[names.index(UNMEASURED)].tiles
+        where = part_of(places, int(bare[pressure[bare].argmax()]))
+        shown.append(("Elsewhere", UNMEASURED, f"highest where no sensor is: {where}"))
+    found = []
+    for title, name, words in shown:
+        of = outputs.peak.part(names.index(name), 1e-3)
+        interval = f"{of.low:.1f} to {of.high:.1f}"
+        value = {"value": f"{of.value:.1f} kPa", "interval": interval}
+        found.append({"title": title} | value | {"words": words})
+    return found
 
 
 def data_card(findings: Sequence[Finding]) -> Document:

@@ -15,19 +15,18 @@ from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.plausibility import require_position
 from socket_testbed.identification.pressure import (
     THRESHOLD,
+    PressureOutputs,
     measured_rows,
     pressure_outputs,
 )
 from socket_testbed.pages.document import (
     Document,
-    axial_force,
     bars,
     cards,
-    course,
     data_card,
     moments,
     numbers,
-    socket_document,
+    trial_document,
 )
 from socket_testbed.trials.trial import Trial
 
@@ -44,7 +43,7 @@ class Player:
     """
 
     def __init__(self, trial: Trial, model: StoredModel | None = None) -> None:
-        self._trial, self._geometry = trial, trial.geometry
+        self._geometry = trial.geometry
         self._samples = samples = trial.samples()
         settings = trial.estimator
         self._map, self._trusted = map_trial(
@@ -59,42 +58,39 @@ class Player:
             require_position(samples, trial.geometry)
             poses = smooth_poses(samples, model.settings.pose_smoothing).pose
             self._predicted = model.model.wrench(poses)
-        self._start = self._course()
+        rows = evenly(len(samples), _INSTANTS)
+        time, found = samples.time[rows], self._outputs(rows)
+        self._start = trial_document(trial, found, time) | {
+            "title": trial.name,
+            "facts": trial.metadata.described(),
+            "start": float(time[found.peak_row]),
+            "end": float(samples.time[-1]),
+        }
+
+    def _outputs(self, rows: Any) -> PressureOutputs:
+        return pressure_outputs(
+            self._map, self._trusted[rows], self._geometry, self._places, THRESHOLD
+        )
 
     def start(self) -> Document:
         """The socket, the course, and the time of the peak, at which the page opens."""
         return self._start
 
-    def _course(self) -> Document:
-        samples, time = self._samples, self._samples.time
-        rows = evenly(len(samples), _INSTANTS)
-        some = self._trusted[rows]
-        found = pressure_outputs(self._map, some, self._geometry, self._places, THRESHOLD)
-        events = [(event.time, event.label) for event in self._trial.events_of(samples)]
-        peak = found.series.peak.part((..., -1))
-        return {
-            "title": self._trial.name,
-            "facts": self._trial.metadata.described(),
-            "socket": socket_document(self._geometry, self._trial.metadata.side),
-            "course": course(time[rows], axial_force(some, self._geometry), peak, events),
-            "start": float(time[rows][found.peak_row]),
-            "end": float(time[-1]),
-        }
-
     def now(self, time: float | None) -> Document:
         """The newest sample at a time since the first one [s]."""
         at, samples = time or 0.0, self._samples
         row = max(int(np.searchsorted(samples.time, at + 1e-6, "right")) - 1, 0)
-        one = self._trusted[row : row + 1]
-        if at - samples.time[row] > self._gap or not measured_rows(one)[0]:
+        one = slice(row, row + 1)
+        if at - samples.time[row] > self._gap or not measured_rows(self._trusted[one])[0]:
             nothing = {"title": "Peak", "value": "none", "words": "no sample at this time"}
             return {"moment": {"time": at}, "cards": [nothing, self._data]}
-        found = pressure_outputs(self._map, one, self._geometry, self._places, THRESHOLD)
-        pressure = found.estimate.normal_pressure[0]
-        (shown,) = moments(samples.time[row : row + 1], found.estimate, one, self._geometry)
+        found = self._outputs(one)
+        shown = cards(
+            self._geometry, self._places, found.regions, found.estimate.normal_pressure[0]
+        )
         return {
-            "moment": shown,
-            "cards": cards(self._geometry, self._places, found.regions, pressure, self._data),
+            "moment": moments(samples.time[one], found, self._geometry)[0],
+            "cards": [*shown, self._data],
             "bars": bars(self._places, found.regions),
             "wrench": [numbers(samples.wrench[row]), numbers(self._predicted[row])],
         }

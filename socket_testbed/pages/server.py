@@ -6,13 +6,12 @@ import json
 import os
 import socket
 import threading
-from collections.abc import Iterable
 from functools import cache
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
 from ipaddress import IPv4Address, IPv6Address, ip_address
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 from urllib.parse import parse_qs, urlsplit
 
 from plotly.offline import get_plotlyjs
@@ -43,7 +42,7 @@ class Source(Protocol):
         """Press a button; returns its outcome in one line, or raises a TestbedError."""
 
 
-class PageServer:
+class PageServer(ThreadingHTTPServer):
     """Serves a source until it is closed; a context manager.
 
     Args:
@@ -58,37 +57,48 @@ class PageServer:
     """
 
     def __init__(self, source: Source, host: str, port: int, names: tuple[str, ...] = ()) -> None:
-        address = _address(host)
         listening = listen(host, port)
-        port = listening.getsockname()[1]
+        super().__init__((host, port), _Handler, bind_and_activate=False)
+        self.socket.close()
+        self.socket = listening
+        self.source, self.asking, self.closing = source, threading.Lock(), False
+        address, self._port = _address(host), listening.getsockname()[1]
         name = "localhost" if is_local(host) else socket.gethostname()
         shown = name if address is not None and address.is_unspecified else host
-        self.url = f"http://{_bracketed(shown)}:{port}"
-        self._server = ThreadingHTTPServer((host, port), _Handler, bind_and_activate=False)
-        self._server.socket.close()
-        self._server.socket = listening
-        self._server.closing = False  # type: ignore[attr-defined]
-        self._server.source = source  # type: ignore[attr-defined]
-        self.asking = self._server.asking = threading.Lock()  # type: ignore[attr-defined]
+        self.url = f"http://{_bracketed(shown)}:{self._port}"
         names = (*_LOCAL, host, name, f"{name}.local", *names)
-        self._server.guard = Guard(names, port)  # type: ignore[attr-defined]
-        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), daemon=True)
+        self._names = {_bracketed(name.lower()) for name in names}
+        self._thread = threading.Thread(target=self.serve_forever, args=(0.1,), daemon=True)
         self._thread.start()
 
     def __repr__(self) -> str:
         return f"PageServer({self.url})"
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def refuses(self, hosts: list[str], origins: list[str], address: str) -> str:
+        """Why a request for hosts, from origins, to an address is refused; empty if it is not.
+
+        Another site's page may send requests to this machine: they carry that site as their
+        origin, or its name as their host where the name is made to point to this machine (DNS
+        rebinding). No other site has the address that a request arrives at as its name.
+        """
+        hosts = [host.lower() for host in hosts]
+        names = self._names | {_bracketed(address)}
+        allowed = {f"{name}:{self._port}" for name in names}
+        allowed |= names if self._port == _HTTP else set()
+        if len(hosts) != 1 or hosts[0] not in allowed:
+            return "the page is not served by this name: give it with --allow-host"
+        if any(origin.lower() != f"http://{hosts[0]}" for origin in origins):
+            return "requests from other pages are refused"
+        return ""
+
     def close(self) -> None:
         """Stop serving, also on connections that are open."""
-        self._server.closing = True  # type: ignore[attr-defined]
-        self._server.shutdown()
-        self._server.server_close()
+        self.closing = True
+        self.shutdown()
+        self.server_close()
         self._thread.join()
 
 
@@ -97,7 +107,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     protocol_version = "HTTP/1.1"
     timeout = _IDLE
-    server: Any
+    server: PageServer
 
     def do_GET(self) -> None:
         """The page, its parts, and the source."""
@@ -142,7 +152,7 @@ class _Handler(BaseHTTPRequestHandler):
     def _is_refused(self) -> bool:
         address = self.connection.getsockname()[0]
         hosts, origins = (self.headers.get_all(name) or [] for name in ("Host", "Origin"))
-        refusal = self.server.guard.refuses(hosts, origins, address)
+        refusal = self.server.refuses(hosts, origins, address)
         status = HTTPStatus.FORBIDDEN if refusal else HTTPStatus.SERVICE_UNAVAILABLE
         if refusal or self.server.closing:
             self.close_connection = True
@@ -216,33 +226,3 @@ def _address(host: str) -> IPv4Address | IPv6Address | None:
 def _bracketed(name: str) -> str:
     """A name or an address as it stands in a URL."""
     return f"[{name}]" if ":" in name else name
-
-
-class Guard:
-    """Lets through requests for this server that come from its own page.
-
-    Another site's page may send requests to this machine: they carry that site as their origin, or
-    its name as their host where the name is made to point to this machine (DNS rebinding).
-
-    Args:
-        names: Names and addresses by which the server may be called, besides the address that a
-            request arrives at: no other site has that as its name.
-        port: Its port.
-    """
-
-    def __init__(self, names: Iterable[str], port: int) -> None:
-        self._names = {name.lower() for name in names}
-        self._port = port
-
-    def refuses(self, hosts: Iterable[str], origins: Iterable[str], address: str) -> str:
-        """Why a request for hosts, from origins, to an address is refused; empty if it is not."""
-        hosts = [host.lower() for host in hosts]
-        names = {_bracketed(name) for name in (*self._names, address)}
-        allowed = {f"{name}:{self._port}" for name in names}
-        if self._port == _HTTP:
-            allowed |= names
-        if len(hosts) != 1 or hosts[0] not in allowed:
-            return "the page is not served by this name: give it with --allow-host"
-        if any(origin.lower() != f"http://{hosts[0]}" for origin in origins):
-            return "requests from other pages are refused"
-        return ""

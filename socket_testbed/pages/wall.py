@@ -1,4 +1,4 @@
-"""The socket's wall as a continuous surface: its points on a grid, and what the tiles say there."""
+"""The socket's surface unrolled: where its tiles are, and what they say between their centres."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.distance import cdist
 
-from socket_testbed.arrays import FloatArray
-from socket_testbed.geometry.axis import socket_axis, wall_tiles
+from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed.geometry.axis import SocketAxis, socket_axis, wall_tiles
+from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.force_map import matern
 from socket_testbed.settings.identification import ForceMapSettings
@@ -17,6 +18,46 @@ STEP = 0.35  # [-]; of the grid, by the tiles' edge
 _NEAR = 1.3  # [-]; of the tiles' edge: beyond it from the nearest tile, there is no wall
 _KERNEL = 0.7  # [-]; width over which the wall's shape is smoothed, likewise
 _NUGGET = 3e-3  # [-]; keeps weights small beyond the outermost tiles
+_SIDES = {"left": ("lateral", "medial"), "right": ("medial", "lateral")}
+# Corners of a square of edge 1 in {L}, counter-clockwise about the inward normal.
+_SQUARE = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) / 2.0
+
+
+def side_names(side: str | None) -> list[str]:
+    """What lies at -180, -90, 0, 90 and 180 degrees on the unrolled wall, by the leg's side."""
+    left, right = _SIDES.get(side or "", ("left", "right"))
+    return ["posterior", right, "anterior", left, "posterior"]
+
+
+@dataclass(frozen=True, eq=False)
+class UnrolledTiles:
+    """The n tiles as squares of their areas, on the unrolled wall or on the distal end.
+
+    Places on the wall are the angle from anterior towards left [deg], in the turn of the tile's
+    centre, and the height above the distal end; those on the end, which is seen from inside, are
+    towards right and towards anterior [mm].
+    """
+
+    around: SocketAxis
+    on_wall: BoolArray  # (n,); the others are on the end
+    squares: FloatArray  # (n, 4, 3) in {S} [m]; corners (-x, -y), (+x, -y), (+x, +y), (-x, +y)
+    places: FloatArray  # (n, 2), of the centres
+    corners: FloatArray  # (n, 4, 2)
+
+
+def unrolled_tiles(geometry: SocketGeometry) -> UnrolledTiles:
+    """Where the tiles are on the unrolled wall and on the distal end."""
+    around = socket_axis(geometry)
+    on_wall = wall_tiles(geometry, around)
+    tiles_in_socket = Pose(geometry.square_frames()[:, None], geometry.anchors[:, None])
+    squares = tiles_in_socket.apply(np.sqrt(geometry.areas)[:, None, None] * _SQUARE)
+    points = np.concatenate([geometry.anchors[:, None], squares], axis=1)
+    angles = np.degrees(around.angles(points))
+    turned = angles[:, :1] + (angles - angles[:, :1] + 180.0) % 360.0 - 180.0
+    wall = np.stack([turned, 1e3 * around.heights(points)], axis=-1)
+    end = 1e3 * (points - around.end) @ np.column_stack([-around.left, around.anterior])
+    places = np.where(on_wall[:, None, None], wall, end)
+    return UnrolledTiles(around, on_wall, squares, places[:, 0], places[:, 1:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,8 +65,8 @@ class Patch:
     """A part of the surface on a grid of w by h points."""
 
     name: str  # `wall`, unrolled, or `end`, seen from inside with anterior up
-    x: FloatArray  # (w,); angle from anterior towards left [deg], or towards right [mm]
-    y: FloatArray  # (h,); height above the distal end, or towards anterior [mm]
+    x: FloatArray  # (w,); as in `UnrolledTiles`
+    y: FloatArray  # (h,)
     points: FloatArray  # (h, w, 3) in {S} [m]; NaN where no wall is
     weights: FloatArray  # (h, w, n) [-]; of the tiles' values in the value of a point
 
@@ -38,36 +79,40 @@ def patches(geometry: SocketGeometry, step: float = STEP) -> list[Patch]:
     the force map at the point.
     """
     around, edge = socket_axis(geometry), float(np.median(np.sqrt(geometry.areas)))
-    on_wall = wall_tiles(geometry, around)
-    found = []
-    radius = float(around.radii(geometry.anchors).max())
+    on_wall, heights = wall_tiles(geometry, around), around.heights(geometry.anchors)
+    radii, found = around.radii(geometry.anchors), []
+    radius = float(radii.max())
     if on_wall.any():
-        wall = geometry.anchors[on_wall]
-        heights, angles = around.heights(wall), around.angles(wall)
-        radii = around.radii(wall)
-        low, high = max(heights.min() - 0.5 * edge, 0.0), heights.max() + 0.5 * edge
-        x = np.linspace(-np.pi, np.pi, 2 * max(8, round(np.pi * np.median(radii) / edge / step)))
-        y = np.linspace(low, high, max(4, round((high - low) / edge / step)))
+        wall, radii = heights[on_wall], radii[on_wall]
+        low, high = max(wall.min() - 0.5 * edge, 0.0), wall.max() + 0.5 * edge
         size = np.median(radii)
-        at = np.stack(np.broadcast_arrays(x, y[:, None]), axis=-1).reshape(-1, 2)
-        apart = np.angle(np.exp(1j * np.subtract.outer(at[:, 0], angles))) * size
-        r = _smooth(np.hypot(apart, np.subtract.outer(at[:, 1], heights)) / edge, radii)
-        across = np.cos(at[:, :1]) * around.anterior + np.sin(at[:, :1]) * around.left
-        points = around.end + at[:, 1:] * around.proximal + r[:, None] * across
+        x = np.linspace(-np.pi, np.pi, 2 * max(8, round(np.pi * size / edge / step)))
+        y = np.linspace(low, high, max(4, round((high - low) / edge / step)))
+        angle, height = _grid(x, y)
+        apart = np.subtract.outer(angle, around.angles(geometry.anchors[on_wall]))
+        across = np.angle(np.exp(1j * apart)) * size
+        r = _smooth(np.hypot(across, np.subtract.outer(height, wall)) / edge, radii)
+        outwards = np.cos(angle)[:, None] * around.anterior + np.sin(angle)[:, None] * around.left
+        points = around.end + height[:, None] * around.proximal + r[:, None] * outwards
         found.append(_patch("wall", geometry, np.degrees(x), 1e3 * y, points, edge))
         radius = float(r[: len(x)].mean())
     if not on_wall.all():
         line = np.linspace(-radius, radius, 2 * max(12, round(radius / edge / step)) + 1)
-        at = np.stack(np.broadcast_arrays(line, line[:, None]), axis=-1).reshape(-1, 2)
-        low_tiles = around.heights(geometry.anchors) < edge
-        offset = geometry.anchors[low_tiles | ~on_wall] - around.end
+        right, up = _grid(line, line)
+        offset = geometry.anchors[(heights < edge) | ~on_wall] - around.end
         flat = np.column_stack([-offset @ around.left, offset @ around.anterior])
-        height = _smooth(cdist(at, flat) / edge, offset @ around.proximal)
-        points = around.end - at[:, :1] * around.left + at[:, 1:] * around.anterior
-        points = points + height[:, None] * around.proximal
-        points[np.hypot(*at.T) > radius * (1.0 + 1e-9)] = np.nan
+        z = _smooth(cdist(np.column_stack([right, up]), flat) / edge, offset @ around.proximal)
+        directions = np.stack([-around.left, around.anterior, around.proximal])
+        points = around.end + np.column_stack([right, up, z]) @ directions
+        points[np.hypot(right, up) > radius * (1.0 + 1e-9)] = np.nan
         found.append(_patch("end", geometry, 1e3 * line, 1e3 * line, points, edge))
     return found
+
+
+def _grid(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Coordinates of all points, row by row, shape (h w,) each."""
+    across, up = np.meshgrid(x, y)
+    return across.ravel(), up.ravel()
 
 
 def _smooth(apart: FloatArray, values: FloatArray) -> FloatArray:

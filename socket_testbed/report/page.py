@@ -8,8 +8,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -17,9 +18,18 @@ from matplotlib.figure import Figure
 from plotly.offline import get_plotlyjs
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.pages.document import numbers
-from socket_testbed.report.figures.style import FigureStyle, save_figure, thin
-from socket_testbed.tables import UNCERTAIN, Table, write_table
+from socket_testbed.files import atomic_output
+from socket_testbed.geometry.axis import socket_axis
+from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.pages.document import numbers, socket_document
+from socket_testbed.report.style import FigureStyle, save_figure, thin
+from socket_testbed.tables import UNCERTAIN, pairs_table, write_table
+
+if TYPE_CHECKING:
+    import trimesh
+
+_MOST_FACES = 20_000  # of the surface on a page
+_GROWTH = 1.1  # [-]; of the cells in which vertices are merged, from one attempt to the next
 
 
 @dataclass(frozen=True)
@@ -62,19 +72,11 @@ def line_chart(time: FloatArray, panels: Sequence[Mapping[str, Any]]) -> dict[st
 
 @dataclass(frozen=True)
 class Pictures:
-    """The socket: cards, its map unrolled and in 3D, a course over time, regions as bars."""
+    """The socket: its map unrolled and in 3D; over time a course, and regions as bars."""
 
     kind: ClassVar = "pictures"
     description: str
-    has_mean: bool = True  # whether the mean over a segment can be chosen
-    has_course: bool = True
-
-
-@dataclass(frozen=True)
-class Cards:
-    """The page's cards alone."""
-
-    kind: ClassVar = "cards"
+    over_time: bool = True  # with the mean over a segment
 
 
 @dataclass(frozen=True)
@@ -95,29 +97,12 @@ class Heading:
 
 
 @dataclass(frozen=True)
-class Bullets:
-    """A list of statements; `notes` stand out."""
-
-    kind: ClassVar = "bullets"
-    lines: Sequence[str]
-    style: str = ""
-
-
-@dataclass(frozen=True)
-class Folded:
-    """Tables that are shown on demand, under a title."""
-
-    kind: ClassVar = "folded"
-    title: str
-    tables: Sequence[Table]
-
-
-@dataclass(frozen=True)
 class Section:
-    """A section of a page: paragraphs as text, headings, lists, tables, figures, pictures."""
+    """A section of a page."""
 
     name: str  # its identifier
     title: str
+    # A text is a paragraph, texts are a list; else headings, tables, figures, pictures, maps
     parts: Sequence[Any]
     files: Mapping[str, pd.DataFrame] = field(default_factory=dict)  # further CSV files by name
 
@@ -127,26 +112,38 @@ class Section:
         return [part for part in self.parts if isinstance(part, ReportFigure)]
 
 
-def render(
+def write_page(
+    path: Path,
     title: str,
     subtitle: str,
     groups: Mapping[str, Sequence[Section]],
-    data: Mapping[str, Any] | None = None,
+    data: Mapping[str, Any],
     **content: Any,
-) -> str:
-    """A page as one self-contained file; every text in it is escaped.
+) -> None:
+    """Write a page as one self-contained file; every text in it is escaped.
 
     Args:
+        path: The file; an older one is replaced.
         title: Its heading.
         subtitle: What it is of.
         groups: Sections by the title under which they are folded; those of "" are open.
-        data: What its pictures show, see report.js.
+        data: What its cards and pictures show, see report.js.
         content: What else the template takes.
     """
-    defaults = {"metadata": {}, "folder": "", "figures": False, "viewer": _viewer()}
-    return _template().render(
-        title=title, subtitle=subtitle, groups=groups, data=data, **(defaults | content)
+    environment = Environment(
+        loader=PackageLoader("socket_testbed", "pages/static"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
+    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
+    defaults = {"metadata": {}, "folder": "", "figures": False, "uncertain": UNCERTAIN}
+    environment.globals |= defaults | {"viewer": _viewer()}
+    found = {"title": title, "subtitle": subtitle, "groups": groups, "data": data}
+    with atomic_output(path) as staging:
+        text = environment.get_template("page.html").render(found | content)
+        staging.write_text(text, encoding="utf-8")
 
 
 @cache
@@ -155,15 +152,48 @@ def _viewer() -> Markup:
     return Markup(base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode())
 
 
-@cache
-def _template() -> Any:
-    environment = Environment(
-        loader=PackageLoader("socket_testbed", "pages/static"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.globals |= {"uncertain": UNCERTAIN}
-    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
-    return environment.get_template("page.html")
+def write_socket_page(
+    surface: trimesh.Trimesh,
+    geometry: SocketGeometry,
+    path: Path,
+    title: str,
+    facts: Sequence[tuple[str, str]],
+) -> None:
+    """Write a page with the interior surface of a socket in {S} [m] and its tiles, in one file."""
+    heights = 1e3 * socket_axis(geometry).heights(geometry.anchors)
+    seen = simplify(surface)
+    data = {
+        "socket": socket_document(geometry)
+        | {"surface": {"points": numbers(1e3 * seen.vertices, 1), "faces": seen.faces.tolist()}},
+        "moments": [{"time": 0.0, "words": f"{len(geometry)} tiles"}],
+        "start": 0.0,
+        "kinds": ["tiles"],
+        "extras": {
+            "area [mm^2]": {"values": numbers(1e6 * geometry.areas), "unit": "mm²"},
+            "height [mm]": {"values": numbers(heights), "unit": "mm"},
+        },
+    }
+    pictures = Pictures("The interior surface of the socket with its tiles", over_time=False)
+    table = pairs_table("facts", "The socket and its tiles", facts)
+    subtitle = "lengths in mm in {S}, the frame of the load cell"
+    write_page(path, title, subtitle, {"": [Section("socket", "", [pictures, table])]}, data)
+
+
+def simplify(surface: trimesh.Trimesh, most_faces: int = _MOST_FACES) -> trimesh.Trimesh:
+    """Merge the vertices in each cell of a cubic grid, in cells that grow until it suffices.
+
+    Vertex clustering (Rossignac and Borrel 1993, doi:10.1007/978-3-642-78114-8_29) needs no
+    manifold, so it takes any scan.
+    """
+    cell = np.sqrt(2.0 * surface.area / most_faces)
+    simplified = surface
+    while len(simplified.faces) > most_faces:
+        place = np.floor(surface.vertices / cell)
+        merged = np.unique(place, axis=0, return_inverse=True)[1].ravel()
+        sums = [np.bincount(merged, axis) for axis in surface.vertices.T]
+        mean = np.column_stack(sums) / np.bincount(merged)[:, None]
+        simplified = type(surface)(mean, merged[surface.faces], process=False)
+        simplified.update_faces(simplified.nondegenerate_faces())
+        simplified.update_faces(simplified.unique_faces())
+        cell *= _GROWTH
+    return simplified

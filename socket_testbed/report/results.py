@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from socket_testbed.arrays import BoolArray, FloatArray, evenly
 from socket_testbed.errors import IdentificationError
-from socket_testbed.geometry.regions import Region, Side, all_regions
+from socket_testbed.geometry.regions import Region, all_regions
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.data_check import Finding
 from socket_testbed.identification.evaluation import (
@@ -52,13 +53,7 @@ from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS, Variant
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.simulation.trial import read_true_forces
-from socket_testbed.trials.segment import (
-    Event,
-    Segment,
-    find_plateaus,
-    first_frames,
-    select_segment,
-)
+from socket_testbed.trials.segment import Segment, find_plateaus, first_frames, select_segment
 from socket_testbed.trials.trial import Trial
 
 GIVEN = "given"
@@ -67,26 +62,38 @@ _STAGES = 5  # reading, fits, front, validation, pressure
 _INSTANTS = 150  # of the trial, at which the pressure is shown
 
 
-@dataclass(frozen=True)
-class PressureResults:
-    """Pressure over the segment, and at instants of the trial."""
+@dataclass(frozen=True, repr=False)
+class SegmentPressure:
+    """Pressure outputs over a segment of a trial, by region and tile, with 95 % intervals."""
 
-    side: Side | None  # the leg that wears the socket, if that is stated
+    trial: Trial
+    segment: Segment
     places: tuple[Region, ...]  # the last one is the socket
-    time: FloatArray  # (N,) [s], of the segment's samples since the first one of the trial
-    outputs: PressureOutputs  # over the segment
-    over_trial: PressureOutputs  # at instants that are spread over the trial, with that of the peak
-    suspension: Suspension | None  # of the limb in the socket over the segment
+    outputs: PressureOutputs
+
+    @property
+    def time(self) -> FloatArray:
+        """Times of the N samples since the first sample of the trial, shape (N,) [s]."""
+        return np.asarray(self.trial.samples().time[self.segment.rows])
 
     @property
     def peak_time(self) -> float:
         """When a tile has the highest pressure, since the first sample of the trial [s]."""
         return float(self.time[self.outputs.peak_row])
 
-    @property
-    def peak_tile(self) -> int:
-        """The tile with the highest pressure."""
-        return int(self.outputs.peak_map.normal_pressure[0].argmax())
+    @cached_property
+    def suspension(self) -> Suspension | None:
+        """How the limb sits in the socket; None without poses and a wrench."""
+        return find_suspension(self.trial.samples()[self.segment.rows], self.trial.geometry)
+
+
+def by_place(names: Iterable[str], found: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Columns of R places, from arrays (N, R) by their titles: `anterior.mean pressure [kPa]`."""
+    return {
+        f"{name}.{title}": values[:, column]
+        for column, name in enumerate(names)
+        for title, values in found.items()
+    }
 
 
 @dataclass(frozen=True)
@@ -94,16 +101,23 @@ class Candidate:
     """A model whose predictions are shown."""
 
     label: str  # the variant that was fitted here, or `given`
-    model: ContactModel
+    source: Fit | StoredModel
     predicted: FloatArray  # (N, 6 + 3c) [N m, N], over the trial
     errors: tuple[ChannelErrors, ...]  # over the segment
     held_out: tuple[ChannelErrors, ...]  # over the rest; empty where there is too little
     shares: tuple[LoadShare, ...]  # of the load over the segment
     known: float  # [-], stiffness directions that the segment shows despite all noise
     engagement: Engagement  # of the springs over the trial
-    leave_out: tuple[str, ...]  # channels that were not in the objective of the fit
-    fit: Fit | None = None  # None for a model that was given
-    given: StoredModel | None = None  # None for one that was fitted here
+
+    @property
+    def model(self) -> ContactModel:
+        """The model."""
+        return self.source.model
+
+    @property
+    def fit(self) -> Fit | None:
+        """How it was fitted; None for a model that was given."""
+        return self.source if isinstance(self.source, Fit) else None
 
 
 @dataclass(frozen=True)
@@ -120,12 +134,12 @@ class Results:
     no_fronts: str  # for this reason
     implausible: tuple[Implausible, ...]  # channels that are proposed to be left out
     plateaus: tuple[Segment, ...]  # the longest first
-    events: tuple[Event, ...]
     bag_notes: tuple[str, ...]
     motion: Motion  # of the pose over the segment, against its noise
     validation: tuple[Judgement, ...]  # empty where the trial does not allow it,
     no_validation: str  # for this reason
-    pressure: PressureResults
+    pressure: SegmentPressure
+    over_trial: PressureOutputs  # at instants spread over the trial, with that of the peak
     data: tuple[Finding, ...]  # what to look at in the data
 
     @property
@@ -151,11 +165,6 @@ class Results:
         """The title of a figure over the segment."""
         return f"{self.trial.name}: {shown}, {self.segment}"
 
-    @property
-    def mean_position(self) -> FloatArray:
-        """Mean limb position over the segment in {S}, shape (3,) [m]."""
-        return np.asarray(np.nanmean(self.samples.position[self.segment.rows], axis=0))
-
 
 def _rows_of(segment: Segment, samples: Samples) -> BoolArray:
     rows = np.zeros(len(samples), dtype=bool)
@@ -179,34 +188,40 @@ def compute_results(
 
     if given is not None:
         given.require_socket(trial.geometry)
-    samples = measured = trial.samples()
-    events = trial.events()
-    notes = trial.notes
-    leave_out = settings.identification.leave_out
+    samples, identification = trial.samples(), settings.identification
+    leave_out = identification.leave_out
     segment = select_segment(samples, specification, settings.plateau, leave_out, trial.events)
-    segment = first_frames(segment, samples, settings.identification.frames)
+    segment = first_frames(segment, samples, identification.frames)
     sign = sign_note(samples[segment.rows], trial.geometry)
     outliers = find_outliers(samples, trial.geometry, leave_out)
-    notes += [*outlier_notes(samples, outliers), *([sign] if sign else [])]
+    notes = [*outlier_notes(samples, outliers), *([sign] if sign else [])]
     samples = outliers.taken_from(samples)
     reach(1)
-    chosen = samples[segment.rows]
-    chosen_variant = settings.identification.variant
-    variants = [v for v in VARIANTS if v in PAPER_VARIANTS or v == chosen_variant]
-    candidates = [_fit(samples, segment, trial, settings, variant) for variant in variants]
+    chosen, candidates = samples[segment.rows], []
+    for variant in VARIANTS:
+        if variant in PAPER_VARIANTS or variant == identification.variant:
+            own = replace(identification, variant=variant)
+            fit = fit_contact_model(chosen, trial.geometry, own)
+            candidates.append(_judge(samples, segment, variant, fit))
     if given is not None:
         candidates.append(_judge(samples, segment, GIVEN, given))
     reach(2)
-    fronts: dict[Variant, Front] = {}
-    no_fronts = ""
+    # The rest of the report stands without a front or a validation.
+    fronts, validation, no_fronts, no_validation = {}, [], "", ""
     try:
-        fronts = pareto_front(chosen, trial.geometry, settings.identification, thetas)
-    except IdentificationError as error:  # the rest of the report stands without it
+        fronts = pareto_front(chosen, trial.geometry, identification, thetas)
+    except IdentificationError as error:
         no_fronts = str(error)
     reach(3)
-    validation, no_validation = _validate(trial, samples, settings, notes.append)
+    truth = read_true_forces(trial.path, samples.stamps, trial.geometry.names)
+    try:
+        validation = judge_samples(
+            samples, trial.geometry, settings, truth, trial.name, notes.append
+        )
+    except IdentificationError as error:
+        no_validation = str(error)
     reach(4)
-    pressure = _read_pressure(trial, measured, segment, settings)
+    pressure, over_trial = _read_pressure(trial, segment, settings)
     reach(_STAGES)
     return Results(
         trial=trial,
@@ -219,74 +234,46 @@ def compute_results(
         no_fronts=no_fronts,
         implausible=find_implausible(chosen, trial.geometry),
         plateaus=tuple(find_plateaus(samples, settings.plateau, leave_out)),
-        events=tuple(events),
-        bag_notes=tuple(dict.fromkeys(notes)),
+        bag_notes=tuple(dict.fromkeys([*trial.notes, *notes])),
         data=trial.findings,
-        motion=measure_motion(chosen, trial.geometry, settings.identification.pose_smoothing),
-        validation=validation,
+        motion=measure_motion(chosen, trial.geometry, identification.pose_smoothing),
+        validation=tuple(validation),
         no_validation=no_validation,
         pressure=pressure,
+        over_trial=over_trial,
     )
 
 
-def _validate(
-    trial: Trial, samples: Samples, settings: EstimatorSettings, notify: Callable[[str], None]
-) -> tuple[tuple[Judgement, ...], str]:
-    """The trial's judgements, or why there are none."""
-    truth = read_true_forces(trial.path, samples.stamps, trial.geometry.names)
-    try:
-        judged = judge_samples(samples, trial.geometry, settings, truth, trial.name, notify)
-        return tuple(judged), ""
-    except IdentificationError as error:
-        return (), str(error)
-
-
-def _fit(
-    samples: Samples, segment: Segment, trial: Trial, settings: EstimatorSettings, variant: Variant
-) -> Candidate:
-    identification = replace(settings.identification, variant=variant)
-    fit = fit_contact_model(samples[segment.rows], trial.geometry, identification)
-    return _judge(samples, segment, variant, fit)
-
-
 def _judge(samples: Samples, segment: Segment, label: str, source: Fit | StoredModel) -> Candidate:
-    model, leave_out = source.model, source.settings.leave_out
-    smooth = smooth_poses(samples, source.settings.pose_smoothing)
+    model, settings, chosen = source.model, source.settings, samples[segment.rows]
+    window, leave_out = settings.pose_smoothing, settings.leave_out
+    smooth = smooth_poses(samples, window)
     predicted = predict_channels(model, smooth.pose, samples.clusters)
     outside = ~_rows_of(segment, samples)
     held_out = evaluate_predictions(samples[outside], predicted[outside], leave_out)
     enough = max(error.samples for error in held_out) >= _LEAST_HELD_OUT
-    chosen = samples[segment.rows]
     return Candidate(
         label=label,
-        model=model,
-        leave_out=leave_out,
+        source=source,
         predicted=predicted,
         errors=evaluate_predictions(chosen, predicted[segment.rows], leave_out),
         held_out=held_out if enough else (),
         shares=load_shares(smooth[segment.rows], model),
-        known=known_directions(
-            chosen, model, source.settings.stiffness_difference, source.settings.pose_smoothing
-        ),
-        engagement=engagement(samples, model, source.settings.pose_smoothing, segment.rows),
-        fit=source if isinstance(source, Fit) else None,
-        given=source if isinstance(source, StoredModel) else None,
+        known=known_directions(chosen, model, settings.stiffness_difference, window),
+        engagement=engagement(samples, model, window, segment.rows),
     )
 
 
 def _read_pressure(
-    trial: Trial, samples: Samples, segment: Segment, settings: EstimatorSettings
-) -> PressureResults:
+    trial: Trial, segment: Segment, settings: EstimatorSettings
+) -> tuple[SegmentPressure, PressureOutputs]:
     """Pressure over a segment and at instants of the trial, from the force map."""
-    geometry, side = trial.geometry, trial.metadata.side
+    samples, geometry = trial.samples(), trial.geometry
     leave_out = settings.identification.leave_out
     force_map, usable = map_trial(samples, geometry, settings.force_map, leave_out)
-    places = all_regions(geometry, side)
+    places = all_regions(geometry, trial.metadata.side)
     outputs = pressure_outputs(force_map, usable[segment.rows], geometry, places, THRESHOLD)
-    spread = evenly(len(samples), _INSTANTS)
-    rows = np.union1d(spread, [segment.rows.start + outputs.peak_row])
+    peak = segment.rows.start + outputs.peak_row
+    rows = np.union1d(evenly(len(samples), _INSTANTS), [peak])
     over_trial = pressure_outputs(force_map, usable[rows], geometry, places, THRESHOLD)
-    suspension = find_suspension(samples[segment.rows], geometry)
-    return PressureResults(
-        side, places, samples.time[segment.rows], outputs, over_trial, suspension
-    )
+    return SegmentPressure(trial, segment, places, outputs), over_trial

@@ -8,10 +8,7 @@ from pathlib import Path
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import atomic_output, check_outputs, refuse_existing
-from socket_testbed.report.figures.style import FigureStyle
-from socket_testbed.report.page import Section, render
-from socket_testbed.report.results import Results
-from socket_testbed.report.sections import (
+from socket_testbed.report import (
     channels,
     fronts,
     pressure,
@@ -20,6 +17,9 @@ from socket_testbed.report.sections import (
     surface,
     validation,
 )
+from socket_testbed.report.page import Section, write_page
+from socket_testbed.report.results import Results
+from socket_testbed.report.style import FigureStyle
 from socket_testbed.tables import write_table
 
 _SUFFIXES = (".html", ".htm")
@@ -84,7 +84,8 @@ def write_report(
             figure.write(new_folder, style)
             if progress is not None and style is not None:
                 progress(done, len(figures))
-        text = render(
+        write_page(
+            new_page,
             results.trial.name,
             f"{results.segment}",
             groups,
@@ -93,4 +94,3 @@ def write_report(
             folder=folder.name,
             figures=style is not None,
         )
-        new_page.write_text(text, encoding="utf-8")

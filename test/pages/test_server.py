@@ -99,9 +99,7 @@ def test_the_source_is_asked_and_buttons_say_what_came_of_them(server: PageServe
     ):
         status, _, text = answer(server, "/do", "POST", json.dumps(given).encode())
         assert (status, json.loads(text)) == (200, expected)
-
-
-def test_nonsense_is_refused_and_the_page_goes_on(server: PageServer) -> None:
+    # Nonsense is refused, and the page goes on.
     assert answer(server, "/now?t=soon")[0] == 400
     for body in (b"", b"tare", b"[]", b"{}", b"7", b"\xff", b'{"do"'):
         assert answer(server, "/do", "POST", body)[0] == 400, body
@@ -110,15 +108,12 @@ def test_nonsense_is_refused_and_the_page_goes_on(server: PageServer) -> None:
     assert answer(server)[0] == 200
 
 
-def test_a_taken_port_and_a_foreign_address_are_errors(server: PageServer) -> None:
+def test_it_is_found_where_it_listens_and_a_taken_port_or_a_foreign_address_is_an_error(
+    server: PageServer, capfd: pytest.CaptureFixture[str]
+) -> None:
     for host, port, why in (("127.0.0.1", port_of(server), "in use"), ("192.0.2.1", 0, "")):
         with refused(ConfigurationError, f"cannot listen on {host}:{port}", why):
             PageServer(Still(), host, port)
-
-
-def test_it_is_found_where_it_listens_and_prints_nothing(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
     for host in ("127.0.0.1", "localhost", "0.0.0.0"):
         found = PageServer(Still(), host, 0)
         assert found.url.startswith("http://") and "0.0.0.0" not in found.url

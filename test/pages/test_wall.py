@@ -1,26 +1,49 @@
-"""The socket's wall as a continuous surface, against a cone whose places are known."""
+"""The socket's surface unrolled against the ring socket's cone."""
+
+from __future__ import annotations
 
 import dataclasses
 
 import numpy as np
-import pytest
+from scipy.spatial.transform import Rotation
 from support.problems import random_socket
 from support.ring_socket import ring_socket
 
-from socket_testbed.geometry.axis import socket_axis
-from socket_testbed.pages.wall import Patch, patches
+from socket_testbed.pages.wall import patches, unrolled_tiles
 
 GEOMETRY = ring_socket()
 BASE, TAPER = 0.046, np.tan(np.radians(6.0))  # [m], [-]; of the cone
 
 
-@pytest.fixture(scope="module")
-def surface() -> dict[str, Patch]:
-    return {patch.name: patch for patch in patches(GEOMETRY)}
+def test_a_square_has_the_tiles_area_and_lies_in_its_plane_along_its_axes() -> None:
+    rng = np.random.default_rng(5)
+    tilted = random_socket(rng, rings=3, columns=5)
+    turns = Rotation.random(len(tilted), random_state=7).as_matrix()
+    tilted = dataclasses.replace(tilted, rotations=turns, areas=rng.uniform(1e-5, 1e-3, 15))
+    squares = unrolled_tiles(tilted).squares
+    edges = (np.roll(squares, -1, axis=1) - squares) / np.sqrt(tilted.areas)[:, None, None]
+    np.testing.assert_allclose(squares.mean(axis=1), tilted.anchors, atol=1e-15)
+    for edge, axis, sign in ((0, 0, 1.0), (1, 1, 1.0), (2, 0, -1.0), (3, 1, -1.0)):
+        np.testing.assert_allclose(edges[:, edge], sign * turns[:, :, axis], atol=1e-12)
 
 
-def test_the_wall_and_the_end_are_where_the_socket_is(surface: dict[str, Patch]) -> None:
-    wall, end = surface["wall"], surface["end"]
+def test_each_tile_is_at_its_angle_and_height_or_on_the_distal_end() -> None:
+    tiles = unrolled_tiles(GEOMETRY)
+    x, y, z = GEOMETRY.anchors[tiles.on_wall].T
+    angles, heights = tiles.places[tiles.on_wall].T
+    np.testing.assert_allclose((angles - np.degrees(np.arctan2(y, x)) + 180.0) % 360.0, 180.0)
+    np.testing.assert_allclose(heights - heights[0], 1e3 * (z - z[0]), atol=1e-9)
+    # No tile is torn at the end of the turn: each is as wide as its edge at its radius.
+    width = np.radians(np.ptp(tiles.corners[tiles.on_wall, :, 0], axis=1)) * np.hypot(x, y)
+    np.testing.assert_allclose(width, 0.030, rtol=0.12)
+    # The end is seen from above, with anterior (x) up and left (y) on the left.
+    x, y, _ = 1e3 * GEOMETRY.anchors[~tiles.on_wall].T
+    np.testing.assert_allclose(tiles.places[~tiles.on_wall], np.column_stack([-y, x]), atol=1e-9)
+
+
+def test_the_surface_is_where_the_socket_is() -> None:
+    wall, end = patches(GEOMETRY)
+    assert (wall.name, end.name) == ("wall", "end")
     x, y, z = np.moveaxis(wall.points, -1, 0)
     known = np.isfinite(x)
     assert known.mean() > 0.95
@@ -29,21 +52,26 @@ def test_the_wall_and_the_end_are_where_the_socket_is(surface: dict[str, Patch])
     np.testing.assert_allclose(np.hypot(x, y)[known], (BASE + TAPER * heights)[known], atol=4e-3)
     angles = np.degrees(np.arctan2(y, x)) - wall.x
     np.testing.assert_allclose((angles[known] + 180.0) % 360.0, 180.0, atol=1e-6)
-    # The end is flat in its middle; anterior (x) is up, left (y) on the left.
+    # The end is flat in its middle.
     inside = np.isfinite(end.points[..., 0])
     right, up = np.broadcast_arrays(end.x, end.y[:, None])
-    middle = np.hypot(right, up) < 20.0
-    np.testing.assert_allclose(end.points[middle][:, 2], 0.080, atol=1e-2)
+    np.testing.assert_allclose(end.points[np.hypot(right, up) < 20.0][:, 2], 0.080, atol=1e-2)
     np.testing.assert_allclose(1e3 * end.points[inside][:, 0], up[inside], atol=1e-9)
     np.testing.assert_allclose(-1e3 * end.points[inside][:, 1], right[inside], atol=1e-9)
 
+    open_ended = random_socket(np.random.default_rng(6), rings=3, columns=6)
+    assert [patch.name for patch in patches(open_ended)] == ["wall"]
+    upwards = np.tile(np.diag([-1.0, -1.0, 1.0]), (18, 1, 1))
+    (end,) = patches(dataclasses.replace(open_ended, rotations=upwards))
+    assert end.name == "end" and np.isfinite(end.points).any()
 
-def test_what_the_tiles_say_is_kept_and_smooth_between_them(surface: dict[str, Patch]) -> None:
+
+def test_what_the_tiles_say_is_kept_and_smooth_between_them() -> None:
     even, sloped = np.ones(len(GEOMETRY)), GEOMETRY.anchors[:, 2]
-    for patch in surface.values():
+    for patch in patches(GEOMETRY):
         known = np.isfinite(patch.points[..., 0])
         np.testing.assert_allclose((patch.weights @ even)[known], 1.0, atol=1e-9)
-    wall = surface["wall"]
+    wall = patches(GEOMETRY)[0]
     between = (wall.y > 30.0) & (wall.y < 170.0)
     found = (wall.weights @ sloped)[between]
     np.testing.assert_allclose(found, wall.points[between][..., 2], atol=4e-3)
@@ -53,14 +81,3 @@ def test_what_the_tiles_say_is_kept_and_smooth_between_them(surface: dict[str, P
     place = wall.points[np.unravel_index(field.argmax(), field.shape)]
     assert np.linalg.norm(place - GEOMETRY.anchors[tile]) < 0.012
     assert 0.7 < field.max() < 1.1
-
-
-def test_a_socket_without_an_end_or_without_a_wall_has_one_patch() -> None:
-    around = socket_axis(GEOMETRY)
-    assert around.proximal[2] == pytest.approx(1.0)
-    open_ended = random_socket(np.random.default_rng(6), rings=3, columns=6)
-    assert [patch.name for patch in patches(open_ended)] == ["wall"]
-    upwards = np.tile(np.diag([-1.0, -1.0, 1.0]), (18, 1, 1))
-    flat = dataclasses.replace(open_ended, rotations=upwards)
-    (end,) = patches(flat)
-    assert end.name == "end" and np.isfinite(end.points).any()

@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from matplotlib import colormaps, rc_context
+from matplotlib import rc_context
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.image import imread
 from matplotlib.text import Text
@@ -15,16 +15,14 @@ from support.benches import nominal, sensor_bench
 
 from socket_testbed.api import CalibratedCluster, Cycles
 from socket_testbed.calibration.calibrate import calibrate_bench
-from socket_testbed.report.figures.style import (
-    LINE_STYLES,
-    SCALE,
+from socket_testbed.report.results import Results
+from socket_testbed.report.style import (
     WIDTHS,
     FigureStyle,
     in_style,
     save_figure,
     wrap,
 )
-from socket_testbed.report.results import Results
 from socket_testbed.report.write import SECTIONS
 
 
@@ -71,18 +69,16 @@ def drawn_texts(figure):
     return boxes, panels
 
 
-def overlap(a, b) -> float:
-    """The smaller side of what two boxes share [px]."""
-    return min(min(a.x1, b.x1) - max(a.x0, b.x0), min(a.y1, b.y1) - max(a.y0, b.y0))
-
-
-def is_within(a, b, margin: float = 0.0) -> bool:
-    across = b.x0 - margin <= a.x0 and a.x1 <= b.x1 + margin
-    return across and b.y0 - margin <= a.y0 and a.y1 <= b.y1 + margin
-
-
 def check_words(name: str, figure) -> None:
     """Every word is of 7 pt, inside the figure, and beside the panels and the other words."""
+
+    def overlap(a, b) -> float:  # the smaller side of what two boxes share [px]
+        return min(min(a.x1, b.x1) - max(a.x0, b.x0), min(a.y1, b.y1) - max(a.y0, b.y0))
+
+    def is_within(a, b, margin: float = 0.0) -> bool:
+        across = b.x0 - margin <= a.x0 and a.x1 <= b.x1 + margin
+        return across and b.y0 - margin <= a.y0 and a.y1 <= b.y1 + margin
+
     texts, panels = drawn_texts(figure)
     for i, (text, size, box) in enumerate(texts):
         assert size >= 7.0 and is_within(box, figure.bbox, 0.5), (name, text)
@@ -128,20 +124,6 @@ def test_a_png_has_300_pixels_to_the_inch_whatever_a_user_has_set(figures, tmp_p
         pixels = imread(tmp_path / "figure.png").shape[1]
         assert pixels == pytest.approx(width / 25.4 * 300, abs=1.0)
         assert [size for _, size, _ in found] == expected
-
-
-def lightness(colour) -> float:
-    """Lightness L* of a colour (CIE 1976) [-]."""
-    linear = np.array([c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in colour])
-    y = linear @ [0.2126, 0.7152, 0.0722]
-    return 116.0 * np.cbrt(y) - 16.0 if y > 0.008856 else 903.3 * y
-
-
-def test_scale_and_lines_can_be_read_in_grey():
-    """The scale's lightness rises throughout: the sign of a value about zero is not lost."""
-    values = [lightness(colour[:3]) for colour in colormaps[SCALE](np.linspace(0.0, 1.0, 101))]
-    assert (np.diff(values) > 0.0).all() and np.ptp(values) > 70.0
-    assert len({str(style["linestyle"]) for style in LINE_STYLES}) == len(LINE_STYLES) == 4
 
 
 def test_a_wrapped_text_keeps_its_words():

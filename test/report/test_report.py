@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 from support.bags import rewrite
 from support.pages import MADE, NASTY, THETAS
 from support.problems import make_samples
+from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.evaluation import summarise_errors
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.identification.validation import CONSTANT, FORCE_MAP, REGRESSION
-from socket_testbed.report import write
+from socket_testbed.report import fronts, validation, write
+from socket_testbed.report.quality import find_drop_outs, find_gaps
 from socket_testbed.report.results import Results, compute_results
-from socket_testbed.report.sections import fronts, validation
-from socket_testbed.report.sections.quality import find_drop_outs, find_gaps, unusable
-from socket_testbed.report.sections.summary import list_notes, provenance, summarise
+from socket_testbed.report.summary import list_notes, provenance, summarise
 from socket_testbed.report.write import check_page_path, write_report
 from socket_testbed.settings.identification import PAPER_VARIANTS
 from socket_testbed.trials.segment import Segment
@@ -29,7 +28,7 @@ from socket_testbed.trials.trial import Trial
 PLAIN, BIAS = PAPER_VARIANTS
 
 
-def results_of(path: Path, *leave_out: str, segment: str = "plateau") -> Results:
+def results_of(path, *leave_out: str, segment: str = "plateau") -> Results:
     """The results of a trial with some channels left out."""
     settings = Trial(path).estimator
     chosen = dataclasses.replace(settings.identification, leave_out=leave_out)
@@ -37,13 +36,10 @@ def results_of(path: Path, *leave_out: str, segment: str = "plateau") -> Results
     return compute_results(Trial(path), segment, settings, THETAS)
 
 
-def test_the_given_model_is_the_one_that_was_given(results, hold_model):
+def test_the_summary_has_the_numbers_of_every_model_and_its_weakness(results, hold_model):
     fitted, given = results.candidates[-2:]  # with the same settings on the same segment
     np.testing.assert_array_equal(given.model.stiffness, read_model(hold_model).model.stiffness)
     np.testing.assert_allclose(given.predicted, fitted.predicted, rtol=1e-6, atol=1e-6)
-
-
-def test_the_summary_has_the_numbers_of_every_model_and_its_weakness(results):
     found = {line.partition(": ")[0]: line for line in summarise(results)}
     for candidate in results.candidates:
         in_sample, _, held_out = found[candidate.label].partition("; held-out ")
@@ -69,11 +65,9 @@ def test_what_was_not_seen_is_judged_beside_rivals(results):
     found = {(j.question, j.test, j.predictor): j for j in results.validation if not j.cluster}
     forces, wrench = tables["cluster-left-out"].frame, tables["wrench-second-half"].frame
     chosen = found["cluster", "left out", FORCE_MAP]
-    row = forces.loc[FORCE_MAP].tolist()
-    assert row == [chosen.error, *(100.0 * np.array(chosen.coverage))]
+    assert forces.loc[FORCE_MAP].tolist() == [chosen.error, *(100.0 * np.array(chosen.coverage))]
     chosen = found["wrench", "second half", REGRESSION]
-    row = wrench.loc[REGRESSION].tolist()
-    assert row[:2] == [chosen.moment_rmse, chosen.force_rmse]
+    assert wrench.loc[REGRESSION].tolist()[:2] == [chosen.moment_rmse, chosen.force_rmse]
     names = {CONSTANT, REGRESSION, *PAPER_VARIANTS}
     assert names <= set(wrench.index) and not names & set(forces.index)
 
@@ -129,12 +123,12 @@ def test_without_a_front_or_a_validation_the_rest_stands(hold, monkeypatch):
 def test_a_page_that_cannot_be_written_is_refused_and_nothing_is_left(
     results, tmp_path, monkeypatch
 ):
-    for name in ("page", "page.pdf", "page.html.gz"):
-        with pytest.raises(ConfigurationError, match=r"page.*\.html"):
+    for name in ("page", "page.pdf"):
+        with refused(ConfigurationError, name, ".html"):
             check_page_path(tmp_path / name)
     for taken in ("page.html", "page_files"):
         (tmp_path / taken).mkdir()
-        with pytest.raises(ConfigurationError, match=f"{taken} exists already"):
+        with refused(ConfigurationError, f"{taken} exists already"):
             write_report(results, tmp_path / "page.html", "", MADE)
         (tmp_path / taken).rmdir()
 
@@ -144,7 +138,7 @@ def test_a_page_that_cannot_be_written_is_refused_and_nothing_is_left(
 
     monkeypatch.setattr(write, "SECTIONS", {"Data": (write.channels.errors_section,)})
     monkeypatch.setattr(write, "write_table", full)
-    with pytest.raises(ConfigurationError, match="No space left"):
+    with refused(ConfigurationError, "No space left"):
         write_report(results, tmp_path / "page.html", "", MADE)
     assert not [*tmp_path.iterdir()]
 
@@ -152,7 +146,7 @@ def test_a_page_that_cannot_be_written_is_refused_and_nothing_is_left(
 def test_gaps_and_drop_outs_are_counted():
     time = np.array([0.0, 0.25, 0.5, 1.5, 1.75, 2.0, 5.0, 5.25, 5.6])
     assert find_gaps(time) == [(2.0, 3.0), (0.5, 1.0)]  # the longest first
-    assert find_gaps(np.arange(100) * 0.25) == find_gaps(np.array([1.0])) == []
+    assert find_gaps(np.array([1.0])) == []
     rng = np.random.default_rng(8)
     position, force, wrench = (rng.normal(size=(200, n)) for n in (3, 3, 6))
     samples = make_samples(position, wrench, {"a": force})  # at 4 Hz
@@ -169,5 +163,3 @@ def test_gaps_and_drop_outs_are_counted():
     assert lost.loc["Mx", "missing [1]"] == 0 and math.isnan(lost.loc["Mx", "saturated [1]"])
     counts = ["missing [1]", "saturated [1]", "out of range [1]"]
     assert tuple(lost.loc["a (Fx, Fy, Fz)", counts]) == (4, 3, 5)
-    flags = {name: int(rows.sum()) for name, rows in unusable(samples).items() if rows.any()}
-    assert flags == {"Mz": 10, "limb position": 10, "a (Fx, Fy, Fz)": 12}

@@ -55,10 +55,6 @@ class Page(HTMLParser):
         return [a[name] or "" for _, a in self.tags for name in names if name in a]
 
     @property
-    def loads(self) -> list[str]:
-        return self.attributes("src", "href", "srcset", "data")
-
-    @property
     def policy(self) -> str:
         """The content security policy."""
         return next(a["content"] or "" for _, a in self.tags if a.get("http-equiv"))

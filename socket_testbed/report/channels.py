@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import isfinite
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -16,7 +16,9 @@ from socket_testbed.identification.evaluation import (
     summarise_errors,
 )
 from socket_testbed.identification.pareto import THEIRS, beside_published
-from socket_testbed.report.figures.style import (
+from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart
+from socket_testbed.report.results import Results
+from socket_testbed.report.style import (
     LINE_STYLES,
     MEASURED_STYLE,
     SEGMENT_STYLE,
@@ -25,12 +27,10 @@ from socket_testbed.report.figures.style import (
     add_legend,
     in_style,
     lay_out,
-    style_axes,
+    panels,
     thin,
     wrap,
 )
-from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart
-from socket_testbed.report.results import Results
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.settings.identification import PAPER_VARIANTS
 from socket_testbed.tables import Table
@@ -98,12 +98,7 @@ def errors_section(results: Results) -> Section:
             " another trial.",
             _errors(results, "held-out", caption, held_out),
         ]
-    return Section("errors-section", "Errors", parts, {"errors.csv": errors_frame(results)})
-
-
-def errors_frame(results: Results) -> pd.DataFrame:
-    """The errors of every model, over the segment and the rest, a row per channel."""
-    return pd.DataFrame(
+    every = pd.DataFrame(
         {
             "model": candidate.label,
             "samples of": part,
@@ -117,6 +112,7 @@ def errors_frame(results: Results) -> pd.DataFrame:
         for part, errors in (("segment", candidate.errors), ("rest", candidate.held_out))
         for error in errors
     )
+    return Section("errors-section", "Errors", parts, {"errors.csv": every})
 
 
 def _errors(
@@ -157,65 +153,52 @@ Shown: TypeAlias = tuple[str, FloatArray, Sequence[ChannelErrors]]
 """A model's label, what it predicts for all samples, (N, 6 + 3c), and its errors."""
 
 
-def wrench_figure(
-    samples: Samples, segment: Segment, models: Sequence[Shown], title: str, style: FigureStyle
-) -> Figure:
-    """Measured against predicted wrench, a panel per channel with errors over the segment."""
-    return _draw(samples, segment, models, _FORCES_FIRST, title, style)
-
-
 def _channels(results: Results, name: str, title: str, channels: Sequence[int]) -> ReportFigure:
-    samples, segment = results.samples, results.segment
-    measured, columns = samples.trusted_values, {}
+    samples, measured = results.samples, results.samples.trusted_values
+    columns: dict[str, FloatArray] = {}
+    charts = []
     for i in channels:
         channel, unit = samples.channels[i], channel_unit(samples.channels[i])
+        predicted = {c.label: c.predicted[:, i] for c in results.candidates}
         columns[f"{channel} measured [{unit}]"] = measured[:, i]
-        for candidate in results.candidates:
-            columns[f"{channel} predicted {candidate.label} [{unit}]"] = candidate.predicted[:, i]
+        for label, values in predicted.items():
+            columns[f"{channel} predicted {label} [{unit}]"] = values
+        lines = {"measured": measured[:, i]} | predicted
+        charts.append({"title": f"{channel} [{unit}]", "lines": lines})
     models = [(c.label, c.predicted, c.errors) for c in results.candidates]
     heading = results.title(title)
     return ReportFigure(
         name,
-        f"{title}, {segment}; the errors in the panels are over the shaded segment, to which the"
-        f" variants were fitted (in-sample). {THINNED}",
-        lambda style: _draw(samples, segment, models, channels, heading, style),
+        f"{title}, {results.segment}; the errors in the panels are over the shaded segment, to"
+        f" which the variants were fitted (in-sample). {THINNED}",
+        lambda style: wrench_figure(samples, results.segment, models, heading, style, channels),
         f"{title} over time, a panel per channel with its errors; the table of errors holds them",
         results.series(columns),
-        _chart(results, channels),
+        line_chart(samples.time, charts),
     )
 
 
-def _chart(results: Results, channels: Sequence[int]) -> dict[str, Any]:
-    """A panel per channel for the page."""
-    samples, measured = results.samples, results.samples.trusted_values
-    panels = []
-    for i in channels:
-        name = samples.channels[i]
-        lines = {"measured": measured[:, i]}
-        lines |= {c.label: c.predicted[:, i] for c in results.candidates}
-        panels.append({"title": f"{name} [{channel_unit(name)}]", "lines": lines})
-    return line_chart(samples.time, panels)
-
-
 @in_style
-def _draw(
+def wrench_figure(
     samples: Samples,
     segment: Segment,
     models: Sequence[Shown],
-    channels: Sequence[int],
     title: str,
     style: FigureStyle,
+    channels: Sequence[int] = _FORCES_FIRST,
 ) -> Figure:
-    """A panel per channel, three in a row of a page, with its errors unless there are no titles."""
+    """Measured against predicted channels, those of the wrench unless others are given.
+
+    Each has a panel, three in a row of a page, with its errors unless there are no titles.
+    """
     across = 3 if not style.is_narrow else 1 if style.titles else 2
     rows = -(-len(channels) // across)
     lines = (2 if style.width / across >= _WIDE else 3) if style.titles else 0
     key = _KEY_LINE * (2.5 + lines * len(models)) if style.titles else 0.0
     figure = style.figure(rows * (_PANEL + key) + (12.0 if style.titles else 20.0))
     style.add_title(figure, title)
-    axes = figure.subplots(rows, across, squeeze=False, sharex=True).ravel()
-    measured = samples.trusted_values
-    for axis, channel in zip(axes, channels, strict=False):
+    axes, measured = panels(figure, len(channels), across), samples.trusted_values
+    for axis, channel in zip(axes, channels, strict=True):
         first = models[0][2][channel]
         axis.axvspan(segment.start, segment.end, **SEGMENT_STYLE)
         axis.plot(*thin(samples.time, measured[:, channel]), label="measured", **MEASURED_STYLE)
@@ -223,17 +206,11 @@ def _draw(
             described = _describe(label, errors[channel], lines)
             axis.plot(*thin(samples.time, predicted[:, channel]), label=described, **look)
         axis.set_ylabel(f"{_QUANTITIES[first.unit]} [{first.unit}]")
-        style_axes(axis)
         name = first.name + " (not in objective)" * (not first.in_objective)
         if lines:
             add_legend(axis, title=name, labelspacing=0.2, handlelength=1.8)
         else:
             axis.set_title(wrap(name, _NAME), loc="left", fontweight="bold", parse_math=False)
-    for axis in axes[len(channels) :]:
-        axis.set_visible(False)
-    for axis in axes[max(0, len(channels) - across) : len(channels)]:
-        axis.set_xlabel("time [s]")
-        axis.tick_params(labelbottom=True)
     if not lines:
         handles, labels = axes[0].get_legend_handles_labels()
         add_legend(figure, handles, labels, loc="outside lower center", ncols=across + 1)

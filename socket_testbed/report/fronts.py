@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
+from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.identification.pareto import (
     KNEE,
     SENSOR_ONLY,
@@ -20,7 +21,9 @@ from socket_testbed.identification.pareto import (
     front_table,
 )
 from socket_testbed.pages.document import numbers
-from socket_testbed.report.figures.style import (
+from socket_testbed.report.page import ReportFigure, Section
+from socket_testbed.report.results import Results
+from socket_testbed.report.style import (
     DEFAULT_STYLE,
     LINE_STYLES,
     FigureStyle,
@@ -28,8 +31,6 @@ from socket_testbed.report.figures.style import (
     lay_out,
     style_axes,
 )
-from socket_testbed.report.page import Bullets, ReportFigure, Section
-from socket_testbed.report.results import Results
 from socket_testbed.tables import Table
 
 _MARKS: dict[str, dict[str, Any]] = {
@@ -57,7 +58,10 @@ def section(results: Results) -> Section:
     """The section on the fronts, or why there are none."""
     if not results.fronts:
         return Section("fronts", "Pareto fronts", [f"None: {results.no_fronts}."])
-    fronts = [*results.fronts.values()]
+    fronts, lines = [*results.fronts.values()], {}
+    for front in fronts:
+        kept, errors = _kept(front)
+        lines[_describe(front)] = dict(zip("xy", numbers(errors[:, kept], 6), strict=True))
     figure = ReportFigure(
         "pareto",
         "Normalised error of the clusters against that of the wrench over theta; both are the"
@@ -70,23 +74,30 @@ def section(results: Results) -> Section:
             "dots": True,
             "log": True,
             "over": _WRENCH_LABEL,
-            "panels": [{"title": _LOCAL_LABEL, "lines": dict(map(_points, fronts))}],
+            "panels": [{"title": _LOCAL_LABEL, "lines": lines}],
         },
     )
     verdicts = [f"{front.variant}: {front.knee.verdict}." for front in fronts]
-    return Section("fronts", "Pareto fronts", [Bullets(verdicts), figure, marks_table(fronts)])
+    return Section("fronts", "Pareto fronts", [verdicts, figure, marks_table(fronts)])
 
 
-def _points(front: Front) -> tuple[str, dict[str, Any]]:
-    """The solutions that no other dominates, for the page."""
+def _kept(front: Front) -> tuple[IntArray, FloatArray]:
+    """Solutions that no other dominates along the front, and the two errors of all, (2, k)."""
     kept = np.flatnonzero(front.non_dominated)
     kept = kept[np.argsort(front.wrench_error[kept], kind="stable")]
-    errors = np.maximum([front.wrench_error[kept], front.local_error[kept]], _LEAST_ERROR)
-    return _describe(front), dict(zip("xy", numbers(errors, 6), strict=True))
+    return kept, np.maximum([front.wrench_error, front.local_error], _LEAST_ERROR)
 
 
 def marks_table(fronts: Iterable[Front]) -> Table:
     """The solutions that stand out on each front."""
+    columns = {
+        "theta [-]": "theta",
+        "wrench error [-]": "wrench_error",
+        "local error [-]": "local_error",
+        "moment RMSE [N m]": "moment_rmse",
+        "force RMSE [N]": "force_rmse",
+        "local RMSE [N]": "local_rmse",
+    }
     rows = []
     for front in fronts:
         for name in (SENSOR_ONLY, KNEE, WRENCH_ONLY):
@@ -94,23 +105,15 @@ def marks_table(fronts: Iterable[Front]) -> Table:
             index = front.marks.get(name)
             if index is None:
                 flaw = front.flaws[0 if name == SENSOR_ONLY else -1]
-                row["remark"] = "none" if name == KNEE else flaw
+                remark = "none" if name == KNEE else flaw
+                row |= dict.fromkeys(columns, np.nan)
             else:
-                row |= {
-                    "theta [-]": front.theta[index],
-                    "wrench error [-]": front.wrench_error[index],
-                    "local error [-]": front.local_error[index],
-                    "moment RMSE [N m]": front.moment_rmse[index],
-                    "force RMSE [N]": front.force_rmse[index],
-                    "local RMSE [N]": front.local_rmse[index],
-                    "remark": "" if front.non_dominated[index] else "dominated",
-                }
-            rows.append(row)
-    frame = pd.DataFrame(rows).set_index("variant")
-    frame["remark"] = frame.pop("remark")  # the last column
+                remark = "" if front.non_dominated[index] else "dominated"
+                row |= {title: getattr(front, field)[index] for title, field in columns.items()}
+            rows.append(row | {"remark": remark})
     formats = {"theta [-]": ".3g", "wrench error [-]": ".4f", "local error [-]": ".4f"}
     caption = "The solutions that stand out on each front, with mean, mean and median RMSE"
-    return Table("marks", caption, frame, formats)
+    return Table("marks", caption, pd.DataFrame(rows).set_index("variant"), formats)
 
 
 @in_style
@@ -147,11 +150,8 @@ def pareto_figure(
 
 
 def _draw_front(axes: Axes, front: Front, style: dict[str, Any]) -> None:
-    kept = np.flatnonzero(front.non_dominated)
-    kept = kept[np.argsort(front.wrench_error[kept], kind="stable")]
-    dominated = front.sound & ~front.non_dominated
-    errors = np.maximum([front.wrench_error, front.local_error], _LEAST_ERROR)
-    colour = style["color"]
+    kept, errors = _kept(front)
+    dominated, colour = front.sound & ~front.non_dominated, style["color"]
     dots: dict[str, Any] = {"color": colour, "linestyle": "none", "marker": "o", "markersize": 3}
     axes.plot(*errors[:, kept], label=_describe(front), **style)
     axes.plot(*errors[:, kept], **dots)

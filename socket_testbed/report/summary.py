@@ -5,34 +5,36 @@ from __future__ import annotations
 import hashlib
 import platform
 from datetime import UTC, datetime
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from socket_testbed import __version__
 from socket_testbed.identification.evaluation import summarise_errors
 from socket_testbed.identification.information import share_warning
-from socket_testbed.report.page import Bullets, Folded, Heading, Section
+from socket_testbed.identification.model_file import StoredModel
+from socket_testbed.report.page import Heading, Section
+from socket_testbed.report.pressure import describe_pressure
+from socket_testbed.report.quality import find_gaps, mean_and_sigma
 from socket_testbed.report.results import Candidate, Results
-from socket_testbed.report.sections.pressure import describe_pressure
-from socket_testbed.report.sections.quality import find_gaps, mean_and_sigma
 from socket_testbed.tables import Table, number, pairs_table
 from socket_testbed.trials.trial import PARAMETERS_FILE
 
-_LIBRARIES = ("socket_testbed", "numpy", "scipy", "osqp", "qpsolvers", "matplotlib", "plotly")
+_LIBRARIES = ("numpy", "scipy", "osqp", "qpsolvers", "matplotlib", "plotly")
 _DIGEST = 16  # hexadecimal digits: enough to tell files apart
 
 
 def section(results: Results) -> Section:
     """The section on the models that were fitted."""
-    return Section("models", "Fitted models", [Bullets(summarise(results)[2:])])
+    return Section("models", "Fitted models", [summarise(results)[2:]])
 
 
 def notes_section(results: Results) -> Section:
     """The section with what to know of the data."""
     lines = [*map(str, results.data), *list_notes(results)] or ["Nothing."]
-    return Section("notes", "Notes", [Bullets(lines, "notes")])
+    return Section("notes", "Notes", [lines])
 
 
 def summarise(results: Results) -> list[str]:
@@ -40,7 +42,7 @@ def summarise(results: Results) -> list[str]:
     wrench = results.samples.wrench[results.segment.rows]
     (force, _), (moment, _) = mean_and_sigma(wrench[:, 3:]), mean_and_sigma(wrench[:, :3])
     return [
-        describe_pressure(results.pressure, results.trial.geometry),
+        describe_pressure(results.pressure),
         "; ".join(map(str, results.data)).capitalize() or "Data: good.",
         f"Fitted to the segment, {results.segment}: {int(results.in_segment.sum())} of"
         f" {len(results.samples)} samples, mean force {number(force)} N, mean moment"
@@ -67,16 +69,12 @@ def _describe(candidate: Candidate) -> str:
 
 def list_notes(results: Results) -> list[str]:
     """What a reader must know of the trial before using the figures."""
-    warnings = {c.label: share_warning(c.shares) for c in results.candidates}
     samples, geometry = results.samples, results.trial.geometry
     notes = [*results.bag_notes]
     for found in results.implausible:
-        left_out = found.channel in results.settings.identification.leave_out
-        fate = (
-            "It was left out of the objective."
-            if left_out
-            else f"It is in the objective; --leave-out {found.channel} leaves it out."
-        )
+        fate = f"It is in the objective; --leave-out {found.channel} leaves it out."
+        if found.channel in results.settings.identification.leave_out:
+            fate = "It was left out of the objective."
         notes.append(f"{found.channel} looks implausible: {found.reason}. {fate}")
     gaps = find_gaps(samples.time)
     if gaps:
@@ -91,8 +89,9 @@ def list_notes(results: Results) -> list[str]:
             f"{unfitted} of the segment's {inside} samples are in no fit: they lack the limb"
             " position or a channel of the wrench that is in the objective."
         )
+    warnings = {c.label: share_warning(c.shares) for c in results.candidates}
     notes += [f"{label}: {warning}." for label, warning in warnings.items() if warning]
-    if results.pressure.side is None:
+    if results.trial.metadata.side is None:
         notes.append(
             "No side of the leg is stated: regions are left and right, not medial and lateral."
             f" 'annotate {results.trial.name} --side left|right' states it."
@@ -128,15 +127,13 @@ def origin_section(results: Results, command: str, made: datetime) -> Section:
                 "What the report was made from and with",
                 provenance(results, command, made),
             ),
-            Folded(
-                "Settings of the identification and the plateaus",
-                [pairs_table("settings", "Settings by their names in parameters.yaml", settings)],
-            ),
             Heading("Solver certificates"),
             "Karush-Kuhn-Tucker residuals and duality gap in the scaled units of each stage,"
             " computed from the solution, whatever the solver reports; none may exceed"
             f" {tolerance:g}.",
             _certificates(results),
+            Heading("Settings of the identification and the plateaus"),
+            pairs_table("settings", "Settings by their names in parameters.yaml", settings),
         ],
     )
 
@@ -145,13 +142,17 @@ def provenance(results: Results, command: str, made: datetime) -> list[tuple[str
     """What the report was made from and with, as pairs of name and value."""
     trial, geometry = results.trial, results.trial.geometry
     calibration, stored = trial.calibration, trial.path / PARAMETERS_FILE
-    first, last = (int(results.samples.stamps[end]) for end in (0, -1))
+    stamps = [int(results.samples.stamps[end]) for end in (0, -1)]
+    first, last = (
+        f"{_moment(datetime.fromtimestamp(1e-9 * stamp, UTC))} (stamp {stamp} ns)"
+        for stamp in stamps
+    )
     rows = [
         ("report made", _moment(made)),
         ("command", command),
         ("trial", trial.name),
-        ("trial, first sample", f"{_moment_of(first)} (stamp {first} ns)"),
-        ("trial, last sample", f"{_moment_of(last)} (stamp {last} ns)"),
+        ("trial, first sample", first),
+        ("trial, last sample", last),
         ("geometry", _file(trial.geometry_path, trial.socket_file is not None)),
         ("geometry, source", geometry.source or "not stated"),
         ("geometry, registration", geometry.registration or "none: nominal"),
@@ -165,10 +166,11 @@ def provenance(results: Results, command: str, made: datetime) -> list[tuple[str
     if stored.is_file():
         rows.append(("parameters in the trial", _file(stored, given=False)))
     for candidate in results.candidates:
-        if given := candidate.given:
+        if isinstance(given := candidate.source, StoredModel):
             described = f"{candidate.model.variant} of {given.trial}; {given.status}"
             rows.append((f"model {candidate.label}", described))
-    rows += [(f"version of {name}", _version(name)) for name in _LIBRARIES]
+    versions = {"socket_testbed": __version__} | {name: version(name) for name in _LIBRARIES}
+    rows += [(f"version of {name}", found) for name, found in versions.items()]
     return [*rows, ("Python", f"{platform.python_version()} on {platform.system()}")]
 
 
@@ -178,25 +180,14 @@ def _file(path: Path, given: bool) -> str:
     return f"{path.name}, {origin}, SHA-256 {digest}..."
 
 
-def _moment_of(stamp: int) -> str:
-    return _moment(datetime.fromtimestamp(stamp * 1e-9, UTC))
-
-
 def _moment(moment: datetime) -> str:
     return moment.astimezone(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
-
-
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:  # a checkout that is not installed
-        return "not installed as a package"
 
 
 def _certificates(results: Results) -> Table:
     rows = [
         {
-            "variant": label,
+            "variant": candidate.label,
             "stage": stage,
             "bound violation [-]": solution.certificate.primal,
             "stationarity [-]": solution.certificate.stationarity,
@@ -204,7 +195,8 @@ def _certificates(results: Results) -> Table:
             "solver": solution.solver,
             "determined stiffnesses": f"{fit.determined:.1f} of {fit.model.stiffness.size}",
         }
-        for label, fit in ((c.label, c.fit) for c in results.candidates if c.fit is not None)
+        for candidate in results.candidates
+        if (fit := candidate.fit) is not None
         for stage, solution in (
             ("1, rest positions", fit.stage_one),
             ("2, stiffnesses", fit.stage_two),

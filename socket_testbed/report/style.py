@@ -18,11 +18,6 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import WIDTHS, atomic_output, check_picture
 
-TILE = "#A6CBE3"
-CLUSTER = "#D55E00"  # Okabe & Ito's vermilion
-EDGE = "#2B5C7D"
-NO_VALUE = "#FFFFFF"
-HATCH = "/////"  # of what has no value
 SCALE = "viridis"  # even in lightness, told apart by the colour-blind; as on the pages
 
 
@@ -128,6 +123,22 @@ def style_axes(axis: Axes) -> None:
     axis.grid(color="0.9")
     axis.set_axisbelow(True)
     axis.spines[["top", "right"]].set_visible(False)
+
+
+def panels(
+    figure: Figure | SubFigure, count: int, across: int, label: str = "time [s]", **shared: Any
+) -> list[Axes]:
+    """Panels over a common axis, row by row, labelled below the lowest of each column."""
+    rows = -(-count // across)
+    axes = figure.subplots(rows, across, squeeze=False, sharex=True, **shared).ravel()
+    for axis in axes[count:]:
+        axis.remove()
+    for number, axis in enumerate(axes[:count]):
+        style_axes(axis)
+        if number + across >= count:
+            axis.set_xlabel(label)
+            axis.tick_params(labelbottom=True)
+    return [*axes[:count]]
 
 
 def add_legend(where: Axes | Figure, *entries: Any, **options: Any) -> None:

@@ -20,7 +20,9 @@ from socket_testbed.identification.validation import (
     judgements_table,
     summarise_judgements,
 )
-from socket_testbed.report.figures.style import (
+from socket_testbed.report.page import Heading, ReportFigure, Section
+from socket_testbed.report.results import Results
+from socket_testbed.report.style import (
     DEFAULT_STYLE,
     LINE_STYLES,
     FigureStyle,
@@ -28,8 +30,6 @@ from socket_testbed.report.figures.style import (
     lay_out,
     style_axes,
 )
-from socket_testbed.report.page import Bullets, Heading, ReportFigure, Section
-from socket_testbed.report.results import Results
 from socket_testbed.tables import Table, number
 
 _COLOURS = {INVERSE_DISTANCE: "0.75", CLOSED: "0.5", FORCE_MAP: LINE_STYLES[1]["color"]}
@@ -93,11 +93,11 @@ def section(results: Results) -> Section:
             f" {results.motion.directions} of 6 independent directions the motion is"
             f" {LEAST_RATIO:g} times the noise or more; elsewhere the noise shrinks the"
             " stiffnesses, and the smoothness decides them.",
-            Bullets([str(excitation) for excitation in results.motion.excitations]),
+            [str(excitation) for excitation in results.motion.excitations],
             "With the noise of the channels and of the pose, and only the directions of the pose"
             " that move, the data show so many stiffnesses, or combinations of them, to"
             f" {difference:g} N/m or better:",
-            Bullets(known),
+            known,
         ],
     )
 
@@ -162,20 +162,20 @@ def validation_figure(
 
 
 def _draw_errors(axes: Axes, judgements: Sequence[Judgement]) -> None:
-    found: dict[tuple[str, str], list[float]] = {}
-    for j in judgements:
-        if j.question in _QUESTIONS and j.predictor in _COLOURS:
-            row = j.cluster or _QUESTIONS[j.question]
-            found.setdefault((row, j.predictor), []).append(j.error)
-    rows = list(dict.fromkeys(row for row, _ in found))
+    rows = [
+        (judged.cluster or _QUESTIONS[judged.question], judged.predictor, judged.error)
+        for judged in judgements
+        if judged.question in _QUESTIONS
+    ]
+    found = pd.DataFrame(rows, columns=["row", "predictor", "error"])
+    errors = found.pivot_table("error", "row", "predictor", sort=False).reindex(columns=[*_COLOURS])
     thickness = 0.8 / len(_COLOURS)
-    places = np.arange(len(rows))
+    places = np.arange(len(errors))
     for i, (predictor, colour) in enumerate(_COLOURS.items()):
-        shift = (i - 0.5 * (len(_COLOURS) - 1)) * thickness
-        widths = [np.mean(found.get((row, predictor), np.nan)) for row in rows]
-        axes.barh(places + shift, widths, thickness, color=colour, label=predictor)
+        shifted = places + (i - 0.5 * (len(_COLOURS) - 1)) * thickness
+        axes.barh(shifted, errors[predictor], thickness, color=colour, label=predictor)
     axes.axvline(1.0, color="0.3", linewidth=0.8)
-    axes.set_yticks(places, rows, parse_math=False)
+    axes.set_yticks(places, errors.index, parse_math=False)
     axes.invert_yaxis()
     axes.set_xlabel("error over the rms of the forces [-]\n1: predicting zero")
     style_axes(axes)
@@ -185,21 +185,13 @@ def _draw_errors(axes: Axes, judgements: Sequence[Judgement]) -> None:
 def _draw_coverage(axes: Axes, judgements: Sequence[Judgement]) -> None:
     levels = 100.0 * np.array(LEVELS)
     axes.plot([40.0, 100.0], [40.0, 100.0], color="0.3", linewidth=0.8)
+    of_map = [j for j in judgements if j.predictor == FORCE_MAP and not j.cluster]
     for question, label in _QUESTIONS.items():
-        coverages = [
-            j.coverage
-            for j in judgements
-            if j.predictor == FORCE_MAP and j.question == question and not j.cluster
-        ]
+        coverages = [j.coverage for j in of_map if j.question == question]
         if coverages:
-            axes.plot(
-                levels,
-                100.0 * np.mean(coverages, axis=0),
-                color=_COLOURS[FORCE_MAP],
-                marker=_MARKERS[question],
-                markerfacecolor="white",
-                label=label,
-            )
+            shares = 100.0 * np.mean(coverages, axis=0)
+            look = {"color": _COLOURS[FORCE_MAP], "markerfacecolor": "white"}
+            axes.plot(levels, shares, marker=_MARKERS[question], label=label, **look)
     axes.set_xlabel("stated probability of the interval [%]")
     axes.set_ylabel("values within the force map's\ninterval [%]")
     axes.set_xticks(levels)

@@ -10,7 +10,9 @@ from matplotlib.figure import Figure
 
 from socket_testbed.arrays import BoolArray, FloatArray, StatusArray
 from socket_testbed.identification.noise import channel_noise, noise_groups
-from socket_testbed.report.figures.style import (
+from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart
+from socket_testbed.report.results import Results
+from socket_testbed.report.style import (
     THINNED,
     FigureStyle,
     in_style,
@@ -18,8 +20,6 @@ from socket_testbed.report.figures.style import (
     style_axes,
     thin,
 )
-from socket_testbed.report.page import Bullets, Heading, ReportFigure, Section, line_chart
-from socket_testbed.report.results import Results
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status
 from socket_testbed.tables import Table, number
 from socket_testbed.trials.segment import Segment
@@ -28,8 +28,8 @@ _GAP = 1.5  # [-]; of the usual period
 _MOST_GAPS = 5  # in the list
 _LOAD, _DROP_OUTS, _DROP_OUTS_AXIS = 36.0, 4.5, 16.0  # [mm]
 _BINS = 400  # of the trial's time
-_FLAWS = {"saturated [1]": Status.SATURATED, "out of range [1]": Status.OUT_OF_RANGE}
 _CHOSEN, _OTHER = "0.80", "0.93"  # greys
+_COLOURS = ("#0072B2", "#D55E00")  # of force and moment
 
 
 def section(results: Results) -> Section:
@@ -49,7 +49,7 @@ def section(results: Results) -> Section:
             f"{len(samples)} samples in {samples.time[-1]:.2f} s at"
             f" {number(1.0 / usual_period(samples.time))} Hz, {int(samples.complete.sum())} with a"
             f" wrench and a limb position; {len(gaps)} gaps longer than {_GAP:g} periods.",
-            Bullets(listed),
+            listed,
             _overview(results),
             Table("drop-outs", "Samples of the trial without a measurement", drop_outs, counts),
             Heading("The segment"),
@@ -83,10 +83,17 @@ def find_gaps(time: FloatArray) -> list[tuple[float, float]]:
     return [(float(time[i]), float(periods[i])) for i in longest_first]
 
 
-def unusable(samples: Samples) -> dict[str, BoolArray]:
-    """Samples in which a measurement cannot be used, shape (N,) each, by its name."""
-    return _missing(samples) | {
-        name: np.asarray(status != Status.OK) for name, status in _statuses(samples).items()
+def states(samples: Samples) -> dict[str, StatusArray]:
+    """State of every measurement, shape (N,) each: the wrench, the limb position, the clusters.
+
+    A cluster's channels come together, with its status; the others are there or missing.
+    """
+    lost = {name: np.isnan(samples.wrench[:, i]) for i, name in enumerate(WRENCH_CHANNELS)}
+    lost["limb position"] = np.asarray(np.isnan(samples.position).any(axis=1))
+    found = {name: np.where(of, Status.MISSING, Status.OK) for name, of in lost.items()}
+    return found | {
+        f"{name} ({', '.join(LOCAL_CHANNELS)})": samples.status[:, column]
+        for column, name in enumerate(samples.clusters)
     }
 
 
@@ -95,38 +102,19 @@ def find_drop_outs(samples: Samples, segment: Segment) -> pd.DataFrame:
 
     Saturated readings and those out of range are counted for the clusters, NaN for the others.
     """
-    statuses = _statuses(samples)
     rows = {}
-    for name, missing in _missing(samples).items():
-        status = statuses.get(name)
+    for row, (name, state) in enumerate(states(samples).items()):
+        missing = state == Status.MISSING
+        is_cluster = row > len(WRENCH_CHANNELS)
         rows[name] = {
             "missing [1]": missing.sum(),
             "missing [%]": 100.0 * missing.mean(),
             "of them in the segment [1]": missing[segment.rows].sum(),
             "longest [s]": _longest(missing, samples.time),
-        } | {
-            title: np.nan if status is None else (status == code).sum()
-            for title, code in _FLAWS.items()
+            "saturated [1]": (state == Status.SATURATED).sum() if is_cluster else np.nan,
+            "out of range [1]": (state == Status.OUT_OF_RANGE).sum() if is_cluster else np.nan,
         }
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("measurement")
-
-
-def _missing(samples: Samples) -> dict[str, BoolArray]:
-    nothing: dict[str, BoolArray] = {
-        name: np.isnan(samples.wrench[:, i]) for i, name in enumerate(WRENCH_CHANNELS)
-    }
-    nothing["limb position"] = np.asarray(np.isnan(samples.position).any(axis=1))
-    return nothing | {
-        name: np.asarray(status == Status.MISSING) for name, status in _statuses(samples).items()
-    }
-
-
-def _statuses(samples: Samples) -> dict[str, StatusArray]:
-    """Status of each cluster's channels, which come together, shape (N,) each."""
-    return {
-        f"{name} ({', '.join(LOCAL_CHANNELS)})": samples.status[:, column]
-        for column, name in enumerate(samples.clusters)
-    }
 
 
 def _longest(missing: BoolArray, time: FloatArray) -> float:
@@ -168,62 +156,56 @@ def _plateaus(results: Results) -> Table:
 
 
 def _overview(results: Results) -> ReportFigure:
-    samples, lacking = results.samples, unusable(results.samples)
-    columns = {
+    samples = results.samples
+    lacking = {name: state != Status.OK for name, state in states(samples).items()}
+    loads = {
         "force magnitude [N]": np.linalg.norm(samples.wrench[:, 3:], axis=1),
         "moment magnitude [N m]": np.linalg.norm(samples.wrench[:, :3], axis=1),
     }
-    columns |= {f"{name} not usable [-]": flags.astype(int) for name, flags in lacking.items()}
+    flags = {f"{name} not usable [-]": of.astype(int) for name, of in lacking.items()}
+    charts = [{"title": title, "lines": {"measured": of}} for title, of in loads.items()]
     return ReportFigure(
         "overview",
         "The measured load over the trial, with the plateaus in light and the segment in use in"
         " darker grey; below, the share of samples in which a measurement could not be used: it"
         " was missing, saturated, or out of the calibrated range, where it would be an"
         f" extrapolation. {THINNED}",
-        lambda style: _draw_overview(results, lacking, style),
+        lambda style: _draw_overview(results, loads, lacking, style),
         "Magnitudes of the measured force and moment over time, and drop-outs by measurement",
-        results.series(columns),
-        line_chart(
-            samples.time,
-            [
-                {"title": title, "lines": {"measured": values}}
-                for title, values in [*columns.items()][:2]
-            ],
-        ),
+        results.series(loads | flags),
+        line_chart(samples.time, charts),
     )
 
 
 @in_style
 def _draw_overview(
-    results: Results, lacking: Mapping[str, BoolArray], style: FigureStyle
+    results: Results,
+    loads: Mapping[str, FloatArray],
+    lacking: Mapping[str, BoolArray],
+    style: FigureStyle,
 ) -> Figure:
     """The magnitudes of force and moment, and the share of samples that cannot be used."""
-    time, wrench = results.samples.time, results.samples.wrench
+    time = results.samples.time
     raster = _DROP_OUTS * len(lacking) + _DROP_OUTS_AXIS
     figure = style.figure(2.0 * _LOAD + raster)
-    axes = figure.subplots(3, 1, sharex=True, height_ratios=(_LOAD, _LOAD, raster))
-    for axis, columns, label, colour in (
-        (axes[0], slice(3, 6), "force [N]", "#0072B2"),
-        (axes[1], slice(0, 3), "moment [N m]", "#D55E00"),
-    ):
-        parts = [(part, _OTHER) for part in results.plateaus] + [(results.segment, _CHOSEN)]
-        for part, grey in parts:
+    *axes, lowest = figure.subplots(3, 1, sharex=True, height_ratios=(_LOAD, _LOAD, raster))
+    spans = [*((part, _OTHER) for part in results.plateaus), (results.segment, _CHOSEN)]
+    for axis, (name, load), colour in zip(axes, loads.items(), _COLOURS, strict=True):
+        for part, grey in spans:
             axis.axvspan(part.start, part.end, color=grey, linewidth=0.0)
-        magnitude = np.linalg.norm(wrench[:, columns], axis=1)
-        axis.plot(*thin(time, magnitude), color=colour, linewidth=1.0)
-        axis.set_ylabel(f"magnitude of the\n{label}")
+        axis.plot(*thin(time, load), color=colour, linewidth=1.0)
+        axis.set_ylabel(name.replace(" [", "\n["))
         style_axes(axis)
     count = max(1, min(_BINS, len(time) // 2))
     edges = np.linspace(time[0], max(time[-1], time[0] + 1e-3), count + 1)
-    bins = np.clip(np.searchsorted(edges, time, side="right") - 1, 0, count - 1)
-    triggers = np.bincount(bins, minlength=count)
-    lost = [np.bincount(bins, flags, minlength=count) for flags in lacking.values()]
+    triggers, _ = np.histogram(time, edges)
+    lost = [np.histogram(time, edges, weights=1.0 * of)[0] for of in lacking.values()]
     # Without a trigger nothing was measured at all.
     share = np.where(triggers > 0, np.array(lost) / np.maximum(triggers, 1), 1.0)
     rows = np.arange(len(lacking) + 1) - 0.5
-    mesh = axes[2].pcolormesh(edges, rows, share, cmap="Greys", vmin=0.0, vmax=1.0, rasterized=True)
-    axes[2].set_yticks(range(len(lacking)), list(lacking), parse_math=False)
-    axes[2].invert_yaxis()
-    axes[2].set_xlabel("time [s]")
-    figure.colorbar(mesh, ax=axes[2], pad=0.01, aspect=12).set_label("not usable [-]")
+    mesh = lowest.pcolormesh(edges, rows, share, cmap="Greys", vmin=0.0, vmax=1.0, rasterized=True)
+    lowest.set_yticks(range(len(lacking)), list(lacking), parse_math=False)
+    lowest.invert_yaxis()
+    lowest.set_xlabel("time [s]")
+    figure.colorbar(mesh, ax=lowest, pad=0.01, aspect=12).set_label("not usable [-]")
     return lay_out(figure)

@@ -11,28 +11,23 @@ from matplotlib.figure import Figure, SubFigure
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.pages.document import numbers
-from socket_testbed.report.figures.style import (
+from socket_testbed.report.page import ReportFigure, Section
+from socket_testbed.report.results import Candidate, Results
+from socket_testbed.report.style import (
     LINE_STYLES,
     SEGMENT_STYLE,
     THINNED,
     FigureStyle,
     add_legend,
-    style_axes,
+    panels,
     thin,
 )
-from socket_testbed.report.figures.tiles import tile_map_figure
-from socket_testbed.report.page import ReportFigure, Section
-from socket_testbed.report.results import Candidate, Results
+from socket_testbed.report.tiles import tile_map_figure
 from socket_testbed.samples import channel_unit
 from socket_testbed.settings.identification import BIAS_VARIANTS
 from socket_testbed.tables import Table, split_unit
 
 _LINES = 68.0  # [mm]; height of two panels over time with their key
-_STIFFNESS = ("k", "stiffness [N/m]")
-_REST = {
-    False: ("q_r", "rest position from the mean limb position [mm]"),
-    True: ("q_r", "rest position from the reference pose [mm]"),  # of a rigid variant
-}
 
 
 def section(results: Results) -> Section:
@@ -63,9 +58,9 @@ def model_values(results: Results, candidate: Candidate) -> dict[str, dict[str, 
         ("rest position", "mm", _rest_offsets(results, candidate)),
     ]
     return {
-        f"{kind} along {axis} of {frame} [{unit}]": {"values": numbers(of[:, i]), "unit": unit}
-        for kind, unit, of in kinds
-        for i, axis in enumerate("xyz")
+        f"{kind} along {axis} of {frame} [{unit}]": {"values": numbers(of), "unit": unit}
+        for kind, unit, values in kinds
+        for axis, of in _by_axis(values)
     }
 
 
@@ -78,7 +73,8 @@ def _rest_offsets(results: Results, candidate: Candidate) -> FloatArray:
     """Rest positions from the mean limb position, in `_frame`, shape (n, 3) [mm]."""
     if candidate.model.is_rigid:
         return 1e3 * candidate.model.rest_positions
-    return 1e3 * (candidate.model.rest_positions - results.mean_position)
+    mean = np.nanmean(results.samples.position[results.segment.rows], axis=0)
+    return 1e3 * (candidate.model.rest_positions - mean)
 
 
 def _tile_maps(results: Results) -> Iterator[ReportFigure]:
@@ -86,17 +82,17 @@ def _tile_maps(results: Results) -> Iterator[ReportFigure]:
     shown: FloatArray | None = None
     for candidate in results.candidates:
         model, label = candidate.model, candidate.label
-        stiffness = f"Stiffness of every tile, model {label}"
-        yield _tile_map(
-            results, candidate, f"tile_stiffness_{label}", stiffness, model.stiffness, _STIFFNESS
-        )
+        name, title = f"tile_stiffness_{label}", f"Stiffness of every tile, model {label}"
+        yield _tile_map(results, candidate, name, title, model.stiffness, "k", "stiffness [N/m]")
         if shown is None or not np.array_equal(model.rest_positions, shown):
             shown = model.rest_positions
             shared = candidate.fit is not None and not model.is_rigid
             name = "rest_positions" if shared else f"rest_positions_{label}"
             whose = "the same for the paper's variants" if shared else f"model {label}"
-            title, values = f"Rest positions, {whose}", _rest_offsets(results, candidate)
-            yield _tile_map(results, candidate, name, title, values, _REST[model.is_rigid])
+            values, title = _rest_offsets(results, candidate), f"Rest positions, {whose}"
+            origin = "reference pose" if model.is_rigid else "mean limb position"
+            quantity = f"rest position from the {origin} [mm]"
+            yield _tile_map(results, candidate, name, title, values, "q_r", quantity)
 
 
 def _tile_map(
@@ -105,41 +101,67 @@ def _tile_map(
     name: str,
     title: str,
     values: FloatArray,
-    kind: tuple[str, str],
+    symbol: str,
+    quantity: str,
 ) -> ReportFigure:
     """Maps of values of the tiles along x, y, z, shape (n, 3), of a symbol and a quantity."""
-    (symbol, quantity), geometry = kind, results.trial.geometry
-    frame, described = _frame(candidate), split_unit(quantity)
+    geometry, frame = results.trial.geometry, _frame(candidate)
     clusters = {tile: cluster for cluster, tile in geometry.clusters.items()}
-    columns = {f"anchor {axis} in S [m]": geometry.anchors[:, i] for i, axis in enumerate("xyz")}
-    columns |= {
-        f"{described[0]} {axis} [{described[1]}]": values[:, i] for i, axis in enumerate("xyz")
-    }
+    described, unit = split_unit(quantity)
+    columns = {f"anchor {axis} in S [m]": of for axis, of in _by_axis(geometry.anchors)}
+    columns |= {f"{described} {axis} [{unit}]": of for axis, of in _by_axis(values)}
     of_tiles = [clusters.get(tile, "") for tile in range(len(geometry))]
-    maps = {f"{symbol} along {axis} of {frame}": values[:, i] for i, axis in enumerate("xyz")}
+    maps = {f"{symbol} along {axis} of {frame}": of for axis, of in _by_axis(values)}
+    heading = f"{results.trial.name}: {title}"
     return ReportFigure(
         name,
         f"{title}, along the axes of {frame}; the wall is unrolled and seen from outside. Tiles"
         " with a cluster are outlined.",
-        lambda style: tile_map_figure(
-            geometry, maps, quantity, f"{results.trial.name}: {title}", style
-        ),
+        lambda style: tile_map_figure(geometry, maps, quantity, heading, style),
         f"{title}: tiles of the unrolled socket in the colours of their values",
         pd.DataFrame({"tile": geometry.names, "cluster": of_tiles, **columns}),
     )
 
 
+def _by_axis(values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+    """Columns of an array, shape (n, 3), with their axes."""
+    return zip("xyz", values.T, strict=True)
+
+
 def _engaged_springs(results: Results) -> ReportFigure:
     """Which springs of every model are engaged, over time and over the socket."""
     models = {candidate.label: candidate.engagement for candidate in results.candidates}
+    maps = {name: 100.0 * found.time_share.mean(axis=1) for name, found in models.items()}
     columns = [found.columns(f"{label}.springs.") for label, found in models.items()]
+
+    def draw_lines(part: SubFigure) -> None:
+        for axis, kind in zip(panels(part, 2, 1), ("engaged", "uncertain"), strict=True):
+            for (name, found), line in zip(models.items(), LINE_STYLES, strict=False):
+                share = 100.0 * getattr(found, kind) / found.springs
+                axis.plot(*thin(results.samples.time, share), label=name, **line)
+            axis.axvspan(results.segment.start, results.segment.end, **SEGMENT_STYLE)
+            axis.set_ylabel(f"{kind}\nsprings [%]")
+            axis.set_ylim(bottom=0.0)
+        add_legend(part.axes[0], ncols=2)
+
+    def draw(style: FigureStyle) -> Figure:
+        return tile_map_figure(
+            results.trial.geometry,
+            maps,
+            "share of the time engaged [%]",
+            results.title("Engaged springs"),
+            style,
+            limits=(0.0, 100.0),
+            below=(_LINES, draw_lines),
+        )
+
     return ReportFigure(
         "engaged_springs",
         "Springs that are engaged (compressed, with a stiffness above zero), and uncertain ones,"
         " which one standard deviation of the pose's noise can switch. The maps show the share of"
         " the time over the shaded segment in which the springs of a tile are engaged;"
         f" engaged_tiles.csv holds it for each. {THINNED}",
-        lambda style: _draw_engagement(results, style),
+        draw,
         "Share of the time with engaged springs on the unrolled socket, and their number over time",
         results.series({name: of for found in columns for name, of in found.items()}),
     )
@@ -168,33 +190,3 @@ def _offsets(results: Results) -> pd.DataFrame:
     units = [channel_unit(name) for name in samples.channels]
     index = pd.Index(samples.channels, name="channel")
     return pd.DataFrame({"unit": units, **columns}, index=index)
-
-
-def _draw_engagement(results: Results, style: FigureStyle) -> Figure:
-    """How long the springs of each tile are engaged; below, their number over time."""
-    models = {candidate.label: candidate.engagement for candidate in results.candidates}
-    maps = {name: 100.0 * found.time_share.mean(axis=1) for name, found in models.items()}
-
-    def draw_lines(part: SubFigure) -> None:
-        axes = part.subplots(2, 1, sharex=True)
-        for (name, found), line in zip(models.items(), LINE_STYLES[: len(models)], strict=True):
-            for axis, count in zip(axes, (found.engaged, found.uncertain), strict=True):
-                share = thin(results.samples.time, 100.0 * count / found.springs)
-                axis.plot(*share, label=name, **line)
-        for axis, label in zip(axes, ("engaged", "uncertain"), strict=True):
-            axis.axvspan(results.segment.start, results.segment.end, **SEGMENT_STYLE)
-            axis.set_ylabel(f"{label}\nsprings [%]")
-            axis.set_ylim(bottom=0.0)
-            style_axes(axis)
-        axes[1].set_xlabel("time [s]")
-        add_legend(axes[0], ncols=2 if style.is_narrow else 4)
-
-    return tile_map_figure(
-        results.trial.geometry,
-        maps,
-        "share of the time engaged [%]",
-        results.title("Engaged springs"),
-        style,
-        limits=(0.0, 100.0),
-        below=(_LINES, draw_lines),
-    )

@@ -1,1 +1,0 @@
-"""Figures of sockets, channels and trade-offs."""

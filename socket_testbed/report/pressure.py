@@ -1,0 +1,348 @@
+"""Pressure as a lab reads it: the pictures, outputs of the regions, maps, regions over time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+
+from socket_testbed.arrays import FloatArray
+from socket_testbed.geometry.regions import UNMEASURED
+from socket_testbed.geometry.socket import (
+    HEIGHTS,
+    PARTS_OF_SECTORS,
+    SECTORS,
+    SOCKET,
+    SocketGeometry,
+)
+from socket_testbed.identification.force_map import MapEstimate
+from socket_testbed.identification.pressure import (
+    NORMAL_QUANTILE,
+    SHARE,
+    THRESHOLD,
+    Quantity,
+    columns_of,
+    normal_quantity,
+    read_column,
+    with_interval,
+)
+from socket_testbed.pages.document import (
+    bars,
+    cards,
+    data_card,
+    measured_pressure,
+    moment,
+    moments,
+    trial_document,
+)
+from socket_testbed.report.page import Heading, Pictures, ReportFigure, Section
+from socket_testbed.report.results import Results, SegmentPressure, by_place
+from socket_testbed.report.style import (
+    LINE_STYLES,
+    THINNED,
+    FigureStyle,
+    add_legend,
+    panels,
+    thin,
+    thin_band,
+)
+from socket_testbed.report.surface import model_values
+from socket_testbed.report.tiles import add_key, tile_map_figure
+from socket_testbed.tables import NOTHING, UNCERTAIN, Table, split_unit
+
+_DECIMALS = {
+    "peak pressure [kPa]": 1,
+    "mean pressure [kPa]": 1,
+    "contact area [cm^2]": 0,
+    "pressure-time integral [kPa s]": 0,
+    "share of load [%]": 0,
+    "shear [kPa]": 1,
+    "shear direction [deg]": 0,
+    "centre of pressure x [mm]": 0,
+    "centre of pressure y [mm]": 0,
+    "centre of pressure z [mm]": 0,
+}
+_PRESSURES = 5  # columns of the first table by region
+_SPANS = ("plateau", "hold")
+_UNIT = "pressure [kPa]"
+_MOST_POINTS = 300  # per line
+_BAND = 0.18  # [-]; opacity
+_NUMBER = 0.04  # [-]; of a panel's width, for the number of an event
+
+
+def head_section(results: Results) -> Section:
+    """The pictures of the socket."""
+    described = "Pressure on the unrolled wall of the socket, estimated between the clusters"
+    return Section("socket", "", [Pictures(described)])
+
+
+def page_data(results: Results) -> dict[str, Any]:
+    """What the cards and the pictures of the socket show."""
+    found, trial, over_trial = results.pressure, results.trial, results.over_trial
+    outputs, tiles, geometry = found.outputs, found.outputs.tiles, results.trial.geometry
+    time = 1e-9 * (over_trial.samples.stamps - results.samples.stamps[0])
+    measured = measured_pressure(outputs.samples, geometry).mean(axis=0)
+    deviation = (tiles.mean.high - tiles.mean.low) / (2.0 * NORMAL_QUANTILE)
+    mean = moment(found.peak_time, tiles.mean.value, deviation, tiles.shear.value, measured)
+    at_peak = outputs.peak_map.normal_pressure[0]
+    return trial_document(trial, over_trial, time) | {
+        "start": found.peak_time,
+        "moments": moments(time, over_trial, geometry),
+        "mean": mean | {"time": None, "words": f"mean over {results.segment}"},
+        "cards": [
+            *cards(geometry, found.places, outputs.regions, at_peak),
+            data_card(results.data),
+        ],
+        "bars": bars(found.places, outputs.regions),
+        "extras": {
+            f"{candidate.label}: {name}": values
+            for candidate in results.candidates
+            for name, values in model_values(results, candidate).items()
+        },
+    }
+
+
+def section(results: Results) -> Section:
+    """The section with the outputs in numbers."""
+    found = results.pressure
+    names = pd.Index([place.name for place in found.places], name="region")
+    outputs = pd.DataFrame(columns_of(found.outputs.regions, [*_DECIMALS]), index=names)
+    mean = with_interval("mean pressure [kPa]", found.outputs.mean_pressure().part(..., 1e-3))
+    over_time = pd.DataFrame({"time [s]": found.time} | by_place(names, mean))
+    return Section(
+        "pressure",
+        "Pressure",
+        [
+            f"Over {results.segment}. A value whose 95 % interval reaches farther than"
+            f" {100.0 * SHARE:g} % of it is called uncertain. In contact:"
+            f" above {1e-3 * THRESHOLD:g} kPa; the integrals cover"
+            f" {found.outputs.integrated:.1f} s, while in contact. The direction of the shear is"
+            " that from proximal about the inward normal. 'socket-testbed pressure' gives the same"
+            " numbers, and those of another segment or threshold.",
+            *_tables(found),
+            Heading("How it is estimated"),
+            "From the clusters' and the load cell's measurements, without a fitted model: a"
+            f" Gaussian process over the socket's surface ({found.outputs.source}). About 95 % of"
+            " the true values lie within the intervals. The mean over the segment is as uncertain"
+            " as one sample, since what the sensors leave open does not change.",
+            _overview(results),
+            _force_map(results),
+        ],
+        {"pressure.csv": outputs, "pressure_of_regions.csv": over_time},
+    )
+
+
+def _tables(found: SegmentPressure) -> list[Table]:
+    """The outputs of the regions, of which the last is the socket, and how the limb sits in it."""
+    names = pd.Index([place.name for place in found.places], name="region")
+    words = {_printed(title): map("\n".join, _words(found, title)) for title in _DECIMALS}
+    cells = pd.DataFrame({title: [*column] for title, column in words.items()}, index=names)
+    below = "by region, the 95 % interval below each value"
+    first, second = cells.iloc[:, :_PRESSURES], cells.iloc[:, _PRESSURES:]
+    tables = [
+        Table("pressure-regions", f"Pressure and load {below}", first),
+        Table("pressure-shear", f"Shear and centre of pressure {below}", second),
+    ]
+    if found.suspension is not None:
+        outputs = found.suspension.outputs()
+        limb = {title: "{} ({})".format(*_in_words(of, 2)[0]) for title, of in outputs.items()}
+        column = pd.DataFrame({"over the segment": limb})
+        column = column.replace(f"{NOTHING} ({NOTHING})", NOTHING)
+        tables.append(Table("limb", "Limb in the socket, about the centre of the tiles", column))
+    return tables
+
+
+def describe_pressure(found: SegmentPressure) -> str:
+    """The pressure on the socket in a sentence."""
+    parts = []
+    for title in [*_DECIMALS][:3]:
+        value, interval = _words(found, title)[-1]
+        name, unit = split_unit(_printed(title))
+        parts.append(f"{name} {value} ({interval}) {unit}")
+    peak = found.outputs.peak_map.normal_pressure[0].argmax()
+    return (
+        f"Pressure over the segment, with 95 % intervals: {'; '.join(parts)}. The peak is on"
+        f" {found.trial.geometry.names[peak]} at {found.peak_time:.2f} s."
+    )
+
+
+def _printed(title: str) -> str:
+    return title.replace("^2", "\N{SUPERSCRIPT TWO}")
+
+
+def _words(found: SegmentPressure, title: str) -> list[tuple[str, str]]:
+    """An output of every region, and its interval."""
+    return _in_words(read_column(found.outputs.regions, title), _DECIMALS[title])
+
+
+def _in_words(quantity: Quantity, decimals: int) -> list[tuple[str, str]]:
+    """Values, and their intervals; a dash for what is not known."""
+    of = (quantity.value, quantity.low, quantity.high, quantity.certain())
+    return [
+        (
+            f"{value:z.{decimals}f}",
+            f"{low:z.{decimals}f} to {high:z.{decimals}f}{UNCERTAIN * (not certain)}",
+        )
+        if np.isfinite([low, high]).all()
+        else (NOTHING, NOTHING)
+        for value, low, high, certain in zip(*map(np.atleast_1d, of), strict=True)
+    ]
+
+
+def _overview(results: Results) -> ReportFigure:
+    """Pressure over the segment and at its peak, unrolled, and that of the regions over time."""
+    values = {f"{name} [kPa]": of.value for name, of in _maps(results.pressure).items()}
+    return ReportFigure(
+        "pressure_map",
+        f"Pressure on the unrolled socket, {results.segment}. The greyer, the"
+        " less certain. Tiles with a cluster are outlined. Below, the mean pressure of sectors,"
+        " heights and own regions."
+        f" {THINNED}",
+        lambda style: pressure_figure(results.pressure, "", style),
+        "Pressure on the unrolled socket: the mean over the segment, and at its peak; below, that"
+        " of the regions over time",
+        pd.DataFrame({"tile": results.trial.geometry.names, **values}),
+    )
+
+
+def _force_map(results: Results) -> ReportFigure:
+    """The mean force map over the segment with its uncertainty."""
+    geometry, outputs = results.trial.geometry, results.pressure.outputs
+    mean = outputs.force_map.mean(outputs.samples)
+    columns = {
+        "pressure [kPa]": mean.normal_pressure,
+        "pressure.sd [kPa]": mean.normal_pressure_standard_deviation,
+        "shear [kPa]": mean.shear,
+        "shear.sd [kPa]": mean.shear_standard_deviation,
+    }
+    return ReportFigure(
+        "force_map",
+        "Mean normal pressure over the segment on every tile, and the standard deviation of its"
+        f" error. {mean.source}. The greyer, the less certain. Tiles with a cluster are outlined.",
+        lambda style: force_map_figure(geometry, mean, results.title("Force map"), style),
+        "Normal pressure on the unrolled socket, and its standard deviation below",
+        pd.DataFrame(
+            {"tile": geometry.names} | {name: 1e-3 * row[0] for name, row in columns.items()}
+        ),
+    )
+
+
+def force_map_figure(
+    geometry: SocketGeometry, estimate: MapEstimate, title: str, style: FigureStyle
+) -> Figure:
+    """Normal pressure of the first sample of a force map, and below its standard deviation."""
+    pressure = 1e-3 * estimate.normal_pressure[0]
+    deviation = 1e-3 * estimate.normal_pressure_standard_deviation[0]
+    maps = {"normal pressure": pressure, "its standard deviation": deviation}
+    reach = dict(zip(maps, (NORMAL_QUANTILE * deviation, 0.0 * deviation), strict=True))
+    return tile_map_figure(geometry, maps, _UNIT, title, style, reach=reach)
+
+
+def _maps(found: SegmentPressure) -> dict[str, Quantity]:
+    """Pressures of the tiles over a segment and at its peak, by what they are, (n,) [kPa]."""
+    at_peak, kind = found.outputs.peak_map, found.segment.kind
+    deviation = 1e-3 * at_peak.normal_pressure_standard_deviation[0]
+    mean = found.outputs.tiles.mean.part(..., 1e-3)
+    return {
+        f"mean over the {kind if kind in _SPANS else 'segment'}": mean,
+        f"at the peak, {found.peak_time:.2f} s": normal_quantity(
+            1e-3 * at_peak.normal_pressure[0], deviation
+        ),
+    }
+
+
+def pressure_figure(found: SegmentPressure, title: str, style: FigureStyle) -> Figure:
+    """Unrolled maps of the pressure, and below them that of sectors, heights and own regions."""
+    maps = _maps(found)
+    reach = {name: np.maximum(of.high - of.value, of.value - of.low) for name, of in maps.items()}
+    left_out = {SOCKET, UNMEASURED, *PARTS_OF_SECTORS}
+    regions = {p.name: i for i, p in enumerate(found.places) if p.name not in left_out}
+    mean = found.outputs.mean_pressure()
+    events = [(event.time, event.label) for event in found.trial.events()]
+    return tile_map_figure(
+        found.trial.geometry,
+        {name: of.value for name, of in maps.items()},
+        _UNIT,
+        title,
+        style,
+        from_zero=True,
+        side=found.trial.metadata.side,
+        reach=reach,
+        below=(
+            _shape(regions, style)[2],
+            lambda part: draw_regions(part, found.time, mean, regions, events, style),
+        ),
+    )
+
+
+def group_regions(names: Sequence[str]) -> list[tuple[str, list[str]]]:
+    """Heading and names of every panel: sectors, heights, others; at most a name per line style."""
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        heading = "sectors" if name in SECTORS else "heights" if name in HEIGHTS else ""
+        groups.setdefault(heading, []).append(name)
+    most = len(LINE_STYLES)
+    return [
+        (heading, group[start : start + most])
+        for heading, group in groups.items()
+        for start in range(0, len(group), most)
+    ]
+
+
+def _shape(regions: Mapping[str, int], style: FigureStyle) -> tuple[int, int, float]:
+    """Panels in a row, columns of their keys, and their height [mm]."""
+    count = len(group_regions([*regions]))
+    across = min(2 if style.is_narrow else 3, count)
+    key_columns = 1 if style.is_narrow and across > 1 else 2
+    return across, key_columns, (62.0 - 6.0 * key_columns) * -(-count // across) + 12.0
+
+
+def draw_regions(
+    figure: Figure | SubFigure,
+    time: FloatArray,
+    mean: Quantity,
+    regions: Mapping[str, int],
+    events: Sequence[tuple[float, str]],
+    style: FigureStyle,
+) -> None:
+    """Draw the pressure of regions over time with 95 % bands, a panel per kind, and events."""
+    groups, (across, key_columns, _) = group_regions([*regions]), _shape(regions, style)
+    events = sorted(event for event in events if time[0] <= event[0] <= time[-1])
+    numbers = {label: i for i, label in enumerate(dict.fromkeys(e[1] for e in events), start=1)}
+    axes = panels(figure, len(groups), across, sharey=True)
+    for number, (panel, (heading, group)) in enumerate(zip(axes, groups, strict=True)):
+        for name, line in zip(group, LINE_STYLES, strict=False):
+            value, low, high = (
+                1e-3 * part[:, regions[name]] for part in (mean.value, mean.low, mean.high)
+            )
+            edges = thin_band(time, low, high, _MOST_POINTS)
+            panel.fill_between(*edges, color=line["color"], alpha=_BAND, linewidth=0.0)
+            panel.plot(*thin(time, value, _MOST_POINTS), label=name, **line)
+        _mark_events(panel, [(at, numbers[label]) for at, label in events])
+        add_legend(panel, title=heading, ncols=key_columns, columnspacing=1.0)
+        panel.set_ylabel(_UNIT if number % across == 0 else "")
+    labels = ", ".join(f"{number} {label}" for label, number in numbers.items())
+    add_key(figure, style, "bands: 95 % intervals", f"events: {labels}" if labels else "")
+
+
+def _mark_events(axis: Axes, events: Sequence[tuple[float, int]]) -> None:
+    """A dotted line per event, with its number where that does not run into the last one."""
+    left, right = axis.get_xlim()
+    free = left
+    for at, number in events:
+        axis.axvline(at, color="0.3", linewidth=0.8, linestyle=":")
+        if at >= free:
+            axis.annotate(
+                str(number),
+                (at, 1.0),
+                (1.5, -1.0),
+                xycoords=axis.get_xaxis_transform(),
+                textcoords="offset points",
+                va="top",
+            )
+            free = at + _NUMBER * (right - left)
+    axis.set_xlim(left, right)

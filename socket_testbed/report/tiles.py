@@ -1,0 +1,374 @@
+"""Tiles in colours on paper: the socket's wall unrolled around its axis, and its distal end."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import Normalize, to_rgba
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.patches import Patch as Swatch
+from matplotlib.patheffects import withStroke
+
+from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.pages.wall import Patch, UnrolledTiles, patches, side_names, unrolled_tiles
+from socket_testbed.report.style import (
+    DEFAULT_STYLE,
+    SCALE,
+    SMALL,
+    FigureStyle,
+    in_style,
+    lay_out,
+    wrap,
+)
+
+_TILE = "#A6CBE3"
+_CLUSTER = "#D55E00"  # Okabe & Ito's vermilion
+_EDGE = "#2B5C7D"
+_NO_VALUE = "#FFFFFF"
+_HATCH = "/////"  # of what has no value
+_BESIDE = 3.0  # [deg]; free on both sides of the unrolled wall
+_ABOVE = 0.03  # [-]; of its height, free above and below
+_AROUND = 0.06  # [-]; of the distal end's size, free around it
+_WALL_SHARE = 3.4  # [-]; width of the wall by that of the distal end
+_SMALLEST = 3.0  # [pt]; of a name on a tile
+_LONGEST_LINE = 9  # characters
+_CHARACTER, _LINE = 0.62, 1.25  # [-]; width of a character, height of a line, by the font's size
+_IMAGE_STEP = 0.12  # [-]; between the points of an image, by the tiles' edge
+_GREY, _GREYEST = "#969696", 0.85  # of what is uncertain; its share
+_GREY_FROM = 2.5  # [-]; reach of an interval by the value, from which it is greyest
+_LEAST_SHARE = 0.1  # [-]; of the scale; to which the reach of smaller values is compared
+_ALIKE = 2.0  # [-]; ratio of ranges that are still seen on one scale
+_AXIS, _BAR = 12.0, 15.0  # [mm]; beside a map: its axis; the bar of colours
+_BAR_LABEL = 38.0  # [mm]; longest line beside a bar
+_UNDER = 14.0  # [mm]; above and below a map: its name and its axis
+_HEADING = 12.0  # [mm]; for a title above the maps and a key below
+_WORD = _CHARACTER * len("posterior") * SMALL  # [pt]; width of the longest of the sides
+_SHORT = {"anterior": "ant.", "posterior": "post.", "lateral": "lat.", "medial": "med."}
+
+
+def value_range(values: FloatArray) -> tuple[float, float]:
+    """Ends of the colour scale: the range of the finite values, wider where it is a point."""
+    finite = values[np.isfinite(values)]
+    if not len(finite):
+        return 0.0, 1.0
+    low, high = float(finite.min()), float(finite.max())
+    margin = 0.0 if low < high else 0.1 * abs(low) or 1.0
+    return low - margin, high + margin
+
+
+@dataclass(frozen=True)
+class TilePaint:
+    """The tiles of a socket, and how they are painted."""
+
+    geometry: SocketGeometry
+    tiles: UnrolledTiles
+    fills: FloatArray  # (n, 4) [-], RGBA
+    hatched: BoolArray  # (n,), tiles without a value
+    scale: ScalarMappable
+    images: Sequence[tuple[Patch, FloatArray]] = ()  # parts of the surface, RGBA, (h, w, 4)
+
+    @property
+    def covered(self) -> BoolArray:
+        """Which tiles a cluster covers, shape (n,)."""
+        return np.isin(np.arange(len(self.geometry)), [*self.geometry.clusters.values()])
+
+
+def paint_tiles(
+    geometry: SocketGeometry,
+    values: FloatArray,
+    limits: tuple[float, float] | None = None,
+    reach: FloatArray | None = None,
+) -> TilePaint:
+    """Paint tiles by their values, shape (n,); those without one are white and hatched.
+
+    With the reach of their intervals to each side, (n,), values on all tiles are smooth over the
+    surface, and turn grey as it exceeds the value, as on pages.
+    """
+    tiles, unknown = unrolled_tiles(geometry), np.isnan(values)
+    scale = ScalarMappable(Normalize(*(limits or value_range(values))), SCALE)
+    fills = np.where(unknown[:, None], to_rgba(_NO_VALUE), scale.to_rgba(values))
+    if reach is None or unknown.any():
+        return TilePaint(geometry, tiles, fills, unknown, scale)
+    images = []
+    for patch in patches(geometry, _IMAGE_STEP):
+        value, doubt = patch.weights @ values, np.maximum(patch.weights @ reach, 0.0)
+        doubt = doubt / np.maximum(np.abs(value), _LEAST_SHARE * scale.get_clim()[1]) - 1.0
+        grey = _GREYEST * np.clip(doubt / (_GREY_FROM - 1.0), 0.0, 1.0)[..., None]
+        image = np.asarray(scale.to_rgba(value))
+        image += grey * (np.array(to_rgba(_GREY)) - image)
+        image[..., 3] = np.isfinite(patch.points[..., 0])
+        images.append((patch, image))
+    return TilePaint(geometry, tiles, np.zeros_like(fills), unknown, scale, images)
+
+
+def _measures(tiles: UnrolledTiles) -> tuple[float, float, float]:
+    """Heights of the lowest and the highest corner, and the width of a degree of the wall [mm]."""
+    heights = 1e3 * tiles.around.heights(tiles.squares)
+    radii = tiles.around.radii(tiles.squares.mean(axis=1))
+    radius = np.median(radii[tiles.on_wall] if tiles.on_wall.any() else radii)
+    return heights.min(), heights.max(), float(np.radians(1e3 * max(radius, 1e-3)))
+
+
+def _draw_wall(axis: Axes, paint: TilePaint, labels: Sequence[str], side: str | None) -> None:
+    """The wall as one sees it walking around it outside: anterior, left, posterior, right.
+
+    Lengths across are true at the tiles' median radius only.
+    """
+    low, high, width = _measures(paint.tiles)
+    angles = paint.tiles.corners[paint.tiles.on_wall, :, 0]
+    left, right = min(-180.0, angles.min(initial=0.0)), max(180.0, angles.max(initial=0.0))
+    margin = _ABOVE * (high - low)
+    axis.set(xlim=(left - _BESIDE, right + _BESIDE), ylim=(low - margin, high + margin))
+    axis.set(aspect=1.0 / width, ylabel="height [mm]")
+    names, ticks = side_names(side), range(-180, 181, 90)
+    if 90.0 * _points_per_unit(axis)[0] < _WORD:
+        names = [_SHORT.get(name, name) for name in names]
+    degrees = [f"{angle}°".replace("-", "\N{MINUS SIGN}") for angle in ticks]
+    axis.set_xticks([*ticks], [f"{of}\n{name}" for of, name in zip(degrees, names, strict=True)])
+    _draw_part(axis, paint, "wall", labels)
+
+
+def _draw_end(axis: Axes, paint: TilePaint, labels: Sequence[str]) -> None:
+    """The distal end from inside: anterior is up, and left on the left."""
+    reach = 1e3 * (1.0 + _AROUND) * paint.tiles.around.radii(paint.tiles.squares).max()
+    axis.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
+    _draw_part(axis, paint, "end", labels)
+
+
+def _draw_part(axis: Axes, paint: TilePaint, name: str, labels: Sequence[str]) -> None:
+    """Draw the tiles of the wall or the end, with their hatches and labels, and its image."""
+    for patch, image in paint.images:
+        if patch.name == name:
+            look: dict[str, Any] = {"origin": "lower", "interpolation": "bilinear", "zorder": 0.5}
+            look |= {"aspect": axis.get_aspect(), "extent": (*patch.x[[0, -1]], *patch.y[[0, -1]])}
+            limits = {"xlim": axis.get_xlim(), "ylim": axis.get_ylim()}
+            axis.imshow(image, **look)
+            axis.set(**limits)
+    tiles = np.flatnonzero(paint.tiles.on_wall == (name == "wall"))
+    corners: Any = paint.tiles.corners[tiles]  # matplotlib's types name sequences only
+    covered, hatched = paint.covered[tiles], paint.hatched[tiles]
+    edge = to_rgba(_EDGE, 0.0 if paint.images else 1.0)
+    edges = np.where(covered[:, None], to_rgba(_CLUSTER), edge)
+    widths = np.where(covered, 1.6, 0.6)
+    squares = PolyCollection(
+        corners, facecolors=paint.fills[tiles], edgecolors=edges, linewidths=widths
+    )
+    hatches = PolyCollection(
+        corners[hatched], facecolors="none", edgecolors="0.35", hatch=_HATCH, linewidths=0.0
+    )
+    axis.add_collection(squares)
+    axis.add_collection(hatches, autolim=False)
+    for tile, square in zip(tiles.tolist(), corners, strict=True):
+        _write(axis, labels[tile], square)
+
+
+def _write(axis: Axes, label: str, corners: FloatArray) -> None:
+    """Write a name inside a tile, as large as fits, unless that is too small; no markup.
+
+    A number of one or two digits is written at full size, legible on any fill.
+    """
+    broken = label.replace("_", "_ ")
+    lines = textwrap.wrap(broken, _LONGEST_LINE, break_long_words=False)
+    look: dict[str, Any] = {"fontsize": SMALL}
+    if len(label) <= 2:
+        look |= {"path_effects": [withStroke(linewidth=2.0, foreground="white")]}
+    else:
+        width, height = np.ptp(corners, axis=0) * _points_per_unit(axis)
+        across, up = _CHARACTER * max(map(len, lines)), _LINE * len(lines)
+        look |= {"fontsize": min(width / across, height / up, SMALL), "linespacing": 1.0}
+    if label and look["fontsize"] >= _SMALLEST:
+        text = "\n".join(lines).replace("_ ", "_")
+        look |= {"ha": "center", "va": "center", "zorder": 3, "parse_math": False}
+        x, y = corners.mean(axis=0)
+        axis.text(x, y, text, **look)
+
+
+def _points_per_unit(axis: Axes) -> FloatArray:
+    """Printed size of a unit of the panel's two axes, shape (2,) [pt]."""
+    figure = np.array(axis.figure.bbox.size) * 72.0 / axis.figure.dpi
+    panel = axis.get_position(original=True).size * figure
+    span = np.abs([np.subtract(*axis.get_xlim()), np.subtract(*axis.get_ylim())])
+    aspect = axis.get_aspect()
+    per_x = min(panel[0] / span[0], panel[1] / (span[1] * aspect))
+    return np.array([per_x, per_x * aspect])
+
+
+def _scales_of(
+    values: Mapping[str, FloatArray], from_zero: bool = False
+) -> list[tuple[float, float]]:
+    """Ends of the colour scale of every map: the same for those whose ranges are alike."""
+    ranges = np.array([value_range(row) for row in values.values()])
+    if from_zero:
+        ranges[:, 0] = np.minimum(ranges[:, 0], 0.0)
+    spans = np.ptp(ranges, axis=1)
+    left = np.ones(len(ranges), dtype=bool)
+    while left.any():
+        alike = left & (_ALIKE * spans >= spans[left].max())
+        ranges[alike] = ranges[alike, 0].min(), ranges[alike, 1].max()
+        left &= ~alike
+    return [(float(low), float(high)) for low, high in ranges]
+
+
+def _maps_height(
+    geometry: SocketGeometry, style: FigureStyle, scales: Sequence[tuple[float, float]]
+) -> float:
+    """Height that maps need, with a title and a key [mm]."""
+    columns = _columns_of(len(scales), style)
+    bars = 1 if len(set(scales)) == 1 else columns
+    wall = (style.width - _AXIS * columns - _BAR * bars) / columns
+    wall *= _WALL_SHARE / (_WALL_SHARE + 1.0)
+    low, high, width = _measures(unrolled_tiles(geometry))
+    aspect = (high - low) * (1.0 + 2.0 * _ABOVE) / (width * (360.0 + 2.0 * _BESIDE))
+    return _HEADING + -(-len(scales) // columns) * (wall * aspect + _UNDER)
+
+
+def _columns_of(count: int, style: FigureStyle) -> int:
+    """Number of maps in a row."""
+    return 1 if style.is_narrow else min(2, count)
+
+
+def _draw_maps(
+    figure: Figure | SubFigure,
+    geometry: SocketGeometry,
+    values: Mapping[str, FloatArray],
+    unit: str,
+    scales: Sequence[tuple[float, float]],
+    style: FigureStyle,
+    side: str | None,
+    reach: Mapping[str, FloatArray],
+) -> None:
+    """Draw maps in rows, with one bar if their scales are the same, and a key below."""
+    labels = [""] * len(geometry)
+    key = []
+    for number, (cluster, tile) in enumerate(geometry.clusters.items(), start=1):
+        labels[tile] = str(number)
+        key.append(f"{number} {cluster}")
+    columns = _columns_of(len(values), style)
+    rows = -(-len(values) // columns)
+    shares = (_WALL_SHARE, 1.0) * columns
+    axes = figure.subplots(rows, 2 * columns, width_ratios=shares, squeeze=False).reshape(-1, 2)
+    free = style.width / columns - _AXIS - _BAR
+    common = len(set(scales)) == 1
+    any_unknown = any_grey = False
+    bar: dict[str, Any] = {"label": wrap(unit, _BAR_LABEL), "pad": 0.01}
+    for panels, (name, row), limits in zip(axes, values.items(), scales, strict=False):
+        paint = paint_tiles(geometry, row, limits, reach.get(name))
+        any_grey |= bool(paint.images) and bool(np.any(reach[name]))
+        any_unknown |= bool(paint.hatched.any())
+        _draw_wall(panels[0], paint, labels, side)
+        heading = wrap(name, 0.9 * free)  # bold type is wider
+        panels[0].set_title(heading, loc="left", fontweight="bold", parse_math=False)
+        _draw_end(panels[1], paint, labels)
+        panels[1].set_axis_off()
+        has_end = not paint.tiles.on_wall.all()
+        panels[1].set_title("distal end" if has_end else "", fontsize=SMALL, y=1.0)
+        if not common:
+            figure.colorbar(paint.scale, ax=[*panels], aspect=20.0, **bar)
+    for panel in axes[len(values) :].flat:
+        panel.set_visible(False)
+    if common:
+        figure.colorbar(paint.scale, ax=[*axes.flat], aspect=25.0 * rows, **bar)
+    grey = "the greyer, the less certain" * any_grey
+    add_key(figure, style, *key, grey, "hatched: no value" * any_unknown)
+
+
+def draw_wall(
+    axis: Axes,
+    geometry: SocketGeometry,
+    values: FloatArray,
+    unit: str,
+    reach: FloatArray | None = None,
+    side: str | None = None,
+) -> None:
+    """Draw values on the wall, shape (n,), with a bar of colours, into the axes of somebody.
+
+    See `paint_tiles` for the reach of their intervals.
+    """
+    paint = paint_tiles(geometry, values, reach=reach)
+    _draw_wall(axis, paint, [""] * len(geometry), side)
+    axis.figure.colorbar(paint.scale, ax=axis, label=unit)
+
+
+def add_key(figure: Figure | SubFigure, style: FigureStyle, *parts: str) -> None:
+    """Write what marks mean below a figure, in lines that fit; no markup."""
+    text = wrap(", ".join(filter(None, parts)), 0.96 * style.width, SMALL)
+    if text:
+        figure.supxlabel(text, fontsize=SMALL, parse_math=False)
+
+
+@in_style
+def tile_map_figure(
+    geometry: SocketGeometry,
+    values: Mapping[str, FloatArray],
+    unit: str,
+    title: str = "",
+    style: FigureStyle = DEFAULT_STYLE,
+    *,
+    limits: tuple[float, float] | Mapping[str, tuple[float, float]] | None = None,
+    from_zero: bool = False,
+    below: tuple[float, Callable[[SubFigure], None]] | None = None,
+    side: str | None = None,
+    reach: Mapping[str, FloatArray] | None = None,
+) -> Figure:
+    """Tiles by their values in colours that print in grey, a map per set of values.
+
+    Tiles with a cluster have a thick outline and a number, which the key explains.
+
+    Args:
+        geometry: The socket of n tiles.
+        values: By the names of the maps, shape (n,) each, NaN, hatched, where there is none.
+        unit: Beside the bar of colours.
+        title: Title of the figure.
+        style: How it is set.
+        limits: Ends of the scale, of all or by name; without it maps whose ranges are alike share
+            one, which begins at zero or below if `from_zero`.
+        from_zero: See `limits`.
+        below: The height [mm] of what else is drawn, and what draws it.
+        side: The leg that wears the socket, if that is known.
+        reach: Reaches of 95 % intervals, (n,), by the names of the maps: see `paint_tiles`.
+    """
+    if limits is None:
+        scales = _scales_of(values, from_zero)
+    else:
+        scales = [limits[n] if isinstance(limits, Mapping) else limits for n in values]
+    height, draw = below or (0.0, None)
+    heights = _maps_height(geometry, style, scales), height
+    figure = style.figure(sum(heights))
+    parts: Any = [figure] if draw is None else figure.subfigures(2, 1, height_ratios=heights)
+    style.add_title(parts[0], title)
+    _draw_maps(parts[0], geometry, values, unit, scales, style, side, reach or {})
+    if draw is not None:
+        draw(parts[1])
+    return lay_out(figure)
+
+
+@in_style
+def socket_figure(geometry: SocketGeometry, title: str = "") -> Figure:
+    """The tiles of a socket with their names, each with its cluster where that is called else."""
+    style = FigureStyle(300.0)
+    figure = style.figure(140.0)
+    style.add_title(figure, title)
+    labels = [*geometry.names]
+    for cluster, tile in geometry.clusters.items():
+        labels[tile] += f" ({cluster})" * (cluster != labels[tile])
+    paint = paint_tiles(geometry, np.full(len(geometry), np.nan))
+    fills = np.where(paint.covered[:, None], to_rgba(_CLUSTER), to_rgba(_TILE))
+    paint = replace(paint, fills=fills, hatched=np.zeros_like(paint.hatched))
+    wall, end = figure.subplots(1, 2, width_ratios=(_WALL_SHARE, 1.0))
+    _draw_wall(wall, paint, labels, None)
+    wall.set_title("the wall unrolled, seen from outside")
+    _draw_end(end, paint, labels)
+    end.set(title="distal end, seen through\nthe opening", xlabel="towards right [mm]")
+    end.set_ylabel("towards anterior [mm]")
+    kinds = {"tile": _TILE, "tile with a cluster": _CLUSTER}
+    handles = [Swatch(facecolor=colour, label=name) for name, colour in kinds.items()]
+    figure.legend(handles=handles, loc="outside lower center", ncols=2)
+    return lay_out(figure)
