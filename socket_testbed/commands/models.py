@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from socket_testbed import api
 from socket_testbed.api import Evaluation, PaperTable, TrialFit
-from socket_testbed.batch import Row, find_trials
+from socket_testbed.batch import Row
 from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import (
     TrialVerb,
     check_files,
     deliver,
     given,
+    on_trial,
     on_trials,
     open_all,
-    open_checked,
     say_data,
     segment_columns,
 )
@@ -34,9 +33,6 @@ from socket_testbed.settings.identification import PAPER_VARIANTS
 from socket_testbed.tables import FORMATS
 from socket_testbed.trials.trial import Trial
 
-if TYPE_CHECKING:
-    pass
-
 _FRONT_LEGEND = (
     "wrench error, local error: roots of the weighted squares of the objective, J_w and J_f;"
     "\nmoment, force, local: mean, mean and median RMSE of the channels in the objective;"
@@ -44,7 +40,7 @@ _FRONT_LEGEND = (
 )
 
 
-@takes("commands.options.on_trials", "commands.options.open_given", "fit")
+@takes("commands.options.on_trials", "fit")
 def fit(trial: Path, *, output: Path, **options: Any) -> None:
     """Identify the contact model on a trial, or on every trial of a folder.
 
@@ -117,15 +113,8 @@ def _fit_row(found: TrialFit) -> Row:
     }
 
 
-@takes("commands.options.on_trials", "commands.options.open_given", "evaluate")
-def evaluate(
-    trial: Path,
-    *,
-    model: Path,
-    output: Path | None = None,
-    json: bool = False,
-    **options: Any,
-) -> None:
+@takes("commands.options.on_trials", "evaluate")
+def evaluate(trial: Path, *, model: Path, json: bool = False, **options: Any) -> None:
     """Compute a model's errors on a trial, or on every trial of a folder.
 
     Args:
@@ -133,18 +122,13 @@ def evaluate(
         output: JSON file of the errors; for a folder of trials the folder of such files.
         json: Print JSON on standard output.
     """
-    trials = find_trials(trial)
-    if trials and (output is None or json):
-        raise ConfigurationError(
-            f"{trial} holds {len(trials)} trials", "give -o FOLDER instead of --json"
-        )
-    if trials and not model.is_dir():
+    if not model.is_dir():
         api.read_model(model)  # a wrong one is reported once
     metadata = ("side",) if options["pressure"] else ()  # the regions depend on the side
     verb = TrialVerb(
         "evaluate", ".errors.json", _evaluate, _evaluation_row, _show_evaluation, metadata
     )
-    on_trials(verb, trial, output=output, model=model, json=json, **options)
+    on_trials(verb, trial, model=model, json=json, **options)
 
 
 def _evaluate(trial: Trial, options: Mapping[str, Any]) -> Evaluation:
@@ -155,9 +139,6 @@ def _evaluate(trial: Trial, options: Mapping[str, Any]) -> Evaluation:
 
 
 def _show_evaluation(found: Evaluation, options: Mapping[str, Any]) -> None:
-    if options["json"]:
-        print(found.to_json())
-        return
     print(f"{found.trial.name}: {found.segment}, {found.samples} samples")
     print(f"model {found.model.model.variant} of {found.model.trial}\n")
     print(errors_table(found.errors))
@@ -183,37 +164,25 @@ def _evaluation_row(found: Evaluation) -> Row:
 
 
 @takes(
-    "commands.options.open_given",
     "validate",
     "fit",
-    "commands.options.draw",
-    "files.check_outputs",
+    "commands.options.deliver",
     without="unloaded variant frames initial_stiffness",
 )
-def validate(
-    trial: list[Path],
-    *,
-    output: Path | None = None,
-    figure: Path | None = None,
-    json: bool = False,
-    replace: bool = False,
-    **options: Any,
-) -> None:
+def validate(trial: list[Path], **options: Any) -> None:
     """Judge estimates on data they have not seen, beside simple rivals.
 
     Args:
         trial: Trials, or folders of trials, of one socket.
         output: Table with a row per trial, for a study.
         figure: Draw the errors by cluster and the coverage of the intervals.
-        json: Print JSON on standard output.
     """
-    check_files(output, figure, replace=replace)
+    check_files(options["output"], options["figure"], replace=options["replace"])
     trials = open_all(trial, options)
     for each in trials:
         say_data(each, f"{each.name}: ")
     found = api.validate(*trials, **given(options, api.validate, api.fit), progress=Progress)
-    show = partial(_show_validation, found)
-    deliver(found, show, output=output, figure=figure, json=json, **options)
+    deliver(found, _show_validation, **options)
 
 
 def _show_validation(found: api.Validation) -> None:
@@ -231,43 +200,24 @@ def _show_validation(found: api.Validation) -> None:
     print(f"\n{textwrap.fill(LEGEND, 100)}")
 
 
-@takes(
-    "commands.options.open_given",
-    "pareto",
-    "fit",
-    "commands.options.draw",
-    "files.check_outputs",
-    without="variant theta",  # both of the paper's, and all
-)
-def pareto(
-    trial: Path,
-    *,
-    output: Path | None = None,
-    figure: Path | None = None,
-    json: bool = False,
-    replace: bool = False,
-    **options: Any,
-) -> None:
+@takes("pareto", "fit", "commands.options.deliver", without="variant theta")  # all of both
+def pareto(trial: Path, **options: Any) -> None:
     """Trace the trade-off of wrench against clusters over theta.
 
     Args:
-        output: Table of every solution (.csv).
+        output: Table of every solution.
         figure: Draw both fronts.
-        json: Print JSON on standard output.
     """
-    if output is not None and output.suffix.lower() != ".csv":
-        raise ConfigurationError(f"{output}: is not a .csv file", "name a .csv file")
-    check_files(output, figure, replace=replace)
-    opened = open_checked(trial, **options)
-    found = api.pareto(opened, **given(options, api.pareto, api.fit), progress=Progress)
-    show = partial(_show_fronts, f"{opened.name}: {found.segment}", [*found.fronts.values()])
-    deliver(found, show, output=output, figure=figure, json=json, **options)
+    on_trial(trial, options, api.pareto, _show_fronts, api.fit)
 
 
-def _show_fronts(of: str, fronts: Sequence[Front]) -> None:
+def _show_fronts(found: api.Tradeoff) -> None:
     from socket_testbed.report.sections.fronts import marks_table
 
-    print(f"{of}, theta from 0 to 1 in {len(fronts[0].theta)} values\n")
+    fronts = [*found.fronts.values()]
+    print(
+        f"{found.trial.name}: {found.segment}, theta from 0 to 1 in {len(fronts[0].theta)} values\n"
+    )
     print(f"{text_of(marks_table(fronts))}\n\n{_FRONT_LEGEND}\n")
     for front in fronts:
         print(_describe_front(front))
@@ -288,21 +238,15 @@ def _describe_front(front: Front) -> str:
     return "\n".join(lines)
 
 
-@takes("commands.options.open_given", "paper", "fit", without="variant")
-def paper(trial: Path, *, json: bool = False, **options: Any) -> None:
-    """Run the published pipeline and lay its figures beside the printed ones.
-
-    Args:
-        json: Print JSON on standard output.
-    """
-    opened = open_checked(trial, **options)
-    found = api.paper(opened, **given(options, api.paper, api.fit), progress=Progress)
-    deliver(found, partial(_show_paper, opened.name, found), json=json)
+@takes("paper", "fit", "commands.options.deliver", without="variant figure width title")
+def paper(trial: Path, **options: Any) -> None:
+    """Run the published pipeline and lay its figures beside the printed ones."""
+    on_trial(trial, options, api.paper, _show_paper, api.fit)
 
 
-def _show_paper(name: str, found: PaperTable) -> None:
+def _show_paper(found: PaperTable) -> None:
     settings = found.settings.to_flat()
-    print(f"{name}: {found.segment}, {found.samples} samples")
+    print(f"{found.trial.name}: {found.segment}, {found.samples} samples")
     print(
         f"theta {settings['theta']:g}, weights {settings['weights']}; rest positions within"
         f" {1e3 * settings['rest_position_limit']:g} mm of"

@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +20,7 @@ from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.models import error_columns
 from socket_testbed.commands.options import (
     TrialVerb,
+    check_files,
     deliver,
     given,
     on_trials,
@@ -33,10 +34,8 @@ from socket_testbed.commands.options import (
 from socket_testbed.commands.terminal import Progress, say, table
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import check_outputs
 from socket_testbed.live.processes import Graph
 from socket_testbed.settings.testbed import ViewSettings
-from socket_testbed.tables import check_format
 from socket_testbed.trials.metadata import FIELDS
 from socket_testbed.trials.reprocess import RECORDED
 from socket_testbed.trials.trial import Trial
@@ -52,7 +51,6 @@ _LOOK = 0.2  # [s]; between looks at the time
 
 @takes(
     "commands.options.on_trials",
-    "commands.options.open_given",
     "commands.options.draw",
     "write_report",
     "fit",
@@ -101,14 +99,12 @@ def _report_row(results: Results) -> Row:
     return row
 
 
-@takes("compare", "commands.options.open_given", "files.check_outputs")
+@takes("compare", "commands.options.deliver", without="figure width title")
 def compare(
     trial: list[Path] | None = None,
     *,
     condition: Iterable[str] = (),
     output: Path | None = None,
-    json: bool = False,
-    replace: bool = False,
     **options: Any,
 ) -> None:
     """Lay trials side by side, with their differences.
@@ -117,12 +113,9 @@ def compare(
         trial: Two or more trials; a folder of trials stands for all of them.
         condition: Instead, the repeated trials of a condition, such as gel=trials/gel1,trials/gel2.
         output: A page (.html), or a table (.csv, .parquet) of every value and difference.
-        json: Print JSON on standard output.
     """
     page = output if output and output.suffix.lower() in PAGES else None
-    if output is not None and page is None:
-        check_format(output)
-    check_outputs(output, replace=replace)
+    check_files(output, replace=options["replace"], table=page is None)
     notify = cache(print_note)
     trials = open_all(trial or [], options, notify)
     conditions = {
@@ -135,9 +128,8 @@ def compare(
     )
     if page is not None:
         api.write_comparison(found, page, typed_command())
-        output = None
-    deliver(found, partial(_show_comparison, found), output=output, json=json)
-    if page is not None and not json:
+    deliver(found, _show_comparison, output=None if page else output, **options)
+    if page is not None and not options["json"]:
         print(f"\nwritten: {page}")
 
 

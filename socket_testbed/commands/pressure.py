@@ -9,16 +9,14 @@ from typing import Any
 
 from socket_testbed import api
 from socket_testbed.api import TrialPressure
-from socket_testbed.batch import Row, find_trials
+from socket_testbed.batch import Row
 from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import (
     TrialVerb,
-    check_files,
-    deliver,
     draw,
     given,
+    on_trial,
     on_trials,
-    open_checked,
     segment_columns,
 )
 from socket_testbed.commands.terminal import number, table
@@ -32,22 +30,9 @@ _ABREAST = 3  # outputs in a table
 _SHOWN = 8  # tiles of a map
 
 
-@takes(
-    "commands.options.on_trials",
-    "commands.options.open_given",
-    "pressure",
-    "commands.options.draw",
-)
+@takes("commands.options.on_trials", "pressure", "commands.options.deliver")
 def pressure(
-    trial: Path,
-    *,
-    output: Path | None = None,
-    over_time: bool = False,
-    cycles: str | None = None,
-    figure: Path | None = None,
-    json: bool = False,
-    replace: bool = False,
-    **options: Any,
+    trial: Path, *, over_time: bool = False, cycles: str | None = None, **options: Any
 ) -> None:
     """Pressure by region: mean, peak, contact area, time integral, shear, load.
 
@@ -58,20 +43,11 @@ def pressure(
             cycles run from each event of a label to the next, such as 'stance', or between two,
             such as 'stance:swing'. Mostly with --segment all.
         figure: Draw unrolled maps, mean and at the peak, and regions over time.
-        json: Print JSON on standard output.
     """
-    trials = find_trials(trial)
-    if trials and (output is None or json or figure):
-        raise ConfigurationError(
-            f"{trial} holds {len(trials)} trials",
-            "give -o FOLDER without --json and --figure, or one trial",
-        )
-    if over_time and output is None:
+    if over_time and options["output"] is None:
         raise ConfigurationError("--over-time has no output", "name its table with -o FILE.csv")
-    check_files(None if trials else output, figure, replace=replace)
     verb = TrialVerb("pressure", ".pressure.csv", _compute, _row, _show, ("side",))
-    options |= {"over_time": over_time, "cycles": cycles, "figure": figure, "json": json}
-    on_trials(verb, trial, output=output, replace=replace, **options)
+    on_trials(verb, trial, over_time=over_time, cycles=cycles, **options)
 
 
 def _compute(trial: Trial, options: Mapping[str, Any]) -> TrialPressure:
@@ -100,9 +76,6 @@ def _bring_to_cycles(
 
 
 def _show(found: TrialPressure, options: Mapping[str, Any]) -> None:
-    if options["json"]:
-        print(found.to_json())
-        return
     print(f"{found.trial.name}: {found.segment}, {len(found.time)} samples")
     print(f"{found.outputs.source}\n")
     print(pressure_tables(found))
@@ -164,30 +137,15 @@ def pressure_columns(found: TrialPressure) -> Row:
     return {name: finite_or_null(socket[name]) for name in (*TITLES, *ends)}
 
 
-@takes(
-    "commands.options.open_given",
-    "force_map",
-    "commands.options.draw",
-    "files.check_outputs",
-)
-def map(
-    trial: Path,
-    *,
-    output: Path,
-    figure: Path | None = None,
-    replace: bool = False,
-    **options: Any,
-) -> None:
+@takes("force_map", "commands.options.deliver", without="json")
+def map(trial: Path, *, output: Path, **options: Any) -> None:
     """Estimate the force on every tile with its uncertainty, without a fit.
 
     Args:
         output: Table of forces, pressure and shear on every tile with standard deviations.
         figure: Draw the mean pressure and its uncertainty.
     """
-    check_files(output, figure, replace=replace)
-    opened = open_checked(trial, **options)
-    found = api.force_map(opened, **given(options, api.force_map))
-    deliver(found, partial(_show_map, found), output=output, figure=figure, **options)
+    on_trial(trial, {"output": output, **options}, api.force_map, _show_map)
 
 
 def _show_map(found: api.TrialMap) -> None:

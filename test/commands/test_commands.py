@@ -13,7 +13,7 @@ from support.verbs import call, program, refused
 
 import socket_testbed as st
 from socket_testbed.__main__ import EXAMPLES, VERBS, _parse, run
-from socket_testbed.commands.arguments import options_of
+from socket_testbed.commands.arguments import Parser, add_options
 
 
 def test_every_verb_explains_itself_and_each_of_its_options(capsys) -> None:
@@ -23,8 +23,8 @@ def test_every_verb_explains_itself_and_each_of_its_options(capsys) -> None:
         with pytest.raises(SystemExit) as ended:
             run([verb, "--help"])
         assert ended.value.code == 0 and f"socket-testbed {verb} " in capsys.readouterr().out
-        found = options_of(f"commands.{module}.{verb}").values()
-        options = {option.name: option.text for options in found for option in options}
+        add_options(parser := Parser(), f"commands.{module}.{verb}")
+        options = {action.dest: action.help for action in parser._actions}
         assert all(options.values()), (verb, options)
         if options.keys() & {"output", "figure"} and verb not in {"simulate", "demo"}:
             assert "replace" in options, verb
@@ -149,7 +149,7 @@ WRONG = {
     "pressure HOLD --leave-out distl.Fz": ["did you mean 'distal.Fz'"],
     "pressure HOLD --over-time": ["--over-time has no output"],
     "pressure HOLD -o regions.foo": ["'.foo' is not a table format"],
-    "pareto HOLD -o front.xlsx": ["front.xlsx", "name a .csv file"],
+    "pareto HOLD -o front.xlsx": ["front.xlsx", "use one of .csv"],
     "compare HOLD": ["1 trials", "2 to 12"],
     "compare" + 13 * " HOLD": ["13 trials", "12"],
     "compare HOLD HOLD": ["hold is given twice"],
