@@ -23,6 +23,7 @@ from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
 from socket_testbed.tables import FORMATS, check_format
 from socket_testbed.trials.metadata import FIELDS, TrialMetadata, change_metadata
+from socket_testbed.trials.reprocess import RECORDED
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.synchronise import parse_unloaded
 from socket_testbed.trials.trial import Trial
@@ -100,6 +101,13 @@ def open_all(
     notify = notify or cache(print_note)
     found = [path for given in paths for path in find_trials(given, notify).values() or [given]]
     return [dataclasses.replace(open_given(path, **options), notify=notify) for path in found]
+
+
+def refuse_given(options: Mapping[str, Any], belongs: str, hint: str) -> None:
+    """Refuse options that are given where they mean nothing."""
+    for name, value in options.items():
+        if value not in (None, RECORDED):
+            raise ConfigurationError(f"{_option(name)} is for {belongs}", hint)
 
 
 def check_files(

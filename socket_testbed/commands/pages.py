@@ -27,6 +27,7 @@ from socket_testbed.commands.options import (
     open_all,
     open_given,
     print_note,
+    refuse_given,
     say_data,
     segment_columns,
     typed_command,
@@ -37,7 +38,6 @@ from socket_testbed.errors import ConfigurationError
 from socket_testbed.live.processes import Graph
 from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.trials.metadata import FIELDS
-from socket_testbed.trials.reprocess import RECORDED
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -203,8 +203,7 @@ def view(
         options["model"] = model
         _follow(ViewSettings(**served, buttons=buttons), namespace, ends, options)
         return
-    if namespace is not None:
-        raise ConfigurationError("--namespace is for the running testbed", "leave out the trial")
+    refuse_given({"namespace": namespace}, "the running testbed", "leave out the trial")
     with api.view(open_given(trial, **options), model, **served) as page:
         say(f"the trial is seen at {page.url}; Ctrl-C ends it")
         with suppress(KeyboardInterrupt):
@@ -223,10 +222,8 @@ def _follow(
     settings: ViewSettings, namespace: str | None, ends: float, options: Mapping[str, Any]
 ) -> None:
     """Serve the page of the running testbed until a time [s]."""
-    for name in ("model", "calibration", "load_cell", "tare"):
-        if options[name] not in (None, RECORDED):
-            option = name.replace("_", "-")
-            raise ConfigurationError(f"--{option} is for a trial", "give the folder of the trial")
+    of_trials = {name: options[name] for name in ("model", "calibration", "load_cell", "tare")}
+    refuse_given(of_trials, "a trial", "give the folder of the trial")
     if options["geometry"] is not None:
         settings = dataclasses.replace(settings, geometry=str(options["geometry"].resolve()))
     check_page(settings)

@@ -141,7 +141,7 @@ WRONG = {
     "run --fault mocap.drop=1": ["add --simulated"],
     "run --simulated --fault mocap.dorp=1": ["did you mean 'mocap.drop'?"],
     "run --simulated --leave-out distal.Fq": ["distal.F"],
-    "run --simulated --time-scale slow": ["'slow' is not a number"],
+    "run --simulated --time-scale 2": ["--time-scale", "from 0.01 to 1"],
     "run --simulated --side left": ["--side is for a trial that is recorded"],
     "run --simulated --view-port 8081": ["is for a page: add --view"],
     "run --simulated --view --view-host 192.0.2.1": ["cannot listen on 192.0.2.1"],
