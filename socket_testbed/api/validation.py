@@ -11,16 +11,22 @@ from typing import TYPE_CHECKING, Any
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.result import Result
-from socket_testbed.api.trials import PathLike, Progress, as_path, as_trial, select, started
+from socket_testbed.api.trials import (
+    PathLike,
+    Progress,
+    as_path,
+    as_trial,
+    require_different,
+    require_one_socket,
+    select,
+    started,
+)
 from socket_testbed.arrays import evenly
 from socket_testbed.errors import ConfigurationError, IdentificationError, TrialError
 from socket_testbed.identification.model_file import record
 from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.objective import LEAST_SAMPLES
-from socket_testbed.identification.plausibility import (
-    find_outliers,
-    require_position,
-)
+from socket_testbed.identification.plausibility import find_outliers, require_position
 from socket_testbed.identification.validation import (
     LEVELS,
     Judgement,
@@ -141,7 +147,7 @@ def validate(
     recordings = _recordings([*map(as_trial, trials)], segment, as_path(params), choices)
     several = len(trials) > 1
     chosen = _some(recordings)
-    report = started(progress, "validating") or (lambda done, total: None)
+    report = started(progress, "validating")
     total = len(recordings) + several * len(chosen)
     judgements: list[Judgement] = []
     fitted: list[_Recording] = []
@@ -234,12 +240,10 @@ def _recordings(
     """Read the trials; refuse what cannot be compared."""
     if not trials:
         raise ConfigurationError("no trial to validate on", "give one or more trials")
-    paths = [trial.path.resolve() for trial in trials]
+    require_different(trials)
     names = [trial.name for trial in trials]
     found = []
-    for number, (trial, path) in enumerate(zip(trials, paths, strict=True)):
-        if path in paths[:number]:
-            raise ConfigurationError(f"{trial.path} is given twice", "give each trial once")
+    for trial in trials:
         name = trial.name if names.count(trial.name) == 1 else str(trial.path)
         with _passed_over(name, trial, len(trials) > 1):
             settings = estimator_settings(trial.estimator, params, **choices)
@@ -248,12 +252,6 @@ def _recordings(
             leave_out = settings.identification.leave_out
             samples = find_outliers(samples, trial.geometry, leave_out).taken_from(samples)
             found.append(_Recording(name, trial, settings, samples))
-    first = found[0].trial if found else trials[0]
-    for trial in (recording.trial for recording in found):
-        if not trial.geometry.same_tiles(first.geometry):
-            raise ConfigurationError(
-                f"{trial.path} is of another socket ({len(trial.geometry)} tiles) than"
-                f" {first.path} ({len(first.geometry)} tiles)",
-                "validate the trials of one socket at a time",
-            )
+    read = [recording.trial for recording in found]
+    require_one_socket(read, "validate the trials of one socket at a time")
     return found
