@@ -422,9 +422,10 @@ def open_compared(
         )
     trials = []
     for item in chain(*groups):
-        if not isinstance(item, Trial) and Path(item).suffix.lower() in {".json", ".yaml", ".yml"}:
+        path = item.path if isinstance(item, Trial) else Path(item)
+        if path.suffix.lower() in {".json", ".yaml", ".yml"}:
             raise ConfigurationError(
-                f"{item}: compare takes trials", "judge a model by 'evaluate TRIAL --model MODEL'"
+                f"{path}: compare takes trials", "judge a model by 'evaluate TRIAL --model MODEL'"
             )
         trials.append(as_trial(item))
     require_different(trials)
