@@ -50,7 +50,7 @@ _METAVARS = {
 def takes(
     *functions: str, without: str = "", exclusive: str = "", epilog: str = ""
 ) -> Callable[[F], F]:
-    """Give a verb the options that other functions take.
+    """Give a verb the options that other functions take, and those that these take.
 
     Where two have the same parameter, the verb's own goes first, then that of the function named
     first. What a function works on, its first parameter, is no option.

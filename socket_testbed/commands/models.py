@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +20,23 @@ from socket_testbed.commands.options import (
     on_trial,
     on_trials,
     open_all,
+    print_note,
     say_data,
     segment_columns,
 )
 from socket_testbed.commands.pressure import pressure_columns, pressure_tables
-from socket_testbed.commands.terminal import Progress, number, table, text_of
+from socket_testbed.commands.terminal import Progress, number, text_of
 from socket_testbed.errors import ConfigurationError, IdentificationError
-from socket_testbed.identification.evaluation import ChannelErrors, summarise_errors
+from socket_testbed.identification.evaluation import (
+    ChannelErrors,
+    errors_to_dataframe,
+    summarise_errors,
+)
 from socket_testbed.identification.information import LEAST_RATIO, share_warning
 from socket_testbed.identification.model_file import finite_or_null, quoted_figures
 from socket_testbed.identification.pareto import Front
 from socket_testbed.settings.identification import PAPER_VARIANTS
-from socket_testbed.tables import FORMATS
+from socket_testbed.tables import FORMATS, Table
 from socket_testbed.trials.trial import Trial
 
 _FRONT_LEGEND = (
@@ -95,15 +101,14 @@ def _fit_row(found: TrialFit) -> Row:
     fit = found.fit
     solutions = (fit.stage_one, fit.stage_two, fit.joint)
     certificates = [solution.certificate for solution in solutions if solution is not None]
-    unseen: tuple[ChannelErrors, ...] = ()
+    unseen: tuple[ChannelErrors, ...] = ()  # none where they are unknown
     try:
         unseen = found.unseen_half()
     except IdentificationError as error:
         if found.trial.notify is not None:
             found.trial.notify(f"no skill on an unseen half: {error}")
     return {
-        "samples": fit.samples,
-        **segment_columns(found.segment),
+        **segment_columns(fit.samples, found.segment),
         "variant": fit.model.variant,
         "theta [-]": fit.settings.theta,
         "force_on_springs [-]": finite_or_null(found.load_shares()[1].springs),
@@ -152,8 +157,7 @@ def _show_evaluation(found: Evaluation, options: Mapping[str, Any]) -> None:
 
 def _evaluation_row(found: Evaluation) -> Row:
     return {
-        "samples": found.samples,
-        **segment_columns(found.segment),
+        **segment_columns(found.samples, found.segment),
         "model": found.model.trial,
         "variant": found.model.model.variant,
         "theta [-]": found.model.settings.theta,
@@ -178,7 +182,7 @@ def validate(trial: list[Path], **options: Any) -> None:
         figure: Draw the errors by cluster and the coverage of the intervals.
     """
     check_files(options["output"], options["figure"], replace=options["replace"])
-    trials = open_all(trial, options)
+    trials = open_all(trial, options, cache(print_note))
     for each in trials:
         say_data(each, f"{each.name}: ")
     found = api.validate(*trials, **given(options, api.validate, api.fit), progress=Progress)
@@ -245,6 +249,8 @@ def paper(trial: Path, **options: Any) -> None:
 
 
 def _show_paper(found: PaperTable) -> None:
+    import pandas as pd
+
     settings = found.settings.to_flat()
     print(f"{found.trial.name}: {found.segment}, {found.samples} samples")
     print(
@@ -253,33 +259,17 @@ def _show_paper(found: PaperTable) -> None:
         f" {settings['reference_position'] or 'the mean limb position'}; k0"
         f" {settings['initial_stiffness']:.4g} N/m, alpha {settings['gate_sharpness']:g} 1/m\n"
     )
-    figures = found.document()["figures"]
-    cells = [
-        [
-            name,
-            *("-" if v is None else v if isinstance(v, str) else number(v) for v in row.values()),
-        ]
-        for name, row in figures.items()
-    ]
-    titles = next(iter(figures.values()))
-    print(table(["figure", *titles], cells))
+    figures = pd.DataFrame.from_dict(found.document()["figures"], orient="index")
+    print(text_of(Table("figures", "", figures.rename_axis("figure"))))
 
 
 def errors_table(errors: Sequence[ChannelErrors]) -> str:
     """RMSE, MAE, sigma and skill per channel, with their means and the median."""
-    rows = [
-        [
-            error.name,
-            error.unit,
-            *map(number, (error.rmse, error.mae, error.sigma)),
-            number(error.skill, 2),
-            "" if error.in_objective else "not in objective",
-        ]
-        for error in errors
-    ]
+    frame = errors_to_dataframe(errors).drop(columns="samples")
+    frame[""] = frame.pop("in objective").map({True: "", False: "not in objective"})
     summary = summarise_errors(errors)
     lines = [
-        table(["channel", "unit", "RMSE", "MAE", "sigma", "skill", ""], rows),
+        text_of(Table("errors", "", frame, {"skill": "z.2f"})),
         "",
         f"mean moment RMSE {number(summary.moment_rmse)} N m, mean force RMSE"
         f" {number(summary.force_rmse)} N, median local RMSE {number(summary.local_rmse)} N,"
@@ -299,10 +289,7 @@ def error_columns(
 ) -> Row:
     """Columns of errors for a summary: what the paper quotes, skills, then every channel.
 
-    Args:
-        errors: Errors of all channels.
-        judged: Errors whose median skills are added, none where they are unknown, by the end of
-            the columns' names, such as `_in_sample`.
+    The median skills are those of the errors `judged`, by the end of the columns' names.
     """
     row: Row = {**quoted_figures(errors)}
     for suffix, those in judged.items():

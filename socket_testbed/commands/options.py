@@ -90,15 +90,9 @@ def say_data(trial: Trial, prefix: str = "", good: bool = True) -> str:
 
 
 def open_all(
-    paths: Sequence[Path],
-    options: Mapping[str, Any],
-    notify: Callable[[str], None] | None = None,
+    paths: Sequence[Path], options: Mapping[str, Any], notify: Callable[[str], None]
 ) -> list[Trial]:
-    """The trials at some paths, of which a folder of trials stands for all in it.
-
-    A note that several of them have is printed once, or each is given to `notify`.
-    """
-    notify = notify or cache(print_note)
+    """The trials at some paths, of which a folder of trials stands for all in it."""
     found = [path for given in paths for path in find_trials(given, notify).values() or [given]]
     return [dataclasses.replace(open_given(path, **options), notify=notify) for path in found]
 
@@ -184,9 +178,10 @@ def on_trial(
     deliver(found, show, **options)
 
 
-def segment_columns(segment: Segment) -> Row:
-    """The segment of a trial, for a summary."""
+def segment_columns(samples: int, segment: Segment) -> Row:
+    """The number of samples and the segment of a trial, for a summary."""
     return {
+        "samples": samples,
         "segment": segment.kind,
         "segment_start [s]": segment.start,
         "segment_end [s]": segment.end,

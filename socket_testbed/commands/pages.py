@@ -88,10 +88,8 @@ def _show_report(results: Results, options: Mapping[str, Any]) -> None:
 
 
 def _report_row(results: Results) -> Row:
-    row: Row = {
-        "samples": int(results.samples[results.segment.rows].complete.sum()),
-        **segment_columns(results.segment),
-    }
+    complete = int(results.samples[results.segment.rows].complete.sum())
+    row = segment_columns(complete, results.segment)
     for label, candidate in results.fitted.items():
         judged = {"_in_sample": candidate.errors, "_held_out": candidate.held_out}
         columns = error_columns(candidate.errors, judged)

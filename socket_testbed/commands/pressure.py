@@ -19,11 +19,12 @@ from socket_testbed.commands.options import (
     on_trials,
     segment_columns,
 )
-from socket_testbed.commands.terminal import number, table
+from socket_testbed.commands.terminal import number, table, text_of
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.socket import PARTS_OF_SECTORS
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.pressure import TITLES, interval_end
+from socket_testbed.tables import Table
 from socket_testbed.trials.trial import Trial
 
 _ABREAST = 3  # outputs in a table
@@ -85,8 +86,7 @@ def _show(found: TrialPressure, options: Mapping[str, Any]) -> None:
 
 def _row(found: TrialPressure) -> Row:
     return {
-        "samples": len(found.time),
-        **segment_columns(found.segment),
+        **segment_columns(len(found.time), found.segment),
         "threshold [kPa]": found.threshold,
         **pressure_columns(found),
     }
@@ -97,29 +97,23 @@ def pressure_tables(found: TrialPressure) -> str:
     document, geometry = found.document(), found.trial.geometry
     measured = {name: geometry.names[tile] for name, tile in geometry.clusters.items()}
     clusters = {f"{tile}, {name}": document["tiles"][tile] for name, tile in measured.items()}
-    parts = [
-        *_tables("region", document["regions"]),
-        *_tables("tile under a cluster", clusters),
-        table(
-            ["limb in the socket", "value"], [[t, _cell(of)] for t, of in document["limb"].items()]
-        )
-        + "\n",
-        "best estimate under the posterior (95 % interval); uncertain: the interval reaches"
-        f" farther from the value than {found.share:g} of it\nin contact: above"
-        f" {found.threshold:g} kPa; the integrals cover {found.outputs.integrated:.1f} s",
-    ]
-    return "\n".join(parts)
-
-
-def _tables(label: str, outputs: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Outputs with their intervals, a row per region or tile, some columns a table."""
-    known = [title for title in TITLES if title in next(iter(outputs.values()), ())]
-    groups = [known[start : start + _ABREAST] for start in range(0, len(known), _ABREAST)]
-    found = []
-    for titles in groups:
-        rows = [[name, *(_cell(of[title]) for title in titles)] for name, of in outputs.items()]
-        found.append(table([label, *titles], rows) + "\n")
-    return found
+    parts = []
+    for label, outputs in (("region", document["regions"]), ("tile under a cluster", clusters)):
+        known = [title for title in TITLES if title in next(iter(outputs.values()), ())]
+        for start in range(0, len(known), _ABREAST):
+            titles = known[start : start + _ABREAST]
+            rows = [[name, *(_cell(of[title]) for title in titles)] for name, of in outputs.items()]
+            parts.append(table([label, *titles], rows) + "\n")
+    limb = [[title, _cell(of)] for title, of in document["limb"].items()]
+    return "\n".join(
+        [
+            *parts,
+            table(["limb in the socket", "value"], limb) + "\n",
+            "best estimate under the posterior (95 % interval); uncertain: the interval reaches"
+            f" farther from the value than {found.share:g} of it\nin contact: above"
+            f" {found.threshold:g} kPa; the integrals cover {found.outputs.integrated:.1f} s",
+        ]
+    )
 
 
 def _cell(quantity: Mapping[str, Any]) -> str:
@@ -150,11 +144,8 @@ def map(trial: Path, *, output: Path, **options: Any) -> None:
 
 def _show_map(found: api.TrialMap) -> None:
     summary = found.summary()
-    rows = [
-        [str(tile), str(row["cluster"]), *(number(value) for value in row[1:])]
-        for tile, row in summary.head(_SHOWN).iterrows()
-    ]
+    highest = summary.head(_SHOWN)
     print(f"{found.trial.name}: {found.segment}, {len(found.time)} samples, {len(summary)} tiles")
     print(f"{found.estimate.source}\n")
-    print(table(["tile", *summary.columns], rows))
-    print(f"\nmeans over the segment, the {len(rows)} highest; sd: standard deviation")
+    print(text_of(Table("map", "", highest)))
+    print(f"\nmeans over the segment, the {len(highest)} highest; sd: standard deviation")
