@@ -70,35 +70,35 @@ def verb(*words: object) -> None:
 def test_the_verbs_write_the_same_bytes(folder, tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.chdir(tmp_path)
     hold, walk = folder / "trials" / "hold", folder / "trials" / "walk"
-    trial = st.open_trial(hold)
+    segment, without = ["--segment", "20:35"], ["--leave-out", "Mz"]
 
-    fitted = st.fit(trial, "20:35", variant="stiffness", leave_out=["Mz"])
+    fitted = st.fit(hold, "20:35", variant="stiffness", leave_out=["Mz"])
     fitted.save("api.json")
-    chosen = ["--segment", "20:35", "--variant", "stiffness", "--leave-out", "Mz"]
-    verb("fit", hold, "-o", "verb.json", *chosen)
+    verb("fit", hold, "-o", "verb.json", *segment, *without, "--variant", "stiffness")
 
-    found = st.evaluate(st.open_trial(walk), fitted, "all")
+    found = st.evaluate(walk, fitted, "all")
     found.save("api.errors")
     verb("evaluate", walk, "--model", "api.json", "--segment", "all", "-o", "verb.errors")
-    assert st.evaluate(st.open_trial(walk), "api.json", "all").errors == found.errors
+    assert st.evaluate(walk, "api.json", "all").errors == found.errors
 
-    st.pareto(trial, "20:35", thetas=3, smoothness=1e-4, leave_out=["Mz"]).save("api.front.csv")
-    chosen = ["--segment", "20:35", "--smoothness", "1e-4", "--leave-out", "Mz"]
-    verb("pareto", hold, "--thetas", 3, *chosen, "-o", "verb.front.csv")
+    st.pareto(hold, "20:35", thetas=3, smoothness=1e-4, leave_out=["Mz"]).save("api.front.csv")
+    words = [*segment, *without, "--thetas", 3, "--smoothness", "1e-4"]
+    verb("pareto", hold, *words, "-o", "verb.front.csv")
 
-    st.export(trial, "api.csv", "20:35", fitted)
-    verb("export", hold, "--segment", "20:35", "--model", "api.json", "-o", "verb.csv")
+    st.export(hold, "api.csv", "20:35", fitted)
+    verb("export", hold, *segment, "--model", "api.json", "-o", "verb.csv")
 
     st.calibrate(folder / "bench.csv", "distal", wiring=(2, 3, 0, 1)).save("api.calibration")
     words = ["--cluster", "distal", "--wiring", 2, 3, 0, 1, "-o", "verb.calibration"]
     verb("calibrate", folder / "bench.csv", *words)
 
-    inputs = [folder / name for name in ("take.csv", "landmarks.yaml", "old_socket.yaml")]
-    st.register(*inputs, "api.socket")
-    words = ["--landmarks", inputs[1], "--socket", inputs[2], "-o", "verb.socket"]
-    verb("register", inputs[0], *words)
+    take, landmarks, socket = (
+        folder / f for f in ("take.csv", "landmarks.yaml", "old_socket.yaml")
+    )
+    st.register(take, landmarks, socket, "api.socket")
+    verb("register", take, "--landmarks", landmarks, "--socket", socket, "-o", "verb.socket")
 
-    written = sorted(path.name for path in tmp_path.glob("api.*"))
+    written = [path.name for path in tmp_path.glob("api.*")]
     assert len(written) == 6
     for name in written:
         assert Path(name).read_bytes() == Path(name.replace("api", "verb", 1)).read_bytes(), name
@@ -147,14 +147,8 @@ def test_a_notebook_draws_maps_at_an_instant_and_into_its_own_axes(folder) -> No
     row = int(np.flatnonzero(found.time <= 11.1)[-1])
     assert at.time == found.time[row] and len(at.estimate.forces) == 1
     assert np.allclose(at.estimate.normal_pressure[0], found.estimate.normal_pressure[row])
-    # Mean and spread of the draws are those of the map, in {S}, too.
-    draws = at.draws(400)[0]
-    pressure = at.estimate.normal_pressure[0]
-    spread = at.estimate.normal_pressure_standard_deviation[0]
-    assert np.abs(draws[..., 2].mean(axis=0) - pressure).max() < 0.3 * spread.max()
-    assert np.median(draws[..., 2].std(axis=0) / spread) == pytest.approx(1.0, abs=0.15)
     geometry = found.trial.geometry
-    local = draws * [1, 1, -1] * geometry.areas[:, None]
+    local = at.draws(400)[0] * [1, 1, -1] * geometry.areas[:, None]
     total = np.einsum("nij,dnj->di", geometry.rotations, local)[:, 2]
     assert total.mean() == pytest.approx(at.estimate.forces[0, :, 2].sum(), rel=0.03)
     for time in (9.0, 14.0):

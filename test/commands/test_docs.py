@@ -13,12 +13,7 @@ from socket_testbed import __version__
 from socket_testbed.__main__ import VERBS
 from socket_testbed.trials.topics import TOPICS
 
-README = (CHECKOUT / "README.md").read_text()
-PAGES = [
-    CHECKOUT / "README.md",
-    CHECKOUT / "CONTRIBUTING.md",
-    *sorted((CHECKOUT / "docs").glob("*.md")),
-]
+PAGES = [CHECKOUT / "README.md", CHECKOUT / "CONTRIBUTING.md", *(CHECKOUT / "docs").glob("*.md")]
 
 
 def commands(page: Path) -> list[str]:
@@ -58,23 +53,17 @@ def test_a_page_s_commands_run_in_their_order(
     run(left, tmp_path)
 
 
-def test_the_readme_names_every_verb_and_make_targets_that_exist() -> None:
+def test_pages_name_verbs_targets_topics_and_functions_that_exist() -> None:
     targets = re.findall(r"^([a-z]+):", (CHECKOUT / "Makefile").read_text(), flags=re.MULTILINE)
-    assert set(re.findall(r"(?:^|`)make ([a-z]+)", README, flags=re.MULTILINE)) <= set(targets)
-    rows = README.partition("| for | verbs")[2].partition("\n\n")[0]
+    readme, docs = PAGES[0].read_text(), CHECKOUT / "docs"
+    assert set(re.findall(r"(?:^|`)make ([a-z]+)", readme, flags=re.MULTILINE)) <= set(targets)
+    rows = readme.partition("| for | verbs")[2].partition("\n\n")[0]
     assert set(re.findall(r"`([a-z]+)`", rows)) == set(VERBS)
-
-
-def test_the_conventions_name_every_topic_with_its_type() -> None:
-    page = (CHECKOUT / "docs" / "conventions.md").read_text()
+    conventions = (docs / "conventions.md").read_text()
     for topic in TOPICS:
         package, _, name = topic.type.split("/")
-        assert re.search(rf"`{topic.name}`.*\| {package}/{name} \|", page), topic.name
-
-
-def test_the_page_on_the_paper_names_functions_that_exist() -> None:
-    page = (CHECKOUT / "docs" / "paper.md").read_text()
-    places = re.findall(r"`(\S+\.py): ([^`]+)`", page)
+        assert re.search(rf"`{topic.name}`.*\| {package}/{name} \|", conventions), topic.name
+    places = re.findall(r"`(\S+\.py): ([^`]+)`", (docs / "paper.md").read_text())
     assert len(places) > 20
     for name, listed in places:
         (file,) = (CHECKOUT / "socket_testbed").rglob(name)
@@ -82,20 +71,16 @@ def test_the_page_on_the_paper_names_functions_that_exist() -> None:
             assert re.search(rf"(def|class) {defined.rpartition('.')[2]}\b", file.read_text()), name
 
 
-def anchors(page: Path) -> set[str]:
-    """The anchors of a page's headings, as GitHub forms them."""
-    text = re.sub(r"```.*?```", "", page.read_text(), flags=re.DOTALL)
-    headings = re.findall(r"^#+ (.+)$", text, flags=re.MULTILINE)
-    return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
-
-
-def test_every_link_leads_somewhere() -> None:
-    links = [(p, t) for p in PAGES for t in re.findall(r"\]\(([^):]+)\)", p.read_text())]
-    for page, target in links:
-        path, _, anchor = target.partition("#")
-        found = page.parent / path if path else page
-        assert found.exists(), (page.name, target)
-        assert not anchor or anchor in anchors(found), (page.name, target)
+def test_every_link_leads_to_a_file_and_its_heading() -> None:
+    for page in PAGES:
+        for target in re.findall(r"\]\(([^):]+)\)", page.read_text()):
+            path, _, anchor = target.partition("#")
+            found = page.parent / path if path else page
+            assert found.exists(), (page.name, target)
+            text = re.sub(r"```.*?```", "", found.read_text(), flags=re.DOTALL) if anchor else ""
+            headings = re.findall(r"^#+ (.+)$", text.lower(), flags=re.MULTILINE)
+            anchors = [re.sub(r"[^\w -]", "", each).replace(" ", "-") for each in headings]
+            assert not anchor or anchor in anchors, (page.name, target)
 
 
 def test_the_map_names_folders_and_files_that_exist() -> None:
