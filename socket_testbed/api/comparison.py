@@ -355,11 +355,6 @@ def compare(
         params: A `testbed.yaml` to use instead of each trial's own.
         progress: See `Progress`.
 
-    Raises:
-        ConfigurationError: If there are fewer than two trials or conditions or too many, a trial is
-            given twice or is a file, or they are of different sockets.
-        TrialError: If a trial cannot be read or holds no such segment.
-
     >>> found = st.compare("trials/hold", "trials/walk", segment="15:20")
     >>> found
     Comparison(trials hold, walk; 21 regions, 79 tiles)

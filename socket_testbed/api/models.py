@@ -16,7 +16,7 @@ from socket_testbed.api.pressure import TrialPressure
 from socket_testbed.api.pressure import force_map as force_map_of
 from socket_testbed.api.pressure import pressure as pressure_of
 from socket_testbed.api.result import Result, origin
-from socket_testbed.api.trials import PathLike, as_path, as_trial, select
+from socket_testbed.api.trials import PathLike, as_path, as_trial, note, select
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.evaluation import (
@@ -339,8 +339,8 @@ def note_implausible(
     """Note the channels of a segment that look implausible."""
     if trial.notify is not None:
         start, chosen = int(samples.stamps[0]), samples[segment.rows]
-        for note in implausible_notes(chosen, trial.geometry, leave_out, start):
-            trial.notify(note)
+        for text in implausible_notes(chosen, trial.geometry, leave_out, start):
+            trial.notify(text)
 
 
 def read_model(path: PathLike) -> StoredModel:
@@ -444,9 +444,9 @@ def evaluate(
     require_position(rows, trial.geometry)
     note_implausible(trial, samples, chosen, leave_out)
     rows = find_outliers(rows, trial.geometry, leave_out).taken_from(rows)
-    if trial.notify is not None and bool(trial.unloaded) != bool(stored.unloaded):
+    if bool(trial.unloaded) != bool(stored.unloaded):
         fitted = "with" if stored.unloaded else "without"
-        trial.notify(f"the model was fitted {fitted} --unloaded: its offsets are others")
+        note(trial, f"the model was fitted {fitted} --unloaded: its offsets are others")
     errors = evaluate_predictions(rows, _predictions(rows, stored), leave_out)
     outputs = pressure_of(trial, chosen) if pressure else None
     return Evaluation(trial, stored, chosen, int(rows.complete.sum()), errors, outputs)

@@ -107,6 +107,12 @@ def as_trial(trial: Trial | PathLike) -> Trial:
     return trial if isinstance(trial, Trial) else open_trial(trial)
 
 
+def note(trial: Trial, text: str) -> None:
+    """Say what a reader of a trial's results must know, if somebody listens."""
+    if trial.notify is not None:
+        trial.notify(text)
+
+
 def require_different(trials: Sequence[Trial]) -> None:
     """Refuse a trial that is given twice."""
     paths = [trial.path.resolve() for trial in trials]
