@@ -38,7 +38,14 @@ from scipy.special import nctdtrinc, ndtri, stdtrit
 
 from socket_testbed.api.pressure import Rows, TrialPressure, pressure
 from socket_testbed.api.result import Result, records
-from socket_testbed.api.trials import PathLike, Progress, as_trial, started
+from socket_testbed.api.trials import (
+    PathLike,
+    Progress,
+    as_trial,
+    require_different,
+    require_one_socket,
+    started,
+)
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.regions import Side
@@ -348,11 +355,6 @@ def compare(
         params: A `testbed.yaml` to use instead of each trial's own.
         progress: See `Progress`.
 
-    Raises:
-        ConfigurationError: If there are fewer than two trials or conditions or too many, a trial is
-            given twice or is a file, or they are of different sockets.
-        TrialError: If a trial cannot be read or holds no such segment.
-
     >>> found = st.compare("trials/hold", "trials/walk", segment="15:20")
     >>> found
     Comparison(trials hold, walk; 21 regions, 79 tiles)
@@ -366,15 +368,9 @@ def compare(
     trials, of_trials = open_compared(items, conditions)
     names = _names([trial.path for trial in trials])
     compared = Conditions(tuple(conditions or names), of_trials)
-    first = trials[0].geometry
-    other = next((trial for trial in trials if not trial.geometry.same_tiles(first)), None)
-    if other is not None and not by_region:
-        raise ConfigurationError(
-            f"{other.path} is of another socket ({len(other.geometry)} tiles) than"
-            f" {trials[0].path} ({len(first)} tiles)",
-            "compare them by region with --by-region",
-        )
-    report = started(progress, "comparing") or (lambda done, total: None)
+    if not by_region:
+        require_one_socket(trials, "compare them by region with --by-region")
+    report = started(progress, "comparing")
     found = []
     for done, (name, trial) in enumerate(zip(names, trials, strict=True), start=1):
         try:
@@ -382,10 +378,11 @@ def compare(
         except TrialError as error:  # it does not always say of which trial
             raise TrialError(f"{name}: {error.fact}", error.hint) from None
         report(done, len(trials))
-    sides = {trial.metadata.side for trial in trials}
-    rows = _shared_rows(found, other is None, by_region)
-    numbers = values_table(compared, rows, _correlation(found, compared))
-    notes = [*_notes(found, names, rows, other is None, compared.freedom)]
+    first, sides = trials[0], {trial.metadata.side for trial in trials}
+    one_socket = all(trial.geometry.same_tiles(first.geometry) for trial in trials)
+    rows = _shared_rows(found, one_socket, by_region)
+    numbers = values_table(compared, rows, _correlation(trials, compared))
+    notes = [*_notes(found, names, rows, one_socket, compared.freedom)]
     if params is None and len({trial.estimator.force_map for trial in trials}) > 1:
         notes.append(
             "the trials were recorded with different priors of the force map (force_map.*): give"
@@ -394,10 +391,10 @@ def compare(
     over = f"segment {segment}, in contact above {threshold:g} kPa"
     return Comparison(
         conditions=compared.trials(names),
-        title="; ".join([*_detectable(numbers, compared), over]),
+        title=_detectable(numbers, compared) + over,
         notes=tuple(notes),
         table=pd.concat([_texts(found, names, compared), numbers], ignore_index=True),
-        geometry=None if by_region else first,
+        geometry=None if by_region else first.geometry,
         side=sides.pop() if len(sides) == 1 else None,
     )
 
@@ -410,25 +407,23 @@ def open_compared(
         raise ConfigurationError(
             f"{len(items)} trials are given beside conditions", "give each trial to a condition"
         )
-    what = "conditions" if conditions else "trials"
     groups = [*conditions.values()] if conditions else [[item] for item in items]
     if empty := [name for name, of_name in (conditions or {}).items() if not of_name]:
         raise ConfigurationError(f"the condition '{empty[0]}' has no trial", "name its trials")
     if not 2 <= len(groups) <= _MOST:
         raise ConfigurationError(
-            f"{len(groups)} {what} are given to compare",
+            f"{len(groups)} {'conditions' if conditions else 'trials'} are given to compare",
             f"give 2 to {_MOST}, or 'pressure FOLDER -o OUTPUT' for a table with a row per trial",
         )
-    trials: list[Trial] = []
+    trials = []
     for item in chain(*groups):
         path = item.path if isinstance(item, Trial) else Path(item)
         if path.suffix.lower() in {".json", ".yaml", ".yml"}:
             raise ConfigurationError(
                 f"{path}: compare takes trials", "judge a model by 'evaluate TRIAL --model MODEL'"
             )
-        if path.resolve() in [trial.path.resolve() for trial in trials]:
-            raise ConfigurationError(f"{path} is given twice", "give each trial once")
         trials.append(as_trial(item))
+    require_different(trials)
     return trials, np.repeat(np.arange(len(groups)), [*map(len, groups)])
 
 
@@ -442,27 +437,25 @@ def _names(paths: Sequence[Path]) -> tuple[str, ...]:
 def _shared_rows(found: Sequence[TrialPressure], one_socket: bool, by_region: bool) -> list[Rows]:
     """The outputs and the wrench of each trial, as far as all trials have them."""
     sides = {each.trial.metadata.side for each in found}
-    neutral = None in sides and len(sides) > 1
     mirrored = ("medial", "lateral") if sides == {"left", "right"} else ()
     rows: list[Rows] = []
     tiles: list[dict[str, tuple[int, ...]]] = []
     for each in found:
-        side = each.trial.metadata.side if neutral else None
+        side = each.trial.metadata.side if None in sides and len(sides) > 1 else None
         tiles.append({_without_side(of.name, side): tuple(of.tiles) for of in each.places})
         outputs = {
             (part, _without_side(name, side) if part == "regions" else name, title): row
             for (part, name, title), row in each.rows().items()
+            if not (part == "tiles" and by_region)
         }
         rows.append(outputs | _wrench_rows(each))
 
-    def is_shared(key: tuple[str, str, str]) -> bool:
-        part, name, _ = key
-        if part == "regions" and one_socket and not name.startswith(mirrored):
-            # A region of the same name may have other tiles.
-            return len({of.get(name) for of in tiles}) == 1
-        return not (part == "tiles" and by_region) and all(key in of for of in rows)
+    def is_shared(part: str, name: str) -> bool:
+        # A region of the same name may have other tiles.
+        own = part == "regions" and one_socket and not name.startswith(mirrored)
+        return not own or len({of.get(name) for of in tiles}) == 1
 
-    keys = [*filter(is_shared, rows[0])]
+    keys = [key for key in rows[0] if is_shared(*key[:2]) and all(key in of for of in rows)]
     return [{key: of[key] for key in keys} for of in rows]
 
 
@@ -489,18 +482,19 @@ def _wrench_rows(found: TrialPressure) -> Rows:
     }
 
 
-def _detectable(table: pd.DataFrame, compared: Conditions) -> Iterator[str]:
-    """What repeated trials can tell apart, in words."""
-    if compared.freedom:
-        rows = table.query("part == 'regions' and quantity == 'mean pressure'")
-        least = rows.groupby("name")["detectable"].max()
-        regions, counts = least.drop("socket"), np.bincount(compared.of_trials)
-        trials = " to ".join(map(str, sorted({counts.min(), counts.max()})))
-        yield (
-            f"with {trials} trials per condition differences of {least['socket']:.1f} kPa and more"
-            f" can be seen in the socket's mean pressure, of {regions.min():.1f} to"
-            f" {regions.max():.1f} kPa in that of its regions"
-        )
+def _detectable(table: pd.DataFrame, compared: Conditions) -> str:
+    """What repeated trials can tell apart, in words; nothing of single ones."""
+    if not compared.freedom:
+        return ""
+    rows = table.query("part == 'regions' and quantity == 'mean pressure'")
+    least = rows.groupby("name")["detectable"].max()
+    regions, counts = least.drop("socket"), np.bincount(compared.of_trials)
+    trials = " to ".join(map(str, sorted({counts.min(), counts.max()})))
+    return (
+        f"with {trials} trials per condition differences of {least['socket']:.1f} kPa and more"
+        f" can be seen in the socket's mean pressure, of {regions.min():.1f} to"
+        f" {regions.max():.1f} kPa in that of its regions; "
+    )
 
 
 def _texts(
@@ -509,20 +503,20 @@ def _texts(
     """What is no number, of each condition's trials: one text where they agree."""
     import pandas as pd
 
-    described = [each.trial.metadata.described() for each in found]
+    trials = [each.trial for each in found]
+    described = [trial.metadata.described() for trial in trials]
     stated = [name for name in FIELDS if any(name in texts for texts in described)]
     texts = {("metadata", n): [of.get(n, "not stated") for of in described] for n in stated}
-    origins = {
-        **({"trials": names} if compared.freedom else {}),
-        "segment": [str(each.segment) for each in found],
-        "samples": [str(len(each.time)) for each in found],
-        "measured": [each.outputs.source for each in found],
-        "socket": [each.trial.geometry.source or "no source" for each in found],
-        "calibration": [
-            f"{each.trial.calibration.source} ({each.trial.calibration.date})" for each in found
-        ],
+    if compared.freedom:
+        texts["trials", "trials"] = [*names]
+    calibrations = [trial.calibration for trial in trials]
+    texts |= {
+        ("trials", "segment"): [str(each.segment) for each in found],
+        ("trials", "samples"): [str(len(each.time)) for each in found],
+        ("trials", "measured"): [each.outputs.source for each in found],
+        ("trials", "socket"): [trial.geometry.source or "no source" for trial in trials],
+        ("trials", "calibration"): [f"{each.source} ({each.date})" for each in calibrations],
     }
-    texts |= {("trials", name): [*of_trials] for name, of_trials in origins.items()}
     rows = [
         (*key, "", "", item, *[np.nan] * len(_VALUES), "; ".join(dict.fromkeys(different)))
         for key, of_trials in texts.items()
@@ -531,14 +525,14 @@ def _texts(
     return pd.DataFrame(rows, columns=[*COLUMNS])
 
 
-def _correlation(found: Sequence[TrialPressure], compared: Conditions) -> FloatArray:
+def _correlation(trials: Sequence[Trial], compared: Conditions) -> FloatArray:
     """Correlation of the force map's errors with those of the first, shape (c, 1) [-]."""
-    first = found[0].trial
+    subject, socket = trials[0].metadata.subject, trials[0].geometry
     alike = [
-        each.trial.metadata.subject is not None
-        and each.trial.metadata.subject == first.metadata.subject
-        and each.trial.geometry.same_tiles(first.geometry)
-        for each in found
+        subject is not None
+        and subject == trial.metadata.subject
+        and trial.geometry.same_tiles(socket)
+        for trial in trials
     ]
     all_alike = np.array([[all(of)] for of in compared.trials(alike).values()])
     return SAME_LIMB * np.asarray(all_alike & all_alike[0], dtype=float)

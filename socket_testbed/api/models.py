@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -13,9 +13,10 @@ from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.cycles import cycles as cycles_of
 from socket_testbed.api.pressure import TrialPressure
+from socket_testbed.api.pressure import force_map as force_map_of
 from socket_testbed.api.pressure import pressure as pressure_of
 from socket_testbed.api.result import Result, origin
-from socket_testbed.api.trials import PathLike, as_path, as_trial, select, select_frames
+from socket_testbed.api.trials import PathLike, as_path, as_trial, note, select
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.evaluation import (
@@ -26,7 +27,6 @@ from socket_testbed.identification.evaluation import (
     summarise_errors,
 )
 from socket_testbed.identification.fit import Fit, fit_contact_model
-from socket_testbed.identification.force_map import map_trial
 from socket_testbed.identification.information import (
     Engagement,
     LoadShare,
@@ -51,11 +51,11 @@ from socket_testbed.identification.plausibility import (
 )
 from socket_testbed.identification.validation import judge_unseen_half
 from socket_testbed.samples import Samples, channel_unit, moments_about
-from socket_testbed.settings.identification import Variant, Weights
+from socket_testbed.settings.identification import IdentificationSettings, Variant, Weights
 from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.tables import FORMATS, check_format, write_table
 from socket_testbed.trials.exchange import GAIT_FORMATS, write_gait_file, write_standard_bag
-from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.segment import Segment, first_frames
 from socket_testbed.trials.synchronise import sample_table
 from socket_testbed.trials.trial import Trial
 
@@ -127,14 +127,16 @@ class TrialFit(Result):
 
     def motion(self) -> Motion:
         """How the pose moves over the segment, against its noise."""
-        window = self.fit.settings.pose_smoothing
-        return measure_motion(self._samples(), self.trial.geometry, window)
+        return measure_motion(
+            self._samples(), self.trial.geometry, self.fit.settings.pose_smoothing
+        )
 
     def known_directions(self) -> float:
         """Stiffness directions with a standard deviation below `stiffness_difference` [-]."""
-        settings, samples = self.fit.settings, self._samples()
-        accuracy, window = settings.stiffness_difference, settings.pose_smoothing
-        return known_directions(samples, self.fit.model, accuracy, window)
+        of = self.fit.settings
+        return known_directions(
+            self._samples(), self.fit.model, of.stiffness_difference, of.pose_smoothing
+        )
 
     def unseen_half(self) -> tuple[ChannelErrors, ...]:
         """Errors on the second half of the segment of a model fitted on its first half.
@@ -157,8 +159,7 @@ class TrialFit(Result):
 
     def document(self) -> dict[str, Any]:
         """The errors on the samples of the fit for JSON; `save` writes the model itself."""
-        model = {"trial": self.trial.name, "variant": self.fit.model.variant}
-        return _errors_document(self.trial, model, self.segment, self.fit.samples, self.fit.errors)
+        return _errors_document(self, self.stored(), self.fit.samples, self.fit.errors)
 
     def _figure(self, style: FigureStyle) -> Figure:
         from socket_testbed.report.tiles import tile_map_figure
@@ -210,11 +211,8 @@ class Evaluation(Result):
 
     def document(self) -> dict[str, Any]:
         """The evaluation for JSON."""
-        model = {"trial": self.model.trial, "variant": self.model.model.variant}
-        return {
-            **_errors_document(self.trial, model, self.segment, self.samples, self.errors),
-            **({"pressure": self.pressure.document()} if self.pressure else {}),
-        }
+        found = _errors_document(self, self.model, self.samples, self.errors)
+        return found | ({"pressure": self.pressure.document()} if self.pressure else {})
 
     def save(self, path: PathLike) -> None:
         """Write the errors as JSON, or as a table if the suffix is one; an older file is replaced.
@@ -238,16 +236,12 @@ class Evaluation(Result):
 
 
 def _errors_document(
-    trial: Trial,
-    model: dict[str, str],
-    segment: Segment,
-    samples: int,
-    errors: Sequence[ChannelErrors],
+    of: TrialFit | Evaluation, model: StoredModel, samples: int, errors: Sequence[ChannelErrors]
 ) -> dict[str, Any]:
-    identity = origin(trial, segment)
+    identity = origin(of.trial, of.segment)
     return {
         "trial": identity["trial"],
-        "model": model,
+        "model": {"trial": model.trial, "variant": model.model.variant},
         "segment": identity["segment"],
         "samples": samples,
         "channels": [record(error) for error in errors],
@@ -305,28 +299,38 @@ def fit(
     'N'
     >>> fitted.save("hold.json")
     """
-    trial = as_trial(trial)
-    settings = estimator_settings(
-        trial.estimator,
-        as_path(params),
-        variant=variant,
-        theta=theta,
-        weights=weights,
-        smoothness=smoothness,
-        leave_out=leave_out,
-        pose_smoothing=pose_smoothing,
-        frames=frames,
-        initial_stiffness=initial_stiffness,
-        solver=solver,
-    )
-    samples = trial.samples()
-    chosen = select_frames(trial, segment, settings)
-    note_implausible(trial, samples, chosen, settings.identification.leave_out)
+    choices = {
+        "variant": variant,
+        "theta": theta,
+        "weights": weights,
+        "smoothness": smoothness,
+        "leave_out": leave_out,
+        "pose_smoothing": pose_smoothing,
+        "frames": frames,
+        "initial_stiffness": initial_stiffness,
+        "solver": solver,
+    }
+    trial, chosen, settings = prepare_fit(trial, segment, params, choices)
     # With more threads a sum is rounded otherwise: the same trial is to give the same model on
     # every machine. These programs are small, and no slower for it.
     with threadpool_limits(1):
-        found = fit_contact_model(samples[chosen.rows], trial.geometry, settings.identification)
+        found = fit_contact_model(trial.samples()[chosen.rows], trial.geometry, settings)
     return TrialFit(trial, chosen, found)
+
+
+def prepare_fit(
+    trial: Trial | PathLike,
+    segment: str | Segment,
+    params: PathLike | None,
+    choices: Mapping[str, Any],
+) -> tuple[Trial, Segment, IdentificationSettings]:
+    """The trial, the frames of the segment that a fit uses, and the settings; notes come first."""
+    trial = as_trial(trial)
+    settings = estimator_settings(trial.estimator, as_path(params), **choices)
+    samples, frames = trial.samples(), settings.identification.frames
+    chosen = first_frames(select(trial, segment, settings), samples, frames)
+    note_implausible(trial, samples, chosen, settings.identification.leave_out)
+    return trial, chosen, settings.identification
 
 
 def note_implausible(
@@ -335,8 +339,8 @@ def note_implausible(
     """Note the channels of a segment that look implausible."""
     if trial.notify is not None:
         start, chosen = int(samples.stamps[0]), samples[segment.rows]
-        for note in implausible_notes(chosen, trial.geometry, leave_out, start):
-            trial.notify(note)
+        for text in implausible_notes(chosen, trial.geometry, leave_out, start):
+            trial.notify(text)
 
 
 def read_model(path: PathLike) -> StoredModel:
@@ -434,16 +438,15 @@ def evaluate(
     if pose_smoothing is not None:
         changed = dataclasses.replace(stored.settings, pose_smoothing=pose_smoothing)
         stored = dataclasses.replace(stored, settings=changed)
-    samples = trial.samples()
+    samples, leave_out = trial.samples(), stored.settings.leave_out
     chosen = select(trial, segment, trial.estimator)
     rows = samples[chosen.rows]
-    leave_out = stored.settings.leave_out
     require_position(rows, trial.geometry)
     note_implausible(trial, samples, chosen, leave_out)
     rows = find_outliers(rows, trial.geometry, leave_out).taken_from(rows)
-    if trial.notify is not None and bool(trial.unloaded) != bool(stored.unloaded):
+    if bool(trial.unloaded) != bool(stored.unloaded):
         fitted = "with" if stored.unloaded else "without"
-        trial.notify(f"the model was fitted {fitted} --unloaded: its offsets are others")
+        note(trial, f"the model was fitted {fitted} --unloaded: its offsets are others")
     errors = evaluate_predictions(rows, _predictions(rows, stored), leave_out)
     outputs = pressure_of(trial, chosen) if pressure else None
     return Evaluation(trial, stored, chosen, int(rows.complete.sum()), errors, outputs)
@@ -505,29 +508,23 @@ def export(
     if not as_bag:
         check_format(path)
     stored = None if model is None else model_for(trial, model)
-    measured, samples = trial.measurements_and_samples()
     chosen = select(trial, segment, trial.estimator)
+    measured, samples = trial.measurements_and_samples()
     predicted = None
+    added: list[pd.DataFrame] = []
     if stored is not None:
         predicted = _predictions(samples, stored)
         predicted[:, :6] = moments_about(predicted[:, :6], about)
+        engaged = engagement(samples, stored.model, stored.settings.pose_smoothing)
+        added.append(pd.DataFrame(engaged.columns("springs."))[chosen.rows])
+    if force_map:
+        mapped = force_map_of(trial, chosen).estimate
+        added.append(pd.DataFrame(mapped.columns(trial.geometry.names, "map.")))
+    if pressure:
+        added.append(pressure_of(trial, chosen).over_time().add_prefix("pressure."))
     moved = dataclasses.replace(samples, wrench=moments_about(samples.wrench, about))
     table = sample_table(measured, moved, trial.calibration, chosen, predicted)
-    if stored is not None:
-        engaged = engagement(samples, stored.model, stored.settings.pose_smoothing)
-        springs = pd.DataFrame(engaged.columns("springs."))[chosen.rows]
-        table = pd.concat([table, springs.set_axis(table.index)], axis=1)
-    if force_map:
-        leave_out = trial.estimator.identification.leave_out
-        estimator, trusted = map_trial(
-            samples, trial.geometry, trial.estimator.force_map, leave_out
-        )
-        mapped = estimator.estimate(trusted[chosen.rows])
-        added = pd.DataFrame(mapped.columns(trial.geometry.names, "map."), index=table.index)
-        table = pd.concat([table, added], axis=1)
-    if pressure:
-        outputs = pressure_of(trial, chosen).over_time().add_prefix("pressure.")
-        table = pd.concat([table, outputs.set_axis(table.index)], axis=1)
+    table = pd.concat([table, *(each.set_axis(table.index) for each in added)], axis=1)
     rows = f"{len(table)} samples"
     if cycles is not None:
         found = cycles_of(trial, table, by=cycles, segment=chosen)

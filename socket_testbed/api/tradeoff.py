@@ -8,14 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from socket_testbed.api.models import fit, note_implausible
+from socket_testbed.api.models import fit, prepare_fit
 from socket_testbed.api.result import Result, origin, records
 from socket_testbed.api.trials import (
     PathLike,
     Progress,
-    as_path,
     as_trial,
-    select_frames,
     started,
 )
 from socket_testbed.arrays import FloatArray
@@ -35,7 +33,6 @@ from socket_testbed.settings.identification import (
     Variant,
     Weights,
 )
-from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 
@@ -110,20 +107,12 @@ def pareto(
     Front(stiffness, 11 solutions, ... not dominated; knee of depth ...)
     >>> tradeoff.draw("front.png")
     """
-    trial = as_trial(trial)
     check_thetas(thetas)
-    settings = estimator_settings(trial.estimator, as_path(params), **choices)
-    chosen = select_frames(trial, segment, settings)
-    leave_out = settings.identification.leave_out
-    note_implausible(trial, trial.samples(), chosen, leave_out)
+    trial, chosen, settings = prepare_fit(trial, segment, params, choices)
+    report = started(progress, "solving for every theta")
     with threadpool_limits(1):
-        fronts = pareto_front(
-            trial.samples()[chosen.rows],
-            trial.geometry,
-            settings.identification,
-            theta_values(thetas),
-            progress=started(progress, "solving for every theta"),
-        )
+        rows = trial.samples()[chosen.rows]
+        fronts = pareto_front(rows, trial.geometry, settings, theta_values(thetas), report)
     return Tradeoff(trial, chosen, fronts)
 
 
@@ -193,12 +182,10 @@ def paper(
     [3.99, 0.95]
     """
     trial = as_trial(trial)
-    chosen = {"weights": weights, "frames": frames, **choices}
+    chosen = {"weights": weights, "frames": frames, "params": params, **choices}
     check_thetas(thetas)
-    fits = {v: fit(trial, segment, params=params, variant=v, **chosen) for v in PAPER_VARIANTS}
-    fronts = pareto(
-        trial, segment, thetas=thetas, params=params, progress=progress, **chosen
-    ).fronts
+    fits = {variant: fit(trial, segment, variant=variant, **chosen) for variant in PAPER_VARIANTS}
+    fronts = pareto(trial, segment, thetas=thetas, progress=progress, **chosen).fronts
     errors = {variant: found.fit.errors for variant, found in fits.items()}
     last = fits[PAPER_VARIANTS[-1]]
     rows, settings = trial.samples()[last.segment.rows], last.fit.settings

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
@@ -47,9 +47,9 @@ def as_path(path: PathLike | None) -> Path | None:
     return None if path is None else Path(path)
 
 
-def started(progress: Progress | None, what: str) -> Callable[[int, int], None] | None:
-    """A progress that has started, if there is one."""
-    return None if progress is None else progress(what)
+def started(progress: Progress | None, what: str) -> Callable[[int, int], None]:
+    """A progress that has started; one that nobody sees if there is none."""
+    return (lambda done, total: None) if progress is None else progress(what)
 
 
 def open_trial(
@@ -105,6 +105,31 @@ def open_trial(
 def as_trial(trial: Trial | PathLike) -> Trial:
     """The trial, which may be given by its path."""
     return trial if isinstance(trial, Trial) else open_trial(trial)
+
+
+def note(trial: Trial, text: str) -> None:
+    """Say what a reader of a trial's results must know, if somebody listens."""
+    if trial.notify is not None:
+        trial.notify(text)
+
+
+def require_different(trials: Sequence[Trial]) -> None:
+    """Refuse a trial that is given twice."""
+    paths = [trial.path.resolve() for trial in trials]
+    for number, trial in enumerate(trials):
+        if paths[number] in paths[:number]:
+            raise ConfigurationError(f"{trial.path} is given twice", "give each trial once")
+
+
+def require_one_socket(trials: Sequence[Trial], hint: str) -> None:
+    """Refuse a trial of another socket than the first one's."""
+    for trial in trials:
+        if not trial.geometry.same_tiles(trials[0].geometry):
+            raise ConfigurationError(
+                f"{trial.path} is of another socket ({len(trial.geometry)} tiles) than"
+                f" {trials[0].path} ({len(trials[0].geometry)} tiles)",
+                hint,
+            )
 
 
 def annotate(
@@ -223,12 +248,6 @@ def select(trial: Trial, segment: str | Segment | None, settings: EstimatorSetti
     return segments.select_segment(
         trial.samples(), specification, settings.plateau, leave_out, trial.events
     )
-
-
-def select_frames(trial: Trial, segment: str | Segment, settings: EstimatorSettings) -> Segment:
-    """The part of a segment that a fit uses: its first `identification.frames` samples."""
-    chosen = select(trial, segment, settings)
-    return segments.first_frames(chosen, trial.samples(), settings.identification.frames)
 
 
 def simulate(

@@ -5,21 +5,29 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.result import Result
-from socket_testbed.api.trials import PathLike, Progress, as_path, as_trial, select, started
+from socket_testbed.api.trials import (
+    PathLike,
+    Progress,
+    as_path,
+    as_trial,
+    note,
+    require_different,
+    require_one_socket,
+    select,
+    started,
+)
 from socket_testbed.arrays import evenly
 from socket_testbed.errors import ConfigurationError, IdentificationError, TrialError
 from socket_testbed.identification.model_file import record
 from socket_testbed.identification.noise import smooth_poses
-from socket_testbed.identification.plausibility import (
-    find_outliers,
-    require_position,
-)
+from socket_testbed.identification.plausibility import find_outliers, require_position
 from socket_testbed.identification.problem import LEAST_SAMPLES
 from socket_testbed.identification.validation import (
     LEVELS,
@@ -139,29 +147,28 @@ def validate(
     True
     """
     recordings = _recordings([*map(as_trial, trials)], segment, as_path(params), choices)
-    several = len(trials) > 1
-    chosen = _some(recordings)
-    report = started(progress, "validating") or (lambda done, total: None)
+    several, chosen = len(trials) > 1, _some(recordings)
+    report, done = started(progress, "validating"), count(1)
     total = len(recordings) + several * len(chosen)
     judgements: list[Judgement] = []
     fitted: list[_Recording] = []
     with threadpool_limits(1):
-        for done, recording in enumerate(recordings):
+        for recording in recordings:
             with _passed_over(recording.name, recording.trial, several):
                 judgements += recording.judge(with_models=recording in chosen)
                 fitted += [recording] if recording in chosen else []
-            report(done + 1, total)
+            report(next(done), total)
         if not judgements:
             raise TrialError(f"none of the {len(trials)} trials can be judged", "see the notes")
-        for done, recording in enumerate(chosen if several else ()):
-            others = [other for other in recordings if other is not recording]
+        for recording in chosen if several else ():
             if recording in fitted:
+                others = _some([other for other in recordings if other is not recording])
                 with _passed_over(recording.name, recording.trial, several):
-                    judgements += recording.judge_others(_some(others))
-            report(len(recordings) + done + 1, total)
-    names, fitted_names = ([r.name for r in listed] for listed in (recordings, fitted))
+                    judgements += recording.judge_others(others)
+            report(next(done), total)
+    names, fitted_names = (tuple(r.name for r in listed) for listed in (recordings, fitted))
     metadata = tuple(recording.trial.metadata for recording in recordings)
-    return Validation(tuple(names), tuple(fitted_names), tuple(judgements), metadata)
+    return Validation(names, fitted_names, tuple(judgements), metadata)
 
 
 @contextmanager
@@ -172,8 +179,7 @@ def _passed_over(name: str, trial: Trial, several: bool) -> Iterator[None]:
     except (IdentificationError, TrialError) as error:
         if not several:
             raise
-        if trial.notify is not None:
-            trial.notify(f"{name}: passed over: {error}")
+        note(trial, f"{name}: passed over: {error}")
 
 
 def _some(recordings: Sequence[_Recording]) -> list[_Recording]:
@@ -196,26 +202,22 @@ class _Recording:
         if not with_models:
             return judge_map(self.samples, geometry, self.settings, self.name)
         truth = read_true_forces(self.trial.path, self.samples.stamps, geometry.names)
-        return judge_samples(self.samples, geometry, self.settings, truth, self.name, self.note)
+        return judge_samples(self.samples, geometry, self.settings, truth, self.name, self._note)
 
     def judge_others(self, others: Sequence[_Recording]) -> list[Judgement]:
         """How models that are fitted on all of this trial predict other trials."""
         settings = self.settings.identification
-        models = fit_variants(self.loaded, self.trial.geometry, settings, self.note)
+        models = fit_variants(self.loaded, self.trial.geometry, settings, self._note)
         predictors = wrench_predictors(self.smooth, models)
-        return [
-            judgement
+        found = (
+            judge_wrench(other.smooth, predictors, "other trial", self.name, other.name)
             for other in others
             if len(other.loaded) >= LEAST_SAMPLES
-            for judgement in judge_wrench(
-                other.smooth, predictors, "other trial", self.name, other.name
-            )
-        ]
+        )
+        return [*chain.from_iterable(found)]
 
-    def note(self, text: str) -> None:
-        """Report what a reader must know of the trial."""
-        if self.trial.notify is not None:
-            self.trial.notify(f"{self.name}: {text}")
+    def _note(self, text: str) -> None:
+        note(self.trial, f"{self.name}: {text}")
 
     @property
     def loaded(self) -> Samples:
@@ -234,12 +236,10 @@ def _recordings(
     """Read the trials; refuse what cannot be compared."""
     if not trials:
         raise ConfigurationError("no trial to validate on", "give one or more trials")
-    paths = [trial.path.resolve() for trial in trials]
+    require_different(trials)
     names = [trial.name for trial in trials]
     found = []
-    for number, (trial, path) in enumerate(zip(trials, paths, strict=True)):
-        if path in paths[:number]:
-            raise ConfigurationError(f"{trial.path} is given twice", "give each trial once")
+    for trial in trials:
         name = trial.name if names.count(trial.name) == 1 else str(trial.path)
         with _passed_over(name, trial, len(trials) > 1):
             settings = estimator_settings(trial.estimator, params, **choices)
@@ -248,12 +248,6 @@ def _recordings(
             leave_out = settings.identification.leave_out
             samples = find_outliers(samples, trial.geometry, leave_out).taken_from(samples)
             found.append(_Recording(name, trial, settings, samples))
-    first = found[0].trial if found else trials[0]
-    for trial in (recording.trial for recording in found):
-        if not trial.geometry.same_tiles(first.geometry):
-            raise ConfigurationError(
-                f"{trial.path} is of another socket ({len(trial.geometry)} tiles) than"
-                f" {first.path} ({len(first.geometry)} tiles)",
-                "validate the trials of one socket at a time",
-            )
+    read = [recording.trial for recording in found]
+    require_one_socket(read, "validate the trials of one socket at a time")
     return found

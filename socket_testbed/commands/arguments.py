@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import ast
-import dataclasses
 import os
 import pkgutil
 import re
@@ -51,7 +50,7 @@ _METAVARS = {
 def takes(
     *functions: str, without: str = "", exclusive: str = "", epilog: str = ""
 ) -> Callable[[F], F]:
-    """Give a verb the options that other functions take.
+    """Give a verb the options that other functions take, and those that these take.
 
     Where two have the same parameter, the verb's own goes first, then that of the function named
     first. What a function works on, its first parameter, is no option.
@@ -72,10 +71,7 @@ class Parameter:
     name: str
     type: Callable[[], Any]  # evaluated where it is needed: it may name a library's class
     default: Any
-    text: str  # what its docstring says of it
     positional: bool
-    shown: Any = None  # the default as the help shows it
-    exclusive: bool = False  # only one such parameter may be given
 
 
 @dataclass(frozen=True)
@@ -83,7 +79,8 @@ class Function:
     """A function, and the arguments of its decorator `takes`."""
 
     summary: str
-    parameters: dict[str, Parameter]
+    texts: dict[str, str]  # what its docstring says of parameters
+    parameters: tuple[Parameter, ...]
     takes: tuple[str, ...] = ()
     without: str = ""
     exclusive: str = ""
@@ -142,28 +139,25 @@ class _Module(dict[str, Any]):
                     yield name, getattr(default, "value", None)  # of setting(default, ...)
 
     def _function(self, node: ast.FunctionDef) -> Function:
-        docstring = ast.get_docstring(node) or ""
-        texts, given = _descriptions(docstring), node.args
+        docstring, given = ast.get_docstring(node) or "", node.args
         plain: list[Any] = [None] * (len(given.args) - len(given.defaults)) + given.defaults
-        parameters = {
-            each.arg: Parameter(
+        names, defaults = [*given.args, *given.kwonlyargs], [*plain, *given.kw_defaults]
+        parameters = tuple(
+            Parameter(
                 each.arg,
                 partial(self._value, each.annotation or ast.Constant(None)),
                 REQUIRED if default is None else self._value(default),
-                texts.get(each.arg, ""),
                 each in given.args,
             )
-            for each, default in zip(
-                [*given.args, *given.kwonlyargs], [*plain, *given.kw_defaults], strict=True
-            )
+            for each, default in zip(names, defaults, strict=True)
+        )
+        decorators = [call for call in node.decorator_list if isinstance(call, ast.Call)]
+        taken = [self._value(name) for call in decorators for name in call.args]
+        named = {
+            f"{word.arg}": self._value(word.value) for call in decorators for word in call.keywords
         }
-        function = Function(docstring.partition("\n")[0].rstrip("."), parameters)
-        for call in node.decorator_list:
-            if isinstance(call, ast.Call):
-                named = {f"{word.arg}": self._value(word.value) for word in call.keywords}
-                taken = tuple(map(self._value, call.args))
-                return dataclasses.replace(function, takes=taken, **named)
-        return function
+        summary = docstring.partition("\n")[0].rstrip(".")
+        return Function(summary, _descriptions(docstring), parameters, tuple(taken), **named)
 
 
 _read_module = cache(_Module)
@@ -190,34 +184,12 @@ def read_function(name: str) -> Function:
     return found
 
 
-def options_of(verb: str) -> dict[str, list[Parameter]]:
-    """The options of a verb, by the heading below which the help lists them.
-
-    A function whose summary begins with "For" gives its options that heading.
-
-    Args:
-        verb: The verb's function, such as `commands.models.fit`.
-    """
-    own = read_function(verb)
-    functions = {verb: own, **{name: read_function(name) for name in own.takes}}
-    found: dict[str, list[Parameter]] = {}
-    known = set(own.without.split())
-    exclusive = {name for each in functions.values() for name in each.exclusive.split()}
-    for name, function in functions.items():
-        heading = function.summary if function.summary.startswith("For ") else ""
-        for number, parameter in enumerate(function.parameters.values()):
-            worked_on = number == 0 and parameter.positional and function is not own
-            if parameter.name not in known and not worked_on:
-                known.add(parameter.name)
-                option = dataclasses.replace(
-                    parameter,
-                    text=_text(parameter.name, functions),
-                    shown=_setting(parameter) if name == "fit" else parameter.default,
-                    positional=parameter.positional and function is own,
-                    exclusive=parameter.name in exclusive,
-                )
-                found.setdefault(heading, []).append(option)
-    return found
+def _taken(name: str) -> Iterator[tuple[str, Function]]:
+    """A function, then those that it takes, and those that these take."""
+    function = read_function(name)
+    yield name, function
+    for taken in function.takes:
+        yield from _taken(taken)
 
 
 def _setting(parameter: Parameter) -> Any:
@@ -226,16 +198,12 @@ def _setting(parameter: Parameter) -> Any:
     return getattr(settings, parameter.name, parameter.default)
 
 
-def _text(name: str, functions: dict[str, Function]) -> str:
+def _text(name: str, functions: Iterable[Function]) -> str:
     """The first description that a function gives of a parameter; references are followed."""
-    for function in functions.values():
-        text = function.parameters[name].text if name in function.parameters else ""
-        if reference := _REFERENCE.match(text):
-            there = reference["function"]
-            return _text(reference["name"] or name, {there: read_function(there)})
-        if text:
-            return text
-    return ""
+    text = next((each.texts[name] for each in functions if name in each.texts), "")
+    if reference := _REFERENCE.match(text):
+        return _text(reference["name"] or name, [read_function(reference["function"])])
+    return text
 
 
 class Parser(argparse.ArgumentParser):
@@ -292,39 +260,51 @@ def add_options(parser: argparse.ArgumentParser, verb: str) -> None:
 
     `Literal` gives choices, `bool` a flag, `PathLike` a path, `Sequence` several values after one
     option, `Iterable` a value each time that it is given, `tuple` as many values as it has. A list
-    is of positional arguments.
+    is of positional arguments. A function whose summary begins with "For" gives its options that
+    heading.
 
     Args:
         parser: The verb's parser.
         verb: The verb's function, such as `commands.models.fit`.
     """
-    for heading, parameters in options_of(verb).items():
-        group = parser.add_argument_group(heading.lower()) if heading else parser
-        exclusive: Any = None
-        for parameter in parameters:
-            keywords = _keywords(parameter.type())
-            if parameter.exclusive:
-                exclusive = exclusive or group.add_mutually_exclusive_group()
-            if keywords is not None:
-                _add(exclusive if parameter.exclusive else group, parameter, keywords)
+    functions = dict(_taken(verb))
+    known = set(functions[verb].without.split())
+    exclusive = {name for each in functions.values() for name in each.exclusive.split()}
+    groups: dict[tuple[str, bool], Any] = {("", False): parser}
+    for name, function in functions.items():
+        heading = function.summary.lower() if function.summary.startswith("For ") else ""
+        if (heading, False) not in groups:
+            groups[heading, False] = parser.add_argument_group(heading)
+        for number, parameter in enumerate(function.parameters):
+            worked_on = number == 0 and parameter.positional and name != verb
+            keywords = None if worked_on or parameter.name in known else _keywords(parameter.type())
+            if keywords is None:
+                continue
+            known.add(parameter.name)
+            alone = parameter.name in exclusive
+            if (heading, alone) not in groups:
+                groups[heading, alone] = groups[heading, False].add_mutually_exclusive_group()
+            shown = _setting(parameter) if name == "fit" else parameter.default
+            text = _text(parameter.name, functions.values())
+            keywords["help"] = _help(text, shown)
+            if "choices" not in keywords and keywords.get("action") != "store_true":
+                unit = re.search(r"\[(\w+)\]", text)
+                usual = keywords.get("metavar") or (unit[1] if unit else parameter.name).upper()
+                keywords["metavar"] = _METAVARS.get(parameter.name, usual)
+            _add(groups[heading, alone], parameter, parameter.positional and name == verb, keywords)
 
 
-def _add(group: Any, parameter: Parameter, keywords: dict[str, Any]) -> None:
+def _add(group: Any, parameter: Parameter, positional: bool, keywords: dict[str, Any]) -> None:
     name, default = parameter.name, parameter.default
-    keywords["help"] = _help(parameter)
-    if parameter.positional:
+    if positional:
         several = "+" if keywords.pop("action", "") else None
         count = several if default is REQUIRED else "*" if several else "?"
         group.add_argument(name, **keywords | {"nargs": count, "metavar": name.upper()})
         return
-    if "choices" not in keywords and keywords.get("action") != "store_true":
-        unit = re.search(r"\[(\w+)\]", parameter.text)
-        usual = keywords.get("metavar") or (unit[1] if unit else name).upper()
-        keywords["metavar"] = _METAVARS.get(name, usual)
-    if default is REQUIRED:
-        keywords["required"] = True
-    else:
+    if default is not REQUIRED:
         keywords["default"] = [*default] if keywords.get("action") == "append" else default
+    elif keywords.get("action") != "store_true":
+        keywords["required"] = True
     flags = [f"--{name.replace('_', '-')}"]
     if default is True:
         flags, keywords["action"] = [f"--no-{name}"], "store_false"
@@ -352,15 +332,14 @@ def _keywords(kind: Any) -> dict[str, Any] | None:
     return None
 
 
-def _help(parameter: Parameter) -> str:
+def _help(text: str, default: Any) -> str:
     """A description as the help shows it: without marks of code, with the default."""
-    text = re.sub(r"^Whether |, see `[^`]*`|`| \[-\]|\.$", "", parameter.text).replace("%", "%%")
+    text = re.sub(r"^Whether |, see `[^`]*`|`| \[-\]|\.$", "", text).replace("%", "%%")
     if text[1:2].islower() or text[1:2] == " ":
         text = text[0].lower() + text[1:]
-    shown = parameter.shown
-    if shown in (REQUIRED, None, (), "") or isinstance(shown, bool) or "(default" in text:
+    if default in (REQUIRED, None, (), "") or isinstance(default, bool) or "(default" in text:
         return text
-    return f"{text} (default: {f'{shown:g}' if isinstance(shown, float) else shown})"
+    return f"{text} (default: {f'{default:g}' if isinstance(default, float) else default})"
 
 
 def release_paths(words: Sequence[str], parser: argparse.ArgumentParser) -> list[str]:

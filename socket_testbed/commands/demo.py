@@ -118,15 +118,13 @@ def _record(trial: Trial, seed: int, log: Path) -> tuple[Samples, float]:
     for again in range(_ATTEMPTS, -1, -1):
         _run_live(trial.path, seed, scale, log)
         complete = _complete(trial)
-        if complete >= _COMPLETE:
+        if complete >= (_COMPLETE if again else _USABLE):
             break
         if not again:
-            if complete < _USABLE:
-                raise TrialError(
-                    f"only {complete:.0%} of the samples are complete, even at {pace(scale)}",
-                    "this machine is too busy: end other programs, or try again later",
-                )
-            break
+            raise TrialError(
+                f"only {complete:.0%} of the samples are complete, even at {pace(scale)}",
+                "this machine is too busy: end other programs, or try again later",
+            )
         scale = max(0.5 * scale, SLOWEST)
         print(f"   only {complete:.0%} of the samples are complete: again at {pace(scale)}")
         shutil.rmtree(trial.path, ignore_errors=True)
@@ -225,35 +223,31 @@ def _estimate(trial: Trial, samples: Samples, speed: float, log: Path) -> FloatA
     return np.stack([pressures.get(stamp, none) for stamp in samples.stamps.tolist()], axis=1)
 
 
-_COLUMNS = ("tiles without sensor", "left-out clusters", "M [N m]", "F [N]")
 _ESTIMATES = (FORCE_MAP, CLOSED, "rigid_bias", REGRESSION)
+# Question and test of each column, the judgement's column, and digits.
+_COLUMNS = {
+    "tiles without sensor": ("question == 'tiles'", "error [-]", 2),
+    "left-out clusters": ("question == 'cluster'", "error [-]", 2),
+    "M [N m]": ("question == 'wrench' and test == 'second half'", "moment RMSE [N m]", 2),
+    "F [N]": ("question == 'wrench' and test == 'second half'", "force RMSE [N]", 1),
+}
+_LEGEND = """
+*: the best. Tiles, clusters: rms error over the rms of the force, 1 is predicting zero.
+M, F: RMSE of the wrench from the pose alone, fitted on the first half (pushed around),
+judged on the second (held, unloaded)"""
 
 
 def _judged(found: api.Validation) -> str:
     """The table of the errors on tiles, on clusters left out and of the wrench, the best marked."""
-    cells = {name: dict.fromkeys(_COLUMNS, np.nan) for name in _ESTIMATES}
-    for (question, test, name), row in found.summary().iterrows():
-        if name not in cells:
-            continue
-        if question == "tiles":
-            cells[name][_COLUMNS[0]] = row["error [-]"]
-        elif question == "cluster":
-            cells[name][_COLUMNS[1]] = row["error [-]"]
-        elif test == "second half":
-            cells[name][_COLUMNS[2]] = row["moment RMSE [N m]"]
-            cells[name][_COLUMNS[3]] = row["force RMSE [N]"]
-    best = {title: np.nanmin([row[title] for row in cells.values()]) for title in _COLUMNS}
-    lines = []
-    for name, row in cells.items():
-        marks = {title: "*" * bool(value == best[title]) for title, value in row.items()}
-        digits = dict.fromkeys(_COLUMNS, 2) | {_COLUMNS[3]: 1}
-        lines.append([name, *(number(row[t], digits[t]) + marks[t] for t in _COLUMNS)])
-    legend = (
-        "*: the best. Tiles, clusters: rms error over the rms of the force, 1 is predicting zero."
-        "\nM, F: RMSE of the wrench from the pose alone, fitted on the first half (pushed around),"
-        "\njudged on the second (held, unloaded)"
-    )
-    return f"{table(['estimate', *_COLUMNS], lines)}\n\n{legend}"
+    columns = []
+    for which, column, digits in _COLUMNS.values():
+        judged = found.summary().query(which).groupby("predictor")[column].last()
+        errors = judged.reindex([*_ESTIMATES])
+        columns.append(
+            [number(error, digits) + "*" * bool(error == errors.min()) for error in errors]
+        )
+    rows = [*map(list, zip(_ESTIMATES, *columns, strict=True))]
+    return f"{table(['estimate', *_COLUMNS], rows)}\n{_LEGEND}"
 
 
 class _Ending:
@@ -262,88 +256,75 @@ class _Ending:
     def __init__(
         self, trial: Trial, samples: Samples, truth: GroundTruth, live: FloatArray
     ) -> None:
-        self._trial, self._geometry = trial, trial.geometry
+        self._geometry = trial.geometry
         rows = select_segment(samples, "plateau", EstimatorSettings().plateau).rows
-        self._hold, self._places = samples[rows], all_regions(trial.geometry)
-        normal = self._geometry.rotations[:, :, 2]
+        self._hold, normal = samples[rows], self._geometry.rotations[:, :, 2]
         pressed = -np.einsum("kni,ni->kn", truth.forces[rows], normal) / self._geometry.areas
-        self._estimate, self._deviation, self._truth = (
+        self._estimate, deviation, self._truth = (
             1e-3 * np.nanmean(values, axis=0) for values in (*live[:, rows], pressed)
         )
-        self._left_out = {  # what a cluster measured, what the map says without it, its deviation
-            name: tuple(1e-3 * float(np.nanmean(values)) for values in compared)
-            for name, *compared in left_out_pressures(self._hold, self._geometry)
-        }
+        self._error, self._reach = self._estimate - self._truth, NORMAL_QUANTILE * deviation
+        left_out = [*left_out_pressures(self._hold, self._geometry)]
+        self._names = [name for name, *_ in left_out]
+        # By cluster: what it measured, what the map says without it, and the reach of its interval.
+        self._left_out = 1e-3 * np.nanmean([values for _, *values in left_out], axis=-1)
+        self._left_out[:, 2] *= NORMAL_QUANTILE
 
     def sentences(self) -> list[str]:
         """What was measured and estimated, how well, and where to look next."""
-        clusters = {tile: name for name, tile in self._geometry.clusters.items()}
-        bare = np.setdiff1d(np.arange(len(self._geometry)), [*clusters])
-        error = self._estimate - self._truth
-        reach = NORMAL_QUANTILE * self._deviation
-        held = 100.0 * np.mean(np.abs(error[bare]) <= reach[bare])
+        places = all_regions(self._geometry)
+        bare = np.setdiff1d(np.arange(len(self._geometry)), [*self._geometry.clusters.values()])
+        held = 100.0 * np.mean(np.abs(self._error[bare]) <= self._reach[bare])
         load = np.nanmean(np.linalg.norm(self._hold.wrench[:, 3:], axis=1))
-        name, (measured, *_) = max(self._left_out.items(), key=lambda found: found[1][0])
-        highest = int(bare[self._estimate[bare].argmax()])
-        weakest = int(bare[np.abs(error[bare]).argmax()])
+        measured, without, reach = self._left_out.T
+        most, worst = measured.argmax(), np.abs(measured - without).argmax()
 
         def said(tile: int) -> str:
-            low, high = self._estimate[tile] + reach[tile] * np.array([-1.0, 1.0])
-            return (
-                f"{self._estimate[tile]:.1f} kPa (95 %: {low:.1f} to {high:.1f}),"
-                f" {self._truth[tile]:.1f} in truth"
-            )
+            estimate = _interval(self._estimate[tile], self._reach[tile])
+            return f"{part_of(places, tile)}, {estimate}, {self._truth[tile]:.1f} in truth"
 
-        worst, (there, without, deviation) = max(
-            self._left_out.items(), key=lambda found: abs(found[1][0] - found[1][1])
-        )
         return [
-            f"Measured over the hold, under {load:.0f} N: most by the cluster {name},"
-            f" {measured:.1f} kPa.",
-            f"Estimated between the clusters: most at {part_of(self._places, highest)},"
-            f" {said(highest)}; {held:.0f} % of the 95 % intervals hold the truth.",
-            f"Farthest off: {part_of(self._places, weakest)}, {said(weakest)}.",
-            f"Weakest without its cluster: {worst}, {without:.1f} kPa (95 %:"
-            f" {without - NORMAL_QUANTILE * deviation:.1f} to"
-            f" {without + NORMAL_QUANTILE * deviation:.1f}), {there:.1f} measured.",
+            f"Measured over the hold, under {load:.0f} N: most by the cluster {self._names[most]},"
+            f" {measured[most]:.1f} kPa.",
+            f"Estimated between the clusters: most at {said(bare[self._estimate[bare].argmax()])};"
+            f" {held:.0f} % of the 95 % intervals hold the truth.",
+            f"Farthest off: {said(bare[np.abs(self._error[bare]).argmax()])}.",
+            f"Weakest without its cluster: {self._names[worst]},"
+            f" {_interval(without[worst], reach[worst])}, {measured[worst]:.1f} measured.",
             "Look next: 'view' shows the map over time, 'report' all of it on one page.",
         ]
 
     def draw(self) -> Figure:
         """The map and the truth on one scale, the error, and every cluster left out."""
         most = float(max(self._estimate.max(), self._truth.max()))
-        name = "estimated live, mean over the hold"
         maps = {
-            name: (self._estimate, (0.0, most)),
-            "simulated truth": (self._truth, (0.0, most)),
-            "error: estimate less truth": (self._estimate - self._truth, (-0.5 * most, 0.5 * most)),
+            "estimated live, mean over the hold": (self._estimate, self._reach, 0.0, most),
+            "simulated truth": (self._truth, 0.0 * self._truth, 0.0, most),
+            "error: estimate less truth": (self._error, 0.0 * self._error, -0.5 * most, 0.5 * most),
         }
         return tile_map_figure(
             self._geometry,
-            {title: values for title, (values, _) in maps.items()},
+            {title: values for title, (values, *_) in maps.items()},
             "normal pressure [kPa]",
             "Normal pressure on the socket",
-            limits={title: ends for title, (_, ends) in maps.items()},
-            reach={name: NORMAL_QUANTILE * self._deviation}
-            | {title: 0.0 * values for title, (values, _) in [*maps.items()][1:]},
+            limits={title: (low, high) for title, (_, _, low, high) in maps.items()},
+            reach={title: reach for title, (_, reach, *_) in maps.items()},
             below=(48.0, self._draw_left_out),
         )
 
     def _draw_left_out(self, part: SubFigure) -> None:
-        axis, places = part.subplots(), np.arange(len(self._left_out))
-        measured, predicted, deviation = np.array([*self._left_out.values()]).T
-        axis.errorbar(
-            predicted,
-            places,
-            xerr=NORMAL_QUANTILE * deviation,
-            fmt="s",
-            capsize=3,
-            color=LINE_STYLES[1]["color"],
-            label="estimated without the cluster, 95 % interval",
-        )
+        axis, places = part.subplots(), np.arange(len(self._names))
+        measured, predicted, reach = self._left_out.T
+        predicted_style = {"fmt": "s", "capsize": 3, "color": LINE_STYLES[1]["color"]}
+        label = "estimated without the cluster, 95 % interval"
+        axis.errorbar(predicted, places, xerr=reach, label=label, **predicted_style)
         axis.plot(measured, places, "o", color=LINE_STYLES[0]["color"], label="measured")
-        axis.set_yticks(places, [f" {name}" for name in self._left_out], parse_math=False)
+        axis.set_yticks(places, [f" {name}" for name in self._names], parse_math=False)
         axis.set_ylim(len(places) - 0.5, -0.5)
         axis.set_xlabel("normal pressure [kPa]")
         style_axes(axis)
         add_legend(axis, ncols=2)
+
+
+def _interval(value: float, reach: float) -> str:
+    return f"{value:.1f} kPa (95 %: {value - reach:.1f} to {value + reach:.1f})"

@@ -9,12 +9,18 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from socket_testbed import clocks
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.commands.arguments import takes
-from socket_testbed.commands.options import check_metadata, given, open_given, print_note
+from socket_testbed.commands.options import (
+    check_metadata,
+    given,
+    open_given,
+    print_note,
+    refuse_given,
+)
 from socket_testbed.commands.terminal import StatusLine, say, table
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, DeviceError, TrialError, closest
@@ -45,9 +51,8 @@ from socket_testbed.settings.testbed import (
 from socket_testbed.simulation.limb import Scenario, TissueKind
 from socket_testbed.simulation.world import FAULTS, World
 from socket_testbed.trials.metadata import METADATA_FILE, write_metadata
-from socket_testbed.trials.reprocess import RECORDED
 from socket_testbed.trials.topics import full_namespace
-from socket_testbed.trials.trial import Trial, recorded_namespace
+from socket_testbed.trials.trial import recorded_namespace
 
 _BEGINS_WITHIN = 60.0  # [s]; --duration counts from then at the latest
 _TRIALS = Path("trials")  # where the page's button records without --record
@@ -72,15 +77,13 @@ def simulated(
         tissue: As in `simulate`.
         seed: As in `simulate`.
         fault: Switch a fault on, such as load_cell.flipped_bits=0.01; see docs/faults.md.
-        others: Options that are not the simulation's.
 
     Returns:
         What is simulated, None on hardware, and the faults that are on.
     """
     faults = dict(map(_fault, fault))
     if not simulated:
-        if faults:
-            raise ConfigurationError("--fault is for simulated hardware", "add --simulated")
+        refuse_given({"fault": faults or None}, "simulated hardware", "add --simulated")
         return None, {}
     check_number(period, "--period", 5.0, 3600.0)
     check_number(seed, "--seed", 0)
@@ -110,11 +113,9 @@ def configured(
     """The testbed that is meant; whatever is wrong with it is named before any node starts.
 
     Args:
-        simulation: What is simulated.
         geometry: As in `simulate`.
         calibration: A `calibration.yaml` (default: the package's own).
         params: A `testbed.yaml` with the parameters of the nodes.
-        others: Options that are not the testbed's.
     """
     geometry = (geometry or packaged("config", "socket.yaml")).resolve()
     if simulation is None and not read_socket(geometry).registration:
@@ -187,7 +188,7 @@ def run(
     view: bool = False,
     view_host: str | None = None,
     view_port: int | None = None,
-    time_scale: str = "1",
+    time_scale: float | Literal["auto"] = 1.0,
     **options: Any,
 ) -> None:
     """Bring up the testbed, on hardware or simulated, and record it.
@@ -211,7 +212,7 @@ def run(
     simulation, faults = simulated(**options)
     if simulation is not None:
         simulation = dataclasses.replace(simulation, time_scale=_time_scale(time_scale))
-    elif time_scale != "1":
+    elif time_scale != 1.0:
         raise ConfigurationError("--time-scale is for simulated hardware", "add --simulated")
     testbed = _testbed(simulation, record, model, rate, options)
     testbed = dataclasses.replace(testbed, one_process=one_process)
@@ -219,7 +220,7 @@ def run(
     older = _trials(*place)
     if record is None and view:  # its button records
         testbed = dataclasses.replace(testbed, record=_TRIALS, at_once=False)
-    page = _page(testbed, view, {"host": view_host, "port": view_port})
+    page = _page(testbed, view, view_host, view_port)
     with (
         StatusLine(record.parent if record else None) as status,
         Graph(status.output, status.renew) as graph,
@@ -275,21 +276,16 @@ def _check_writable(path: Path) -> None:
     check_outputs(path, replace=False)
 
 
-def _time_scale(text: str) -> float:
+def _time_scale(wanted: float | Literal["auto"]) -> float:
     """The time scale that is given or, for 'auto', measured; it says so unless it is 1."""
-    if text == "auto":
+    if wanted == "auto":
         scale = measure_speed().time_scale()
-        if note := busy_note(scale):
-            say(note)
-        return scale
-    try:
-        scale = check_number(float(text), "--time-scale", 0.01, 1.0)
-    except ValueError:
-        raise ConfigurationError(
-            f"--time-scale: '{text}' is not a number", "give a number up to 1, or auto"
-        ) from None
-    if scale != 1.0:
-        say(f"the simulated testbed runs at {pace(scale)}")
+        note = busy_note(scale)
+    else:
+        scale = check_number(wanted, "--time-scale", 0.01, 1.0)
+        note = f"the simulated testbed runs at {pace(scale)}" if scale != 1.0 else ""
+    if note:
+        say(note)
     return scale
 
 
@@ -311,25 +307,26 @@ def _testbed(
     if model is not None:
         estimator = predict_with(model, estimator, read_socket(testbed.geometry))
     metadata = check_metadata(options)
-    if record is None and (stated := metadata.stated()):
-        raise ConfigurationError(
-            f"--{next(iter(stated))} is for a trial that is recorded", "add --record DIR"
-        )
+    if record is None:
+        refuse_given(metadata.stated(), "a trial that is recorded", "add --record DIR")
     settings = dataclasses.replace(testbed.settings, trigger_node=trigger, estimator_node=estimator)
     return dataclasses.replace(testbed, settings=settings, record=record, metadata=metadata)
 
 
-def _page(testbed: Testbed, view: bool, wanted: Mapping[str, Any]) -> GraphNode | None:
+def _page(testbed: Testbed, view: bool, host: str | None, port: int | None) -> GraphNode | None:
     """The node that serves the page, without which the testbed goes on; None if none is wanted."""
-    changes = {name: value for name, value in wanted.items() if value is not None}
     if not view:
-        if changes:
-            raise ConfigurationError(f"--view-{next(iter(changes))} is for a page", "add --view")
+        refuse_given({"view_host": host, "view_port": port}, "a page", "add --view")
         return None
     from socket_testbed.commands.pages import check_page
 
-    geometry = str(testbed.geometry)
-    settings = dataclasses.replace(testbed.settings.view_node, geometry=geometry, **changes)
+    usual = testbed.settings.view_node
+    settings = dataclasses.replace(
+        usual,
+        geometry=str(testbed.geometry),
+        host=usual.host if host is None else host,
+        port=usual.port if port is None else port,
+    )
     check_page(settings)
     return GraphNode("view_node", settings, full_namespace(testbed.namespace), optional=True)
 
@@ -350,24 +347,19 @@ def record(
         geometry: The `socket.yaml` to store in the trial.
         calibration: The `calibration.yaml` to store in the trial.
         params: The `testbed.yaml` to store in the trial.
-        metadata: Metadata of the trial.
     """
     check_new_folder(directory)
-    # What a trial is recorded with must be readable when it is worked on.
-    if geometry is not None:
-        read_socket(geometry)
-    if calibration is not None:
-        read_calibration(calibration)
-    if params is not None:
-        read_testbed(params)
+    files: dict[str, Any] = {}
+    for name, path, read in (
+        ("geometry", geometry, read_socket),
+        ("calibration", calibration, read_calibration),
+        ("parameters", params, read_testbed),
+    ):
+        if path is not None:
+            read(path)  # what a trial is recorded with must be readable when it is worked on
+            files[name] = str(path.resolve())
     stated = check_metadata(metadata)
-    settings = RecorderSettings(
-        directory=str(directory.resolve()),
-        record=True,
-        geometry=_resolved(geometry),
-        calibration=_resolved(calibration),
-        parameters=_resolved(params),
-    )
+    settings = RecorderSettings(directory=str(directory.resolve()), record=True, **files)
     disk = directory.resolve().parent
     with StatusLine(disk) as status, Graph(status.output, status.renew) as graph:
         if stated.stated():
@@ -383,10 +375,6 @@ def record(
             graph.stop()
     print(directory)
     _require_end(directory)
-
-
-def _resolved(path: Path | None) -> str:
-    return str(path.resolve()) if path else ""
 
 
 @takes(
@@ -417,12 +405,13 @@ def replay(
     opened = open_given(trial, **options)
     replayed = ReplaySettings(trial=str(trial.resolve()), rate=rate, loop=loop, paused=paused)
     if estimate:
-        nodes = _estimating(opened, replayed, model, options)
+        chosen = given(options, IdentificationSettings)
+        estimator = estimator_settings(opened.estimator, options["params"], **chosen)
+        if model is not None:
+            estimator = predict_with(model, estimator, opened.geometry)
+        nodes = replay_nodes(opened, replayed, estimator)
     else:
-        for name, value in {"model": model, **options}.items():
-            if value not in (None, RECORDED):
-                option = name.replace("_", "-")
-                raise ConfigurationError(f"--{option} is for the estimator", "add --estimate")
+        refuse_given({"model": model, **options}, "the estimator", "add --estimate")
         nodes = [GraphNode("replay_node", replayed)]
     namespace = recorded_namespace(opened)
     with opened.open() as bag:  # a trial that cannot be read is named before any node starts
@@ -435,14 +424,3 @@ def replay(
         graph.start_nodes(nodes)
         status.follow(namespace)
         graph.wait("replay_node")
-
-
-def _estimating(
-    trial: Trial, replayed: ReplaySettings, model: Path | None, options: Mapping[str, Any]
-) -> list[GraphNode]:
-    """The nodes of a replay with the estimator, the replay node last."""
-    chosen = given(options, IdentificationSettings)
-    settings = estimator_settings(trial.estimator, options["params"], **chosen)
-    if model is not None:
-        settings = predict_with(model, settings, trial.geometry)
-    return replay_nodes(trial, replayed, settings)

@@ -4,38 +4,40 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from functools import partial
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from socket_testbed import api
 from socket_testbed.api import Evaluation, PaperTable, TrialFit
-from socket_testbed.batch import Row, find_trials
+from socket_testbed.batch import Row
 from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import (
     TrialVerb,
     check_files,
     deliver,
     given,
+    on_trial,
     on_trials,
     open_all,
-    open_checked,
+    print_note,
     say_data,
     segment_columns,
 )
 from socket_testbed.commands.pressure import pressure_columns, pressure_tables
-from socket_testbed.commands.terminal import Progress, number, table, text_of
+from socket_testbed.commands.terminal import Progress, number, text_of
 from socket_testbed.errors import ConfigurationError, IdentificationError
-from socket_testbed.identification.evaluation import ChannelErrors, summarise_errors
+from socket_testbed.identification.evaluation import (
+    ChannelErrors,
+    errors_to_dataframe,
+    summarise_errors,
+)
 from socket_testbed.identification.information import LEAST_RATIO, share_warning
 from socket_testbed.identification.model_file import finite_or_null, quoted_figures
 from socket_testbed.identification.pareto import Front
 from socket_testbed.settings.identification import PAPER_VARIANTS
-from socket_testbed.tables import FORMATS
+from socket_testbed.tables import FORMATS, Table
 from socket_testbed.trials.trial import Trial
-
-if TYPE_CHECKING:
-    pass
 
 _FRONT_LEGEND = (
     "wrench error, local error: roots of the weighted squares of the objective, J_w and J_f;"
@@ -44,7 +46,7 @@ _FRONT_LEGEND = (
 )
 
 
-@takes("commands.options.on_trials", "commands.options.open_given", "fit")
+@takes("commands.options.on_trials", "fit")
 def fit(trial: Path, *, output: Path, **options: Any) -> None:
     """Identify the contact model on a trial, or on every trial of a folder.
 
@@ -99,15 +101,14 @@ def _fit_row(found: TrialFit) -> Row:
     fit = found.fit
     solutions = (fit.stage_one, fit.stage_two, fit.joint)
     certificates = [solution.certificate for solution in solutions if solution is not None]
-    unseen: tuple[ChannelErrors, ...] = ()
+    unseen: tuple[ChannelErrors, ...] = ()  # none where they are unknown
     try:
         unseen = found.unseen_half()
     except IdentificationError as error:
         if found.trial.notify is not None:
             found.trial.notify(f"no skill on an unseen half: {error}")
     return {
-        "samples": fit.samples,
-        **segment_columns(found.segment),
+        **segment_columns(fit.samples, found.segment),
         "variant": fit.model.variant,
         "theta [-]": fit.settings.theta,
         "force_on_springs [-]": finite_or_null(found.load_shares()[1].springs),
@@ -117,15 +118,8 @@ def _fit_row(found: TrialFit) -> Row:
     }
 
 
-@takes("commands.options.on_trials", "commands.options.open_given", "evaluate")
-def evaluate(
-    trial: Path,
-    *,
-    model: Path,
-    output: Path | None = None,
-    json: bool = False,
-    **options: Any,
-) -> None:
+@takes("commands.options.on_trials", "evaluate")
+def evaluate(trial: Path, *, model: Path, json: bool = False, **options: Any) -> None:
     """Compute a model's errors on a trial, or on every trial of a folder.
 
     Args:
@@ -133,18 +127,13 @@ def evaluate(
         output: JSON file of the errors; for a folder of trials the folder of such files.
         json: Print JSON on standard output.
     """
-    trials = find_trials(trial)
-    if trials and (output is None or json):
-        raise ConfigurationError(
-            f"{trial} holds {len(trials)} trials", "give -o FOLDER instead of --json"
-        )
-    if trials and not model.is_dir():
+    if not model.is_dir():
         api.read_model(model)  # a wrong one is reported once
     metadata = ("side",) if options["pressure"] else ()  # the regions depend on the side
     verb = TrialVerb(
         "evaluate", ".errors.json", _evaluate, _evaluation_row, _show_evaluation, metadata
     )
-    on_trials(verb, trial, output=output, model=model, json=json, **options)
+    on_trials(verb, trial, model=model, json=json, **options)
 
 
 def _evaluate(trial: Trial, options: Mapping[str, Any]) -> Evaluation:
@@ -155,9 +144,6 @@ def _evaluate(trial: Trial, options: Mapping[str, Any]) -> Evaluation:
 
 
 def _show_evaluation(found: Evaluation, options: Mapping[str, Any]) -> None:
-    if options["json"]:
-        print(found.to_json())
-        return
     print(f"{found.trial.name}: {found.segment}, {found.samples} samples")
     print(f"model {found.model.model.variant} of {found.model.trial}\n")
     print(errors_table(found.errors))
@@ -171,8 +157,7 @@ def _show_evaluation(found: Evaluation, options: Mapping[str, Any]) -> None:
 
 def _evaluation_row(found: Evaluation) -> Row:
     return {
-        "samples": found.samples,
-        **segment_columns(found.segment),
+        **segment_columns(found.samples, found.segment),
         "model": found.model.trial,
         "variant": found.model.model.variant,
         "theta [-]": found.model.settings.theta,
@@ -183,37 +168,25 @@ def _evaluation_row(found: Evaluation) -> Row:
 
 
 @takes(
-    "commands.options.open_given",
     "validate",
     "fit",
-    "commands.options.draw",
-    "files.check_outputs",
+    "commands.options.deliver",
     without="unloaded variant frames initial_stiffness",
 )
-def validate(
-    trial: list[Path],
-    *,
-    output: Path | None = None,
-    figure: Path | None = None,
-    json: bool = False,
-    replace: bool = False,
-    **options: Any,
-) -> None:
+def validate(trial: list[Path], **options: Any) -> None:
     """Judge estimates on data they have not seen, beside simple rivals.
 
     Args:
         trial: Trials, or folders of trials, of one socket.
         output: Table with a row per trial, for a study.
         figure: Draw the errors by cluster and the coverage of the intervals.
-        json: Print JSON on standard output.
     """
-    check_files(output, figure, replace=replace)
-    trials = open_all(trial, options)
+    check_files(options["output"], options["figure"], replace=options["replace"])
+    trials = open_all(trial, options, cache(print_note))
     for each in trials:
         say_data(each, f"{each.name}: ")
     found = api.validate(*trials, **given(options, api.validate, api.fit), progress=Progress)
-    show = partial(_show_validation, found)
-    deliver(found, show, output=output, figure=figure, json=json, **options)
+    deliver(found, _show_validation, **options)
 
 
 def _show_validation(found: api.Validation) -> None:
@@ -231,43 +204,24 @@ def _show_validation(found: api.Validation) -> None:
     print(f"\n{textwrap.fill(LEGEND, 100)}")
 
 
-@takes(
-    "commands.options.open_given",
-    "pareto",
-    "fit",
-    "commands.options.draw",
-    "files.check_outputs",
-    without="variant theta",  # both of the paper's, and all
-)
-def pareto(
-    trial: Path,
-    *,
-    output: Path | None = None,
-    figure: Path | None = None,
-    json: bool = False,
-    replace: bool = False,
-    **options: Any,
-) -> None:
+@takes("pareto", "fit", "commands.options.deliver", without="variant theta")  # all of both
+def pareto(trial: Path, **options: Any) -> None:
     """Trace the trade-off of wrench against clusters over theta.
 
     Args:
-        output: Table of every solution (.csv).
+        output: Table of every solution.
         figure: Draw both fronts.
-        json: Print JSON on standard output.
     """
-    if output is not None and output.suffix.lower() != ".csv":
-        raise ConfigurationError(f"{output}: is not a .csv file", "name a .csv file")
-    check_files(output, figure, replace=replace)
-    opened = open_checked(trial, **options)
-    found = api.pareto(opened, **given(options, api.pareto, api.fit), progress=Progress)
-    show = partial(_show_fronts, f"{opened.name}: {found.segment}", [*found.fronts.values()])
-    deliver(found, show, output=output, figure=figure, json=json, **options)
+    on_trial(trial, options, api.pareto, _show_fronts, api.fit)
 
 
-def _show_fronts(of: str, fronts: Sequence[Front]) -> None:
+def _show_fronts(found: api.Tradeoff) -> None:
     from socket_testbed.report.fronts import marks_table
 
-    print(f"{of}, theta from 0 to 1 in {len(fronts[0].theta)} values\n")
+    fronts = [*found.fronts.values()]
+    print(
+        f"{found.trial.name}: {found.segment}, theta from 0 to 1 in {len(fronts[0].theta)} values\n"
+    )
     print(f"{text_of(marks_table(fronts))}\n\n{_FRONT_LEGEND}\n")
     for front in fronts:
         print(_describe_front(front))
@@ -288,54 +242,34 @@ def _describe_front(front: Front) -> str:
     return "\n".join(lines)
 
 
-@takes("commands.options.open_given", "paper", "fit", without="variant")
-def paper(trial: Path, *, json: bool = False, **options: Any) -> None:
-    """Run the published pipeline and lay its figures beside the printed ones.
-
-    Args:
-        json: Print JSON on standard output.
-    """
-    opened = open_checked(trial, **options)
-    found = api.paper(opened, **given(options, api.paper, api.fit), progress=Progress)
-    deliver(found, partial(_show_paper, opened.name, found), json=json)
+@takes("paper", "fit", "commands.options.deliver", without="variant figure width title")
+def paper(trial: Path, **options: Any) -> None:
+    """Run the published pipeline and lay its figures beside the printed ones."""
+    on_trial(trial, options, api.paper, _show_paper, api.fit)
 
 
-def _show_paper(name: str, found: PaperTable) -> None:
+def _show_paper(found: PaperTable) -> None:
+    import pandas as pd
+
     settings = found.settings.to_flat()
-    print(f"{name}: {found.segment}, {found.samples} samples")
+    print(f"{found.trial.name}: {found.segment}, {found.samples} samples")
     print(
         f"theta {settings['theta']:g}, weights {settings['weights']}; rest positions within"
         f" {1e3 * settings['rest_position_limit']:g} mm of"
         f" {settings['reference_position'] or 'the mean limb position'}; k0"
         f" {settings['initial_stiffness']:.4g} N/m, alpha {settings['gate_sharpness']:g} 1/m\n"
     )
-    figures = found.document()["figures"]
-    cells = [
-        [
-            name,
-            *("-" if v is None else v if isinstance(v, str) else number(v) for v in row.values()),
-        ]
-        for name, row in figures.items()
-    ]
-    titles = next(iter(figures.values()))
-    print(table(["figure", *titles], cells))
+    figures = pd.DataFrame.from_dict(found.document()["figures"], orient="index")
+    print(text_of(Table("figures", "", figures.rename_axis("figure"))))
 
 
 def errors_table(errors: Sequence[ChannelErrors]) -> str:
     """RMSE, MAE, sigma and skill per channel, with their means and the median."""
-    rows = [
-        [
-            error.name,
-            error.unit,
-            *map(number, (error.rmse, error.mae, error.sigma)),
-            number(error.skill, 2),
-            "" if error.in_objective else "not in objective",
-        ]
-        for error in errors
-    ]
+    frame = errors_to_dataframe(errors).drop(columns="samples")
+    frame[""] = frame.pop("in objective").map({True: "", False: "not in objective"})
     summary = summarise_errors(errors)
     lines = [
-        table(["channel", "unit", "RMSE", "MAE", "sigma", "skill", ""], rows),
+        text_of(Table("errors", "", frame, {"skill": "z.2f"})),
         "",
         f"mean moment RMSE {number(summary.moment_rmse)} N m, mean force RMSE"
         f" {number(summary.force_rmse)} N, median local RMSE {number(summary.local_rmse)} N,"
@@ -355,10 +289,7 @@ def error_columns(
 ) -> Row:
     """Columns of errors for a summary: what the paper quotes, skills, then every channel.
 
-    Args:
-        errors: Errors of all channels.
-        judged: Errors whose median skills are added, none where they are unknown, by the end of
-            the columns' names, such as `_in_sample`.
+    The median skills are those of the errors `judged`, by the end of the columns' names.
     """
     row: Row = {**quoted_figures(errors)}
     for suffix, those in judged.items():

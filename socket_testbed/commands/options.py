@@ -10,26 +10,31 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, Generic, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
 from socket_testbed.batch import Job, Row, Task, find_trials, plan_jobs, run_batch
 from socket_testbed.commands.arguments import takes
-from socket_testbed.commands.terminal import say
+from socket_testbed.commands.terminal import Progress, say
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.files import check_outputs, check_picture
 from socket_testbed.identification.data_check import GOOD
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
-from socket_testbed.tables import check_format
+from socket_testbed.tables import FORMATS, check_format
 from socket_testbed.trials.metadata import FIELDS, TrialMetadata, change_metadata
+from socket_testbed.trials.reprocess import RECORDED
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.synchronise import parse_unloaded
 from socket_testbed.trials.trial import Trial
 
+if TYPE_CHECKING:
+    from socket_testbed.api import Result
+
 _FILES = ("geometry", "calibration", "load_cell", "params", "model")
 _NO_SETTINGS = {*_FILES, "output", "replace", "command", "figure", "json"}
 R = TypeVar("R")
+Shown = TypeVar("Shown", bound="Result")
 
 
 def given(options: Mapping[str, Any], *functions: Callable[..., Any]) -> dict[str, Any]:
@@ -57,7 +62,6 @@ def open_given(
         unloaded: As in `open_trial`.
         load_cell: As in `open_trial`.
         tare: As in `open_trial`.
-        others: Options that are not the trial's.
     """
     spans = parse_unloaded([*unloaded])
     return Trial(trial, geometry, calibration, cache(print_note), spans, load_cell, tare)
@@ -86,22 +90,25 @@ def say_data(trial: Trial, prefix: str = "", good: bool = True) -> str:
 
 
 def open_all(
-    paths: Sequence[Path],
-    options: Mapping[str, Any],
-    notify: Callable[[str], None] | None = None,
+    paths: Sequence[Path], options: Mapping[str, Any], notify: Callable[[str], None]
 ) -> list[Trial]:
-    """The trials at some paths, of which a folder of trials stands for all in it.
-
-    A note that several of them have is printed once, or each is given to `notify`.
-    """
-    notify = notify or cache(print_note)
+    """The trials at some paths, of which a folder of trials stands for all in it."""
     found = [path for given in paths for path in find_trials(given, notify).values() or [given]]
     return [dataclasses.replace(open_given(path, **options), notify=notify) for path in found]
 
 
-def check_files(output: Path | None, figure: Path | None, *, replace: bool) -> None:
+def refuse_given(options: Mapping[str, Any], belongs: str, hint: str) -> None:
+    """Refuse options that are given where they mean nothing."""
+    for name, value in options.items():
+        if value not in (None, RECORDED):
+            raise ConfigurationError(f"{_option(name)} is for {belongs}", hint)
+
+
+def check_files(
+    output: Path | None, figure: Path | None = None, *, replace: bool, table: bool = True
+) -> None:
     """Refuse a table or figure of another format, or one that exists, before long work."""
-    if output is not None:
+    if output is not None and table:
         check_format(output)
     if figure is not None:
         check_picture(figure)
@@ -109,8 +116,8 @@ def check_files(output: Path | None, figure: Path | None, *, replace: bool) -> N
 
 
 def draw(
-    found: Any,
-    figure: Path | None,
+    found: Result,
+    figure: Path | None = None,
     *,
     width: Literal[88, 180] = 180,
     title: bool = True,
@@ -119,40 +126,62 @@ def draw(
     """Draw a result if a figure is wanted.
 
     Args:
-        found: The result.
         figure: Draw the results as .png or .pdf.
         width: Printed width of the figures [mm]: a column of a paper, or its page.
         title: Titles, and errors in keys, of the figures.
-        others: Options that are not the figure's.
     """
     if figure is not None:
         found.draw(figure, width=width, title=title)
 
 
+@takes("commands.options.open_given", "commands.options.draw", "files.check_outputs")
 def deliver(
-    found: Any,
-    show: Callable[[], None],
+    found: Shown,
+    show: Callable[[Shown], None],
     *,
     output: Path | None = None,
     figure: Path | None = None,
     json: bool = False,
     **options: Any,
 ) -> None:
-    """Write and draw a result as far as that is wanted, then print it as JSON, or `show` it."""
+    """Write and draw a result as far as that is wanted, then print it as JSON, or `show` it.
+
+    Args:
+        output: Table of the result.
+        json: Print JSON on standard output.
+    """
     if output is not None:
         found.save(output)
     draw(found, figure, **options)
     if json:
         print(found.to_json())
         return
-    show()
+    show(found)
     for path in filter(None, (output, figure)):
         print(f"\nwritten: {path}")
 
 
-def segment_columns(segment: Segment) -> Row:
-    """The segment of a trial, for a summary."""
+def on_trial(
+    trial: Path,
+    options: Mapping[str, Any],
+    work: Callable[..., Shown],
+    show: Callable[[Shown], None],
+    *settings: Callable[..., Any],
+) -> None:
+    """Deliver what a function of the API finds in the trial of the options.
+
+    It takes its own options and those of `settings`.
+    """
+    check_files(options.get("output"), options.get("figure"), replace=options["replace"])
+    opened = open_checked(trial, **options)
+    found = work(opened, **given({**options, "progress": Progress}, work, *settings))
+    deliver(found, show, **options)
+
+
+def segment_columns(samples: int, segment: Segment) -> Row:
+    """The number of samples and the segment of a trial, for a summary."""
     return {
+        "samples": samples,
         "segment": segment.kind,
         "segment_start [s]": segment.start,
         "segment_end [s]": segment.end,
@@ -190,16 +219,16 @@ class TrialVerb(Generic[R]):
     suffix: str  # of the outputs of a folder of trials
     work: Callable[[Trial, Mapping[str, Any]], R]  # writes the output
     row: Callable[[R], Row]  # of the summary
-    show: Callable[[R, Mapping[str, Any]], None]  # prints the result for a single trial
+    show: Callable[[R, Mapping[str, Any]], None]  # prints the result of a single trial
     metadata: tuple[str, ...] = ()  # fields of the trials' metadata that the outputs depend on
 
 
-@takes("files.check_outputs", exclusive="jobs dask")
+@takes("commands.options.open_given", exclusive="jobs dask")
 def on_trials(
     verb: TrialVerb[R],
     trial: Path,
     *,
-    output: Path | None,
+    output: Path | None = None,
     jobs: int | None = None,
     dask: str | None = None,
     again: bool = False,
@@ -209,22 +238,29 @@ def on_trials(
     """For a folder of trials.
 
     Args:
-        verb: The verb.
         trial: Folder of the trial, or a folder of trials.
         output: The file that is written, or the folder of such files.
         jobs: Trials at a time (default: one per core).
         dask: Address of the scheduler of a Dask cluster whose workers do it instead.
         again: Repeat finished trials.
         replace: Replace outputs that exist.
-        options: All other options of the verb.
     """
     options |= {"output": output, "replace": replace}
+    json, figure = options.get("json"), options.get("figure")
     trials = find_trials(trial, print_note)
     if not trials:
-        check_outputs(output, replace=replace)
-        verb.show(verb.work(open_checked(trial, **options), {"alone": True, **options}), options)
+        check_files(output, figure, replace=replace, table=verb.suffix.endswith(FORMATS))
+        found: Any = verb.work(open_checked(trial, **options), {"alone": True, **options})
+        if json:
+            print(found.to_json())
+        else:
+            verb.show(found, options)
         return
-    assert output is not None
+    if output is None or json or figure:
+        raise ConfigurationError(
+            f"{trial} holds {len(trials)} trials",
+            "give -o FOLDER without --json and --figure, or one trial",
+        )
     settings = given(options, estimator_settings, IdentificationSettings)
     estimator_settings(EstimatorSettings(), **settings)  # wrong for all is reported once
     files = {_option(name): options.get(name) for name in _FILES}

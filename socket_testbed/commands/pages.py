@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,12 +20,14 @@ from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.models import error_columns
 from socket_testbed.commands.options import (
     TrialVerb,
+    check_files,
     deliver,
     given,
     on_trials,
     open_all,
     open_given,
     print_note,
+    refuse_given,
     say_data,
     segment_columns,
     typed_command,
@@ -33,12 +35,9 @@ from socket_testbed.commands.options import (
 from socket_testbed.commands.terminal import Progress, say, table
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import check_outputs
 from socket_testbed.live.processes import Graph
 from socket_testbed.settings.testbed import ViewSettings
-from socket_testbed.tables import check_format
 from socket_testbed.trials.metadata import FIELDS
-from socket_testbed.trials.reprocess import RECORDED
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -52,7 +51,6 @@ _LOOK = 0.2  # [s]; between looks at the time
 
 @takes(
     "commands.options.on_trials",
-    "commands.options.open_given",
     "commands.options.draw",
     "write_report",
     "fit",
@@ -90,10 +88,8 @@ def _show_report(results: Results, options: Mapping[str, Any]) -> None:
 
 
 def _report_row(results: Results) -> Row:
-    row: Row = {
-        "samples": int(results.samples[results.segment.rows].complete.sum()),
-        **segment_columns(results.segment),
-    }
+    complete = int(results.samples[results.segment.rows].complete.sum())
+    row = segment_columns(complete, results.segment)
     for label, candidate in results.fitted.items():
         judged = {"_in_sample": candidate.errors, "_held_out": candidate.held_out}
         columns = error_columns(candidate.errors, judged)
@@ -101,14 +97,12 @@ def _report_row(results: Results) -> Row:
     return row
 
 
-@takes("compare", "commands.options.open_given", "files.check_outputs")
+@takes("compare", "commands.options.deliver", without="figure width title")
 def compare(
     trial: list[Path] | None = None,
     *,
     condition: Iterable[str] = (),
     output: Path | None = None,
-    json: bool = False,
-    replace: bool = False,
     **options: Any,
 ) -> None:
     """Lay trials side by side, with their differences.
@@ -117,12 +111,9 @@ def compare(
         trial: Two or more trials; a folder of trials stands for all of them.
         condition: Instead, the repeated trials of a condition, such as gel=trials/gel1,trials/gel2.
         output: A page (.html), or a table (.csv, .parquet) of every value and difference.
-        json: Print JSON on standard output.
     """
     page = output if output and output.suffix.lower() in PAGES else None
-    if output is not None and page is None:
-        check_format(output)
-    check_outputs(output, replace=replace)
+    check_files(output, replace=options["replace"], table=page is None)
     notify = cache(print_note)
     trials = open_all(trial or [], options, notify)
     conditions = {
@@ -135,9 +126,8 @@ def compare(
     )
     if page is not None:
         api.write_comparison(found, page, typed_command())
-        output = None
-    deliver(found, partial(_show_comparison, found), output=output, json=json)
-    if page is not None and not json:
+    deliver(found, _show_comparison, output=None if page else output, **options)
+    if page is not None and not options["json"]:
         print(f"\nwritten: {page}")
 
 
@@ -211,8 +201,7 @@ def view(
         options["model"] = model
         _follow(ViewSettings(**served, buttons=buttons), namespace, ends, options)
         return
-    if namespace is not None:
-        raise ConfigurationError("--namespace is for the running testbed", "leave out the trial")
+    refuse_given({"namespace": namespace}, "the running testbed", "leave out the trial")
     with api.view(open_given(trial, **options), model, **served) as page:
         say(f"the trial is seen at {page.url}; Ctrl-C ends it")
         with suppress(KeyboardInterrupt):
@@ -231,10 +220,8 @@ def _follow(
     settings: ViewSettings, namespace: str | None, ends: float, options: Mapping[str, Any]
 ) -> None:
     """Serve the page of the running testbed until a time [s]."""
-    for name in ("model", "calibration", "load_cell", "tare"):
-        if options[name] not in (None, RECORDED):
-            option = name.replace("_", "-")
-            raise ConfigurationError(f"--{option} is for a trial", "give the folder of the trial")
+    of_trials = {name: options[name] for name in ("model", "calibration", "load_cell", "tare")}
+    refuse_given(of_trials, "a trial", "give the folder of the trial")
     if options["geometry"] is not None:
         settings = dataclasses.replace(settings, geometry=str(options["geometry"].resolve()))
     check_page(settings)

