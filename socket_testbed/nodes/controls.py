@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -33,7 +33,13 @@ from socket_testbed.nodes.base import (
 from socket_testbed.settings.testbed import NextTrialSettings
 from socket_testbed.trials.events import check_label
 from socket_testbed.trials.layout import stamp_of
-from socket_testbed.trials.topics import EVENT, RECORDED_TRIAL, TRIGGER, full_namespace
+from socket_testbed.trials.topics import (
+    EVENT,
+    RECORDED_TRIAL,
+    TRIGGER,
+    full_namespace,
+    namespace_of,
+)
 
 _POLL = 0.02  # [s]
 
@@ -54,12 +60,21 @@ _FITS_WITHIN = 120.0  # [s]
 _ASK_AGAIN = 2.5  # [s] of the testbed; the middleware can lose an answer
 
 # Type of each service, and the node that offers it.
+_NEXT_TRIAL = "recorder_node/set_parameters_atomically"
 _SERVICES = {
     "load_cell/tare": (Trigger, "load_cell_node"),
     "estimator/fit": (Trigger, "estimator_node"),
     "trigger/enable": (SetBool, "trigger_node"),
     "recorder/record": (SetBool, "recorder_node"),
-    "recorder_node/set_parameters_atomically": (SetParametersAtomically, "recorder_node"),
+    _NEXT_TRIAL: (SetParametersAtomically, "recorder_node"),
+}
+# The services that controls call as they are.
+_CALLS = {
+    "tare": ("load_cell/tare", Trigger.Request()),
+    "fit": ("estimator/fit", Trigger.Request()),
+    "trigger-on": ("trigger/enable", SetBool.Request(data=True)),
+    "trigger-off": ("trigger/enable", SetBool.Request(data=False)),
+    "stop recording": ("recorder/record", SetBool.Request(data=False)),
 }
 
 
@@ -136,29 +151,17 @@ class EventMarker:
     def mark(self, label: str, called: float) -> Marked:
         """Publish an event, see `publish_event`; only meanwhile are triggers heard."""
         self._triggers.clear()
-        triggers = self._node.create_subscription(
+        subscription = self._node.create_subscription(
             message_type(TRIGGER), TRIGGER.name, self._on_trigger, subscriber_qos(TRIGGER)
         )
         try:
-            return self._mark(label, called)
+            if not self._wait(self._is_linked, _LINKED_WITHIN):
+                raise TestbedError(
+                    f"nobody subscribes to {self._publisher.topic_name}", self._where_else()
+                )
+            stamp = self._stamp_of(called)
         finally:
-            self._node.destroy_subscription(triggers)
-
-    def _mark(self, label: str, called: float) -> Marked:
-        if not self._wait(self._is_linked, _LINKED_WITHIN):
-            raise TestbedError(
-                f"nobody subscribes to {self._publisher.topic_name}", self._where_else()
-            )
-        # The longer ago the call, the longer the triggers from which its time is reckoned.
-        since = time.monotonic() - called
-        self._wait(lambda: self._has_triggers(max(_LEAST, 0.5 * since)), _TRIGGERED_WITHIN)
-        if len(self._triggers) > 1 and _speed(self._triggers) != _REAL_TIME:
-            span = min(_SLOW * since, _LONGEST)
-            self._wait(lambda: self._has_triggers(span), span)
-        if self._triggers:
-            stamp = stamp_by_triggers(called, self._triggers)
-        else:
-            stamp = time.time_ns() - round((time.monotonic() - called) * 1e9)
+            self._node.destroy_subscription(subscription)
         self._publisher.publish(Event(header=header_to_ros(stamp), label=label))
         if not self._wait(partial(is_acknowledged, self._publisher), _HEARD_WITHIN):
             raise TestbedError(
@@ -167,6 +170,18 @@ class EventMarker:
             )
         count = self._publisher.get_subscription_count()
         return Marked(count, self._trial or "", bool(self._triggers))
+
+    def _stamp_of(self, called: float) -> int:
+        """Stamp [ns] of a time of the monotonic clock [s], from the triggers that come now."""
+        # The longer ago the call, the longer the triggers from which its time is reckoned.
+        since = time.monotonic() - called
+        self._wait(lambda: self._has_triggers(max(_LEAST, 0.5 * since)), _TRIGGERED_WITHIN)
+        if not self._triggers:
+            return time.time_ns() - round((time.monotonic() - called) * 1e9)
+        if len(self._triggers) > 1 and _speed(self._triggers) != _REAL_TIME:
+            span = min(_SLOW * since, _LONGEST)
+            self._wait(lambda: self._has_triggers(span), span)
+        return stamp_by_triggers(called, self._triggers)
 
     def _has_triggers(self, span: float) -> bool:
         triggers = self._triggers
@@ -180,11 +195,10 @@ class EventMarker:
     def _where_else(self) -> str:
         """A hint at where an event would be heard."""
         others = [
-            name.removesuffix(EVENT.name).rstrip("/")
-            for name, types in self._node.get_topic_names_and_types()
-            if name.endswith(f"/{EVENT.name}") and EVENT.type in types
-            and self._node.count_subscribers(name)
-        ]  # fmt: skip
+            namespace_of(name, EVENT)
+            for name, _ in self._node.get_topic_names_and_types()
+            if name.endswith(f"/{EVENT.name}") and self._node.count_subscribers(name)
+        ]
         if others:
             return f"give --namespace {' or '.join(others)}"
         return (
@@ -226,10 +240,9 @@ def _speed(triggers: Sequence[tuple[float, int]]) -> float:
 
 
 class ServiceControls:
-    """Calls the services of the testbed in a node's namespace, from any thread but the node's.
+    """What a person does to the testbed in a node's namespace, from any thread but the node's.
 
-    The node is spun elsewhere. Each call returns what came of it in one line, or raises a
-    TestbedError: the service refuses, does not answer, or is not offered.
+    The node is spun elsewhere.
     """
 
     def __init__(self, node: Node) -> None:
@@ -239,53 +252,47 @@ class ServiceControls:
         self._marker = EventMarker(node, _wait)
         self._marking, self._recording = threading.Lock(), threading.Lock()
 
-    def tare(self) -> str:
-        """Take the present wrench as zero."""
-        return self._ask("load_cell/tare", Trigger.Request())
+    def act(self, what: str, given: Mapping[str, str]) -> str:
+        """Do what a button says, with what it needs as text; returns what came of it, in one line.
 
-    def fit(self) -> str:
-        """Fit the contact model on the complete window."""
-        return self._ask("estimator/fit", Trigger.Request())
+        `mark` takes a `label` and the time of this call; `record` the `trial`, without which it is
+        named by date and time, and metadata. A TestbedError says that a service refuses, does not
+        answer, or is not offered.
+        """
+        if what in _CALLS:
+            return self._ask(*_CALLS[what])
+        if what == "mark":
+            return self._mark(given.get("label", "event"))
+        if what == "record":
+            return self._record(given)
+        raise ConfigurationError(f"no button is called '{what}'", "load the page again")
 
-    def trigger(self, on: bool) -> str:
-        """Start or stop the triggers."""
-        return self._ask("trigger/enable", SetBool.Request(data=on))
-
-    def record(self, name: str, metadata: dict[str, str]) -> str:
-        """Record a trial with metadata as text; without a name it has the date and time."""
-        values: dict[str, Any] = {"name": name, **metadata}
-        if "mass" in values:
-            try:
-                values["mass"] = float(values["mass"])
-            except ValueError:
-                raise ConfigurationError(
-                    f"mass is '{values['mass']}'", "give the body mass in kg"
-                ) from None
-        wanted = NextTrialSettings().to_flat("next.")
-        wanted |= {f"next.{field}": value for field, value in values.items()}
-        request = SetParametersAtomically.Request(
-            parameters=[
-                Parameter(key, value=value).to_parameter_msg() for key, value in wanted.items()
-            ]
-        )
-        with self._recording:  # what one browser sets is not for the trial of another
-            result = self._call("recorder_node/set_parameters_atomically", request).result
-            if not result.successful:
-                raise _refusal(result.reason)
-            return self._ask("recorder/record", SetBool.Request(data=True))
-
-    def stop_recording(self) -> str:
-        """Close the trial that is being recorded."""
-        return self._ask("recorder/record", SetBool.Request(data=False))
-
-    def event(self, label: str) -> str:
-        """Mark an event with the time of this call, as the verb `mark` does."""
+    def _mark(self, label: str) -> str:
         called = time.monotonic()
         label = check_label(label)
         with self._marking:  # a later one waits, and keeps its time
             marked = self._marker.mark(label, called)
         where = f" in the trial {marked.trial}" if marked.trial else ""
         return "; ".join([f"marked '{label}'{where}", *marked.notes()])
+
+    def _record(self, given: Mapping[str, str]) -> str:
+        wanted = NextTrialSettings().to_flat() | {"name": given.get("trial", "")}
+        wanted |= {name: value for name, value in given.items() if name != "trial"}
+        try:
+            wanted["mass"] = float(wanted["mass"])
+        except ValueError:
+            hint = "give the body mass in kg"
+            raise ConfigurationError(f"mass is '{wanted['mass']}'", hint) from None
+        parameters = [
+            Parameter(f"next.{name}", value=value).to_parameter_msg()
+            for name, value in wanted.items()
+        ]
+        request = SetParametersAtomically.Request(parameters=parameters)
+        with self._recording:  # what one browser sets is not for the trial of another
+            result = self._call(_NEXT_TRIAL, request).result
+            if not result.successful:
+                raise _refusal(result.reason)
+            return self._ask("recorder/record", SetBool.Request(data=True))
 
     def _ask(self, name: str, request: Any) -> str:
         """Call a service that answers whether it did, and what it did or why not."""

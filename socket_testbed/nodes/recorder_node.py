@@ -36,11 +36,7 @@ from socket_testbed.clocks import SteadyClock
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import is_held, refuse_existing
 from socket_testbed.nodes.base import ELAPSED, ERROR, FREE, OK, WARN, TestbedNode
-from socket_testbed.settings.testbed import (
-    NextTrialSettings,
-    RecorderSettings,
-    check_take_name,
-)
+from socket_testbed.settings.testbed import NextTrialSettings, RecorderSettings, check_take_name
 from socket_testbed.trials.bag import BagWriter
 from socket_testbed.trials.metadata import (
     METADATA_FILE,
@@ -50,11 +46,7 @@ from socket_testbed.trials.metadata import (
     read_metadata,
 )
 from socket_testbed.trials.topics import RECORDED_TRIAL, TOPICS
-from socket_testbed.trials.trial import (
-    beside,
-    read_configuration,
-    store_configuration,
-)
+from socket_testbed.trials.trial import beside, read_configuration, store_configuration
 
 _SILENCE = 10.0  # [s]; for a graph to come up
 
@@ -67,15 +59,11 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         os.umask(os.umask(0) | 0o007)  # a trial is of a person: for its owner and group only
         settings = self.settings
         self._directory = Path(settings.directory).absolute()
-        self._configuration = read_configuration(
-            *(
-                Path(file) if file else None
-                for file in (settings.geometry, settings.calibration, settings.parameters)
-            )
-        )
-        self._stated = (
-            read_metadata(Path(settings.metadata)) if settings.metadata else TrialMetadata()
-        )
+        files = (settings.geometry, settings.calibration, settings.parameters)
+        self._configuration = read_configuration(*(Path(f) if f else None for f in files))
+        self._stated = TrialMetadata()
+        if settings.metadata:
+            self._stated = read_metadata(Path(settings.metadata))
         self._bag: BagWriter | None = None
         self._path: Path | None = None
         self._counts: dict[str, int] = {}
@@ -85,6 +73,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         self._announcer = self.advertise(RECORDED_TRIAL)
         chosen = [topic for topic in TOPICS if settings.everything or not topic.derived]
         self._topics = {self.resolve_topic_name(topic.name): topic for topic in chosen}
+        self._required = [name for name, topic in self._topics.items() if topic.required]
         for name, topic in self._topics.items():
             callback = partial(self._on_message, name)
             self.listen(topic, callback, name, needed=topic.required, raw=True)
@@ -106,8 +95,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             return
         silent = self._silent_topics()
         if silent and clocks.monotonic() - self._began > _SILENCE:
-            everything = len(silent) == sum(topic.required for topic in self._topics.values())
-            what = "" if everything else f" on {', '.join(silent)}"
+            what = "" if silent == self._required else f" on {', '.join(silent)}"
             self.report(
                 WARN,
                 f"recording {self._path}, but nothing arrives{what}: check that the testbed runs,"
@@ -120,12 +108,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
 
     def _silent_topics(self) -> list[str]:
         """The topics a trial needs of which the recording has no message."""
-        topics = self._topics.items()
-        return [name for name, topic in topics if topic.required and not self._counts[name]]
-
-    def close(self) -> None:
-        """Close the trial."""
-        self._finish()
+        return [name for name in self._required if not self._counts[name]]
 
     def figures(self) -> dict[str, object]:
         """The trial, how long it has been recorded [s], the free space, the messages by topic."""
@@ -152,7 +135,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             self._forget_next()  # they were for this request
             raise ConfigurationError(f"{self._path.name} is being recorded", "stop it first")
         elif not wanted:
-            self._finish()
+            self.close()
         if self._path is None:
             return "nothing was being recorded"
         return f"{'recording' if self._bag else 'recorded'} {self._path}"
@@ -173,16 +156,15 @@ class RecorderNode(TestbedNode[RecorderSettings]):
 
     def _start_over(self, directory: Path) -> None:
         """Record into a folder, or beside it where there is a trial."""
-        if not any(directory.glob("*.mcap")):
-            self._start(directory, self._stated)
-            return
-        if is_held(directory):
+        holds_trial = any(directory.glob("*.mcap"))
+        if holds_trial and is_held(directory):
             raise ConfigurationError(
                 f"{directory} is being written by another recorder", "end it, or name a new folder"
             )
-        path = beside(directory)
+        path = beside(directory) if holds_trial else directory
         self._start(path, self._stated)
-        self.report(WARN, f"recording {path}: {directory} holds a trial and stays as it is")
+        if holds_trial:
+            self.report(WARN, f"recording {path}: {directory} holds a trial and stays as it is")
 
     def _start(self, path: Path, metadata: TrialMetadata) -> None:
         check_take_name(path.name)
@@ -203,34 +185,28 @@ class RecorderNode(TestbedNode[RecorderSettings]):
                 f"{path}: cannot be written ({error.strerror})", "check the folder and the space"
             ) from None
         clock = self.get_clock()
-        self._now = (
-            (lambda: clock.now().nanoseconds) if clock.ros_time_is_active else SteadyClock().now
-        )
+        self._now = SteadyClock().now
+        if clock.ros_time_is_active:
+            self._now = lambda: clock.now().nanoseconds
         self._bag, self._path = bag, path
         self._began, self._warned = clocks.monotonic(), False
         self._counts = dict.fromkeys(self._topics, 0)
         self._announce()
         self.report(OK, f"recording {path}")
 
-    def _finish(self) -> None:
+    def close(self) -> None:
+        """Close the trial, if one is being recorded."""
         if self._bag is None:
             return
-        bag, self._bag = self._bag, None
-        self._announce()
-        try:
-            bag.__exit__(None, None, None)
-        except OSError as error:
-            bag.abandon()
-            self.report(
-                ERROR,
-                f"{self._path} was not closed, it keeps what it has ({error.strerror}): make space",
-            )
-            return
-        text = f"recorded {sum(self._counts.values())} messages in {self._path}"
-        silent = self._silent_topics()
-        if silent:
-            text += f", none on {', '.join(silent)}: a fit needs these"
-        self.report(WARN if silent else OK, text)
+        with self._until_full(self._bag):
+            self._bag.__exit__(None, None, None)
+            self._bag = None
+            self._announce()
+            text = f"recorded {sum(self._counts.values())} messages in {self._path}"
+            silent = self._silent_topics()
+            if silent:
+                text += f", none on {', '.join(silent)}: a fit needs these"
+            self.report(WARN if silent else OK, text)
 
     def _on_message(self, name: str, data: bytes) -> None:
         if self._bag is None:
@@ -261,7 +237,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
     def _announce(self) -> None:
         """Say which trial is being recorded."""
         if self.context.ok():
-            name = self._path.name if self._bag is not None and self._path is not None else ""
+            name = self._path.name if self._bag and self._path else ""
             self._announcer.publish(String(data=name))
 
 

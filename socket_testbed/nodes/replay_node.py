@@ -60,7 +60,7 @@ _TICK_PERIOD = 0.02  # [s]; of the clock between messages
 class Pacer:
     """Waits until each message of a recording is due, at a rate against the recording [-].
 
-    `tick` is called with the time of the recording [ns] as it passes.
+    `tick` is called with the time of the recording [ns] as it passes. `stopped` says whether it is.
     """
 
     def __init__(self, rate: float, tick: Callable[[int], None], paused: bool = False) -> None:
@@ -68,14 +68,10 @@ class Pacer:
         self._tick = tick
         self._stopping = threading.Event()
         self._going = threading.Event()
+        self.stopped = self._stopping.is_set
         self.pause(paused)
         self._first = 0
         self._start = 0.0
-
-    @property
-    def stopped(self) -> bool:
-        """Whether it is stopped."""
-        return self._stopping.is_set()
 
     def pause(self, paused: bool) -> None:
         """Let no further message become due, or go on where it was paused."""
@@ -104,7 +100,7 @@ class Pacer:
                 before = time.monotonic()
                 self._going.wait()
                 self._start += time.monotonic() - before
-            if self.stopped:
+            if self.stopped():
                 return False
             due = self._start + (stamp - self._first) * 1e-9 / self._rate
             if (left := due - time.monotonic()) <= 0.0:
@@ -138,8 +134,9 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         self._bag = BagReader(self._trial.path)
         self._bag.__enter__()
         self._topics = self._replayed_topics()
+        wanted = f"{full_namespace(settings.namespace).rstrip('/')}/" if settings.namespace else ""
         self._by_topic = {
-            name: self.advertise(topic, self._published_name(name, topic))
+            name: self.advertise(topic, wanted + topic.name if wanted else name)
             for name, topic in self._topics.items()
         }
         decoded = (TRIGGER, WRENCH, SOCKET_POSE, PYLON_POSE)
@@ -147,7 +144,7 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         self._frames = self._broadcaster()
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
         self._pacer = Pacer(settings.rate, self._tick, settings.paused)
-        self._followers = Followers(self, settings.wait_for, lambda: self._pacer.stopped)
+        self._followers = Followers(self, settings.wait_for, self._pacer.stopped)
         self.serve(SetBool, "replay/pause", self._on_pause)
         self._thread = threading.Thread(target=self._replay, name="replay")
         self._thread.start()
@@ -170,11 +167,11 @@ class ReplayNode(TestbedNode[ReplaySettings]):
 
     def _replayed_topics(self) -> dict[str, Topic]:
         """The testbed's topics of the trial by their recorded names."""
-        names = match_topics(self._bag.counts, self.settings.trial)
+        counts = self._bag.counts
         topics = {
             name: topic
-            for topic, name in names.items()
-            if self._bag.counts[name] > 0
+            for topic, name in match_topics(counts, self.settings.trial).items()
+            if counts[name] > 0
             and topic is not DIAGNOSTICS  # this graph's own nodes say how they are
             and not (topic.computed and self.settings.measured_only)
         }
@@ -190,9 +187,8 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         if not self._trial.remade:
             return {}
         found = self._trial.measurements()
-        stamps = found.stamps.tolist()
         return {
-            topic: (pack, dict(zip(stamps, rows, strict=True)))
+            topic: (pack, dict(zip(found.stamps.tolist(), rows, strict=True)))
             for topic, pack, rows in found.packed()
         }
 
@@ -206,12 +202,6 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         recorded = namespace_of(*next(iter(self._topics.items())))
         return FrameBroadcaster(self, geometry, "" if self.settings.namespace else recorded)
 
-    def _published_name(self, name: str, topic: Topic) -> str:
-        """Where a topic goes that was recorded under a name."""
-        if not self.settings.namespace:
-            return name
-        return f"{full_namespace(self.settings.namespace).rstrip('/')}/{topic.name}"
-
     def _on_pause(self, paused: bool) -> str:
         self._pacer.pause(paused)
         return "paused" if paused else "going on"
@@ -222,7 +212,7 @@ class ReplayNode(TestbedNode[ReplaySettings]):
                 self._await_ready()
                 self.report(OK, f"replaying {self.settings.trial}")
                 self._publish_once()
-                while self.settings.loop and not self._pacer.stopped:
+                while self.settings.loop and not self._pacer.stopped():
                     self._catch_up(0)
                     self._followers.start_over()
                     self._publish_once()
@@ -275,9 +265,8 @@ class ReplayNode(TestbedNode[ReplaySettings]):
             # Subscribers are found within the time of a discovery.
             self._pacer.rest(_DISCOVERY)
         outputs = {publisher.topic_name: publisher for publisher in self._by_topic.values()}
-        required = [
-            p.topic_name for name, p in self._by_topic.items() if self._topics[name].required
-        ]
+        kinds = zip(outputs, self._topics.values(), strict=True)
+        required = [name for name, topic in kinds if topic.required]
         needed = frozenset(required if self._followers else ())
         lacking = self._followers.await_links(outputs, needed, _READY_WITHIN)
         for name in required:

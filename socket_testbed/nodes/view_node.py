@@ -152,22 +152,11 @@ class LiveSource:
 
     def act(self, what: str, given: dict[str, Any]) -> str:
         """Call the service of a button."""
-        controls = self._controls
-        if controls is None:
+        if self._controls is None:
             raise ConfigurationError("the buttons are off", "start 'view' with --buttons")
-        given = {name: str(value) for name, value in given.items() if value}
-        acts = {
-            "tare": controls.tare,
-            "fit": controls.fit,
-            "stop recording": controls.stop_recording,
-            "mark": lambda: controls.event(given.get("label", "event")),
-            "trigger-on": lambda: controls.trigger(True),
-            "trigger-off": lambda: controls.trigger(False),
-            "record": lambda: controls.record(given.pop("trial", ""), given),
-        }
-        if what not in acts:
-            raise ConfigurationError(f"no button is called '{what}'", "load the page again")
-        return acts[what]()
+        return self._controls.act(
+            what, {name: str(value) for name, value in given.items() if value}
+        )
 
     def rest(self) -> None:
         """Unsubscribe when nobody has asked for a while."""

@@ -171,24 +171,25 @@ def test_a_trial_is_recorded_with_a_name_and_metadata_and_an_event(
     announced = live.probe.listen(RECORDED_TRIAL)
     live.probe.wait(lambda: [m.data for m in announced][-1:] == ["s01"], "the first trial")
     with pytest.raises(TestbedError, match="cannot tare: the trial s01 is being recorded"):
-        controls.tare()
+        controls.act("tare", {})
     force_tare(live)
     live.wait_for_triggers(20)
     with pytest.raises(TestbedError, match="s01 is being recorded: stop it first"):
-        controls.record("stairs", {})
-    assert "s01" in controls.stop_recording()
+        controls.act("record", {"trial": "stairs"})
+    assert "s01" in controls.act("stop recording", {})
     with pytest.raises(TestbedError, match="trial's name"):
-        controls.record("../stairs", {})
+        controls.act("record", {"trial": "../stairs"})
     with pytest.raises(ConfigurationError, match="mass is 'heavy'"):
-        controls.record("stairs", {"mass": "heavy"})
-    assert controls.record("stairs", {"subject": "S02", "mass": "70"}).endswith("s01_stairs")
+        controls.act("record", {"trial": "stairs", "mass": "heavy"})
+    given = {"trial": "stairs", "subject": "S02", "mass": "70"}
+    assert controls.act("record", given).endswith("s01_stairs")
     live.wait_for_triggers(5)
     with ThreadPoolExecutor() as pool:  # at once
-        marked = [pool.submit(controls.event, label) for label in ("push", "step")]
+        marked = [pool.submit(controls.act, "mark", {"label": label}) for label in ("push", "step")]
     for label, said in zip(("push", "step"), marked, strict=True):
         assert said.result() == f"marked '{label}' in the trial s01_stairs"
     live.wait_for_triggers(5)
-    controls.stop_recording()
+    controls.act("stop recording", {})
     assert live.testbed.record is not None
     trial = Trial(live.testbed.record.with_name("s01_stairs"))
     assert trial.metadata == TrialMetadata("S02", mass=70.0)
@@ -207,8 +208,8 @@ def test_a_trial_is_recorded_with_a_name_and_metadata_and_an_event(
 def test_the_trigger_is_switched_and_a_tare_outlives_its_node(
     live: LiveTestbed, controls: ServiceControls
 ) -> None:
-    controls.stop_recording()  # a tare would be refused
-    controls.trigger(False)
+    controls.act("stop recording", {})  # a tare would be refused
+    controls.act("trigger-off", {})
     live.wait_for("trigger_node", "WARN", "not enabled: call trigger/enable")
     # While it rests, faults are seen all the same.
     live.switch("clusters.nack", 1)
@@ -217,7 +218,7 @@ def test_the_trigger_is_switched_and_a_tare_outlives_its_node(
     live.switch("clusters.nack", 0)
     live.wait_for("cluster_node", "OK")
     assert len(live.triggers) == count
-    controls.trigger(True)
+    controls.act("trigger-on", {})
     live.wait_for_triggers(5)
     assert {int(step) for step in np.diff([m.sequence for m in live.triggers])} == {1}
 
@@ -258,7 +259,7 @@ def test_a_service_without_an_answer_is_named(monkeypatch: pytest.MonkeyPatch) -
     with Probe() as probe:
         nowhere = rclpy.create_node("page", namespace="/nowhere", context=probe.context)
         with pytest.raises(TestbedError, match="nobody offers load_cell/tare: check that load_"):
-            ServiceControls(nowhere).tare()
+            ServiceControls(nowhere).act("tare", {})
         with pytest.raises(TestbedError, match="start 'run' with --record DIR, or 'record DIR'"):
-            ServiceControls(nowhere).record("stairs", {})
+            ServiceControls(nowhere).act("record", {})
         nowhere.destroy_node()

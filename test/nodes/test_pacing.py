@@ -36,5 +36,5 @@ def test_a_pause_moves_what_follows_and_a_stop_ends_every_wait() -> None:
         pacer = Pacer(1.0, tick=lambda stamp: None, paused=paused)
         pacer.begin(0)
         threading.Timer(0.05, pacer.stop).start()
-        assert not pacer.wait_for(3_600_000_000_000) and pacer.stopped
+        assert not pacer.wait_for(3_600_000_000_000) and pacer.stopped()
         pacer.rest(3600.0)  # returns at once
