@@ -16,7 +16,7 @@ from socket_testbed import api
 from socket_testbed.arrays import FloatArray
 from socket_testbed.commands.terminal import Progress, number, table
 from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.files import check_new_folder, make_folder
+from socket_testbed.files import TemporaryFolder, check_new_folder, make_folder
 from socket_testbed.geometry.regions import all_regions
 from socket_testbed.identification.fit import REGRESSION
 from socket_testbed.identification.pressure import NORMAL_QUANTILE
@@ -27,7 +27,7 @@ from socket_testbed.identification.validation import (
 )
 from socket_testbed.live.bringup import (
     end,
-    replay_with_estimator,
+    record_estimates,
     simulated_testbed,
     start,
     summary,
@@ -47,6 +47,8 @@ from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
 from socket_testbed.simulation.trial import TRUTH_FILE, GroundTruth, read_truth
 from socket_testbed.trials import topics
+from socket_testbed.trials.bag import BagReader
+from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.segment import select_segment
 from socket_testbed.trials.trial import Trial
 
@@ -195,28 +197,32 @@ def _make_room(folder: Path) -> None:
 
 
 def _estimate(trial: Trial, samples: Samples, speed: float, log: Path) -> FloatArray:
-    """The force maps that a subscriber receives while the trial is replayed at a speed [-].
+    """The pressures that the graph publishes while the trial is replayed at a speed [-].
 
     Returns:
-        Values and standard deviations, shape (2, N, n, 4): the force on each tile in {S} [N], and
-        its normal pressure [Pa]; NaN at samples without a map.
+        Normal pressure on each tile and its standard deviation, shape (2, N, n) [Pa]; NaN at
+        samples without a map.
     """
-    # ROS is imported only where a graph runs: the rest works without it.
-    from socket_testbed.nodes.listeners import EstimateListener
-
-    replay = ReplaySettings(
-        trial=str(trial.path.resolve()), rate=speed, wait_for=(EstimateListener.NAME,)
+    replay = ReplaySettings(trial=str(trial.path.resolve()), rate=speed)
+    topic, pressures = topics.FORCE_MAP, {}
+    with log.open("w", encoding="utf-8") as output, TemporaryFolder() as folder:
+        path = Path(folder) / "replay"
+        record_estimates(trial, replay, EstimatorSettings(), path, output)
+        with BagReader(path) as bag:
+            models = bag.counts[f"/{topics.PARAMETERS.name}"]
+            reader = Reader(topic, path)
+            for raw in bag.messages([f"/{topic.name}"]):
+                stamp, (_, fields) = reader.read(raw.data)
+                names = ("normal_pressure", "normal_pressure_standard_deviation")
+                pressures[stamp] = np.array([fields[name][0] for name in names])
+    print(
+        f"   {len(pressures)} force maps of {len(samples)} samples received,"
+        f" {models} models fitted on the way"
     )
-    with log.open("w", encoding="utf-8") as output, EstimateListener() as listener:
-        replay_with_estimator(trial, replay, EstimatorSettings(), output)
-        received = len(listener.estimates[topics.FORCE_MAP])
-        print(
-            f"   {received} force maps of {len(samples)} samples received,"
-            f" {listener.models} models fitted on the way"
-        )
-        if not received:
-            raise TrialError("the graph published no force map", f"read {log}")
-        return np.moveaxis(listener.series(topics.FORCE_MAP, samples.stamps.tolist()), 1, 0)
+    if not pressures:
+        raise TrialError("the graph published no force map", f"read {log}")
+    none = np.full((2, len(trial.geometry)), np.nan)
+    return np.stack([pressures.get(stamp, none) for stamp in samples.stamps.tolist()], axis=1)
 
 
 _COLUMNS = ("tiles without sensor", "left-out clusters", "M [N m]", "F [N]")
@@ -262,7 +268,7 @@ class _Ending:
         normal = self._geometry.rotations[:, :, 2]
         pressed = -np.einsum("kni,ni->kn", truth.forces[rows], normal) / self._geometry.areas
         self._estimate, self._deviation, self._truth = (
-            1e-3 * np.nanmean(values, axis=0) for values in (*live[..., 3][:, rows], pressed)
+            1e-3 * np.nanmean(values, axis=0) for values in (*live[:, rows], pressed)
         )
         self._left_out = {  # what a cluster measured, what the map says without it, its deviation
             name: tuple(1e-3 * float(np.nanmean(values)) for values in compared)

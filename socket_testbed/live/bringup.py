@@ -264,14 +264,18 @@ def replay_nodes(
     return [*estimating, GraphNode("replay_node", replay, full_namespace(replay.namespace))]
 
 
-def replay_with_estimator(
+def record_estimates(
     trial: Trial,
     replay: ReplaySettings,
     estimator: EstimatorSettings,
+    record: Path,
     output: IO[str] | None = None,
 ) -> None:
-    """Replay a trial through the calibration and estimator nodes, see `replay_nodes`."""
+    """Replay a trial through the nodes of `replay_nodes`, and record all that they publish."""
+    replay = replace(replay, wait_for=("recorder_node", *replay.wait_for))
     nodes = replay_nodes(trial, replay, estimator)
+    recorder = RecorderSettings(directory=str(record.resolve()), record=True, everything=True)
     with Graph(output) as graph:
-        graph.start_nodes(nodes)
+        graph.start_nodes([GraphNode("recorder_node", recorder, nodes[-1].namespace), *nodes])
         graph.wait("replay_node")
+        graph.pause(_DRAIN)

@@ -50,7 +50,7 @@ from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.files import packaged
 from socket_testbed.live.processes import RESTARTED
 from socket_testbed.settings.fields import Settings, parameter_values
-from socket_testbed.trials.messages import LOAD_CELL_FRAME
+from socket_testbed.trials.messages import LOAD_CELL_FRAME, Reader
 from socket_testbed.trials.topics import DIAGNOSTICS, PUBLISHER_DEPTH, Topic
 
 OK, WARN, ERROR = 0, 1, 2  # as in DiagnosticStatus
@@ -286,6 +286,13 @@ class TestbedNode(Node, Generic[S]):
         if needed:
             self._inputs.append(subscription)
 
+    def follow(
+        self, topic: Topic, callback: Callable[[int, Any], None], needed: bool = True
+    ) -> None:
+        """Subscribe: the callback gets stamp [ns] and values of each message, see `Reader`."""
+        read = Reader(topic).read
+        self.listen(topic, lambda data: callback(*read(data)), needed=needed, raw=True)
+
     def serve(self, kind: Any, name: str, answer: Callable[..., str], slow: bool = False) -> None:
         """Offer a service of the type SetBool or Trigger; a slow one has a thread of its own.
 
@@ -389,18 +396,26 @@ class TestbedNode(Node, Generic[S]):
             for s in self._inputs
             if s.get_publisher_count() < max(1, self.count_publishers(s.topic_name))
         ]
-        waiting += [
+        settled = clocks.monotonic() >= self._settled_at
+        itself = [] if settled and self.ready() else ["itself"]
+        return waiting + self.unlinked_outputs() + itself
+
+    def links(self) -> dict[str, int]:
+        """Number of matched subscribers by the topic of each publisher."""
+        return {p.topic_name: p.get_subscription_count() for p, _ in self._outputs}
+
+    def unlinked_outputs(self) -> list[str]:
+        """Topics whose publisher lacks a subscriber that is there, or that it needs."""
+        return [
             p.topic_name
             for p, needed in self._outputs
             if p.get_subscription_count() < max(needed, self.count_subscribers(p.topic_name))
         ]
-        settled = clocks.monotonic() >= self._settled_at
-        return waiting if settled and self.ready() else [*waiting, "itself"]
 
     def _publish_diagnostics(self) -> None:
         self._checks = 0
         waiting = "(not checked yet)" if self._waiting is None else ", ".join(self._waiting)
-        links = [f"{p.topic_name}={p.get_subscription_count()}" for p, _ in self._outputs]
+        links = [f"{topic}={count}" for topic, count in self.links().items()]
         hears = " ".join(s.topic_name for s in self._inputs)
         values = {WAITING_FOR: waiting, LINKS: " ".join(links), HEARS: hears, **self.figures()}
         status = DiagnosticStatus(
@@ -469,24 +484,20 @@ class Followers:
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def await_links(
-        self, publishers: Mapping[str, Publisher], needed: frozenset[str], patience: float
-    ) -> str:
+    def await_links(self, patience: float) -> str:
         """Wait until all that publish and subscribe have found each other.
 
         A node may not know yet of a subscriber that another knows of, or of one that says so
-        itself, and would publish past it. Of the waiting node's own publishers, by topic, those
-        needed are linked only with a subscriber. Returns what is not linked in time, if anything.
+        itself, and would publish past it. Returns what is not linked in time, if anything.
         """
 
         def linked() -> bool:
-            if any(self._waiting.values()):
+            if any(self._waiting.values()) or self._node.unlinked_outputs():
                 return False
             heard = Counter(chain.from_iterable(self._hears.values()))
-            own = {name: of.get_subscription_count() for name, of in publishers.items()}
             return all(
-                known >= max(heard[name], self._node.count_subscribers(name), name in needed)
-                for links in (own, *self._links.values())
+                known >= max(heard[name], self._node.count_subscribers(name))
+                for links in (self._node.links(), *self._links.values())
                 for name, known in links.items()
             )
 

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from socket_testbed.arrays import FloatArray, StatusArray
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.nodes.base import ERROR, NEWEST_STAMP, OK, WARN, TestbedNode, file_or_packaged
 from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import CalibrationNodeSettings
-from socket_testbed.trials.messages import Reader, stress_packer
+from socket_testbed.trials.messages import Capacitances, stress_packer
 from socket_testbed.trials.topics import CAPACITANCE, STRESS
 
 
@@ -25,22 +24,24 @@ class CalibrationNode(TestbedNode[CalibrationNodeSettings]):
         self._calibration = read_calibration(path)
         self._messages = 0
         self._newest = 0
-        self._reader = Reader(CAPACITANCE)
         self._names: tuple[str, ...] | None = None
         self._states: list[int] = []
         self._stress = self.advertise(STRESS, needed=True)
-        self.listen(CAPACITANCE, self._on_capacitance, raw=True)
+        self.follow(CAPACITANCE, self._on_capacitance)
 
     def figures(self) -> dict[str, object]:
         """Number of messages, and the newest stamp."""
         return {"messages": self._messages, NEWEST_STAMP: self._newest}
 
-    def _on_capacitance(self, data: bytes) -> None:
-        stamp, read = self._reader.read(data)
+    def _on_capacitance(self, stamp: int, read: Capacitances) -> None:
         news = read.names != self._names
         if news:
             self._prepare(read.names)
-        stress, status = self._calibrated(read.capacitance, read.status)
+        stress, status = self._nothing.copy(), self._missing.copy()
+        if known := self._known:
+            stress[known], status[known] = self._coefficients.apply(
+                read.capacitance[known], read.status[known]
+            )
         states = status.tolist()
         self._newest = stamp
         self._messages += 1
@@ -55,22 +56,9 @@ class CalibrationNode(TestbedNode[CalibrationNodeSettings]):
         self._known = [i for i, name in enumerate(names) if name in self._calibration.clusters]
         if self._known:
             self._coefficients = self._calibration.stacked([names[i] for i in self._known])
+        self._nothing = np.full((len(names), 3), np.nan)
         self._missing = np.full(len(names), Status.MISSING, dtype=np.uint8)
         self._pack = stress_packer(names)
-
-    def _calibrated(
-        self, capacitance: FloatArray, status: StatusArray
-    ) -> tuple[FloatArray, StatusArray]:
-        """Stress [Pa], shape (c, 3), and status of each cluster, shape (c,)."""
-        known = self._known
-        if len(known) == len(capacitance) > 0:
-            return self._coefficients.apply(capacitance, status)
-        stress, result = np.full((len(capacitance), 3), np.nan), self._missing.copy()
-        if known:
-            stress[known], result[known] = self._coefficients.apply(
-                capacitance[known], status[known]
-            )
-        return stress, result
 
     def _health(self, names: tuple[str, ...], status: list[int]) -> tuple[int, str]:
         unknown = [name for name in names if name not in self._calibration.clusters]

@@ -34,7 +34,6 @@ from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.layout import blank, elements, encode, make_message
 from socket_testbed.trials.messages import (
     LOAD_CELL_FRAME,
-    Reader,
     force_map_packer,
     local_forces_packer,
     regions_packer,
@@ -95,9 +94,8 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         self._pack_regions = regions_packer([place.name for place in self._estimator.map.places])
         self._read = 0  # [ns]; stamp of the last outputs of the regions
         for topic in (STRESS, WRENCH, SOCKET_POSE, PYLON_POSE):
-            self.listen(topic, partial(self._on_measured, topic, Reader(topic)), raw=True)
-        self._triggers = Reader(TRIGGER)
-        self.listen(TRIGGER, self._on_trigger, raw=True)
+            self.follow(topic, partial(self._on_measured, topic))
+        self.follow(TRIGGER, lambda stamp, sequence: self._estimator.trigger(stamp))
         self.serve(TriggerService, "estimator/fit", self._on_fit, slow=True)
         if self.settings.model:
             self._estimator.load(Path(self.settings.model))
@@ -124,11 +122,7 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         """Whether the process of the fits runs."""
         return self._worker.ready
 
-    def _on_trigger(self, data: bytes) -> None:
-        self._estimator.trigger(self._triggers.read(data)[0])
-
-    def _on_measured(self, topic: Topic, reader: Reader, data: bytes) -> None:
-        stamp, value = reader.read(data)
+    def _on_measured(self, topic: Topic, stamp: int, value: Any) -> None:
         force_map, wrench, forces = self._estimator.add(topic, stamp, value)
         if force_map is not None:
             self._publish_map(stamp, force_map)

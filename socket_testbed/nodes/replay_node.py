@@ -134,9 +134,12 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         self._bag = BagReader(self._trial.path)
         self._bag.__enter__()
         self._topics = self._replayed_topics()
+        waits = bool(settings.wait_for)  # then what is required goes to somebody
         wanted = f"{full_namespace(settings.namespace).rstrip('/')}/" if settings.namespace else ""
         self._by_topic = {
-            name: self.advertise(topic, wanted + topic.name if wanted else name)
+            name: self.advertise(
+                topic, wanted + topic.name if wanted else name, topic.required and waits
+            )
             for name, topic in self._topics.items()
         }
         decoded = (TRIGGER, WRENCH, SOCKET_POSE, PYLON_POSE)
@@ -264,15 +267,12 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         if not self._followers:
             # Subscribers are found within the time of a discovery.
             self._pacer.rest(_DISCOVERY)
-        outputs = {publisher.topic_name: publisher for publisher in self._by_topic.values()}
-        kinds = zip(outputs, self._topics.values(), strict=True)
-        required = [name for name, topic in kinds if topic.required]
-        needed = frozenset(required if self._followers else ())
-        lacking = self._followers.await_links(outputs, needed, _READY_WITHIN)
-        for name in required:
-            if self.count_publishers(name) > 1:
+        lacking = self._followers.await_links(_READY_WITHIN)
+        for name, publisher in self._by_topic.items():
+            topic = publisher.topic_name
+            if self._topics[name].required and self.count_publishers(topic) > 1:
                 raise TrialError(
-                    f"another program publishes {name} on this ROS_DOMAIN_ID",
+                    f"another program publishes {topic} on this ROS_DOMAIN_ID",
                     "end it, or set another ROS_DOMAIN_ID: two trials must not mix",
                 )
         if lacking:

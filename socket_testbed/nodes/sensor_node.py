@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import queue
 import threading
+from typing import Any
 
 from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock, TriggerPeriod, TriggerTime
 from socket_testbed.nodes.base import OK, WARN, RecentFault, S, TestbedNode
-from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.topics import TRIGGER
 
 _IDLE = 0.3  # [s]; without a trigger
@@ -38,7 +38,6 @@ class SensorNode(TestbedNode[S]):
         self.period = 0.0
         self._trigger_time = TriggerTime(SteadyClock())
         self._trigger_period = TriggerPeriod()
-        self._triggers = Reader(TRIGGER)
         self._due: queue.SimpleQueue[tuple[int, float, float] | None] = queue.SimpleQueue()
         self._measuring = threading.Thread(target=self._run, name="measure")
 
@@ -55,7 +54,7 @@ class SensorNode(TestbedNode[S]):
 
     def follow_triggers(self) -> None:
         """Measure from now on."""
-        self.listen(TRIGGER, self._on_trigger, raw=True)
+        self.follow(TRIGGER, self._on_trigger)
         self._measuring.start()
 
     def close(self) -> None:
@@ -82,8 +81,7 @@ class SensorNode(TestbedNode[S]):
             )
         self.report(level, message)
 
-    def _on_trigger(self, data: bytes) -> None:
-        stamp, sequence = self._triggers.read(data)
+    def _on_trigger(self, stamp: int, sequence: Any) -> None:
         moment = self._trigger_time.steady(stamp, clocks.monotonic())
         self._due.put((stamp, moment, self._trigger_period.add(stamp, int(sequence))))
 

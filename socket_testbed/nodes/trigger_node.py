@@ -21,7 +21,7 @@ from socket_testbed.errors import DeviceError
 from socket_testbed.live.hardware import make_trigger, wall_clock
 from socket_testbed.nodes.base import ERROR, OK, WARN, Followers, RecentFault, TestbedNode
 from socket_testbed.settings.acquisition import TriggerSettings
-from socket_testbed.trials.messages import Reader, trigger_packer
+from socket_testbed.trials.messages import trigger_packer
 from socket_testbed.trials.topics import TRIGGER
 
 _READY_WITHIN = 60.0  # [s] of real time; for the nodes waited for
@@ -52,8 +52,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         self._foreign = 0.0
         self._output = self.advertise(TRIGGER)
         self._pack = trigger_packer()
-        self._triggers = Reader(TRIGGER)
-        self.listen(TRIGGER, self._on_trigger, needed=False, raw=True)
+        self.follow(TRIGGER, self._on_trigger, needed=False)
         self._followers = Followers(self, settings.wait_for, self._stopping.is_set)
         self.serve(SetBool, "trigger/enable", self._on_enable)
         self._thread = threading.Thread(target=self._run, name="trigger")
@@ -79,9 +78,8 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         settings = self.settings
         return "" if settings.source == "timer" else f"{settings.chip} line {settings.output_line}"
 
-    def _on_trigger(self, data: bytes) -> None:
+    def _on_trigger(self, stamp: int, sequence: int) -> None:
         """Hear whether another testbed triggers the same nodes."""
-        stamp, _ = self._triggers.read(data)
         if stamp not in self._own:
             self._foreign = clocks.monotonic()
 
@@ -95,8 +93,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
     def _run(self) -> None:
         with self.until_ros_ends():
             # The nodes that measure are linked before the first trigger.
-            outputs = {TRIGGER.name: self._output}
-            if lacking := self._followers.await_links(outputs, frozenset(), _READY_WITHIN):
+            if lacking := self._followers.await_links(_READY_WITHIN):
                 self.get_logger().warning(f"triggering without waiting any longer for {lacking}")
             due = clocks.monotonic()
             while not self._stopping.is_set():

@@ -335,3 +335,6 @@ def test_a_stored_model_predicts_from_the_first_sample_unless_it_is_of_another_s
     assert bench.estimator.state == (0, f"predicting with the model of {reported.trial}")
     bench.send(2, start=2)
     assert list(bench.predicted) == [2, 3]
+    for topic, value in bench.values(np.nan).items():  # a marker is occluded
+        bench.add(topic, 4, value)
+    assert np.isnan(bench.predicted[4]).all()

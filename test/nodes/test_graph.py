@@ -25,16 +25,17 @@ from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import write_socket
 from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.model_file import read_model
-from socket_testbed.live.bringup import replay_with_estimator
+from socket_testbed.live.bringup import record_estimates
 from socket_testbed.live.processes import Graph
-from socket_testbed.nodes.listeners import EstimateListener
 from socket_testbed.settings.testbed import (
     CalibrationNodeSettings,
     EstimatorSettings,
     ReplaySettings,
     WindowSettings,
 )
+from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.layout import stamp_of
+from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.topics import (
     CAPACITANCE,
     ESTIMATED_WRENCH,
@@ -57,29 +58,30 @@ pytestmark = pytest.mark.graph
 NO_FIT = EstimatorSettings(auto_fit=False)
 
 
-def test_every_sample_is_predicted_as_the_model_does_offline(hold: Path, hold_model: Path) -> None:
-    trial = Trial(hold)
+def test_every_sample_is_predicted_as_the_model_does_offline(
+    hold: Path, hold_model: Path, tmp_path: Path
+) -> None:
+    trial, path = Trial(hold), tmp_path / "replayed"
     settings = dataclasses.replace(NO_FIT, model=str(hold_model))
-    replay = ReplaySettings(trial=str(hold), rate=50.0, wait_for=(EstimateListener.NAME,))
-    with EstimateListener() as listener:
-        replay_with_estimator(trial, replay, settings)
-        stamps = trial.samples().stamps.tolist()
-        assert [len(found) for found in listener.estimates.values()] == [240, 240, 240]
-        wrench, forces, maps = (listener.series(topic, stamps) for topic in listener.estimates)
-        assert listener.models == 1
+    record_estimates(trial, ReplaySettings(trial=str(hold), rate=50.0), settings, path)
+    found = {}
+    with BagReader(path) as bag:
+        assert bag.counts[f"/{PARAMETERS.name}"] == 1
+        for topic in (ESTIMATED_WRENCH, LOCAL_FORCES, FORCE_MAP):
+            reader = Reader(topic)
+            found[topic] = dict(reader.read(r.data) for r in bag.messages([f"/{topic.name}"]))
     model = read_model(hold_model).model
     samples = trial.samples()
+    assert all(set(stamps) == set(samples.stamps.tolist()) for stamps in found.values())
+    wrench, forces, maps = ([of[s] for s in samples.stamps.tolist()] for of in found.values())
     np.testing.assert_allclose(wrench, model.wrench(samples.pose), atol=1e-9)
     np.testing.assert_allclose(forces, model.forces(samples.pose), atol=1e-9)
-    # Where a marker was occluded the prediction is NaN, never an old one.
-    assert np.isnan(wrench[np.isnan(samples.pose).any(axis=1)]).all()
     # The force map is that of a running mean of the evidence, and asks for no marker.
     running = ForceMap(trial.geometry, samples.clusters)
-    for row, (values, deviations) in enumerate(maps):
+    for row, (_, fields) in enumerate(maps):
         expected = running.update(samples[row : row + 1])
-        np.testing.assert_allclose(values[:, :3], expected.forces[0], atol=1e-9)
-        np.testing.assert_allclose(deviations[:, :3], expected.standard_deviations[0], atol=1e-9)
-        np.testing.assert_allclose(values[:, 3], expected.normal_pressure[0])
+        for name in ("forces", "standard_deviations", "normal_pressure"):
+            np.testing.assert_allclose(fields[name], getattr(expected, name), atol=1e-9)
 
 
 def test_a_replay_keeps_no_more_ahead_than_writers_send_again(hold: Path) -> None:
