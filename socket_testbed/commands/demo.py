@@ -149,7 +149,7 @@ def _run_live(path: Path, seed: int, scale: float, log: Path) -> None:
     """Record a trial of the simulated testbed at a time scale [-], unless it falls behind."""
     # ROS is imported only where a graph runs: the rest works without it.
     require_ros()
-    from socket_testbed.nodes.listeners import StatusListener
+    from socket_testbed.nodes.controls import StatusListener
 
     protocol = Simulation("protocol", _DURATION, seed, pace=_PACE, time_scale=scale)
     testbed = simulated_testbed(record=path, rate=_TRIGGER_RATE, simulation=protocol)

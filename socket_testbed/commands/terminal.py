@@ -27,7 +27,7 @@ from socket_testbed.tables import NOTHING, Table
 from socket_testbed.trials.topics import full_namespace
 
 if TYPE_CHECKING:
-    from socket_testbed.nodes.listeners import StatusListener
+    from socket_testbed.nodes.controls import StatusListener
 
 _PERIOD = 0.5  # [s]; between two drawings
 _LOGGED_PERIOD = 60.0  # [s]; where nothing can be drawn over
@@ -170,7 +170,7 @@ class StatusLine:
     def follow(self, namespace: str = "/") -> None:
         """Count what the graph in a namespace measures, from now on."""
         # ROS is imported only where a graph runs: the rest works without it.
-        from socket_testbed.nodes.listeners import StatusListener
+        from socket_testbed.nodes.controls import StatusListener
 
         listener = StatusListener(self._status, full_namespace(namespace), self._pause)
         self._stack.callback(listener.close)

@@ -16,17 +16,19 @@ import select
 import signal
 import sys
 from collections.abc import Callable
+from contextlib import ExitStack, suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 try:
     import rclpy
-    from rclpy.node import Node
+    from rclpy.executors import ExternalShutdownException
+    from rclpy.experimental.events_executor import EventsExecutor
 
     from socket_testbed.errors import ConfigurationError, TestbedError, closest
     from socket_testbed.live.processes import RESTARTED, SPARE, end_with_starter, schedule
-    from socket_testbed.nodes.base import TestbedNode, spin
+    from socket_testbed.nodes.base import TestbedNode
     from socket_testbed.settings.acquisition import SchedulingSettings
     from socket_testbed.settings.testbed import TestbedSettings
 except ModuleNotFoundError as error:
@@ -43,8 +45,7 @@ _SWITCH = 5e-4  # [s]; a thread that is due waits no longer for one that compute
 def main() -> None:
     """Run the nodes that are named until one has finished or the process is to end, and exit."""
     program, *words = sys.argv
-    known = TestbedSettings().nodes()
-    if Path(program).name in known:
+    if Path(program).name in TestbedSettings().nodes():
         words = [Path(program).name, *words]
     sys.exit(_run(_split(words)[0]))
 
@@ -74,31 +75,27 @@ def _run(names: list[str]) -> int:
     sys.setswitchinterval(_SWITCH)
     rclpy.init()
     end_with_starter()
-    nodes: list[TestbedNode[Any]] = []
-    ready: Node | None = None
     try:
-        if names == [SPARE]:
-            # The others know a process that has a node, and as long as it has one.
-            ready = rclpy.create_node("_spare", start_parameter_services=False, enable_rosout=False)
-            names, TestbedNode.arguments = _split(_await_place())
-            if not names:
-                return 0
-        try:
+        with ExitStack() as stack:
+            ready = None
+            if names == [SPARE]:
+                # The others know a process that has a node, and as long as it has one.
+                plain = {"start_parameter_services": False, "enable_rosout": False}
+                ready = rclpy.create_node("_spare", **plain)
+                names, TestbedNode.arguments = _split(_await_place())
+            nodes = []
             for name in names:
                 nodes.append(_node_class(name)())
-                _schedule(nodes[-1])
+                stack.callback(nodes[-1].destroy_node)
+                stack.callback(nodes[-1].close)
+                # As a node that measures wants it; without the right, it goes on.
+                wanted = getattr(nodes[-1].settings, "scheduling", SchedulingSettings())
+                for line in schedule(wanted):
+                    nodes[-1].get_logger().warning(line)
             if ready is not None:
                 ready.destroy_node()
-            # What is there now stays: looking through it for garbage would hold up a trigger by
-            # 30 ms.
-            gc.collect()
-            gc.freeze()
-            spin(nodes)
-        finally:
-            for node in nodes:
-                node.close()
-            for node in nodes:
-                node.destroy_node()
+            if nodes:
+                _spin(nodes)
     except TestbedError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1
@@ -123,11 +120,18 @@ def _await_place() -> list[str]:
     return words
 
 
-def _schedule(node: TestbedNode[Any]) -> None:
-    """Schedule the process as a node that measures wants it; without the right, it goes on."""
-    settings = getattr(node.settings, "scheduling", SchedulingSettings())
-    for line in schedule(settings):
-        node.get_logger().warning(line)
+def _spin(nodes: list[TestbedNode[Any]]) -> None:
+    # What is there now stays: looking through it for garbage would hold up a trigger by 30 ms.
+    gc.collect()
+    gc.freeze()
+    executor = EventsExecutor()
+    for node in nodes:
+        executor.add_node(node)
+    with suppress(ExternalShutdownException):
+        # spin() of the events executor overflows its wait in Jazzy's release; this does not. The
+        # end of the first node is noticed at once.
+        while rclpy.ok() and not any(node.finished.done() for node in nodes):
+            executor.spin_until_future_complete(nodes[0].finished, timeout_sec=_POLL)
 
 
 if __name__ == "__main__":

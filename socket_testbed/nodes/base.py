@@ -15,16 +15,15 @@ import sys
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
 from itertools import chain
 from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
-import rclpy
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import (
@@ -35,8 +34,6 @@ from rcl_interfaces.msg import (
 )
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
-from rclpy.executors import ExternalShutdownException
-from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
@@ -68,7 +65,6 @@ _PERIOD = 1.0  # [s]
 _CHECKED = 0.1  # [s]; how often the links and the node are checked
 _RECENT = 0.5  # [s]
 _POLL = 0.02  # [s]
-_END = 0.2  # [s]; how often the executor checks whether it is to end
 
 S = TypeVar("S", bound=Settings)
 
@@ -164,20 +160,6 @@ class RecentFault:
         return text if clocks.monotonic() - when < recent else ""
 
 
-def spin(nodes: Sequence[TestbedNode[Any]]) -> None:
-    """Work until a node has finished, the first of which is noticed at once, or ROS ends."""
-    executor = EventsExecutor()
-    for node in nodes:
-        executor.add_node(node)
-    with suppress(ExternalShutdownException):
-        # spin() of the events executor overflows its wait in Jazzy's release; this does not.
-        while rclpy.ok() and not any(node.finished.done() for node in nodes):
-            executor.spin_until_future_complete(nodes[0].finished, timeout_sec=_END)
-    for node in nodes:  # it holds on to their entities
-        executor.remove_node(node)
-    executor.shutdown()
-
-
 class TestbedNode(Node, Generic[S]):
     """A node with settings, topics, services and diagnostics.
 
@@ -218,9 +200,7 @@ class TestbedNode(Node, Generic[S]):
         self._diagnostics = self.create_publisher(
             DiagnosticArray, DIAGNOSTICS.name, publisher_qos(DIAGNOSTICS)
         )
-        # A steady clock: diagnostics go on when the system clock jumps or the replay pauses.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._diagnostics_timer = self.create_timer(_CHECKED, self._check, clock=steady)
+        self.repeat(_CHECKED, self._check)
 
     # What a node overrides.
 
@@ -254,6 +234,10 @@ class TestbedNode(Node, Generic[S]):
         except Exception:
             if self.context.ok():
                 raise
+
+    def repeat(self, period: float, callback: Callable[[], None]) -> None:
+        """Call back at every period [s]; even when the system clock jumps or a replay pauses."""
+        self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def advertise(self, topic: Topic, name: str = "", needed: bool = False) -> Publisher:
         """A publisher, under another name if given; needed, it is linked only with a subscriber."""

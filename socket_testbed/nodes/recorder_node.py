@@ -26,7 +26,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rclpy.clock import Clock, ClockType
 from rclpy.parameter import Parameter
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
@@ -78,8 +77,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             callback = partial(self._on_message, name)
             self.listen(topic, callback, name, needed=topic.required, raw=True)
         self.serve(SetBool, "recorder/record", self._on_record)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._flusher = self.create_timer(settings.flush_period, self._flush, clock=steady)
+        self.repeat(settings.flush_period, self._flush)
         self._announce()
         if settings.record:
             self._start_over(self._directory)

@@ -27,7 +27,6 @@ from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.data_check import LOOK
-from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import Quantity, RegionOutputs
 from socket_testbed.nodes.base import (
     ELAPSED,
@@ -69,6 +68,7 @@ _IDLE = 3.0  # [s] without a question: no browser is open
 _DEPTHS = {FORCE_MAP: 1, WRENCH: 50, ESTIMATED_WRENCH: 50, STRESS: 1, REGIONS: 5}
 _MOST_WRENCHES = 200  # kept to find that of the regions
 _HISTORY = 30.0  # [s]; of the course
+_NO_PRESSURES = np.zeros(0)  # [Pa]
 _NOTHING = (np.full(3, np.nan), Status.MISSING)  # stress and status of no cluster
 _COUNTS = ("samples", "triggers", "messages", "maps")  # among the figures of a node
 _SIGNS = ("\N{BLACK CIRCLE}", "\N{BLACK UP-POINTING TRIANGLE}", "\N{BLACK SQUARE}")
@@ -112,11 +112,12 @@ class LiveSource:
         self._newest: dict[Topic, tuple[int, Any, float]] = {}  # stamp [ns], values, arrival [s]
         self._wrenches: dict[int, FloatArray] = {}  # by stamp [ns]
         self._first = 0  # [ns]
+        self._foreign = False  # whether the newest map is of another socket
         self._sensors: dict[str, tuple[DiagnosticArray, float]] = {}
         self._rates: dict[str, tuple[float, float, float]] = {}  # count, time [s], rate [Hz]
         self._trial = ("", 0.0)
         self._places = all_regions(geometry)
-        self._measured: list[Any] = []  # pressure by cluster [kPa]
+        self._measured = _NO_PRESSURES  # by cluster [Pa]
         self._shown: Document = {}  # cards but for the data, bars, course
         self._shown_at = -math.inf  # [s]
         self._course: deque[tuple[float, ...]] = deque()  # time [s], force [N], peak and ends [Pa]
@@ -187,6 +188,10 @@ class LiveSource:
         now = clocks.monotonic()
         for topic in (FORCE_MAP, WRENCH, ESTIMATED_WRENCH):
             for stamp, values in self._read(inbox, topic):
+                if topic is FORCE_MAP:
+                    self._foreign = values[0] != self._geometry.names
+                    if self._foreign:
+                        continue
                 self._newest[topic] = stamp, values, now
                 if topic is WRENCH:
                     if self._wrenches and stamp < next(iter(self._wrenches)):
@@ -202,15 +207,14 @@ class LiveSource:
         """Take what the clusters measure, and the outputs by region with their map."""
         now, geometry, places = clocks.monotonic(), self._geometry, self._places
         if now - self._shown_at > _OLD:
-            self._shown, self._measured = {}, []
+            self._shown, self._measured = {}, _NO_PRESSURES
         for _, stresses in self._read(inbox, STRESS):
             of_clusters = [stresses.get(name, _NOTHING) for name in geometry.clusters]
             normal = [s[0] if status == Status.OK else np.nan for s, status in of_clusters]
-            self._measured = numbers(1e-3 * np.array(normal), 1)
+            self._measured = np.array(normal)
         for stamp, (names, outputs) in self._read(inbox, REGIONS):
-            _, mapped, _ = self._newest.get(FORCE_MAP, (0, None, 0.0))
-            known = tuple(place.name for place in places) == names
-            if mapped is None or mapped[0] != geometry.names or not known:
+            mapped = self._recent(FORCE_MAP)
+            if mapped is None or names != tuple(place.name for place in places):
                 continue
             of = _region_outputs(outputs)
             wrench = self._wrenches.get(stamp, np.full(6, np.nan))
@@ -229,18 +233,13 @@ class LiveSource:
 
     def _moment(self) -> Document:
         """The newest map."""
-        stamp, found, _ = self._newest.get(FORCE_MAP, (0, None, 0.0))
-        if found is None or self._recent(FORCE_MAP) is None or found[0] != self._geometry.names:
+        found = self._recent(FORCE_MAP)
+        if found is None:
             return {"time": 0.0, "words": "no force map"}
-        estimate = MapEstimate(**found[1])
-        shown = moment(
-            1e-9 * (stamp - self._first),
-            estimate.normal_pressure[0],
-            estimate.normal_pressure_standard_deviation[0],
-            estimate.shear[0],
-            np.full(0, np.nan),
-        )
-        return shown | {"measured": self._measured}
+        names = ("normal_pressure", "normal_pressure_standard_deviation", "shear")
+        pressure, deviation, shear = (found[1][name][0] for name in names)
+        time = 1e-9 * (self._newest[FORCE_MAP][0] - self._first)
+        return moment(time, pressure, deviation, shear, self._measured)
 
     def _recent(self, topic: Topic) -> Any:
         """The newest values; None where they came long ago."""
@@ -259,8 +258,7 @@ class LiveSource:
             shown = f"{rate:.3g} Hz" if math.isfinite(rate) else ""
             rows.append([_SIGNS[min(level, 2)], title, words, shown])
             bad += [(level, f"{title}: {words}")] * (level > 0)
-        _, found, _ = self._newest.get(FORCE_MAP, (0, None, 0.0))
-        if found is not None and found[0] != self._geometry.names:
+        if self._foreign:
             bad.append((3, "the force map is of another socket: give 'view' its --geometry"))
         if bad:
             words = max(bad)[1].removeprefix(f"estimator: {LOOK}")

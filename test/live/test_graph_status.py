@@ -10,7 +10,7 @@ from support.bags import pose_vector, wrench_vector
 from support.messages import Maker
 
 from socket_testbed.live.graph_status import MEASURED, GraphStatus
-from socket_testbed.nodes.listeners import StatusListener
+from socket_testbed.nodes.controls import StatusListener
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.layout import decode, stamp_of, typestore
 from socket_testbed.trials.topics import (
