@@ -2,7 +2,7 @@
 
 import dataclasses
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +12,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
 from socket_testbed_msgs import msg
 from support import CHECKOUT
-from support.bags import pose_vector, wrench_vector
-from support.messages import Maker
+from support.bags import wrench_vector
+from support.messages import Maker, numbers_of
 from visualization_msgs.msg import Marker, MarkerArray
 
 from socket_testbed.files import packaged
@@ -24,6 +24,7 @@ from socket_testbed.nodes.base import header_to_ros, message_type
 from socket_testbed.nodes.estimator_node import PressureMap, model_message
 from socket_testbed.samples import Status
 from socket_testbed.trials.layout import (
+    decode,
     encode,
     fields_of,
     make_message,
@@ -112,66 +113,24 @@ def test_the_messages_are_the_contract_s_with_a_unit_a_field() -> None:
             assert not line or line.startswith("#") or re.search(r"#.*\[[^\]]+\]", line), line
 
 
-def xyz(vectors: Any) -> np.ndarray:
-    return np.array([(v.x, v.y, v.z) for v in vectors]).reshape(-1, 3)
-
-
-def names_of(parts: Any) -> tuple[str, ...]:
-    return tuple(part.name for part in parts)
-
-
-def stack(parts: Any, *fields: str) -> np.ndarray:
-    """Numbers of each part of a message, (parts, ...)."""
-    columns = 4 if len(fields) == 1 else len(fields)
-    rows = [np.ravel([getattr(part, field) for field in fields]) for part in parts]
-    return np.array(rows).reshape(-1, columns)
-
-
-def estimate_of(m: Any) -> MapEstimate:
-    numbers = (m.normal_pressure, m.normal_pressure_standard_deviation)
-    numbers += (m.shear, m.shear_standard_deviation)
-    vectors = (xyz(m.forces)[None], xyz(m.standard_deviations)[None])
-    return MapEstimate(*vectors, *(np.array(values)[None] for values in numbers), m.source)
-
-
-STRESSES = ("normal", "shear_x", "shear_y")
-# By topic: what its reader gives of a message, and the message of a stamp that these values make.
-CASES: dict[Topic, tuple[Callable[[Any], Any], Callable[[int, Any, Any], bytes]]] = {
-    TRIGGER: (lambda m: m.sequence, lambda t, v, m: trigger_packer()(t, v)),
-    WRENCH: (lambda m: wrench_vector(m.wrench), lambda t, v, m: wrench_packer()(t, v)),
-    SOCKET_POSE: (lambda m: pose_vector(m.pose), lambda t, v, m: pose_packer()(t, v)),
-    LOAD_CELL_RAW: (
-        lambda m: [*m.ratios, *wrench_vector(m.tare)],
-        lambda t, v, m: load_cell_raw_packer()(
-            t, 1e3 * v[:6], v[6:], nanoseconds(m.tared), m.status
-        ),
+# By topic: what packs the values that are read of a message m, with a stamp.
+PACK: dict[Topic, Callable[[int, Any, Any], bytes]] = {
+    TRIGGER: lambda t, v, m: trigger_packer()(t, v),
+    WRENCH: lambda t, v, m: wrench_packer()(t, v),
+    SOCKET_POSE: lambda t, v, m: pose_packer()(t, v),
+    LOAD_CELL_RAW: lambda t, v, m: load_cell_raw_packer()(
+        t, 1e3 * v[:6], v[6:], nanoseconds(m.tared), m.status
     ),
-    CAPACITANCE: (
-        lambda m: (
-            names_of(m.clusters), stack(m.clusters, "capacitance"), stack(m.clusters, "status"),
-        ),
-        lambda t, v, m: capacitance_packer(v.names)(t, v.capacitance, v.status),
+    CAPACITANCE: lambda t, v, m: capacitance_packer(v.names)(t, v.capacitance, v.status),
+    STRESS: lambda t, v, m: stress_packer(list(v))(
+        t, np.array([s for s, _ in v.values()]), np.array([s for _, s in v.values()], np.uint8)
     ),
-    STRESS: (
-        lambda m: {c.name: (stack([c], *STRESSES)[0], c.status) for c in m.clusters},
-        lambda t, v, m: stress_packer(list(v))(
-            t, np.array([s for s, _ in v.values()]), np.array([s for _, s in v.values()], np.uint8)
-        ),
+    MARKERS: lambda t, v, m: markers_packer({name: len(seen) for name, seen in v})(
+        t, [seen for _, seen in v]
     ),
-    MARKERS: (
-        lambda m: [(body.name, xyz(body.markers)) for body in m.bodies],
-        lambda t, v, m: markers_packer({name: len(seen) for name, seen in v})(
-            t, [seen for _, seen in v]
-        ),
-    ),
-    LOCAL_FORCES: (
-        lambda m: xyz(m.forces), lambda t, v, m: local_forces_packer(m.names)(t, v),
-    ),
-    FORCE_MAP: (
-        lambda m: (tuple(m.names), vars(estimate_of(m))),
-        lambda t, v, m: force_map_packer(v[0])(t, MapEstimate(**v[1])),
-    ),
-}  # fmt: skip
+    LOCAL_FORCES: lambda t, v, m: local_forces_packer(m.names)(t, v),
+    FORCE_MAP: lambda t, v, m: force_map_packer(v[0])(t, MapEstimate(**v[1])),
+}
 
 
 def ros_message(topic: Topic, seed: int) -> Any:
@@ -191,22 +150,52 @@ def ros_message(topic: Topic, seed: int) -> Any:
     return message
 
 
-@pytest.mark.parametrize("topic", CASES, ids=lambda topic: topic.name)
+def flat(values: Any) -> Iterator[float]:
+    """All numbers in what was read, in their order."""
+    if isinstance(values, dict | list | tuple):
+        for own in values.values() if isinstance(values, dict) else values:
+            yield from flat(own)
+    elif not isinstance(values, str):
+        yield from np.ravel(values).tolist()
+
+
+@pytest.mark.parametrize("topic", PACK, ids=lambda topic: topic.name)
 def test_what_ros_sends_is_read_and_what_is_packed_is_what_ros_sends(topic: Topic) -> None:
     """Even after a message with other names, other counts, or in another frame."""
-    values_of, pack = CASES[topic]
     reader = Reader(topic)
     for seed in range(24):
         message = ros_message(topic, seed)
-        stamp, values = reader.read(serialize_message(message))
+        data = serialize_message(message)
+        stamp, values = reader.read(data)
         assert stamp == stamp_of(message) and type(stamp) is int
-        np.testing.assert_equal(values, values_of(message))
+        if topic is WRENCH:
+            expected = [*wrench_vector(message.wrench)]
+        elif topic is LOAD_CELL_RAW:
+            expected = [*message.ratios, *wrench_vector(message.tare)]
+        elif topic is CAPACITANCE:
+            expected = [x for c in message.clusters for x in c.capacitance]
+            expected += [x for c in message.clusters for x in c.status]
+        else:
+            expected = numbers_of(decode(data, topic.type), topic.type)[2:]
+        np.testing.assert_equal(list(flat(values)), expected)
         message.header.frame_id = "world" if topic in (SOCKET_POSE, MARKERS) else "load_cell"
-        packed = pack(stamp, values, message)
+        packed = PACK[topic](stamp, values, message)
         assert len(packed) == len(serialize_message(message))
         if topic is LOAD_CELL_RAW:
             message.ratios = 1e-3 * (1e3 * message.ratios)
         assert repr(deserialize_message(packed, type(message))) == repr(message)
+
+
+def test_two_clusters_of_one_name_are_missing() -> None:
+    clusters = [{"name": name, "normal": 1.0} for name in ("distal", "distal", "other")]
+    data = encode(make_message(STRESS.type, clusters=clusters), STRESS.type)
+    found = Reader(STRESS).read(data)[1]
+    assert np.isnan(found["distal"][0]).all() and found["distal"][1] == Status.MISSING
+    assert found["other"][1] == Status.OK
+
+
+def xyz(vectors: Any) -> np.ndarray:
+    return np.array([(v.x, v.y, v.z) for v in vectors]).reshape(-1, 3)
 
 
 def test_a_model_is_sent_as_it_is_stored(hold_model: Path) -> None:
@@ -222,66 +211,40 @@ def test_a_model_is_sent_as_it_is_stored(hold_model: Path) -> None:
     assert (sent.samples, sent.solver_status) == (stored.samples, stored.status)
 
 
-def made_up_map(seed: int = 0, **fixed: float) -> MapEstimate:
-    rng, count = np.random.default_rng(seed), len(GEOMETRY)
-    scalars = (rng.uniform(0.0, 4e4, (1, count)) for _ in range(4))
-    estimate = MapEstimate(
-        rng.normal(size=(1, count, 3)), rng.uniform(size=(1, count, 3)), *scalars, "made up"
+def test_tiles_are_drawn_where_they_are_their_forces_as_arrows_what_is_uncertain_is_faint() -> None:
+    rng, count = np.random.default_rng(0), len(GEOMETRY)
+    scalars = [rng.uniform(0.0, 4e4, (1, count)) for _ in range(4)]
+    vectors = rng.normal(size=(2, 1, count, 3))
+    pressures = np.resize([-1e4, 0.0, 1e4, 2e4, 3e4, 9e4], count)
+    scalars[:2] = pressures[None], np.full((1, count), 1e3)
+    estimate = MapEstimate(vectors[0], abs(vectors[1]), *scalars, "made up")
+    unsure = dataclasses.replace(
+        estimate, normal_pressure_standard_deviation=np.linspace(0.0, 5e4, count)[None]
     )
-    return dataclasses.replace(
-        estimate, **{name: np.full((1, count), value) for name, value in fixed.items()}
-    )
-
-
-def drawn(estimate: MapEstimate) -> list[Marker]:
-    """The markers of a message that is as long as one that ROS sends; another one went before."""
     picture = PressureMap(GEOMETRY)
-    picture.serialised(1, made_up_map(1))
-    sent = picture.serialised(STAMP, estimate)
+    faint = deserialize_message(picture.serialised(1, unsure), MarkerArray).markers[::2]
+    opacities = [tile.color.a for tile in faint]
+    assert opacities == sorted(opacities, reverse=True) and opacities[0] == 1.0 and opacities[-1]
+    sent = picture.serialised(STAMP, estimate)  # another one went before
     message = deserialize_message(sent, MarkerArray)
-    assert len(sent) == len(serialize_message(message))
-    return list(message.markers)
-
-
-def test_the_colour_is_the_normal_pressure_and_what_is_uncertain_is_faint() -> None:
-    def colour(pressure: float, deviation: float = 1e3) -> Any:
-        given = {"normal_pressure": pressure, "normal_pressure_standard_deviation": deviation}
-        return drawn(made_up_map(**given))[0].color
-
-    green = [colour(pressure).g for pressure in (-1e4, 0.0, 1e4, 2e4, 3e4, 9e4)]
+    assert len(sent) == len(serialize_message(message)) and len(message.markers) == 2 * count
+    for marker in message.markers:  # it ends by itself
+        assert 0 < marker.lifetime.sec < 10 and marker.header == header_to_ros(STAMP)
+    green = [tile.color.g for tile in message.markers[:12:2]]
     assert green == sorted(green, reverse=True)
     assert green[0] == green[1] and green[-1] == green[-2] == 0.0
-    opacity = [colour(1e4, deviation).a for deviation in (0.0, 2e3, 5e3, 9e3, 5e4)]
-    assert opacity == sorted(opacity, reverse=True) and opacity[0] == 1.0
-
-
-def test_tiles_cover_their_areas_and_face_outwards_and_arrows_start_at_them() -> None:
-    estimate = made_up_map()
-    found = drawn(estimate)
-    assert len(found) == 2 * len(GEOMETRY)
-    for marker in found:  # it ends by itself
-        assert 0 < marker.lifetime.sec < 10 and marker.header == header_to_ros(STAMP)
-    for i, (tile, arrow) in enumerate(zip(found[::2], found[1::2], strict=True)):
-        assert tile.type == Marker.TRIANGLE_LIST and (tile.scale.x, tile.color.a > 0.0) == (1, True)
+    for i in range(count):
+        tile, arrow = message.markers[2 * i : 2 * i + 2]
+        assert tile.type == Marker.TRIANGLE_LIST and tile.scale.x == 1.0
         assert (tile.ns, tile.id, arrow.ns, arrow.id) == ("tiles", i, "forces", i)
-        q, p = tile.pose.orientation, tile.pose.position
+        q = tile.pose.orientation
         turn = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
-        corners = np.array([(c.x, c.y, c.z) for c in tile.points]) @ turn.T + (p.x, p.y, p.z)
-        sides = corners.reshape(2, 3, 3)
+        sides = (xyz(tile.points) @ turn.T + xyz([tile.pose.position])).reshape(2, 3, 3)
         normals = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0])
         assert 0.5 * np.linalg.norm(normals, axis=1).sum() == pytest.approx(GEOMETRY.areas[i])
         outwards = -GEOMETRY.rotations[i][:, 2]
         np.testing.assert_allclose(normals / np.linalg.norm(normals[0]), [outwards] * 2, atol=1e-9)
         np.testing.assert_allclose(sides.mean(axis=(0, 1)), GEOMETRY.anchors[i], atol=0.02)
-        (start, tip) = ([p.x, p.y, p.z] for p in arrow.points)
+        start, tip = xyz(arrow.points)
         np.testing.assert_allclose(start, GEOMETRY.anchors[i])
-        np.testing.assert_allclose(np.subtract(tip, start), 0.002 * estimate.forces[0, i])
-
-
-def test_two_clusters_of_one_name_are_missing() -> None:
-    clusters = [{"name": name, "normal": 1.0} for name in ("distal", "distal", "other")]
-    data, reader = encode(make_message(STRESS.type, clusters=clusters), STRESS.type), Reader(STRESS)
-    for _ in range(2):
-        found = reader.read(data)[1]
-        assert np.isnan(found["distal"][0]).all() and found["distal"][1] == Status.MISSING
-        assert found["other"][1] == Status.OK
+        np.testing.assert_allclose(tip - start, 0.002 * estimate.forces[0, i])
