@@ -3,30 +3,27 @@
 from dataclasses import replace
 from pathlib import Path
 
-import pytest
+from support.wording import refused
 
-from socket_testbed.errors import ConfigurationError
+from socket_testbed.errors import TestbedError
 from socket_testbed.live.bringup import simulated_testbed
 from socket_testbed.settings.testbed import RecorderSettings
 from socket_testbed.trials.metadata import TrialMetadata, read_metadata, write_metadata
 
 
-def test_what_the_call_states_goes_over_what_the_settings_name(tmp_path: Path) -> None:
-    study, folder = tmp_path / "study.yaml", tmp_path / "graph"
-    folder.mkdir()
+def test_metadata_of_the_call_goes_over_the_settings_and_a_wrong_name_is_refused(
+    tmp_path: Path,
+) -> None:
+    study = tmp_path / "study.yaml"
     write_metadata(TrialMetadata(protocol="walk", side="left"), study)
     testbed = simulated_testbed(record=tmp_path / "trial")
-
-    def stored(named: Path, stated: TrialMetadata) -> TrialMetadata:
-        """What the recorder is given to store."""
-        settings = replace(testbed.settings, recorder_node=RecorderSettings(metadata=str(named)))
-        nodes = replace(testbed, settings=settings, metadata=stated).nodes(folder)
-        (recorder,) = (node.settings for node in nodes if node.name == "recorder_node")
-        return read_metadata(Path(recorder.metadata))  # type: ignore[attr-defined]
-
-    assert stored(study, TrialMetadata()) == read_metadata(study)
-    both = stored(study, TrialMetadata("S01", "right"))
-    assert both == TrialMetadata("S01", "right", protocol="walk")
+    settings = replace(testbed.settings, recorder_node=RecorderSettings(metadata=str(study)))
+    stated = TrialMetadata("S01", "right")
+    recorder, *_ = replace(testbed, settings=settings, metadata=stated).nodes(tmp_path)
+    stored = read_metadata(Path(recorder.settings.metadata))
+    assert stored == TrialMetadata("S01", "right", protocol="walk")
     assert read_metadata(study).side == "left"  # it is another trial's as well
-    with pytest.raises(ConfigurationError, match=r"none\.yaml: no such file"):
-        stored(tmp_path / "none.yaml", TrialMetadata())
+    names = ("distale", *settings.cluster_node.names[1:])
+    wrong = replace(settings, cluster_node=replace(settings.cluster_node, names=names))
+    with refused(TestbedError, "distale"):
+        replace(testbed, settings=wrong)

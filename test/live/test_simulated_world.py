@@ -15,25 +15,21 @@ from socket_testbed.simulation.limb import SCENARIOS
 from socket_testbed.simulation.sensor_errors import SensorErrors
 from socket_testbed.simulation.world import World
 
-PERIOD = 10.0  # [s]; of the scenario
+GEOMETRY = read_socket(packaged("config", "socket.yaml"))
 
 
 def test_the_limb_follows_a_scenario_again_and_again(tmp_path: Path) -> None:
-    geometry = read_socket(packaged("config", "socket.yaml"))
     calibration = read_calibration(packaged("config", "calibration.yaml"))
-    cases = [*((scenario, "soft") for scenario in SCENARIOS), ("multi_direction", "stiff")]
-    for number, (scenario, tissue) in enumerate(cases):
-        folder = tmp_path / str(number)
-        folder.mkdir()
-        world = World(folder, create=True)
-        how = Simulation(scenario, PERIOD, seed=1, pace=6.0, sway=0.05, tissue=tissue)
-        testbed = LiveTestbed(world, geometry, calibration, how, SensorErrors())
+    for scenario, tissue in (*((name, "soft") for name in SCENARIOS), ("multi_direction", "stiff")):
+        world = World(tmp_path, create=True)
+        how = Simulation(scenario, 10.0, seed=1, pace=6.0, sway=0.05, tissue=tissue)
+        testbed = LiveTestbed(world, GEOMETRY, calibration, how, SensorErrors())
         start = clocks.monotonic()
-        for moment in np.arange(0.0, 1.6 * PERIOD, 0.2):  # a busy machine makes long steps
+        for moment in np.arange(0.0, 16.0, 0.2):  # a busy machine makes long steps
             testbed.advance(start + moment)
             assert np.isfinite(world.poses(start + moment)).all()
-        testbed.save(folder / "truth.npz", SteadyClock())
-        with np.load(folder / "truth.npz") as data:
+        testbed.save(tmp_path / "truth.npz", SteadyClock())
+        with np.load(tmp_path / "truth.npz") as data:
             carried = data["forces"].sum(axis=1)[:, 2] / data["wrench"][:, 5]
             travel = np.ptp(data["position"][:, 2])
         assert (carried > 0.4).all() and (carried < 1.0).all()  # the rest is between the tiles
@@ -41,11 +37,10 @@ def test_the_limb_follows_a_scenario_again_and_again(tmp_path: Path) -> None:
 
 
 def test_bodies_of_different_sizes_are_where_their_poses_put_them() -> None:
-    geometry = read_socket(packaged("config", "socket.yaml"))
-    more = np.vstack([geometry.socket_markers, [[0.01, 0.08, 0.03], [-0.05, 0.02, 0.06]]])
+    more = np.vstack([GEOMETRY.socket_markers, [[0.01, 0.08, 0.03], [-0.05, 0.02, 0.06]]])
     half = np.sqrt(0.5)
     poses = np.array([[1.0, 2.0, 3.0, 0.0, 0.0, half, half], [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]])
-    socket, pylon = markers_at(dataclasses.replace(geometry, socket_markers=more), poses)
+    socket, pylon = markers_at(dataclasses.replace(GEOMETRY, socket_markers=more), poses)
     turned = np.column_stack([-more[:, 1], more[:, 0], more[:, 2]])  # by 90 degrees about z
     np.testing.assert_allclose(socket, turned + poses[0, :3], atol=1e-12)
-    np.testing.assert_allclose(pylon, geometry.pylon_markers + poses[1, :3], atol=1e-12)
+    np.testing.assert_allclose(pylon, GEOMETRY.pylon_markers + poses[1, :3], atol=1e-12)

@@ -22,7 +22,7 @@ NODES = ("trigger_node", "cluster_node", "load_cell_node", "mocap_node", "calibr
 @pytest.mark.graph
 @pytest.mark.slow
 def test_testbeds_in_namespaces_leave_each_other_alone() -> None:
-    simulation = manageable(Simulation("static_hold", 1800.0), 20.0)
+    simulation = manageable(Simulation("static_hold", 1800.0))
     both = simulated_testbed(rate=10.0, simulation=simulation)
     both = dataclasses.replace(both, one_process=True)
     testbeds = [dataclasses.replace(both, namespace=name) for name in NAMESPACES]

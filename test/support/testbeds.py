@@ -16,9 +16,8 @@ import numpy as np
 from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.live.bringup import Testbed, end, simulated_testbed, start
 from socket_testbed.live.processes import Graph
-from socket_testbed.live.simulated_world import SLOWEST, Simulation, busy_note
+from socket_testbed.live.simulated_world import Simulation, busy_note
 from socket_testbed.simulation.trial import TRUTH_FILE
-from socket_testbed.simulation.world import World
 from socket_testbed.trials.layout import decode, stamp_of
 from socket_testbed.trials.topics import (
     CAPACITANCE,
@@ -40,19 +39,17 @@ MEASURED = (CAPACITANCE, WRENCH, SOCKET_POSE, PYLON_POSE, MARKERS)
 MOVING = Simulation("multi_direction", period=40.0, seed=2, pace=6.0, sway=0.05)
 
 
-_USUAL_RATE = 20.0  # [Hz]
+_RATE = 20.0  # [Hz]; of the trigger
 
 
-def manageable(simulation: Simulation, rate: float) -> Simulation:
-    """A simulation, as slow as this machine needs at present for a trigger's rate [Hz].
+def manageable(simulation: Simulation) -> Simulation:
+    """A simulation, as slow as this machine needs at present.
 
     Tests that run side by side leave some of the machine to each other.
     """
     scale = careful_time_scale()
     if "PYTEST_XDIST_WORKER" in os.environ:
         scale = min(scale, 0.5)
-    if rate > _USUAL_RATE:
-        scale = max(0.5 * scale, SLOWEST)
     print(busy_note(scale) or "the simulated testbed runs in real time")
     return dataclasses.replace(simulation, time_scale=scale)
 
@@ -64,25 +61,20 @@ class LiveTestbed:
     """
 
     def __init__(
-        self,
-        record: Path | None = None,
-        rate: float = _USUAL_RATE,
-        simulation: Simulation = MOVING,
-        one_process: bool = False,
+        self, record: Path, simulation: Simulation = MOVING, one_process: bool = False
     ) -> None:
-        testbed = simulated_testbed(record, rate, manageable(simulation, rate))
+        testbed = simulated_testbed(record, _RATE, manageable(simulation))
         self.testbed: Testbed = dataclasses.replace(testbed, one_process=one_process)
         self.restarts: list[str] = []
         self._ended = threading.Event()
 
     def __enter__(self) -> Self:
         self.probe = Probe().__enter__()
-        self.triggers = self.probe.listen(TRIGGER)
-        self.wrenches = self.probe.listen(WRENCH)
+        self.triggers, self.wrenches = map(self.probe.listen, (TRIGGER, WRENCH))
         self.graph = Graph().__enter__()
         world = start(self.graph, self.testbed)
-        assert isinstance(world, World)
-        self.world = world
+        assert world is not None
+        self.switch = world.faults.switch
         self._thread = threading.Thread(
             target=self.graph.watch, args=(self._ended.is_set, self.restarts.append)
         )
@@ -99,38 +91,21 @@ class LiveTestbed:
         self.graph.__exit__()
         self.probe.__exit__()
 
-    def said(self, node: str) -> tuple[str, str]:
-        """Level and message of a node's newest diagnostics."""
-        reports = self.probe.said(node)
-        return (LEVELS[reports[-1].level[0]], reports[-1].message) if reports else ("", "")
-
-    def wait_for(self, node: str, level: str, text: str = "") -> str:
-        """Wait until a node's newest diagnostics have a level and a text; returns the message."""
+    def wait_for(self, node: str, level: str, text: str = "", since: int = -1) -> None:
+        """Wait until a node's newest diagnostics, or one since so many, have a level and a text."""
 
         def matches() -> bool:
-            now, message = self.said(node)
-            return re.fullmatch(level, now) is not None and re.search(text, message) is not None
-
-        self.probe.wait(matches, f"{node} {level} '{text}', it says {self.said(node)}")
-        return self.said(node)[1]
-
-    def wait_for_moment(self, node: str, level: str, since: int) -> None:
-        """Wait until a node has reported a level, however briefly, since so many reports."""
-
-        def reported() -> bool:
             return any(
-                re.fullmatch(level, LEVELS[s.level[0]]) for s in self.probe.said(node)[since:]
+                re.fullmatch(level, LEVELS[said.level[0]]) and re.search(text, said.message)
+                for said in self.probe.said(node)[since:]
             )
 
-        self.probe.wait(reported, f"{node} {level}, however briefly")
+        self.probe.wait(matches, f"{node} {level} '{text}'")
 
     def wait_for_triggers(self, count: int) -> None:
         """Let so many triggers pass."""
         goal = len(self.triggers) + count
         self.probe.wait(lambda: len(self.triggers) >= goal, f"{count} triggers")
-
-    def switch(self, fault: str, value: float) -> None:
-        self.world.faults.switch(fault, value)
 
     def kill(self, node: str) -> None:
         """Kill a node's process, and wait until it was started again."""
@@ -138,9 +113,6 @@ class LiveTestbed:
         self.graph._members[node].process.send_signal(signal.SIGKILL)
         self.probe.wait(lambda: len(self.restarts) > restarts, f"{node} started again")
         assert self.restarts[-1] == f"{node} was ended by SIGKILL: started again"
-
-    def newest(self) -> int:
-        return stamp_of(self.wrenches[-1])
 
 
 class Recorded:
