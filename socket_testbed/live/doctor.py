@@ -5,8 +5,8 @@ from __future__ import annotations
 import platform
 import re
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker
 from socket_testbed.errors import DeviceError, TestbedError
 from socket_testbed.geometry.marker_bodies import FEWEST_MARKERS
-from socket_testbed.geometry.socket import SocketGeometry, read_socket
+from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.live.hardware import make_clusters, make_load_cell, make_trigger
 from socket_testbed.live.processes import measure_lateness
@@ -98,16 +98,12 @@ def kernel_finding(model: str, release: str) -> Finding:
 
 def check_trigger(testbed: Testbed) -> Iterator[Finding]:
     """Make pulses and see their edges."""
-    settings = testbed.settings.trigger_node
-    trigger = make_trigger(settings)
-    try:
-        delays = []
+    settings, delays = testbed.settings.trigger_node, []
+    with closing(make_trigger(settings)) as trigger:
         for _ in range(_PULSES):
             before = clocks.monotonic()
             delays.append(trigger.fire() - before)
             trigger.rest()
-    finally:
-        trigger.close()
     found = "the steady clock; no wire"
     if settings.source == "gpio":
         found = (
@@ -145,9 +141,7 @@ def _late(late: FloatArray) -> str:
 
 def check_clusters(testbed: Testbed) -> Iterator[Finding]:
     """See which chip answers at each cluster's place."""
-    settings = testbed.settings.cluster_node
-    reader = make_clusters(settings)
-    try:
+    with closing(make_clusters(testbed.settings.cluster_node)) as reader:
         chips = reader.identify()
         for count in range(_MOST_READINGS):
             faults = reader.read(clocks.monotonic()).faults
@@ -161,15 +155,12 @@ def check_clusters(testbed: Testbed) -> Iterator[Finding]:
                 yield _failure(f"cluster {name}", faults[name].partition("; ")[0])
             else:
                 yield Finding(f"cluster {name}", found)
-    finally:
-        reader.close()
 
 
 def check_load_cell(testbed: Testbed) -> Iterator[Finding]:
     """See which converter answers, and whether its frames are intact."""
     settings = testbed.settings.load_cell_node
-    cell = make_load_cell(settings)
-    try:
+    with closing(make_load_cell(settings)) as cell:
         yield Finding("load cell", cell.identify())
         corrupted = cell.check_frames(_FRAMES)
         hint = CHECK_WIRING if corrupted else ""
@@ -185,8 +176,6 @@ def check_load_cell(testbed: Testbed) -> Iterator[Finding]:
             found += f", STATUS disagrees with {counts['status_disagrees']}"
             yield Finding("load cell DRDY", found)
         yield (_failure if level else Finding)("load cell bridges", message)
-    finally:
-        cell.close()
 
 
 def check_motion_capture(testbed: Testbed) -> Iterator[Finding]:
@@ -233,13 +222,8 @@ CHECKS: tuple[Callable[[Testbed], Iterator[Finding]], ...] = (
 
 # --- the press test: a person presses on each cluster, and its sign, place and order are found.
 # The limb is out of the socket. It finds no gain, nor two clusters that were pressed in each
-# other's place.
-
-
-@dataclass(frozen=True)
-class _Reading:
-    normal: FloatArray  # of the clusters, shape (c,) [Pa]; NaN where there is none
-    force: FloatArray  # of the load cell, shape (3,) [N]; likewise
+# other's place. A reading is the normal stress of the c clusters [Pa] and the force on the load
+# cell [N], shape (c + 3,); NaN where there is none.
 
 
 def press_test(testbed: Testbed, ask: Callable[[str], None]) -> Iterator[Finding]:
@@ -248,124 +232,123 @@ def press_test(testbed: Testbed, ask: Callable[[str], None]) -> Iterator[Finding
     `ask` is called with what the person shall do: `press on NAME` or `let go`. A DeviceError says
     that a cluster gives no reading.
     """
-    with ExitStack() as stack:
-        bench = _Bench(testbed, stack)
+    geometry = read_socket(testbed.geometry)
+    names = tuple(testbed.settings.cluster_node.names)
+    outward = [-geometry.rotations[geometry.clusters[name], :, 2] for name in names]
+    with _readings(testbed) as read:
         ask("let go")
         clocks.sleep(_LETS_GO)
-        unloaded = [bench.read() for _ in range(_UNLOADED)]
-        zero = _Reading(*_mean(unloaded))
-        noise = np.nanstd([reading.normal for reading in unloaded], axis=0)
-        dead = [n for n, value in zip(bench.names, zero.normal, strict=True) if np.isnan(value)]
+        unloaded = [read() for _ in range(_UNLOADED)]
+        zero, noise = _mean(unloaded), np.nanstd(unloaded, axis=0)[:-3]
+        dead = [name for name, value in zip(names, zero, strict=False) if np.isnan(value)]
         if dead:
             hint = "see what 'doctor' says of it without --press"
             raise DeviceError(f"cluster {dead[0]} gives no reading", hint)
         threshold = np.maximum(_LEAST, _SIGMAS * noise)
 
-        def pushed(reading: _Reading) -> FloatArray:  # or pulled
-            return np.abs(reading.normal - zero.normal) / threshold
+        def pushed(reading: FloatArray) -> FloatArray:  # or pulled
+            return np.abs(reading - zero)[:-3] / threshold
 
-        for name in bench.names:
+        for number, name in enumerate(names):
             ask(f"press on {name}")
-            pressed = bench.wait(lambda reading: bool((pushed(reading) > 1.0).any()))
-            yield _judge(bench, name, pressed, zero, threshold)
-            if pressed is not None:
-                ask("let go")
-                # Every cluster is read, and none is pressed.
-                bench.wait(lambda reading: bool((pushed(reading) <= _RELEASED).all()))
+            pressed = _wait(read, lambda reading: bool((pushed(reading) > 1.0).any()))
+            if pressed is None:
+                hint = (
+                    "press in its middle with the thumb; if it stays silent: its cable, its"
+                    " calibration"
+                )
+                found = f"no cluster answered within {WITHIN:g} s"
+                yield Finding(f"press on {name}", found, hint)
+                continue
+            answered = int(pushed(pressed).argmax())
+            yield judge_press(names, number, answered, pressed - zero, outward[number])
+            ask("let go")
+            # Every cluster is read, and none is pressed.
+            _wait(read, lambda reading: bool((pushed(reading) <= _RELEASED).all()))
 
 
-def _mean(readings: list[_Reading]) -> tuple[FloatArray, FloatArray]:
-    columns = [reading.normal for reading in readings], [reading.force for reading in readings]
-    masked = (np.ma.masked_invalid(np.array(column)) for column in columns)
-    normal, force = (np.asarray(np.ma.filled(of.mean(axis=0), np.nan)) for of in masked)
-    return normal, force
+def _mean(readings: list[FloatArray]) -> FloatArray:
+    return np.asarray(np.ma.masked_invalid(np.array(readings)).mean(axis=0).filled(np.nan))
 
 
-def _judge(
-    bench: _Bench, name: str, pressed: _Reading | None, zero: _Reading, threshold: FloatArray
+def judge_press(
+    names: Sequence[str], number: int, answered: int, change: FloatArray, outward: FloatArray
 ) -> Finding:
-    """What a press on a cluster says of its wiring."""
-    what = f"press on {name}"
-    if pressed is None:
-        hint = "press in its middle with the thumb; if it stays silent: its cable, its calibration"
-        return Finding(what, f"no cluster answered within {WITHIN:g} s", hint)
-    change = pressed.normal - zero.normal
-    answered = int((np.abs(change) / threshold).argmax())
-    found = f"{bench.names[answered]} felt {1e-3 * change[answered]:+.1f} kPa"
-    if bench.names[answered] != name:
-        hint = f"exchange the places of {name} and {bench.names[answered]} in cluster_node's"
+    """What a press on a cluster says of its wiring.
+
+    Args:
+        names: Names of the c clusters.
+        number: The cluster that was to be pressed.
+        answered: The cluster that felt most.
+        change: Of the reading, shape (c + 3,) [Pa, N].
+        outward: Outward normal of the wall where it was pressed, shape (3,) [-].
+    """
+    name, felt, what = names[number], names[answered], f"press on {names[number]}"
+    found = f"{felt} felt {1e-3 * change[answered]:+.1f} kPa"
+    if felt != name:
+        hint = f"exchange the places of {name} and {felt} in cluster_node's"
         return Finding(what, found, f"{hint} channels, or their cables; or press on {name} itself")
     if change[answered] < 0.0:
         hint = "its normal is the wrong way round: check its channels' order and its calibration"
         return Finding(what, found, hint)
-    outward = -bench.geometry.rotations[bench.geometry.clusters[name], :, 2]
-    more, hint = _judge_force(pressed.force - zero.force, outward)
-    return Finding(what, f"{found}, {more}", hint)
-
-
-def _judge_force(force: FloatArray, outward: FloatArray) -> tuple[str, str]:
-    """What the load cell felt of a press along the outward normal of the wall, and a hint."""
-    size = float(np.linalg.norm(force))
+    size = float(np.linalg.norm(change[-3:]))
     if not size >= _LEAST_FORCE:
-        return "the load cell felt nothing", "check the load cell's wiring"
-    along, felt = float(force @ outward) / size, f"the load cell {size:.1f} N"
+        hint = "check the load cell's wiring"
+        return Finding(what, f"{found}, the load cell felt nothing", hint)
+    along, found = float(change[-3:] @ outward) / size, f"{found}, the load cell {size:.1f} N"
     if along <= -_ALONG:
-        return f"{felt} the other way", "check the load cell's signs and matrix"
+        return Finding(what, f"{found} the other way", "check the load cell's signs and matrix")
     if along < _ALONG:
         hint = "check how the load cell is turned, its matrix, and the cluster's place"
-        return f"{felt} in another direction", hint
-    return felt, ""
+        return Finding(what, f"{found} in another direction", hint)
+    return Finding(what, found)
 
 
-class _Bench:
-    """The clusters and the load cell by their own drivers, read side by side."""
-
-    def __init__(self, testbed: Testbed, stack: ExitStack) -> None:
-        settings = testbed.settings
-        self.geometry: SocketGeometry = read_socket(testbed.geometry)
-        self._reader = make_clusters(settings.cluster_node)
-        stack.callback(self._reader.close)
-        self._cell = make_load_cell(settings.load_cell_node)
-        self.names = tuple(settings.cluster_node.names)
-        calibration = read_calibration(testbed.calibration)
-        calibration.require(self.names, "the settings")
-        self._calibration = calibration.stacked(self.names)
+@contextmanager
+def _readings(testbed: Testbed) -> Iterator[Callable[[], FloatArray]]:
+    """What reads the clusters and the load cell side by side, by their own drivers."""
+    settings = testbed.settings
+    names = tuple(settings.cluster_node.names)
+    calibration = read_calibration(testbed.calibration).stacked(names)
+    with (
+        closing(make_clusters(settings.cluster_node)) as clusters,
+        closing(make_load_cell(settings.load_cell_node)) as cell,
+    ):
         stopping = threading.Event()
-        polling = threading.Thread(target=self._poll, args=(stopping,), daemon=True)
-        polling.start()
 
-        def stop() -> None:
+        def poll() -> None:
+            while not stopping.is_set():
+                cell.poll()
+                clocks.sleep(cell.period)
+
+        def read() -> FloatArray:
+            due = clocks.monotonic() + _PERIOD
+            reading = clusters.read(clocks.monotonic())
+            stress, _ = calibration.apply(reading.capacitance, reading.status)
+            clocks.sleep(max(0.0, due - clocks.monotonic()))
+            wrench = cell.wrench_at(due - 0.7 * _PERIOD, 0.5 * _PERIOD).wrench
+            return np.concatenate([stress[:, 0], wrench[3:]])
+
+        polling = threading.Thread(target=poll, daemon=True)
+        polling.start()
+        try:
+            yield read
+        finally:
             stopping.set()
             polling.join()
-            self._cell.close()
 
-        stack.callback(stop)
 
-    def read(self) -> _Reading:
-        """One reading of all."""
-        due = clocks.monotonic() + _PERIOD
-        reading = self._reader.read(clocks.monotonic())
-        stress, _ = self._calibration.apply(reading.capacitance, reading.status)
-        clocks.sleep(max(0.0, due - clocks.monotonic()))
-        wrench = self._cell.wrench_at(due - 0.7 * _PERIOD, 0.5 * _PERIOD).wrench
-        return _Reading(stress[:, 0], wrench[3:])
-
-    def wait(self, done: Callable[[_Reading], bool]) -> _Reading | None:
-        """Read until something holds in several readings; their mean, or None where it does not."""
-        ends = clocks.monotonic() + WITHIN
-        found: list[_Reading] = []
-        while clocks.monotonic() < ends:
-            reading = self.read()
-            if done(reading):
-                found.append(reading)
-            elif np.isfinite(reading.normal).all():  # a late reading tells nothing
-                found.clear()
-            felt = sum(np.isfinite(reading.force).all() for reading in found[1:])
-            if felt >= _STEADY or len(found) > _PATIENCE * _STEADY:
-                return _Reading(*_mean(found[1:]))  # the first one was on the way
-        return None
-
-    def _poll(self, stopping: threading.Event) -> None:
-        while not stopping.is_set():
-            self._cell.poll()
-            clocks.sleep(self._cell.period)
+def _wait(read: Callable[[], FloatArray], done: Callable[[FloatArray], bool]) -> FloatArray | None:
+    """Read until something holds in several readings; their mean, or None where it does not."""
+    ends = clocks.monotonic() + WITHIN
+    found: list[FloatArray] = []
+    while clocks.monotonic() < ends:
+        reading = read()
+        if done(reading):
+            found.append(reading)
+        elif np.isfinite(reading[:-3]).all():  # a late reading tells nothing
+            found.clear()
+        felt = sum(np.isfinite(reading[-3:]).all() for reading in found[1:])
+        if felt >= _STEADY or len(found) > _PATIENCE * _STEADY:
+            return _mean(found[1:])  # the first one was on the way
+    return None

@@ -7,7 +7,6 @@ import socket
 import subprocess
 import urllib.request
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,7 +20,6 @@ from support.verbs import COMMAND, call, program, refused
 from socket_testbed import clocks
 from socket_testbed.__main__ import run
 from socket_testbed.files import packaged
-from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live import doctor
 from socket_testbed.nodes import controls
 from socket_testbed.samples import Status
@@ -249,11 +247,7 @@ def test_a_press_on_each_cluster_finds_what_is_wired_wrong(
 
 
 def test_a_press_that_turns_signs_round_is_named() -> None:
-    geometry = read_socket(packaged("config", "socket.yaml"))
-    names = tuple(geometry.clusters)
-    bench = SimpleNamespace(names=names, geometry=geometry)
-    outward = -geometry.rotations[geometry.clusters["distal"], :, 2]
-    zero, threshold = doctor._Reading(np.zeros(4), np.zeros(3)), np.full(4, 4e3)
+    names, outward = ("distal", "other"), np.array([0.6, 0.0, -0.8])
     for sign, force, hint in (
         (1.0, 14.0 * outward, ""),
         (-1.0, 14.0 * outward, "its normal is the wrong way round"),
@@ -261,8 +255,8 @@ def test_a_press_that_turns_signs_round_is_named() -> None:
         (1.0, 14.0 * np.array([0.0, 1.0, 0.0]), "how the load cell is turned"),
         (1.0, np.full(3, np.nan), "check the load cell's wiring"),
     ):
-        normal = np.where(np.array(names) == "distal", sign * 15e3, 0.0)
-        found = doctor._judge(bench, "distal", doctor._Reading(normal, force), zero, threshold)
+        change = np.concatenate([[sign * 15e3, 0.0], force])
+        found = doctor.judge_press(names, 0, 0, change, outward)
         assert hint in found.hint and bool(found.hint) == bool(hint)
 
 
