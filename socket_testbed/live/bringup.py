@@ -122,14 +122,14 @@ class Testbed:
             return nodes
         stored = folder / "stored.yaml"
         write_testbed({node.name: node.settings for node in nodes}, stored)
-        recorder = RecorderSettings(
+        recorder = replace(
+            given.recorder_node,
             directory=str(self.record.resolve()),
             record=self.at_once,
             geometry=geometry,
             calibration=calibration,
             parameters=str(stored),
             metadata=self._store_metadata(folder / METADATA_FILE),
-            flush_period=given.recorder_node.flush_period,
         )
         return [GraphNode("recorder_node", recorder, namespace), *nodes]
 

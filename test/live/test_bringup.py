@@ -17,9 +17,11 @@ def test_metadata_of_the_call_goes_over_the_settings_and_a_wrong_name_is_refused
     study = tmp_path / "study.yaml"
     write_metadata(TrialMetadata(protocol="walk", side="left"), study)
     testbed = simulated_testbed(record=tmp_path / "trial")
-    settings = replace(testbed.settings, recorder_node=RecorderSettings(metadata=str(study)))
+    recorder_node = RecorderSettings(metadata=str(study), everything=True)
+    settings = replace(testbed.settings, recorder_node=recorder_node)
     stated = TrialMetadata("S01", "right")
     recorder, *_ = replace(testbed, settings=settings, metadata=stated).nodes(tmp_path)
+    assert recorder.settings.everything and recorder.settings.record
     stored = read_metadata(Path(recorder.settings.metadata))
     assert stored == TrialMetadata("S01", "right", protocol="walk")
     assert read_metadata(study).side == "left"  # it is another trial's as well
