@@ -22,25 +22,17 @@ from socket_testbed.live.processes import Graph
 from socket_testbed.nodes.mocap_node import FrameBroadcaster, fixed_frames
 from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
 from socket_testbed.trials.layout import stamp_of
-from socket_testbed.trials.topics import ESTIMATED_WRENCH, FORCE_MAP, TF, TF_STATIC, Topic
+from socket_testbed.trials.topics import FORCE_MAP, TF, TF_STATIC
 from socket_testbed.trials.trial import Trial
 
 GEOMETRY = read_socket(packaged("config", "socket.yaml"))
 
 
-def matrix(transform: Any) -> np.ndarray:
-    """A transform as a 4 x 4 matrix, from the message's own fields."""
+def pose_of(transform: Any) -> Pose:
+    """A transform's pose, from the message's own fields."""
     t, q = transform.transform.translation, transform.transform.rotation
-    result = np.eye(4)
-    result[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
-    result[:3, 3] = (t.x, t.y, t.z)
-    return result
-
-
-def homogeneous(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
-    result = np.eye(4)
-    result[:3, :3], result[:3, 3] = rotation, translation
-    return result
+    turn = Rotation.from_quat([q.x, q.y, q.z, q.w])
+    return Pose(turn.as_matrix(), np.array([t.x, t.y, t.z]))
 
 
 def test_a_cluster_s_frame_is_its_tile_s_turned_as_it_is_glued() -> None:
@@ -80,7 +72,7 @@ def test_without_tf2_msgs_a_node_goes_on_and_warns_once(monkeypatch: pytest.Monk
 @pytest.mark.graph
 @pytest.mark.slow
 def test_the_transforms_of_a_replay_compose_to_the_recorded_poses(
-    hold: Path, hold_model: Path, tmp_path: Path
+    hold: Path, tmp_path: Path
 ) -> None:
     """A trial of the namespace /lab, replayed with the estimator."""
 
@@ -91,34 +83,27 @@ def test_the_transforms_of_a_replay_compose_to_the_recorded_poses(
         return message
 
     hidden = rewrite(hold, tmp_path / "hidden", hide_pylon)
-    target = move_to_namespace(hidden, tmp_path / "lab", "/lab")
-    trial = Trial(target)
-    estimator = EstimatorSettings(auto_fit=False, model=str(hold_model))
-    replay = ReplaySettings(trial=str(target), rate=20.0)
+    trial = Trial(move_to_namespace(hidden, tmp_path / "lab", "/lab"))
+    replay = ReplaySettings(trial=str(trial.path), rate=20.0)
+    samples = trial.samples()
     with Probe() as probe, Graph() as graph:
-        heard = {
-            topic: probe.listen(topic, "/lab/" + topic.name.lstrip("/"))
-            for topic in (TF, TF_STATIC, ESTIMATED_WRENCH, FORCE_MAP)
-        }
-        graph.start_nodes(replay_nodes(trial, replay, estimator))
+        tf, static, maps = (
+            probe.listen(topic, f"/lab/{topic.name.strip('/')}")
+            for topic in (TF, TF_STATIC, FORCE_MAP)
+        )
+        graph.start_nodes(replay_nodes(trial, replay, EstimatorSettings(auto_fit=False)))
         graph.wait("replay_node")
-        last = trial.samples().stamps[-1]
-
-        def at_its_end(topic: Topic) -> bool:
-            return bool(heard[topic]) and stamp_of(heard[topic][-1]) == last
-
-        probe.wait(lambda: all(map(at_its_end, (FORCE_MAP, ESTIMATED_WRENCH))), "the last sample")
-    static = {t.child_frame_id: t for m in heard[TF_STATIC] for t in m.transforms}
-    assert {(t.header.frame_id, name) for name, t in static.items()} == {
+        last = samples.stamps[-1]
+        probe.wait(lambda: bool(maps) and stamp_of(maps[-1]) == last, "the last sample")
+    fixed = {t.child_frame_id: t for m in static for t in m.transforms}
+    assert {(t.header.frame_id, name) for name, t in fixed.items()} == {
         ("socket", "load_cell"),
         *(("load_cell", name) for name in trial.geometry.clusters),
     }
-    moving: dict[str, dict[int, np.ndarray]] = {"socket": {}, "limb": {}}
-    for message in heard[TF]:
-        for t in message.transforms:
-            assert t.header.frame_id == "world"
-            moving[t.child_frame_id][stamp_of(t)] = matrix(t)
-    samples = trial.samples()
+    moving: dict[str, dict[int, Pose]] = {"socket": {}, "limb": {}}
+    for t in (t for message in tf for t in message.transforms):
+        assert t.header.frame_id == "world"
+        moving[t.child_frame_id][stamp_of(t)] = pose_of(t)
     poses = dict(zip(samples.stamps.tolist(), samples.pose, strict=True))
     # What the motion capture did not see is not published, all the rest is once a subscriber is
     # found.
@@ -127,9 +112,9 @@ def test_the_transforms_of_a_replay_compose_to_the_recorded_poses(
         assert set(moving[name]) == {stamp for stamp in expected if stamp >= min(moving[name])}
     both = sorted(set(moving["socket"]) & set(moving["limb"]))
     assert both and len(seen) == 120
-    socket_from_cell = matrix(static["load_cell"])
     for stamp in both[::20]:
-        limb = np.linalg.inv(moving["socket"][stamp] @ socket_from_cell) @ moving["limb"][stamp]
-        position, turn = poses[stamp][:3], poses[stamp][3:]
-        expected = homogeneous(Rotation.from_rotvec(turn).as_matrix(), position)
-        np.testing.assert_allclose(limb, expected, atol=1e-8)
+        cell = moving["socket"][stamp] @ pose_of(fixed["load_cell"])
+        limb = cell.inverse() @ moving["limb"][stamp]
+        np.testing.assert_allclose(limb.translation, poses[stamp][:3], atol=1e-8)
+        turn = Rotation.from_rotvec(poses[stamp][3:]).as_matrix()
+        np.testing.assert_allclose(limb.rotation, turn, atol=1e-8)

@@ -28,7 +28,7 @@ from socket_testbed.settings.testbed import RecorderSettings, ReplaySettings
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.layout import decode, nanoseconds, stamp_of
 from socket_testbed.trials.metadata import METADATA_FILE, TrialMetadata
-from socket_testbed.trials.topics import DIAGNOSTICS, RECORDED_TRIAL, WRENCH, match_topics
+from socket_testbed.trials.topics import RECORDED_TRIAL, WRENCH, match_topics
 from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial
 
 pytestmark = pytest.mark.graph
@@ -84,13 +84,22 @@ def names(announced: list[Any]) -> list[str]:
     return [message.data for message in announced]
 
 
-def test_a_replay_is_the_recording_in_its_order(hold: Path, tmp_path: Path) -> None:
-    recorded, clocks = tmp_path / "again", []
+def record(probe: Probe, wanted: bool) -> str:
+    """Start or stop a recording; returns the answer."""
+    answer = probe.call(SetBool, "recorder/record", SetBool.Request(data=wanted))
+    assert answer.success, answer.message
+    return answer.message
+
+
+def test_a_replay_is_the_recording_in_its_order_and_time(hold: Path, tmp_path: Path) -> None:
+    """With the time of /clock, where that is asked for."""
+    recorded, ticks = tmp_path / "again", []
     with Graph() as graph, Probe() as probe:
         probe.node.create_subscription(
-            Clock, "/clock", lambda m: clocks.append(nanoseconds(m.clock)), 1000
+            Clock, "/clock", lambda m: ticks.append(nanoseconds(m.clock)), 1000
         )
-        graph.start("recorder_node", RecorderSettings(directory=str(recorded), record=True))
+        settings = RecorderSettings(directory=str(recorded), record=False)
+        graph.start("recorder_node", settings, use_sim_time=True)
         probe.wait(lambda: bool(probe.said(NODE)), "the recorder's diagnostics")
         replay = ReplaySettings(
             trial=str(hold), rate=30.0, paused=True, wait_for=("recorder_node",)
@@ -98,21 +107,23 @@ def test_a_replay_is_the_recording_in_its_order(hold: Path, tmp_path: Path) -> N
         graph.start("replay_node", replay)
         probe.wait(lambda: bool(probe.said("replay_node")), "the replay")
         assert not probe.figure("replay_node", "published")
+        path = Path(record(probe, True).removeprefix("recording "))
         assert probe.call(SetBool, "replay/pause", SetBool.Request(data=False)).success
         graph.wait("replay_node")
         names = list(match_topics(counts(hold), "hold").values())
         probe.wait(lambda: all(probe.figure(NODE, name) == 240 for name in names), "all of it")
-    with BagReader(hold) as before, BagReader(recorded) as after:
+    with BagReader(hold) as before, BagReader(path) as after:
         for name in names:
-            raws = list(before.messages([name]))
+            raws, again = list(before.messages([name])), list(after.messages([name]))
             sent = [raw.data + bytes(-len(raw.data) % 4) for raw in raws]  # DDS pads to words
-            received = [raw.data for raw in after.messages([name])]
-            assert received == sent, name
+            assert [raw.data for raw in again] == sent, name
+            late = [1e-9 * (b.time - a.time) for a, b in zip(raws, again, strict=True)]
+            assert abs(np.median(late)) < 1.0, name
         assert after.counts["/diagnostics"] > 0
-    assert clocks and clocks == sorted(clocks)  # the first may precede its discovery
-    assert (recorded / "metadata.yaml").is_file() and (recorded / "socket.yaml").is_file()
-    assert not any(path.stat().st_mode & 0o007 for path in (recorded, *recorded.iterdir()))
-    np.testing.assert_array_equal(Trial(recorded).samples().values, Trial(hold).samples().values)
+    assert ticks and ticks == sorted(ticks)  # the first may precede its discovery
+    assert (path / "metadata.yaml").is_file() and (path / "socket.yaml").is_file()
+    assert not any(file.stat().st_mode & 0o007 for file in (path, *path.iterdir()))
+    np.testing.assert_array_equal(Trial(path).samples().values, Trial(hold).samples().values)
 
 
 def test_a_killed_recorder_keeps_what_had_come_and_goes_on_beside(tmp_path: Path) -> None:
@@ -171,13 +182,6 @@ def test_a_full_disk_ends_the_recording_and_keeps_it(tmp_path: Path) -> None:
     assert numbers == list(range(len(numbers))) and len(numbers) > 200
 
 
-def record(probe: Probe, wanted: bool) -> str:
-    """Start or stop a recording; returns the answer."""
-    answer = probe.call(SetBool, "recorder/record", SetBool.Request(data=wanted))
-    assert answer.success, answer.message
-    return answer.message
-
-
 def test_a_second_recording_lies_beside_the_first_where_a_batch_finds_it(tmp_path: Path) -> None:
     """And the name of each is announced while it is recorded, for late subscribers, too."""
     trial = tmp_path / "s01"
@@ -220,26 +224,6 @@ def test_a_recording_to_which_nothing_comes_is_reported_and_ctrl_c_ends_it_whole
     assert "none on /trigger, " in error and "Traceback" not in error
     assert process.returncode == 0 and (trial / "metadata.yaml").is_file()
     assert "/load_cell/wrench" in counts(trial)
-
-
-def test_simulated_time_is_recorded_as_it_is(tmp_path: Path) -> None:
-    trial = tmp_path / "trial"
-    settings = ("record:=true", f"directory:={trial}", "use_sim_time:=true")
-    with Probe() as probe, recorder(*settings) as process:
-        probe.said(NODE)
-        clock = probe.node.create_publisher(Clock, "/clock", 10)
-        send = Sender(probe)
-
-        def tick() -> bool:
-            clock.publish(Clock(clock=stamp_to_ros(1_000_000_000_000)))
-            return any(m.header.stamp.sec == 1000 for m in probe.received[DIAGNOSTICS.name])
-
-        probe.wait(tick, "the recorder to follow the clock")
-        send(5)
-        probe.wait(lambda: probe.figure(NODE, "/load_cell/wrench") == 5, "its messages")
-        process.send_signal(signal.SIGINT)
-        assert process.wait(timeout=HANGS) == 0
-    assert recorded(trial) == ([0, 1, 2, 3, 4], [1_000_000_000_000] * 5)
 
 
 def test_the_next_trial_has_the_name_and_metadata_that_were_set_and_nothing_else(
