@@ -65,10 +65,16 @@ from socket_testbed.trials.topics import (
 _OLD = 2.0  # [s]; what came longer ago is not shown as if it were now
 _SILENT = 3.0  # [s]; a node that reported longer ago is silent
 _IDLE = 3.0  # [s] without a question: no browser is open
-_DEPTHS = {FORCE_MAP: 1, WRENCH: 50, ESTIMATED_WRENCH: 50, STRESS: 1, REGIONS: 5}
+_DEPTHS = {
+    FORCE_MAP: 1,
+    WRENCH: 50,
+    ESTIMATED_WRENCH: 50,
+    STRESS: 1,
+    REGIONS: 5,
+}
 _MOST_WRENCHES = 200  # kept to find that of the regions
 _HISTORY = 30.0  # [s]; of the course
-_NO_PRESSURES = np.zeros(0)  # [Pa]
+_NO_PRESSURES, _NO_WRENCH = np.zeros(0), np.full(6, np.nan)
 _NOTHING = (np.full(3, np.nan), Status.MISSING)  # stress and status of no cluster
 _COUNTS = ("samples", "triggers", "messages", "maps")  # among the figures of a node
 _SIGNS = ("\N{BLACK CIRCLE}", "\N{BLACK UP-POINTING TRIANGLE}", "\N{BLACK SQUARE}")
@@ -110,7 +116,7 @@ class LiveSource:
         self._readers = {topic: Reader(topic) for topic in _DEPTHS}
         self._asked_at = 0.0  # [s]; when a browser last asked
         self._newest: dict[Topic, tuple[int, Any, float]] = {}  # stamp [ns], values, arrival [s]
-        self._wrenches: dict[int, FloatArray] = {}  # by stamp [ns]
+        self._wrenches: deque[tuple[int, FloatArray]] = deque(maxlen=_MOST_WRENCHES)  # by stamp
         self._first = 0  # [ns]
         self._foreign = False  # whether the newest map is of another socket
         self._sensors: dict[str, tuple[DiagnosticArray, float]] = {}
@@ -147,8 +153,7 @@ class LiveSource:
         data, sensors = self._state_of_sensors()
         found = {"moment": self._moment(), "sensors": sensors, "recording": self._recording()}
         found |= self._shown | {"cards": [*self._shown.get("cards", []), data]}
-        nothing = np.full(6, np.nan)
-        pair = (nothing if wrench is None else wrench for wrench in (measured, predicted))
+        pair = (_NO_WRENCH if wrench is None else wrench for wrench in (measured, predicted))
         return found | {"wrench": [numbers(wrench) for wrench in pair]}
 
     def act(self, what: str, given: dict[str, Any]) -> str:
@@ -192,16 +197,14 @@ class LiveSource:
                     self._foreign = values[0] != self._geometry.names
                     if self._foreign:
                         continue
-                self._newest[topic] = stamp, values, now
-                if topic is WRENCH:
-                    if self._wrenches and stamp < next(iter(self._wrenches)):
+                elif topic is WRENCH:
+                    if self._wrenches and stamp < self._wrenches[0][0]:
                         self._wrenches.clear()  # a graph that was started again
                         self._course.clear()
                         self._first = 0
                     self._first = self._first or stamp
-                    self._wrenches[stamp] = values
-        while len(self._wrenches) > _MOST_WRENCHES:
-            del self._wrenches[next(iter(self._wrenches))]
+                    self._wrenches.append((stamp, values))
+                self._newest[topic] = stamp, values, now
 
     def _renew(self, inbox: Inbox) -> None:
         """Take what the clusters measure, and the outputs by region with their map."""
@@ -217,7 +220,7 @@ class LiveSource:
             if mapped is None or names != tuple(place.name for place in places):
                 continue
             of = _region_outputs(outputs)
-            wrench = self._wrenches.get(stamp, np.full(6, np.nan))
+            wrench = dict(self._wrenches).get(stamp, _NO_WRENCH)
             force = -wrench[3:] @ proximal_direction(geometry)
             row = (force, of.peak.value[-1], of.peak.low[-1], of.peak.high[-1])
             self._course.append((1e-9 * (stamp - self._first), *map(float, row)))
@@ -292,14 +295,10 @@ class LiveSource:
                 continue
             self._sensors[status.name] = status, now
             values = {entry.key: entry.value for entry in status.values}
-            counts = [float(values[key]) for key in _COUNTS if key in values]
-            if not counts:
-                continue
-            count, since, rate = self._rates.get(status.name, (counts[0], now, math.nan))
+            count = next((float(values[key]) for key in _COUNTS if key in values), math.nan)
+            before, since, _ = self._rates.setdefault(status.name, (count, now, math.nan))
             if now - since > 0.5:
-                rate = (counts[0] - count) / (now - since)
-                count, since = counts[0], now
-            self._rates[status.name] = count, since, rate
+                self._rates[status.name] = count, now, (count - before) / (now - since)
 
     def _on_trial(self, message: String) -> None:
         self._trial = message.data, clocks.monotonic()
@@ -307,9 +306,7 @@ class LiveSource:
 
 def _region_outputs(fields: dict[str, FloatArray]) -> RegionOutputs:
     """The outputs of R regions of a RegionPressures; what it does not hold is NaN."""
-    unknown = dict.fromkeys((field.name for field in dataclasses.fields(RegionOutputs)), np.nan)
-    found = {
-        name: Quantity(*(fields[field + end] for end in ("", "_low", "_high", "")))
-        for name, field in REGION_FIELDS.items()
-    }
-    return RegionOutputs(**(unknown | found))  # type: ignore[arg-type]
+    found: dict[str, Any] = {field.name: np.nan for field in dataclasses.fields(RegionOutputs)}
+    for name, field in REGION_FIELDS.items():
+        found[name] = Quantity(*(fields[field + end] for end in ("", "_low", "_high", "")))
+    return RegionOutputs(**found)

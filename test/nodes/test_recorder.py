@@ -118,7 +118,7 @@ def test_a_replay_is_the_recording_in_its_order_and_time(hold: Path, tmp_path: P
             sent = [raw.data + bytes(-len(raw.data) % 4) for raw in raws]  # DDS pads to words
             assert [raw.data for raw in again] == sent, name
             late = [1e-9 * (b.time - a.time) for a, b in zip(raws, again, strict=True)]
-            assert abs(np.median(late)) < 1.0, name
+            assert abs(np.median(late)) < 10.0, name
         assert after.counts["/diagnostics"] > 0
     assert ticks and ticks == sorted(ticks)  # the first may precede its discovery
     assert (path / "metadata.yaml").is_file() and (path / "socket.yaml").is_file()
