@@ -15,7 +15,7 @@ from rclpy.parameter import Parameter
 from socket_testbed_msgs.msg import ClusterCapacitance, ClusterCapacitanceArray
 from std_srvs.srv import Trigger as TriggerService
 from support import HANGS
-from support.bags import copying, pose_vector, wrench_vector
+from support.bags import copying
 from support.graph import Probe
 from support.verbs import COMMAND, program
 
@@ -31,7 +31,7 @@ from socket_testbed.settings.testbed import (
     ReplaySettings,
 )
 from socket_testbed.trials.bag import BagReader
-from socket_testbed.trials.layout import decode, stamp_of
+from socket_testbed.trials.layout import decode
 from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.topics import (
     CAPACITANCE,
@@ -55,34 +55,41 @@ pytestmark = pytest.mark.graph
 NO_FIT = EstimatorSettings(auto_fit=False)
 
 
-def test_every_sample_is_predicted_as_the_model_does_offline(
+def test_every_sample_of_a_repaired_trial_is_predicted_as_offline(
     hold: Path, hold_model: Path, tmp_path: Path
 ) -> None:
-    trial, path = Trial(hold), tmp_path / "replayed"
+    """Wrenches and poses are made anew where another geometry or tare is given."""
+    own = Trial(hold).geometry
+    turned = dataclasses.replace(own, socket_markers=own.socket_markers[:, [1, 2, 0]])
+    write_socket(turned, tmp_path / "turned.yaml")
+    trial, path = Trial(hold, tmp_path / "turned.yaml", tare="0:5"), tmp_path / "replayed"
     settings = dataclasses.replace(NO_FIT, model=str(hold_model))
     record_estimates(trial, ReplaySettings(trial=str(hold), rate=50.0), settings, path)
     found = {}
     with BagReader(path) as bag:
         assert bag.counts[f"/{PARAMETERS.name}"] == 1
-        for topic in (ESTIMATED_WRENCH, LOCAL_FORCES, FORCE_MAP, REGIONS):
+        for topic in (ESTIMATED_WRENCH, LOCAL_FORCES, WRENCH, SOCKET_POSE, FORCE_MAP, REGIONS):
             reader = Reader(topic)
             found[topic] = dict(reader.read(r.data) for r in bag.messages([f"/{topic.name}"]))
         (*_, picture) = bag.messages([f"/{PRESSURE_MAP.name}"])
-    assert len(decode(picture.data, picture.type).markers) == 2 * len(trial.geometry)
+    assert len(decode(picture.data, picture.type).markers) == 2 * len(own)
     names, outputs = list(found.pop(REGIONS).values())[-1]
-    assert names == tuple(place.name for place in all_regions(trial.geometry))
+    assert names == tuple(place.name for place in all_regions(own))
     assert outputs["load_share"][-1] == pytest.approx(1.0) and 1e3 < outputs["peak"][-1] < 1e5
     for name in ("mean", "peak", "shear", "load_share"):
         low, value, high = (outputs[name + end] for end in ("_low", "", "_high"))
         assert (low <= value).all() and (value <= high).all()
-    model = read_model(hold_model).model
-    samples = trial.samples()
+    model, samples, repaired = read_model(hold_model).model, trial.samples(), trial.measurements()
     assert all(set(stamps) == set(samples.stamps.tolist()) for stamps in found.values())
-    wrench, forces, maps = ([of[s] for s in samples.stamps.tolist()] for of in found.values())
+    wrench, forces, measured, socket, maps = (
+        [of[s] for s in samples.stamps.tolist()] for of in found.values()
+    )
+    np.testing.assert_array_equal(measured, repaired.wrench)
+    np.testing.assert_array_equal(socket, repaired.socket)
     np.testing.assert_allclose(wrench, model.wrench(samples.pose), atol=1e-9)
     np.testing.assert_allclose(forces, model.forces(samples.pose), atol=1e-9)
     # The force map is that of a running mean of the evidence, and asks for no marker.
-    running = ForceMap(trial.geometry, samples.clusters)
+    running = ForceMap(own, samples.clusters)
     for row, (_, fields) in enumerate(maps):
         expected = running.update(samples[row : row + 1])
         for name in ("forces", "standard_deviations", "normal_pressure"):
@@ -125,35 +132,6 @@ def test_a_node_that_cannot_start_says_why_in_one_line() -> None:
     ):
         code, _, error = program(sys.executable, *given)
         assert code == 1 and error.count("error: ") == 1 and said in error, error
-
-
-def test_a_trial_is_replayed_as_other_files_and_another_tare_repair_it(
-    hold: Path, tmp_path: Path
-) -> None:
-    trial = Trial(hold)
-    turned = dataclasses.replace(
-        trial.geometry, socket_markers=trial.geometry.socket_markers[:, [1, 2, 0]]
-    )
-    write_socket(turned, tmp_path / "turned.yaml")
-    repaired = Trial(hold, tmp_path / "turned.yaml", tare="0:5").measurements()
-    replay = ReplaySettings(
-        trial=str(hold), rate=20.0, geometry=str(tmp_path / "turned.yaml"), tare="0:5"
-    )
-    with Probe() as probe, Graph() as graph:
-        # Discovery may outlast the first messages.
-        heard = {topic: probe.listen(topic) for topic in (WRENCH, SOCKET_POSE)}
-        graph.start("replay_node", replay)
-        graph.wait("replay_node")
-        last = repaired.stamps[-1]
-        for messages in heard.values():
-            probe.wait(lambda m=messages: bool(m) and stamp_of(m[-1]) == last, "the last sample")
-    rows = {stamp: row for row, stamp in enumerate(repaired.stamps.tolist())}
-    for topic, vector, numbers in (
-        (WRENCH, lambda message: wrench_vector(message.wrench), repaired.wrench),
-        (SOCKET_POSE, lambda message: pose_vector(message.pose), repaired.socket),
-    ):
-        order = [rows[stamp_of(message)] for message in heard[topic]]
-        np.testing.assert_array_equal([vector(m) for m in heard[topic]], numbers[order])
 
 
 @pytest.mark.slow
