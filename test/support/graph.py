@@ -108,17 +108,15 @@ class Probe:
         """
         if name not in self._clients:
             self._clients[name] = self.node.create_client(kind, name)
-        client = self._clients[name]
+        client, asked = self._clients[name], []
         self.wait(client.service_is_ready, f"service {name}")
-        asked = [client.call_async(request)]
-        again = time.monotonic() + _ASK_AGAIN
 
         def answered() -> bool:
-            nonlocal again
-            if time.monotonic() > again and not name.endswith("/fit"):
+            again = not name.endswith("/fit") and time.monotonic() > began + _ASK_AGAIN * len(asked)
+            if not asked or again:
                 asked.append(client.call_async(request))
-                again += _ASK_AGAIN
             return any(future.done() for future in asked)
 
+        began = time.monotonic()
         self.wait(answered, f"answer of {name}")
         return next(future for future in asked if future.done()).result()
