@@ -49,6 +49,7 @@ _PATIENCE = 10  # times as many, in which a busy computer missed the load cell's
 _LEAST_FORCE = 1.0  # [N]
 _ALONG = 0.5  # [-]; cosine between the load cell's force and the outward normal, at least
 _RELEASED = 0.5  # [-]; of what makes a press
+_UNFELT = "press in its middle with the thumb; if it stays silent: its cable, its calibration"
 
 
 @dataclass(frozen=True)
@@ -253,15 +254,11 @@ def press_test(testbed: Testbed, ask: Callable[[str], None]) -> Iterator[Finding
             ask(f"press on {name}")
             pressed = _wait(read, lambda reading: bool((pushed(reading) > 1.0).any()))
             if pressed is None:
-                hint = (
-                    "press in its middle with the thumb; if it stays silent: its cable, its"
-                    " calibration"
-                )
                 found = f"no cluster answered within {WITHIN:g} s"
-                yield Finding(f"press on {name}", found, hint)
+                yield Finding(f"press on {name}", found, _UNFELT)
                 continue
             answered = int(pushed(pressed).argmax())
-            yield judge_press(names, number, answered, pressed - zero, outward[number])
+            yield _judge(names, number, answered, pressed - zero, outward[number])
             ask("let go")
             # Every cluster is read, and none is pressed.
             _wait(read, lambda reading: bool((pushed(reading) <= _RELEASED).all()))
@@ -271,17 +268,12 @@ def _mean(readings: list[FloatArray]) -> FloatArray:
     return np.asarray(np.ma.masked_invalid(np.array(readings)).mean(axis=0).filled(np.nan))
 
 
-def judge_press(
+def _judge(
     names: Sequence[str], number: int, answered: int, change: FloatArray, outward: FloatArray
 ) -> Finding:
-    """What a press on a cluster says of its wiring.
+    """What a press on a cluster says of its wiring, from the number of the one that answered.
 
-    Args:
-        names: Names of the c clusters.
-        number: The cluster that was to be pressed.
-        answered: The cluster that felt most.
-        change: Of the reading, shape (c + 3,) [Pa, N].
-        outward: Outward normal of the wall where it was pressed, shape (3,) [-].
+    The change is the reading's, the outward normal that of the wall where it was pressed.
     """
     name, felt, what = names[number], names[answered], f"press on {names[number]}"
     found = f"{felt} felt {1e-3 * change[answered]:+.1f} kPa"

@@ -230,9 +230,7 @@ class Graph:
     def wait(self, node: str) -> None:
         """Wait until a node has done its work; an error if one ends with one."""
         while (code := self._members[node].exit_code()) is None:
-            for name, member in self._members.items():
-                if name != node and (other := member.exit_code()) is not None:
-                    raise _failure(name, other)
+            self.check(but=node)
             self.pause()
         if code != 0:
             raise _failure(node, code)
@@ -246,10 +244,10 @@ class Graph:
             if time.monotonic() >= ends:
                 return
 
-    def check(self) -> None:
-        """Raise an error if a process has ended."""
+    def check(self, but: str = "") -> None:
+        """Raise an error if a process has ended, but for one."""
         for name, member in self._members.items():
-            if (code := member.exit_code()) is not None:
+            if name != but and (code := member.exit_code()) is not None:
                 raise _failure(name, code)
 
     def watch(self, done: Callable[[], bool], notify: Callable[[str], None]) -> None:

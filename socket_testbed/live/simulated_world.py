@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.clocks import SteadyClock
+from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.live.processes import end_with_starter, measure_lateness
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
@@ -208,7 +208,7 @@ def markers_at(geometry: SocketGeometry, poses: FloatArray) -> list[FloatArray]:
     """
     references = (geometry.socket_markers, geometry.pylon_markers)
     return [
-        Rotation.from_quat(pose[3:]).apply(markers) + pose[:3]
+        Pose.from_quaternion(pose[:3], pose[3:]).apply(markers)
         for markers, pose in zip(references, poses, strict=True)
     ]
 

@@ -60,7 +60,8 @@ _TICK_PERIOD = 0.02  # [s]; of the clock between messages
 class Pacer:
     """Waits until each message of a recording is due, at a rate against the recording [-].
 
-    `tick` is called with the time of the recording [ns] as it passes. `stopped` says whether it is.
+    `tick` is called with the time of the recording [ns] as it passes. `stopped` says whether it is;
+    `rest` waits a while [s], or until it is.
     """
 
     def __init__(self, rate: float, tick: Callable[[int], None], paused: bool = False) -> None:
@@ -68,7 +69,7 @@ class Pacer:
         self._tick = tick
         self._stopping = threading.Event()
         self._going = threading.Event()
-        self.stopped = self._stopping.is_set
+        self.stopped, self.rest = self._stopping.is_set, self._stopping.wait
         self.pause(paused)
         self._first = 0
         self._start = 0.0
@@ -84,10 +85,6 @@ class Pacer:
         """Wait for nothing any more."""
         self._stopping.set()
         self._going.set()
-
-    def rest(self, duration: float) -> None:
-        """Do nothing for a while [s], or until it is stopped."""
-        self._stopping.wait(duration)
 
     def begin(self, first: int) -> None:
         """Begin a pass over the recording, whose first message is from `first` [ns]."""

@@ -256,7 +256,7 @@ def test_a_press_that_turns_signs_round_is_named() -> None:
         (1.0, np.full(3, np.nan), "check the load cell's wiring"),
     ):
         change = np.concatenate([[sign * 15e3, 0.0], force])
-        found = doctor.judge_press(names, 0, 0, change, outward)
+        found = doctor._judge(names, 0, 0, change, outward)
         assert hint in found.hint and bool(found.hint) == bool(hint)
 
 
