@@ -63,15 +63,22 @@ class GraphStatus:
         if topic is TRIGGER:
             self._add_trigger(stamp)
         elif topic is ESTIMATED_WRENCH:
-            self._judge(stamp, values)
+            error = values - self._measured.get(stamp, np.nan)
+            if np.isfinite(error).all():
+                self._errors.append((stamp, error))
+            while self._errors and self._errors[0][0] < stamp - _JUDGED * 1e9:
+                self._errors.popleft()
         else:
             if topic is WRENCH:
                 self.wrench = self._measured[stamp] = values
                 _keep_newest(self._measured)
-            capacitances = topic is CAPACITANCE
-            missing = values.status == Status.MISSING if capacitances else np.isnan(values)
+            missing = values.status == Status.MISSING if topic is CAPACITANCE else np.isnan(values)
             if not missing.any():
-                self._count(topic, stamp)
+                self._pending.setdefault(stamp, set()).add(topic)
+                if len(self._pending[stamp]) == len(MEASURED):
+                    del self._pending[stamp]
+                    self.complete += 1
+                _keep_newest(self._pending)
 
     def _add_trigger(self, stamp: int) -> None:
         if not self.triggers or stamp < self._last:  # a replay that starts over
@@ -82,23 +89,6 @@ class GraphStatus:
         self._last = stamp
         self.triggers += 1
         self.heard = time.monotonic()
-
-    def _count(self, topic: Topic, stamp: int) -> None:
-        """Count a measurement of one of the topics `MEASURED` of which nothing is missing."""
-        found = self._pending.setdefault(stamp, set())
-        found.add(topic)
-        if len(found) == len(MEASURED):
-            del self._pending[stamp]
-            self.complete += 1
-        _keep_newest(self._pending)
-
-    def _judge(self, stamp: int, wrench: FloatArray) -> None:
-        """Judge the wrench that a model predicts for a stamp [ns], if it was measured."""
-        error = wrench - self._measured.get(stamp, np.nan)
-        if np.isfinite(error).all():
-            self._errors.append((stamp, error))
-            while self._errors[0][0] < stamp - _JUDGED * 1e9:
-                self._errors.popleft()
 
 
 def _keep_newest(entries: dict[int, Any]) -> None:
