@@ -262,21 +262,29 @@ def test_it_fits_by_itself_once_the_window_holds_enough(bench: Bench) -> None:
         assert len(bench.fitter.requests) == requests
 
 
-def test_with_a_model_it_fits_again_after_new_samples_and_compares_models_of_alike_settings(
+def test_it_fits_again_after_new_samples_and_a_fit_that_fails_leaves_the_model(
     fitted: Bench, fit: Fit, trial: Trial
 ) -> None:
+    """Models of alike settings are compared; a model whose settings have changed is replaced."""
     fitted.send(29, start=20)
     assert len(fitted.fitter.requests) == 1
     fitted.send(1, start=49)
     fitted.answer(1, fit)
     theta = dataclasses.replace(fitted.settings.identification, theta=0.1)
     fitted.settings = dataclasses.replace(fitted.settings, identification=theta)
-    for request in (2, 3):
+    wrong = IdentificationError("the samples say nothing", "load the socket")
+    for request, error in ((2, wrong), (3, BrokenProcessPool()), (4, None), (5, None)):
         fitted.send(30, start=30 * request - 10)
-        fitted.answer(request, fit)
+        assert 30 * request + 19 in fitted.predicted
+        if error is None:
+            fitted.answer(request, fit)
+            assert fitted.estimator.state[0] == 0
+        else:
+            fitted.fitter.requests[request].future.set_exception(error)
+            assert fitted.estimator.state == (2, f"no fit: {error}")
     steady = [request.steady for request in fitted.fitter.requests[1:]]
-    assert [each.rival for each in steady] == [fit.model, None, fit.model]
-    assert [each.after for each in steady] == [fit.last_stamp, 0, fit.last_stamp]
+    assert [each.rival for each in steady] == [fit.model, None, None, None, fit.model]
+    assert [each.after for each in steady] == [fit.last_stamp, 0, 0, 0, fit.last_stamp]
     never = Bench(trial, least_samples=20, refit_after=0)
     never.send(20)
     never.answer(0, fit)
@@ -284,9 +292,18 @@ def test_with_a_model_it_fits_again_after_new_samples_and_compares_models_of_ali
     assert len(never.fitter.requests) == 1
 
 
-def test_a_fit_on_request_takes_all_of_the_window_one_at_a_time(bench: Bench, fit: Fit) -> None:
+def test_without_auto_fit_it_fits_on_request_and_checks_the_data(bench: Bench, fit: Fit) -> None:
+    """A fit on request takes all of the window. Data is checked every two seconds."""
     bench.settings = dataclasses.replace(bench.settings, auto_fit=False)
-    bench.send(7)
+    bench.send(20)
+    ((samples, future),) = bench.fitter.checks
+    assert len(samples) == 9 and not bench.fitter.requests
+    future.set_result(("data: look at Fx: it stands still", "data: look at the mass"))
+    level, text = bench.estimator.state
+    assert level == 1 and text.startswith("data: look at Fx: it stands still (and 1 more); no mod")
+    bench.send(1, start=20)
+    bench.fitter.checks[1][1].set_result(())
+    assert "look at" not in bench.estimator.state[1]
     with ThreadPoolExecutor() as pool:
         answer = pool.submit(bench.estimator.fit)
         while not bench.fitter.requests:
@@ -294,24 +311,9 @@ def test_a_fit_on_request_takes_all_of_the_window_one_at_a_time(bench: Bench, fi
         with refused(IdentificationError, "a fit is running already: ask again"):
             bench.estimator.fit()
         (request,) = bench.fitter.requests
-        assert len(request.samples) == 7 and request.steady is None
+        assert len(request.samples) == 21 and request.steady is None
         request.future.set_result(Refit(fit))
         assert answer.result(HANGS) is fit and bench.models == [fit]
-
-
-# --- how a fit ends, and which model stays
-
-
-def test_a_fit_that_fails_leaves_the_model_and_is_named(fitted: Bench, fit: Fit) -> None:
-    fitted.send(30, start=20)
-    wrong = IdentificationError("the samples say nothing", "load the socket")
-    for number, error in enumerate((wrong, BrokenProcessPool()), start=1):
-        fitted.fitter.requests[number].future.set_exception(error)
-        assert fitted.estimator.state == (2, f"no fit: {error}")
-        fitted.send(30, start=20 + 30 * number)
-        assert 49 + 30 * number in fitted.predicted
-    fitted.answer(3, fit)  # the next one is tried all the same
-    assert fitted.estimator.state[0] == 0 and len(fitted.models) == 2
 
 
 def test_the_model_that_is_better_on_the_newest_samples_stays(trial: Trial, fit: Fit) -> None:
@@ -335,20 +337,6 @@ def test_the_model_that_is_better_on_the_newest_samples_stays(trial: Trial, fit:
         stays = f"from {fit.samples} samples" if worse else "from 7 samples"
         assert level == 0 and stays in text and ("it stays" in text) == worse
         assert "the newest 24 samples a refit has an error of 0.0" in text
-
-
-def test_what_to_look_at_in_the_data_is_a_warning(bench: Bench) -> None:
-    """Checked every two seconds, one at a time, with or without fits."""
-    bench.settings = dataclasses.replace(bench.settings, auto_fit=False)
-    bench.send(20)
-    ((samples, future),) = bench.fitter.checks
-    assert len(samples) == 9 and not bench.fitter.requests
-    future.set_result(("data: look at Fx: it stands still", "data: look at the mass"))
-    level, text = bench.estimator.state
-    assert level == 1 and text.startswith("data: look at Fx: it stands still (and 1 more); no mod")
-    bench.send(1, start=20)
-    bench.fitter.checks[1][1].set_result(())
-    assert "look at" not in bench.estimator.state[1]
 
 
 def test_a_stored_model_predicts_from_the_first_sample_unless_it_is_of_another_socket(
