@@ -191,10 +191,9 @@ class TestbedNode(Node, Generic[S]):
         self._outputs: list[tuple[Publisher, bool]] = []
         self._service_threads: list[ThreadPoolExecutor] = []
         self._settled_at = clocks.monotonic() + settle
-        self._level, self._message = OK, "started"
-        self._has_worked = RESTARTED in os.environ
-        if self._has_worked:  # its first OK is a recovery
-            self._level, self._message = WARN, "started again"
+        again = RESTARTED in os.environ
+        self._level, self._message = (WARN, "started again") if again else (OK, "started")
+        self._has_worked = again  # its first OK is a recovery
         self._waiting: list[str] | None = None
         self._checks = 0
         self._diagnostics = self.create_publisher(
@@ -341,18 +340,18 @@ class TestbedNode(Node, Generic[S]):
             logger.info(f"recovered: {message}" if recovered else message)
 
     def _read_settings(self, changes: dict[str, Any]) -> S:
-        names = self._kind.flat()
-        values = {name: self.get_parameter(name).value for name in names}
-        values |= {name: value for name, value in changes.items() if name in values}
-        cleaned = {name: _from_ros(value) for name, value in values.items()}
-        return self._kind.from_flat(cleaned, self.get_name())
+        values = {
+            name: _from_ros(changes.get(name, self.get_parameter(name).value))
+            for name in self._kind.flat()
+        }
+        return self._kind.from_flat(values, self.get_name())
 
     def _check_settings(self, changes: list[Parameter]) -> SetParametersResult:
-        for change in changes:
-            if change.type_ == Parameter.Type.NOT_SET:
-                reason = f"{change.name} cannot be deleted: set it to another value"
-                return SetParametersResult(successful=False, reason=reason)
         try:
+            for change in changes:
+                if change.type_ == Parameter.Type.NOT_SET:
+                    hint = "set it to another value"
+                    raise ConfigurationError(f"{change.name} cannot be deleted", hint)
             self._read_settings({change.name: change.value for change in changes})
         except ConfigurationError as error:
             return SetParametersResult(successful=False, reason=str(error))
@@ -373,6 +372,13 @@ class TestbedNode(Node, Generic[S]):
                 self._waiting = waiting
                 self._publish_diagnostics()
 
+    def links(self) -> dict[str, tuple[int, int]]:
+        """By the topic of each publisher: matched subscribers, and how many there should be."""
+        there = {
+            p: max(needed, self.count_subscribers(p.topic_name)) for p, needed in self._outputs
+        }
+        return {p.topic_name: (p.get_subscription_count(), count) for p, count in there.items()}
+
     def _unlinked(self) -> list[str]:
         """Topics without a counterpart in the graph, and the node while it starts."""
         waiting = [
@@ -380,26 +386,14 @@ class TestbedNode(Node, Generic[S]):
             for s in self._inputs
             if s.get_publisher_count() < max(1, self.count_publishers(s.topic_name))
         ]
+        waiting += [topic for topic, (known, there) in self.links().items() if known < there]
         settled = clocks.monotonic() >= self._settled_at
-        itself = [] if settled and self.ready() else ["itself"]
-        return waiting + self.unlinked_outputs() + itself
-
-    def links(self) -> dict[str, int]:
-        """Number of matched subscribers by the topic of each publisher."""
-        return {p.topic_name: p.get_subscription_count() for p, _ in self._outputs}
-
-    def unlinked_outputs(self) -> list[str]:
-        """Topics whose publisher lacks a subscriber that is there, or that it needs."""
-        return [
-            p.topic_name
-            for p, needed in self._outputs
-            if p.get_subscription_count() < max(needed, self.count_subscribers(p.topic_name))
-        ]
+        return waiting if settled and self.ready() else [*waiting, "itself"]
 
     def _publish_diagnostics(self) -> None:
         self._checks = 0
         waiting = "(not checked yet)" if self._waiting is None else ", ".join(self._waiting)
-        links = [f"{topic}={count}" for topic, count in self.links().items()]
+        links = [f"{topic}={known}" for topic, (known, _) in self.links().items()]
         hears = " ".join(s.topic_name for s in self._inputs)
         values = {WAITING_FOR: waiting, LINKS: " ".join(links), HEARS: hears, **self.figures()}
         status = DiagnosticStatus(
@@ -476,14 +470,15 @@ class Followers:
         """
 
         def linked() -> bool:
-            if any(self._waiting.values()) or self._node.unlinked_outputs():
-                return False
             heard = Counter(chain.from_iterable(self._hears.values()))
-            return all(
-                known >= max(heard[name], self._node.count_subscribers(name))
-                for links in (self._node.links(), *self._links.values())
+            own = [(name, known, there) for name, (known, there) in self._node.links().items()]
+            theirs = [
+                (name, known, self._node.count_subscribers(name))
+                for links in self._links.values()
                 for name, known in links.items()
-            )
+            ]
+            found = all(known >= max(heard[name], there) for name, known, there in own + theirs)
+            return found and not any(self._waiting.values())
 
         if self.wait(linked, patience) or self._stopped():
             return ""
