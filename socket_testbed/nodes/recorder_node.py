@@ -80,7 +80,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         self.repeat(settings.flush_period, self._flush)
         self._announce()
         if settings.record:
-            self._start_over(self._directory)
+            self._start_over()
 
     def _read_settings(self, changes: dict[str, Any]) -> RecorderSettings:
         settings = super()._read_settings(changes)
@@ -111,17 +111,10 @@ class RecorderNode(TestbedNode[RecorderSettings]):
     def figures(self) -> dict[str, object]:
         """The trial, how long it has been recorded [s], the free space, the messages by topic."""
         elapsed = clocks.monotonic() - self._began if self._bag is not None else 0.0
-        return {
-            "trial": self._path or "",
-            ELAPSED: round(elapsed, 1),
-            FREE: self._free_space(),
-            **self._counts,
-        }
-
-    def _free_space(self) -> int:
-        """Free space where it records [bytes]."""
-        place = self._path or Path(self.settings.directory).absolute()
-        return shutil.disk_usage(next(p for p in (place, *place.parents) if p.exists())).free
+        place = self._path or self._directory
+        made = next(path for path in (place, *place.parents) if path.exists())
+        free = shutil.disk_usage(made).free
+        return {"trial": self._path or "", ELAPSED: round(elapsed, 1), FREE: free, **self._counts}
 
     def _on_record(self, wanted: bool) -> str:
         given = self.settings.next
@@ -152,8 +145,9 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             path = directory / (name or datetime.now().strftime("trial_%Y%m%d_%H%M%S"))
         return beside(path) if path.exists() else path
 
-    def _start_over(self, directory: Path) -> None:
-        """Record into a folder, or beside it where there is a trial."""
+    def _start_over(self) -> None:
+        """Record into the folder, or beside it where there is a trial."""
+        directory = self._directory
         holds_trial = any(directory.glob("*.mcap"))
         if holds_trial and is_held(directory):
             raise ConfigurationError(
