@@ -246,6 +246,11 @@ class TestbedNode(Node, Generic[S]):
         self._outputs.append((publisher, needed))
         return publisher
 
+    def sender(self, topic: Topic, pack: Callable[..., bytes]) -> Callable[..., None]:
+        """What publishes the message that a packer makes of the same arguments."""
+        publisher = self.advertise(topic)
+        return lambda *values: publisher.publish(pack(*values))
+
     def listen(
         self,
         topic: Topic,

@@ -24,8 +24,7 @@ class ClusterNode(SensorNode[ClusterSettings]):
         super().__init__("cluster_node", ClusterSettings)
         self._reader = make_clusters(self.settings)
         self._answering = False
-        self._pack = capacitance_packer(self.settings.names)
-        self._capacitance = self.advertise(CAPACITANCE)
+        self._send = self.sender(CAPACITANCE, capacitance_packer(self.settings.names))
         self.follow_triggers()
 
     def close(self) -> None:
@@ -45,7 +44,7 @@ class ClusterNode(SensorNode[ClusterSettings]):
         """Read all clusters; `missing` counts channels."""
         reading = self._read(moment)
         self.missing += int((reading.status != 0).sum())
-        self._capacitance.publish(self._pack(stamp, reading.capacitance, reading.status))
+        self._send(stamp, reading.capacitance, reading.status)
 
     def idle(self) -> None:
         """See how the clusters are."""

@@ -78,17 +78,14 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
             self._geometry,
             lambda: self.settings,
             self._worker,
-            lambda model: self._model.publish(model_message(model)),
+            self.sender(PARAMETERS, model_message),
         )
-        self._pack_map = force_map_packer(self._geometry.names)
-        self._pack_wrench = wrench_packer()
-        self._pack_forces = local_forces_packer(self._geometry.names)
         self._picture = PressureMap(self._geometry)
         self._drawn = 0  # [ns]; stamp of the last picture
-        self._wrench = self.advertise(ESTIMATED_WRENCH)
-        self._forces = self.advertise(LOCAL_FORCES)
-        self._model = self.advertise(PARAMETERS)
-        self._force_map = self.advertise(FORCE_MAP)
+        names = self._geometry.names
+        self._send_wrench = self.sender(ESTIMATED_WRENCH, wrench_packer())
+        self._send_forces = self.sender(LOCAL_FORCES, local_forces_packer(names))
+        self._send_map = self.sender(FORCE_MAP, force_map_packer(names))
         self._pressure_map = self.advertise(PRESSURE_MAP)
         self._regions = self.advertise(REGIONS)
         self._pack_regions = regions_packer([place.name for place in self._estimator.map.places])
@@ -127,11 +124,11 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         if force_map is not None:
             self._publish_map(stamp, force_map)
         if wrench is not None and forces is not None:
-            self._wrench.publish(self._pack_wrench(stamp, wrench))
-            self._forces.publish(self._pack_forces(stamp, forces))
+            self._send_wrench(stamp, wrench)
+            self._send_forces(stamp, forces)
 
     def _publish_map(self, stamp: int, estimate: MapEstimate) -> None:
-        self._force_map.publish(self._pack_map(stamp, estimate))
+        self._send_map(stamp, estimate)
         due = abs(stamp - self._drawn) >= _PICTURE_PERIOD
         if due and self._pressure_map.get_subscription_count() > 0:
             self._drawn = stamp

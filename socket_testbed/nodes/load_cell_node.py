@@ -32,10 +32,8 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
     def __init__(self) -> None:
         super().__init__("load_cell_node", LoadCellSettings)
         self._cell = make_load_cell(self.settings)
-        self._wrench = self.advertise(WRENCH)
-        self._pack = wrench_packer()
-        self._raw = self.advertise(LOAD_CELL_RAW)
-        self._pack_raw = load_cell_raw_packer()
+        self._send_wrench = self.sender(WRENCH, wrench_packer())
+        self._send_raw = self.sender(LOAD_CELL_RAW, load_cell_raw_packer())
         self._averaged = 0  # conversions around the last trigger
         self._polled = threading.Condition()
         self._stopping = threading.Event()
@@ -88,9 +86,8 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         if reading.fault:
             self.missing += bool(np.isnan(reading.wrench).any())
             self.fault.note(reading.fault)
-        self._wrench.publish(self._pack(stamp, reading.wrench))
-        raw = self._pack_raw(stamp, reading.ratios, reading.tare, reading.tared, reading.status)
-        self._raw.publish(raw)
+        self._send_wrench(stamp, reading.wrench)
+        self._send_raw(stamp, reading.ratios, reading.tare, reading.tared, reading.status)
 
     def _tare(self, forced: bool = False) -> str:
         """Tare, and tell whoever records."""

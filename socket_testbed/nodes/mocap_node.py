@@ -67,11 +67,11 @@ class MocapNode(SensorNode[MocapSettings]):
         bodies = (geometry.socket_markers, geometry.pylon_markers)
         self._tracker = BodyTracker(settings, *bodies)
         self._client = NatNetClient(settings, self._tracker.add)
-        self._poses = {topic: self.advertise(topic) for topic in (SOCKET_POSE, PYLON_POSE)}
-        self._pack_pose = pose_packer()
-        self._markers = self.advertise(MARKERS)
+        self._send_pose = {
+            topic: self.sender(topic, pose_packer()) for topic in (SOCKET_POSE, PYLON_POSE)
+        }
         self._counts = {"socket": len(bodies[0]), "pylon": len(bodies[1])}
-        self._pack_markers = markers_packer(self._counts)
+        self._send_markers = self.sender(MARKERS, markers_packer(self._counts))
         self._frames = FrameBroadcaster(self, geometry)
         self._averaged, self._delay = 0, 0.0
         self._refused = ""  # why a take's name was not taken
@@ -104,12 +104,12 @@ class MocapNode(SensorNode[MocapSettings]):
         sample = self._sample(moment, window)
         self._averaged = min(sample.frames)
         vectors = np.hstack([sample.positions, sample.quaternions])
-        poses = dict(zip(self._poses, vectors, strict=True))
+        poses = dict(zip(self._send_pose, vectors, strict=True))
         for topic, pose in poses.items():
-            self._poses[topic].publish(self._pack_pose(stamp, pose))
+            self._send_pose[topic](stamp, pose)
         counts = self._counts.values()
         markers = [seen[:count] for seen, count in zip(sample.markers, counts, strict=True)]
-        self._markers.publish(self._pack_markers(stamp, markers))
+        self._send_markers(stamp, markers)
         self._delay = clocks.monotonic() - moment
         self._frames.move(stamp, poses)
         self.missing += any(sample.faults)

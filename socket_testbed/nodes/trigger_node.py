@@ -50,8 +50,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         self._stopping = threading.Event()
         self._own: deque[int] = deque(maxlen=_REMEMBERED)
         self._foreign = 0.0
-        self._output = self.advertise(TRIGGER)
-        self._pack = trigger_packer()
+        self._send = self.sender(TRIGGER, trigger_packer())
         self.follow(TRIGGER, self._on_trigger, needed=False)
         self._followers = Followers(self, settings.wait_for, self._stopping.is_set)
         self.serve(SetBool, "trigger/enable", self._on_enable)
@@ -126,7 +125,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
                 self._stopping.wait(clocks.real(_REOPEN))
         else:
             self._own.append(stamp)
-            self._output.publish(self._pack(stamp, self._sequence))
+            self._send(stamp, self._sequence)
         if self._trigger is not None:
             self._trigger.rest()
 
