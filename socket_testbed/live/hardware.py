@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from itertools import count
 from pathlib import Path
 
@@ -117,13 +118,9 @@ def make_load_cell(settings: LoadCellSettings) -> LoadCell:
         chip = _simulated_load_cell(settings)
         return LoadCell(settings, lambda: chip, open_line=lambda: chip)
 
-    def open_line() -> GpiodLines:
-        uses: dict[int, Use] = {settings.data_ready_line: "falling"}
-        return GpiodLines(
-            settings.data_ready_chip, uses, "load_cell_node", "data_ready_chip",
-            "data_ready_line to -1",
-        )  # fmt: skip
-
+    uses: dict[int, Use] = {settings.data_ready_line: "falling"}
+    names = ("load_cell_node", "data_ready_chip", "data_ready_line to -1")
+    open_line = partial(GpiodLines, settings.data_ready_chip, uses, *names)
     return LoadCell(settings, spi_opener(settings), open_line=open_line)
 
 

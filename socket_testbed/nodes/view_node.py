@@ -168,7 +168,7 @@ class LiveSource:
         """Unsubscribe when nobody has asked for a while."""
         if self._inbox is not None and clocks.monotonic() - self._asked_at > _IDLE:
             self._inbox.close()
-            self._inbox = None
+            self._inbox, self._foreign = None, False
             self._newest.clear()
 
     def _subscribe(self) -> Inbox:
