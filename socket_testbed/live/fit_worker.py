@@ -9,8 +9,7 @@ from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import ParamSpec, TypeVar
+from typing import TypeVar, TypeVarTuple
 
 import numpy as np
 
@@ -40,8 +39,8 @@ HELD_OUT = 0.2  # [-]; newest share of a steady stretch, by which a refit is jud
 LEAST_HELD_OUT = 10  # [1]
 _NICENESS = 10
 
-P = ParamSpec("P")
 T = TypeVar("T")
+Ts = TypeVarTuple("Ts")
 
 
 @dataclass(frozen=True)
@@ -105,14 +104,13 @@ class FitWorker:
         """Whether the process runs, with its libraries loaded."""
         return self._loaded.done()
 
-    def run(self, work: Callable[P, T], *arguments: P.args, **options: P.kwargs) -> Future[T]:
+    def run(self, work: Callable[[*Ts], T], *arguments: *Ts) -> Future[T]:
         """Have a function of a module called in the process."""
-        call = partial(work, *arguments, **options)
         try:
-            return self._pool.submit(call)
+            return self._pool.submit(work, *arguments)
         except BrokenProcessPool:  # it was killed: the next one takes its place
             self._open()
-            return self._pool.submit(call)
+            return self._pool.submit(work, *arguments)
 
     def close(self) -> None:
         """End the process, whatever it is doing."""

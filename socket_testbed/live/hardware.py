@@ -21,6 +21,7 @@ from socket_testbed.drivers.gpio import (
     GpioTrigger,
     TimerTrigger,
     Trigger,
+    Use,
     trigger_lines,
 )
 from socket_testbed.drivers.load_cell.ads131m0x import SpiDevice, open_spi
@@ -116,10 +117,9 @@ def make_load_cell(settings: LoadCellSettings) -> LoadCell:
         chip = _simulated_load_cell(settings)
         open_device = open_line = lambda: chip
     elif settings.data_ready_line >= 0:
-        open_line = partial(
-            GpiodLines, settings.data_ready_chip, {settings.data_ready_line: "falling"},
-            "load_cell_node", "data_ready_chip", "data_ready_line to -1",
-        )  # fmt: skip
+        uses: dict[int, Use] = {settings.data_ready_line: "falling"}
+        names = ("load_cell_node", "data_ready_chip", "data_ready_line to -1")
+        open_line = partial(GpiodLines, settings.data_ready_chip, uses, *names)
     return LoadCell(settings, ConverterReader(settings, open_device, open_line=open_line))
 
 

@@ -110,7 +110,7 @@ def busy_note(scale: float) -> str:
 
 
 class LiveTestbed:
-    """The physics of a testbed, one state of its world after the other.
+    """The physics of a testbed, one state of its world after the other; it remembers all to `save`.
 
     Geometry and calibration are those that the lab believes in.
     """
@@ -122,6 +122,7 @@ class LiveTestbed:
         calibration: Calibration,
         simulation: Simulation,
         errors: SensorErrors,
+        remembers: bool = True,
     ) -> None:
         calibration.require(geometry.clusters, "the socket")
         streams = random_streams(simulation.seed)
@@ -131,6 +132,7 @@ class LiveTestbed:
         self._times = np.arange(0.0, simulation.period, _PERIOD)
         self._loads = load_history(simulation.scenario, simulation.pace * self._times, load_rng)
         self._sway = simulation.sway
+        self._remembers = remembers
         self._limb = LoadedLimb(geometry, self._loads[0], tissue_rng, simulation.tissue)
         self._offset = wrench_offset(errors, cell_rng)
         self._sensors = {
@@ -165,6 +167,8 @@ class LiveTestbed:
             [[*pose.translation[0], *pose.quaternion()[0]] for pose in (socket, pylon)]
         )
         self._world.push(moment, capacitance, load + self._offset, poses)
+        if not self._remembers:
+            return
         self._history.append(
             {
                 "moment": moment,
@@ -239,7 +243,7 @@ def main() -> None:
     errors = SensorErrors()
     geometry = read_socket(Path(socket_file))
     calibration = read_calibration(Path(calibration_file))
-    testbed = LiveTestbed(world, geometry, calibration, simulation, errors)
+    testbed = LiveTestbed(world, geometry, calibration, simulation, errors, bool(truth))
 
     def bodies(moment: float) -> list[tuple[str, FloatArray, FloatArray, FloatArray]]:
         poses = world.poses(moment)

@@ -22,6 +22,7 @@ class ClusterNode(SensorNode[ClusterSettings]):
 
     def __init__(self) -> None:
         super().__init__("cluster_node", ClusterSettings)
+        self.device = ", ".join(f"i2c-{number}" for number in dict.fromkeys(self.settings.buses))
         self._reader = make_clusters(self.settings)
         self._answering = False
         self._send = self.sender(CAPACITANCE, capacitance_packer(self.settings.names))
@@ -35,10 +36,6 @@ class ClusterNode(SensorNode[ClusterSettings]):
     def figures(self) -> dict[str, object]:
         """Number of measurements, and of channels that are missing."""
         return {"samples": self.samples, "missing_channels": self.missing}
-
-    def device(self) -> str:
-        """The buses that the clusters are on."""
-        return ", ".join(f"i2c-{number}" for number in dict.fromkeys(self.settings.buses))
 
     def measure(self, stamp: int, moment: float) -> None:
         """Read all clusters; `missing` counts channels."""

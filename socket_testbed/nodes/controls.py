@@ -349,16 +349,11 @@ class StatusListener:
     def __init__(self, status: GraphStatus, namespace: str = "/", pause: str = "") -> None:
         self._status = status
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C is the verb's
-        node = Node(
-            "_status_listener",
-            namespace=namespace,
-            start_parameter_services=False,
-            enable_rosout=False,
-        )
         self._readers = {topic: Reader(topic) for topic in _WATCHED}
         self._topics = (*_WATCHED, PARAMETERS, RECORDED_TRIAL)
-        self._inbox = Inbox(node, {topic: subscriber_qos(topic) for topic in self._topics})
-        self._pause = node.create_client(SetBool, pause) if pause else None
+        qos = {topic: subscriber_qos(topic) for topic in self._topics}
+        self._inbox = Inbox("status_listener", namespace, qos)
+        self._pause = self._inbox.node.create_client(SetBool, pause) if pause else None
 
     def take(self) -> None:
         """Take what has come since the last call."""

@@ -31,6 +31,7 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
 
     def __init__(self) -> None:
         super().__init__("load_cell_node", LoadCellSettings)
+        self.device = f"spidev{self.settings.device}"
         self._cell = make_load_cell(self.settings)
         self._send_wrench = self.sender(WRENCH, wrench_packer())
         self._send_raw = self.sender(LOAD_CELL_RAW, load_cell_raw_packer())
@@ -58,10 +59,6 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         """Those of the measurements and of the converter, and what the last wrench averages."""
         own = {"averaged_conversions": self._averaged}
         return {**super().figures(), **own, **self._cell.figures()}
-
-    def device(self) -> str:
-        """The converter's bus and chip select."""
-        return f"spidev{self.settings.device}"
 
     def _poll(self) -> None:
         """Read the converter at its pace; a pause costs nothing but conversions."""

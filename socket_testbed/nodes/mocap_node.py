@@ -62,6 +62,7 @@ class MocapNode(SensorNode[MocapSettings]):
     def __init__(self) -> None:
         super().__init__("mocap_node", MocapSettings)
         settings = self.settings
+        self.device = f"NatNet {settings.server}"
         geometry = read_socket(file_or_packaged(settings.geometry, "socket.yaml"))
         self._stale = settings.stale
         bodies = (geometry.socket_markers, geometry.pylon_markers)
@@ -92,10 +93,6 @@ class MocapNode(SensorNode[MocapSettings]):
         """
         last = {"averaged_frames": self._averaged, "delay": round(self._delay, 4)}
         return {**super().figures(), **last, **self._client.figures()}
-
-    def device(self) -> str:
-        """The motion capture's server."""
-        return f"NatNet {self.settings.server}"
 
     def measure(self, stamp: int, moment: float) -> None:
         """Wait for the frames around the trigger and average them."""

@@ -38,6 +38,8 @@ class TriggerNode(TestbedNode[TriggerSettings]):
     def __init__(self) -> None:
         super().__init__("trigger_node", TriggerSettings)
         settings = self.settings
+        if settings.source == "gpio":
+            self.device = f"{settings.chip} line {settings.output_line}"
         self._epoch = SteadyClock(wall_clock(settings))
         self._trigger: Trigger | None = None
         self._sequence = 0
@@ -71,11 +73,6 @@ class TriggerNode(TestbedNode[TriggerSettings]):
             "skipped": self._skipped,
             "stray_edges": self._trigger.stray if self._trigger is not None else 0,
         }
-
-    def device(self) -> str:
-        """The line that makes the pulse."""
-        settings = self.settings
-        return "" if settings.source == "timer" else f"{settings.chip} line {settings.output_line}"
 
     def _on_trigger(self, stamp: int, sequence: int) -> None:
         """Hear whether another testbed triggers the same nodes."""

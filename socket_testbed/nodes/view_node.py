@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
 
@@ -168,21 +167,14 @@ class LiveSource:
         """Unsubscribe when nobody has asked for a while."""
         if self._inbox is not None and clocks.monotonic() - self._asked_at > _IDLE:
             self._inbox.close()
-            self._inbox = None
+            self._inbox, self._foreign = None, False
             self._newest.clear()
 
     def _subscribe(self) -> Inbox:
-        node = Node(
-            f"_{self._node.get_name()}_inbox",
-            namespace=self._node.get_namespace(),
-            context=self._node.context,
-            start_parameter_services=False,
-            use_global_arguments=False,
-        )
         # Whoever publishes waits for no page: a message that is lost is not sent again.
-        reliability = ReliabilityPolicy.BEST_EFFORT
-        depths = _DEPTHS.items()
-        return Inbox(node, {t: QoSProfile(depth=n, reliability=reliability) for t, n in depths})
+        lost = ReliabilityPolicy.BEST_EFFORT
+        qos = {topic: QoSProfile(depth=n, reliability=lost) for topic, n in _DEPTHS.items()}
+        return Inbox(f"{self._node.get_name()}_inbox", self._node.get_namespace(), qos)
 
     def _read(self, inbox: Inbox, topic: Topic) -> list[tuple[int, Any]]:
         """Stamps and values of what has come, in its order; at most as many as are kept."""

@@ -32,6 +32,9 @@ def test_the_limb_follows_a_scenario_again_and_again(tmp_path: Path) -> None:
             carried = data["forces"].sum(axis=1)[:, 2] / data["wrench"][:, 5]
             travel = np.ptp(data["position"][:, 2])
         assert (carried > 0.4).all() and (carried < 1.0).all()  # the rest is between the tiles
+        forgetful = LiveTestbed(world, GEOMETRY, calibration, how, SensorErrors(), remembers=False)
+        forgetful.advance(clocks.monotonic())
+        assert not forgetful._history  # it may run for days
         assert travel > {"soft": 2e-3, "stiff": 3e-4}[tissue], scenario
 
 

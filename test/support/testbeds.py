@@ -12,13 +12,14 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.live.bringup import Testbed, end, simulated_testbed, start
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.simulated_world import Simulation, busy_note
 from socket_testbed.simulation.trial import TRUTH_FILE
-from socket_testbed.trials.layout import decode, stamp_of
+from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.topics import (
     CAPACITANCE,
     MARKERS,
@@ -26,9 +27,9 @@ from socket_testbed.trials.topics import (
     SOCKET_POSE,
     TRIGGER,
     WRENCH,
+    Topic,
 )
 from socket_testbed.trials.trial import Trial
-from support.bags import pose_vector, wrench_vector
 from support.clocks import careful_time_scale
 from support.graph import Probe
 
@@ -119,18 +120,15 @@ class Recorded:
     """What a trial of the simulated testbed holds, by topic and stamp."""
 
     def __init__(self, path: Path, truth: Path | None = None) -> None:
-        self.path = path
-        self.by_topic: dict[str, dict[int, Any]] = {}
+        self._values: dict[str, dict[int, Any]] = {t.name: {} for t in (TRIGGER, *MEASURED)}
+        readers = {topic.name: Reader(topic) for topic in (TRIGGER, *MEASURED)}
         with Trial(path).open() as bag:
             self.notes = bag.notes
-            for raw in bag.messages():
-                topic = raw.topic.lstrip("/")
-                if topic in ("diagnostics", "estimate/pressure_map"):
-                    continue  # of no sample
-                message = decode(raw.data, raw.type)
-                stamps = self.by_topic.setdefault(topic, {})
-                assert stamp_of(message) not in stamps, f"{topic}: a stamp came twice"
-                stamps[stamp_of(message)] = message
+            for raw in bag.messages([f"/{name}" for name in readers]):
+                name = raw.topic.lstrip("/")
+                stamp, values = readers[name].read(raw.data)
+                assert stamp not in self._values[name], f"{name}: a stamp came twice"
+                self._values[name][stamp] = values
         with np.load((truth or path) / TRUTH_FILE) as data:
             self._truth = dict(data)
         self._geometry = Trial(path).geometry
@@ -139,33 +137,29 @@ class Recorded:
         self._around = min(float(np.median(intervals)), 0.25e9) * np.linspace(-0.5, 0.5, 11)
 
     def stamps(self, topic: str) -> set[int]:
-        return set(self.by_topic.get(topic, {}))
+        return set(self._values[topic])
 
     def lacking(self, until: float = math.inf) -> dict[str, int]:
         """How many triggers each measured topic lacks, up to a stamp [ns]."""
         triggers = {stamp for stamp in self.stamps(TRIGGER.name) if stamp <= until}
         return {t.name: len(triggers - self.stamps(t.name)) for t in MEASURED}
 
-    def felt(self, name: str, stamp: float) -> np.ndarray:
-        """What the sensors felt at a time, linear between the simulation's steps."""
-        stamps, values = self._truth["stamps"], self._truth[f"felt_{name}"]
-        after = int(np.clip(np.searchsorted(stamps, stamp), 1, len(stamps) - 1))
-        share = (stamp - stamps[after - 1]) / (stamps[after] - stamps[after - 1])
-        return (1.0 - share) * values[after - 1] + share * values[after]
+    def felt(self, name: str, stamp: int, around: Any = 0.0) -> np.ndarray:
+        """What the sensors felt around a stamp [ns], linear between the simulation's steps."""
+        times = 1e-9 * (self._truth["stamps"] - stamp)
+        near = slice(*np.searchsorted(times, [-3.0, 3.0]))
+        felt = self._truth[f"felt_{name}"][near]
+        return make_interp_spline(times[near], felt, k=1, check_finite=False)(1e-9 * around)
 
-    def averaged(self, name: str, stamp: float) -> np.ndarray:
-        """The mean of what the sensors felt around a time."""
-        return np.mean([self.felt(name, stamp + offset) for offset in self._around], axis=0)
-
-    def known(self, topic: str) -> list[tuple[int, Any]]:
-        """Messages of a topic, but for those around which a busy machine held the world up."""
+    def known(self, topic: Topic) -> list[tuple[int, Any]]:
+        """Values of a topic, but for those around which a busy machine held the world up."""
         # A state must be there before its forerunner's time is over: 40 ms ahead of its own.
         late = self._truth["lateness"] > -0.045
         at, lateness = self._truth["stamps"][late], self._truth["lateness"][late]
         begin, end = at - 0.06e9, at + 1e9 * np.maximum(lateness, 0.0) + 0.03e9
         return [
-            (stamp, message)
-            for stamp, message in self.by_topic[topic].items()
+            (stamp, values)
+            for stamp, values in self._values[topic.name].items()
             if not ((begin < stamp) & (stamp < end)).any()
         ]
 
@@ -177,43 +171,34 @@ class Recorded:
         and poses on average around it, or at the very time where much around it is missing.
         """
         counts = dict.fromkeys((t.name for t in MEASURED), 0)
-        for stamp, message in self.known(WRENCH.name):
-            wrench = np.array(wrench_vector(message.wrench))
-            if np.isfinite(wrench).all():
-                felt = (self.averaged("wrench", stamp), self.felt("wrench", stamp))
-                off = np.abs(wrench - np.clip(wrench, np.minimum(*felt), np.maximum(*felt)))
-                assert (off < np.repeat([0.1, 0.9], 3)).all(), (stamp, off)
-                counts[WRENCH.name] += 1
-            else:
-                assert np.isnan(wrench).all()
-        for stamp, message in self.known(CAPACITANCE.name):
-            moments = stamp + np.linspace(-0.03e9, 0.055e9, 12)
-            felt = np.array([self.felt("capacitance", moment) for moment in moments])
-            for i, cluster in enumerate(message.clusters):
-                values = np.asarray(cluster.capacitance)
-                fine = np.asarray(cluster.status) == 0
-                assert np.isfinite(values[fine]).all() and np.isnan(values[~fine]).all()
-                low, high = felt[:, i].min(axis=0), felt[:, i].max(axis=0)
-                within = (values > low - 0.012) & (values < high + 0.012)
-                assert within[fine].all(), (stamp, cluster.name, values, low, high)
-                counts[CAPACITANCE.name] += int(fine.sum())
+        for stamp, wrench in self.known(WRENCH):
+            around = self.felt("wrench", stamp, self._around)
+            ends = around.mean(axis=0), self.felt("wrench", stamp)
+            off = np.abs(wrench - np.clip(wrench, np.minimum(*ends), np.maximum(*ends)))
+            assert np.isnan(off).all() or (off < np.repeat([0.1, 0.9], 3)).all(), (stamp, off)
+            counts[WRENCH.name] += bool(np.isfinite(off).all())
+        for stamp, (_, values, status) in self.known(CAPACITANCE):
+            felt = self.felt("capacitance", stamp, np.linspace(-0.03e9, 0.055e9, 12))
+            fine = status == 0
+            assert (np.isfinite(values) == fine).all()
+            within = (values > felt.min(axis=0) - 0.012) & (values < felt.max(axis=0) + 0.012)
+            assert within[fine].all(), (stamp, values, felt)
+            counts[CAPACITANCE.name] += int(fine.sum())
+        triads = (self._geometry.socket_markers, self._geometry.pylon_markers)
         for k, topic in enumerate((SOCKET_POSE, PYLON_POSE)):
-            triad = (self._geometry.socket_markers, self._geometry.pylon_markers)[k]
-            for stamp, message in self.known(topic.name):
-                pose = np.array(pose_vector(message.pose))
+            for stamp, pose in self.known(topic):
                 if not np.isfinite(pose).all():
                     assert np.isnan(pose).all()
                     continue
-                true = fit_body(triad, self.averaged("markers", stamp)[k][None]).pose
+                markers = self.felt("markers", stamp, self._around).mean(axis=0)[k]
+                true = fit_body(triads[k], markers[None]).pose
                 turn = abs(pose[3:] @ true.quaternion()[0])
                 assert np.linalg.norm(pose[:3] - true.translation[0]) < 6e-4, stamp
                 assert 2.0 * np.arccos(min(turn, 1.0)) < 0.01, stamp
                 counts[topic.name] += 1
-        for stamp, message in self.known(MARKERS.name):
-            felt = self.felt("markers", stamp)
-            for body, true in zip(message.bodies, felt, strict=True):
-                seen = np.array([(m.x, m.y, m.z) for m in body.markers])
+        for stamp, bodies in self.known(MARKERS):
+            for (name, seen), true in zip(bodies, self.felt("markers", stamp), strict=True):
                 off = np.linalg.norm(seen - true, axis=1)
-                assert (np.isnan(off) | (off < 6e-4)).all(), (stamp, body.name, off)
+                assert (np.isnan(off) | (off < 6e-4)).all(), (stamp, name, off)
                 counts[MARKERS.name] += int(np.isfinite(off).sum())
         return counts
