@@ -69,7 +69,7 @@ class ClusterSettings(Settings):
     )  # fmt: skip
     simulation: str = fixed("", "folder of a simulated world; empty: the hardware [-]")
     bus_timeout: float = fixed(0.05, "time after which a bus that hangs is given up [s]", 0.01, 1.0)
-    latest: float = setting(
+    latest: float = fixed(
         0.05, "latest reading after its trigger; a later one is missing [s]", 1e-3, 1.0
     )
     scheduling: SchedulingSettings = SchedulingSettings()
@@ -154,7 +154,7 @@ class MocapSettings(Settings):
     geometry: str = fixed(
         "", "path of socket.yaml, for the marker triads; empty: the package's own [-]"
     )
-    stale: float = setting(
+    stale: float = fixed(
         0.05, "largest gap between the frames around a trigger, and wait for them [s]", 1e-3, 1.0
     )
     window: float = setting(

@@ -27,7 +27,7 @@ from socket_testbed.drivers.clusters.reader import ClusterReader, ClusterReading
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.live import hardware
 from socket_testbed.samples import Status
-from socket_testbed.settings.acquisition import ClusterSettings
+from socket_testbed.settings.acquisition import ClusterSettings, MocapSettings
 from socket_testbed.simulation.devices.fdc1004 import SimulatedFdc1004
 from socket_testbed.simulation.devices.i2c import SimulatedClusterHardware, SimulatedI2cBus
 from socket_testbed.simulation.world import FAULTS
@@ -258,6 +258,9 @@ def test_settings_that_do_not_fit_together_are_refused() -> None:
     for text, change in changes.items():
         with refused(ConfigurationError, text):
             hardware.make_clusters(replace(SETTINGS, **change))
+    # Drivers take these once; a node would accept a change without effect.
+    assert ClusterSettings.flat()["latest"].metadata["fixed"]
+    assert MocapSettings.flat()["stale"].metadata["fixed"]
 
 
 class OtherChip(Fdc1004):
