@@ -194,18 +194,19 @@ def check_motion_capture(testbed: Testbed) -> Iterator[Finding]:
             clocks.sleep(_LOOK)
         clocks.sleep(settings.stale)
         seen = tracker.sample(clocks.monotonic() - 0.5 * settings.stale)
-        link = client.describe()
+        server, link = client.server, client.figures()
     finally:
         client.close()
     level, message = health
     if level > 1:
         yield _failure("motion capture", message)
         return
-    found = f"{link['server']}, {link['rate']}, at {link['address']}"
-    yield Finding("motion capture", found)
+    address = f"{settings.server}:{settings.command_port}"
+    yield Finding("motion capture", f"{server}, {link['rate']:.0f} Hz, at {address}")
     if level:
         yield _failure("motion capture stream", message)
-    yield Finding("motion capture clock", f"known within {link['clock uncertainty']}")
+    known = 1e3 * link["clock_uncertainty"]
+    yield Finding("motion capture clock", f"known within {known:.2f} ms")
     counts = (len(geometry.socket_markers), len(geometry.pylon_markers))
     names = (settings.socket_body, settings.pylon_body)
     for name, count, body in zip(names, counts, seen, strict=True):

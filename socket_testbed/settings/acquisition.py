@@ -57,7 +57,7 @@ class ClusterSettings(Settings):
     )
     simulation: str = fixed("", "folder of a simulated world; empty: the hardware [-]")
     bus_timeout: float = fixed(0.05, "time after which a bus that hangs is given up [s]", 0.01, 1.0)
-    latest: float = setting(0.05, "reading later than this is missing [s]", 1e-3, 1.0)
+    latest: float = fixed(0.05, "reading later than this is missing [s]", 1e-3, 1.0)
     scheduling: SchedulingSettings = SchedulingSettings()
 
     @property
@@ -127,7 +127,7 @@ class MocapSettings(Settings):
     socket_body: str = fixed("socket", "name of the socket's rigid body in Motive [-]")
     pylon_body: str = fixed("pylon", "name of the pylon's rigid body in Motive [-]")
     geometry: str = fixed("", "path of socket.yaml, for markers; empty: the package's own [-]")
-    stale: float = setting(
+    stale: float = fixed(
         0.05, "largest gap between the frames around a trigger, and wait for them [s]", 1e-3, 1.0
     )
     window: float = setting(

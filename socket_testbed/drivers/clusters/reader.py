@@ -21,7 +21,6 @@ from socket_testbed.drivers.clusters.i2c import (
     CapacitiveChip,
     I2cBus,
     I2cPort,
-    opening_failed,
 )
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.samples import Status
@@ -51,7 +50,7 @@ class ClusterReader:
 
     Args:
         chip: The chip that each cluster has.
-        open_bus: Opens the bus of a number.
+        open_bus: Opens the bus of a number, or raises a `DeviceError`.
     """
 
     def __init__(
@@ -205,10 +204,7 @@ class _Bus:
 
     def open(self) -> None:
         if self._bus is None:
-            try:
-                self._bus = self._open_bus(self._number)
-            except OSError as error:
-                raise opening_failed(self._number, error) from error
+            self._bus = self._open_bus(self._number)
 
     def i2c_rdwr(self, *messages: i2c_msg) -> None:
         """Transfer messages; raises OSError, as the bus itself does."""

@@ -170,12 +170,6 @@ class Tare:
             microseconds = round(1e6 * document.time.timestamp())
             self.no_load = np.array(document.offsets_mV_per_V), 1000 * microseconds
 
-    @property
-    def taken(self) -> str:
-        """When it was taken, in the form of ISO 8601."""
-        time = self.no_load[1]
-        return _written(time) if time else "never"
-
     def set(self, offsets: FloatArray, time: int) -> None:
         """Take other ratios, of a time since the epoch [ns], and write them to the file."""
         with self._writing:
@@ -230,8 +224,10 @@ class LoadCell:
 
     def figures(self) -> dict[str, object]:
         """Numbers of conversions, of corrupted frames and of restarts, and the tare."""
-        tare = in_words(self._bridges.wrenches(self._tare.no_load[0]))
-        return {**self.converter.counts(), "tare": tare, "tared": self._tare.taken}
+        offsets, time = self._tare.no_load
+        tare = in_words(self._bridges.wrenches(offsets))
+        tared = _written(time) if time else "never"
+        return {**self.converter.counts(), "tare": tare, "tared": tared}
 
     def over(self, moment: float, span: float = 0.0) -> float:
         """When the last conversion ends that makes the wrench at a time [s].

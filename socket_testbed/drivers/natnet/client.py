@@ -119,7 +119,12 @@ class NatNetClient:
             " Wi-Fi"
         )
 
-    def figures(self) -> dict[str, object]:
+    @property
+    def server(self) -> str:
+        """The server's description of itself; empty: none is connected."""
+        return str(self._session.server or "")
+
+    def figures(self) -> dict[str, float]:
         """Counts since the begin, and the state of the clock and the rate, by name."""
         session = self._session
         return {
@@ -127,17 +132,6 @@ class NatNetClient:
             "sessions": session.sessions,
             "rate": round(session.statistics.rate(clocks.monotonic()), 1),
             "clock_uncertainty": round(session.echoes.uncertainty, 6),
-        }
-
-    def describe(self) -> dict[str, str]:
-        """The server and the link to it: texts by their names."""
-        session = self._session
-        return {
-            "address": self._where,
-            "server": str(session.server or "no server"),
-            "clock uncertainty": f"{1e3 * session.echoes.uncertainty:.2f} ms",
-            "rate": f"{session.statistics.rate(clocks.monotonic()):.0f} Hz",
-            "bodies": ", ".join(sorted(session.models or {})) or "none",
         }
 
     def _run(self) -> None:

@@ -230,7 +230,7 @@ class Session:
         self._awaiting = False
         self._heard = self._next_echo = self._next_keepalive = self._next_models = 0.0
         self._pending: deque[int] = deque(maxlen=_PENDING)  # echoes by when they were sent [ns]
-        self._models_wanted = self._models_changed = False
+        self._models_wanted = False
         self._number: int | None = None  # of the last frame
         self._handlers: dict[int, Callable[[bytes, float], None]] = {
             messages.SERVERINFO: self._take_server_info,
@@ -395,7 +395,9 @@ class Session:
         if not self._is_next(frame.number, now):
             return
         self.takes.observe(frame.recording, now)
-        self._watch_models(frame)
+        known = {body.id for body in (self.models or {}).values()}
+        if frame.models_changed or not known.issuperset(frame.bodies):
+            self._models_wanted = True  # at most once a second
         if (exposed := self.echoes.to_steady(frame.mid_exposure)) is None:
             return
         moment, error = exposed
@@ -417,13 +419,3 @@ class Session:
             self.statistics.count(LOST, now, min(step - 1, _MOST_LOST))
         self._number = number
         return True
-
-    def _watch_models(self, frame: messages.MocapFrame) -> None:
-        """Ask for the rigid bodies when they change, or a frame has another one."""
-        if frame.models_changed and not self._models_changed:
-            self._next_models = 0.0
-            self._models_wanted = True
-        self._models_changed = frame.models_changed
-        known = {body.id for body in (self.models or {}).values()}
-        if not known.issuperset(frame.bodies):
-            self._models_wanted = True  # at most once a second

@@ -155,8 +155,7 @@ class _TrackedBody:
         offsets = np.array([frame.time - trigger for frame in frames])
         nowhere = np.full(3, np.nan), np.full(4, np.nan)
         nothing = SeenBody(np.full((self._count, 3), np.nan), *nowhere)
-        nearest = (after - 1, after)
-        if not 0 < after < len(frames) or _span(offsets, nearest) > self._stale:
+        if not 0 < after < len(frames) or offsets[after] - offsets[after - 1] > self._stale:
             return nothing._replace(
                 fault=f"no two frames within {self._stale:g} s around the trigger"
             )
@@ -168,9 +167,9 @@ class _TrackedBody:
             (a, b)
             for a in range(after - 1, max(after - 3, -1), -1)
             for b in range(after, min(after + 2, len(frames)))
-            if fit.found[a] and fit.found[b] and _span(offsets, (a, b)) <= self._stale
+            if fit.found[a] and fit.found[b] and offsets[b] - offsets[a] <= self._stale
         ]
-        a, b = pair = pairs[0] if pairs else nearest
+        a, b = pair = pairs[0] if pairs else (after - 1, after)
         weight = -offsets[a] / (offsets[b] - offsets[a])
         if pairs:
             whole = [fit.order[row] for row in pair if (fit.order[row] >= 0).all()]
@@ -244,11 +243,6 @@ class _TrackedBody:
             f"the markers of rigid body '{self._name}' do not fit its {kind}: check the geometry"
             " file, or that no other marker is taken for one of them"
         )
-
-
-def _span(offsets: FloatArray, pair: tuple[int, int]) -> float:
-    """Time between two frames [s]."""
-    return float(offsets[pair[1]] - offsets[pair[0]])
 
 
 def _interpolate(
