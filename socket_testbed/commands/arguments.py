@@ -255,7 +255,7 @@ def add_options(parser: argparse.ArgumentParser, verb: str) -> None:
 
     Args:
         parser: The verb's parser.
-        verb: The verb's function, such as `commands.models.fit`.
+        verb: The verb's function, such as `commands.results.fit`.
     """
     functions = dict(_taken(verb))
     known = set(functions[verb].without.split())
