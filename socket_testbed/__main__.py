@@ -35,16 +35,16 @@ _GROUPS = {
         "info": ("trials", "trials/s01"),
         "annotate": ("trials", "trials/s01 --subject S01 --side left --mass 82.5"),
         "report": ("pages", "trials/s01 -o s01.html"),
-        "pressure": ("pressure", "trials/s01 --segment hold -o s01.csv --figure s01.pdf"),
+        "pressure": ("results", "trials/s01 --segment hold -o s01.csv --figure s01.pdf"),
         "compare": ("pages", "trials/gel trials/sock --segment hold"),
-        "fit": ("models", "trials/s01 -o s01.json"),
-        "evaluate": ("models", "trials/s02 --model s01.json"),
-        "validate": ("models", "trials/s01 trials/s02"),
+        "fit": ("results", "trials/s01 -o s01.json"),
+        "evaluate": ("results", "trials/s02 --model s01.json"),
+        "validate": ("results", "trials/s01 trials/s02"),
         "replay": ("live", "trials/s01 --estimate"),
         "export": ("trials", "trials/s01 -o s01.csv --pressure"),
-        "map": ("pressure", "trials/s01 -o map.csv"),
-        "pareto": ("models", "trials/s01 --thetas 21 --figure front.pdf"),
-        "paper": ("models", "trials/s01"),
+        "map": ("results", "trials/s01 -o map.csv"),
+        "pareto": ("results", "trials/s01 --thetas 21 --figure front.pdf"),
+        "paper": ("results", "trials/s01"),
     },
 }
 VERBS = {verb: module for group in _GROUPS.values() for verb, (module, _) in group.items()}
@@ -94,7 +94,8 @@ def _parse(words: list[str]) -> argparse.Namespace:
         _complete(parser)
     called.words = words
     if not verb.startswith("-") and verb not in VERBS:
-        parser.exit(2, f"socket-testbed: error: unknown verb '{verb}': {_verb_hint(verb)}\n")
+        hint = likely(verb, VERBS) or f"use one of {', '.join(VERBS)}"
+        parser.exit(2, f"socket-testbed: error: unknown verb '{verb}': {hint}\n")
     options, unknown = parser.parse_known_args(arguments)
     if unknown:
         called.error(f"not understood: {' '.join(unknown)}")
@@ -104,10 +105,6 @@ def _parse(words: list[str]) -> argparse.Namespace:
 def _summary(verb: str) -> str:
     summary = read_function(f"commands.{VERBS[verb]}.{verb}").summary
     return summary[0].lower() + summary[1:]
-
-
-def _verb_hint(verb: str) -> str:
-    return likely(verb, VERBS) or f"use one of {', '.join(VERBS)}"
 
 
 def _complete(parser: argparse.ArgumentParser) -> None:

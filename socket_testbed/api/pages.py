@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.comparison import DIFFERENCE, LEGEND, MAPPED, SAME_LIMB, VALUE, Comparison
 from socket_testbed.api.models import Model, model_for, note_implausible, stored_model
-from socket_testbed.api.tradeoff import check_thetas, theta_values
+from socket_testbed.api.tradeoff import theta_values
 from socket_testbed.api.trials import (
     PathLike,
     Progress,
@@ -104,7 +104,7 @@ def write_report(
     from socket_testbed.report.write import write_report as write_page
 
     page = Path(page)
-    check_thetas(thetas)
+    values = theta_values(thetas)
     require_segment(segment)
     check_page_path(page, replace)
     style = figure_style(width, title)  # refused before the work
@@ -115,7 +115,7 @@ def write_report(
             trial,
             segment,
             settings,
-            theta_values(thetas),
+            values,
             stored,
             started(progress, "fitting, judging, mapping"),
         )

@@ -73,13 +73,9 @@ class Tradeoff(Result):
         return pareto_figure([*self.fronts.values()], heading, style)
 
 
-def check_thetas(thetas: int) -> None:
-    """Refuse a number of thetas, before long work."""
-    check_number(thetas, "--thetas", 2, _MOST_THETAS)
-
-
 def theta_values(thetas: int) -> FloatArray:
     """So many thetas from 0 to 1, with no more digits than a person would write [-]."""
+    check_number(thetas, "--thetas", 2, _MOST_THETAS)
     return np.linspace(0.0, 1.0, thetas).round(10)
 
 
@@ -107,12 +103,12 @@ def pareto(
     Front(stiffness, 11 solutions, ... not dominated; knee of depth ...)
     >>> tradeoff.draw("front.png")
     """
-    check_thetas(thetas)
+    values = theta_values(thetas)
     trial, chosen, settings = prepare_fit(trial, segment, params, choices)
     report = started(progress, "solving for every theta")
     with threadpool_limits(1):
         rows = trial.samples()[chosen.rows]
-        fronts = pareto_front(rows, trial.geometry, settings, theta_values(thetas), report)
+        fronts = pareto_front(rows, trial.geometry, settings, values, report)
     return Tradeoff(trial, chosen, fronts)
 
 
@@ -183,7 +179,7 @@ def paper(
     """
     trial = as_trial(trial)
     chosen = {"weights": weights, "frames": frames, "params": params, **choices}
-    check_thetas(thetas)
+    theta_values(thetas)  # refused before long work
     fits = {variant: fit(trial, segment, variant=variant, **chosen) for variant in PAPER_VARIANTS}
     fronts = pareto(trial, segment, thetas=thetas, progress=progress, **chosen).fronts
     errors = {variant: found.fit.errors for variant, found in fits.items()}

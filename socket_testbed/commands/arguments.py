@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from importlib import import_module
+from inspect import Parameter
 from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, NoReturn, TypeVar, Union, get_args, get_origin
@@ -24,7 +25,6 @@ from socket_testbed.errors import likely
 
 _PACKAGE = "socket_testbed"
 _REFERENCE = re.compile(r"As (?:`(?P<name>\w+)` )?in `(?:st\.)?(?P<function>[\w.]+)`")
-REQUIRED = object()  # the default of a parameter without one
 F = TypeVar("F", bound=Callable[..., Any])
 
 _METAVARS = {
@@ -65,22 +65,12 @@ def takes(
 
 
 @dataclass(frozen=True)
-class Parameter:
-    """A parameter of a function."""
-
-    name: str
-    type: Callable[[], Any]  # evaluated where it is needed: it may name a library's class
-    default: Any
-    positional: bool
-
-
-@dataclass(frozen=True)
 class Function:
     """A function, and the arguments of its decorator `takes`."""
 
     summary: str
     texts: dict[str, str]  # what its docstring says of parameters
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[Parameter, ...]  # annotated by functions: a type may name a library's class
     takes: tuple[str, ...] = ()
     without: str = ""
     exclusive: str = ""
@@ -145,9 +135,9 @@ class _Module(dict[str, Any]):
         parameters = tuple(
             Parameter(
                 each.arg,
-                partial(self._value, each.annotation or ast.Constant(None)),
-                REQUIRED if default is None else self._value(default),
-                each in given.args,
+                Parameter.POSITIONAL_ONLY if each in given.args else Parameter.KEYWORD_ONLY,
+                default=Parameter.empty if default is None else self._value(default),
+                annotation=partial(self._value, each.annotation or ast.Constant(None)),
             )
             for each, default in zip(names, defaults, strict=True)
         )
@@ -265,7 +255,7 @@ def add_options(parser: argparse.ArgumentParser, verb: str) -> None:
 
     Args:
         parser: The verb's parser.
-        verb: The verb's function, such as `commands.models.fit`.
+        verb: The verb's function, such as `commands.results.fit`.
     """
     functions = dict(_taken(verb))
     known = set(functions[verb].without.split())
@@ -276,9 +266,11 @@ def add_options(parser: argparse.ArgumentParser, verb: str) -> None:
         if (heading, False) not in groups:
             groups[heading, False] = parser.add_argument_group(heading)
         for number, parameter in enumerate(function.parameters):
-            worked_on = number == 0 and parameter.positional and name != verb
-            keywords = None if worked_on or parameter.name in known else _keywords(parameter.type())
-            if keywords is None:
+            positional = parameter.kind is Parameter.POSITIONAL_ONLY
+            worked_on = number == 0 and positional and name != verb
+            if worked_on or parameter.name in known:
+                continue
+            if (keywords := _keywords(parameter.annotation())) is None:
                 continue
             known.add(parameter.name)
             alone = parameter.name in exclusive
@@ -291,17 +283,17 @@ def add_options(parser: argparse.ArgumentParser, verb: str) -> None:
                 unit = re.search(r"\[(\w+)\]", text)
                 usual = keywords.get("metavar") or (unit[1] if unit else parameter.name).upper()
                 keywords["metavar"] = _METAVARS.get(parameter.name, usual)
-            _add(groups[heading, alone], parameter, parameter.positional and name == verb, keywords)
+            _add(groups[heading, alone], parameter, positional and name == verb, keywords)
 
 
 def _add(group: Any, parameter: Parameter, positional: bool, keywords: dict[str, Any]) -> None:
     name, default = parameter.name, parameter.default
     if positional:
         several = "+" if keywords.pop("action", "") else None
-        count = several if default is REQUIRED else "*" if several else "?"
+        count = several if default is Parameter.empty else "*" if several else "?"
         group.add_argument(name, **keywords | {"nargs": count, "metavar": name.upper()})
         return
-    if default is not REQUIRED:
+    if default is not Parameter.empty:
         keywords["default"] = [*default] if keywords.get("action") == "append" else default
     elif keywords.get("action") != "store_true":
         keywords["required"] = True
@@ -320,7 +312,11 @@ def _keywords(kind: Any) -> dict[str, Any] | None:
     parts = {get_origin(each) or each: get_args(each) for each in union}
     if words := parts.get(Literal):
         if float in parts:
-            return {"type": lambda text: text if text in words else float(text)}
+
+            def number(text: str) -> str | float:
+                return text if text in words else float(text)
+
+            return {"type": number}
         return {"type": type(words[0]), "choices": words}
     for simple, keywords in _SIMPLE.items():
         if simple in parts:
@@ -337,7 +333,8 @@ def _help(text: str, default: Any) -> str:
     text = re.sub(r"^Whether |, see `[^`]*`|`| \[-\]|\.$", "", text).replace("%", "%%")
     if text[1:2].islower() or text[1:2] == " ":
         text = text[0].lower() + text[1:]
-    if default in (REQUIRED, None, (), "") or isinstance(default, bool) or "(default" in text:
+    without = (Parameter.empty, None, (), "")
+    if default in without or isinstance(default, bool) or "(default" in text:
         return text
     return f"{text} (default: {f'{default:g}' if isinstance(default, float) else default})"
 

@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING, Any
 from socket_testbed import api
 from socket_testbed.api.comparison import LEGEND, open_compared
 from socket_testbed.api.pages import PAGES
-from socket_testbed.api.tradeoff import check_thetas
+from socket_testbed.api.tradeoff import theta_values
 from socket_testbed.batch import Row
 from socket_testbed.commands.arguments import takes
-from socket_testbed.commands.models import error_columns
 from socket_testbed.commands.options import (
     TrialVerb,
     check_files,
@@ -32,6 +31,7 @@ from socket_testbed.commands.options import (
     segment_columns,
     typed_command,
 )
+from socket_testbed.commands.results import error_columns
 from socket_testbed.commands.terminal import Progress, say, table
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError
@@ -62,7 +62,7 @@ def report(trial: Path, *, output: Path, thetas: int = 31, **options: Any) -> No
     Args:
         output: The page, or the folder of the pages of a folder of trials.
     """
-    check_thetas(thetas)
+    theta_values(thetas)  # a wrong number is refused once
     options["command"] = typed_command()
     verb = TrialVerb("report", ".html", _report, _report_row, _show_report, FIELDS)
     on_trials(verb, trial, output=output, thetas=thetas, **options)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -93,16 +94,11 @@ def export(
 @takes("commands.options.open_given", without="unloaded")
 def info(trial: Path, **options: Any) -> None:
     """Show what a trial holds: topics, rates, gaps, plateau."""
-    notes: dict[str, None] = {}  # part of the output, each once
-    opened = open_given(trial, **options)
-    opened = dataclasses.replace(opened, notify=lambda note: notes.update({note: None}))
-    print(_topics(opened))
-    shown = len(notes)
+    notify = cache(lambda note: print(f"note: {note}"))  # part of the output
+    opened = dataclasses.replace(open_given(trial, **options), notify=notify)
+    print(f"{_topics(opened)}\n")
     say_data(opened)
     samples, metadata = opened.samples(), opened.metadata
-    print()
-    for note in list(notes)[shown:]:
-        print(f"note: {note}")
     print(f"{_triggers(samples)}\n\n{_missing(samples)}\n\n{_noise(samples)}\n")
     for segment in find_plateaus(samples, opened.estimator.plateau):
         mean = np.nanmean(samples[segment.rows].wrench[:, 3:], axis=0)
@@ -124,9 +120,8 @@ def _topics(trial: Trial) -> str:
             [name, bag.types[name], str(count), number(count / duration if duration else 0.0, 2)]
             for name, count in sorted(bag.counts.items())
         ]
-        lines = [f"{trial.path}: {sum(bag.counts.values())} messages in {duration:.2f} s"]
-        lines += [f"note: {note}" for note in bag.notes]
-    return "\n".join([*lines, table(["topic", "type", "messages", "Hz"], rows)])
+        heading = f"{trial.path}: {sum(bag.counts.values())} messages in {duration:.2f} s"
+    return f"{heading}\n{table(['topic', 'type', 'messages', 'Hz'], rows)}"
 
 
 def _triggers(samples: Samples) -> str:

@@ -37,7 +37,7 @@ def test_a_mistake_is_one_line_with_the_likely_word(capsys) -> None:
 
 def parser_of(verb: str) -> Parser:
     parser = Parser(prog=verb)
-    add_options(parser, f"commands.models.{verb}")
+    add_options(parser, f"commands.results.{verb}")
     return parser
 
 

@@ -30,14 +30,16 @@ def test_every_verb_explains_itself_and_each_of_its_options(capsys) -> None:
             assert "replace" in options, verb
 
 
-def test_the_help_imports_no_library() -> None:
+def test_importing_the_package_is_light_and_the_help_imports_no_library() -> None:
     script = (
-        "import sys; from socket_testbed.__main__ import run\n"
+        "import sys, socket_testbed as st; from socket_testbed.__main__ import run\n"
         "try: run(['report', '--help'])\n"
-        "except SystemExit: sys.exit('numpy' in sys.modules or 'socket_testbed.api' in sys.modules)"
+        "except SystemExit: assert not {'numpy', 'socket_testbed.api'} & set(sys.modules)\n"
+        "assert set(st.__all__) <= set(dir(st)) and st.fit\n"
+        "assert not {'rclpy', 'matplotlib', 'plotly', 'pandas'} & set(sys.modules)\n"
     )
-    code, out, _ = program(sys.executable, "-c", script)
-    assert code == 0 and "--thetas" in out
+    code, out, err = program(sys.executable, "-c", script)
+    assert code == 0 and "--thetas" in out, err
 
 
 def test_info_says_what_a_trial_holds(hold: Path, capsys) -> None:

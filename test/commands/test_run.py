@@ -40,18 +40,25 @@ pytestmark = pytest.mark.graph
 SIMULATED = ("--simulated", "--time-scale", "auto")
 
 
+def start(*words: object, folder: Path) -> subprocess.Popen[str]:
+    call = [*COMMAND, "run", *SIMULATED, "--rate", "20", *map(str, words)]
+    return subprocess.Popen(call, cwd=folder, stdout=subprocess.PIPE, text=True)
+
+
+def interrupt(process: subprocess.Popen[str]) -> str:
+    """What a run prints that Ctrl-C ends."""
+    process.send_signal(signal.SIGINT)
+    out, _ = process.communicate(timeout=HANGS)
+    assert process.returncode == 0
+    return out
+
+
 def test_run_records_a_trial_and_marked_events_until_ctrl_c(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "trial"
-    words = ["run", *SIMULATED, "--rate", "20", "--record", str(path), "--variant", "stiffness"]
-    words += ["--subject", "S01", "--side", "left"]
-    with (
-        Probe() as probe,
-        subprocess.Popen(
-            [*COMMAND, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        ) as process,
-    ):
+    words = ["--record", path, "--variant", "stiffness", "--subject", "S01", "--side", "left"]
+    with Probe() as probe, start(*words, folder=tmp_path) as process:
         measured = [probe.listen(topic) for topic in (CAPACITANCE, PYLON_POSE, WRENCH)]
         triggers = probe.listen(TRIGGER)
         probe.wait(lambda: all(len(messages) > 2 for messages in measured), "measurements")
@@ -61,10 +68,7 @@ def test_run_records_a_trial_and_marked_events_until_ctrl_c(
         goal = len(triggers) + 1  # the newest may be older than the event: time is slow
         probe.wait(lambda: len(triggers) > goal, "triggers after it")
         after = stamp_of(triggers[-1])
-        process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=HANGS)
-    assert process.returncode == 0, err
-
+        out = interrupt(process)
     trial = Trial(path)
     samples = trial.samples()
     assert out.startswith(f"{path}: {len(samples)} triggers, ") and out.count("\n") == 1
@@ -120,27 +124,18 @@ def test_run_ends_by_itself_and_a_fault_is_seen(
 def test_the_page_s_button_records_without_record_too(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
-    words = ["run", *SIMULATED, "--rate", "20", "--view", "--view-port", str(port)]
-    with (
-        Probe() as probe,
-        subprocess.Popen([*COMMAND, *words], cwd=tmp_path, stdout=subprocess.PIPE) as process,
-    ):
-        announced = probe.listen(RECORDED_TRIAL)
-        wrenches = probe.listen(WRENCH)
+    page, act = f"http://127.0.0.1:{port}", {"do": "record", "trial": "s07"}
+    request = urllib.request.Request(f"{page}/act", json.dumps(act).encode(), {"Origin": page})
+    with Probe() as probe, start("--view", "--view-port", port, folder=tmp_path) as process:
+        announced, wrenches = probe.listen(RECORDED_TRIAL), probe.listen(WRENCH)
         probe.wait(lambda: len(wrenches) > 2 and len(announced) > 0, "measurements")
         assert announced[-1].data == "", "nothing is recorded yet"
-        page = f"http://127.0.0.1:{port}"
-
         probe.wait(lambda: bool(probe.said("view_node")), "the page")
-        body = json.dumps({"do": "record", "trial": "s07"}).encode()
-        request = urllib.request.Request(f"{page}/act", body, {"Origin": page})
         with urllib.request.urlopen(request, timeout=HANGS) as answer:
             assert "recording" in json.load(answer)["said"]
         goal = len(wrenches) + 10
         probe.wait(lambda: len(wrenches) > goal, "a trial")
-        process.send_signal(signal.SIGINT)
-        out, _ = process.communicate(timeout=HANGS)
-    assert process.returncode == 0 and out.startswith(b"trials/s07: ")
+        assert interrupt(process).startswith("trials/s07: ")
     assert len(Trial(tmp_path / "trials" / "s07").samples()) > 5
     assert [path.name for path in (tmp_path / "trials").iterdir()] == ["s07"]
 
