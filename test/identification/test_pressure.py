@@ -142,7 +142,7 @@ def test_a_span_gives_what_every_draw_at_every_sample_gives_and_nearly_so_from_s
     samples, threshold = moving_samples(700), THRESHOLD
     samples.local_forces[333], samples.wrench[333] = [2.0, -0.8, -80.0], 6.0 * samples.wrench[0]
     samples.status[333] = Status.OK  # a peak of one sample
-    force_map, regions = ForceMap(GEOMETRY, CLUSTERS), all_regions(GEOMETRY)
+    force_map, regions = ForceMap(GEOMETRY, CLUSTERS, trial=samples), all_regions(GEOMETRY)
     found = pressure_outputs(force_map, samples, GEOMETRY, regions, threshold)
     with monkeypatch.context() as fewer:
         fewer.setattr(pressure, "MOST_DRAWN", 100)
