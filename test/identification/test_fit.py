@@ -161,32 +161,30 @@ def test_what_is_left_out_does_not_matter_and_the_fit_says_what_it_rests_on(lost
 
 
 def test_what_cannot_be_fitted_is_refused_with_its_name():
+    geometry, _, samples, settings = make_case(71)
+
+    def is_refused(kind, *names, leave_out=(), **arrays):
+        spoilt = dataclasses.replace(samples, **arrays)
+        chosen = dataclasses.replace(settings, leave_out=leave_out)
+        with refused(kind, *names):
+            fit_contact_model(spoilt, geometry, chosen)
+
     for array, place, value, channel in (
         ("local_forces", np.s_[:, 1, 2], np.nan, "cluster_1.Fz"),
         ("status", np.s_[:, 1], 2, "cluster_1.Fx"),
         ("wrench", np.s_[:, 2], np.nan, "Mz"),
     ):
-        geometry, _, samples, settings = make_case(71)
-        getattr(samples, array)[place] = value
-        with refused(IdentificationError, f"{channel} ", "leave it out", "(--leave-out "):
-            fit_contact_model(samples, geometry, settings)
+        values = getattr(samples, array).copy()
+        values[place] = value
+        is_refused(IdentificationError, f"{channel} ", "(--leave-out ", **{array: values})
     for name, meant in (("cluster_1.Fq", "cluster_1.F"), ("mz", "Mz")):
-        geometry, _, samples, settings = make_case(72, leave_out=(name,))
-        with refused(ConfigurationError, "leave_out", repr(name), meant):
-            fit_contact_model(samples, geometry, settings)
-    geometry, _, samples, settings = make_case(74)
-    other = dataclasses.replace(samples, clusters=("cluster_0", "brim", "cluster_2"))
-    with refused(ConfigurationError, "'brim'"):
-        fit_contact_model(other, geometry, settings)
-    everything = dataclasses.replace(settings, leave_out=samples.channels)
-    with refused(IdentificationError, "every channel is left out"):
-        fit_contact_model(samples, geometry, everything)
-    for count in (LEAST_SAMPLES - 1, 1, 0):
-        samples.position[count:] = np.nan
-        with refused(
-            IdentificationError, f"only {count} of {len(samples)} samples", f"needs {LEAST_SAMPLES}"
-        ):
-            fit_contact_model(samples, geometry, settings)
+        is_refused(ConfigurationError, "leave_out", repr(name), meant, leave_out=(name,))
+    is_refused(ConfigurationError, "'brim'", clusters=("cluster_0", "brim", "cluster_2"))
+    is_refused(IdentificationError, "every channel is left out", leave_out=samples.channels)
+    for count in (LEAST_SAMPLES - 1, 0):
+        position = np.where(np.arange(len(samples))[:, None] < count, samples.position, np.nan)
+        names = (f"only {count} of {len(samples)} samples", f"needs {LEAST_SAMPLES}")
+        is_refused(IdentificationError, *names, position=position)
 
 
 # --- Stage 2 at given rest positions
