@@ -22,7 +22,9 @@ from socket_testbed.identification.pressure import (
     outputs_of,
     pressure_outputs,
 )
+from socket_testbed.identification.validation import CLOSED, field_estimators
 from socket_testbed.samples import Samples, Status
+from socket_testbed.settings.identification import ForceMapSettings
 from socket_testbed.simulation.limb import LoadedLimb, TissueKind
 
 GEOMETRY = ring_socket()
@@ -199,16 +201,22 @@ def test_intervals_hold_the_truth_of_simulated_holds(tissue: TissueKind) -> None
     geometry = read_socket(packaged("config", "socket.yaml"))
     clusters, regions = tuple(geometry.clusters), all_regions(geometry)
     tiles = list(geometry.clusters.values())
-    force_map, within = ForceMap(geometry, clusters), []
+    free = np.setdiff1d(np.arange(len(geometry)), tiles)
+    rival = field_estimators(geometry, ForceMapSettings())[CLOSED]
+    force_map, within, covered = ForceMap(geometry, clusters), [], []
     for seed in (81, 82, 83):
         limb = LoadedLimb(geometry, LOAD, np.random.default_rng(seed), tissue)
         truth = limb.step(LOAD, 5.0)[None]
         local = np.einsum("cji,kcj->kci", geometry.rotations[tiles], truth[:, tiles])
         samples = replace(samples_at(np.zeros(1)), clusters=clusters, local_forces=local)
-        found = pressure_outputs(force_map, samples, geometry, regions, THRESHOLD).regions
+        found = pressure_outputs(force_map, samples, geometry, regions, THRESHOLD)
         true = outputs_of(truth, np.zeros(1), geometry, regions, THRESHOLD)
         for name in ("mean", "peak", "area", "shear", "share"):
-            quantity: Quantity = getattr(found, name)
+            quantity: Quantity = getattr(found.regions, name)
             low, high = quantity.low - 1e-9, quantity.high + 1e-9
             within += ((low <= true[name]) & (true[name] <= high)).tolist()
-    assert np.mean(within) > 0.8
+        errors = (found.estimate.forces - truth)[:, free]
+        missed = (rival(samples)[0] - truth)[:, free]
+        assert np.linalg.norm(errors) < 0.9 * np.linalg.norm(missed)
+        covered.append(np.abs(errors) < 1.96 * found.estimate.standard_deviations[:, free])
+    assert np.mean(within) > 0.8 and np.mean(covered) > 0.78

@@ -135,8 +135,8 @@ def test_a_name_goes_to_motive_as_it_is_or_is_refused_when_it_is_given(tmp_path:
     for name in ("trial_20261122_101500", "S01 left 2", "Übung-3.b", "歩行"):
         assert check_take_name(name) == name
         assert encode_command(f"SetRecordTakeName,{name}").count(b",") == 1
-    wrong = ("", "a,b", "StopRecording\nx", "a\0b", "..", ".hidden", "a/b", "a\\b", "C:x", "a ")
-    for name in (*wrong, "a.", "\udcff", "x" * 70_000, "ü" * 101, "a\u2028b"):
+    wrong = ("", "a,b", "StopRecording\nx", "a\0b", "..", "a/b", "a\\b", "C:x", "a ", "a\u2028b")
+    for name in (*wrong, "\udcff", "x" * 70_000, "ü" * 101):
         with refused(ConfigurationError, "the trial's name ", ": give letters") as caught:
             check_take_name(name)
         assert len(str(caught.value).encode()) < 450
@@ -144,9 +144,7 @@ def test_a_name_goes_to_motive_as_it_is_or_is_refused_when_it_is_given(tmp_path:
         with refused(ConfigurationError, "the trial's name"):
             RecorderSettings(directory=str(tmp_path / name), record=True)
         RecorderSettings(directory=str(tmp_path / name))  # it is no trial itself
-
-
-def test_a_refused_take_is_not_pursued_and_the_one_before_it_ends():
+    # A refused take is not pursued, and the one before it ends.
     sent: list[str] = []
     keeper = TakeKeeper(lambda command, done: sent.append(command))
     keeper.want("first")
