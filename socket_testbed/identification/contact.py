@@ -86,8 +86,7 @@ class Sizes:
     scale: FloatArray  # what the parameters are divided by, shape (6, n) [N/m, m]
     start: FloatArray  # centre x_0 of the prior, shape (6, n) [-]
     springs: FloatArray  # stiffnesses of the linear springs of Stage 1, shape (3, n) [N/m]
-    lower: FloatArray  # lower bounds, shape (6, n) [-]
-    upper: FloatArray  # upper bounds, shape (6, n) [-]
+    limit: float  # largest rest displacement along an axis [m]
     prior: FloatArray  # Q of the stiffnesses and of the rest displacements, shape (2, n, n) [-]
 
 
@@ -242,7 +241,6 @@ class PaperLaw(ContactLaw):
         )
         points, pairs = len(self.anchors), max(len(loading.neighbours), 1)
         scale = np.repeat([_STIFFNESS, _DISTANCE], 3)[:, None] * np.ones(points)
-        limit = settings.rest_position_limit
         differences = neighbour_differences(points, loading.neighbours)
         smooth = settings.smoothness / (3.0 * pairs) * differences  # mean over axes and pairs
         expected = settings.stiffness_difference, settings.rest_position_difference
@@ -251,8 +249,7 @@ class PaperLaw(ContactLaw):
             scale=scale,
             start=np.zeros_like(scale),
             springs=np.full((3, points), stiffness),
-            lower=np.repeat([0.0, -limit], 3)[:, None] / scale,
-            upper=np.repeat([np.inf, limit], 3)[:, None] / scale,
+            limit=settings.rest_position_limit,
             prior=np.multiply.outer(weights, smooth),
         )
 
@@ -372,13 +369,11 @@ class RigidLaw(ContactLaw):
         prior = OWN * np.eye(points) + neighbour_differences(points, loading.neighbours)
         weight = loading.zero * settings.prior / (3.0 * points)
         ones = np.ones((6, points))
-        upper = np.inf * ones
         return Sizes(
             scale=np.array([*stiffness, rest, rest, rest])[:, None] * ones,
             start=np.repeat([1.0, 0.0], 3)[:, None] * ones,
             springs=stiffness[:, None] * ones[:3],
-            lower=np.where(np.arange(6)[:, None] < 3, 0.0, -upper),
-            upper=upper,
+            limit=np.inf,
             prior=weight * np.stack([prior, prior]),
         )
 

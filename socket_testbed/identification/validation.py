@@ -241,13 +241,10 @@ def judge_clusters(
     noise: FloatArray,
     tested_on: str = "",
 ) -> list[Judgement]:
-    """Judge the forces on each cluster, estimated from the other clusters and the wrench.
+    """Judge the forces on each cluster, estimated from the others and the wrench; then on all.
 
     The intervals are those of a measurement: they hold the errors of the cluster's own channels,
     with the standard deviations `noise` in its frame, shape (c, 3) [N].
-
-    Returns:
-        A judgement per cluster and estimator, then one of all clusters per estimator.
     """
     by_name: dict[str, list[_Compared]] = {name: [] for name in estimators}
     judged = []
@@ -475,11 +472,10 @@ def summarise_judgements(judgements: Sequence[Judgement]) -> pd.DataFrame:
 
 
 def judgements_by_trial(judgements: Sequence[Judgement]) -> pd.DataFrame:
-    """Judgements of each trial in one row: its own, and medians of those by models of others.
+    """Judgements of each `trial` in one row: its own, and medians of those by models of others.
 
-    Returns:
-        Indexed by `trial`. Columns are the figures of `judgements_table` by question, test and
-        predictor, such as `wrench, second half: rigid_bias force skill [-]`.
+    Columns are the figures of `judgements_table` by question, test and predictor, such as
+    `wrench, second half: rigid_bias force skill [-]`.
     """
     import pandas as pd
 
