@@ -365,9 +365,11 @@ def _stiffness(moved: FloatArray, load: FloatArray, variance: FloatArray) -> Flo
 
 def _quantity(value: FloatArray, drawn: FloatArray) -> Quantity:
     """A value with its interval; a draw that is not known reaches to either side."""
-    value, ends = np.asarray(value), []
-    for side, end, method in ((-1.0, _ENDS[0], "lower"), (1.0, _ENDS[1], "higher")):
-        known = np.where(np.isnan(drawn), side * np.inf, drawn)
-        reach = side * (np.percentile(known, end, axis=0, method=method) - value)
-        ends.append(value + side * _WIDENING * np.maximum(reach, 0.0))
-    return Quantity(value, *ends, np.abs(value))
+    below = np.where(np.isnan(drawn), -np.inf, drawn)
+    above = np.where(np.isnan(drawn), np.inf, drawn)
+    low = np.percentile(below, _ENDS[0], axis=0, method="lower")
+    high = np.percentile(above, _ENDS[1], axis=0, method="higher")
+    value = np.asarray(value)
+    low = value - _WIDENING * np.maximum(value - low, 0.0)
+    high = value + _WIDENING * np.maximum(high - value, 0.0)
+    return Quantity(value, low, high, np.abs(value))
