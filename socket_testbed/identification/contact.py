@@ -50,6 +50,14 @@ def wrench_map(anchors: FloatArray) -> FloatArray:
     return np.vstack([moments.reshape(-1, 3).T, np.tile(np.eye(3), len(anchors))])
 
 
+def rigid_motions(arms: FloatArray) -> FloatArray:
+    """Displacements of points at arms (n, 3) [m] by a translation and a rotation, (n, 3, 6).
+
+    By virtual work they are the transpose of `wrench_map`.
+    """
+    return np.roll(wrench_map(arms).reshape(6, -1, 3), 3, axis=0).transpose(1, 2, 0)
+
+
 def neighbour_differences(points: int, neighbours: IntArray) -> FloatArray:
     """Matrix D'D of the differences between neighbours, shape (n, n) [-], by their pairs (e, 2)."""
     D = np.eye(points)[neighbours[:, 0]] - np.eye(points)[neighbours[:, 1]]
@@ -78,8 +86,7 @@ class Sizes:
     scale: FloatArray  # what the parameters are divided by, shape (6, n) [N/m, m]
     start: FloatArray  # centre x_0 of the prior, shape (6, n) [-]
     springs: FloatArray  # stiffnesses of the linear springs of Stage 1, shape (3, n) [N/m]
-    lower: FloatArray  # lower bounds, shape (6, n) [-]
-    upper: FloatArray  # upper bounds, shape (6, n) [-]
+    limit: float  # largest rest displacement along an axis [m]
     prior: FloatArray  # Q of the stiffnesses and of the rest displacements, shape (2, n, n) [-]
 
 
@@ -234,7 +241,6 @@ class PaperLaw(ContactLaw):
         )
         points, pairs = len(self.anchors), max(len(loading.neighbours), 1)
         scale = np.repeat([_STIFFNESS, _DISTANCE], 3)[:, None] * np.ones(points)
-        limit = settings.rest_position_limit
         differences = neighbour_differences(points, loading.neighbours)
         smooth = settings.smoothness / (3.0 * pairs) * differences  # mean over axes and pairs
         expected = settings.stiffness_difference, settings.rest_position_difference
@@ -243,8 +249,7 @@ class PaperLaw(ContactLaw):
             scale=scale,
             start=np.zeros_like(scale),
             springs=np.full((3, points), stiffness),
-            lower=np.repeat([0.0, -limit], 3)[:, None] / scale,
-            upper=np.repeat([np.inf, limit], 3)[:, None] / scale,
+            limit=settings.rest_position_limit,
             prior=np.multiply.outer(weights, smooth),
         )
 
@@ -318,9 +323,7 @@ class RigidLaw(ContactLaw):
 
     def motion_map(self) -> FloatArray:
         """Displacements of the tiles' centres on a rigid limb."""
-        arms = self.anchors - self.reference_pose[:3]
-        turns = np.cross(np.eye(3), arms[:, None]).swapaxes(1, 2)  # columns e_j x arm
-        return np.concatenate([np.broadcast_to(np.eye(3), turns.shape), turns], axis=2)
+        return rigid_motions(self.anchors - self.reference_pose[:3])
 
     def motion(self, pose: FloatArray) -> FloatArray:
         """Relative poses, shape (N, 6) [m, rad]."""
@@ -366,13 +369,11 @@ class RigidLaw(ContactLaw):
         prior = OWN * np.eye(points) + neighbour_differences(points, loading.neighbours)
         weight = loading.zero * settings.prior / (3.0 * points)
         ones = np.ones((6, points))
-        upper = np.inf * ones
         return Sizes(
             scale=np.array([*stiffness, rest, rest, rest])[:, None] * ones,
             start=np.repeat([1.0, 0.0], 3)[:, None] * ones,
             springs=stiffness[:, None] * ones[:3],
-            lower=np.where(np.arange(6)[:, None] < 3, 0.0, -upper),
-            upper=upper,
+            limit=np.inf,
             prior=weight * np.stack([prior, prior]),
         )
 
@@ -398,13 +399,11 @@ class RigidLaw(ContactLaw):
         """
         mean, spread = motion.mean(axis=0), motion.std(axis=0)
         inverse = 1.0 / np.where(spread > _LEAST_MOTION, spread, np.inf)
-        scaled = (motion - mean) * inverse
+        scaled, left = (motion - mean) * inverse, residual - residual.mean(axis=0)
         force = wrench[:, 3:]
-        change = float(np.sqrt(force.var(axis=0).sum()))
-        size = float(np.sqrt((force**2).sum(axis=1).mean()))
+        change, size = np.sqrt(force.var(axis=0).sum()), np.sqrt((force**2).sum(axis=1).mean())
         ridge = _SLOPE_RIDGE + (_LEAST_CHANGE * size / max(change, 1e-9)) ** 2
         gram = scaled.T @ scaled / len(scaled) + ridge * np.eye(6)
-        left = residual - residual.mean(axis=0)
         slope = np.linalg.solve(gram, scaled.T @ left / len(scaled)).T * inverse
         return residual.mean(axis=0) - slope @ mean, slope
 

@@ -40,7 +40,7 @@ from scipy.special import chdtri, i0e, i1e, ndtri
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.contact import wrench_map
+from socket_testbed.identification.contact import rigid_motions, wrench_map
 from socket_testbed.identification.plausibility import Outliers, find_outliers
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
 from socket_testbed.settings.identification import ForceMapSettings
@@ -205,8 +205,8 @@ class JointDraws:
 
     def mapped(self, mapping: FloatArray) -> JointDraws:
         """The same draws of r linear functions of the forces, by their matrix, shape (3n, r)."""
-        gain = np.ascontiguousarray(np.swapaxes(np.swapaxes(self.gain, 1, 2) @ mapping, 1, 2))
-        return replace(self, gain=gain, errors=self.errors @ mapping)
+        gain = np.einsum("mfd,fr->mrd", self.gain, mapping, optimize=True)
+        return replace(self, gain=np.ascontiguousarray(gain), errors=self.errors @ mapping)
 
 
 class ForceMap:
@@ -282,8 +282,7 @@ class ForceMap:
 
     def _weights(self, samples: Samples) -> FloatArray:
         """Probabilities of the hypotheses at the samples, shape (M,) [-]; 0 for unlikely ones."""
-        learnt = self._evidence if self._learnt_from else self._mean_evidence(samples)
-        return _probabilities(learnt)
+        return _probabilities(self._evidence if self._learnt_from else self._mean_evidence(samples))
 
     def _estimate(self, values: FloatArray, present: BoolArray, weights: FloatArray) -> MapEstimate:
         kept = np.flatnonzero(weights)
@@ -407,10 +406,8 @@ class ForceMap:
     def _source(self, present: BoolArray) -> str:
         """The prior's mean and the measured channels."""
         wrench = len(WRENCH_CHANNELS)
-        parts = ["wrench"] if present[:, :wrench].any() else []
-        for number, cluster in enumerate(self._clusters):
-            if present[:, wrench + 3 * number : wrench + 3 * (number + 1)].any():
-                parts.append(cluster)
+        names = np.repeat(["wrench", *self._clusters], [wrench] + [3] * len(self._clusters))
+        parts = dict.fromkeys(names[present.any(axis=0)])
         return f"prior: mean zero; measured: {', '.join(parts) or 'nothing'}"
 
 
@@ -477,11 +474,8 @@ def _rigid_motions(geometry: SocketGeometry, arm: float) -> FloatArray:
     them and the mean anchor, whose displacement at the distance `arm` [m] is 1.
     """
     axes = np.linalg.svd(proximal_direction(geometry)[None])[2][[1, 2, 0]]
-    arms = (geometry.anchors - geometry.anchors.mean(axis=0)) / arm
-    in_socket = np.empty((len(geometry), 3, 6))
-    in_socket[:, :, :3] = axes.T
-    in_socket[:, :, 3:] = np.swapaxes(np.cross(axes, arms[:, None]), 1, 2)
-    return np.swapaxes(geometry.rotations, 1, 2) @ in_socket
+    in_socket = rigid_motions((geometry.anchors - geometry.anchors.mean(axis=0)) / arm)
+    return np.swapaxes(geometry.rotations, 1, 2) @ in_socket @ np.kron(np.eye(2), axes.T)
 
 
 _LOG_NORMAL = {
@@ -500,16 +494,16 @@ def hypotheses(settings: ForceMapSettings) -> list[SimpleNamespace]:
     The points are the additive recurrence of the generalised golden ratio, of low discrepancy
     (Niederreiter, Random Number Generation and Quasi-Monte Carlo Methods, 1992, section 3.2).
     """
-    dimensions = len(_LOG_NORMAL) + len(_NORMAL)
+    spreads = _LOG_NORMAL | _NORMAL
     ratio = 1.0
     for _ in range(64):  # to rounding
-        ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1.0))
-    steps = ratio ** -np.arange(1.0, dimensions + 1.0)
+        ratio = (1.0 + ratio) ** (1.0 / (len(spreads) + 1.0))
+    steps = ratio ** -np.arange(1.0, len(spreads) + 1.0)
     points = ndtri((0.5 + np.arange(settings.draws)[:, None] * steps) % 1.0)
     found = []
     for point in points.tolist():
         sizes = {}
-        for (name, spread), value in zip((_LOG_NORMAL | _NORMAL).items(), point, strict=True):
+        for (name, spread), value in zip(spreads.items(), point, strict=True):
             median, change = getattr(settings, name), getattr(settings, spread) * value
             sizes[name] = median + change if name in _NORMAL else median * np.exp(change)
         sizes["share"] = min(max(sizes["share"], _LEAST_SHARE), 1.0)

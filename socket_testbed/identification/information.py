@@ -147,10 +147,9 @@ def _noise(samples: Samples, window: float) -> tuple[ChannelNoise, FloatArray]:
 
 
 def _moving_directions(deviation: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Directions in which poses (N, 6) move `LEAST_RATIO` times their noise about their mean.
+    """Map of poses to the motion along d directions, (6, d), and its inverse, (d, 6).
 
-    Returns:
-        The map of poses to the motion along them, shape (6, d), and its inverse, shape (d, 6).
+    In these, poses (N, 6) move `LEAST_RATIO` times their noise about their mean.
     """
     covariance = deviation.T @ deviation / max(len(deviation), 1)
     ratios, vectors = eigh(covariance, noise)

@@ -161,11 +161,7 @@ class Implausible:
 
 
 def find_implausible(samples: Samples, geometry: SocketGeometry) -> tuple[Implausible, ...]:
-    """Propose channels to leave out of the objective, by the rule of this module.
-
-    Returns:
-        The proposals in the order of the channels, one per channel and reason.
-    """
+    """Propose channels to leave out, by the rule of this module, one per channel and reason."""
     force = np.linalg.norm(samples.wrench[:, 3:], axis=1)
     load, most = finite_quantile(force, 0.5), _peak(force)
     found: list[Implausible] = []

@@ -309,7 +309,8 @@ class Problem:
         if settings.initial_stiffness == 0.0 and not law.REFINED:
             settings = replace(settings, initial_stiffness=float(sizes.springs[0, 0]))
         self.settings = settings
-        self.lower, self.upper = sizes.lower, sizes.upper
+        self.lower = np.repeat([0.0, -sizes.limit], 3)[:, None] / self._scale
+        self.upper = np.repeat([np.inf, sizes.limit], 3)[:, None] / self._scale
 
     def stage_one(self) -> BoxQP:
         r"""Stage 1: scaled rest displacements, (3n,), for linear springs of the expected stiffness.

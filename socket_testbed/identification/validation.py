@@ -203,9 +203,9 @@ def left_out_pressures(
         yield name, measured, others.normal_pressure[:, tile], deviation
 
 
-FieldEstimator = Callable[[Samples], tuple[FloatArray, FloatArray | None]]
+FieldEstimator = Callable[[Samples], tuple[FloatArray, FloatArray]]
 """From samples to the forces on the tiles in {S}, shape (N, n, 3) [N], and their standard
-deviations by axis of {S}, or None."""
+deviations by axis of {S}, NaN where it gives none."""
 
 
 def field_estimators(
@@ -217,13 +217,15 @@ def field_estimators(
     """
     made = cache(partial(ForceMap, geometry, settings=settings))  # by the clusters
 
-    def interpolate(samples: Samples) -> tuple[FloatArray, None]:
-        return inverse_distance(geometry, samples.clusters, samples.trusted_forces), None
+    def interpolate(samples: Samples) -> tuple[FloatArray, FloatArray]:
+        forces = inverse_distance(geometry, samples.clusters, samples.trusted_forces)
+        return forces, np.full_like(forces, np.nan)
 
-    def closed(samples: Samples) -> tuple[FloatArray, None]:
+    def closed(samples: Samples) -> tuple[FloatArray, FloatArray]:
         read = np.isfinite(samples.trusted_forces).any(axis=(0, 2))
         held = [geometry.clusters[name] for name in np.array(samples.clusters)[read]]
-        return close_wrench(geometry, interpolate(samples)[0], samples.wrench, held), None
+        forces, none = interpolate(samples)
+        return close_wrench(geometry, forces, samples.wrench, held), none
 
     def force_map(samples: Samples) -> tuple[FloatArray, FloatArray]:
         found = made(samples.clusters).estimate(samples)
@@ -239,13 +241,10 @@ def judge_clusters(
     noise: FloatArray,
     tested_on: str = "",
 ) -> list[Judgement]:
-    """Judge the forces on each cluster, estimated from the other clusters and the wrench.
+    """Judge the forces on each cluster, estimated from the others and the wrench; then on all.
 
     The intervals are those of a measurement: they hold the errors of the cluster's own channels,
     with the standard deviations `noise` in its frame, shape (c, 3) [N].
-
-    Returns:
-        A judgement per cluster and estimator, then one of all clusters per estimator.
     """
     by_name: dict[str, list[_Compared]] = {name: [] for name in estimators}
     judged = []
@@ -260,9 +259,8 @@ def judge_clusters(
         # Noise along the axes of {S}: the diagonal of R diag(noise^2) R'.
         variance = rotation**2 @ np.nan_to_num(noise[column]) ** 2
         for name, estimate in estimators.items():
-            forces, deviations = estimate(hidden)
-            spread = None if deviations is None else np.sqrt(deviations[:, tile] ** 2 + variance)
-            by_name[name].append((truth, forces[:, tile], spread))
+            forces, deviations = (values[:, tile] for values in estimate(hidden))
+            by_name[name].append((truth, forces, np.sqrt(deviations**2 + variance)))
     size = rms(samples.trusted_forces)
     found = []
     for row, cluster in enumerate([*judged, ""]):
@@ -289,32 +287,28 @@ def judge_tiles(
     truth = truth[:, bare]
     found = []
     for name, estimate in estimators.items():
-        forces, deviations = estimate(samples)
-        spread = None if deviations is None else deviations[:, bare]
+        forces, deviations = (values[:, bare] for values in estimate(samples))
         judgement = Judgement("tiles", name, test, "", tested_on)
-        found.append(_judged(judgement, [(truth, forces[:, bare], spread)], rms(truth)))
+        found.append(_judged(judgement, [(truth, forces, deviations)], rms(truth)))
     return found
 
 
-_Compared = tuple[FloatArray, FloatArray, FloatArray | None]
-"""True and estimated forces of N samples, and the standard deviations of these, if known."""
+_Compared = tuple[FloatArray, FloatArray, FloatArray]
+"""True and estimated forces of N samples, and the standard deviations of these."""
 
 
 def _judged(judgement: Judgement, compared: Sequence[_Compared], size: float) -> Judgement:
     """The judgement with its figures, over forces of the root mean square `size` [N]."""
-    errors, scaled, samples = [], [], 0
-    for truth, forces, spread in compared:
-        error = forces - truth
-        known = np.isfinite(error)
-        samples = max(samples, int(known.reshape(len(known), -1).any(axis=1).sum()))
-        errors.append(error[known])
-        if spread is not None:
-            scaled.append(np.abs(error[known] / spread[known]))
+    errors = np.concatenate([(forces - truth).ravel() for truth, forces, _ in compared])
+    scaled = np.abs(errors / np.concatenate([spread.ravel() for *_, spread in compared]))
+    scaled = scaled[np.isfinite(scaled)]
+    known = (np.isfinite(forces - truth) for truth, forces, _ in compared)
+    samples = max(int(each.reshape(len(each), -1).any(axis=1).sum()) for each in known)
     coverage = _UNKNOWN
-    if sum(map(len, scaled)):
+    if len(scaled):
         limits = ndtri(0.5 + 0.5 * np.array(LEVELS))
-        coverage = tuple(float(np.mean(np.concatenate(scaled) <= limit)) for limit in limits)
-    share = rms(np.concatenate(errors)) / size if size > 0.0 else float("nan")
+        coverage = tuple(float(np.mean(scaled <= limit)) for limit in limits)
+    share = rms(errors) / size if size > 0.0 else float("nan")
     return dataclasses.replace(judgement, samples=samples, error=share, coverage=coverage)
 
 
@@ -431,8 +425,9 @@ def measurement_errors(
     return np.hypot(offset, settings.cluster_gain_error * np.nan_to_num(np.array(sizes)))
 
 
-def _forces_of(model: ContactModel, samples: Samples) -> tuple[FloatArray, None]:
-    return model.forces(samples.pose), None
+def _forces_of(model: ContactModel, samples: Samples) -> tuple[FloatArray, FloatArray]:
+    forces = model.forces(samples.pose)
+    return forces, np.full_like(forces, np.nan)
 
 
 _TITLES = {
@@ -477,11 +472,10 @@ def summarise_judgements(judgements: Sequence[Judgement]) -> pd.DataFrame:
 
 
 def judgements_by_trial(judgements: Sequence[Judgement]) -> pd.DataFrame:
-    """Judgements of each trial in one row: its own, and medians of those by models of others.
+    """Judgements of each `trial` in one row: its own, and medians of those by models of others.
 
-    Returns:
-        Indexed by `trial`. Columns are the figures of `judgements_table` by question, test and
-        predictor, such as `wrench, second half: rigid_bias force skill [-]`.
+    Columns are the figures of `judgements_table` by question, test and predictor, such as
+    `wrench, second half: rigid_bias force skill [-]`.
     """
     import pandas as pd
 

@@ -35,6 +35,16 @@ from socket_testbed.identification.validation import (
 from socket_testbed.settings.identification import PAPER_VARIANTS, ForceMapSettings
 
 
+@pytest.fixture
+def rng():
+    return np.random.default_rng(8)
+
+
+@pytest.fixture
+def geometry(rng):
+    return random_socket(rng)
+
+
 def rivals(geometry):
     """What needs no prior: the interpolations of the clusters."""
     found = field_estimators(geometry, ForceMapSettings())
@@ -49,8 +59,7 @@ def moving_samples(rng, count=60, slope=None, noise=0.0):
     return make_samples(pose, wrench, {"cluster_0": np.zeros((count, 3))}), slope
 
 
-def test_two_clusters_share_by_distance_and_one_without_a_value_does_not_count():
-    rng = np.random.default_rng(1)
+def test_clusters_share_by_distance_and_the_wrench_is_met_by_the_smallest_change(rng):
     geometry = random_socket(rng, clusters=2)
     given = rng.normal(size=(4, 2, 3))
     given[2, 1, 0] = np.nan
@@ -66,18 +75,13 @@ def test_two_clusters_share_by_distance_and_one_without_a_value_does_not_count()
     assert np.allclose(local[2], given[2, 0])
     assert np.isnan(found[3]).all()
 
-
-def test_the_closed_wrench_is_met_by_the_smallest_change():
-    rng, held = np.random.default_rng(3), (0, 3)
-    geometry = random_socket(rng)
     geometry = dataclasses.replace(geometry, areas=rng.uniform(5e-4, 2e-3, len(geometry)))
-    forces = rng.normal(size=(2, len(geometry), 3))
+    forces, held = rng.normal(size=(2, len(geometry), 3)), [0, 3]
     wrench = rng.normal(0.0, [1.0] * 3 + [50.0] * 3, (2, 6))
     found = close_wrench(geometry, forces, wrench, held)
     mapping = wrench_map(geometry.anchors)
     assert np.allclose(found.reshape(2, -1) @ mapping.T, wrench)
-    assert np.array_equal(found[:, list(held)], forces[:, list(held)])
-
+    assert np.array_equal(found[:, held], forces[:, held])
     # At the minimum the gradient, the change over the area, is a combination of the constraints.
     free = np.setdiff1d(np.arange(len(geometry)), held)
     gradient = ((found - forces) / geometry.areas[:, None])[:, free].reshape(2, -1).T
@@ -86,50 +90,41 @@ def test_the_closed_wrench_is_met_by_the_smallest_change():
     assert np.allclose(constraints @ multipliers, gradient, rtol=1e-6)
 
 
-def test_the_regression_finds_a_linear_law_and_ignores_a_pose_that_does_not_move():
-    rng = np.random.default_rng(4)
+def test_the_regression_finds_a_linear_law_and_ignores_a_pose_that_does_not_move(rng):
     samples, slope = moving_samples(rng)
     other, _ = moving_samples(rng, slope=slope)
     predict = wrench_predictors(samples, {})[REGRESSION]
     constant = samples.wrench[0] - samples.pose[0] @ slope
     assert np.allclose(predict(other.pose), constant + other.pose @ slope)
-    rotation = samples.rotation.copy()
-    rotation[:, 1] = 0.3  # constant
-    rotation[:, 2] = 2.0 * samples.position[:, 0]  # another's multiple
-    degenerate = dataclasses.replace(samples, rotation=rotation)
-    degenerate.wrench[:] = degenerate.pose[:, :4] @ slope[:4]
-    predict, moved = wrench_predictors(degenerate, {})[REGRESSION], degenerate.pose
-    assert np.allclose(predict(moved), degenerate.wrench)
+    samples.rotation[:, 1] = 0.3  # constant
+    samples.rotation[:, 2] = 2.0 * samples.position[:, 0]  # another's multiple
+    samples.wrench[:] = samples.pose[:, :4] @ slope[:4]
+    predict, moved = wrench_predictors(samples, {})[REGRESSION], samples.pose
+    assert np.allclose(predict(moved), samples.wrench)
     moved[:, 4] = 0.4
-    assert np.allclose(predict(moved), degenerate.wrench)
+    assert np.allclose(predict(moved), samples.wrench)
 
 
-def test_the_wrench_s_rivals_have_the_skill_that_they_must():
-    rng = np.random.default_rng(5)
+def test_the_wrench_s_rivals_have_the_skill_that_they_must(rng):
     samples, slope = moving_samples(rng, 200, noise=0.5)
     predictors = wrench_predictors(samples, {})
-    found = {j.predictor: j for j in judge_wrench(samples, predictors, "in-sample")}
+
+    def judged(samples, test="in-sample"):
+        return {j.predictor: j for j in judge_wrench(samples, predictors, test)}
+
+    found = judged(samples)
     constant = found[CONSTANT]
     assert (constant.moment_skill, constant.force_skill) == pytest.approx((0.0, 0.0), abs=1e-12)
     assert found[REGRESSION].force_rmse == pytest.approx(0.5, rel=0.1)
     assert found[REGRESSION].moment_skill > 0.9
-
     other, _ = moving_samples(rng, slope=slope)
-    by_hand = other.wrench - np.nanmean(samples.wrench, axis=0)
-    found = {j.predictor: j for j in judge_wrench(other, predictors, "other trial")}
-    rmse = np.sqrt(np.mean(by_hand**2, axis=0))
-    assert found[CONSTANT].moment_rmse == pytest.approx(rmse[:3].mean())
-    assert found[CONSTANT].force_skill == pytest.approx(
-        1.0 - rmse[3:].mean() / other.wrench[:, 3:].std(axis=0).mean()
-    )
-
-    samples.wrench[:, 2] = np.nan  # Mz was never measured: the others count
-    found = {
-        j.predictor: j for j in judge_wrench(samples, wrench_predictors(samples, {}), "in-sample")
-    }
-    residual = wrench_predictors(samples, {})[REGRESSION](samples.pose) - samples.wrench
-    by_hand = np.sqrt(np.mean(residual[:, :2] ** 2, axis=0)).mean()
-    assert found[REGRESSION].moment_rmse == pytest.approx(by_hand)
+    rmse = np.sqrt(np.mean((other.wrench - samples.wrench.mean(axis=0)) ** 2, axis=0))
+    found = judged(other, "other trial")[CONSTANT]
+    assert found.moment_rmse == pytest.approx(rmse[:3].mean())
+    skill = 1.0 - rmse[3:].mean() / other.wrench[:, 3:].std(axis=0).mean()
+    assert found.force_skill == pytest.approx(skill)
+    other.wrench[:, 2] = np.nan  # Mz was never measured: the others count
+    assert judged(other)[CONSTANT].moment_rmse == pytest.approx(rmse[:2].mean())
 
 
 def samples_of_forces(geometry, forces, noise=0.0, rng=None):
@@ -143,9 +138,7 @@ def samples_of_forces(geometry, forces, noise=0.0, rng=None):
     return make_samples(np.zeros((len(forces), 3)), wrench, local)
 
 
-def test_a_left_out_cluster_is_judged_on_what_the_others_say():
-    rng = np.random.default_rng(8)
-    geometry = random_socket(rng)
+def test_a_left_out_cluster_is_judged_on_what_the_others_say(geometry):
     uniform = np.tile(geometry.rotations @ [1.0, -2.0, -10.0], (6, 1, 1))
     samples = samples_of_forces(geometry, uniform)
     noise = np.zeros((3, 3))
@@ -159,20 +152,24 @@ def test_a_left_out_cluster_is_judged_on_what_the_others_say():
     samples.status[2:4, 1] = 3  # neither used nor judged
     first, found = found, judge_clusters(samples, geometry, rivals(geometry), noise)
     chosen = {j.cluster: j for j in found if j.predictor == INVERSE_DISTANCE}
-    values = samples.trusted_forces
-    size = np.sqrt(np.nanmean(values**2))
+    size = np.sqrt(np.nanmean(samples.trusted_forces**2))
     wrong = np.sqrt(np.mean((np.array([1.0, -2.0, -10.0]) - 5.0) ** 2))
     assert chosen["cluster_0"].error == pytest.approx(wrong / size)
     assert chosen["cluster_1"].samples == 4 and chosen["cluster_0"].samples == 6
     row = summarise_judgements([*first, *found]).loc[("cluster", "left out", INVERSE_DISTANCE)]
-    assert row["judged [1]"] == 2
+    assert row["judged [1]"] == 2 and row["worst error [-]"] == chosen[""].error
     assert row["error [-]"] == pytest.approx(0.5 * chosen[""].error)
-    assert row["worst error [-]"] == chosen[""].error
+
+    forces = np.tile(geometry.rotations @ [3.0, 0.0, -40.0], (5, 1, 1))
+    samples = samples_of_forces(geometry, forces)
+    noise = np.array([[0.1, 0.2, 3.0], [np.nan] * 3, [0.1] * 3])
+    settings = ForceMapSettings(cluster_error=0.5, cluster_gain_error=0.1)
+    found = measurement_errors(samples, noise, settings)
+    assert np.allclose(found[0], [np.hypot(0.5, 0.3), 0.5, 5.0])
+    assert np.allclose(found[1:], [np.hypot(0.5, 0.3), 0.5, np.hypot(0.5, 4.0)])
 
 
-def test_intervals_hold_what_they_say():
-    rng = np.random.default_rng(9)
-    geometry = random_socket(rng)
+def test_intervals_hold_what_they_say_and_tiles_with_a_sensor_do_not_count(rng, geometry):
     count, spread, noise = 4000, 2.0, 1.5
     truth = rng.normal(size=(count, len(geometry), 3))
     samples = samples_of_forces(geometry, truth, noise, rng)
@@ -190,36 +187,14 @@ def test_intervals_hold_what_they_say():
     too_sure = judge_clusters(samples, geometry, {"map": estimate}, 0.0 * stated)[-1]
     assert too_sure.coverage[2] < 0.93
 
-
-def test_a_measurement_is_uncertain_by_noise_or_offset_and_by_gain():
-    rng = np.random.default_rng(13)
-    geometry = random_socket(rng)
-    forces = np.tile(geometry.rotations @ [3.0, 0.0, -40.0], (5, 1, 1))
-    samples = samples_of_forces(geometry, forces)
-    noise = np.array([[0.1, 0.2, 3.0], [np.nan] * 3, [0.1] * 3])
-    settings = ForceMapSettings(cluster_error=0.5, cluster_gain_error=0.1)
-    found = measurement_errors(samples, noise, settings)
-    assert np.allclose(found[0], [np.hypot(0.5, 0.3), 0.5, 5.0])
-    assert np.allclose(found[1:], [np.hypot(0.5, 0.3), 0.5, np.hypot(0.5, 4.0)])
-
-
-def test_tiles_with_a_sensor_do_not_count():
-    rng = np.random.default_rng(10)
-    geometry = random_socket(rng)
-    truth = rng.normal(size=(5, len(geometry), 3))
-    samples = samples_of_forces(geometry, truth)
-    estimators = rivals(geometry) | {"zero": lambda _: (np.zeros_like(truth), None)}
-    judged = judge_tiles(samples, geometry, truth, estimators, "second half")
-    errors = {judgement.predictor: judgement.error for judgement in judged}
-    assert errors["zero"] == pytest.approx(1.0)
+    judged = judge_tiles(samples, geometry, truth, rivals(geometry), "second half")
     bare = np.setdiff1d(np.arange(len(geometry)), [*geometry.clusters.values()])
-    forces = rivals(geometry)[CLOSED](samples)[0]
-    expected = np.sqrt(np.mean((forces - truth)[:, bare] ** 2) / np.mean(truth[:, bare] ** 2))
-    assert errors[CLOSED] == pytest.approx(expected)
+    missed = (rivals(geometry)[CLOSED](samples)[0] - truth)[:, bare]
+    expected = np.sqrt(np.mean(missed**2) / np.mean(truth[:, bare] ** 2))
+    assert {j.predictor: j.error for j in judged}[CLOSED] == pytest.approx(expected)
 
 
-def test_loaded_samples_are_complete_and_pressed_and_come_in_halves():
-    rng = np.random.default_rng(6)
+def test_loaded_samples_are_complete_and_pressed_and_come_in_halves(rng):
     samples, _ = moving_samples(rng, 5)
     samples.wrench[:, 3:] = [[0, 0, -30], [0, 0, -5], [30, 0, 0], [0, np.nan, -40], [0, 0, -40]]
     samples.position[4, 0] = np.nan

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-from typing import Any
-
 import numpy as np
-import pytest
-import qpsolvers
 from scipy.spatial.transform import Rotation
 
 from socket_testbed.geometry.pose import Pose
@@ -18,15 +13,6 @@ from socket_testbed.settings.identification import IdentificationSettings, Varia
 
 SOCKET_TRIAD = np.array([[0.0, 0.0, 0.0], [0.09, 0.0, 0.01], [-0.01, 0.045, 0.0]])  # [m]
 PYLON_TRIAD = np.array([[0.0, 0.01, 0.0], [0.07, 0.0, 0.0], [0.01, 0.05, 0.02]])  # [m]
-FAR = np.array([0.01, -0.02, 0.03])  # [m]; no sign may hide behind a mean position of zero
-LEFT_OUT = [
-    (),
-    ("cluster_1.Fx",),
-    ("Mz", "cluster_0.Fz", "cluster_2.Fy"),
-    ("cluster_1.Fx", "cluster_1.Fy", "cluster_1.Fz"),
-    ("Mx", "My", "Mz"),
-    ("Mx", "My", "Mz", "Fx", "Fy", "Fz"),
-]
 
 
 def random_pose(rng: np.random.Generator, reach: float = 0.3, count: int | None = None) -> Pose:
@@ -134,59 +120,26 @@ def naive_gated(displacement: np.ndarray, sharpness: float) -> np.ndarray:
     return (0.5 - 0.5 * np.tanh(sharpness * displacement)) * displacement
 
 
-def spoil(rng: np.random.Generator, samples: Samples) -> Samples:
-    """The same samples with gaps in the clusters: single channels, whole clusters, statuses."""
-    forces, status = samples.local_forces.copy(), samples.status.copy()
-    forces[rng.random(forces.shape) < 0.1] = np.nan
-    forces[5:9, 0] = np.nan
-    status[12:16, 1] = 3
-    forces[12:16, 1] += 1e4  # what no fit may see
-    return dataclasses.replace(samples, local_forces=forces, status=status)
-
-
 def make_case(
     seed: int,
     variant: Variant = "stiffness_bias",
     gaps: bool = False,
-    clusters: int = 3,
-    noise: float = 1.0,
     **changes,
 ) -> tuple[SocketGeometry, ContactModel, Samples, IdentificationSettings]:
     """A random bed and its samples: the socket, the bed, the samples and the settings.
 
-    Little smoothness and many tiles without contact put part of the solution on its bound.
+    Little smoothness and many tiles without contact put part of the solution on its bound. Gaps
+    are in the clusters: single channels, whole clusters, statuses.
     """
     rng = np.random.default_rng(seed)
-    geometry = random_socket(rng, clusters=clusters)
+    geometry = random_socket(rng)
     bed = random_bed(rng, geometry, variant, untouched=0.4)
-    samples = samples_of_bed(rng, bed, moving_limb(rng, 40), noise)
+    samples = samples_of_bed(rng, bed, moving_limb(rng, 40), 1.0)
     if gaps:
-        samples = spoil(rng, samples)
+        forces = samples.local_forces
+        forces[rng.random(forces.shape) < 0.1] = np.nan
+        forces[5:9, 0] = np.nan
+        samples.status[12:16, 1] = 3
+        forces[12:16, 1] += 1e4  # what no fit may see
     settings = IdentificationSettings(variant=variant, **({"smoothness": 1e-5} | changes))
     return geometry, bed, samples, settings
-
-
-def count_solver_calls(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The solvers that are really called from now on, in their order."""
-    calls: list[str] = []
-    solve = qpsolvers.solve_problem
-
-    def counted(problem: Any, solver: str, **options: Any) -> Any:
-        calls.append(solver)
-        return solve(problem, solver, **options)
-
-    monkeypatch.setattr(qpsolvers, "solve_problem", counted)
-    return calls
-
-
-def installed(*solvers: str) -> list:
-    """Solvers as parameters of a test, which skips those that are not installed."""
-    return [
-        pytest.param(
-            solver,
-            marks=pytest.mark.skipif(
-                solver not in qpsolvers.available_solvers, reason=f"{solver} is not installed"
-            ),
-        )
-        for solver in solvers
-    ]

@@ -28,9 +28,8 @@ class StackedRows:
 
     def solve(self) -> np.ndarray:
         """All unknowns at the optimum, by an active-set method on the rows themselves."""
-        answer = lsq_linear(
-            self.A, self.b, (self.lower, self.upper), method="bvls", tol=1e-15, max_iter=1000
-        )
+        bounds = (self.lower, self.upper)
+        answer = lsq_linear(self.A, self.b, bounds, method="bvls", tol=1e-15, max_iter=1000)
         assert answer.success
         return answer.x
 
@@ -69,24 +68,6 @@ def stack_stage_two(
     bounds = (np.zeros(3 * len(geometry)), np.full(3 * len(geometry), np.inf))
     with_bias = settings.variant == "stiffness_bias"
     return _stack(samples, geometry, settings, springs, difference, bounds, with_bias)
-
-
-def stacked_offsets(
-    x: np.ndarray, samples: Samples, settings: IdentificationSettings
-) -> dict[str, float]:
-    """The offsets in a solution of the stacked Stage 2 by the channel's name, zero elsewhere."""
-    with_bias = settings.variant == "stiffness_bias"
-    kept = [name for name in samples.channels if with_bias and name not in settings.leave_out]
-    explicit = dict(zip(kept, x[len(x) - len(kept) :], strict=True))
-    return dict.fromkeys(samples.channels, 0.0) | explicit
-
-
-def named_offsets(
-    wrench: np.ndarray, clusters: dict[str, np.ndarray], samples: Samples
-) -> dict[str, float]:
-    """The package's offsets by the channel's name; zero where it gives none."""
-    local = [clusters.get(cluster, np.zeros(3)) for cluster in samples.clusters]
-    return dict(zip(samples.channels, np.concatenate([wrench, *local]), strict=True))
 
 
 def relative(found: np.ndarray, expected: np.ndarray) -> float:
@@ -131,19 +112,15 @@ def _stack(samples, geometry, settings, springs, difference, bounds, with_bias) 
                 targets.append(root[i] * (measured[k, i] - maps[i] @ h))
     columns = 3 * len(geometry)
     free = np.full(offset_rows.shape[1], np.inf)
+    weight = settings.smoothness / (3 * len(geometry.neighbours)) / difference**2
     for a, b in geometry.neighbours:
         for axis in range(3):
             row = np.zeros(columns + len(free))
             row[3 * a + axis], row[3 * b + axis] = 1.0, -1.0
-            weight = settings.smoothness / (3 * len(geometry.neighbours)) / difference**2
             rows.append(np.sqrt(weight) * row)
             targets.append(0.0)
-    return StackedRows(
-        np.array(rows),
-        np.array(targets),
-        np.concatenate([bounds[0], -free]),
-        np.concatenate([bounds[1], free]),
-    )
+    lower, upper = np.concatenate([bounds[0], -free]), np.concatenate([bounds[1], free])
+    return StackedRows(np.array(rows), np.array(targets), lower, upper)
 
 
 def channel_row(samples: Samples, geometry: SocketGeometry, channel: int) -> np.ndarray:
