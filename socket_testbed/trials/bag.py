@@ -60,16 +60,6 @@ class RawMessage:
     data: bytes  # serialised (CDR)
 
 
-@dataclass(frozen=True)
-class Block:
-    """Messages of one topic, in the order of their recording."""
-
-    topic: str
-    type: str  # as `package/msg/Type`
-    times: list[int]  # of the recording, since the epoch [ns]
-    data: list[bytes]  # serialised (CDR)
-
-
 class BagReader:
     """A bag, read message by message in the order of the recording; a context manager.
 
@@ -134,26 +124,23 @@ class BagReader:
         for connection, time, data in self._entries(topics):
             yield RawMessage(connection.topic, connection.msgtype, time, data)
 
-    def blocks(self, topics: Collection[str], duration: float = math.inf) -> Iterator[Block]:
+    def blocks(
+        self, topics: Collection[str], duration: float = math.inf
+    ) -> Iterator[tuple[str, list[bytes]]]:
         """The messages of some topics in blocks of a few thousand, each topic's in their order.
 
         They are read for a duration from the first of these messages [s].
         """
-        blocks: dict[str, Block] = {}
+        blocks: dict[str, list[bytes]] = defaultdict(list)
         end = math.inf
         for connection, time, data in self._entries(topics):
             end = min(end, time + 1e9 * duration)
             if time > end:
                 break
-            block = blocks.get(connection.topic)
-            if block is None or len(block.data) == _BLOCK or block.type != connection.msgtype:
-                if block is not None:
-                    yield block
-                block = Block(connection.topic, connection.msgtype, [], [])
-                blocks[connection.topic] = block
-            block.times.append(time)
-            block.data.append(data)
-        yield from blocks.values()
+            blocks[connection.topic].append(data)
+            if len(blocks[connection.topic]) == _BLOCK:
+                yield connection.topic, blocks.pop(connection.topic)
+        yield from blocks.items()
 
     def _entries(self, topics: Collection[str] | None) -> Iterator[tuple[Any, int, bytes]]:
         """The messages of some topics, or of all, with their connections and times."""

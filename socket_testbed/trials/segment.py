@@ -64,15 +64,11 @@ def check_label(label: str) -> str:
 
     It begins with a letter. Letters, digits, blanks, `_`, `.`, and hyphens before a letter follow.
     """
-    if len(label) > _LONGEST_LABEL:
-        raise ConfigurationError(
-            f"the label has {len(label)} characters", f"give {_LONGEST_LABEL} at most"
-        )
-    if not _LABEL.fullmatch(label) or label != label.strip():
+    if len(label) > _LONGEST_LABEL or not _LABEL.fullmatch(label) or label != label.strip():
         raise ConfigurationError(
             f"{label!r} is no label of an event",
             "begin with a letter; letters, digits, blanks, '_', '.' and hyphens before a letter"
-            " may follow, such as 'heel-strike 2'",
+            f" may follow, such as 'heel-strike 2', {_LONGEST_LABEL} characters at most",
         )
     return label
 
