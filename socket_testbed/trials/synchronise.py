@@ -376,15 +376,14 @@ def sample_table(
     segment: Segment,
     predicted: FloatArray | None = None,
 ) -> pd.DataFrame:
-    """The samples of a trial as a table, with what the clusters' forces were computed from.
+    """Some samples of a trial as a table, with what the clusters' forces were computed from.
 
     Args:
         measured: All that was measured, corrected for drift.
         samples: All samples made of it.
         calibration: Calibration of the clusters.
         segment: Which of them are wanted.
-        predicted: What a model predicts for all samples, added as `predicted.*`; see
-            `predict_channels`.
+        predicted: What a model predicts for all samples, added as `predicted.*`.
 
     Returns:
         A row per sample, with the units in the titles: stamp [ns], time since the trial's first
