@@ -75,9 +75,9 @@ def check_every_message(path: Path) -> int:
     return compared
 
 
-def test_every_message_of_real_bags(shared_data: Path) -> None:
-    folder = shared_data / "rosbag2"
-    assert sum(check_every_message(path) for path in folder.iterdir() if path.is_dir()) > 0
+def test_every_message_of_a_real_bag(shared_data: Path) -> None:
+    """Its metadata and its file disagree on the quality of service, which hides none."""
+    assert check_every_message(shared_data / "rosbag2" / "talker") == 20
 
 
 def varied(kinds: list[str]) -> Iterator[RawMessage]:
