@@ -281,16 +281,14 @@ def read_text(path: Path, kind: str = "a file", largest: int = _LARGEST_DOCUMENT
             raise ValueError(f"larger than {largest // 2**20} MiB")
         return content.decode("utf-8-sig")
     except FileNotFoundError:
-        missing = f"no such {kind.removeprefix('a ')}"
-        raise ConfigurationError(f"{path}: {missing}", "check the path") from None
+        fact, hint = f"no such {kind.removeprefix('a ')}", "check the path"
     except UnicodeDecodeError:
         what = "UTF-8 text" if kind == "a file" else f"{kind} (not UTF-8 text)"
-        raise ConfigurationError(f"{path}: is not {what}", "save it as text in UTF-8") from None
+        fact, hint = f"is not {what}", "save it as text in UTF-8"
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise ConfigurationError(
-            f"{path}: cannot be read ({reason})", f"check that it is {kind}"
-        ) from None
+        fact, hint = f"cannot be read ({reason})", f"check that it is {kind}"
+    raise ConfigurationError(f"{path}: {fact}", hint)
 
 
 _DECIMAL = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", flags=re.ASCII)

@@ -112,9 +112,7 @@ def check_outputs(*paths: Path | None, replace: bool) -> None:
     """
     for path in filter(None, paths):
         if path.is_dir():
-            raise ConfigurationError(
-                f"{path} exists already as a folder", "name a file for the output"
-            )
+            raise ConfigurationError(f"{path} exists already as a folder", "name a file")
         if path.exists() and not replace:
             raise ConfigurationError(
                 f"{path} exists already", "name another output, or replace it with --replace"
@@ -143,16 +141,16 @@ def make_folder(path: Path) -> None:
 
 def _require_parent(path: Path) -> None:
     """Refuse a path in a folder that does not exist, as mistyped, or that cannot be written."""
-    parent = path.parent
-    if not parent.is_dir():
-        why = f"{parent} is not a folder" if parent.exists() else f"no such folder as {parent}"
-        raise ConfigurationError(
-            f"{path}: cannot be written ({why})", "correct the path, or make the folder first"
-        )
-    if not os.access(parent, os.W_OK):
-        raise ConfigurationError(
-            f"{path}: cannot be written (no right to write in {parent})", "name another folder"
-        )
+    parent, hint = path.parent, "correct the path, or make the folder first"
+    if not parent.exists():
+        why = f"no such folder as {parent}"
+    elif not parent.is_dir():
+        why = f"{parent} is not a folder"
+    elif not os.access(parent, os.W_OK):
+        why, hint = f"no right to write in {parent}", "name another folder"
+    else:
+        return
+    raise ConfigurationError(f"{path}: cannot be written ({why})", hint)
 
 
 def check_picture(path: Path) -> None:
@@ -165,18 +163,11 @@ def check_picture(path: Path) -> None:
 
 @contextmanager
 def atomic_output(path: Path, replace: bool = False) -> Iterator[Path]:
-    """Write an output in a folder beside it; it gets its name only when it is complete.
+    """Write a file or folder in a folder beside it; it gets its name only when it is complete.
 
     A file replaces an older one, but for one that was not there at `check_outputs`; a folder must
-    not exist yet, unless it is to be replaced. Of several processes that write the same new output
-    the first to finish wins.
-
-    Args:
-        path: The output, a file or a folder.
-        replace: Whether an older folder is replaced.
-
-    Yields:
-        The path to write to, with the same last part, in a folder that did not exist.
+    not exist yet, unless `replace`. Of several processes that write the same new output the first
+    to finish wins. Yields the path to write to, with the same last part, which does not exist.
     """
     path = path.resolve()  # a link stays a link
     _require_parent(path)

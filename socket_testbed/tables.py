@@ -28,11 +28,7 @@ def number(value: float, spec: str = ".3g") -> str:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of a page.
-
-    The index of its frame heads the rows; columns have one level, or two of which the first names
-    groups of columns.
-    """
+    """A table of a page: the index of its frame heads the rows; columns may be in groups."""
 
     kind: ClassVar = "table"
     name: str  # its identifier on the page
@@ -106,20 +102,9 @@ def split_unit(title: str) -> tuple[str, str]:
     return (found[1], found[2]) if found else (title, "")
 
 
-def _write_csv(frame: pd.DataFrame, path: Path) -> None:
-    from pyarrow import csv
-
-    csv.write_csv(_arrow_table(frame), path)
-
-
-def _write_parquet(frame: pd.DataFrame, path: Path) -> None:
-    from pyarrow import parquet
-
-    parquet.write_table(_arrow_table(frame), path)
-
-
-def _arrow_table(frame: pd.DataFrame) -> Any:
+def _write_arrow(frame: pd.DataFrame, path: Path) -> None:
     import pyarrow
+    from pyarrow import csv, parquet
 
     arrays, fields = [], []
     for title, column in frame.items():
@@ -129,7 +114,9 @@ def _arrow_table(frame: pd.DataFrame) -> Any:
             array = array.cast(pyarrow.float64() if unit else pyarrow.string())
         arrays.append(array)
         fields.append(pyarrow.field(title, array.type, metadata={"unit": unit}))
-    return pyarrow.table(arrays, schema=pyarrow.schema(fields))
+    table = pyarrow.table(arrays, schema=pyarrow.schema(fields))
+    write = csv.write_csv if path.suffix.lower() == ".csv" else parquet.write_table
+    write(table, path)
 
 
 def _write_mat(frame: pd.DataFrame, path: Path) -> None:
@@ -165,8 +152,8 @@ def matlab_names(names: Sequence[str]) -> list[str]:
 
 
 _WRITERS: dict[str, Callable[[pd.DataFrame, Path], None]] = {
-    ".csv": _write_csv,
-    ".parquet": _write_parquet,
+    ".csv": _write_arrow,
+    ".parquet": _write_arrow,
     ".mat": _write_mat,
 }
 FORMATS = tuple(_WRITERS)

@@ -60,30 +60,16 @@ class RawMessage:
     data: bytes  # serialised (CDR)
 
 
-@dataclass(frozen=True)
-class Block:
-    """Messages of one topic, in the order of their recording."""
-
-    topic: str
-    type: str  # as `package/msg/Type`
-    times: list[int]  # of the recording, since the epoch [ns]
-    data: list[bytes]  # serialised (CDR)
-
-
 class BagReader:
     """A bag, read message by message in the order of the recording; a context manager.
 
-    Of a recording that was cut short or damaged every sound chunk is read, and a note says so.
+    Of a recording that was cut short or damaged every sound chunk is read. From its entry on, the
+    `notes` say so, and what else the user should know of the bag, one line each. A TrialError is
+    raised on entry if it is missing, unreadable, holds other counts than its metadata lists, or was
+    cut short before its first complete chunk.
 
     Args:
         path: Folder of the bag, or one storage file.
-
-    Attributes:
-        notes: What the user should know about the bag, one line per note; complete after entry.
-
-    Raises:
-        TrialError: On entry, if the bag is missing, unreadable, holds other counts than its
-            metadata lists, or was cut short before its first complete chunk.
     """
 
     def __init__(self, path: Path) -> None:
@@ -134,26 +120,23 @@ class BagReader:
         for connection, time, data in self._entries(topics):
             yield RawMessage(connection.topic, connection.msgtype, time, data)
 
-    def blocks(self, topics: Collection[str], duration: float = math.inf) -> Iterator[Block]:
+    def blocks(
+        self, topics: Collection[str], duration: float = math.inf
+    ) -> Iterator[tuple[str, list[bytes]]]:
         """The messages of some topics in blocks of a few thousand, each topic's in their order.
 
         They are read for a duration from the first of these messages [s].
         """
-        blocks: dict[str, Block] = {}
+        blocks: dict[str, list[bytes]] = defaultdict(list)
         end = math.inf
         for connection, time, data in self._entries(topics):
             end = min(end, time + 1e9 * duration)
             if time > end:
                 break
-            block = blocks.get(connection.topic)
-            if block is None or len(block.data) == _BLOCK or block.type != connection.msgtype:
-                if block is not None:
-                    yield block
-                block = Block(connection.topic, connection.msgtype, [], [])
-                blocks[connection.topic] = block
-            block.times.append(time)
-            block.data.append(data)
-        yield from blocks.values()
+            blocks[connection.topic].append(data)
+            if len(blocks[connection.topic]) == _BLOCK:
+                yield connection.topic, blocks.pop(connection.topic)
+        yield from blocks.items()
 
     def _entries(self, topics: Collection[str] | None) -> Iterator[tuple[Any, int, bytes]]:
         """The messages of some topics, or of all, with their connections and times."""
@@ -187,15 +170,11 @@ class BagReader:
         else:
             files = [self.path / name for name in metadata[0]]
         if not files:
-            raise TrialError(
-                f"{self.path}: holds no .mcap or .db3 file", "give the folder of a trial"
-            )
+            raise TrialError(f"{self.path}: holds no .mcap or .db3 file", "give a trial's folder")
         for file in files:
             if not file.is_file():
-                raise TrialError(
-                    f"{file}: is named in metadata.yaml but is not there",
-                    "copy all of the folder, or write metadata.yaml again with 'ros2 bag reindex'",
-                )
+                hint = "copy all of the folder, or make metadata.yaml again with 'ros2 bag reindex'"
+                raise TrialError(f"{file}: is named in metadata.yaml but is not there", hint)
         return files
 
     def _open(self, file: Path) -> Reader | Recording:
@@ -273,10 +252,9 @@ def required_topics(bag: BagReader) -> dict[Topic, str]:
 
 def _read_metadata(bag: Path) -> tuple[list[str], dict[str, int]] | None:
     """Names of a bag's files, and counts of messages by topic; None without metadata.yaml."""
-    if not bag.exists():
-        raise TrialError(f"{bag}: no such trial", "check the path")
     if not (bag.is_dir() or bag.is_file()):
-        raise TrialError(f"{bag}: is neither a folder nor a file", "give the folder of a trial")
+        fact = "is neither a folder nor a file" if bag.exists() else "no such trial"
+        raise TrialError(f"{bag}: {fact}", "check the path")
     file = bag / "metadata.yaml"
     if not file.exists():
         return None
@@ -381,11 +359,7 @@ class BagWriter:
         self._writer.write(self._connections[name], time, data)
 
     def flush(self) -> None:
-        """Write everything so far to the disk, as a chunk of its own.
-
-        A power cut does not lose it. The library keeps up to 1 MiB in memory, minutes of a trial
-        at 4 Hz.
-        """
+        """Write all so far to the disk, as a chunk that no power cut loses."""
         self._close_chunk()
         self._storage.bio.flush()
         os.fsync(self._storage.bio.fileno())

@@ -121,15 +121,11 @@ def _made(kind: str, given: Any) -> Any:
 class Layout:
     """The layout that a serialised message and others of its type share.
 
-    Attributes:
-        dtype: The numbers in it by the names of their fields, in the message's byte order. A
-            message in it is a field of fields. One of several equal numbers, such as a vector, a
-            point or a quaternion, is an array of them. So are arrays and sequences of numbers or
-            of such messages, shape (n,) or (n, k); other ones have a field for each element: "0",
-            "1", ... Strings are left out.
-
-    Raises:
-        ValueError: If the bytes are not such a message.
+    Its `dtype` has the numbers by the names of their fields, in the message's byte order. A message
+    in it is a field of fields. One of several equal numbers, such as a vector, a point or a
+    quaternion, is an array of them. So are arrays and sequences of numbers or of such messages,
+    shape (n,) or (n, k); other ones have a field for each element: "0", "1", ... Strings are left
+    out. A ValueError is raised if the bytes are not such a message.
     """
 
     def __init__(self, sample: bytes | bytearray, message_type: str) -> None:

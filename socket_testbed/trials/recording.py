@@ -92,17 +92,9 @@ class _Chunk:
 class Recording:
     """What can be read of a recording; it is used like a reader of rosbags.
 
-    Args:
-        path: The file.
-        name: How errors name it.
-
-    Attributes:
-        notes: What was not read, or cannot be checked, one line per note.
-        lacks: Whether messages may be missing.
-
-    Raises:
-        TrialError: If a recording that was cut short or damaged holds no complete chunk with a
-            message, or what its topics are is lost.
+    A TrialError, which gives the file a name, is raised if one that was cut short or damaged holds
+    no complete chunk with a message, or what its topics are is lost. What else was not read, or
+    cannot be checked, is in `notes`, one line each; `lacks` is whether messages may be missing.
     """
 
     def __init__(self, path: Path, name: Path) -> None:

@@ -138,9 +138,8 @@ def refit_poses(
 ) -> Measurements:
     """Poses of bodies fitted to their recorded markers, as mocap_node fits them to a frame's.
 
-    A recorded pose is a mean of frames; a new one is that of the markers at the trigger.
-
-    `where` names the trial in an error; `notify` is called with how far the poses of a body moved.
+    A recorded pose is a mean of frames; a new one is that of the markers at the trigger. `where`
+    names the trial in an error; `notify` is called with how far the poses of a body moved.
     """
     for body in bodies:
         reference = getattr(geometry, f"{body}_markers")

@@ -64,15 +64,11 @@ def check_label(label: str) -> str:
 
     It begins with a letter. Letters, digits, blanks, `_`, `.`, and hyphens before a letter follow.
     """
-    if len(label) > _LONGEST_LABEL:
-        raise ConfigurationError(
-            f"the label has {len(label)} characters", f"give {_LONGEST_LABEL} at most"
-        )
-    if not _LABEL.fullmatch(label) or label != label.strip():
+    if len(label) > _LONGEST_LABEL or not _LABEL.fullmatch(label) or label != label.strip():
         raise ConfigurationError(
             f"{label!r} is no label of an event",
             "begin with a letter; letters, digits, blanks, '_', '.' and hyphens before a letter"
-            " may follow, such as 'heel-strike 2'",
+            f" may follow, such as 'heel-strike 2', {_LONGEST_LABEL} characters at most",
         )
     return label
 
@@ -209,21 +205,13 @@ def _levels(load: FloatArray) -> tuple[float, float]:
 
 
 def event_span(specification: str, events: Sequence[Event]) -> tuple[float, float]:
-    """Start and end of a segment between events.
+    """Start and end [s] of a segment `event:A:B` between events in the order of their times.
 
-    Args:
-        specification: `event:A:B`. Each end is a label, as the second occurrence `label#2`, with
-            seconds before or after it, `label-2` or `label+5`; or seconds since the first sample.
-            Without a number the start is the first occurrence, and the end the first one with
-            which it is after the start.
-        events: The events in the order of their times.
-
-    Returns:
-        Seconds since the first sample.
-
-    Raises:
-        ConfigurationError: If the specification cannot be read.
-        TrialError: If there is no such event, or the end is not after the start.
+    Each end is a label, as the second occurrence `label#2`, with seconds before or after it,
+    `label-2` or `label+5`; or seconds since the first sample. Without a number the start is the
+    first occurrence, and the end the first one with which it is after the start. A
+    ConfigurationError is raised if it cannot be read, a TrialError if there is no such event, or
+    the end is not after the start.
     """
     ends = [end.strip() for end in specification.split(":")[1:]]
     if len(ends) != 2 or not all(ends):

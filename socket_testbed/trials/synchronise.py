@@ -168,10 +168,10 @@ def _read_series(
     """What was recorded of each topic, and of each cluster or body by its name."""
     readers = {topic: Reader(topic, bag.path) for topic in topics.values()}
     parts: dict[tuple[Topic, str], list[_Columns]] = defaultdict(list)
-    for block in bag.blocks(topics, duration):
-        topic = topics[block.topic]
+    for topic_name, messages in bag.blocks(topics, duration):
+        topic = topics[topic_name]
         found: dict[str, list[_Columns]] = defaultdict(list)
-        for places, stamps, values in readers[topic].parts(block.data):
+        for places, stamps, values in readers[topic].parts(messages):
             for name, columns in _columns(topic, values):
                 found[name].append([places, stamps, *columns])
         for name, own in found.items():
@@ -376,15 +376,14 @@ def sample_table(
     segment: Segment,
     predicted: FloatArray | None = None,
 ) -> pd.DataFrame:
-    """The samples of a trial as a table, with what the clusters' forces were computed from.
+    """Some samples of a trial as a table, with what the clusters' forces were computed from.
 
     Args:
         measured: All that was measured, corrected for drift.
         samples: All samples made of it.
         calibration: Calibration of the clusters.
         segment: Which of them are wanted.
-        predicted: What a model predicts for all samples, added as `predicted.*`; see
-            `predict_channels`.
+        predicted: What a model predicts for all samples, added as `predicted.*`.
 
     Returns:
         A row per sample, with the units in the titles: stamp [ns], time since the trial's first

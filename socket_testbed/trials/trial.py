@@ -132,7 +132,7 @@ class Trial:
         Raises:
             TrialError: If the trial cannot be read or lacks a topic, the load cell measured a
                 load in a span without load, or what is replaced cannot be made anew.
-            ConfigurationError: If a file that replaces the trial's own is wrong.
+            ConfigurationError: If a file that is used is wrong.
             CalibrationError: If the calibration lacks a cluster of the trial, or a span without
                 load holds too few readings.
         """
@@ -162,9 +162,7 @@ class Trial:
         missing at a trigger is NaN.
 
         Raises:
-            TrialError: As `measurements`, or if a cluster of the trial is on no tile.
-            CalibrationError: As `measurements`.
-            ConfigurationError: If the stored configuration is wrong.
+            TestbedError: As `measurements`, or if a cluster of the trial is on no tile.
         """
         return self._samples
 

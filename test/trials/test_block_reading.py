@@ -52,34 +52,32 @@ def check_every_message(path: Path) -> int:
     with BagReader(path) as reader:
         expected: dict[str, list[Any]] = {name: [] for name in reader.types}
         for raw in reader.messages():
-            expected[raw.topic].append(raw)
+            expected[raw.topic].append(raw.data)
         readers = {name: plain_reader(name, kind) for name, kind in reader.types.items()}
         compared = 0
-        for block in reader.blocks(reader.types):
-            raws = [expected[block.topic].pop(0) for _ in block.data]
-            assert block.data == [raw.data for raw in raws]
-            assert block.times == [raw.time for raw in raws]
-            compared += len(raws)
-            if ("header", "std_msgs/msg/Header", None) not in fields_of(block.type):
+        for topic, block in reader.blocks(reader.types):
+            kind = reader.types[topic]
+            assert block == [expected[topic].pop(0) for _ in block]
+            compared += len(block)
+            if ("header", "std_msgs/msg/Header", None) not in fields_of(kind):
                 continue
             places = []
-            for own, stamps, (records, sample) in readers[block.topic].parts(block.data):
+            for own, stamps, (records, sample) in readers[topic].parts(block):
                 assert len(own) == len(records) and (np.diff(own) > 0).all()
                 for place, stamp, record in zip(own.tolist(), stamps, records, strict=True):
-                    message = decode(raws[place].data, block.type)
+                    message = decode(block[place], kind)
                     assert stamp_of(message) == stamp
-                    assert strings_of(message, block.type) == strings_of(sample, block.type)
-                    numbers = numbers_of(message, block.type)
-                    np.testing.assert_array_equal(numbers_in(record), numbers)
+                    assert strings_of(message, kind) == strings_of(sample, kind)
+                    np.testing.assert_array_equal(numbers_in(record), numbers_of(message, kind))
                 places += own.tolist()
-            assert sorted(places) == list(range(len(raws)))
+            assert sorted(places) == list(range(len(block)))
         assert not any(expected.values())
     return compared
 
 
-def test_every_message_of_real_bags(shared_data: Path) -> None:
-    folder = shared_data / "rosbag2"
-    assert sum(check_every_message(path) for path in folder.iterdir() if path.is_dir()) > 0
+def test_every_message_of_a_real_bag(shared_data: Path) -> None:
+    """Its metadata and its file disagree on the quality of service, which hides none."""
+    assert check_every_message(shared_data / "rosbag2" / "talker") == 20
 
 
 def varied(kinds: list[str]) -> Iterator[RawMessage]:
@@ -159,11 +157,11 @@ def test_measurements_of_mixed_messages(hold: Path, tmp_path: Path) -> None:
 def test_a_part_of_a_recording_ends_at_its_duration(hold: Path) -> None:
     with BagReader(hold) as reader:
         names = [name for name in reader.types if not name.endswith("markers")]
-        times = [message.time for message in reader.messages(names)]
+        raws = list(reader.messages(names))
         for duration in (0.0, 3.1, 1e3):
-            expected = [time for time in times if time <= times[0] + 1e9 * duration]
+            expected = [raw.data for raw in raws if raw.time <= raws[0].time + 1e9 * duration]
             blocks = reader.blocks(names, duration)
-            assert sorted(time for block in blocks for time in block.times) == expected
+            assert sorted(data for _, block in blocks for data in block) == sorted(expected)
 
 
 def test_a_message_that_cannot_be_decoded_is_named(hold: Path, tmp_path: Path) -> None:

@@ -83,12 +83,6 @@ def test_metadata_that_is_missing_or_promises_other_counts(hold: Path, tmp_path:
         assert "copy the trial again" in bag.notes[1]
 
 
-def test_a_disagreement_on_qos_hides_no_message(shared_data: Path) -> None:
-    with BagReader(shared_data / "rosbag2" / "talker") as bag:
-        assert bag.counts["/topic"] == 10
-        assert len(list(bag.messages(["/topic"]))) == 10
-
-
 def test_topics_are_found_in_the_namespace_they_were_recorded_in(
     hold: Path, tmp_path: Path
 ) -> None:
