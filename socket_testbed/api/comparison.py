@@ -41,7 +41,7 @@ from socket_testbed.api.result import Result, records
 from socket_testbed.api.trials import PathLike, Progress, as_trial, started
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.geometry.regions import Side
+from socket_testbed.geometry.axis import Side
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.pressure import NORMAL_QUANTILE, THRESHOLD
 from socket_testbed.samples import WRENCH_CHANNELS, channel_unit

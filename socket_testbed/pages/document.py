@@ -13,9 +13,15 @@ from typing import Any
 import numpy as np
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.geometry.axis import proximal_direction, socket_axis, wall_tiles
+from socket_testbed.geometry.axis import (
+    UNMEASURED,
+    Region,
+    Side,
+    proximal_direction,
+    socket_axis,
+    wall_tiles,
+)
 from socket_testbed.geometry.pose import Pose
-from socket_testbed.geometry.regions import UNMEASURED, Region, Side
 from socket_testbed.geometry.socket import HEIGHTS, PARTS_OF_SECTORS, SOCKET, SocketGeometry
 from socket_testbed.identification.data_check import Finding
 from socket_testbed.identification.force_map import MapEstimate

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.geometry.regions import UNMEASURED, Region
+from socket_testbed.geometry.axis import UNMEASURED, Region
 from socket_testbed.geometry.socket import HEIGHTS, SECTORS, SOCKET, SocketGeometry
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import (
