@@ -5,7 +5,6 @@ from __future__ import annotations
 import multiprocessing
 import os
 import platform
-import resource
 import sys
 import time
 from collections.abc import Callable
@@ -54,7 +53,8 @@ def measured(work: Callable[..., object], *arguments: Any) -> tuple[float, float
     start = time.process_time()
     work(*arguments)
     seconds = time.process_time() - start
-    return seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    status = Path("/proc/self/status").read_text(encoding="utf-8")
+    return seconds, int(status.partition("VmHWM:")[2].split()[0]) / 1024.0
 
 
 def apart(work: Callable[..., object], *arguments: Any) -> tuple[float, float]:

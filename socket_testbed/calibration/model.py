@@ -156,7 +156,8 @@ class Calibration:
         """
         own = [self.clusters[name] for name in clusters]
         names = ("normal", "shear", "mean_range", "difference_range", "wiring")
-        return ClusterCalibration(**{n: np.stack([getattr(c, n) for c in own]) for n in names})
+        arrays: dict[str, Any] = {n: np.stack([getattr(c, n) for c in own]) for n in names}
+        return ClusterCalibration(**arrays)
 
     def to_document(self) -> dict[str, Any]:
         """The content of `calibration.yaml`."""
