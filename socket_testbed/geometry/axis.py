@@ -118,7 +118,7 @@ def wall_tiles(geometry: SocketGeometry, around: SocketAxis) -> BoolArray:
 class Region:
     """A part of a socket."""
 
-    name: str  # its name
+    name: str
     tiles: IntArray  # indices of its tiles, ascending; (k,)
 
 
@@ -149,8 +149,8 @@ def anatomical_regions(geometry: SocketGeometry, side: Side | None = None) -> tu
         for sector, inside in sectors.items()
         for height, level in levels.items()
     }
-    inside = {**sectors, **levels, **fields}
-    return tuple(Region(name, np.flatnonzero(of)) for name, of in inside.items() if of.any())
+    every = {**sectors, **levels, **fields}
+    return tuple(Region(name, np.flatnonzero(of)) for name, of in every.items() if of.any())
 
 
 def all_regions(geometry: SocketGeometry, side: Side | None = None) -> tuple[Region, ...]:
