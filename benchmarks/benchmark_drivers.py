@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from machine import describe_machine
+from machine import describe_machine, processes
 
 from socket_testbed import clocks
 from socket_testbed.drivers.clusters.reader import ClusterReader
@@ -41,16 +41,11 @@ _DATAGRAM = 407  # [bytes]; a frame of two triads
 
 
 class Metered:
-    """A bus whose transfers are metered.
-
-    Attributes:
-        spent: Processor time of the transfers [s].
-        calls: Their number.
-    """
+    """A bus whose transfers are metered."""
 
     def __init__(self, bus: Any) -> None:
         self._bus = bus
-        self.spent, self.calls = 0.0, 0
+        self.spent, self.calls = 0.0, 0  # processor time [s] and number of the transfers
         self.close = bus.close
 
     def i2c_rdwr(self, *messages: Any) -> None:
@@ -70,12 +65,7 @@ class Metered:
 
 
 class Bench:
-    """Calls work at each trigger for a while.
-
-    Args:
-        rate: Rate of the trigger [Hz].
-        duration: How long [s].
-    """
+    """Calls work at each trigger of a rate [Hz] for a while [s]."""
 
     def __init__(self, rate: float, duration: float) -> None:
         self.period = 1.0 / rate
@@ -232,12 +222,7 @@ def _bare_socket(bench: Bench) -> float:
 
 def _spent_by_children() -> float:
     """Processor time of the processes that this one has started [s]."""
-    ticks = 0
-    for thread in Path("/proc/self/task").iterdir():
-        for child in (thread / "children").read_text().split():
-            fields = Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()
-            ticks += int(fields[11]) + int(fields[12])
-    return ticks / os.sysconf("SC_CLK_TCK")
+    return sum(seconds for parent, seconds in processes().values() if parent == os.getpid())
 
 
 def main() -> None:

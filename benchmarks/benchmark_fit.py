@@ -1,16 +1,14 @@
 """Fits beside named references, in one run: Stage 2, a front over theta, and every variant.
 
 Usage:
-    python benchmarks/benchmark_fit.py [--quick] [--points 100] [--samples 1000 10000]
-        [--thetas 101] [--no-cvxpy]
+    python benchmarks/benchmark_fit.py [--quick] [--samples 1000 10000] [--thetas 101]
 
 Stage 2 with offsets is solved by the package (moments, OSQP, pivoting, certificate, offsets), and
 as everyone writes it first: a dense row per sample and channel, with the offsets as variables, in
 columns of norm 1. A product S'S of the N x 3n matrix of its columns is the floor of Stage 2, and a
-Cholesky factor per program that of the front. The variants are fitted on a simulated limb that is
-pushed from all sides. Seconds are of the processor: compare ratios. `above` is J / J_ours - 1.
-
-Needs requirements/benchmarks.txt unless --no-cvxpy is given.
+Cholesky factor per program that of the front. The trials are simulated: a hold, and a limb that is
+pushed from all sides, on which every variant is fitted. Seconds are of the processor: compare
+ratios. `above` is J / J_ours - 1.
 """
 
 from __future__ import annotations
@@ -23,23 +21,24 @@ import tempfile
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import qpsolvers
 from machine import describe_machine, repeat
-from problems import MOTIONS, StageTwoInput, gated_displacement, make_problem, with_rest
 from scipy import sparse
 from scipy.optimize import lsq_linear
 from threadpoolctl import threadpool_limits
 
 import socket_testbed as st
 from socket_testbed.arrays import FloatArray
+from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.box_qp import solve_box_qp
-from socket_testbed.identification.contact import wrench_map
+from socket_testbed.identification.contact import gate, wrench_map
 from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.pareto import pareto_front
-from socket_testbed.identification.problem import Problem
+from socket_testbed.identification.problem import Objective, Problem, build_objective
+from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import (
     PAPER_VARIANTS,
     VARIANTS,
@@ -49,7 +48,8 @@ from socket_testbed.settings.identification import (
 # The default, with which hardly a stiffness of a hold is at its bound, and one so weak that a
 # third and more are: a solver has to find them.
 SMOOTHNESS = (IdentificationSettings().smoothness, 1e-7)  # [-]
-RATE = 4.0  # [Hz]; of the simulated trial's trigger
+SCENARIOS = ("static_hold", "multi_direction")
+RATE = 4.0  # [Hz]; of the simulated trials' trigger
 PREDICTIONS = 500
 TIGHT: dict[str, Any] = {"eps_abs": 1e-9, "eps_rel": 0.0, "polishing": True, "max_iter": 200_000}
 
@@ -57,33 +57,62 @@ Rows = tuple[FloatArray, FloatArray, int]
 """Rows A z = y of Stage 2, and how many of the unknowns z are stiffnesses."""
 
 
+class Stage(NamedTuple):
+    """What every way to solve Stage 2 is given."""
+
+    samples: Samples
+    geometry: SocketGeometry
+    settings: IdentificationSettings
+    objective: Objective  # the samples with the weight of each channel
+    x: FloatArray  # the parameters with the rest positions of Stage 1 [mm], shape (6, n)
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="60 points, 1000 samples, few runs")
-    parser.add_argument("--points", type=int, help="number of points of interest (100)")
+    parser.add_argument("--quick", action="store_true", help="1000 samples, few runs")
     parser.add_argument("--samples", type=int, nargs="+", help="numbers of samples (1000 10000)")
     parser.add_argument("--thetas", type=int, default=101, help="values from 0 to 1 (101)")
-    parser.add_argument("--no-cvxpy", action="store_true", help="leave CVXPY out")
     arguments = parser.parse_args()
-    points = arguments.points or (60 if arguments.quick else 100)
     budget = 1.0 if arguments.quick else 6.0
     # OSQP prints from C, past sys.stdout, which would split the table.
     sys.stdout = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     print(describe_machine(1))
     for count in arguments.samples or ([1000] if arguments.quick else [1000, 10000]):
-        for motion in MOTIONS:
+        for scenario in SCENARIOS:
+            samples, geometry = simulate(scenario, count)
             for smoothness in SMOOTHNESS:
-                stage = make_problem(points, count, motion, smoothness)
-                print(f"\n{motion}: n = {points}, N = {count}, smoothness {smoothness:.0e}")
-                measure_stage_two(stage, budget, arguments.no_cvxpy)
+                stage = stage_two(samples, geometry, smoothness)
+                print(
+                    f"\n{scenario}: n = {len(geometry)}, N = {count}, smoothness {smoothness:.0e}"
+                )
+                measure_stage_two(stage, budget)
                 if smoothness == SMOOTHNESS[0]:
                     measure_front(stage, np.linspace(0.0, 1.0, arguments.thetas), budget)
-        measure_variants(count)
+        measure_variants(samples, geometry)
 
 
-def measure_stage_two(stage: StageTwoInput, budget: float, no_cvxpy: bool) -> None:
+def simulate(scenario: Any, count: int) -> tuple[Samples, SocketGeometry]:
+    """A simulated trial's samples that are complete, and its socket."""
+    with tempfile.TemporaryDirectory() as folder:
+        trial = st.simulate(Path(folder) / "t", scenario, duration=count / RATE, rate=RATE)
+        samples = trial.samples()
+        return samples[samples.complete], trial.geometry
+
+
+def stage_two(samples: Samples, geometry: SocketGeometry, smoothness: float) -> Stage:
+    """Weigh the samples and solve Stage 1."""
+    settings = IdentificationSettings(variant="stiffness_bias", smoothness=smoothness)
+    objective = build_objective(samples, geometry, settings)
+    problem = Problem(objective)
+    x = problem.start.copy()
+    rest = solve_box_qp(problem.stage_one(), settings.solver, settings.solver_tolerance)
+    x[3:] = rest.x.reshape(3, -1)
+    return Stage(samples, geometry, settings, objective, x)
+
+
+def measure_stage_two(stage: Stage, budget: float) -> None:
     """Print a row for each way to solve Stage 2."""
     s = columns_of(stage)
     floor = statistics.median(repeat(lambda: s.T @ s, budget))
@@ -91,8 +120,6 @@ def measure_stage_two(stage: StageTwoInput, budget: float, no_cvxpy: bool) -> No
     ours = solve(stage)
     row("ours, certified", repeat(partial(solve, stage), budget), floor)
     rivals = {"qpsolvers + OSQP": by_qpsolvers, "scipy lsq_linear": by_lsq_linear}
-    if not no_cvxpy:
-        rivals["CVXPY + OSQP"] = by_cvxpy
     A, y, springs = stack(stage)
     best = np.sum((A @ ours - y) ** 2)
     for name, rival in rivals.items():
@@ -102,10 +129,10 @@ def measure_stage_two(stage: StageTwoInput, budget: float, no_cvxpy: bool) -> No
         row(name, times, floor, f"above {np.sum((A @ z - y) ** 2) / best - 1.0:.1e}")
 
 
-def measure_front(stage: StageTwoInput, thetas: FloatArray, budget: float) -> None:
+def measure_front(stage: Stage, thetas: FloatArray, budget: float) -> None:
     """Print a row for a front over theta of both variants."""
     problem = Problem(stage.objective)
-    matrix = problem.stage_two(problem.moments(with_rest(problem, stage.rest_positions))).P
+    matrix = problem.stage_two(problem.moments(stage.x)).P
 
     def factorise() -> None:
         for _ in range(len(PAPER_VARIANTS) * len(thetas)):
@@ -116,13 +143,9 @@ def measure_front(stage: StageTwoInput, thetas: FloatArray, budget: float) -> No
     row(f"front of {len(thetas)} thetas", repeat(front, budget), floor, "/ Cholesky factors")
 
 
-def measure_variants(count: int) -> None:
+def measure_variants(samples: Samples, geometry: SocketGeometry) -> None:
     """Print a row for the whole fit of each variant, and for one prediction."""
-    with tempfile.TemporaryDirectory() as folder:
-        duration = count / RATE
-        trial = st.simulate(Path(folder) / "t", "multi_direction", duration=duration, rate=RATE)
-        samples, geometry = trial.samples(), trial.geometry
-    pose = samples.pose[samples.complete][:1]
+    pose = samples.pose[:1]
     print(f"\nwhole fits: n = {len(geometry)}, N = {len(samples)}")
     for variant in VARIANTS:
         settings = IdentificationSettings(variant=variant)
@@ -143,17 +166,19 @@ def row(what: str, times: list[float], floor: float, more: str = "") -> None:
     print(f"{what:32} {seconds:9.4f} s {seconds / floor:9.1f}  {more}", flush=True)
 
 
-def columns_of(stage: StageTwoInput) -> FloatArray:
+def columns_of(stage: Stage) -> FloatArray:
     """The columns S of Stage 2, tile by tile, shape (N, 3n) [m]."""
     position = stage.objective.samples.position
-    s = gated_displacement(position, stage.rest_positions, stage.settings.gate_sharpness)
+    rest = Problem(stage.objective).law.reference_pose[:3] + 1e-3 * stage.x[3:].T  # [m]
+    displacement = position[:, None] - rest
+    s = displacement * gate(displacement, stage.settings.gate_sharpness)
     return s.reshape(len(position), -1)
 
 
-def solve(stage: StageTwoInput) -> FloatArray:
+def solve(stage: Stage) -> FloatArray:
     """The package's own Stage 2: stiffnesses [N/m], offsets of the wrench and the clusters."""
     problem, settings = Problem(stage.objective), stage.settings
-    x = with_rest(problem, stage.rest_positions)
+    x = stage.x.copy()
     program = problem.stage_two(problem.moments(x))
     x[:3] = solve_box_qp(program, settings.solver, settings.solver_tolerance).x.reshape(3, -1)
     model = problem.model(x)
@@ -161,7 +186,7 @@ def solve(stage: StageTwoInput) -> FloatArray:
     return np.concatenate([model.stiffness.ravel(), model.wrench_bias, bias])
 
 
-def stack(stage: StageTwoInput) -> Rows:
+def stack(stage: Stage) -> Rows:
     """The rows of Stage 2, weighted so that its objective is |A z - y|^2, in SI units."""
     objective, s, pairs = stage.objective, columns_of(stage), stage.geometry.neighbours
     (count, springs), theta = s.shape, stage.settings.theta
@@ -188,7 +213,7 @@ def stack(stage: StageTwoInput) -> Rows:
     return A, y, springs
 
 
-def by_rows(stage: StageTwoInput, rival: Callable[..., FloatArray]) -> FloatArray:
+def by_rows(stage: Stage, rival: Callable[..., FloatArray]) -> FloatArray:
     """Stack the rows, scale the columns to norm 1, and solve: all of it is timed."""
     A, y, springs = stack(stage)
     unit = 1.0 / np.linalg.norm(A, axis=0)
@@ -208,18 +233,6 @@ def by_qpsolvers(A: FloatArray, y: FloatArray, lower: FloatArray) -> FloatArray:
 def by_lsq_linear(A: FloatArray, y: FloatArray, lower: FloatArray) -> FloatArray:
     """Bounded least squares of scipy, with the tightest tolerance with which it ends."""
     found: FloatArray = lsq_linear(A, y, (lower, np.inf), tol=1e-14, max_iter=300).x
-    return found
-
-
-def by_cvxpy(A: FloatArray, y: FloatArray, lower: FloatArray) -> FloatArray:
-    """CVXPY with OSQP on the sparse rows, to our accuracy."""
-    import cvxpy
-
-    z = cvxpy.Variable(A.shape[1])
-    bounded = np.isfinite(lower)
-    squares = cvxpy.sum_squares(sparse.csr_array(A) @ z - y)
-    cvxpy.Problem(cvxpy.Minimize(squares), [z[bounded] >= 0]).solve(solver="OSQP", **TIGHT)
-    found: FloatArray = z.value
     return found
 
 

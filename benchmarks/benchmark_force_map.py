@@ -18,13 +18,12 @@ from collections import defaultdict
 import numpy as np
 from limbs import FAMILIES, Limb, Trial
 from machine import describe_machine, repeat
-from problems import CLUSTERS, cylinder
 from scipy.special import ndtri
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.files import packaged
-from socket_testbed.geometry.regions import all_regions
+from socket_testbed.geometry.axis import all_regions
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.pressure import THRESHOLD, outputs_of, pressure_outputs
@@ -53,10 +52,10 @@ def main() -> None:
     parser.add_argument("--time-only", action="store_true", help="only the time per sample")
     arguments = parser.parse_args()
     print(describe_machine(1))
-    _print_times()
+    geometry = read_socket(packaged("config", "socket.yaml"))
+    _print_times(geometry)
     if arguments.time_only:
         return
-    geometry = read_socket(packaged("config", "socket.yaml"))
     print(f"\n{'':16} {'map: mean, worst':>17} {'rival':>7} {'worse':>6}   tiles' forces within"
           f" {', '.join(f'{100 * level:g}' for level in LEVELS)} %;"
           f" outputs of regions and socket within 95 %: {', '.join(_OUTPUTS)}")  # fmt: skip
@@ -136,23 +135,22 @@ def _row(family: str, results: list[dict[str, float]]) -> str:
     )
 
 
-def _print_times() -> None:
-    geometry = cylinder(100)
-    random = np.random.default_rng(0)
+def _print_times(geometry: SocketGeometry) -> None:
+    random, clusters = np.random.default_rng(0), tuple(geometry.clusters)
     wrench, local = random.normal(0.0, 10.0, (1, 6)), random.normal(0.0, 3.0, (1, 4, 3))
     nothing, status = np.zeros((1, 3)), np.zeros((1, 4), dtype=np.uint8)
-    present = Samples(np.zeros(1, np.int64), nothing, nothing, wrench, CLUSTERS, local, status)
-    missing = without_cluster(present, CLUSTERS[1])
-    force_map = ForceMap(geometry, CLUSTERS)
+    present = Samples(np.zeros(1, np.int64), nothing, nothing, wrench, clusters, local, status)
+    missing = without_cluster(present, clusters[1])
+    force_map = ForceMap(geometry, clusters)
 
     def first_sample_without_a_cluster() -> None:
         force_map._patterns.clear()
         force_map.update(missing)
 
     for name, run in (
-        ("update, n = 100", lambda: force_map.update(present)),
+        (f"update, n = {len(geometry)}", lambda: force_map.update(present)),
         ("update as a cluster drops out", first_sample_without_a_cluster),
-        ("prior and gains, once", lambda: ForceMap(geometry, CLUSTERS)),
+        ("prior and gains, once", lambda: ForceMap(geometry, clusters)),
     ):
         times = repeat(run, _BUDGET)
         print(f"{name:32} {1e3 * statistics.median(times):8.3f} ms (min {1e3 * min(times):.3f})")

@@ -29,7 +29,7 @@ os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 import numpy as np
 import rclpy
-from machine import describe_machine
+from machine import describe_machine, processes
 from rclpy.executors import ExternalShutdownException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.task import Future
@@ -55,7 +55,6 @@ from socket_testbed.trials.trial import Trial
 
 RELAYED = Topic("relayed", CAPACITANCE.type)
 SETTLED = 8.0  # [s]; after the first trigger: nodes are imported, the first model is fitted
-TICK = os.sysconf("SC_CLK_TCK")  # [Hz]
 PORT = 8437
 PERIOD = 0.15  # [s]; between the questions of a page
 
@@ -141,13 +140,7 @@ def browse(count: int) -> None:
 
 def processor_seconds(helpers: dict[int, str]) -> dict[str, float]:
     """Processor time of this process's descendants by what they are [s]."""
-    times: dict[int, tuple[int, float]] = {}
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            fields = (folder / "stat").read_text().rpartition(")")[2].split()
-        except OSError:
-            continue  # it has ended meanwhile
-        times[int(folder.name)] = int(fields[1]), (int(fields[11]) + int(fields[12])) / TICK
+    times = processes()
     found: dict[str, float] = {}
     for process, (parent, seconds) in times.items():
         if parent == os.getpid():

@@ -11,17 +11,14 @@ the processor, memory is the peak of the process, and each is a process of its o
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import resource
 import shutil
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable
 from pathlib import Path
 
+from machine import apart
 from rosbags.rosbag2 import Reader
 
 from socket_testbed.calibration.model import read_calibration
@@ -68,20 +65,6 @@ def iterate(path: Path) -> None:
 def read(path: Path) -> None:
     """Read all samples."""
     Trial(path).samples()
-
-
-def measured(work: Callable[[Path], None], path: Path) -> tuple[float, float]:
-    """Seconds of the processor and peak memory [MB] of some work in this process."""
-    start = time.process_time()
-    work(path)
-    seconds = time.process_time() - start
-    return seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-
-
-def apart(work: Callable[[Path], None], path: Path) -> tuple[float, float]:
-    """The same in a process of its own."""
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        return pool.apply(measured, (work, path))
 
 
 def verb(words: list[str]) -> tuple[float, float]:

@@ -7,15 +7,11 @@ of faces to each of 100,000 points drawn on it, by a k-d tree. Each run has a pr
 from __future__ import annotations
 
 import argparse
-import resource
-import subprocess
-import sys
 import tempfile
-import time
 from pathlib import Path
 
 import trimesh
-from machine import describe_machine
+from machine import apart, describe_machine
 from scipy.spatial import KDTree
 
 from socket_testbed.__main__ import run as verb
@@ -30,52 +26,29 @@ def look(scan: Path) -> None:
     mesh = trimesh.load_mesh(scan)
     points = trimesh.sample.sample_surface(mesh, DRAWN, seed=0)[0]
     nearest = KDTree(mesh.triangles_center).query(points)[1]
-    print(
-        f"faces {len(mesh.faces)}, {mesh.area_faces.sum():.0f}, {len(mesh.face_normals[nearest])}"
-    )
+    assert mesh.area_faces.sum() > 0.0 and len(mesh.face_normals[nearest]) == DRAWN
 
 
 def tile(scan: Path, words: list[str]) -> None:
     """The verb, with what it writes."""
     with tempfile.TemporaryDirectory() as folder:
-        output = Path(folder) / "socket.yaml"
-        verb(["tile", str(scan), "-o", str(output), *words])
-
-
-def measure(what: str, scan: Path, words: list[str]) -> tuple[float, float, str]:
-    """Processor time [s], peak memory [MB] and the line about the tiles of a run of its own."""
-    done = subprocess.run(
-        [sys.executable, __file__, str(scan), "--only", what, "--", *words],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    *lines, used = done.stdout.splitlines()
-    seconds, memory = map(float, used.split())
-    return seconds, memory, next((line for line in lines if line.startswith("tiles")), "")
+        verb(["tile", str(scan), "-o", str(Path(folder) / "socket.yaml"), *words])
 
 
 def main() -> None:
-    """Print a row for each scan."""
+    """Print a row for each scan, below what the verb says of it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scans", nargs="*", type=Path, help="default: simulated ones")
-    parser.add_argument("--only", choices=("look", "tile"), help=argparse.SUPPRESS)
     parser.add_argument("--words", default="", help="further words of the verb, as '--seed 1'")
-    known, words = parser.parse_known_args()
-    if known.only:
-        look(known.scans[0]) if known.only == "look" else tile(known.scans[0], words[1:])
-        used = resource.getrusage(resource.RUSAGE_SELF)
-        print(f"{time.process_time()} {used.ru_maxrss / 1024.0}")
-        return
+    options = parser.parse_args()
     print(describe_machine(1))
-    print("scan                    look [s]  [MB] | tile [s]  [MB] | ratio |")
     with tempfile.TemporaryDirectory() as folder:
-        for scan in known.scans or simulated(Path(folder)):
-            floor, floor_memory, _ = measure("look", scan, [])
-            seconds, memory, tiles = measure("tile", scan, known.words.split())
+        for scan in options.scans or simulated(Path(folder)):
+            floor, floor_memory = apart(look, scan)
+            seconds, memory = apart(tile, scan, options.words.split())
             print(
-                f"{scan.name[-22:]:22}  {floor:8.2f}  {floor_memory:4.0f} | {seconds:8.1f}"
-                f"  {memory:4.0f} | {seconds / floor:5.1f} | {tiles}",
+                f"{scan.name}: look {floor:.2f} s, {floor_memory:.0f} MB; tile {seconds:.1f} s,"
+                f" {memory:.0f} MB; ratio {seconds / floor:.1f}\n",
                 flush=True,
             )
 

@@ -1,7 +1,8 @@
-"""What the times were measured on (cores, BLAS threads, versions), and how."""
+"""What was measured on (cores, BLAS threads, versions), and how times and memory are taken."""
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import platform
 import sys
@@ -9,8 +10,9 @@ import time
 from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
-_PACKAGES = ("numpy", "scipy", "osqp", "qpsolvers", "cvxpy")
+_PACKAGES = ("numpy", "scipy", "osqp", "qpsolvers")
 
 
 def describe_machine(threads: int) -> str:
@@ -19,19 +21,12 @@ def describe_machine(threads: int) -> str:
     Args:
         threads: BLAS threads of the processes that measure.
     """
-    versions = ", ".join(f"{name} {_version(name)}" for name in _PACKAGES)
+    versions = ", ".join(f"{name} {metadata.version(name)}" for name in _PACKAGES)
     return (
         f"machine: {platform.system()} {platform.machine()}, {_processor()},"
         f" {len(os.sched_getaffinity(0))} cores; BLAS threads: {threads}\n"
         f"versions: Python {sys.version.split()[0]}, {versions}"
     )
-
-
-def _version(package: str) -> str:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return "not installed"
 
 
 def _processor() -> str:
@@ -51,3 +46,31 @@ def repeat(run: Callable[[], object], budget: float) -> list[float]:
         if times[0] > budget / 3.0:
             return times
     return times[1:]  # the first warms up
+
+
+def measured(work: Callable[..., object], *arguments: Any) -> tuple[float, float]:
+    """Seconds of the processor and peak memory [MB] of some work in this process."""
+    start = time.process_time()
+    work(*arguments)
+    seconds = time.process_time() - start
+    status = Path("/proc/self/status").read_text(encoding="utf-8")
+    return seconds, int(status.partition("VmHWM:")[2].split()[0]) / 1024.0
+
+
+def apart(work: Callable[..., object], *arguments: Any) -> tuple[float, float]:
+    """The same in a process of its own."""
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        return pool.apply(measured, (work, *arguments))
+
+
+def processes() -> dict[int, tuple[int, float]]:
+    """The parent of every process, and its processor time [s]."""
+    found = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            fields = (folder / "stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            continue  # it has ended meanwhile
+        ticks = int(fields[11]) + int(fields[12])
+        found[int(folder.name)] = int(fields[1]), ticks / os.sysconf("SC_CLK_TCK")
+    return found

@@ -48,7 +48,7 @@ from socket_testbed.api.trials import (
 )
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.geometry.regions import Side
+from socket_testbed.geometry.axis import Side
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.pressure import NORMAL_QUANTILE, THRESHOLD
 from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
@@ -564,7 +564,7 @@ def _notes(
             " 'annotate TRIAL --side left|right'"
         )
     shared = {name for part, name, _ in rows[0] if part == "regions"}
-    own = {name for trial in trials for name in trial.geometry.regions}
+    own = {name for trial in trials for name in trial.geometry.axis}
     if lacking := sorted(own - shared):
         yield f"not compared, since not all trials have these regions alike: {', '.join(lacking)}"
     subjects = {trial.metadata.subject for trial in trials}

@@ -17,7 +17,7 @@ from socket_testbed.api.trials import PathLike, as_path, as_trial, select
 from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.geometry.regions import all_regions
+from socket_testbed.geometry.axis import all_regions
 from socket_testbed.geometry.socket import SocketGeometry, find_regions
 from socket_testbed.identification.force_map import ForceMap, MapEstimate, map_trial
 from socket_testbed.identification.model_file import finite_or_null

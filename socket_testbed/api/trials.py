@@ -14,7 +14,7 @@ from socket_testbed.calibration.model import read_calibration
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, TrialError, closest
 from socket_testbed.files import check_new_folder, packaged
-from socket_testbed.geometry.regions import Side
+from socket_testbed.geometry.axis import Side
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.data_check import Finding
 from socket_testbed.identification.data_check import check_data as find_faults

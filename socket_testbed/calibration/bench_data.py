@@ -18,15 +18,15 @@ from socket_testbed.errors import CalibrationError
 if TYPE_CHECKING:
     import pandas as pd
 
-FORCES = {"N": 1.0, "kN": 1e3}  # a stress may be given as the force on the cluster's area
-COUNTS = 2.0**19  # [1/pF] of the converter, an FDC1004
+_FORCES = {"N": 1.0, "kN": 1e3}  # a stress may be given as the force on the cluster's area
+_COUNTS = 2.0**19  # [1/pF] of the converter, an FDC1004
 STRESSES = ("normal", "shear_x", "shear_y")
 INPUTS = ("c0", "c1", "c2", "c3")
 UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "sec": 1.0},
     "cycle": {},
-    **{name: {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, **FORCES} for name in STRESSES},
-    **{name: {"pF": 1.0, "fF": 1e-3, "nF": 1e3, "counts": 1.0 / COUNTS} for name in INPUTS},
+    **{name: {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, **_FORCES} for name in STRESSES},
+    **{name: {"pF": 1.0, "fF": 1e-3, "nF": 1e3, "counts": 1.0 / _COUNTS} for name in INPUTS},
 }
 """The units of each quantity, with their size in s, Pa (or N) and pF; a cycle has none."""
 
@@ -88,11 +88,11 @@ def join_benches(parts: Sequence[BenchData]) -> BenchData:
 
 
 # Readings outside these ranges have another unit than the one that is named.
-_CAPACITANCE_RANGE = (0.01, 100.0)  # [pF]
-_STRESS_RANGES = {
+_RANGES = {
     "normal": (-1e3, 2e6),  # [Pa]; a load cell's zero may be a little off
     "shear_x": (-1e6, 1e6),
     "shear_y": (-1e6, 1e6),
+    **dict.fromkeys(INPUTS, (0.01, 100.0)),  # [pF]
 }
 _STEP_RANGE = (1e-3, 60.0)  # [s] between readings, in the median
 _LARGEST_FILE = 2**27  # [bytes]
@@ -117,17 +117,17 @@ def read_bench(
         units: Units of quantities, instead of the header's, see `UNITS`.
         area: Area on which a stress in N acts [m^2].
     """
-    found = _find_columns(path, (*STRESSES, *INPUTS), ("time", "cycle"), columns, units)
+    required, optional = (*STRESSES, *INPUTS), ("time", "cycle")
+    found = _find_columns(path, required, optional, columns, units, area)
     lines = np.array(found["c0"].cells.index, dtype=np.int64)
     cycle = np.full(len(lines), UNNAMED)
     if "cycle" in found:
         cycle = np.unique(found["cycle"].filled_cells(), return_inverse=True)[1]
-    stress = [found[name].stress(area) for name in STRESSES]
-    capacitance = [found[name].values(*_CAPACITANCE_RANGE) for name in INPUTS]
-    for name, values in zip(INPUTS, capacitance, strict=True):
-        if np.ptp(values) == 0.0:
+    values = {name: found[name].values() for name in required}
+    for name in INPUTS:
+        if np.ptp(values[name]) == 0.0:
             raise found[name].error(
-                f"is {values[0] / found[name].scale:g} {found[name].unit} in every row",
+                f"is {values[name][0] / found[name].scale:g} {found[name].unit} in every row",
                 "check this input's wire, or name the column that holds it",
             )
     return BenchData(
@@ -136,8 +136,8 @@ def read_bench(
         line=lines,
         time=found["time"].times() if "time" in found else np.full(len(lines), np.nan),
         cycle=cycle.astype(np.int64),
-        capacitance=np.column_stack(capacitance),
-        stress=np.column_stack(stress),
+        capacitance=np.column_stack([values[name] for name in INPUTS]),
+        stress=np.column_stack([values[name] for name in STRESSES]),
     )
 
 
@@ -153,7 +153,7 @@ def read_unloaded(path: Path, columns: Mapping[str, str], units: Mapping[str, st
         Capacitances by input, shape (N, 4) [pF].
     """
     found = _find_columns(path, INPUTS, (), columns, units)
-    return np.column_stack([found[name].values(*_CAPACITANCE_RANGE) for name in INPUTS])
+    return np.column_stack([found[name].values() for name in INPUTS])
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ class _Column:
     title: str
     cells: pd.Series
     unit: str = ""
-    scale: float = 1.0  # [s, pF, Pa or N]
+    scale: float = 1.0  # [s, pF or Pa]
 
     def error(self, fact: str, hint: str) -> CalibrationError:
         return CalibrationError(f"{self.file}: '{self.title}' {fact}", hint)
@@ -190,10 +190,10 @@ class _Column:
             )
         return values
 
-    def values(self, least: float, largest: float) -> FloatArray:
-        """The cells within limits, all in s, pF or Pa, shape (N,)."""
+    def values(self) -> FloatArray:
+        """Stresses [Pa] or capacitances [pF] that can be, shape (N,)."""
         numbers = self.numbers()
-        low, high = least / self.scale, largest / self.scale
+        low, high = (limit / self.scale for limit in _RANGES[self.quantity])
         outside = np.flatnonzero((numbers < low) | (numbers > high))
         if len(outside):
             raise self.error(
@@ -204,18 +204,6 @@ class _Column:
             )
         return numbers * self.scale
 
-    def stress(self, area: float | None) -> FloatArray:
-        """A stress, or a force on an area, shape (N,) [Pa]."""
-        column = self
-        if self.unit in FORCES:
-            if area is None:
-                raise self.error(
-                    f"is a force in {self.unit}",
-                    "give the area it acts on with --area, in m^2, or with --geometry",
-                )
-            column = replace(self, scale=self.scale / area)
-        return column.values(*_STRESS_RANGES[self.quantity])
-
     def times(self) -> FloatArray:
         """Increasing times, shape (N,) [s]."""
         numbers = self.numbers()
@@ -225,12 +213,11 @@ class _Column:
                 f"does not increase at line {self.cells.index[1:][steps <= 0.0][0]}",
                 "give the readings in their order, and each run as a file of its own",
             )
-        usual = float(np.median(steps)) * self.scale if len(steps) else _STEP_RANGE[0]
-        if not _STEP_RANGE[0] <= usual <= _STEP_RANGE[1]:
+        usual = float(np.median(steps)) if len(steps) else _STEP_RANGE[0] / self.scale
+        if not _STEP_RANGE[0] <= usual * self.scale <= _STEP_RANGE[1]:
             other = "ms" if self.unit == "s" else "s"
             raise self.error(
-                f"has steps of {usual / self.scale:.3g} {self.unit} in the median, which no bench"
-                " reads at",
+                f"has steps of {usual:.3g} {self.unit} in the median, which no bench reads at",
                 f"correct the header, or give --units time={other} if these are {other}",
             )
         return numbers * self.scale
@@ -297,6 +284,7 @@ def _find_columns(
     optional: Sequence[str],
     titles: Mapping[str, str],
     units: Mapping[str, str],
+    area: float | None = None,
 ) -> dict[str, _Column]:
     """The columns of the quantities that a file has."""
     header, cells = _read_cells(path)
@@ -311,8 +299,7 @@ def _find_columns(
                 f"rename all but one, or name it with --columns {name}=NAME",
             )
         if matches:
-            column = _Column(name, path.name, header[matches[0]], cells[matches[0]])
-            found[name] = column
+            found[name] = _Column(name, path.name, header[matches[0]], cells[matches[0]])
         elif name in required or name in titles:
             missing.append(name)
     if missing:
@@ -321,7 +308,7 @@ def _find_columns(
             f"{path.name}: no column for {', '.join(missing)} (its header has {shown})",
             f"name it with --columns {' '.join(f'{name}=NAME' for name in missing)}",
         )
-    return {name: _with_unit(column, units) for name, column in found.items()}
+    return {name: _with_unit(column, units, area) for name, column in found.items()}
 
 
 def _matches(header: Sequence[str], name: str, wanted: str | None) -> list[int]:
@@ -332,8 +319,11 @@ def _matches(header: Sequence[str], name: str, wanted: str | None) -> list[int]:
     return exact or [i for i, title in enumerate(header) if _split(title)[0] == wanted.strip()]
 
 
-def _with_unit(column: _Column, units: Mapping[str, str]) -> _Column:
-    """The column with the unit of its title, or the one that is named instead."""
+def _with_unit(column: _Column, units: Mapping[str, str], area: float | None) -> _Column:
+    """The column with the unit of its title, or the one that is named instead.
+
+    A stress may be given as a force on an area [m^2].
+    """
     name, known = column.quantity, UNITS[column.quantity]
     written = units.get(name) or _split(column.title)[1]
     if not known:
@@ -351,4 +341,12 @@ def _with_unit(column: _Column, units: Mapping[str, str]) -> _Column:
             f"is in '{written}', not one of the units of {name}",
             f"name one of {', '.join(known)} in the header or with --units {name}=UNIT",
         )
-    return replace(column, unit=alike[0], scale=known[alike[0]])
+    unit = alike[0]
+    if unit not in _FORCES:
+        return replace(column, unit=unit, scale=known[unit])
+    if area is None:
+        raise column.error(
+            f"is a force in {unit}",
+            "give the area it acts on with --area, in m^2, or with --geometry",
+        )
+    return replace(column, unit=unit, scale=known[unit] / area)

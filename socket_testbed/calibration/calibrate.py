@@ -8,7 +8,7 @@ stress, likewise; branches and cycles are those of `drift`.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Any
@@ -191,38 +191,24 @@ def choose_groups(bench: BenchData) -> Groups:
     ten blocks of successive rows. Cycles that cannot be left out are no reason to fall back to
     blocks: these would share their cycles and flatter the fit.
     """
-    choice = None
-    for groups in _candidates(bench):
-        choice = _lack_of_rest(bench, groups)
-        if choice is None:
-            return groups
-    assert choice is not None
-    raise choice
-
-
-def _candidates(bench: BenchData) -> Iterator[Groups]:
-    files = Groups("file", bench.file)
-    if len(files) >= _LEAST_GROUPS:
-        yield files
-    cycles = Groups("cycle", cycle_ids(bench))
-    if len(cycles) >= _LEAST_GROUPS:
-        yield cycles
-    else:
-        yield Groups("block", np.arange(len(bench)) * _BLOCKS // len(bench))
-
-
-def _lack_of_rest(bench: BenchData, groups: Groups) -> CalibrationError | None:
+    files, others = Groups("file", bench.file), Groups("cycle", cycle_ids(bench))
+    if len(others) < _LEAST_GROUPS:
+        others = Groups("block", np.arange(len(bench)) * _BLOCKS // len(bench))
     terms = excitation_terms(bench.stress)
     products = terms.T @ terms
-    for rows in groups.rows:
-        lack = find_lack(products - terms[rows].T @ terms[rows], len(bench) - len(rows))
-        if lack is not None:
-            return CalibrationError(
-                f"without the {groups.unit} that starts at {bench.place(int(rows[0]))}, {lack[0]},"
-                " so the fit cannot be checked on data it has not seen",
-                "repeat the loading of this part at least once",
-            )
-    return None
+    for groups in (files, others) if len(files) >= _LEAST_GROUPS else (others,):
+        for rows in groups.rows:
+            rest = products - terms[rows].T @ terms[rows]
+            if lack := find_lack(rest, len(bench) - len(rows)):
+                refusal = CalibrationError(
+                    f"without the {groups.unit} that starts at {bench.place(int(rows[0]))},"
+                    f" {lack[0]}, so the fit cannot be checked on data it has not seen",
+                    "repeat the loading of this part at least once",
+                )
+                break
+        else:
+            return groups
+    raise refusal
 
 
 def cross_validate(capacitance: FloatArray, stress: FloatArray, groups: Groups) -> CrossValidation:
@@ -306,12 +292,15 @@ class BenchCalibration:
 
     def above(self, limit: float) -> tuple[str, ...]:
         """Stresses whose held-out RMSE is above a limit [% of the full scale]."""
-        pairs = zip(STRESSES, self.held_out, strict=True)
-        return tuple(name for name, errors in pairs if errors.percent > limit)
+        return tuple(
+            name
+            for name, errors in zip(STRESSES, self.held_out, strict=True)
+            if errors.percent > limit
+        )
 
     def require_accuracy(self, limit: float) -> None:
         """Refuse a calibration that predicts unseen data badly."""
-        errors = dict(zip(STRESSES, self.held_out, strict=True))
+        errors = _by_stress(self.held_out)
         bad = [
             f"{name} {errors[name].percent:.1f} % ({errors[name].rmse:.0f} Pa)"
             for name in self.above(limit)
@@ -352,12 +341,11 @@ def calibrate_bench(
         bench, sound = bench[sound], sound[sound]
     cluster = fit_cluster(bench.capacitance, bench.stress, wiring, sound)
     fitted = predict_stress(cluster, bench.capacitance)
-    groups = choose_groups(bench)
-    checked = cross_validate(bench.capacitance[:, wiring], bench.stress, groups)
-    full_scale = bench[sound].full_scale
-    residual = (fitted - bench.stress)[sound]
+    checked = cross_validate(bench.capacitance[:, wiring], bench.stress, choose_groups(bench))
+    kept = bench[sound]
+    full_scale, residual = kept.full_scale, (fitted - bench.stress)[sound]
     branches = np.full(bench.stress.shape, NEITHER)
-    branches[sound] = find_branches(bench[sound])
+    branches[sound] = up_or_down = find_branches(kept)
     return BenchCalibration(
         cluster=cluster,
         bench=bench,
@@ -371,11 +359,9 @@ def calibrate_bench(
         normal_half_width=half_widths(cluster.normal, checked.normal),
         shear_half_width=half_widths(cluster.shear, checked.shear),
         branches=branches,
-        hysteresis=hysteresis(bench[sound], residual, branches[sound]),
-        repeatability=repeatability(
-            bench[sound], residual, branches[sound], cycle_ids(bench)[sound]
-        ),
-        cross_talk=cross_talk(bench[sound], (checked.predicted - bench.stress)[sound]),
+        hysteresis=hysteresis(kept, residual, up_or_down),
+        repeatability=repeatability(kept, residual, up_or_down, cycle_ids(bench)[sound]),
+        cross_talk=cross_talk(kept, (checked.predicted - bench.stress)[sound]),
     )
 
 

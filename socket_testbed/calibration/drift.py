@@ -84,21 +84,15 @@ def cycle_ids(bench: BenchData) -> IntArray:
 def find_branches(bench: BenchData) -> IntArray:
     """Whether each stress is rising, falling or neither in each row, shape (N, 3)."""
     branches = np.full(bench.stress.shape, NEITHER)
-    least = _BRANCH * bench.full_scale
     for file in range(len(bench.files)):
         rows = np.flatnonzero(bench.file == file)
-        for axis in range(3):
-            branches[rows, axis] = _branches_of(bench.stress[rows, axis], float(least[axis]))
-    return branches
-
-
-def _branches_of(values: FloatArray, least: float) -> IntArray:
-    branches = np.full(len(values), NEITHER)
-    for start, end in pairwise(find_extremes(values, least)):
-        travel = values[end] - values[start]
-        progress = (values[start:end] - values[start]) / travel
-        moving = (progress > _ENDS) & (progress < 1.0 - _ENDS)
-        branches[start:end][moving] = RISING if travel > 0.0 else FALLING
+        for axis, least in enumerate((_BRANCH * bench.full_scale).tolist()):
+            values = bench.stress[rows, axis]
+            for start, end in pairwise(find_extremes(values, least)):
+                travel = values[end] - values[start]
+                progress = (values[start:end] - values[start]) / travel
+                moving = (progress > _ENDS) & (progress < 1.0 - _ENDS)
+                branches[rows[start:end][moving], axis] = RISING if travel > 0.0 else FALLING
     return branches
 
 

@@ -93,14 +93,12 @@ class ClusterCalibration:
 
         low, high = self._limits
         outside = ((features < low) | (features > high)).any(axis=-1)
-        result = np.where(outside, _OUT_OF_RANGE, _OK)
-        result = np.where(np.isnan(mean), _MISSING, result)
-        # A saturated input is reported as such even though its value is NaN, too.
         worst = status.max(axis=-1)
-        result = np.where(worst == _SATURATED, _SATURATED, result)
-        result = np.where(worst >= _MISSING, _MISSING, result)
-        unusable = (result == _MISSING) | (result == _SATURATED)
-        return np.where(unusable[..., None], np.nan, stress), result
+        # A saturated input is reported as such even though its value is NaN, too.
+        causes = [worst >= _MISSING, worst == _SATURATED, np.isnan(mean), outside]
+        result = np.select(causes, [_MISSING, _SATURATED, _MISSING, _OUT_OF_RANGE], _OK)
+        stress[causes[0] | causes[1] | causes[2]] = np.nan
+        return stress, result
 
     @cached_property
     def _features(self) -> FloatArray:
@@ -157,13 +155,9 @@ class Calibration:
             clusters: Their names, of which the calibration knows all; at least one.
         """
         own = [self.clusters[name] for name in clusters]
-        return ClusterCalibration(
-            normal=np.stack([cluster.normal for cluster in own]),
-            shear=np.stack([cluster.shear for cluster in own]),
-            mean_range=np.stack([cluster.mean_range for cluster in own]),
-            difference_range=np.stack([cluster.difference_range for cluster in own]),
-            wiring=np.stack([cluster.wiring for cluster in own]),
-        )
+        names = ("normal", "shear", "mean_range", "difference_range", "wiring")
+        arrays: dict[str, Any] = {n: np.stack([getattr(c, n) for c in own]) for n in names}
+        return ClusterCalibration(**arrays)
 
     def to_document(self) -> dict[str, Any]:
         """The content of `calibration.yaml`."""
@@ -192,10 +186,10 @@ def write_calibration(calibration: Calibration, path: Path) -> None:
     path.write_text(_HEADER + text, encoding="utf-8")
 
 
-_Coefficient = Annotated[float, Meta(ge=-1e9, le=1e9)]  # [Pa, Pa/pF, Pa/pF^2, pF]
-_Pair = tuple[_Coefficient, _Coefficient]
-_Four = tuple[_Coefficient, _Coefficient, _Coefficient, _Coefficient]
-_Six = tuple[_Coefficient, _Coefficient, _Coefficient, _Coefficient, _Coefficient, _Coefficient]
+_Number = Annotated[float, Meta(ge=-1e9, le=1e9)]  # [Pa, Pa/pF, Pa/pF^2, pF]
+_Pair = tuple[_Number, _Number]
+_Four = tuple[_Number, _Number, _Number, _Number]
+_Six = tuple[_Number, _Number, _Number, _Number, _Number, _Number]
 
 
 class _Cluster(Document):

@@ -17,7 +17,7 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.commands.terminal import Progress, number, table
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import TemporaryFolder, check_new_folder, make_folder
-from socket_testbed.geometry.regions import all_regions
+from socket_testbed.geometry.axis import all_regions
 from socket_testbed.identification.fit import REGRESSION
 from socket_testbed.identification.pressure import NORMAL_QUANTILE
 from socket_testbed.identification.validation import (

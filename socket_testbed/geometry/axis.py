@@ -1,18 +1,34 @@
-"""The socket's axis: heights above its distal end, and angles around it from anterior to left."""
+"""The socket's axis, heights and angles about it, and the regions that these make.
+
+Heights count from the distal end, angles from anterior towards left.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
-from socket_testbed.arrays import BoolArray, FloatArray
-from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.geometry.socket import HEIGHTS, SOCKET, SocketGeometry
 
 _AWAY = 0.5  # [-]; cosine of the angle at which a tile's x is no longer the proximal direction
 _UP = np.sqrt(0.5)  # [-]; z of the normals of what faces up at 45 degrees or more
 _NO_DIRECTION = 0.1  # [-]; length of a mean of unit vectors that cancel
 _X, _Z = np.eye(3)[[0, 2]]
+
+Side = Literal["left", "right"]
+
+UNMEASURED = "unmeasured wall"
+"""The tiles without a cluster."""
+_TINY = 1e-9  # [m]
+# Quarter turns about the axis from anterior towards left, by the leg.
+_SECTORS: dict[Side | None, dict[str, int]] = {
+    "right": {"anterior": 0, "posterior": 2, "medial": 1, "lateral": 3},
+    "left": {"anterior": 0, "posterior": 2, "medial": 3, "lateral": 1},
+    None: {"anterior": 0, "posterior": 2, "left": 1, "right": 3},
+}
 
 
 @dataclass(frozen=True)
@@ -96,3 +112,55 @@ def wall_tiles(geometry: SocketGeometry, around: SocketAxis) -> BoolArray:
     """Which tiles are on the wall, shape (n,); those of the end and at the axis are not."""
     steep = geometry.rotations[:, :, 2] @ around.proximal < _UP
     return np.asarray(steep & (around.radii(geometry.anchors) >= np.sqrt(geometry.areas)))
+
+
+@dataclass(frozen=True, eq=False)
+class Region:
+    """A part of a socket."""
+
+    name: str
+    tiles: IntArray  # indices of its tiles, ascending; (k,)
+
+
+def anatomical_regions(geometry: SocketGeometry, side: Side | None = None) -> tuple[Region, ...]:
+    """Four sectors, three heights, and the sectors by the heights.
+
+    The sectors are quarter turns about the socket's axis (`socket_axis`), centred on
+    anterior, left, posterior and right; the heights are thirds of the span of the tiles' centres
+    along the axis. Every tile is in exactly one sector, one height and one of their intersections.
+
+    Args:
+        geometry: Geometry of the socket.
+        side: The leg. Medial is left of the axis on a right leg, right of it on a left leg; without
+            a side the sectors are called `left` and `right`.
+
+    Returns:
+        Regions such as `anterior`, `proximal` and `anterior proximal`, less those without a tile.
+    """
+    axis = socket_axis(geometry)
+    turns = np.round(axis.angles(geometry.anchors) / (0.5 * np.pi)) % 4
+    heights = axis.heights(geometry.anchors)
+    below = (heights.max() - heights) / max(np.ptp(heights), _TINY)
+    thirds = np.minimum(np.floor(3.0 * below), 2.0)
+    sectors = {name: turns == turn for name, turn in _SECTORS[side].items()}
+    levels = {name: thirds == third for third, name in enumerate(HEIGHTS)}
+    fields = {
+        f"{sector} {height}": inside & level
+        for sector, inside in sectors.items()
+        for height, level in levels.items()
+    }
+    every = {**sectors, **levels, **fields}
+    return tuple(Region(name, np.flatnonzero(of)) for name, of in every.items() if of.any())
+
+
+def all_regions(geometry: SocketGeometry, side: Side | None = None) -> tuple[Region, ...]:
+    """The anatomical regions, those of `socket.yaml`, the tiles without a cluster, and the socket.
+
+    They come in this order; where every tile has a cluster, nothing is unmeasured.
+    """
+    own = [Region(name, np.array(tiles)) for name, tiles in geometry.axis.items()]
+    every = np.arange(len(geometry))
+    bare = np.setdiff1d(every, [*geometry.clusters.values()])
+    if len(bare):
+        own.append(Region(UNMEASURED, bare))
+    return (*anatomical_regions(geometry, side), *own, Region(SOCKET, every))

@@ -35,10 +35,7 @@ SECTORS = ("anterior", "posterior", "medial", "lateral", "left", "right")
 PARTS_OF_SECTORS = [f"{sector} {height}" for sector in SECTORS for height in HEIGHTS]
 SOCKET = "socket"  # the region of all tiles
 
-_STANDARD_REGIONS = {
-    *(SOCKET, *SECTORS, *HEIGHTS),
-    *PARTS_OF_SECTORS,
-}
+_STANDARD_REGIONS = {SOCKET, *SECTORS, *HEIGHTS, *PARTS_OF_SECTORS}
 _SAME_PLACE = 1e-4  # [m]
 _FAR, _LEAST_FAR = 4.0, 0.06  # times the usual distance of neighbours, and [m]: off the wall
 _FromScan = Annotated[float, Meta(ge=-100.0, le=100.0)]  # [m]; a scanner's origin may be anywhere
@@ -132,32 +129,25 @@ class SocketGeometry:
         if self.scan:
             pose = pose_document(self.scan.in_load_cell)
             document["scan"] = {"unit": self.scan.unit, "in_load_cell": pose}
-        registration = {"registration": self.registration} if self.registration else {}
-        regions = {name: [self.names[i] for i in tiles] for name, tiles in self.regions.items()}
-        return document | {
-            "tiles": {
-                name: {
-                    "anchor": plain(self.anchors[i]),
-                    "frame": plain(self.rotations[i]),
-                    "area": float(self.areas[i]),
-                }
-                for i, name in enumerate(self.names)
-            },
-            "neighbours": [[self.names[a], self.names[b]] for a, b in self.neighbours],
-            "clusters": {name: self._cluster_document(name) for name in self.clusters},
-            **({"regions": regions} if regions else {}),
-            "bodies": registration
-            | {
-                "socket": {
-                    "markers": plain(self.socket_markers),
-                    "in_load_cell": pose_document(self.socket_body),
-                },
-                "pylon": {
-                    "markers": plain(self.pylon_markers),
-                    "limb_in_body": pose_document(self.limb),
-                },
-            },
+        document["tiles"] = {
+            name: {"anchor": plain(anchor), "frame": plain(frame), "area": float(area)}
+            for name, anchor, frame, area in zip(
+                self.names, self.anchors, self.rotations, self.areas, strict=True
+            )
         }
+        document["neighbours"] = [[self.names[a], self.names[b]] for a, b in self.neighbours]
+        document["clusters"] = {name: self._cluster_document(name) for name in self.clusters}
+        if self.regions:
+            own = {name: [self.names[i] for i in tiles] for name, tiles in self.regions.items()}
+            document["regions"] = own
+        socket = {"in_load_cell": pose_document(self.socket_body)}
+        pylon = {"limb_in_body": pose_document(self.limb)}
+        document["bodies"] = {
+            **({"registration": self.registration} if self.registration else {}),
+            "socket": {"markers": plain(self.socket_markers)} | socket,
+            "pylon": {"markers": plain(self.pylon_markers)} | pylon,
+        }
+        return document
 
     def _cluster_document(self, cluster: str) -> str | dict[str, Any]:
         tile, turned = self.names[self.clusters[cluster]], self.turned.get(cluster, 0.0)

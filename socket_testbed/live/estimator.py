@@ -19,8 +19,8 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray, StatusArray
 from socket_testbed.errors import IdentificationError, TestbedError
+from socket_testbed.geometry.axis import all_regions
 from socket_testbed.geometry.pose import Pose
-from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import Fit

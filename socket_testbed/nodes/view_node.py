@@ -22,8 +22,7 @@ from std_msgs.msg import String
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.geometry.axis import proximal_direction
-from socket_testbed.geometry.regions import all_regions
+from socket_testbed.geometry.axis import all_regions, proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.data_check import LOOK
 from socket_testbed.identification.pressure import Quantity, RegionOutputs

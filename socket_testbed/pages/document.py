@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.geometry.axis import proximal_direction
-from socket_testbed.geometry.regions import UNMEASURED, Region, Side
+from socket_testbed.geometry.axis import UNMEASURED, Region, Side, proximal_direction
 from socket_testbed.geometry.socket import HEIGHTS, PARTS_OF_SECTORS, SOCKET, SocketGeometry
 from socket_testbed.identification.data_check import Finding
 from socket_testbed.identification.pressure import (
@@ -55,7 +54,7 @@ def socket_document(geometry: SocketGeometry, side: Side | None = None) -> Docum
         "sides": side_names(side),
         "heights": list(reversed(HEIGHTS)),
         "proximal": numbers(tiles.around.proximal, 4),
-        "regions": {name: list(map(int, tiles)) for name, tiles in geometry.regions.items()},
+        "regions": {name: list(map(int, tiles)) for name, tiles in geometry.axis.items()},
         "patches": [_patch(patch) for patch in patches(geometry)],
     }
 

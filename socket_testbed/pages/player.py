@@ -8,7 +8,7 @@ import numpy as np
 
 from socket_testbed.arrays import evenly
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.geometry.regions import all_regions
+from socket_testbed.geometry.axis import all_regions
 from socket_testbed.identification.force_map import map_trial
 from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.identification.noise import smooth_poses

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.geometry.regions import UNMEASURED
+from socket_testbed.geometry.axis import UNMEASURED
 from socket_testbed.geometry.socket import (
     HEIGHTS,
     PARTS_OF_SECTORS,

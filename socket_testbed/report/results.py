@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from socket_testbed.arrays import BoolArray, FloatArray, evenly
 from socket_testbed.errors import IdentificationError
-from socket_testbed.geometry.regions import Region, all_regions
+from socket_testbed.geometry.axis import Region, all_regions
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.data_check import Finding
 from socket_testbed.identification.evaluation import (

@@ -7,8 +7,13 @@ from scipy.spatial.transform import Rotation
 from support.ring_socket import ring_socket
 
 from socket_testbed.files import packaged
-from socket_testbed.geometry.axis import axis_through, proximal_direction, socket_axis
-from socket_testbed.geometry.regions import all_regions, anatomical_regions
+from socket_testbed.geometry.axis import (
+    all_regions,
+    anatomical_regions,
+    axis_through,
+    proximal_direction,
+    socket_axis,
+)
 from socket_testbed.geometry.socket import HEIGHTS, read_socket
 
 RINGS, PACKAGED = ring_socket(), read_socket(packaged("config", "socket.yaml"))

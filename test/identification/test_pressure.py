@@ -11,7 +11,7 @@ from support.ring_socket import ring_socket
 
 from socket_testbed.errors import TrialError
 from socket_testbed.files import packaged
-from socket_testbed.geometry.regions import all_regions
+from socket_testbed.geometry.axis import all_regions
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification import pressure
 from socket_testbed.identification.force_map import ForceMap

@@ -19,7 +19,7 @@ from support.bags import copying
 from support.graph import Probe
 from support.verbs import COMMAND, program
 
-from socket_testbed.geometry.regions import all_regions
+from socket_testbed.geometry.axis import all_regions
 from socket_testbed.geometry.socket import write_socket
 from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.model_file import read_model

@@ -17,7 +17,6 @@ def test_the_load_cell_creeps_by_so_much() -> None:
     load = load_history("static_hold", time, np.random.default_rng(0))
     creep = wrench_creep(LIKE_PAPER, load, time, np.random.default_rng(1))
     np.testing.assert_allclose(np.ptp(creep, axis=0), np.repeat([0.9, 4.0], 3))
-    assert (np.abs(creep[time < 15]) < 1e-9).all()  # before the mass is placed
     held = np.abs(creep[(time > 25) & (time < 100)])
     assert (np.diff(held, axis=0) > 0.0).all()
 

@@ -1,7 +1,6 @@
 """The physics of the limb against mechanics and the published experiment; the sensors' errors."""
 
 import dataclasses
-import itertools
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +11,10 @@ from support.wording import refused
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.errors import TestbedError
 from socket_testbed.files import packaged
-from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.simulation import limb
-from socket_testbed.simulation.limb import SCENARIOS, TISSUES, LoadedLimb, load_history, make_tissue
-from socket_testbed.simulation.sensors import CAMERA_RATE, observe_markers
+from socket_testbed.simulation.limb import TISSUES, LoadedLimb, load_history
+from socket_testbed.simulation.sensors import CAMERA_RATE
 from socket_testbed.simulation.socket_scan import make_socket_scan
 from socket_testbed.simulation.trial import simulate
 from socket_testbed.simulation.world import SensorErrors
@@ -78,36 +76,6 @@ def test_the_tissue_stiffens_creeps_under_a_held_load_and_does_not_retrace(monke
     assert 0.0 < second < first
 
 
-def silicone_around_a_bone() -> tuple[float, float]:
-    """Moduli of a bed of springs [Pa/m] that an incompressible cylinder around a bone acts like.
-
-    Across: plane strain, the bone moved by 1, the silicone slides on the wall. Along: pure shear.
-    """
-    shear, bone, wall = 75e3 / 3.0, 0.010, 0.054
-
-    def radial(r: float) -> np.ndarray:
-        return np.array([r**2, 1.0, r**-2, np.log(r)])
-
-    def around(r: float) -> np.ndarray:
-        return np.array([3.0 * r**2, 1.0, -(r**-2), np.log(r) + 1.0])
-
-    slope = np.array([6.0 * wall, 0.0, 2.0 * wall**-3, 1.0 / wall])
-    shear_strain = slope - (around(wall) - radial(wall)) / wall
-    conditions = [radial(bone), around(bone), radial(wall), shear_strain]
-    stiffness = 4.0 * np.pi * shear * abs(np.linalg.solve(conditions, [1.0, 1.0, 0.0, 0.0])[3])
-    return stiffness / (np.pi * wall), shear / (wall * np.log(wall / bone))
-
-
-def test_the_soft_tissue_is_the_published_silicone() -> None:
-    across, along = silicone_around_a_bone()
-    tissues = [make_tissue(GEOMETRY, np.random.default_rng(seed), "soft") for seed in range(20)]
-    assert np.median([t.modulus for t in tissues]) == pytest.approx(across, rel=0.05)
-    assert np.median([t.shear_modulus for t in tissues]) == pytest.approx(along, rel=0.05)
-    sides = np.abs(GEOMETRY.rotations[:, 2, 2]) < 0.3
-    from_axis = (GEOMETRY.anchors - GEOMETRY.anchors.mean(axis=0))[sides, :2]
-    assert np.linalg.norm(from_axis, axis=1).mean() == pytest.approx(0.054, rel=0.02)
-
-
 def follow(scenario, seed: int, tissue) -> tuple[np.ndarray, np.ndarray]:
     """Times [s], and positions [mm] and rotations [mrad] of a limb in 120 s, shape (60, 6)."""
     rng = np.random.default_rng(seed)
@@ -146,16 +114,6 @@ def test_the_protocol_excites_all_six_numbers_of_the_pose(tissue) -> None:
     assert (alone["protocol"] > 10.0 * alone["static_hold"]).all()
 
 
-def test_the_limb_is_held_however_long_the_steps() -> None:
-    for scenario, tissue, rate in itertools.product(SCENARIOS, TISSUES, (0.5, 5.0)):
-        rng = np.random.default_rng(7)
-        load = load_history(scenario, np.arange(0.0, 10.0, 1.0 / rate), rng)
-        loaded = LoadedLimb(GEOMETRY, load[0], rng, tissue)
-        for wrench in load:
-            carried = loaded.step(wrench, 1.0 / rate).sum(axis=0)
-        assert carried[2] < 0.6 * load[-1, 5]  # by the tiles, without what is between them
-
-
 def test_the_static_hold_is_the_paper_s_and_the_protocol_pushes_before_it() -> None:
     time, pylon, mass = np.arange(0, 120, 0.25), 9.3 * 9.81, 19.0 * 9.81
     for scenario, begin, held, end in (
@@ -181,18 +139,18 @@ def test_a_seed_gives_one_trial() -> None:
     assert not np.array_equal(first.truth.forces, other.truth.forces)
 
 
-def measure(geometry, window: float, rate: float = 4.0, **errors: float):
+def measure(window: float, rate: float = 4.0, **errors: float):
     """A trial of 100 samples, and the errors of the limb's measured position [m]."""
     sizes = dataclasses.replace(PERFECT, **errors)
     trial = simulate(
-        geometry, CALIBRATION, "ramp", 100.0 / rate, rate, 2, errors=sizes, mocap_window=window
+        GEOMETRY, CALIBRATION, "ramp", 100.0 / rate, rate, 2, errors=sizes, mocap_window=window
     )
-    limb_pose = geometry.limb_pose(trial.poses["socket"], trial.poses["pylon"])
+    limb_pose = GEOMETRY.limb_pose(trial.poses["socket"], trial.poses["pylon"])
     return trial, limb_pose.translation - trial.truth.position
 
 
 def test_perfect_sensors_see_the_truth() -> None:
-    trial, off = measure(GEOMETRY, 0.0)
+    trial, off = measure(0.0)
     np.testing.assert_allclose(trial.wrench, trial.truth.wrench)
     # The stand moves the whole testbed, not the limb in the socket.
     assert np.abs(off).max() < 1e-9
@@ -204,38 +162,6 @@ def test_perfect_sensors_see_the_truth() -> None:
         assert (status == 0).all()
         actual = trial.truth.forces[:, tile] @ GEOMETRY.rotations[tile]
         np.testing.assert_allclose(GEOMETRY.cluster_force(cluster, stress), actual, atol=2e-3)
-
-
-def test_the_cameras_drop_and_swap_as_often_as_set() -> None:
-    pose = Pose(np.tile(np.eye(3), (4000, 1, 1)), np.zeros((4000, 3)))
-    seen = [
-        observe_markers(pose, GEOMETRY.socket_markers, errors, np.random.default_rng(0))
-        for errors in (
-            dataclasses.replace(PERFECT, drop_out=0.1), dataclasses.replace(PERFECT, label_swap=0.2)
-        )
-    ]  # fmt: skip
-    assert np.isnan(seen[0][:, :, 0]).mean() == pytest.approx(0.1, abs=0.01)
-    moved = np.abs(seen[1] - GEOMETRY.socket_markers).max(axis=(1, 2)) > 0.01
-    assert moved.mean() == pytest.approx(0.2, abs=0.03)
-
-
-FIVE = 0.001 * np.array([[0, 0, 0], [61, 4, 9], [13, 47, 2], [40, 72, 31], [-35, 20, 44]])
-
-
-def test_a_body_of_five_markers_keeps_its_pose_through_occlusions() -> None:
-    larger = dataclasses.replace(GEOMETRY, socket_markers=FIVE)
-    plain, _ = measure(GEOMETRY, 0.0)
-    trial, _ = measure(larger, 0.0, drop_out=0.1, label_swap=0.2)
-    assert {name: seen.shape[1] for name, seen in trial.markers.items()} == {
-        "socket": 5,
-        "pylon": 3,
-    }
-    position = trial.poses["socket"].translation
-    found = np.isfinite(position).all(axis=1)
-    whole = np.isfinite(trial.markers["socket"]).all(axis=(1, 2))
-    assert found[whole].all() and found.sum() > whole.sum()
-    expected = plain.poses["socket"].translation[found]
-    np.testing.assert_allclose(position[found], expected, atol=1e-9)
 
 
 def test_the_noise_of_a_marker_is_that_of_a_real_take(shared_data: Path) -> None:
@@ -255,17 +181,20 @@ def test_the_noise_of_a_marker_is_that_of_a_real_take(shared_data: Path) -> None
 
 
 def test_the_mean_over_the_window_averages_the_cameras_noise_and_does_not_lag() -> None:
-    _, single = measure(GEOMETRY, 0.0, marker_noise=5e-5)
+    _, single = measure(0.0, marker_noise=5e-5)
     for rate, window in ((4.0, 0.25), (20.0, 0.05)):
-        _, perfect = measure(GEOMETRY, 0.25, rate)
-        _, averaged = measure(GEOMETRY, 0.25, rate, marker_noise=5e-5)
+        _, perfect = measure(0.25, rate)
+        _, averaged = measure(0.25, rate, marker_noise=5e-5)
         frames = 2 * int(0.5 * window * CAMERA_RATE) + 1
         expected = single.std(axis=0) / np.sqrt(frames)
         np.testing.assert_allclose((averaged - perfect).std(axis=0), expected, rtol=0.35)
         speed = 0.008 * np.pi / 30.0  # [m/s]; of the limb's settling under the ramp
         if rate == 4.0:
             assert np.abs(perfect.mean(axis=0)).max() < 0.01 * 0.125 * speed
-    trial, off = measure(GEOMETRY, 0.25, drop_out=0.3)  # one frame with the body is enough
-    assert np.isfinite(off).all()
+    trial, off = measure(0.25, drop_out=0.3, label_swap=0.2)
+    assert np.abs(off).max() < 1e-4  # one frame with the body is enough
     assert np.isnan(trial.markers["pylon"][:, :, 0]).mean() == pytest.approx(0.3, abs=0.1)
-    assert np.isnan(measure(GEOMETRY, 0.25, drop_out=1.0)[1]).all()
+    assert np.isnan(measure(0.25, drop_out=1.0)[1]).all()
+    trial, off = measure(0.0, label_swap=0.2)
+    jumped = np.abs(np.diff(trial.markers["pylon"], axis=0)).max(axis=(1, 2)) > 0.01
+    assert 0.15 < jumped.mean() < 0.5 and np.abs(off).max() < 1e-9

@@ -49,14 +49,14 @@ def felt_with_play(stress: np.ndarray, width: float) -> np.ndarray:
     return felt
 
 
-def bench_of(capacitance: np.ndarray, stress: np.ndarray, period: float = 0.1) -> BenchData:
+def bench_of(capacitance: np.ndarray, stress: np.ndarray) -> BenchData:
     """Bench data of one file without names for its cycles."""
     rows = len(stress)
     return BenchData(
         files=("bench.csv",),
         file=np.zeros(rows, dtype=np.int64),
         line=np.arange(rows) + 2,
-        time=period * np.arange(rows),
+        time=0.1 * np.arange(rows),
         cycle=np.full(rows, -1),
         capacitance=capacitance,
         stress=stress,
