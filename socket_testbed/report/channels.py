@@ -172,7 +172,6 @@ def _channels(results: Results, name: str, title: str, channels: Sequence[int]) 
         f"{title}, {results.segment}; the errors in the panels are over the shaded segment, to"
         f" which the variants were fitted (in-sample). {THINNED}",
         lambda style: wrench_figure(samples, results.segment, models, heading, style, channels),
-        f"{title} over time, a panel per channel with its errors; the table of errors holds them",
         results.series(columns),
         line_chart(samples.time, charts),
     )

@@ -171,7 +171,6 @@ def _overview(results: Results) -> ReportFigure:
         " was missing, saturated, or out of the calibrated range, where it would be an"
         f" extrapolation. {THINNED}",
         lambda style: _draw_overview(results, loads, lacking, style),
-        "Magnitudes of the measured force and moment over time, and drop-outs by measurement",
         results.series(loads | flags),
         line_chart(samples.time, charts),
     )
