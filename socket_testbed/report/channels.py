@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isfinite
 from typing import TypeAlias
 
 import numpy as np
@@ -33,7 +32,7 @@ from socket_testbed.report.style import (
 )
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.settings.identification import PAPER_VARIANTS
-from socket_testbed.tables import Table
+from socket_testbed.tables import Table, number
 from socket_testbed.trials.segment import Segment
 
 _PANEL, _KEY_LINE = 34.0, 3.1  # [mm]; height of a panel without its key; of a line of the key
@@ -222,10 +221,7 @@ def _describe(label: str, e: ChannelErrors, lines: int) -> str:
     separator = ":\n" if lines == 3 else ": "
     if e.samples == 0:
         return f"{label}{separator}no errors,\nno value in the span"
-    digits = 2 if abs(e.skill) < 10.0 else 0
-    skill = f"{round(e.skill, digits) + 0.0:.{digits}f}" if isfinite(e.skill) else "none"
     return (
         f"{label}{separator}RMSE {e.rmse:.2f}, MAE {e.mae:.2f},\n"
-        f"\N{GREEK SMALL LETTER SIGMA} {e.sigma:.2f} {e.unit}, skill"
-        f" {skill.replace('-', chr(0x2212))}"
+        f"\N{GREEK SMALL LETTER SIGMA} {e.sigma:.2f} {e.unit}, skill {number(e.skill, 'z.2f')}"
     )
