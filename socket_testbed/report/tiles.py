@@ -177,6 +177,8 @@ def _write(axis: Axes, label: str, corners: FloatArray) -> None:
     """
     broken = label.replace("_", "_ ")
     lines = textwrap.wrap(broken, _LONGEST_LINE, break_long_words=False)
+    if not lines:
+        return
     look: dict[str, Any] = {"fontsize": SMALL}
     if len(label) <= 2:
         look |= {"path_effects": [withStroke(linewidth=2.0, foreground="white")]}
@@ -184,7 +186,7 @@ def _write(axis: Axes, label: str, corners: FloatArray) -> None:
         width, height = np.ptp(corners, axis=0) * _points_per_unit(axis)
         across, up = _CHARACTER * max(map(len, lines)), _LINE * len(lines)
         look |= {"fontsize": min(width / across, height / up, SMALL), "linespacing": 1.0}
-    if label and look["fontsize"] >= _SMALLEST:
+    if look["fontsize"] >= _SMALLEST:
         text = "\n".join(lines).replace("_ ", "_")
         look |= {"ha": "center", "va": "center", "zorder": 3, "parse_math": False}
         x, y = corners.mean(axis=0)
