@@ -221,7 +221,8 @@ def _describe(label: str, e: ChannelErrors, lines: int) -> str:
     separator = ":\n" if lines == 3 else ": "
     if e.samples == 0:
         return f"{label}{separator}no errors,\nno value in the span"
+    digits = "z.2f" if abs(e.skill) < 10.0 else "z.0f"
     return (
         f"{label}{separator}RMSE {e.rmse:.2f}, MAE {e.mae:.2f},\n"
-        f"\N{GREEK SMALL LETTER SIGMA} {e.sigma:.2f} {e.unit}, skill {number(e.skill, 'z.2f')}"
+        f"\N{GREEK SMALL LETTER SIGMA} {e.sigma:.2f} {e.unit}, skill {number(e.skill, digits)}"
     )
