@@ -564,7 +564,7 @@ def _notes(
             " 'annotate TRIAL --side left|right'"
         )
     shared = {name for part, name, _ in rows[0] if part == "regions"}
-    own = {name for trial in trials for name in trial.geometry.axis}
+    own = {name for trial in trials for name in trial.geometry.regions}
     if lacking := sorted(own - shared):
         yield f"not compared, since not all trials have these regions alike: {', '.join(lacking)}"
     subjects = {trial.metadata.subject for trial in trials}

@@ -213,9 +213,7 @@ def _series(
     """Times [s], titles and values, shape (N, m), of the chosen quantities."""
     import pandas as pd
 
-    table = quantity
-    if not isinstance(table, pd.DataFrame):
-        table = trial.samples().to_dataframe()
+    table = quantity if isinstance(quantity, pd.DataFrame) else trial.samples().to_dataframe()
     if _TIME in table.columns:
         table = table.set_index(_TIME)
     if table.index.name != _TIME or len(table) == 0:
@@ -228,19 +226,14 @@ def _series(
         for title in table.select_dtypes("number").columns
         if not title.endswith((" [deg]", "status [-]", "stamp [ns]"))
     ]
-    if isinstance(quantity, str):
-        quantity = [quantity]
     if quantity is not None and not isinstance(quantity, pd.DataFrame):
-        usable = [_title(name, usable) for name in quantity]
+        titles = {split_unit(title)[0]: title for title in usable}
+        wanted = [quantity] if isinstance(quantity, str) else quantity
+        names = [split_unit(name)[0] if name in usable else name for name in wanted]
+        for name in names:
+            if name not in titles:
+                hint = closest(name, titles)
+                raise ConfigurationError(f"the trial has no channel '{name}'", hint)
+        usable = [titles[name] for name in names]
     values = table[usable].to_numpy(dtype=float)
     return table.index.to_numpy(dtype=float), tuple(usable), values
-
-
-def _title(name: str, titles: Sequence[str]) -> str:
-    """The title of a column by its name, with or without its unit."""
-    names = {split_unit(title)[0]: title for title in titles}
-    if name in titles:
-        return name
-    if name not in names:
-        raise ConfigurationError(f"the trial has no channel '{name}'", closest(name, names))
-    return names[name]

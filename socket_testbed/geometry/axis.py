@@ -158,7 +158,7 @@ def all_regions(geometry: SocketGeometry, side: Side | None = None) -> tuple[Reg
 
     They come in this order; where every tile has a cluster, nothing is unmeasured.
     """
-    own = [Region(name, np.array(tiles)) for name, tiles in geometry.axis.items()]
+    own = [Region(name, np.array(tiles)) for name, tiles in geometry.regions.items()]
     every = np.arange(len(geometry))
     bare = np.setdiff1d(every, [*geometry.clusters.values()])
     if len(bare):

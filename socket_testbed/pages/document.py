@@ -54,7 +54,7 @@ def socket_document(geometry: SocketGeometry, side: Side | None = None) -> Docum
         "sides": side_names(side),
         "heights": list(reversed(HEIGHTS)),
         "proximal": numbers(tiles.around.proximal, 4),
-        "regions": {name: list(map(int, tiles)) for name, tiles in geometry.axis.items()},
+        "regions": {name: list(map(int, tiles)) for name, tiles in geometry.regions.items()},
         "patches": [_patch(patch) for patch in patches(geometry)],
     }
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import isfinite
 from typing import TypeAlias
 
 import numpy as np
@@ -33,7 +32,7 @@ from socket_testbed.report.style import (
 )
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.settings.identification import PAPER_VARIANTS
-from socket_testbed.tables import Table
+from socket_testbed.tables import Table, number
 from socket_testbed.trials.segment import Segment
 
 _PANEL, _KEY_LINE = 34.0, 3.1  # [mm]; height of a panel without its key; of a line of the key
@@ -172,7 +171,6 @@ def _channels(results: Results, name: str, title: str, channels: Sequence[int]) 
         f"{title}, {results.segment}; the errors in the panels are over the shaded segment, to"
         f" which the variants were fitted (in-sample). {THINNED}",
         lambda style: wrench_figure(samples, results.segment, models, heading, style, channels),
-        f"{title} over time, a panel per channel with its errors; the table of errors holds them",
         results.series(columns),
         line_chart(samples.time, charts),
     )
@@ -223,10 +221,8 @@ def _describe(label: str, e: ChannelErrors, lines: int) -> str:
     separator = ":\n" if lines == 3 else ": "
     if e.samples == 0:
         return f"{label}{separator}no errors,\nno value in the span"
-    digits = 2 if abs(e.skill) < 10.0 else 0
-    skill = f"{round(e.skill, digits) + 0.0:.{digits}f}" if isfinite(e.skill) else "none"
+    digits = "z.2f" if abs(e.skill) < 10.0 else "z.0f"
     return (
         f"{label}{separator}RMSE {e.rmse:.2f}, MAE {e.mae:.2f},\n"
-        f"\N{GREEK SMALL LETTER SIGMA} {e.sigma:.2f} {e.unit}, skill"
-        f" {skill.replace('-', chr(0x2212))}"
+        f"\N{GREEK SMALL LETTER SIGMA} {e.sigma:.2f} {e.unit}, skill {number(e.skill, digits)}"
     )

@@ -68,7 +68,6 @@ def section(results: Results) -> Section:
         " square roots of the terms of the objective, 1 stands for predicting zero. Dominated"
         " solutions are faint.",
         lambda style: pareto_figure(fronts, results.title("Trade-off"), style),
-        "Pareto fronts of the paper's variants with the sensor-only, knee, wrench-only solutions",
         front_table(fronts),
         {
             "dots": True,

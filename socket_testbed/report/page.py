@@ -40,7 +40,6 @@ class ReportFigure:
     name: str  # of its files
     caption: str
     draw: Callable[[FigureStyle], Figure]  # for print
-    description: str  # for who cannot see it
     data: pd.DataFrame
     # Panels of lines for the page, see report.js; None for what is on the map of the socket
     chart: Mapping[str, Any] | None = None

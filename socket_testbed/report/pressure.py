@@ -198,13 +198,11 @@ def _overview(results: Results) -> ReportFigure:
     values = {f"{name} [kPa]": of.value for name, of in _maps(results.pressure).items()}
     return ReportFigure(
         "pressure_map",
-        f"Pressure on the unrolled socket, {results.segment}. The greyer, the"
+        f"Pressure on the unrolled socket, {results.segment}, and at its peak. The greyer, the"
         " less certain. Tiles with a cluster are outlined. Below, the mean pressure of sectors,"
         " heights and own regions."
         f" {THINNED}",
         lambda style: pressure_figure(results.pressure, "", style),
-        "Pressure on the unrolled socket: the mean over the segment, and at its peak; below, that"
-        " of the regions over time",
         pd.DataFrame({"tile": results.trial.geometry.names, **values}),
     )
 
@@ -224,7 +222,6 @@ def _force_map(results: Results) -> ReportFigure:
         "Mean normal pressure over the segment on every tile, and the standard deviation of its"
         f" error. {mean.source}. The greyer, the less certain. Tiles with a cluster are outlined.",
         lambda style: force_map_figure(geometry, mean, results.title("Force map"), style),
-        "Normal pressure on the unrolled socket, and its standard deviation below",
         pd.DataFrame(
             {"tile": geometry.names} | {name: 1e-3 * row[0] for name, row in columns.items()}
         ),

@@ -135,24 +135,21 @@ def mean_and_sigma(vectors: FloatArray) -> tuple[float, float]:
 
 
 def _plateaus(results: Results) -> Table:
-    rows = []
-    for part in (results.segment, *(p for p in results.plateaus if p != results.segment)):
+    rows = {}
+    for part in (results.segment, *results.plateaus):
         wrench = results.samples.wrench[part.rows]
-        force, force_sigma = mean_and_sigma(wrench[:, 3:])
-        moment, moment_sigma = mean_and_sigma(wrench[:, :3])
-        rows.append(
-            {
-                "from, to [s]": f"{part.start:.2f} to {part.end:.2f}",
-                "duration [s]": part.end - part.start,
-                "mean force [N]": force,
-                "its sigma [N]": force_sigma,
-                "mean moment [N m]": moment,
-                "its sigma [N m]": moment_sigma,
-            }
-        )
-    formats = dict.fromkeys(rows[0], ".2f") | {"mean force [N]": ".1f", "its sigma [N m]": ".3f"}
-    frame = pd.DataFrame(rows).set_index("from, to [s]")
-    return Table("plateaus", "The segment, then the plateaus, the longest first", frame, formats)
+        loads = (*mean_and_sigma(wrench[:, 3:]), *mean_and_sigma(wrench[:, :3]))
+        rows[f"{part.start:.2f} to {part.end:.2f}"] = [part.end - part.start, *loads]
+    formats = {
+        "duration [s]": ".2f",
+        "mean force [N]": ".1f",
+        "its sigma [N]": ".2f",
+        "mean moment [N m]": ".2f",
+        "its sigma [N m]": ".3f",
+    }
+    frame = pd.DataFrame.from_dict(rows, orient="index", columns=[*formats])
+    caption = "The segment, then the plateaus, the longest first"
+    return Table("plateaus", caption, frame.rename_axis("from, to [s]"), formats)
 
 
 def _overview(results: Results) -> ReportFigure:
@@ -171,7 +168,6 @@ def _overview(results: Results) -> ReportFigure:
         " was missing, saturated, or out of the calibrated range, where it would be an"
         f" extrapolation. {THINNED}",
         lambda style: _draw_overview(results, loads, lacking, style),
-        "Magnitudes of the measured force and moment over time, and drop-outs by measurement",
         results.series(loads | flags),
         line_chart(samples.time, charts),
     )

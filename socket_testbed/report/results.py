@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import ArrayLike
 
 from socket_testbed.arrays import BoolArray, FloatArray, evenly
@@ -55,6 +55,9 @@ from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.simulation.trial import read_true_forces
 from socket_testbed.trials.segment import Segment, find_plateaus, first_frames, select_segment
 from socket_testbed.trials.trial import Trial
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 GIVEN = "given"
 _LEAST_HELD_OUT = 10  # samples
@@ -154,6 +157,8 @@ class Results:
 
     def series(self, columns: Mapping[str, ArrayLike]) -> pd.DataFrame:
         """Columns of the samples, shape (N,) each, behind their stamps and times."""
+        import pandas as pd
+
         first = {
             "stamp [ns]": self.samples.stamps,
             "time [s]": self.samples.time,

@@ -84,11 +84,10 @@ class FigureStyle:
         """An empty figure of this width and a height [mm]."""
         return Figure(figsize=(self.width * MM, height * MM), layout="constrained")
 
-    def add_title(self, figure: Figure | SubFigure, *lines: str) -> None:
+    def add_title(self, figure: Figure | SubFigure, title: str) -> None:
         """Title of a figure, in lines that fit, unless it shall have none; no markup."""
-        if self.titles and any(lines):
-            text = "\n".join(wrap(line, 0.96 * self.width) for line in lines if line)
-            figure.suptitle(text, parse_math=False)
+        if self.titles and title:
+            figure.suptitle(wrap(title, 0.96 * self.width), parse_math=False)
 
 
 DEFAULT_STYLE = FigureStyle()

@@ -7,6 +7,7 @@ import platform
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -185,36 +186,22 @@ def _moment(moment: datetime) -> str:
 
 
 def _certificates(results: Results) -> Table:
-    rows = [
-        {
-            "variant": candidate.label,
-            "stage": stage,
-            "bound violation [-]": solution.certificate.primal,
-            "stationarity [-]": solution.certificate.stationarity,
-            "duality gap [-]": solution.certificate.gap,
-            "solver": solution.solver,
-            "determined stiffnesses": f"{fit.determined:.1f} of {fit.model.stiffness.size}",
-        }
-        for candidate in results.candidates
-        if (fit := candidate.fit) is not None
-        for stage, solution in (
-            ("1, rest positions", fit.stage_one),
-            ("2, stiffnesses", fit.stage_two),
-            ("joint", fit.joint),
-        )
-        if solution is not None
-    ]
-    rows += [
-        {
-            "variant": variant,
-            "stage": f"front, {int(front.sound.sum())} of {len(front.theta)} solutions sound",
-            "stationarity [-]": front.worst_residual,
-            "solver": "",
-            "determined stiffnesses": "",
-        }
-        for variant, front in results.fronts.items()
-    ]
-    frame = pd.DataFrame(rows).set_index("variant")
+    rows: list[tuple[Any, ...]] = []
+    for candidate in results.candidates:
+        if (fit := candidate.fit) is not None:
+            determined = f"{fit.determined:.1f} of {fit.model.stiffness.size}"
+            names = ("1, rest positions", "2, stiffnesses", "joint")
+            stages = zip(names, (fit.stage_one, fit.stage_two, fit.joint), strict=True)
+            for stage, solution in stages:
+                if solution is not None:
+                    found = solution.certificate
+                    residuals = found.primal, found.stationarity, found.gap
+                    rows.append((candidate.label, stage, *residuals, solution.solver, determined))
+    for variant, front in results.fronts.items():
+        stage = f"front, {int(front.sound.sum())} of {len(front.theta)} solutions sound"
+        rows.append((variant, stage, np.nan, front.worst_residual, np.nan, "", ""))
+    titles = ["bound violation [-]", "stationarity [-]", "duality gap [-]"]
+    columns = ["variant", "stage", *titles, "solver", "determined stiffnesses"]
+    frame = pd.DataFrame(rows, columns=columns).set_index("variant")
     caption = "Residuals of both stages of each fit, and the largest of each front"
-    formats = {title: ".1e" for title in frame if title.endswith("[-]")}
-    return Table("kkt", caption, frame, formats)
+    return Table("kkt", caption, frame, dict.fromkeys(titles, ".1e"))

@@ -118,7 +118,6 @@ def _tile_map(
         f"{title}, along the axes of {frame}; the wall is unrolled and seen from outside. Tiles"
         " with a cluster are outlined.",
         lambda style: tile_map_figure(geometry, maps, quantity, heading, style),
-        f"{title}: tiles of the unrolled socket in the colours of their values",
         pd.DataFrame({"tile": geometry.names, "cluster": of_tiles, **columns}),
     )
 
@@ -162,7 +161,6 @@ def _engaged_springs(results: Results) -> ReportFigure:
         " the time over the shaded segment in which the springs of a tile are engaged;"
         f" engaged_tiles.csv holds it for each. {THINNED}",
         draw,
-        "Share of the time with engaged springs on the unrolled socket, and their number over time",
         results.series({name: of for found in columns for name, of in found.items()}),
     )
 

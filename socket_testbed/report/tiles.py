@@ -177,6 +177,8 @@ def _write(axis: Axes, label: str, corners: FloatArray) -> None:
     """
     broken = label.replace("_", "_ ")
     lines = textwrap.wrap(broken, _LONGEST_LINE, break_long_words=False)
+    if not lines:
+        return
     look: dict[str, Any] = {"fontsize": SMALL}
     if len(label) <= 2:
         look |= {"path_effects": [withStroke(linewidth=2.0, foreground="white")]}
@@ -184,7 +186,7 @@ def _write(axis: Axes, label: str, corners: FloatArray) -> None:
         width, height = np.ptp(corners, axis=0) * _points_per_unit(axis)
         across, up = _CHARACTER * max(map(len, lines)), _LINE * len(lines)
         look |= {"fontsize": min(width / across, height / up, SMALL), "linespacing": 1.0}
-    if label and look["fontsize"] >= _SMALLEST:
+    if look["fontsize"] >= _SMALLEST:
         text = "\n".join(lines).replace("_ ", "_")
         look |= {"ha": "center", "va": "center", "zorder": 3, "parse_math": False}
         x, y = corners.mean(axis=0)
@@ -217,30 +219,13 @@ def _scales_of(
     return [(float(low), float(high)) for low, high in ranges]
 
 
-def _maps_height(
-    geometry: SocketGeometry, style: FigureStyle, scales: Sequence[tuple[float, float]]
-) -> float:
-    """Height that maps need, with a title and a key [mm]."""
-    columns = _columns_of(len(scales), style)
-    bars = 1 if len(set(scales)) == 1 else columns
-    wall = (style.width - _AXIS * columns - _BAR * bars) / columns
-    wall *= _WALL_SHARE / (_WALL_SHARE + 1.0)
-    low, high, width = _measures(unrolled_tiles(geometry))
-    aspect = (high - low) * (1.0 + 2.0 * _ABOVE) / (width * (360.0 + 2.0 * _BESIDE))
-    return _HEADING + -(-len(scales) // columns) * (wall * aspect + _UNDER)
-
-
-def _columns_of(count: int, style: FigureStyle) -> int:
-    """Number of maps in a row."""
-    return 1 if style.is_narrow else min(2, count)
-
-
 def _draw_maps(
     figure: Figure | SubFigure,
     geometry: SocketGeometry,
     values: Mapping[str, FloatArray],
     unit: str,
     scales: Sequence[tuple[float, float]],
+    columns: int,
     style: FigureStyle,
     side: str | None,
     reach: Mapping[str, FloatArray],
@@ -251,9 +236,7 @@ def _draw_maps(
     for number, (cluster, tile) in enumerate(geometry.clusters.items(), start=1):
         labels[tile] = str(number)
         key.append(f"{number} {cluster}")
-    columns = _columns_of(len(values), style)
-    rows = -(-len(values) // columns)
-    shares = (_WALL_SHARE, 1.0) * columns
+    rows, shares = -(-len(values) // columns), (_WALL_SHARE, 1.0) * columns
     axes = figure.subplots(rows, 2 * columns, width_ratios=shares, squeeze=False).reshape(-1, 2)
     free = style.width / columns - _AXIS - _BAR
     common = len(set(scales)) == 1
@@ -339,12 +322,18 @@ def tile_map_figure(
         scales = _scales_of(values, from_zero)
     else:
         scales = [limits[n] if isinstance(limits, Mapping) else limits for n in values]
+    columns = 1 if style.is_narrow else min(2, len(values))
+    bars = 1 if len(set(scales)) == 1 else columns
+    width = (style.width - _AXIS * columns - _BAR * bars) / columns * _WALL_SHARE
+    low, high, degree = _measures(unrolled_tiles(geometry))
+    aspect = (high - low) * (1.0 + 2.0 * _ABOVE) / (degree * (360.0 + 2.0 * _BESIDE))
+    each = width / (_WALL_SHARE + 1.0) * aspect + _UNDER
     height, draw = below or (0.0, None)
-    heights = _maps_height(geometry, style, scales), height
+    heights = _HEADING + -(-len(values) // columns) * each, height
     figure = style.figure(sum(heights))
     parts: Any = [figure] if draw is None else figure.subfigures(2, 1, height_ratios=heights)
     style.add_title(parts[0], title)
-    _draw_maps(parts[0], geometry, values, unit, scales, style, side, reach or {})
+    _draw_maps(parts[0], geometry, values, unit, scales, columns, style, side, reach or {})
     if draw is not None:
         draw(parts[1])
     return lay_out(figure)

@@ -62,8 +62,6 @@ def section(results: Results) -> Section:
             lambda style: validation_figure(
                 results.validation, f"{results.trial.name}: Validation", style
             ),
-            "Bars of the relative error by cluster for the force map and inverse distance, and the"
-            " coverage of the force map's intervals",
             judgements_table(results.validation),
         )
         judged = [

@@ -112,9 +112,7 @@ def test_a_trial_opens_at_its_peak_and_is_played_and_sought(browser: Browser, ho
 class Bench(Player):
     """A trial that the page takes for a running testbed."""
 
-    def __init__(self, trial: Any) -> None:
-        super().__init__(trial)
-        self.pressed: list[tuple[str, dict[str, Any]]] = []
+    pressed: tuple[tuple[str, dict[str, Any]], ...] = ()
 
     def start(self) -> dict[str, Any]:
         return super().start() | {"live": True, "buttons": True, "metadata": ["side"]}
@@ -126,23 +124,22 @@ class Bench(Player):
     def act(self, what: str, given: dict[str, Any]) -> str:
         if what == "tare":
             raise TestbedError("the load cell is loaded", "take the limb out")
-        self.pressed.append((what, given))
+        self.pressed += ((what, given),)
         return "done"
 
 
 def test_buttons_call_their_services_and_say_what_came_of_it(browser: Browser, hold: Path) -> None:
     bench = Bench(st.open_trial(hold))
-    server = PageServer(bench, "127.0.0.1", 0)
-    tab = Tab(browser, server.url)
-    tab.page.get_by_role("button", name="Tare").click()
-    tab.reads(re.escape("tare: the load cell is loaded: take the limb out"))
-    tab.page.get_by_role("button", name="Record").click()
-    tab.reads("record: done")
-    tab.page.get_by_role("button", name="Stop recording").wait_for()
-    tab.page.locator("#label").fill("step")
-    tab.page.get_by_role("button", name="Mark").click()
-    tab.reads("mark: done")
-    assert bench.pressed == [("record", {"trial": "", "side": ""}), ("mark", {"label": "step"})]
-    server.close()
+    with PageServer(bench, "127.0.0.1", 0) as server:
+        tab = Tab(browser, server.url)
+        tab.page.get_by_role("button", name="Tare").click()
+        tab.reads(re.escape("tare: the load cell is loaded: take the limb out"))
+        tab.page.get_by_role("button", name="Record").click()
+        tab.reads("record: done")
+        tab.page.get_by_role("button", name="Stop recording").wait_for()
+        tab.page.locator("#label").fill("step")
+        tab.page.get_by_role("button", name="Mark").click()
+        tab.reads("mark: done")
+    assert bench.pressed == (("record", {"trial": "", "side": ""}), ("mark", {"label": "step"}))
     tab.reads("is the program still running")
     tab.close()

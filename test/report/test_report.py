@@ -15,11 +15,10 @@ from support.wording import refused
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.evaluation import summarise_errors
 from socket_testbed.identification.model_file import read_model
-from socket_testbed.identification.validation import CONSTANT, FORCE_MAP, REGRESSION
 from socket_testbed.report import fronts, validation, write
 from socket_testbed.report.quality import find_drop_outs, find_gaps
 from socket_testbed.report.results import Results, compute_results
-from socket_testbed.report.summary import list_notes, provenance, summarise
+from socket_testbed.report.summary import list_notes, summarise
 from socket_testbed.report.write import check_page_path, write_report
 from socket_testbed.settings.identification import PAPER_VARIANTS
 from socket_testbed.trials.segment import Segment
@@ -56,29 +55,6 @@ def test_the_summary_has_the_numbers_of_every_model_and_its_weakness(results, ho
     assert BIAS in little  # a hold
     for note, (label, share) in zip(notes, little.items(), strict=True):
         assert note.startswith(f"{label}: ") and f"only {100 * share:.0f} %" in note
-
-
-def test_what_was_not_seen_is_judged_beside_rivals(results):
-    tables = {
-        part.name: part for part in validation.section(results).parts if hasattr(part, "name")
-    }
-    found = {(j.question, j.test, j.predictor): j for j in results.validation if not j.cluster}
-    forces, wrench = tables["cluster-left-out"].frame, tables["wrench-second-half"].frame
-    chosen = found["cluster", "left out", FORCE_MAP]
-    assert forces.loc[FORCE_MAP].tolist() == [chosen.error, *(100.0 * np.array(chosen.coverage))]
-    chosen = found["wrench", "second half", REGRESSION]
-    assert wrench.loc[REGRESSION].tolist()[:2] == [chosen.moment_rmse, chosen.force_rmse]
-    names = {CONSTANT, REGRESSION, *PAPER_VARIANTS}
-    assert names <= set(wrench.index) and not names & set(forces.index)
-
-
-def test_the_digest_of_a_file_changes_with_it(results, hold, tmp_path):
-    (tmp_path / "socket.yaml").write_text((hold / "socket.yaml").read_text() + "# more\n")
-    changed = dataclasses.replace(results.trial, socket_file=tmp_path / "socket.yaml")
-    before = dict(provenance(results, "", MADE))
-    after = dict(provenance(dataclasses.replace(results, trial=changed), "", MADE))
-    assert before["geometry"].rpartition(" ")[2] != after["geometry"].rpartition(" ")[2]
-    assert before["calibration"] == after["calibration"]
 
 
 @pytest.mark.usefixtures("few_variants")
