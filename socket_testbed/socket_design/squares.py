@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import trimesh
@@ -153,6 +154,7 @@ LEAST_FACING = 0.5  # [-]; cosine to a tile's normal below which a surface is fo
 _SMALL_AREA = 0.1  # [edges]; triangles larger than it are looked at for every square
 _COVER = 0.003  # [-]; a footprint that differs more from its square is cut, folded or double
 _CLOSE = 0.1  # [edges]; gap from which on footprints cannot share anything
+_KEPT = 256  # footprints
 _SHARED = 1e-8  # [m^2]; what rounding may make of two footprints that touch
 
 
@@ -180,7 +182,8 @@ class Footprints:
         self._tree = KDTree(centres[small])
         self._squares = squares
         self._flatness = flatness
-        self._footprints: dict[int, Footprint] = {}
+        # Those on a fine scan are large: of the tiles in use alone.
+        self.footprint = lru_cache(_KEPT)(self._find_footprint)
 
     def unfit(self, tiles: IntArray | Sequence[int]) -> list[int]:
         """Tiles that are cut, folded, double or too far from flat."""
@@ -199,16 +202,6 @@ class Footprints:
         later, other = np.nonzero(earlier & (gap < _CLOSE * self._squares.edge))
         pairs = zip(tiles[other].tolist(), tiles[known + later].tolist(), strict=True)
         return [pair for pair in pairs if self.shared_area(*pair) > _SHARED]
-
-    def keep(self, tiles: IntArray) -> None:
-        """Forget all but the footprints of some tiles: those on a fine scan are large."""
-        self._footprints = {tile: self.footprint(tile) for tile in tiles.tolist()}
-
-    def footprint(self, tile: int) -> Footprint:
-        """The footprint of a square."""
-        if tile not in self._footprints:
-            self._footprints[tile] = self._find_footprint(tile)
-        return self._footprints[tile]
 
     def _find_footprint(self, tile: int) -> Footprint:
         frame, anchor = self._squares.rotations[tile], self._squares.anchors[tile]

@@ -113,10 +113,15 @@ def test_nominal_clusters_are_four_different_tiles() -> None:
     angle = np.tile(np.arange(8) * math.pi / 4, 3)
     height = np.repeat([0.1, 0.15, 0.2], 8)
     anchors = np.column_stack([0.05 * np.cos(angle), 0.05 * np.sin(angle), height])
-    squares = Squares(anchors, np.tile(np.eye(3), (24, 1, 1)), 0.03)
-    tiles = nominal_places(squares, axis_through(0.08 * Z, Z, X))
+    anchors = np.vstack([anchors, [0.01, 0.0, 0.08]])
+    squares = Squares(anchors, np.tile(np.eye(3), (25, 1, 1)), 0.03)
+    axis = axis_through(0.08 * Z, Z, X)
+    with refused(ConfigurationError, "3 tiles do not hold the usual 4 clusters"):
+        nominal_places(squares.take(np.arange(3)), axis)
+    tiles = nominal_places(squares, axis)
     places = {name: squares.anchors[tile] for name, tile in tiles.items()}
     assert list(places) == ["brim_lateral", "mid_anterior", "posterior_distal", "distal"]
+    assert tiles["distal"] == 24
     assert places["brim_lateral"] == pytest.approx([0.0, 0.05, 0.2])
     assert places["mid_anterior"] == pytest.approx([0.05, 0.0, 0.15])
     assert places["posterior_distal"] == pytest.approx([-0.05, 0.0, 0.1])
@@ -133,7 +138,7 @@ def test_cluster_places_are_read(tmp_path: Path) -> None:
     assert distal.frame is None
     scan = ScanFrame(0.001, Pose(np.eye(3), np.array([0.0, 0.02, 0.0])))
     assert mid.in_load_cell(scan).centre == pytest.approx([0.05, 0.01, 0.2])
-    assert distal.in_load_cell(scan) is distal
+    assert distal.in_load_cell(scan).centre == pytest.approx([0.0, 0.0, 0.1])
     assert brim.frame is not None
     assert brim.frame[:, 2] == pytest.approx([-1.0, 0.0, 0.0])
     for text, words in (
