@@ -134,10 +134,9 @@ def lay_clusters(
     edge: float,
     flatness: float,
 ) -> tuple[Squares, list[LaidCluster]]:
-    """Lay the squares of clusters where they are stuck on.
+    """Lay each cluster's square at the point of the interior nearest to its place.
 
-    Each is centred at the point of the interior nearest to its place. Where its footprint is not
-    complete there, it is centred at the nearest place at which it is.
+    Where its footprint is not complete there, it is laid at the nearest place at which it is.
 
     Args:
         mesh: The interior, its normals inwards [m].
@@ -222,10 +221,9 @@ def _around(spot: SurfacePoints, centres: SurfacePoints, farthest: float) -> Sur
     distance = np.linalg.norm(centres.positions - spot.positions, axis=1)
     order = np.argsort(distance)
     near = order[distance[order] < farthest]
+    parts = ("positions", "normals", "areas")
     return SurfacePoints(
-        np.vstack([spot.positions, centres.positions[near]]),
-        np.vstack([spot.normals, centres.normals[near]]),
-        np.concatenate([spot.areas, centres.areas[near]]),
+        *(np.concatenate([getattr(spot, part), getattr(centres, part)[near]]) for part in parts)
     )
 
 

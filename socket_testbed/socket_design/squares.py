@@ -234,9 +234,6 @@ class Footprints:
         squares = self._squares
         frame, anchor = squares.rotations[other], squares.anchors[other]
         seen = self.footprint(tile).triangles @ frame - anchor @ frame
-        seen = seen[_over_square(seen, squares.edge)]
-        if not len(seen):
-            return 0.0
         facing = trimesh.triangles.cross(seen)[:, 2] > 0.0
         close = np.abs(seen[:, :, 2]).min(axis=1) < 2.0 * self._flatness
         seen = _cut_to_square(seen[facing & close], squares.edge)
@@ -310,22 +307,19 @@ def rim_points(mesh: trimesh.Trimesh, spacing: float) -> FloatArray:
 
 
 def squares_at(places: SurfacePoints, surroundings: Surroundings, edge: float) -> Squares:
-    """The squares that are centred on the given places, whether they fit or not."""
-    normals = _mean_normals(places, surroundings.points, edge / np.sqrt(np.pi))
-    return Squares(places.positions, _tile_frames(normals, surroundings), edge)
+    """The squares that are centred on the given places, whether they fit or not.
 
-
-def _tile_frames(normals: FloatArray, surroundings: Surroundings) -> FloatArray:
-    """Frames of tiles: z the normal, x the tangent towards the proximal end, y = z x x.
-
-    Where the normal is within 10 degrees of the proximal direction, as on the distal end, no
-    tangent is proximal: there x is the tangent towards anterior.
+    In their frames z is the normal, x the tangent towards the proximal end, y = z x x. Where the
+    normal is within 10 degrees of the proximal direction, as on the distal end, no tangent is
+    proximal: there x is the tangent towards anterior.
     """
+    normals = _mean_normals(places, surroundings.points, edge / np.sqrt(np.pi))
     on_end = np.abs(normals @ surroundings.proximal) > np.cos(np.radians(_END))
     towards = np.where(on_end[:, None], surroundings.anterior, surroundings.proximal)
     x = towards - (towards * normals).sum(axis=1, keepdims=True) * normals
     x /= np.linalg.norm(x, axis=1, keepdims=True)
-    return np.stack([x, np.cross(normals, x), normals], axis=2)
+    rotations = np.stack([x, np.cross(normals, x), normals], axis=2)
+    return Squares(places.positions, rotations, edge)
 
 
 def _mean_normals(places: SurfacePoints, points: SurfacePoints, radius: float) -> FloatArray:
