@@ -191,8 +191,8 @@ def _draw_loop(axis: Axes, known: FloatArray, residual: FloatArray, branches: In
         rows, ends = branches == branch, (known.min(), known.max())
         mean, edges, _ = binned_statistic(known[rows], residual[rows], bins=_LEVELS, range=ends)
         centres, shown = 0.5 * (edges[1:] + edges[:-1]), np.isfinite(mean)
-        look = {"label": label, "color": color, "marker": marker, "markersize": 4.0}
-        axis.plot(centres[shown], mean[shown], **look)
+        x, y = centres[shown], mean[shown]
+        axis.plot(x, y, label=label, color=color, marker=marker, markersize=4.0)
     axis.axhline(0.0, color="0.72", linewidth=1.0)
 
 
