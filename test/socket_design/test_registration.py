@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import f, kstest
+from support import wording
 from support.motive_takes import (
     CELL,
     PYLON_NAMES,
@@ -64,11 +65,14 @@ def test_a_body_of_more_markers_is_registered_in_the_frame_of_its_first(rng, tmp
     assert np.trace(found.single) < np.trace(register(bench, tmp_path).single)
 
 
+def triads(bench: Bench) -> list[np.ndarray]:
+    """True places of the markers of the socket and of the pylon [m]."""
+    return [np.array([bench.places[n] for n in names]) for names in (SOCKET_NAMES, PYLON_NAMES)]
+
+
 def later(bench: Bench, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The true triads in a later frame, when all has moved, and the limb in the socket, and q."""
-    socket, pylon = (
-        np.array([bench.places[name] for name in names]) for names in (SOCKET_NAMES, PYLON_NAMES)
-    )
+    socket, pylon = triads(bench)
     cell_in_world = own_frame_of(socket) @ bench.socket_body.inverse()
     turn = Rotation.from_rotvec(rng.normal(0.0, 0.05, 3)).as_matrix()
     in_cell = Pose(turn, bench.q - turn @ bench.q + rng.normal(0.0, 0.005, 3))
@@ -140,27 +144,23 @@ def test_frames_are_counted_by_their_fault(rng):
 
 def test_a_little_motion_is_noted_and_more_is_refused(rng):
     ramp, shake = np.linspace(0.0, 1.0, 60), (-1.0) ** np.arange(60)
-    for motion, noted in (
-        (1e-4 * ramp, ()),
-        (6e-4 * ramp, ("C drifted by 0.4",)),
-        (6e-4 * shake, ("C moved about by 0.6",)),
-    ):
-        positions = still_markers(rng, noise=2e-5)
-        positions[:, 2, 0] += motion
-        notes = average(positions).notes
-        assert len(notes) == len(noted) and all(map(str.startswith, notes, noted))
-    hidden = np.where(np.arange(60) < 15, 0.0, np.nan)
-    for motion, fact in (
-        (3e-3 * ramp, "C drifted by 2.0"),
-        (2e-3 * shake, "C moved about by 2.0"),
+    for motion, words in (
+        (1e-4 * ramp, ""),
+        (6e-4 * ramp, "C drifted by 0.4"),
+        (6e-4 * shake, "C moved about by 0.6"),
+        (3e-3 * ramp, "socket: C drifted by 2.0"),
+        (2e-3 * shake, "socket: C moved about by 2.0"),
         (0.03 * (ramp > 0.7), "in 18 of 60 frames a marker, mostly C, is more than 5 mm"),
-        (hidden, "15 of 60 frames show all of A, B, C, D (C is occluded in 45"),
+        (np.where(ramp < 0.25, 0.0, np.nan), "show all of A, B, C, D (C is occluded in 45"),
     ):
         positions = still_markers(rng, noise=2e-5)
         positions[:, 2, 0] += motion
-        with pytest.raises(RegistrationError) as caught:
-            average(positions)
-        assert "take.csv: socket" in caught.value.fact and fact in caught.value.fact
+        if np.isnan(motion).any() or motion.max() > 1e-3:
+            with wording.refused(RegistrationError, "take.csv: socket", words):
+                average(positions)
+        else:
+            notes = average(positions).notes
+            assert len(notes) == bool(words) and all(words in note for note in notes)
 
 
 # --- landmarks
@@ -198,17 +198,16 @@ def test_landmarks_give_the_pose_of_least_squares_within_its_stated_uncertainty(
 
 
 def test_landmarks_that_hold_no_frame_are_refused(rng):
-    near, pose = CELL.copy(), random_pose(rng)
-    near[3] = near[1] + [0.001, 0.0, 0.002]
-    line = np.linspace([0.0, 0.0, 0.0], [0.06, 0.08, 0.0], 4) + rng.normal(0.0, 1e-3, (4, 3))
+    near = CELL[[0, 1, 2, 1]] + 1e-3 * np.eye(4, 3)
+    line = np.outer(np.arange(5), [0.02, 0.03, 0.0]) + rng.normal(0.0, 1e-3, (5, 3))
     for known, measured, fact in (
         (CELL[:2], CELL[:2], "2 landmarks"),
-        (near, near, "LC2 and LC4 are given 2.2 mm apart"),
-        (CELL, near, "LC2 and LC4 were measured 2.2 mm apart"),
-        (CELL[:4], line, "were measured on one line"),
+        (near, near, "LC2 and LC4 are given 1.0 mm apart"),
+        (CELL[:4], near, "LC2 and LC4 were measured 1.0 mm apart"),
+        (CELL, line, "were measured on one line"),
     ):
-        with pytest.raises(RegistrationError, match=fact):
-            register_landmarks(known, pose.apply(measured), names_of(len(known)))
+        with wording.refused(RegistrationError, fact):
+            register_landmarks(known, random_pose(rng).apply(measured), names_of(len(known)))
 
 
 def test_a_wrong_landmark_is_noted_then_refused_unless_forced(rng, tmp_path):
@@ -220,12 +219,8 @@ def test_a_wrong_landmark_is_noted_then_refused_unless_forced(rng, tmp_path):
     error = refused(bench, tmp_path)
     assert "limb: landmark Limb:2 is" in error and "at most 10 mm" in error and "--force" in error
     forced = register(bench, tmp_path, force=True)
-    assert forced.pylon.landmarks.residual.max() > 0.01
     assert np.trace(forced.covariance) > 30.0 * np.trace(found.covariance)
-
-
-def test_swapped_or_mirrored_landmarks_off_a_plane_are_refused(rng, tmp_path):
-    for side in ("load_cell", "limb"):
+    for side in ("load_cell", "limb"):  # swapped, and mirrored, off a plane
         for axis in (*range(3), None):
             bench = make_bench(rng, frames=20, landmarks=4)
             points = bench.document[side]
@@ -251,16 +246,12 @@ def test_landmarks_in_one_plane_are_noted_and_refused_if_the_limb_is_outside(rng
 
 # --- uncertainty
 
-BODIES = (SOCKET_NAMES, PYLON_NAMES)
-
 
 def errors_of(found: Registration, bench: Bench) -> dict[str, np.ndarray]:
     """Errors of a registration, by the name of their covariance and in its axes."""
     geometry, in_world, fitted = found.geometry, [], []
-    for names, markers in zip(
-        BODIES, (geometry.socket_markers, geometry.pylon_markers), strict=True
-    ):
-        places = np.array([bench.places[name] for name in names])
+    own = (geometry.socket_markers, geometry.pylon_markers)
+    for places, markers in zip(triads(bench), own, strict=True):
         batch = fit_body(markers, places[None]).pose
         in_world.append(own_frame_of(places))
         fitted.append(Pose(batch.rotation[0], batch.translation[0]))
@@ -285,7 +276,7 @@ def test_every_covariance_has_the_size_and_direction_of_the_errors(tmp_path):
     for _ in range(count):
         bench = make_bench(rng, 20, 2e-4, scene=np.random.default_rng(8), unit="Millimeters")
         found = register(bench, tmp_path)
-        socket, pylon = (np.array([bench.places[n] for n in names]) for names in BODIES)
+        socket, pylon = triads(bench)
         noisy = (triad + rng.normal(0.0, 2e-4, (3, 3)) for triad in (socket, pylon))
         frame = limb_position(found, *noisy) - limb_position(found, socket, pylon)
         for name, error in (errors_of(found, bench) | {"a frame": frame}).items():

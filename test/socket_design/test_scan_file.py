@@ -131,14 +131,6 @@ def test_the_bodies_of_an_obj_go_by_the_names_of_objects_or_else_of_groups(cone,
             assert scan.body == name
 
 
-def test_polygons_are_cut_into_triangles(tmp_path):
-    path, ring = tmp_path / "scan.obj", ((50, 50), (-50, 50), (-50, -50), (50, -50))
-    vertices = "".join(f"v {x} {y} {z}\n" for z in (0, 200) for x, y in ring)
-    path.write_text(vertices + "f 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n")
-    scan = read_scan(path)
-    assert len(scan.mesh.faces) == 8 and scan.mesh.area == pytest.approx(4 * 0.1 * 0.2, rel=1e-6)
-
-
 def binary(count: int, faces: int = 0) -> bytes:
     return bytes(80) + struct.pack("<I", count) + bytes(50 * faces)
 
