@@ -122,16 +122,13 @@ class SurfacePoints:
     areas: FloatArray  # area that each stands for; (p,) [m^2]
 
 
-def spread_points(
-    mesh: trimesh.Trimesh, spacing: float, rng: np.random.Generator, weighed: bool = True
-) -> SurfacePoints:
+def spread_points(mesh: trimesh.Trimesh, spacing: float, rng: np.random.Generator) -> SurfacePoints:
     """Spread points over a surface: about one in each square of the spacing.
 
     Args:
         mesh: The surface [m].
         spacing: About the distance of neighbouring points [m].
         rng: Source of the positions.
-        weighed: Whether the areas are needed; else they are 0.
     """
     count = int(np.ceil(_DRAWN * mesh.area / spacing**2))
     drawn, face = trimesh.sample.sample_surface(mesh, count, seed=rng)
@@ -141,7 +138,7 @@ def spread_points(
     order = np.lexsort((off.sum(axis=1), cell))
     kept = order[np.flatnonzero(np.diff(cell[order], prepend=-1))]
     kept = kept[trimesh.points.remove_close(drawn[kept], _CLOSEST * spacing)[1]]
-    nearest = KDTree(drawn[kept]).query(drawn)[1] if weighed else np.zeros(0, dtype=np.int64)
+    nearest = KDTree(drawn[kept]).query(drawn)[1]
     return SurfacePoints(
         positions=drawn[kept],
         normals=np.asarray(mesh.face_normals)[face[kept]],

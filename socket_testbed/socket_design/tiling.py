@@ -291,7 +291,7 @@ def tile_interior(
     rng = np.random.default_rng(settings.seed)
     points = spread_points(mesh, _POINTS * settings.edge, rng)
     surroundings = Surroundings(points, rim_points(mesh, _RIM * settings.edge), proximal, anterior)
-    places = spread_points(mesh, _PLACES * settings.edge, rng, weighed=False)
+    places = spread_points(mesh, _PLACES * settings.edge, rng)
     fitting = squares_at(places, surroundings, settings.edge)
     fitting = fitting.take(roughly_fit(fitting, surroundings, settings.flatness))
     laid: list[LaidCluster] = []
