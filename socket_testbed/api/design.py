@@ -79,14 +79,14 @@ class CalibratedCluster(Result):
 
     def notes(self) -> list[str]:
         """Notes on clusters of the calibration that were fitted to the same readings."""
-        old = self.existing.clusters if self.existing else {}
-        new = self.quality.cluster
+        old, new = self.existing.clusters if self.existing else {}, self.quality.cluster
         same = [
             name
-            for name, cluster in old.items()
+            for name, other in old.items()
             if name != self.name
-            and np.allclose(cluster.normal, new.normal, rtol=1e-9)
-            and np.allclose(cluster.mean_range, new.mean_range, rtol=1e-9)
+            and np.allclose(
+                [*other.normal, *other.mean_range], [*new.normal, *new.mean_range], 1e-9
+            )
         ]
         note = (
             f"{self.name} has the same bench readings as {', '.join(same)}: calibrate every cluster"
@@ -181,19 +181,18 @@ class CalibratedCluster(Result):
 
 def _draw_loop(axis: Axes, known: FloatArray, residual: FloatArray, branches: IntArray) -> None:
     """Mean residual of the rising and the falling branch over the known stress."""
+    from scipy.stats import binned_statistic
+
     from socket_testbed.calibration.drift import FALLING, RISING
 
-    edges = np.linspace(known.min(), known.max(), _LEVELS + 1)
-    level = np.clip(np.searchsorted(edges, known, side="right") - 1, 0, _LEVELS - 1)
     # Okabe & Ito's colours; the marks tell the branches apart in grey, too.
     looks = ((RISING, "rising", "#0072B2", "^"), (FALLING, "falling", "#D55E00", "v"))
     for branch, label, color, marker in looks:
-        rows = branches == branch
-        count = np.bincount(level[rows], minlength=_LEVELS)
-        total = np.bincount(level[rows], residual[rows], minlength=_LEVELS)
-        centres, mean = (0.5 * (edges[1:] + edges[:-1]))[count > 0], (total / np.maximum(count, 1))
-        shown = mean[count > 0]
-        axis.plot(centres, shown, label=label, color=color, marker=marker, markersize=4.0)
+        rows, ends = branches == branch, (known.min(), known.max())
+        mean, edges, _ = binned_statistic(known[rows], residual[rows], bins=_LEVELS, range=ends)
+        centres, shown = 0.5 * (edges[1:] + edges[:-1]), np.isfinite(mean)
+        x, y = centres[shown], mean[shown]
+        axis.plot(x, y, label=label, color=color, marker=marker, markersize=4.0)
     axis.axhline(0.0, color="0.72", linewidth=1.0)
 
 
@@ -334,15 +333,8 @@ def tile(
     >>> len(design.geometry) > 20
     True
     """
+    from socket_testbed.socket_design import design as designs  # trimesh takes its time
     from socket_testbed.socket_design.clusters import read_cluster_places
-    from socket_testbed.socket_design.design import (
-        Placement,
-        design_socket,  # trimesh takes its time
-        parse_direction,
-        place_by_directions,
-        place_by_landmarks,
-        place_by_points,
-    )
     from socket_testbed.socket_design.scan_file import read_scan
     from socket_testbed.socket_design.tiling import TilingSettings
 
@@ -351,19 +343,19 @@ def tile(
     places = read_cluster_places(Path(clusters)) if clusters else [] if place else None
     kept = read_socket(as_path(bodies) or packaged("config", "socket.yaml"))
     kept = kept if bodies else dataclasses.replace(kept, registration="")
-    upwards = parse_direction(proximal, "--proximal") if proximal else None
-    front = parse_direction(anterior, "--anterior") if anterior else None
+    upwards = designs.parse_direction(proximal, "--proximal") if proximal else None
+    front = designs.parse_direction(anterior, "--anterior") if anterior else None
 
-    def placed(vertices: FloatArray, upwards: FloatArray, metres: float) -> Placement:
+    def placed(vertices: FloatArray, upwards: FloatArray, metres: float) -> designs.Placement:
         if landmarks is not None:
-            return place_by_landmarks(Path(landmarks), metres)
+            return designs.place_by_landmarks(Path(landmarks), metres)
         if points is not None:
-            return place_by_points(np.asarray(points) * metres)
-        return place_by_directions(vertices, upwards, front, height)
+            return designs.place_by_points(np.asarray(points) * metres)
+        return designs.place_by_directions(vertices, upwards, front, height)
 
     path = Path(scan)
     with threadpool_limits(1):
-        design = design_socket(
+        design = designs.design_socket(
             path.name,
             read_scan(path, unit, body),
             placed,

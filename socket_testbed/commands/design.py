@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from socket_testbed import api
 from socket_testbed.api import CalibratedCluster
@@ -27,8 +26,10 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.socket_design.design import parse_point
 from socket_testbed.socket_design.registration import (
     LANDMARK_FILE_HELP,
+    LandmarkFit,
     RegisteredBody,
     Registration,
+    StillMarkers,
 )
 from socket_testbed.socket_design.tiling import TilingSettings
 
@@ -87,9 +88,8 @@ def tile(
         print_note(note)
     if not design.geometry.registration:
         print_note("the marker bodies are nominal: register them")
-    facts = design.facts()
-    width = max(len(name) for name, _ in facts)
-    for name, value in facts:
+    width = max(len(name) for name, _ in design.facts())
+    for name, value in design.facts():
         print(f"{name.ljust(width)}  {value}")
 
 
@@ -119,22 +119,22 @@ def register(
 
 def _registration(found: Registration) -> str:
     take, geometry = found.take, found.geometry
-    socket, pylon = found.socket, found.pylon
     limb, single = _MM * _sigma(found.covariance), _MM * _sigma(found.single)
+    bodies = {"load_cell": found.socket, "limb": found.pylon}
+    in_cell, in_pylon = found.socket_body_covariances(), found.limb_covariances()
     return "\n".join(
         [
             f"{take.path}: {len(take)} frames at {take.frame_rate:g} Hz, format {take.version},"
             f" lengths in {take.units.lower()}",
-            _frames("socket and load_cell", socket),
-            _frames("pylon and limb", pylon),
+            _frames("socket and load_cell", found.socket.still),
+            _frames("pylon and limb", found.pylon.still),
             "",
-            _markers(socket, pylon),
+            _markers(*bodies.values()),
             "",
-            _fit("load_cell", socket),
-            _fit("limb", pylon),
+            *(_fit(name, body.landmarks) for name, body in bodies.items()),
             "",
-            _place("socket body in {S}", geometry.socket_body, *found.socket_body_covariances()),
-            _place("limb in the pylon's body", geometry.limb, *found.limb_covariances()),
+            _place("socket body in {S}", geometry.socket_body, *in_cell),
+            _place("limb in the pylon's body", geometry.limb, *in_pylon),
             f"limb position q in {{S}}: {_vector(_MM * found.limb_position)} mm",
             f"  1 sigma: {_vector(limb)} mm, {np.linalg.norm(limb):.2f} mm in all;"
             f" noise of a single frame: {np.linalg.norm(single):.2f} mm",
@@ -142,8 +142,7 @@ def _registration(found: Registration) -> str:
     )
 
 
-def _frames(name: str, body: RegisteredBody) -> str:
-    still = body.still
+def _frames(name: str, still: StillMarkers) -> str:
     used, count = int(still.used.sum()), len(still.used)
     occluded = count - used - still.mislabelled - still.jumped
     return (
@@ -155,17 +154,15 @@ def _frames(name: str, body: RegisteredBody) -> str:
 def _markers(*bodies: RegisteredBody) -> str:
     rows = []
     for body in bodies:
-        residuals = [np.nan] * len(body.markers) + body.landmarks.residual.tolist()
         still = body.still
-        for name, occluded, *lengths in zip(
-            still.names, still.occluded, still.spread, still.drift, residuals, strict=True
-        ):
-            rows.append([name, str(occluded), *(number(_MM * length) for length in lengths)])
+        residuals = [np.nan] * len(body.markers) + body.landmarks.residual.tolist()
+        lengths = _MM * np.column_stack([still.spread, still.drift, residuals])
+        for name, occluded, row in zip(still.names, still.occluded, lengths, strict=True):
+            rows.append([name, str(occluded), *map(number, row)])
     return table(["marker", "occluded", "spread [mm]", "drift [mm]", "residual [mm]"], rows)
 
 
-def _fit(name: str, body: RegisteredBody) -> str:
-    fit = body.landmarks
+def _fit(name: str, fit: LandmarkFit) -> str:
     return (
         f"{name}: {len(fit.names)} landmarks, residual {_MM * fit.rms:.3f} mm rms"
         f" ({fit.degrees} degrees of freedom), so 1 sigma of a coordinate is"
@@ -174,7 +171,7 @@ def _fit(name: str, body: RegisteredBody) -> str:
 
 
 def _place(name: str, pose: Pose, position: FloatArray, rotation: FloatArray) -> str:
-    turn = Rotation.from_matrix(pose.rotation).as_rotvec()
+    turn = pose.rotation_vector()
     angle = float(np.linalg.norm(turn))
     axis = turn / angle if angle > 0.0 else turn
     return (
@@ -296,28 +293,25 @@ def _coefficients(calibrated: BenchCalibration) -> str:
 
 
 def _errors(calibrated: BenchCalibration) -> str:
-    ranges = calibrated.stress_range
-    rows = [
-        [
-            name,
-            number(float(ranges[axis, 0]), 0),
-            number(float(ranges[axis, 1]), 0),
-            number(held_out.rmse, 1),
-            number(held_out.percent, 2),
-            number(held_out.mae, 1),
-            number(held_out.r2, 4),
-            number(calibrated.training[axis].rmse, 1),
-            number(float(calibrated.hysteresis[axis]), 2),
-            number(float(calibrated.repeatability[axis]), 2),
-            number(talk, 2) if isfinite(talk) else f"no pure {'normal' if axis else 'shear'}",
-        ]
-        for axis, (name, held_out, talk) in enumerate(
-            zip(STRESSES, calibrated.held_out, calibrated.cross_talk.tolist(), strict=True)
-        )
+    held_out = calibrated.held_out
+    columns = (
+        ("from Pa", calibrated.stress_range[:, 0], 0),
+        ("to Pa", calibrated.stress_range[:, 1], 0),
+        ("held-out RMSE Pa", [errors.rmse for errors in held_out], 1),
+        ("% FS", [errors.percent for errors in held_out], 2),
+        ("MAE Pa", [errors.mae for errors in held_out], 1),
+        ("R2", [errors.r2 for errors in held_out], 4),
+        ("training RMSE Pa", [errors.rmse for errors in calibrated.training], 1),
+        ("hysteresis % FS", calibrated.hysteresis, 2),
+        ("repeatability % FS", calibrated.repeatability, 2),
+    )
+    talk = [
+        number(value, 2) if isfinite(value) else f"no pure {'normal' if axis else 'shear'}"
+        for axis, value in enumerate(calibrated.cross_talk.tolist())
     ]
-    header = ["stress", "from Pa", "to Pa", "held-out RMSE Pa", "% FS", "MAE Pa", "R2"]
-    header += ["training RMSE Pa", "hysteresis % FS", "repeatability % FS", "cross-talk % FS"]
-    return table(header, rows)
+    shown = [[number(float(value), digits) for value in values] for _, values, digits in columns]
+    header = ["stress", *(name for name, *_ in columns), "cross-talk % FS"]
+    return table(header, [[*row] for row in zip(STRESSES, *shown, talk, strict=True)])
 
 
 def _outliers(calibrated: BenchCalibration) -> str:

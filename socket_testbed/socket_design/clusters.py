@@ -12,7 +12,6 @@ processes, JMLR 2008, for such greedy choices).
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -54,9 +53,8 @@ class ClusterPlace:
 
     def in_load_cell(self, scan: ScanFrame) -> ClusterPlace:
         """The same place in {S}."""
-        if not self.in_scan:
-            return self
-        return dataclasses.replace(self, centre=scan.points(self.centre), in_scan=False)
+        centre = scan.points(self.centre) if self.in_scan else self.centre
+        return replace(self, centre=centre, in_scan=False)
 
 
 def read_cluster_places(path: Path) -> list[ClusterPlace]:
@@ -65,8 +63,16 @@ def read_cluster_places(path: Path) -> list[ClusterPlace]:
     Below the key `clusters`, by name: a `point` in {S} [m], one in the `scan` (in its coordinates
     and unit), or an `anchor` in {S} [m] and a `frame`.
     """
-    places = read_document(path, _Places).clusters
-    return [_place(name, place, f"{path}: clusters: {name}") for name, place in places.items()]
+    return [
+        ClusterPlace(
+            name,
+            centre=np.array(place.point or place.scan or place.anchor),
+            frame=None if place.frame is None else np.array(place.frame),
+            where=f"{path}: clusters: {name}",
+            in_scan=place.scan is not None,
+        )
+        for name, place in read_document(path, _Places).clusters.items()
+    ]
 
 
 class _Place(Document):
@@ -88,12 +94,6 @@ class _Place(Document):
 
 class _Places(Document):
     clusters: dict[str, _Place]
-
-
-def _place(name: str, place: _Place, where: str) -> ClusterPlace:
-    centre = np.array(place.point or place.scan or place.anchor)
-    frame = None if place.frame is None else np.array(place.frame)
-    return ClusterPlace(name, centre, frame, where, place.scan is not None)
 
 
 @dataclass(frozen=True)
@@ -134,10 +134,9 @@ def lay_clusters(
     edge: float,
     flatness: float,
 ) -> tuple[Squares, list[LaidCluster]]:
-    """Lay the squares of clusters where they are stuck on.
+    """Lay each cluster's square at the point of the interior nearest to its place.
 
-    Each is centred at the point of the interior nearest to its place. Where its footprint is not
-    complete there, it is centred at the nearest place at which it is.
+    Where its footprint is not complete there, it is laid at the nearest place at which it is.
 
     Args:
         mesh: The interior, its normals inwards [m].
@@ -155,7 +154,8 @@ def lay_clusters(
         spot = _on_surface(mesh, place)
         turned = _turned(place, squares_at(spot, surroundings, edge))
         tried = _around(spot, centres, _MOST_MOVED * edge)
-        candidates = _turn(squares_at(tried, surroundings, edge), turned)
+        candidates = squares_at(tried, surroundings, edge)
+        candidates = replace(candidates, rotations=candidates.rotations @ about_z(turned))
         likely = roughly_fit(candidates, surroundings, flatness)
         likely[0] = True  # the exact footprint decides where the cluster is
         candidates = candidates.take(likely)
@@ -221,15 +221,10 @@ def _around(spot: SurfacePoints, centres: SurfacePoints, farthest: float) -> Sur
     distance = np.linalg.norm(centres.positions - spot.positions, axis=1)
     order = np.argsort(distance)
     near = order[distance[order] < farthest]
+    parts = ("positions", "normals", "areas")
     return SurfacePoints(
-        np.vstack([spot.positions, centres.positions[near]]),
-        np.vstack([spot.normals, centres.normals[near]]),
-        np.concatenate([spot.areas, centres.areas[near]]),
+        *(np.concatenate([getattr(spot, part), getattr(centres, part)[near]]) for part in parts)
     )
-
-
-def _turn(squares: Squares, angle: float) -> Squares:
-    return dataclasses.replace(squares, rotations=squares.rotations @ about_z(angle))
 
 
 _HYPOTHESES = 16
@@ -265,9 +260,7 @@ class _Expectation:
 
     def error(self, tiles: Sequence[int]) -> float:
         """Expected error on the tiles without a cluster, over their rms [-]."""
-        left = self._loaded
-        for tile in tiles:
-            left = self._with(left, tile)
+        left = self._given(tiles)
         free = np.setdiff1d(np.arange(len(left[0]) // 3), tiles)
         rows = (3 * free[:, None] + np.arange(3)).ravel()
         ratios = [
@@ -276,19 +269,22 @@ class _Expectation:
         ]
         return float(np.sqrt(np.mean(ratios)))
 
-    def place(self, count: int, stay: Sequence[int], allowed: BoolArray) -> list[int]:
-        """The tiles of so many clusters, those that stay first."""
-        left, chosen, open_to = self._loaded, list(stay), allowed.copy()
-        for tile in stay:
-            left = self._with(left, tile)
-        open_to[list(stay)] = False
-        while len(chosen) < count:
-            gains = np.where(open_to, np.sum([self._gains(each) for each in left], axis=0), -np.inf)
-            best = int(gains.argmax())
-            chosen.append(best)
-            open_to[best] = False
-            left = self._with(left, best)
-        return chosen
+    def best(self, tiles: Sequence[int], free: IntArray) -> int:
+        """The free tile on which another cluster tells most."""
+        gains = np.sum([self._gains(each) for each in self._given(tiles)], axis=0)
+        return int(free[gains[free].argmax()])
+
+    def _given(self, tiles: Sequence[int]) -> list[FloatArray]:
+        """The covariances given clusters on some tiles."""
+        found = self._loaded
+        for tile in tiles:
+            found = [self._lowered(covariance, 3 * tile + np.arange(3)) for covariance in found]
+        return found
+
+    def _lowered(self, covariance: FloatArray, rows: IntArray) -> FloatArray:
+        """A covariance given a cluster on the tile of some rows."""
+        columns, own = covariance[:, rows], covariance[np.ix_(rows, rows)]
+        return covariance - columns @ np.linalg.solve(own + self._noise(own), columns.T)
 
     def _gains(self, covariance: FloatArray) -> FloatArray:
         """Relative decrease of the trace by a cluster on each tile, shape (n,) [-]."""
@@ -299,18 +295,8 @@ class _Expectation:
         lowered = np.linalg.solve(own + self._noise(own), squares).trace(axis1=1, axis2=2)
         return np.asarray(lowered / np.trace(covariance))
 
-    def _with(self, covariances: list[FloatArray], tile: int) -> list[FloatArray]:
-        """The covariances given a cluster on a tile."""
-        rows, found = 3 * tile + np.arange(3), []
-        for covariance in covariances:
-            columns = covariance[:, rows]
-            own = covariance[np.ix_(rows, rows)]
-            gained = np.linalg.solve(own + self._noise(own[None])[0], columns.T)
-            found.append(covariance - columns @ gained)
-        return found
-
     def _noise(self, own: FloatArray) -> FloatArray:
-        """Covariances of the errors of clusters that measure forces of covariances (k, 3, 3)."""
+        """Covariances of the errors of clusters that measure forces of covariances (..., 3, 3)."""
         offset, gain = self._settings.cluster_error, self._settings.cluster_gain_error
         return np.asarray(np.eye(3) * (offset**2 + gain**2 * own))
 
@@ -339,7 +325,9 @@ def place_clusters(
             f"{count} clusters, of which {len(stay)} stay, do not fit on {len(free)} free tiles",
             "place others, or keep out of fewer regions",
         )
-    chosen = expectation.place(count, stay, allowed)
+    chosen = [*stay]
+    while len(chosen) < count:
+        chosen.append(expectation.best(chosen, np.setdiff1d(free, chosen)))
     rng = np.random.default_rng(0)
     drawn = [
         expectation.error([*stay, *rng.choice(free, count - len(stay), replace=False)])

@@ -15,7 +15,6 @@ from typing import Annotated
 import numpy as np
 import trimesh
 from msgspec import Meta
-from trimesh.triangles import closest_point
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import Document, read_document
@@ -152,10 +151,12 @@ def place_by_landmarks(path: Path, scale: float) -> Placement:
         scale: The scan's unit [m].
     """
     landmarks = read_document(path, _Landmarks).landmarks
-    scan = np.array([each.scan for each in landmarks.values()]).reshape(-1, 3) * scale
-    load_cell = np.array([each.load_cell for each in landmarks.values()]).reshape(-1, 3)
+    scan, load_cell = (
+        np.array([getattr(each, frame) for each in landmarks.values()]).reshape(-1, 3)
+        for frame in ("scan", "load_cell")
+    )
     try:
-        fit = register_landmarks(scan, load_cell, tuple(landmarks))
+        fit = register_landmarks(scan * scale, load_cell, tuple(landmarks))
     except RegistrationError as error:
         raise RegistrationError(f"{path}: {error.fact}", error.hint) from None
     if fit.rms > _LARGEST_RESIDUAL:
@@ -196,45 +197,29 @@ class SocketDesign:
         scan, tiling, edge = self.scan, self.tiling, 1e3 * self.settings.edge
         tiles, area = len(self.geometry), 1e4 * tiling.interior_area
         covered = 1e4 * float(tiling.footprint_areas.sum())
-        return [
-            (
-                "scan",
-                f"body {scan.body}, {len(scan.mesh.faces)} faces, in {scan.unit}"
-                f" ({scan.unit_source})",
-            ),
-            ("{S}", self.placement.source),
-            ("tiles", f"{tiles} of {edge:g} x {edge:g} mm"),
-            (
-                "covered",
-                f"{covered:.0f} of {area:.0f} cm^2 of the interior ({100 * covered / area:.0f} %);"
-                f" {100 * tiling.cover_inside:.0f} % of what is more than {edge / 2:g} mm from its"
-                " rim",
-            ),
-            (
-                "upper bound",
-                f"{tiling.upper_bound:.1f} tiles by area:"
-                f" {100 * tiles / tiling.upper_bound:.0f} % reached",
-            ),
-            ("largest gap", f"{1e3 * tiling.largest_gap:.0f} mm from the nearest tile"),
-            (
-                "flatness",
-                f"the surface is within {1e3 * tiling.flatness.max():.1f} mm of every tile's plane"
-                f" (median {1e3 * np.median(tiling.flatness):.1f},"
-                f" limit {1e3 * self.settings.flatness:g})",
-            ),
-            ("neighbours", f"{len(self.geometry.neighbours)} pairs"),
-            *_clusters(self.geometry, tiling),
-        ]
-
-
-def _clusters(geometry: SocketGeometry, tiling: Tiling) -> list[tuple[str, str]]:
-    """A row for each cluster: what was asked and what it got, or where it usually is."""
-    laid = {cluster.name: str(cluster) for cluster in tiling.clusters}
-    rows = []
-    for name, tile in geometry.clusters.items():
-        anchor = ", ".join(f"{1e3 * value:.1f}" for value in geometry.anchors[tile])
-        rows.append((f"cluster {name}", laid.get(name, f"put at ({anchor}) mm of {{S}}")))
-    return rows or [("clusters", "none")]
+        facts = {
+            "scan": f"body {scan.body}, {len(scan.mesh.faces)} faces, in {scan.unit}"
+            f" ({scan.unit_source})",
+            "{S}": self.placement.source,
+            "tiles": f"{tiles} of {edge:g} x {edge:g} mm",
+            "covered": f"{covered:.0f} of {area:.0f} cm^2 of the interior"
+            f" ({100 * covered / area:.0f} %); {100 * tiling.cover_inside:.0f} % of what is more"
+            f" than {edge / 2:g} mm from its rim",
+            "upper bound": f"{tiling.upper_bound:.1f} tiles by area:"
+            f" {100 * tiles / tiling.upper_bound:.0f} % reached",
+            "largest gap": f"{1e3 * tiling.largest_gap:.0f} mm from the nearest tile",
+            "flatness": f"the surface is within {1e3 * tiling.flatness.max():.1f} mm of every"
+            f" tile's plane (median {1e3 * np.median(tiling.flatness):.1f},"
+            f" limit {1e3 * self.settings.flatness:g})",
+            "neighbours": f"{len(self.geometry.neighbours)} pairs",
+        }
+        laid = {cluster.name: str(cluster) for cluster in tiling.clusters}
+        for name, tile in self.geometry.clusters.items():
+            anchor = ", ".join(f"{1e3 * value:.1f}" for value in self.geometry.anchors[tile])
+            facts[f"cluster {name}"] = laid.get(name, f"put at ({anchor}) mm of {{S}}")
+        if not self.geometry.clusters:
+            facts["clusters"] = "none"
+        return [*facts.items()]
 
 
 def design_socket(
@@ -270,8 +255,7 @@ def design_socket(
     upwards = pose.rotation @ interior.proximal
     known = [place.in_load_cell(frame) for place in clusters or ()]
     tiling = tile_interior(mesh, upwards, _ANTERIOR, settings, progress, known)
-    axis = axis_through(_distal_end(mesh, upwards), upwards, _ANTERIOR)
-    nominal: dict[str, int] = {}
+    axis = _axis_of(mesh, upwards)
     notes = [
         f"no tile fits where cluster {laid.name} was asked: it is {1e3 * laid.moved:.1f} mm beside"
         for laid in tiling.clusters
@@ -279,30 +263,22 @@ def design_socket(
     ]
     if bodies.regions:
         notes.append(f"the regions {', '.join(bodies.regions)} are not kept: the tiles are new")
+    nominal: dict[str, int] = {}
     if clusters is None:
         nominal = nominal_places(tiling.squares, axis)
-        _refuse_unusual(nominal, tiling.squares, mesh, axis)
         notes.append("the clusters are put where they usually are: look, or give --clusters")
     source = f"{name} [{scan.unit}], {placement.source}"
     geometry = _tiled_socket(tiling, axis, nominal, bodies, source, frame)
-    return SocketDesign(
-        name,
-        scan,
-        mesh,
-        placement,
-        tiling,
-        geometry,
-        settings,
-        (*scan.notes, *interior.notes, *notes),
-    )
+    notes = [*scan.notes, *interior.notes, *notes]
+    return SocketDesign(name, scan, mesh, placement, tiling, geometry, settings, tuple(notes))
 
 
-def _distal_end(mesh: trimesh.Trimesh, proximal: FloatArray) -> FloatArray:
-    """The point of the socket's axis at the height of its lowest point, shape (3,) [m]."""
+def _axis_of(mesh: trimesh.Trimesh, proximal: FloatArray) -> SocketAxis:
+    """The socket's axis in the middle of its interior, from its lowest point."""
     vertices = np.asarray(mesh.vertices)
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
     lowest = float((vertices @ proximal).min())
-    return middle + (lowest - middle @ proximal) * proximal
+    return axis_through(middle + (lowest - middle @ proximal) * proximal, proximal, _ANTERIOR)
 
 
 def tile_names(anchors: FloatArray, axis: SocketAxis) -> tuple[str, ...]:
@@ -323,70 +299,44 @@ def tile_names(anchors: FloatArray, axis: SocketAxis) -> tuple[str, ...]:
 
 # Where three of the testbed's clusters usually are: angle from anterior [deg], and height of all.
 _USUAL = {"brim_lateral": (90.0, 1.0), "mid_anterior": (0.0, 0.6), "posterior_distal": (180.0, 0.2)}
-_DISTAL = "distal"
 _MOST_TURNED = 45.0  # [deg]; from there, for the name to be right
 _MOST_RAISED = 1.5  # [edges]; likewise
-_LOW = 0.06  # [m]; what is higher is no distal end
-_OPEN = 0.005  # [m]; hole around the axis that opens it
+_GIVEN = "give with --clusters FILE where yours are"
 
 
 def nominal_places(squares: Squares, axis: SocketAxis) -> dict[str, int]:
-    """The tiles where the four clusters of the testbed usually are, for a socket without a file."""
-    turned, raised = _from_usual(axis, squares.anchors)
-    score = {name: 3.0 * np.cos(turned[name]) - 4.0 * raised[name] for name in _USUAL}
-    score[_DISTAL] = -np.linalg.norm(squares.anchors - axis.end, axis=1)
+    """The tiles where the four clusters of the testbed usually are, for a socket without a file.
+
+    A socket that has no usual place for one of them is refused.
+    """
+    if len(squares) <= len(_USUAL):
+        fact = f"{len(squares)} tiles do not hold the usual {len(_USUAL) + 1} clusters"
+        raise ConfigurationError(fact, _GIVEN)
+    height = axis.heights(squares.anchors)
+    highest = max(float(height.max()), 1e-9)
     places: dict[str, int] = {}
-    for name, value in score.items():
-        best = next((int(i) for i in np.argsort(-value) if int(i) not in places.values()), None)
-        if best is not None:
-            places[name] = best
+    found = []
+    for name, (angle, level) in _USUAL.items():
+        off = np.cos(axis.angles(squares.anchors) - np.radians(angle))
+        raised = np.abs(height / highest - level)
+        places[name] = tile = _best(3.0 * off - 4.0 * raised, places)
+        turned = float(np.degrees(np.arccos(off[tile])))
+        if turned > _MOST_TURNED or raised[tile] > _MOST_RAISED * squares.edge / highest:
+            where = f"{name} {1e3 * height[tile]:.0f} mm above the distal end"
+            found.append(f"{where} and {turned:.0f} deg from its side")
+    from_end = np.linalg.norm(squares.anchors - axis.end, axis=1)
+    places["distal"] = tile = _best(-from_end, places)
+    if from_end[tile] > squares.edge:
+        found.append(f"distal {1e3 * height[tile]:.0f} mm above the distal end")
+    if found:
+        fact = f"the usual places of clusters are not on this socket ({'; '.join(found)})"
+        raise ConfigurationError(fact, _GIVEN)
     return places
 
 
-def _from_usual(
-    axis: SocketAxis, points: FloatArray
-) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
-    """Angles [rad] and parts of the height [-] of points from the usual places, by their names."""
-    height, angle = axis.heights(points), axis.angles(points)
-    level = height / max(float(height.max()), 1e-9)
-    turned = {name: angle - np.radians(usual) for name, (usual, _) in _USUAL.items()}
-    return turned, {name: np.abs(level - usual) for name, (_, usual) in _USUAL.items()}
-
-
-def _refuse_unusual(
-    places: dict[str, int], squares: Squares, mesh: trimesh.Trimesh, axis: SocketAxis
-) -> None:
-    """Refuse nominal clusters that the socket has no usual place for."""
-    turned, raised = _from_usual(axis, squares.anchors)
-    most = (
-        _MOST_RAISED * squares.edge / max(float(axis.heights(squares.anchors).max()), squares.edge)
-    )
-    found = []
-    for name, tile in places.items():
-        anchor = squares.anchors[tile]
-        where = f"{name} {1e3 * float(axis.heights(anchor)):.0f} mm above the distal end"
-        if name != _DISTAL:
-            off = float(np.degrees(np.arccos(np.cos(turned[name][tile]))))
-            if off > _MOST_TURNED or raised[name][tile] > most:
-                found.append(f"{where} and {off:.0f} deg from its side")
-        elif np.linalg.norm(anchor - axis.end) > squares.edge:
-            found.append(where)
-        elif (hole := _hole_around(mesh, axis)) > _OPEN:
-            found.append(f"{name} beside a hole of {1e3 * hole:.0f} mm around the axis")
-    if found:
-        raise ConfigurationError(
-            f"the usual places of clusters are not on this socket ({'; '.join(found)})",
-            "give with --clusters FILE where yours are",
-        )
-
-
-def _hole_around(mesh: trimesh.Trimesh, axis: SocketAxis) -> float:
-    """Distance of the distal end's surface from the axis, looking along it [m]."""
-    triangles = np.asarray(mesh.triangles)
-    low = triangles[axis.heights(triangles).min(axis=1) < _LOW]
-    flat = low - axis.heights(low)[..., None] * axis.proximal
-    nearest = closest_point(flat, np.broadcast_to(axis.end, (len(flat), 3)))
-    return float(np.linalg.norm(nearest - axis.end, axis=1).min())
+def _best(score: FloatArray, taken: dict[str, int]) -> int:
+    """The tile of the highest score that is not taken."""
+    return next(int(tile) for tile in np.argsort(-score) if tile not in taken.values())
 
 
 def _tiled_socket(

@@ -391,9 +391,8 @@ class RegisteredBody:
 
     def rotation_covariance(self) -> FloatArray:
         """Covariance of the rotation between body and frame, in the frame's axes [rad^2]."""
-        return self.landmarks.uncertainty.rotation + _in_axes(
-            self.reference.rotation, self.in_frame.rotation
-        )
+        own = _in_axes(self.reference.rotation, self.in_frame.rotation)
+        return self.landmarks.uncertainty.rotation + own
 
     def in_axes(self, body: PoseUncertainty, point: FloatArray) -> FloatArray:
         """Covariance of a point of the frame by an uncertainty of the body, (3, 3) [m^2]."""

@@ -14,7 +14,6 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import trimesh
@@ -68,13 +67,10 @@ def separate(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArra
 
 
 def wind_alike(faces: IntArray) -> tuple[IntArray, int]:
-    """Reverse faces so that neighbours wind the same way, as few as possible per piece.
+    """Reverse faces so that neighbours wind the same way; the faces, and how many were reversed.
 
     The faces are nodes twice, as they are and reversed; pairs that fit are joined. In an
-    orientable piece the two sets stay apart.
-
-    Returns:
-        The faces, and how many were reversed.
+    orientable piece the two sets stay apart, and the one with more faces as they are is kept.
     """
     count = len(faces)
     one, other = twin_half_edges(faces).T
@@ -85,7 +81,6 @@ def wind_alike(faces: IntArray) -> tuple[IntArray, int]:
     )
     label = connected_component_labels(pairs, node_count=2 * count)
     as_is, reverse = label[:count], label[count:]
-    # The side that holds more faces as they are is kept.
     votes = np.bincount(as_is, minlength=label.max(initial=-1) + 1)
     flip = votes[as_is] < votes[reverse]
     flip |= (votes[as_is] == votes[reverse]) & (as_is > reverse)
@@ -93,11 +88,7 @@ def wind_alike(faces: IntArray) -> tuple[IntArray, int]:
 
 
 def boundary_loops(faces: IntArray) -> list[IntArray]:
-    """Boundary loops of a mesh that `separate` has left, each in the order of its half-edges.
-
-    Returns:
-        The vertices of each loop, each vertex once.
-    """
+    """Vertices of the boundary loops of a mesh that `separate` has left, each in its order."""
     boundary = boundary_half_edges(faces)
     start, stop = faces.ravel()[boundary], faces.ravel()[_next_half_edge(boundary)]
     follows = dict(zip(start.tolist(), stop.tolist(), strict=True))
@@ -150,33 +141,26 @@ def weld(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
 def fill_holes(
     vertices: FloatArray, faces: IntArray, longest: float
 ) -> tuple[FloatArray, IntArray, list[float], list[float]]:
-    """Close small holes by a fan around their middle.
+    """Close holes shorter around than a length [m] by a fan around their middle.
 
     Returns:
-        The vertices; the faces; how long the closed holes were around; how long the open
-        ones are [m].
+        The vertices; the faces; how long the closed holes and the open ones are around [m].
     """
     new_vertices, new_faces = [vertices], [faces]
-    closed, left = [], []
-    count = len(vertices)
+    closed, left = list[float](), list[float]()
     for loop in boundary_loops(faces):
         around = loop_length(vertices, loop)
-        if around >= longest:
-            left.append(around)
-            continue
-        closed.append(around)
-        if len(loop) == 3:
+        (closed if around < longest else left).append(around)
+        if around < longest and len(loop) == 3:
             new_faces.append(loop[None, ::-1])
-            continue
-        new_vertices.append(vertices[loop].mean(axis=0, keepdims=True))
-        new_faces.append(np.column_stack([np.roll(loop, -1), loop, np.full(len(loop), count)]))
-        count += 1
+        elif around < longest:
+            middle = np.full(len(loop), sum(map(len, new_vertices)))
+            new_vertices.append(vertices[loop].mean(axis=0, keepdims=True))
+            new_faces.append(np.column_stack([np.roll(loop, -1), loop, middle]))
     return np.vstack(new_vertices), np.vstack(new_faces), closed, left
 
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
-
-UnitSource = Literal["given", "stated", "inferred"]
 
 
 @dataclass(frozen=True)
@@ -188,8 +172,7 @@ class Scan:
     mesh: trimesh.Trimesh
     body: str  # its name in the file, or its number
     unit: str  # the unit of the file's lengths
-    # Whether the unit was given, stated by the file, or inferred from the size
-    unit_source: UnitSource
+    unit_source: str  # whether it was `given`, `stated` by the file, or `inferred` from the size
     notes: tuple[str, ...]  # one plain line for every repair and finding
 
 
@@ -207,10 +190,12 @@ def read_scan(path: Path, unit: str | None = None, body: str | None = None) -> S
     parts, comment = _load(path)
     notes: list[str] = []
     mesh, names = _clean(path, parts, notes)
-    label, faces, extents = _choose_body(path, _find_bodies(mesh, names, notes), body)
-    size = float(extents.max())
+    label, faces = _choose_body(path, mesh, names, body, notes)
+    size = float(np.ptp(mesh.triangles[faces].reshape(-1, 3), axis=0).max())
     stated = stated_unit(comment)
-    found, source = _find_unit(f"{path}: body {label}", size, unit, stated)
+    found, source = unit or stated, "given" if unit else "stated"
+    if found is None:
+        found, source = _infer_unit(f"{path}: body {label}", size), "inferred"
     notes.append(f"{source} unit {found}: the body is {size * METRES[found]:.3g} m long")
     if stated and stated != found:
         notes.append(f"the file states the unit {stated}, which is passed over")
@@ -343,35 +328,33 @@ def _clean(
     return mesh, [names[part] for part in part_of[finite][kept]]
 
 
-_Body = tuple[str, IntArray, FloatArray]  # name, faces, extents in the file's unit
 _FLAT = 1e-6  # [-]; area of a surface, of the square of its size
 _SPECK = 0.01  # [-]; of the area of the largest piece
 
 
-def _find_bodies(mesh: trimesh.Trimesh, names: Sequence[str], notes: list[str]) -> list[_Body]:
-    """Names, faces and extents of the bodies; edges of more than two faces do not connect."""
+def _choose_body(
+    path: Path, mesh: trimesh.Trimesh, names: Sequence[str], wanted: str | None, notes: list[str]
+) -> tuple[str, IntArray]:
+    """Name, or else number, and faces of the wanted body, or the only one.
+
+    Edges of more than two faces do not connect.
+    """
     pieces = connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))
     areas = np.bincount(pieces, mesh.area_faces)
     specks = areas < _SPECK * areas.max()
     _note(notes, specks[pieces].sum(), "dropped {} faces of pieces too small to be a body")
-    order = np.argsort(pieces, kind="stable")
-    members = np.split(order, np.cumsum(np.bincount(pieces))[:-1])
+    members = np.split(np.argsort(pieces, kind="stable"), np.cumsum(np.bincount(pieces))[:-1])
     bodies = [faces for faces, speck in zip(members, specks, strict=True) if not speck]
-    extents = [np.ptp(mesh.triangles[faces].reshape(-1, 3), axis=0) for faces in bodies]
-    return [(names[faces[0]], faces, size) for faces, size in zip(bodies, extents, strict=True)]
-
-
-def _choose_body(path: Path, bodies: list[_Body], wanted: str | None) -> _Body:
-    """The body that is wanted, or the only one; one without a name is called by its number."""
-    fits = [i for i, (name, *_) in enumerate(bodies) if wanted in {None, name or None}]
+    named = [names[faces[0]] for faces in bodies]
+    fits = [i for i, name in enumerate(named) if wanted in {None, name or None}]
     fits = fits or [i for i in range(len(bodies)) if wanted == str(i)]
     if len(fits) == 1:
-        name, faces, extents = bodies[fits[0]]
-        return name or str(fits[0]), faces, extents
+        return named[fits[0]] or str(fits[0]), bodies[fits[0]]
+    sizes = [np.ptp(mesh.triangles[faces].reshape(-1, 3), axis=0) for faces in bodies]
     shown = ", ".join(
         f"{i} {name and repr(name) + ' '}({len(faces)} faces,"
         f" {' x '.join(map('{:.4g}'.format, size))})"
-        for i, (name, faces, size) in enumerate(bodies)
+        for i, (name, faces, size) in enumerate(zip(named, bodies, sizes, strict=True))
     )
     if not fits:
         raise ScanError(f"{path}: has no body '{wanted}' among {shown}", "choose one with --body")
@@ -398,18 +381,14 @@ def stated_unit(comment: str) -> str | None:
     return _WORDS.get(word, word) if word else None
 
 
-def _find_unit(
-    name: str, size: float, given: str | None, stated: str | None
-) -> tuple[str, UnitSource]:
-    """The unit of a body's lengths by its largest extent; only m and mm are inferred.
+def _infer_unit(name: str, size: float) -> str:
+    """The unit of a body's lengths by its largest extent: m or mm.
 
     A small model in mm has the length of a socket in cm or inches.
     """
-    if given or stated:
-        return given or str(stated), "given" if given else "stated"
     for unit in ("m", "mm"):
         if _SOCKET[0] <= size * METRES[unit] <= _SOCKET[1]:
-            return unit, "inferred"
+            return unit
     shown = ", ".join(f"{size * metres:.3g} m in {unit}" for unit, metres in METRES.items())
     raise ScanError(
         f"{name}: its length {size:.4g} is that of a socket, {_SOCKET[0]:g} to {_SOCKET[1]:g} m,"
@@ -423,14 +402,7 @@ _GIRTH = (0.12, 0.85)  # [m]; of its wall
 
 
 def refuse_implausible(name: str, length: float, girth: float, unit: str) -> None:
-    """Refuse a cavity that is too long, short, wide or narrow for a limb.
-
-    Args:
-        name: Names it in an error.
-        length: Its length along its axis [m].
-        girth: How long it is around [m].
-        unit: The unit of the file that gave these lengths.
-    """
+    """Refuse a cavity whose length and girth [m], by the file's unit, are those of no socket."""
 
     def plausible(scale: float) -> bool:
         sizes = ((length, _LENGTH), (girth, _GIRTH))

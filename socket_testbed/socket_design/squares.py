@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import trimesh
@@ -121,16 +122,13 @@ class SurfacePoints:
     areas: FloatArray  # area that each stands for; (p,) [m^2]
 
 
-def spread_points(
-    mesh: trimesh.Trimesh, spacing: float, rng: np.random.Generator, weighed: bool = True
-) -> SurfacePoints:
+def spread_points(mesh: trimesh.Trimesh, spacing: float, rng: np.random.Generator) -> SurfacePoints:
     """Spread points over a surface: about one in each square of the spacing.
 
     Args:
         mesh: The surface [m].
         spacing: About the distance of neighbouring points [m].
         rng: Source of the positions.
-        weighed: Whether the areas are needed; else they are 0.
     """
     count = int(np.ceil(_DRAWN * mesh.area / spacing**2))
     drawn, face = trimesh.sample.sample_surface(mesh, count, seed=rng)
@@ -140,7 +138,7 @@ def spread_points(
     order = np.lexsort((off.sum(axis=1), cell))
     kept = order[np.flatnonzero(np.diff(cell[order], prepend=-1))]
     kept = kept[trimesh.points.remove_close(drawn[kept], _CLOSEST * spacing)[1]]
-    nearest = KDTree(drawn[kept]).query(drawn)[1] if weighed else np.zeros(0, dtype=np.int64)
+    nearest = KDTree(drawn[kept]).query(drawn)[1]
     return SurfacePoints(
         positions=drawn[kept],
         normals=np.asarray(mesh.face_normals)[face[kept]],
@@ -153,6 +151,7 @@ LEAST_FACING = 0.5  # [-]; cosine to a tile's normal below which a surface is fo
 _SMALL_AREA = 0.1  # [edges]; triangles larger than it are looked at for every square
 _COVER = 0.003  # [-]; a footprint that differs more from its square is cut, folded or double
 _CLOSE = 0.1  # [edges]; gap from which on footprints cannot share anything
+_KEPT = 256  # footprints
 _SHARED = 1e-8  # [m^2]; what rounding may make of two footprints that touch
 
 
@@ -180,7 +179,8 @@ class Footprints:
         self._tree = KDTree(centres[small])
         self._squares = squares
         self._flatness = flatness
-        self._footprints: dict[int, Footprint] = {}
+        # Those on a fine scan are large: of the tiles in use alone.
+        self.footprint = lru_cache(_KEPT)(self._find_footprint)
 
     def unfit(self, tiles: IntArray | Sequence[int]) -> list[int]:
         """Tiles that are cut, folded, double or too far from flat."""
@@ -199,16 +199,6 @@ class Footprints:
         later, other = np.nonzero(earlier & (gap < _CLOSE * self._squares.edge))
         pairs = zip(tiles[other].tolist(), tiles[known + later].tolist(), strict=True)
         return [pair for pair in pairs if self.shared_area(*pair) > _SHARED]
-
-    def keep(self, tiles: IntArray) -> None:
-        """Forget all but the footprints of some tiles: those on a fine scan are large."""
-        self._footprints = {tile: self.footprint(tile) for tile in tiles.tolist()}
-
-    def footprint(self, tile: int) -> Footprint:
-        """The footprint of a square."""
-        if tile not in self._footprints:
-            self._footprints[tile] = self._find_footprint(tile)
-        return self._footprints[tile]
 
     def _find_footprint(self, tile: int) -> Footprint:
         frame, anchor = self._squares.rotations[tile], self._squares.anchors[tile]
@@ -241,9 +231,6 @@ class Footprints:
         squares = self._squares
         frame, anchor = squares.rotations[other], squares.anchors[other]
         seen = self.footprint(tile).triangles @ frame - anchor @ frame
-        seen = seen[_over_square(seen, squares.edge)]
-        if not len(seen):
-            return 0.0
         facing = trimesh.triangles.cross(seen)[:, 2] > 0.0
         close = np.abs(seen[:, :, 2]).min(axis=1) < 2.0 * self._flatness
         seen = _cut_to_square(seen[facing & close], squares.edge)
@@ -317,22 +304,19 @@ def rim_points(mesh: trimesh.Trimesh, spacing: float) -> FloatArray:
 
 
 def squares_at(places: SurfacePoints, surroundings: Surroundings, edge: float) -> Squares:
-    """The squares that are centred on the given places, whether they fit or not."""
-    normals = _mean_normals(places, surroundings.points, edge / np.sqrt(np.pi))
-    return Squares(places.positions, _tile_frames(normals, surroundings), edge)
+    """The squares that are centred on the given places, whether they fit or not.
 
-
-def _tile_frames(normals: FloatArray, surroundings: Surroundings) -> FloatArray:
-    """Frames of tiles: z the normal, x the tangent towards the proximal end, y = z x x.
-
-    Where the normal is within 10 degrees of the proximal direction, as on the distal end, no
-    tangent is proximal: there x is the tangent towards anterior.
+    In their frames z is the normal, x the tangent towards the proximal end, y = z x x. Where the
+    normal is within 10 degrees of the proximal direction, as on the distal end, no tangent is
+    proximal: there x is the tangent towards anterior.
     """
+    normals = _mean_normals(places, surroundings.points, edge / np.sqrt(np.pi))
     on_end = np.abs(normals @ surroundings.proximal) > np.cos(np.radians(_END))
     towards = np.where(on_end[:, None], surroundings.anterior, surroundings.proximal)
     x = towards - (towards * normals).sum(axis=1, keepdims=True) * normals
     x /= np.linalg.norm(x, axis=1, keepdims=True)
-    return np.stack([x, np.cross(normals, x), normals], axis=2)
+    rotations = np.stack([x, np.cross(normals, x), normals], axis=2)
+    return Squares(places.positions, rotations, edge)
 
 
 def _mean_normals(places: SurfacePoints, points: SurfacePoints, radius: float) -> FloatArray:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -84,6 +85,7 @@ def _border_gaps(
 _WASTE_SPACING = 0.15  # [edges]; of the squares by which waste is counted
 _CHANCE = (0.0, 0.02, 0.1, 0.3)  # [-]; how far a recreation strays from least waste
 _FEWEST_RUINED, _MOST_RUINED = 3, 14
+_KEPT = 256  # lists of what overlaps a tile
 _PLANE = 0.002  # [m]; gaps smaller than it are measured on the surface itself
 _CLEARANCE = 0.0001  # [m]; between tiles, as the plane geometry of the search is not exact
 
@@ -110,7 +112,7 @@ class Search:
         self._footprints = footprints
         self._alive = np.ones(len(squares), dtype=bool)
         self._tree = KDTree(squares.anchors)
-        self._overlaps_of_tile: dict[int, IntArray] = {}
+        self._overlapping = lru_cache(_KEPT)(self._find_overlapping)
         cell = number_cells(squares.anchors, _WASTE_SPACING * squares.edge)
         witnesses = np.unique(cell, return_index=True)[1]
         self._witness = np.full(len(squares), -1)
@@ -159,11 +161,6 @@ class Search:
             found = self._place(kept, np.flatnonzero(free), chance[free])
             if len(found) >= len(tiles) and not self._wrong(found, len(kept)):
                 tiles = found
-                self._footprints.keep(tiles)
-                current = set(tiles.tolist())
-                self._overlaps_of_tile = {
-                    tile: near for tile, near in self._overlaps_of_tile.items() if tile in current
-                }
             if progress is not None:
                 progress(done + 1, rounds)
         return tiles
@@ -198,13 +195,11 @@ class Search:
         self._alive[list(wrong)] = False
         return wrong
 
-    def _overlapping(self, tile: int) -> IntArray:
+    def _find_overlapping(self, tile: int) -> IntArray:
         """Squares that overlap a tile, itself included."""
-        if tile not in self._overlaps_of_tile:
-            anchor, reach = self._squares.anchors[tile], REACH * self._squares.edge
-            near = np.array(self._tree.query_ball_point(anchor, reach))
-            self._overlaps_of_tile[tile] = near[self._overlap(tile, near)]
-        return self._overlaps_of_tile[tile]
+        anchor, reach = self._squares.anchors[tile], REACH * self._squares.edge
+        near = np.array(self._tree.query_ball_point(anchor, reach))
+        return near[self._overlap(tile, near)]
 
     def _overlap(self, index: int, others: IntArray) -> BoolArray:
         """Which of some squares overlap a given one."""
@@ -296,7 +291,7 @@ def tile_interior(
     rng = np.random.default_rng(settings.seed)
     points = spread_points(mesh, _POINTS * settings.edge, rng)
     surroundings = Surroundings(points, rim_points(mesh, _RIM * settings.edge), proximal, anterior)
-    places = spread_points(mesh, _PLACES * settings.edge, rng, weighed=False)
+    places = spread_points(mesh, _PLACES * settings.edge, rng)
     fitting = squares_at(places, surroundings, settings.edge)
     fitting = fitting.take(roughly_fit(fitting, surroundings, settings.flatness))
     laid: list[LaidCluster] = []

@@ -26,24 +26,15 @@ WIRING = ("--wiring", 2, 3, 0, 1)  # of the package's own 'distal', whose sensor
 
 @pytest.fixture
 def call(capsys, output):
-    """Call the verb on cluster `distal`; gives what it printed."""
+    """Call the verb on cluster `distal`; gives what it printed, or it refuses and names these."""
 
-    def called(*words, cluster="distal") -> str:
-        options = ("-o", output, "--cluster", cluster)
-        code, out, err = verbs.call(capsys, "calibrate", *words, *options)
+    def called(*words, cluster="distal", named=()) -> str:
+        words = ("calibrate", *words, "-o", output, "--cluster", cluster)
+        if named:
+            return verbs.refused(capsys, *words, named=named)
+        code, out, err = verbs.call(capsys, *words)
         assert code == 0, err
         return out + err
-
-    return called
-
-
-@pytest.fixture
-def refused(capsys, output):
-    """Call the verb, which refuses with one line that names all of these."""
-
-    def called(*words, named) -> None:
-        options = ("-o", output, "--cluster", "distal")
-        verbs.refused(capsys, "calibrate", *words, *options, named=named)
 
     return called
 
@@ -70,9 +61,8 @@ def test_report_and_record_say_how_good_it_is_and_where_it_comes_from(call, benc
     ):
         assert words in out
     stored = record(output)
-    assert stored["source"] == "bench.csv" and stored["readings"] == 1062
-    assert stored["forced"] is False and stored["limit_percent"] == 10.0
-    assert stored["held_out_by"] == "18 cycles"
+    expected = {"source": "bench.csv", "readings": 1062, "forced": False, "limit_percent": 10.0}
+    assert expected.items() <= stored.items() and stored["held_out_by"] == "18 cycles"
     assert stored["stress_range"]["normal"] == [0.0, 60000.0]
     assert 3.5 < stored["hysteresis_percent"]["normal"] < 4.5
     # No load was of shear alone: that is said instead of a number.
@@ -102,7 +92,7 @@ def test_cross_talk_is_the_coupling_of_the_sensor(call, tmp_path, output):
         assert "cross-talk % FS" in out and "no pure" not in out
 
 
-def test_one_cluster_of_a_file_is_replaced_or_added(call, refused, bench_file, tmp_path, output):
+def test_one_cluster_of_a_file_is_replaced_or_added(call, bench_file, tmp_path, output):
     shutil.copyfile(packaged("config", "calibration.yaml"), output)
     old = read_calibration(output)
     out = call(bench_file)  # its wiring is that of the existing cluster
@@ -126,15 +116,13 @@ def test_one_cluster_of_a_file_is_replaced_or_added(call, refused, bench_file, t
     call(bench_file, "--into", existing, *WIRING)
     assert existing.read_bytes() == before
     assert list(read_calibration(output).clusters) == ["brim", "distal"]
-    refused(bench_file, "--into", existing, *WIRING, named=["exists already"])
+    call(bench_file, "--into", existing, *WIRING, named=["exists already"])
 
 
-def test_a_bad_fit_is_drawn_but_refused_with_its_numbers_unless_forced(
-    call, refused, tmp_path, output
-):
+def test_a_bad_fit_is_drawn_but_refused_with_its_numbers_unless_forced(call, tmp_path, output):
     path = write_bench(tmp_path / "bench.csv", sensor_bench(play=0.3))
     drawn = ("--figure", tmp_path / "fit.pdf")
-    refused(path, *WIRING, *drawn, named=["exceeds 10 %", "normal 1", "--force"])
+    call(path, *WIRING, *drawn, named=["exceeds 10 %", "normal 1", "--force"])
     assert not output.exists() and (tmp_path / "fit.pdf").read_bytes().startswith(b"%PDF")
     call(path, *WIRING, "--force")
     stored = record(output)
@@ -143,69 +131,55 @@ def test_a_bad_fit_is_drawn_but_refused_with_its_numbers_unless_forced(
     assert record(output)["forced"] is False and record(output)["limit_percent"] == 30.0
 
 
-def test_outliers_are_listed_and_dropped_only_on_request(call, tmp_path, output):
+def test_outliers_are_dropped_only_on_request_and_baselines_take_the_drift_off(
+    call, tmp_path, output
+):
     bench = sensor_bench(play=0.04)
     bench.stress[[200, 500], 1] += 60e3
     path = write_bench(tmp_path / "bench.csv", bench)
     assert "2 outliers, kept in the fit" in call(path, *WIRING, "--force")
-    assert not record(output)["outliers_dropped"]
     assert "2 outliers, left out of the fit" in call(path, *WIRING, "--drop-outliers")
     stored = record(output)
     assert stored["outliers"] == ["bench.csv line 202", "bench.csv line 502"]
     assert stored["outliers_dropped"] and stored["readings"] == 1060
 
-
-def test_baselines_are_stored_and_take_the_drift_off(call, tmp_path, output):
-    """How much: calibration/test_bench_drift.py."""
-    bench = sensor_bench()
-    rest, drift = bench.capacitance[0], np.array([0.2, 0.1, 0.15, 0.05])
-    part = (bench.time / bench.time[-1])[:, None]
-    drifted = dataclasses.replace(bench, capacitance=bench.capacitance + part * drift)
-    files = [tmp_path / "before.csv", tmp_path / "after.csv"]
-    for path, unloaded in zip(files, (rest, rest + drift), strict=True):
-        rows = [",".join(f"{value:.9g}" for value in unloaded)] * 5
+    files, unloaded = [tmp_path / "before.csv", tmp_path / "after.csv"], sensor_bench().capacitance
+    for path, capacitance in zip(files, (unloaded[0], unloaded[0] + 0.2), strict=True):
+        rows = [",".join(f"{value:.9g}" for value in capacitance)] * 5
         path.write_text("\n".join([",".join(HEADER[4:]), *rows]))
-    out = call(write_bench(tmp_path / "bench.csv", drifted), *WIRING, "--baseline", *files)
+    out = call(write_bench(tmp_path / "bench.csv", sensor_bench()), *WIRING, "--baseline", *files)
     assert "drift, corrected" in out and "above the limit" in out
     found = read_calibration(output).clusters["distal"]
-    np.testing.assert_allclose(found.baseline, rest, rtol=1e-8)
+    np.testing.assert_allclose(found.baseline, unloaded[0], rtol=1e-8)
     assert found.bench["drift"]["flagged"] is True
 
 
-def test_forces_need_the_area_of_the_tile(call, refused, tmp_path, output):
+def test_forces_need_the_area_of_the_tile(call, tmp_path, output):
     bench = sensor_bench()
     header = ("time [s]", "normal [N]", "shear_x [N]", "shear_y [N]", *HEADER[4:])
     newtons = dataclasses.replace(bench, stress=bench.stress * 9e-4 * 1e3)
     path = write_bench(tmp_path / "newtons.csv", newtons, header)
-    refused(path, *WIRING, named=["--area"])
+    call(path, *WIRING, named=["--area"])
     socket = packaged("config", "socket.yaml")
     other = tmp_path / "socket.yaml"
     other.write_text(socket.read_text().replace("  distal: distal", "  tip: distal"))
-    refused(path, *WIRING, "--geometry", other, named=["has no cluster 'distal'"])
-    gains = []
-    for words in (("--area", 9e-4), ("--geometry", socket)):
-        call(path, *words, *WIRING)
+    call(path, *WIRING, "--geometry", other, named=["has no cluster 'distal'"])
+    gains, plain = [], write_bench(tmp_path / "bench.csv", bench)
+    for words in ((path, "--area", 9e-4), (path, "--geometry", socket), (plain,)):
+        call(*words, *WIRING)
         gains.append(read_calibration(output).clusters["distal"].normal[1])
-        output.unlink()
-    call(write_bench(tmp_path / "bench.csv", bench), *WIRING)
-    gains.append(read_calibration(output).clusters["distal"].normal[1])
     np.testing.assert_allclose(gains, gains[0], rtol=1e-6)
 
 
-def test_a_wrong_call_gives_one_line(refused, bench_file, tmp_path, output):
+def test_a_wrong_call_gives_one_line(call, bench_file, tmp_path, output):
     bench = sensor_bench()
     upside_down = bench_of(12.0 - bench.capacitance, bench.stress)
-    for path, words, named in (
-        (bench_file, (), ("wiring 0 1 2 3", "--wiring 2 3 0 1")),
-        (bench_file, ("--wiring", 2, 3, 1, 0), ("exceeds 10 %", "shear_x 4")),
-        (
-            write_bench(tmp_path / "upside_down.csv", upside_down),
-            ("--wiring", 0, 1, 2, 3, "--force"),
-            ("gain of the normal stress", "compression"),
-        ),
-    ):
-        refused(path, *words, named=named)
+    path = write_bench(tmp_path / "upside_down.csv", upside_down)
+    named = ("gain of the normal stress", "compression")
+    call(path, "--wiring", 0, 1, 2, 3, "--force", named=named)
+    call(bench_file, named=("wiring 0 1 2 3", "--wiring 2 3 0 1"))
     for words, named in (
+        (("--wiring", 2, 3, 1, 0), ("exceeds 10 %", "shear_x 4")),
         (("--units", "normal"), ("--units: 'normal' is no", "normal=kPa")),
         (("--units", "normal=Pa"), ("normal spans only 60 Pa", "--units normal=UNIT")),
         (("--columns", "normal=load,cell"), ("no column for normal",)),
@@ -214,5 +188,5 @@ def test_a_wrong_call_gives_one_line(refused, bench_file, tmp_path, output):
         (("--baseline", "a", "b", "c"), ("--baseline: 3 files", "before")),
         (("--into", "none.yaml"), ("none.yaml", "no such file")),
     ):
-        refused(bench_file, *WIRING, *words, named=named)
+        call(bench_file, *WIRING, *words, named=named)
     assert not output.exists()

@@ -64,27 +64,22 @@ def test_every_version_unit_and_line_end_is_read(scene, tmp_path):
     assert "1.31" in newer.notes[0] and len(newer) == 30
 
 
-def test_columns_that_are_not_needed_do_not_matter(scene, tmp_path):
+def test_what_is_not_needed_and_the_sign_of_q_do_not_matter_and_a_lost_body_has_no_pose(
+    scene, tmp_path
+):
     lines = motive_lines(dataclasses.replace(scene, version="1.24"))
     extra = [",Bone", ",Hips", ",0A", ",Position", ",X", *[",not read"] * 30]
     codes = ["", "", "", "", "TimeCode", *["15:26:46:12.02"] * 30]
     for i, (bone, code) in enumerate(zip(extra, codes, strict=True), start=2):
         frame, time, *cells = lines[i].split(",")
+        if i >= FIRST_FRAME and i % 2:
+            cells[:4] = [f"{-float(cell):.6f}" for cell in cells[:4]]
         lines[i] = ",".join([frame, time, code, *cells]) + bone + ",,,"
     # A comma in the name of the take shifts the pairs of the header.
     lines[0] = lines[0].replace("Take 2024-05-05", "Static, left, 2024-05-05")
     check(read(lines, tmp_path), scene)
-
-
-def test_q_and_minus_q_are_one_rotation_and_a_lost_body_has_no_pose(scene, tmp_path):
-    lines = motive_lines(scene)
-    for i in range(FIRST_FRAME, len(lines), 2):
-        cells = lines[i].split(",")
-        cells[2:6] = [f"{-float(cell):.6f}" for cell in cells[2:6]]
-        lines[i] = ",".join(cells)
-    check(read(lines, tmp_path), scene)
     cells = lines[FIRST_FRAME + 3].split(",")
-    lines[FIRST_FRAME + 3] = ",".join([*cells[:2], *[""] * 8, *cells[10:]])
+    lines[FIRST_FRAME + 3] = ",".join([*cells[:3], *[""] * 8, *cells[11:]])
     pose = read(lines, tmp_path).body("Socket")
     lost = np.isnan(pose.rotation).all(axis=(1, 2)) & np.isnan(pose.translation).all(axis=1)
     np.testing.assert_array_equal(np.flatnonzero(lost), [3])
@@ -126,17 +121,15 @@ def test_missing_and_doubled_names_are_named(scene, tmp_path):
     check(read(motive_lines(both), tmp_path), both)
 
 
-def cell(line: int, column: int, value: str):
+def text(old: str, new: str, line: int | None = None):
+    """What replaces a text, once in one line or everywhere."""
+
     def change(lines: list[str]) -> list[str]:
-        cells = lines[line].split(",")
-        cells[column] = value
-        return [*lines[:line], ",".join(cells), *lines[line + 1 :]]
+        if line is None:
+            return [each.replace(old, new) for each in lines]
+        return [*lines[:line], lines[line].replace(old, new, 1), *lines[line + 1 :]]
 
     return change
-
-
-def text(old: str, new: str):
-    return lambda lines: [line.replace(old, new) for line in lines]
 
 
 BAD = [
@@ -151,11 +144,11 @@ BAD = [
     (text("Version,1.21", "Version,1.1"), "version 1.1", "1.20 to 1.25"),
     (lambda lines: [*lines[:9], lines[9] + ",1.0", *lines[10:]], "line 10 has", "export"),
     (lambda lines: text("Rigid Body", "B")(text("Marker", "M")(lines)), "neither", "markers"),
-    (cell(6, 5, "Q"), "rigid body 'Socket' has no column Rotation W", "all its"),
-    (cell(10, 7, "O.5"), "line 11, column 8 (Rigid Body Socket, Position", "number"),
-    (cell(9, 0, "1"), "line 10: the frame does not follow", "export"),
-    (cell(9, 1, "0.0"), "line 10: the time does not follow", "export"),
-    (cell(11, 2, "7.0"), "line 12: the quaternion of 'Socket'", "export"),
+    (text(",W,", ",Q,", 6), "rigid body 'Socket' has no column Rotation W", "all its"),
+    (text("0.", "O.", 10), "line 11, column 2 (time) holds 'O.025000'", "number"),
+    (text("2,", "1,", 9), "line 10: the frame does not follow", "export"),
+    (text("0.016667", "0.0", 9), "line 10: the time does not follow", "export"),
+    (text("0.033333,", "0.033333,7", 11), "line 12: the quaternion of 'Socket'", "export"),
 ]
 
 

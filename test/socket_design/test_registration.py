@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import f, kstest
+from support import wording
 from support.motive_takes import (
     CELL,
     PYLON_NAMES,
@@ -30,7 +31,6 @@ from socket_testbed.socket_design.registration import (
     Registration,
     average_still,
     register_landmarks,
-    tracked_frame,
 )
 
 
@@ -65,11 +65,14 @@ def test_a_body_of_more_markers_is_registered_in_the_frame_of_its_first(rng, tmp
     assert np.trace(found.single) < np.trace(register(bench, tmp_path).single)
 
 
+def triads(bench: Bench) -> list[np.ndarray]:
+    """True places of the markers of the socket and of the pylon [m]."""
+    return [np.array([bench.places[n] for n in names]) for names in (SOCKET_NAMES, PYLON_NAMES)]
+
+
 def later(bench: Bench, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The true triads in a later frame, when all has moved, and the limb in the socket, and q."""
-    socket, pylon = (
-        np.array([bench.places[name] for name in names]) for names in (SOCKET_NAMES, PYLON_NAMES)
-    )
+    socket, pylon = triads(bench)
     cell_in_world = own_frame_of(socket) @ bench.socket_body.inverse()
     turn = Rotation.from_rotvec(rng.normal(0.0, 0.05, 3)).as_matrix()
     in_cell = Pose(turn, bench.q - turn @ bench.q + rng.normal(0.0, 0.005, 3))
@@ -95,30 +98,22 @@ def test_a_later_trial_gives_the_limb_position_whatever_the_body_s_frame(rng, tm
     document = copy.deepcopy(bench.document)
     document["bodies"] = {name: {"rigid_body": name.title()} for name in ("socket", "pylon")}
     tracked = dataclasses.replace(tracked, document=document)
+    pose = tracked.take.bodies["Socket"]
+    pose.rotation[:9] = random_pose(rng, count=9).rotation
+    pose.translation[9:20] = np.nan
     own, motive = register(bench, tmp_path), register(tracked, tmp_path)
-    # A rigid body of Motive keeps its frame.
+    # A rigid body of Motive keeps its frame, though its tracking goes wrong at times.
     expected = own.geometry.socket_body @ frame
     assert between(expected, motive.geometry.socket_body)[0] < 1e-6
     for found in (own, motive):
         for order in ([0, 1, 2], [2, 0, 1]):
             socket, pylon, q = later(bench, rng)
             np.testing.assert_allclose(limb_position(found, socket[order], pylon), q, atol=1e-7)
+    pose.translation[20:40] = np.nan
+    assert "tracked its rigid body in 29 of 60 frames" in refused(tracked, tmp_path)
 
 
 # --- labels and stillness
-
-
-def test_a_tracked_frame_is_found_though_its_tracking_goes_wrong_at_times(rng):
-    pose, count = random_pose(rng), 60
-    markers = pose.apply(SOCKET_TRIAD) + rng.normal(0.0, 1e-4, (count, 3, 3))
-    tracked = Pose(np.tile(pose.rotation, (count, 1, 1)), np.tile(pose.translation, (count, 1)))
-    tracked.rotation[:9] = random_pose(rng, count=9).rotation
-    tracked.rotation[9:20] = np.nan
-    distance, angle = between(tracked_frame(markers, tracked, "take"), pose)
-    assert distance < 2e-4 and angle < 2e-3
-    tracked.translation[20:40] = np.nan
-    with pytest.raises(RegistrationError, match="rigid body in 29 of 60 frames"):
-        tracked_frame(markers, tracked, "take")
 
 
 def still_markers(rng, frames: int = 60, noise: float = 1e-4) -> np.ndarray:
@@ -142,40 +137,30 @@ def test_frames_are_counted_by_their_fault(rng):
     assert (still.mislabelled, still.jumped, still.notes) == (3, 2, ())
     np.testing.assert_allclose(still.mean, np.delete(positions, left_out, 0).mean(0), atol=1e-15)
     np.testing.assert_allclose(still.spread, np.sqrt(3.0) * 1e-4, rtol=0.2)
-
-
-def test_the_noise_of_a_mean_counts_errors_that_frames_share(rng):
-    variances = [average(still_markers(rng)).noise ** 2 for _ in range(100)]
-    # 108 degrees of freedom each: 9 of the blocks for 12 coordinates.
-    assert np.mean(variances) == pytest.approx(1e-8 / 60.0, rel=4.0 * np.sqrt(2.0 / 10_800.0))
-    slow = np.repeat(rng.normal(0.0, 1e-4, (10, 4, 3)), 60, axis=0)
-    still = average(np.ones(3) + slow)
-    assert still.noise > 5.0 * still.spread.mean() / np.sqrt(3.0 * 600.0)
+    assert still.noise == pytest.approx(1e-4 / np.sqrt(48), rel=0.3)
+    slow = average(np.ones(3) + np.repeat(rng.normal(0.0, 1e-4, (10, 4, 3)), 60, axis=0))
+    assert slow.noise == pytest.approx(1e-4 / np.sqrt(10), rel=0.3)  # what frames share counts
 
 
 def test_a_little_motion_is_noted_and_more_is_refused(rng):
     ramp, shake = np.linspace(0.0, 1.0, 60), (-1.0) ** np.arange(60)
-    for motion, noted in (
-        (1e-4 * ramp, ()),
-        (6e-4 * ramp, ("C drifted by 0.4",)),
-        (6e-4 * shake, ("C moved about by 0.6",)),
-    ):
-        positions = still_markers(rng, noise=2e-5)
-        positions[:, 2, 0] += motion
-        notes = average(positions).notes
-        assert len(notes) == len(noted) and all(map(str.startswith, notes, noted))
-    hidden = np.where(np.arange(60) < 15, 0.0, np.nan)
-    for motion, fact in (
-        (3e-3 * ramp, "C drifted by 2.0"),
-        (2e-3 * shake, "C moved about by 2.0"),
+    for motion, words in (
+        (1e-4 * ramp, ""),
+        (6e-4 * ramp, "C drifted by 0.4"),
+        (6e-4 * shake, "C moved about by 0.6"),
+        (3e-3 * ramp, "socket: C drifted by 2.0"),
+        (2e-3 * shake, "socket: C moved about by 2.0"),
         (0.03 * (ramp > 0.7), "in 18 of 60 frames a marker, mostly C, is more than 5 mm"),
-        (hidden, "15 of 60 frames show all of A, B, C, D (C is occluded in 45"),
+        (np.where(ramp < 0.25, 0.0, np.nan), "show all of A, B, C, D (C is occluded in 45"),
     ):
         positions = still_markers(rng, noise=2e-5)
         positions[:, 2, 0] += motion
-        with pytest.raises(RegistrationError) as caught:
-            average(positions)
-        assert "take.csv: socket" in caught.value.fact and fact in caught.value.fact
+        if np.isnan(motion).any() or motion.max() > 1e-3:
+            with wording.refused(RegistrationError, "take.csv: socket", words):
+                average(positions)
+        else:
+            notes = average(positions).notes
+            assert len(notes) == bool(words) and all(words in note for note in notes)
 
 
 # --- landmarks
@@ -213,17 +198,16 @@ def test_landmarks_give_the_pose_of_least_squares_within_its_stated_uncertainty(
 
 
 def test_landmarks_that_hold_no_frame_are_refused(rng):
-    near, pose = CELL.copy(), random_pose(rng)
-    near[3] = near[1] + [0.001, 0.0, 0.002]
-    line = np.linspace([0.0, 0.0, 0.0], [0.06, 0.08, 0.0], 4) + rng.normal(0.0, 1e-3, (4, 3))
+    near = CELL[[0, 1, 2, 1]] + 1e-3 * np.eye(4, 3)
+    line = np.outer(np.arange(5), [0.02, 0.03, 0.0]) + rng.normal(0.0, 1e-3, (5, 3))
     for known, measured, fact in (
         (CELL[:2], CELL[:2], "2 landmarks"),
-        (near, near, "LC2 and LC4 are given 2.2 mm apart"),
-        (CELL, near, "LC2 and LC4 were measured 2.2 mm apart"),
-        (CELL[:4], line, "were measured on one line"),
+        (near, near, "LC2 and LC4 are given 1.0 mm apart"),
+        (CELL[:4], near, "LC2 and LC4 were measured 1.0 mm apart"),
+        (CELL, line, "were measured on one line"),
     ):
-        with pytest.raises(RegistrationError, match=fact):
-            register_landmarks(known, pose.apply(measured), names_of(len(known)))
+        with wording.refused(RegistrationError, fact):
+            register_landmarks(known, random_pose(rng).apply(measured), names_of(len(known)))
 
 
 def test_a_wrong_landmark_is_noted_then_refused_unless_forced(rng, tmp_path):
@@ -235,20 +219,16 @@ def test_a_wrong_landmark_is_noted_then_refused_unless_forced(rng, tmp_path):
     error = refused(bench, tmp_path)
     assert "limb: landmark Limb:2 is" in error and "at most 10 mm" in error and "--force" in error
     forced = register(bench, tmp_path, force=True)
-    assert forced.pylon.landmarks.residual.max() > 0.01
     assert np.trace(forced.covariance) > 30.0 * np.trace(found.covariance)
-
-
-def test_swapped_or_mirrored_landmarks_off_a_plane_are_refused(rng, tmp_path):
-    for side in ("load_cell", "limb"):
+    for side in ("load_cell", "limb"):  # swapped, and mirrored, off a plane
         for axis in (*range(3), None):
             bench = make_bench(rng, frames=20, landmarks=4)
             points = bench.document[side]
-            for point in points.values():
-                point[axis or 0] *= 1.0 if axis is None else -1.0
+            first, *_, last = points
             if axis is None:
-                first, *_, last = points
                 points[first], points[last] = points[last], points[first]
+            else:
+                points |= {n: [*x[:axis], -x[axis], *x[axis + 1 :]] for n, x in points.items()}
             assert "mm off" in refused(bench, tmp_path)
 
 
@@ -269,22 +249,22 @@ def test_landmarks_in_one_plane_are_noted_and_refused_if_the_limb_is_outside(rng
 
 def errors_of(found: Registration, bench: Bench) -> dict[str, np.ndarray]:
     """Errors of a registration, by the name of their covariance and in its axes."""
-    geometry, in_world, fitted = found.geometry, {}, {}
-    for body, names in (("socket", SOCKET_NAMES), ("pylon", PYLON_NAMES)):
-        places = np.array([bench.places[name] for name in names])
-        markers = geometry.socket_markers if body == "socket" else geometry.pylon_markers
-        in_world[body], batch = own_frame_of(places), fit_body(markers, places[None]).pose
-        fitted[body] = Pose(batch.rotation[0], batch.translation[0])
-    cell_in_world = in_world["socket"] @ bench.socket_body.inverse()
-    no_motion = geometry.socket_body @ fitted["socket"].inverse() @ cell_in_world
-    limb = fitted["pylon"].inverse() @ in_world["pylon"] @ bench.limb
+    geometry, in_world, fitted = found.geometry, [], []
+    own = (geometry.socket_markers, geometry.pylon_markers)
+    for places, markers in zip(triads(bench), own, strict=True):
+        batch = fit_body(markers, places[None]).pose
+        in_world.append(own_frame_of(places))
+        fitted.append(Pose(batch.rotation[0], batch.translation[0]))
+    cell_in_world = in_world[0] @ bench.socket_body.inverse()
+    no_motion = geometry.socket_body @ fitted[0].inverse() @ cell_in_world
+    limb = fitted[1].inverse() @ in_world[1] @ bench.limb
     at = geometry.socket_body.translation
     return {
         "socket": no_motion.apply(at) - at,
         "socket's turn": Rotation.from_matrix(no_motion.rotation).as_rotvec(),
         "limb": geometry.limb.translation - limb.translation,
         "limb's turn": Rotation.from_matrix(geometry.limb.rotation @ limb.rotation.T).as_rotvec(),
-        "q": geometry.limb_pose(fitted["socket"], fitted["pylon"]).translation - bench.q,
+        "q": geometry.limb_pose(*fitted).translation - bench.q,
     }
 
 
@@ -296,9 +276,13 @@ def test_every_covariance_has_the_size_and_direction_of_the_errors(tmp_path):
     for _ in range(count):
         bench = make_bench(rng, 20, 2e-4, scene=np.random.default_rng(8), unit="Millimeters")
         found = register(bench, tmp_path)
-        for name, error in errors_of(found, bench).items():
+        socket, pylon = triads(bench)
+        noisy = (triad + rng.normal(0.0, 2e-4, (3, 3)) for triad in (socket, pylon))
+        frame = limb_position(found, *noisy) - limb_position(found, socket, pylon)
+        for name, error in (errors_of(found, bench) | {"a frame": frame}).items():
             errors[name].append(error)
-        stated_now = (*found.socket_body_covariances(), *found.limb_covariances(), found.covariance)
+        stated_now = (*found.socket_body_covariances(), *found.limb_covariances())
+        stated_now += (found.covariance, found.single)
         for name, covariance in zip(errors, stated_now, strict=True):
             stated[name].append(covariance)
     for name, samples in errors.items():
@@ -307,17 +291,3 @@ def test_every_covariance_has_the_size_and_direction_of_the_errors(tmp_path):
         # Sigma is never taken below the noise of the means, which makes it a little too large.
         assert np.linalg.eigvalsh(white).min() > 0.65, name
         assert np.linalg.eigvalsh(white).max() < 1.35, name
-
-
-def test_the_noise_of_a_single_frame_is_stated(rng, tmp_path):
-    bench = make_bench(rng, frames=500, unit="Millimeters")
-    found = register(bench, tmp_path)
-    socket, pylon, _ = later(bench, rng)
-    trials = [
-        limb_position(found, *(triad + rng.normal(0.0, 1e-4, (3, 3)) for triad in (socket, pylon)))
-        for _ in range(400)
-    ]
-    white = np.linalg.solve(np.linalg.cholesky(found.single), np.transpose(trials))
-    # The limb has turned a little since the take, and 400 trials give a variance to 7 %.
-    sizes = np.linalg.eigvalsh(np.cov(white))
-    assert sizes.min() > 0.7 and sizes.max() < 1.35

@@ -57,11 +57,11 @@ def wavy(mesh: trimesh.Trimesh, amplitude: float) -> trimesh.Trimesh:
 
 
 def scaled(mesh: trimesh.Trimesh, factor: float) -> trimesh.Trimesh:
-    return trimesh.Trimesh(mesh.vertices * factor, mesh.faces, process=False)
+    return moved(mesh, lambda points: points * factor)
 
 
 def shifted(mesh: trimesh.Trimesh, x: float) -> trimesh.Trimesh:
-    return trimesh.Trimesh(mesh.vertices + np.array([x, 0.0, 0.0]), mesh.faces, process=False)
+    return moved(mesh, lambda points: points + np.array([x, 0.0, 0.0]))
 
 
 def with_faces(mesh: trimesh.Trimesh, faces: np.ndarray) -> trimesh.Trimesh:
