@@ -181,7 +181,8 @@ class SocketMap {
       const [low, high] = [wall.y[0], wall.y.at(-1)];
       const third = (Math.max(...socket.places.map((p) => p[1])) - 0) / 3;
       layout.xaxis = {...base, domain: [0, end ? far : 1], range: [-180, 180],
-        tickvals: [-180, -90, 0, 90, 180], ticktext: socket.sides};
+        tickvals: below ? [-90, 0, 90] : [-180, -90, 0, 90, 180],
+        ticktext: below ? socket.sides.slice(1, 4) : socket.sides};
       layout.yaxis = {...base, range: [low, high], tickvals: [third / 2, 1.5 * third, 2.5 * third],
         ticktext: socket.heights, domain: [below && end ? 0.36 : 0, 1], tickangle: below ? -90 : 0};
       const line = {color: "rgba(255,255,255,0.55)", width: 1, dash: "dot"};
