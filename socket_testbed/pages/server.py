@@ -195,11 +195,7 @@ def is_local(host: str) -> bool:
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """A socket that listens on an address or name of this machine; port 0 for one that is free.
-
-    Raises:
-        ConfigurationError: If the address is not one of this machine, or the port is taken.
-    """
+    """A socket that listens on an address or name of this machine; port 0 for one that is free."""
     check_number(port, "the port of the page", 0, 65535)
     try:
         family, *_, address = socket.getaddrinfo(

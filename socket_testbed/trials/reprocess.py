@@ -51,15 +51,9 @@ def remake_wrenches(
     """Wrenches by another load cell's settings, or with another tare.
 
     The ratios are those of the voltages that were measured: by the given settings they have other
-    signs, gains, excitation or inputs. The converter's own gain was set in it, and stays.
-
-    Args:
-        measured: The measurements, with ratios and tares.
-        recorded: Settings with which they were recorded; without a matrix if the trial has none.
-        given: Settings to use instead, if any.
-        tare: As of a `Trial`.
-        where: Name of the trial in an error.
-        notify: Called with the tare that is used.
+    signs, gains, excitation or inputs. The converter's own gain was set in it, and stays. The
+    recorded settings have no matrix if the trial stores none. The tare is as of a `Trial`; the one
+    in use is notified. `where` names the trial in an error.
     """
     offsets = measured.tares
     wrenches = measured.wrench + offsets
