@@ -17,7 +17,7 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.settings.testbed import read_testbed
-from socket_testbed.trials.synchronise import Measurements, parse_span
+from socket_testbed.trials.synchronise import Measurements, marker_count, parse_span
 
 RECORDED, NO_TARE = "recorded", "none"
 _SAME_MARKER = 1e-6  # [m]
@@ -138,7 +138,7 @@ def refit_poses(
     for body in bodies:
         reference = getattr(geometry, f"{body}_markers")
         seen = measured.markers.get(body, np.full((len(measured.stamps), *reference.shape), np.nan))
-        count = int(np.flatnonzero(np.isfinite(seen).any(axis=(0, 2))).max(initial=-1)) + 1
+        count = marker_count(seen)
         if count > len(reference):
             raise TrialError(
                 f"{where}: {count} markers of the {body} were recorded, and the geometry has"

@@ -162,6 +162,11 @@ def read_measurements(
     )
 
 
+def marker_count(seen: FloatArray) -> int:
+    """How many markers a body has, by those that were ever seen, of shape (N, k, 3)."""
+    return int(np.flatnonzero(np.isfinite(seen).any(axis=(0, 2))).max(initial=-1)) + 1
+
+
 def _read_series(
     bag: BagReader, topics: dict[str, Topic], duration: float
 ) -> dict[tuple[Topic, str], _Columns]:
