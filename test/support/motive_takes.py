@@ -66,16 +66,12 @@ def cells_of(take: Written) -> tuple[list[tuple[str, str, str, str]], np.ndarray
 def motive_lines(take: Written) -> list[str]:
     """The lines of an export: the header and blank line, the rows of names, the frames."""
     titles, table = cells_of(take)
-    header = {
-        "Format Version": take.version,
-        "Take Name": "Take 2024-05-05 03.49.50 PM",
-        "Capture Frame Rate": f"{RATE:.6f}",
-        "Export Frame Rate": f"{RATE:.6f}",
-        "Total Exported Frames": str(len(take)),
-        "Rotation Type": "Quaternion",
-        "Length Units": take.unit,
-        "Coordinate Space": "Global",
-    }
+    header = (
+        f"Format Version,{take.version},Take Name,Take 2024-05-05 03.49.50 PM"
+        f",Capture Frame Rate,{RATE:.6f},Export Frame Rate,{RATE:.6f}"
+        f",Total Exported Frames,{len(take)},Rotation Type,Quaternion"
+        f",Length Units,{take.unit},Coordinate Space,Global"
+    )
     kinds, names, meanings, axes = (list(row) for row in zip(*titles, strict=True))
     ids = [f'"{sum(map(ord, name)):08X}"' for name in names]
     named = float(take.version) > 1.22
@@ -87,8 +83,7 @@ def motive_lines(take: Written) -> list[str]:
     for frame, numbers in enumerate(table):
         cells = [f"{value:.6f}" if np.isfinite(value) else "" for value in numbers]
         rows.append([str(frame), f"{frame / RATE:.6f}", *cells])
-    first = ",".join(f"{key},{value}" for key, value in header.items())
-    return [first, "", *(",".join(row) for row in rows)]
+    return [header, "", *(",".join(row) for row in rows)]
 
 
 def write_take(take: Written, path: Path, newline: str = "\r\n", bom: bool = False) -> Path:
