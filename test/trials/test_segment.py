@@ -71,9 +71,7 @@ def test_plateaus_are_steady_stretches_under_load_the_longest_first() -> None:
     held = [np.full(count, 280.0) for count in (0, 1, 2, 5)]
     for force in (np.linspace(50, 400, 400), np.zeros(400), *held):
         assert find_plateaus(under(force), SETTINGS) == []
-
-
-def test_a_stretch_with_many_missing_channels_is_left_out() -> None:
+    # A stretch with many missing channels is left out.
     samples = under(seconds((80, 280)))
     samples.local_forces[160:240] = samples.position[160:240] = np.nan
     for segment in find_plateaus(samples, SETTINGS):
