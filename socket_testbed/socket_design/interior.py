@@ -357,10 +357,9 @@ def find_interior(mesh: trimesh.Trimesh, proximal: FloatArray | None = None) -> 
     behind the wall, are the outside. Where there is an outside, what lies behind a face
     separates the wall from rims and cuts.
 
-    Args:
-        mesh: One body in metres, as `read_scan` gives it: its faces are wound alike.
-        proximal: Direction from the distal end to the brim, in the scan's axes, shape (3,); if
-            it is not given, the more open end of the cavity is the proximal one.
+    The mesh is one body in metres, as `read_scan` gives it: its faces are wound alike. If the
+    direction from the distal end to the brim, in the scan's axes, shape (3,), is not given, the
+    more open end of the cavity is the proximal one.
     """
     name = str(mesh.metadata.get("file_name", "the scan"))
     given = None if proximal is None else proximal / np.linalg.norm(proximal)
