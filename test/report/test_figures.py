@@ -87,11 +87,7 @@ def test_a_thinned_line_keeps_its_peaks_its_order_and_its_gaps(rng):
 def test_the_validation_shows_every_error_and_the_coverage():
     unknown, known = (np.nan,) * 3, (0.5, 0.7, 0.9)
     predictors = ((INVERSE_DISTANCE, unknown), (CLOSED, unknown), (FORCE_MAP, known))
-    errors = {
-        ("cluster", NASTY): (0.8, 0.7, 0.5),
-        ("cluster", ""): (0.9, 0.6, 0.4),
-        ("tiles", ""): (0.5, 0.45, 0.3),
-    }
+    errors = {("cluster", NASTY): (0.8, 0.7, 0.5), ("tiles", ""): (0.5, 0.45, 0.3)}
     judgements = [
         Judgement(question, predictor, "left out", "", "a", cluster, 9, error, coverage=coverage)
         for (question, cluster), found in errors.items()
@@ -99,7 +95,7 @@ def test_the_validation_shows_every_error_and_the_coverage():
     ]
     bars, coverage = validation_figure(judgements, NASTY).axes
     names = [text.get_text() for text in bars.get_yticklabels()]
-    assert names == [NASTY, "all clusters", "tiles without a sensor"]
+    assert names == [NASTY, "tiles without a sensor"]
     widths = [[bar.get_width() for bar in shown] for shown in bars.containers]
     assert widths == [list(row) for row in zip(*errors.values(), strict=True)]
     line = coverage.lines[1].get_xydata().tolist()

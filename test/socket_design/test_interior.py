@@ -187,11 +187,7 @@ def test_the_inner_wall_of_a_real_shell(shared_data: Path):
     assert surface.query(mesh.triangles_center - depth)[0].max() < 0.0015
     assert np.percentile(surface.query(mesh.triangles_center + depth)[0], 1) > 0.0055
 
-    # It faces the middle of the half shell, which opens towards -x; its wide end is up.
-    middle = [mesh.bounds[0, 0], *mesh.bounds.mean(axis=0)[1:]]
-    facing = np.einsum("ij,ij->i", mesh.face_normals, middle - mesh.triangles_center)
-    assert (facing > 0.0).mean() > 0.99
-    assert angle_between(interior.proximal, UP) < 8.0
+    assert angle_between(interior.proximal, UP) < 8.0  # its wide end is up
 
 
 def test_a_real_limb_is_kept_whole_and_separated_from_a_shell_around_it(shared_data: Path):

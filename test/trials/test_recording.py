@@ -40,19 +40,17 @@ class Recording:
         assert summary is not None
         self.ends: list[int] = []  # of the chunks in the file [bytes]
         self.chunks: list[list[RawMessage]] = []
+        kinds = {
+            number: (channel.topic, summary.schemas[channel.schema_id].name)
+            for number, channel in summary.channels.items()
+        }
         for index in summary.chunk_indexes:
             self.ends.append(index.chunk_start_offset + index.chunk_length)
             content = self.data[index.chunk_start_offset + 9 : self.ends[-1]]
-            chunk = Chunk.read(ReadDataStream(io.BytesIO(content)))
-            found = [m for m in breakup_chunk(chunk) if isinstance(m, Message)]
-            channels = [summary.channels[m.channel_id] for m in found]
-            kinds = [summary.schemas[channel.schema_id].name for channel in channels]
-            self.chunks.append(
-                [
-                    RawMessage(channel.topic, kind, message.log_time, message.data)
-                    for channel, kind, message in zip(channels, kinds, found, strict=True)
-                ]
-            )
+            found = breakup_chunk(Chunk.read(ReadDataStream(io.BytesIO(content))))
+            messages = [m for m in found if isinstance(m, Message)]
+            raws = [RawMessage(*kinds[m.channel_id], m.log_time, m.data) for m in messages]
+            self.chunks.append(raws)
 
     def before(self, cut: int) -> list[RawMessage]:
         """The messages of the chunks that are whole before a cut, in the order of their times."""
@@ -224,9 +222,8 @@ def test_notes_name_what_was_saved_and_what_is_missing(recording, tmp_path: Path
     cut = recording.ends[2] + 5
     folder = write(tmp_path / "bag", recording.data[:cut])
     with BagReader(folder) as bag:
-        metadata, note = bag.notes
+        _, note = bag.notes
     assert (folder / "bag.mcap").read_bytes() == recording.data[:cut]  # it is only read
-    assert "no metadata.yaml" in metadata
     assert f"cut short (no end): {3 * MESSAGES} messages up to " in note
     assert "(0.3 s) were saved, the last second may be missing (5 bytes cannot be read)" in note
     assert read(folder / "bag.mcap") == recording.before(cut)  # a single file
