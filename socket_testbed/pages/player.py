@@ -37,9 +37,7 @@ _GAP = 3.0  # usual steps between samples; a longer one is a gap
 class Player:
     """A trial, a `Source` of the page: its map and outputs are computed when they are shown.
 
-    Args:
-        trial: The trial.
-        model: Predicts the wrench; None for no prediction.
+    A model, if one is given, predicts the wrench.
     """
 
     def __init__(self, trial: Trial, model: StoredModel | None = None) -> None:

@@ -43,17 +43,10 @@ class Source(Protocol):
 
 
 class PageServer(ThreadingHTTPServer):
-    """Serves a source until it is closed; a context manager.
+    """Serves a source until it is closed, on a port, 0 for a free one; a context manager.
 
-    Args:
-        source: What is shown.
-        host: Address that it listens on.
-        port: Its port; 0 for one that is free.
-        names: Further names by which it may be called.
-
-    Attributes:
-        asking: Held while the source is asked.
-        url: Where a browser finds the page.
+    It may be called by further names. A browser finds the page at `url`; `asking` is held while the
+    source is asked.
     """
 
     def __init__(self, source: Source, host: str, port: int, names: tuple[str, ...] = ()) -> None:
@@ -195,11 +188,7 @@ def is_local(host: str) -> bool:
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """A socket that listens on an address or name of this machine; port 0 for one that is free.
-
-    Raises:
-        ConfigurationError: If the address is not one of this machine, or the port is taken.
-    """
+    """A socket that listens on an address or name of this machine; port 0 for one that is free."""
     check_number(port, "the port of the page", 0, 65535)
     try:
         family, *_, address = socket.getaddrinfo(

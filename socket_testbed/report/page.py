@@ -119,15 +119,10 @@ def write_page(
     data: Mapping[str, Any],
     **content: Any,
 ) -> None:
-    """Write a page as one self-contained file; every text in it is escaped.
+    """Write a page as one self-contained file, or replace it; every text in it is escaped.
 
-    Args:
-        path: The file; an older one is replaced.
-        title: Its heading.
-        subtitle: What it is of.
-        groups: Sections by the title under which they are folded; those of "" are open.
-        data: What its cards and pictures show, see report.js.
-        content: What else the template takes.
+    Groups are sections by the title under which they are folded; those of "" are open. The data
+    are what its cards and pictures show, see report.js; `content` is what else the template takes.
     """
     environment = Environment(
         loader=PackageLoader("socket_testbed", "pages/static"),

@@ -174,14 +174,8 @@ def save_figure(figure: Figure, path: Path, dpi: int = 300) -> None:
 def thin(x: FloatArray, y: FloatArray, most: int = MOST_POINTS) -> tuple[FloatArray, FloatArray]:
     """Keep the lowest and the highest value of each of equally many samples.
 
-    Args:
-        x: Positions, shape (N,).
-        y: Values, shape (N,); NaN where there is none.
-        most: Largest number of points to keep.
-
-    Returns:
-        The kept points in their order, shape (M,) each; all of them if they are no more than
-        `most`. A gap is kept where all values of its samples are missing.
+    Values, shape (N,), are NaN where there is none; a gap is kept where all values of its samples
+    are missing. The kept points are in their order, all of them if they are no more than `most`.
     """
     if len(x) <= most:
         return x, y

@@ -136,18 +136,10 @@ def lay_clusters(
 ) -> tuple[Squares, list[LaidCluster]]:
     """Lay each cluster's square at the point of the interior nearest to its place.
 
-    Where its footprint is not complete there, it is laid at the nearest place at which it is.
-
-    Args:
-        mesh: The interior, its normals inwards [m].
-        places: Where the clusters are in {S}.
-        centres: Other centres to try.
-        surroundings: The surface.
-        edge: Length of the squares' edges [m].
-        flatness: Largest distance of the surface from a tile's plane [m].
-
-    Returns:
-        The squares, with their edges as the clusters' own, and the clusters on them.
+    Where its footprint is not complete there, it is laid at the nearest of other centres at which
+    it is. The mesh is the interior, its normals inwards [m]; places are in {S}; the flatness is the
+    largest distance of the surface from a tile's plane [m]. The squares have edges [m] along the
+    clusters' own axes.
     """
     squares, laid = Squares(np.zeros((0, 3)), np.zeros((0, 3, 3)), edge), list[LaidCluster]()
     for place in places:
@@ -308,14 +300,10 @@ def place_clusters(
     allowed: BoolArray | None = None,
     settings: ForceMapSettings | None = None,
 ) -> ClusterPlacement:
-    """Propose tiles for clusters.
+    """Propose tiles for so many clusters, those that stay on their tiles included.
 
-    Args:
-        geometry: The socket; its own clusters do not count.
-        count: Number of clusters, those that stay included.
-        stay: Tiles of clusters that are there already.
-        allowed: Tiles that may take another cluster, shape (n,); all if not given.
-        settings: The force map's prior.
+    The socket's own clusters do not count. `allowed` are the tiles that may take another cluster,
+    shape (n,), all if it is not given; the settings are those of the force map's prior.
     """
     expectation = _Expectation(geometry, settings or ForceMapSettings())
     allowed = np.ones(len(geometry), dtype=bool) if allowed is None else allowed

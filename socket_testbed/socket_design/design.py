@@ -43,12 +43,7 @@ class Placement:
 
 
 def parse_direction(text: str, where: str) -> FloatArray:
-    """A direction in the scan's axes, shape (3,) [-].
-
-    Args:
-        text: An axis with its sign, such as +z, or three numbers, such as "0 0.1 1".
-        where: What names it in an error.
-    """
+    """A direction (3,) [-] given as an axis, such as +z, or three numbers, such as "0 0.1 1"."""
     axis = re.fullmatch(r"([+-]?)([xyz])", text.strip().lower())
     if axis:
         direction = np.zeros(3)
@@ -78,14 +73,10 @@ def parse_point(text: str, where: str) -> FloatArray:
 def place_by_directions(
     vertices: FloatArray, proximal: FloatArray, anterior: FloatArray | None, height: float
 ) -> Placement:
-    """{S} below the distal end, z proximal and x anterior.
+    """{S} a height [m] below the distal end, z proximal and x anterior, directions (3,) [-].
 
-    Args:
-        vertices: Vertices of the interior in the scan's frame, shape (v, 3) [m].
-        proximal: Direction towards the proximal end, shape (3,) [-].
-        anterior: Direction towards anterior, shape (3,) [-]; None for the scan's axis that is
-            most across: +x, or +y where that is along the socket.
-        height: Height of the distal end above the origin of {S} [m].
+    The interior's vertices (v, 3) [m] and the directions are in the scan's frame. If anterior is
+    None, it is the scan's axis that is most across: +x, or +y where that is along the socket.
     """
     assumed = anterior is None
     if anterior is None:
@@ -109,11 +100,7 @@ def place_by_directions(
 
 
 def place_by_points(points: FloatArray) -> Placement:
-    """{S} by three points picked in the scan: its origin, one on +x, one on the side of +y.
-
-    Args:
-        points: The points in the scan's frame, shape (3, 3) [m].
-    """
+    """{S} by three points in the scan, (3, 3) [m]: its origin, one on +x, one towards +y."""
     along, aside = points[1] - points[0], points[2] - points[0]
     normal = np.cross(along, aside)
     size = float(np.linalg.norm(along) * np.linalg.norm(aside))
@@ -141,14 +128,10 @@ class _Landmarks(Document):
 
 
 def place_by_landmarks(path: Path, scale: float) -> Placement:
-    """{S} by landmarks that are known in it and were picked in the scan.
+    """{S} by landmarks that are known in it and were picked in the scan, whose unit is a scale [m].
 
     The file holds, below the key `landmarks`, for each by name: `scan` (in the scan's unit) and
     `load_cell` [m].
-
-    Args:
-        path: The file.
-        scale: The scan's unit [m].
     """
     landmarks = read_document(path, _Landmarks).landmarks
     scan, load_cell = (
@@ -232,18 +215,12 @@ def design_socket(
     settings: TilingSettings,
     progress: Callable[[int, int], None] | None = None,
 ) -> SocketDesign:
-    """Lay tiles out on the interior of a scan.
+    """Lay tiles out on the interior of a scan of a name, for a socket with the bodies of another.
 
-    Args:
-        name: Name of the scan.
-        scan: The scan.
-        place: Finds {S}: given the interior's vertices, shape (v, 3) [m], the proximal direction,
-            shape (3,) [-], both in the scan's axes, and the scan's unit [m].
-        proximal: Direction of the opening in the scan's axes, shape (3,) [-]; None to find it.
-        clusters: Where the clusters are; None for where they usually are.
-        bodies: A socket whose marker bodies are taken over.
-        settings: Settings of the tiling.
-        progress: Called with the steps done and their number.
+    {S} is found by `place`: given the interior's vertices, shape (v, 3) [m], the proximal
+    direction, shape (3,) [-], both in the scan's axes, and the scan's unit [m]. Without a proximal
+    direction it is found; without places of clusters they are where they usually are. `progress` is
+    called with the steps done and their number.
     """
     interior = find_interior(scan.mesh, proximal)
     refuse_implausible(name, interior.length, interior.girth, scan.unit)

@@ -163,7 +163,6 @@ def _spread_samples(mesh: trimesh.Trimesh) -> SurfaceSamples:
 
 
 _SOLID = 0.5  # [-]; share of directions in which a cavity sees the front of something first
-_LEAST_WALL = 0.05  # [-]; area of the wall of a cavity, of that of the surface
 _FLAT = 0.95  # [-]; area of the caps that close a wall, of its own
 _CLEARLY_OPEN = 0.1  # [-]; net opening, of a section of the cavity
 
@@ -207,13 +206,6 @@ class Cavity:
         """Whether one of its ends is clearly more open than the other."""
         return abs(self.net_opening) > _CLEARLY_OPEN * np.pi * self.spine.radius**2
 
-    @property
-    def has_wall(self) -> bool:
-        """Whether what is seen from its front is large and not flat."""
-        area = float(self.wall.area)
-        flat = float(np.linalg.norm(self.caps)) >= _FLAT * area
-        return area > _LEAST_WALL * float(self.mesh.area) and not flat
-
     def along(self, axis: Axis, open_above: bool = False) -> Cavity:
         """The same cavity seen from another axis; see `_spine_along`."""
         return _look(self.mesh, self.samples, _spine_along(axis, self.wall, open_above))
@@ -255,14 +247,16 @@ def _find_cavity(name: str, mesh: trimesh.Trimesh) -> Cavity:
         if cavity.front_share < _SOLID and not mesh.is_watertight:
             # An open surface may be wound either way.
             cavity = _look(_flipped(mesh), samples, cavity.spine)
-        if cavity.has_wall:  # seen from the axis of its wall alone
-            cavity = cavity.along(_fit_axis(cavity.wall).near(cavity.spine.axis.direction))
-        if cavity.has_wall and cavity.front_share > _SOLID:
-            likeliest = likeliest or cavity
-            # A shallow oval cup is nearly round about its long side, too; but both ends of that
-            # axis are closed.
-            if cavity.has_clear_end:
-                return cavity
+        flat = np.linalg.norm(cavity.caps) >= _FLAT * cavity.wall.area  # or there is no wall
+        if cavity.front_share <= _SOLID or flat:
+            continue
+        # Seen from the axis of its wall alone.
+        cavity = cavity.along(_fit_axis(cavity.wall).near(cavity.spine.axis.direction))
+        likeliest = likeliest or cavity
+        # A shallow oval cup is nearly round about its long side, too; but both ends of that axis
+        # are closed.
+        if cavity.has_clear_end:
+            return cavity
     if likeliest is None:
         raise ScanError(
             f"{name}: has no cavity, it is solid or flat",
@@ -363,10 +357,9 @@ def find_interior(mesh: trimesh.Trimesh, proximal: FloatArray | None = None) -> 
     behind the wall, are the outside. Where there is an outside, what lies behind a face
     separates the wall from rims and cuts.
 
-    Args:
-        mesh: One body in metres, as `read_scan` gives it: its faces are wound alike.
-        proximal: Direction from the distal end to the brim, in the scan's axes, shape (3,); if
-            it is not given, the more open end of the cavity is the proximal one.
+    The mesh is one body in metres, as `read_scan` gives it: its faces are wound alike. If the
+    direction from the distal end to the brim, in the scan's axes, shape (3,), is not given, the
+    more open end of the cavity is the proximal one.
     """
     name = str(mesh.metadata.get("file_name", "the scan"))
     given = None if proximal is None else proximal / np.linalg.norm(proximal)

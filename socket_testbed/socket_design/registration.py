@@ -164,7 +164,7 @@ def register_landmarks(
     Args:
         known: Landmarks in the frame to register, shape (k, 3) [m].
         measured: The same landmarks in another frame, shape (k, 3) [m].
-        names: Names of the k landmarks.
+        names: Their names.
         noise: Least 1-sigma error of a coordinate of a landmark [m].
     """
     if len(names) < _FEWEST:
@@ -240,13 +240,10 @@ class StillMarkers:
 def average_still(
     names: Sequence[str], positions: FloatArray, fits: BoolArray, where: str
 ) -> StillMarkers:
-    """Average markers over a take in which they stand still.
+    """Average k markers over a take of N frames in which they stand still.
 
-    Args:
-        names: Names of the k markers.
-        positions: Their positions over N frames, shape (N, k, 3) [m]; NaN where occluded.
-        fits: Frames whose markers fit in some order of their labels, shape (N,).
-        where: What names the body in an error.
+    Their positions, shape (N, k, 3) [m], are NaN where occluded; `fits` are the frames whose
+    markers fit in some order of their labels, shape (N,). `where` names the body in an error.
     """
     occluded = np.isnan(positions).any(axis=2).sum(axis=0)
     seen = np.isfinite(positions).all(axis=(1, 2))
@@ -434,14 +431,10 @@ class Registration:
 def register_take(
     take: MotiveTake, sides: tuple[Side, Side], geometry: SocketGeometry, force: bool = False
 ) -> Registration:
-    """Register a socket's marker bodies and its limb.
+    """Register a socket's marker bodies and its limb with a static take that shows all landmarks.
 
-    Args:
-        take: A static take that shows both bodies and all landmarks.
-        sides: Which marker is what, of the socket and of the limb.
-        geometry: The socket, whose tiles stay.
-        force: Accept landmarks whose residual is above `MOST_RESIDUAL`, or that put the limb
-            outside the socket.
+    The socket's tiles stay. `force` accepts landmarks whose residual is above `MOST_RESIDUAL`, or
+    that put the limb outside the socket.
     """
     socket, pylon = (_register_body(take, side, force) for side in sides)
     limb_in_cell = socket.landmarks.pose.inverse() @ pylon.landmarks.pose

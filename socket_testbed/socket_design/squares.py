@@ -123,13 +123,7 @@ class SurfacePoints:
 
 
 def spread_points(mesh: trimesh.Trimesh, spacing: float, rng: np.random.Generator) -> SurfacePoints:
-    """Spread points over a surface: about one in each square of the spacing.
-
-    Args:
-        mesh: The surface [m].
-        spacing: About the distance of neighbouring points [m].
-        rng: Source of the positions.
-    """
+    """Spread points over a surface at random: about one in each square of a spacing [m]."""
     count = int(np.ceil(_DRAWN * mesh.area / spacing**2))
     drawn, face = trimesh.sample.sample_surface(mesh, count, seed=rng)
     # Of the points in each cell of a cubic grid, the one closest to the cell's centre.
@@ -334,12 +328,7 @@ def roughly_fit(squares: Squares, surroundings: Surroundings, flatness: float) -
     """Which squares fit the surface as far as its points can show, shape (m,).
 
     A square fits if all of it lies on the surface: no rim inside, the surface nowhere
-    farther from its plane than the flatness, nor folded away from it.
-
-    Args:
-        squares: The squares.
-        surroundings: The surface.
-        flatness: Largest distance of the surface from a square's plane [m].
+    farther from its plane than the flatness [m], nor folded away from it.
     """
     points, half = surroundings.points, 0.5 * squares.edge
     reach = float(np.hypot(np.sqrt(2.0) * half, flatness))

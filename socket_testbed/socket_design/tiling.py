@@ -278,15 +278,11 @@ def tile_interior(
     progress: Callable[[int, int], None] | None = None,
     clusters: Sequence[ClusterPlace] = (),
 ) -> Tiling:
-    """Tile the interior of a socket, around the clusters that are glued in.
+    """Tile the interior of a socket, around the clusters that are glued in at places in {S}.
 
-    Args:
-        mesh: The interior, its normals towards the limb [m].
-        proximal: Direction towards the proximal end, shape (3,) [-].
-        anterior: Direction of x where no tangent is proximal, shape (3,) [-].
-        settings: The settings.
-        progress: Called with the rounds done and their number.
-        clusters: Where the clusters are in {S}.
+    The mesh has its normals towards the limb [m]. Tiles have x towards proximal, (3,) [-], or
+    towards anterior where no tangent is proximal. `progress` is called with the rounds done and
+    their number.
     """
     rng = np.random.default_rng(settings.seed)
     points = spread_points(mesh, _POINTS * settings.edge, rng)

@@ -61,15 +61,12 @@ class RawMessage:
 
 
 class BagReader:
-    """A bag, read message by message in the order of the recording; a context manager.
+    """A bag, its folder or one storage file, read in the order of the recording; a context manager.
 
     Of a recording that was cut short or damaged every sound chunk is read. From its entry on, the
     `notes` say so, and what else the user should know of the bag, one line each. A TrialError is
     raised on entry if it is missing, unreadable, holds other counts than its metadata lists, or was
     cut short before its first complete chunk.
-
-    Args:
-        path: Folder of the bag, or one storage file.
     """
 
     def __init__(self, path: Path) -> None:

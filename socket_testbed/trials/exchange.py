@@ -25,12 +25,11 @@ from mcap.writer import Writer
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import atomic_output, write_text
-from socket_testbed.samples import WRENCH_CHANNELS, Samples, moments_about
+from socket_testbed.samples import WRENCH_CHANNELS, moments_about
 from socket_testbed.tables import split_unit
 from socket_testbed.trials.bag import required_topics
 from socket_testbed.trials.layout import typestore
-from socket_testbed.trials.messages import Reader
-from socket_testbed.trials.synchronise import Measurements
+from socket_testbed.trials.synchronise import Measurements, marker_count, read_measurements
 from socket_testbed.trials.topics import MARKERS
 from socket_testbed.trials.trial import Trial
 
@@ -63,7 +62,7 @@ def write_gait_file(
         table = pd.DataFrame(loads, columns=_LOADS, index=time)
         write_text(path, _storage(table))
         return table
-    labels, points = _markers(trial, samples)
+    labels, points = _markers(trial)
     columns = [f"{label}_{axis}" for label in labels for axis in "xyz"]
     table = pd.DataFrame(points[rows].reshape(len(time), -1), columns=columns, index=time)
     if suffix == ".trc":
@@ -113,27 +112,19 @@ def _topic_name(title: str) -> str:
     return "/" + f"{name.replace('.', '/')}_{unit}".strip("_")
 
 
-def _markers(trial: Trial, samples: Samples) -> tuple[list[str], FloatArray]:
+def _markers(trial: Trial) -> tuple[list[str], FloatArray]:
     """Names of the m markers, and where they were at every sample, shape (N, m, 3) [mm]."""
-    found: dict[int, dict[str, FloatArray]] = {}
     with trial.open() as bag:
-        topic = required_topics(bag).get(MARKERS)
-        if topic is None:
-            raise TrialError(f"{trial.path}: has no markers", "export the wrench as .mot")
-        reader = Reader(MARKERS)
-        for raw in bag.messages([topic]):
-            stamp, bodies = reader.read(raw.data)
-            found[stamp] = {
-                f"{body}_{number}": place
-                for body, places in bodies
-                for number, place in enumerate(places, start=1)
-            }
-    labels = list(dict.fromkeys(label for markers in found.values() for label in markers))
-    points = np.full((len(samples), len(labels), 3), np.nan)
-    for row, stamp in enumerate(samples.stamps.tolist()):
-        for label, place in found.get(stamp, {}).items():
-            points[row, labels.index(label)] = 1e3 * place
-    return labels, points
+        more = [MARKERS] if bag.counts.get(required_topics(bag).get(MARKERS, "")) else []
+        bodies = read_measurements(bag, lambda note: None, more=more).markers
+    found = {
+        f"{body}_{number}": 1e3 * seen[:, number - 1]
+        for body, seen in bodies.items()
+        for number in range(1, marker_count(seen) + 1)
+    }
+    if not found:
+        raise TrialError(f"{trial.path}: has no markers", "export the wrench as .mot")
+    return list(found), np.stack([*found.values()], axis=1)
 
 
 def _rate(table: pd.DataFrame) -> float:

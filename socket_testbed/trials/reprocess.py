@@ -17,7 +17,7 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.settings.testbed import read_testbed
-from socket_testbed.trials.synchronise import Measurements, parse_span
+from socket_testbed.trials.synchronise import Measurements, marker_count, parse_span
 
 RECORDED, NO_TARE = "recorded", "none"
 _SAME_MARKER = 1e-6  # [m]
@@ -51,15 +51,9 @@ def remake_wrenches(
     """Wrenches by another load cell's settings, or with another tare.
 
     The ratios are those of the voltages that were measured: by the given settings they have other
-    signs, gains, excitation or inputs. The converter's own gain was set in it, and stays.
-
-    Args:
-        measured: The measurements, with ratios and tares.
-        recorded: Settings with which they were recorded; without a matrix if the trial has none.
-        given: Settings to use instead, if any.
-        tare: As of a `Trial`.
-        where: Name of the trial in an error.
-        notify: Called with the tare that is used.
+    signs, gains, excitation or inputs. The converter's own gain was set in it, and stays. The
+    recorded settings have no matrix if the trial stores none. The tare is as of a `Trial`; the one
+    in use is notified. `where` names the trial in an error.
     """
     offsets = measured.tares
     wrenches = measured.wrench + offsets
@@ -144,7 +138,7 @@ def refit_poses(
     for body in bodies:
         reference = getattr(geometry, f"{body}_markers")
         seen = measured.markers.get(body, np.full((len(measured.stamps), *reference.shape), np.nan))
-        count = int(np.flatnonzero(np.isfinite(seen).any(axis=(0, 2))).max(initial=-1)) + 1
+        count = marker_count(seen)
         if count > len(reference):
             raise TrialError(
                 f"{where}: {count} markers of the {body} were recorded, and the geometry has"

@@ -266,15 +266,10 @@ def _times(count: int) -> str:
 
 
 def cycle_spans(events: Sequence[Event], by: str = PLACED) -> list[tuple[float, float]]:
-    """Starts and ends of the cycles that events delimit.
+    """Starts and ends of the cycles that events delimit, since the first sample [s].
 
-    Args:
-        events: The events in the order of their times.
-        by: A label: cycles run from each such event to the next. Or two, `A:B`: from each A to the
-            next B, if no other A is between.
-
-    Returns:
-        Seconds since the first sample, in their order.
+    By a label, cycles run from each such event to the next; by two, `A:B`, from each A to the next
+    B, if no other A is between.
     """
     start, _, end = (part.strip() for part in by.partition(":"))
     end = end or start

@@ -162,6 +162,11 @@ def read_measurements(
     )
 
 
+def marker_count(seen: FloatArray) -> int:
+    """How many markers a body has, by those that were ever seen, of shape (N, k, 3)."""
+    return int(np.flatnonzero(np.isfinite(seen).any(axis=(0, 2))).max(initial=-1)) + 1
+
+
 def _read_series(
     bag: BagReader, topics: dict[str, Topic], duration: float
 ) -> dict[tuple[Topic, str], _Columns]:
@@ -339,10 +344,8 @@ def make_samples(
     measured: Measurements, calibration: Calibration, geometry: SocketGeometry
 ) -> Samples:
     """Samples from the corrected measurements of a trial, whose clusters both others know."""
-    count, width = len(measured.stamps), len(measured.clusters)
-    position, rotation = np.empty((count, 3)), np.empty((count, 3))
-    forces, status = np.empty((count, width, 3)), np.empty((count, width), dtype=np.uint8)
-    for start in range(0, count, _AT_ONCE):
+    position, rotation = np.empty((2, len(measured.stamps), 3))
+    for start in range(0, len(position), _AT_ONCE):
         rows = slice(start, start + _AT_ONCE)
         socket, pylon = (
             Pose.from_quaternion(pose[rows, :3], pose[rows, 3:])
@@ -350,11 +353,13 @@ def make_samples(
         )
         limb = geometry.limb_pose(socket, pylon)
         position[rows], rotation[rows] = limb.translation, limb.rotation_vector()
-        for column, name in enumerate(measured.clusters):
-            stress, status[rows, column] = calibration.clusters[name].apply(
-                measured.capacitance[rows, column], measured.status[rows, column]
-            )
-            forces[rows, column] = geometry.cluster_force(name, stress)
+    status = np.empty(measured.status.shape[:2], dtype=np.uint8)
+    forces = np.empty((*status.shape, 3))
+    for column, name in enumerate(measured.clusters):
+        stress, status[:, column] = calibration.clusters[name].apply(
+            measured.capacitance[:, column], measured.status[:, column]
+        )
+        forces[:, column] = geometry.cluster_force(name, stress)
     return Samples(
         stamps=measured.stamps,
         position=position,
@@ -376,20 +381,14 @@ def sample_table(
     segment: Segment,
     predicted: FloatArray | None = None,
 ) -> pd.DataFrame:
-    """Some samples of a trial as a table, with what the clusters' forces were computed from.
+    """The samples of a segment as a table, with what the clusters' forces were computed from.
 
-    Args:
-        measured: All that was measured, corrected for drift.
-        samples: All samples made of it.
-        calibration: Calibration of the clusters.
-        segment: Which of them are wanted.
-        predicted: What a model predicts for all samples, added as `predicted.*`.
-
-    Returns:
-        A row per sample, with the units in the titles: stamp [ns], time since the trial's first
-        sample [s], wrench and the limb's pose in {S}; for each cluster its capacitances by the
-        converter's input [pF], its status (0 ok, 1 saturated, 2 missing, 3 out of the calibrated
-        range), its stress along its own axes [Pa] and force in {L} [N]. NaN where there is none.
+    It is made of all that was measured, corrected for drift, all samples, and what a model predicts
+    for all of them, (N, 6 + 3c), shown as `predicted.*`. A row per sample, with the units in the
+    titles: stamp [ns], time since the trial's first sample [s], wrench and the limb's pose in {S};
+    for each cluster its capacitances by the converter's input [pF], its status (0 ok, 1 saturated,
+    2 missing, 3 out of the calibrated range), its stress along its own axes [Pa] and force in {L}
+    [N]. NaN where there is none.
     """
     import pandas as pd
 

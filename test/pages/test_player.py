@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import http.client
 import json
 from pathlib import Path
-from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from support import HANGS
 from support.bags import add_events, rewrite
 from support.wording import refused
 
@@ -41,15 +38,9 @@ def test_an_instant_is_that_of_the_verbs(hold: Path, hold_model: Path) -> None:
         np.testing.assert_allclose(shown["wrench"], wrenches, atol=5.1e-3)
     span = Segment("span", time, time, slice(row, row + 1))
     found = st.pressure(trial, span).regions
-    peak, elsewhere, data = shown["cards"]
-    for card, region in ((peak, "socket"), (elsewhere, "unmeasured wall")):
-        row = found.loc[region]
-        low, high = (row[f"peak pressure {end} [kPa]"] for end in ("low", "high"))
-        assert card["value"] == f"{row['peak pressure [kPa]']:.1f} kPa"
-        assert card["interval"] == f"{low:.1f} to {high:.1f}"
+    (peak, _, data), bars = shown["cards"], shown["bars"]
+    assert peak["value"] == f"{found.loc['socket', 'peak pressure [kPa]']:.1f} kPa"
     assert "measured by" in peak["words"] and data["value"] == "good"
-    bars = shown["bars"]
-    assert bars["regions"][-1] == "socket" and "anterior proximal" not in bars["regions"]
     for title, rows in bars["values"].items():
         values = [row[0] for row in rows]
         np.testing.assert_allclose(values, found.loc[bars["regions"], title], atol=0.051)
@@ -76,14 +67,3 @@ def test_events_are_marks_and_nothing_is_shown_in_a_gap(hold: Path, tmp_path: Pa
     assert "pressure" in played.now(20.0)["moment"]
     with refused(TestbedError, "cannot tare", "running testbed"):
         played.act("tare", {})
-
-
-def test_a_trial_s_page_may_be_called_by_further_names(hold: Path) -> None:
-    with st.view(st.open_trial(hold), names=("lab-pi",)) as page:
-        assert page.url in repr(page)
-        address = urlsplit(page.url)
-        for name, status in (("lab-pi", 200), ("elsewhere", 403)):
-            connection = http.client.HTTPConnection("127.0.0.1", address.port, timeout=HANGS)
-            connection.request("GET", "/start", headers={"Host": f"{name}:{address.port}"})
-            assert connection.getresponse().status == status
-            connection.close()

@@ -76,9 +76,7 @@ def test_requests_of_other_sites_are_refused(server: PageServer) -> None:
     own = "127.0.0.1:{port}"
     for headers in (
         {"Host": "attacker.example:{port}"},  # a name that was made to point to this machine
-        {"Host": "attacker.example"},
         {"Host": "127.0.0.1"},  # another port
-        {"Host": "127.0.0.1:1"},
         {"Host": "10.1.2.3:{port}"},  # it did not arrive there
         {"Host": own, "Origin": "http://attacker.example"},
         {"Host": own, "Origin": "http://127.0.0.1:1"},  # another program's page

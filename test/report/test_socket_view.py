@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 import dataclasses
-import gzip
 import json
 
 import numpy as np
@@ -60,15 +58,10 @@ def test_a_page_shows_tiles_and_surface_loads_nothing_and_its_names_are_no_marku
         neighbours=np.zeros((0, 2), dtype=np.int64),
     )
     mesh = sphere(3)
-    for surface in (sphere(6), mesh):
-        write_socket_page(surface, alone, path, NASTY, facts)
-        assert path.stat().st_size < 4e6 and [p.name for p in tmp_path.iterdir()] == [path.name]
+    write_socket_page(mesh, alone, path, NASTY, facts)
     text = path.read_text(encoding="utf-8")
     page = Page(text)
     assert not page.attributes("src", "href", "srcset", "data") and NASTY not in text
-    viewer = gzip.decompress(base64.b64decode(page.script("viewer"))).decode()
-    # The viewer's own buttons hold one that sends the chart to somebody.
-    assert viewer.count("plotly.js v") == 1 and "displayModeBar: false" in text
     assert page.said["title"] == page.said["h1"] == [NASTY]
     assert page.tables["facts"][1:] == [[NASTY, "1 < 2"], ["tiles", NASTY]]
     shown = json.loads(page.script("page-data"))

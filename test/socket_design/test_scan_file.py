@@ -16,6 +16,7 @@ from support.meshes import (
     with_faces,
     write_stl,
 )
+from support.wording import refused
 
 from socket_testbed.errors import ScanError
 from socket_testbed.socket_design.interior import find_interior
@@ -88,21 +89,19 @@ def test_a_unit_is_given_or_inferred_in_m_and_mm_alone(path):
 
 
 def test_a_unit_that_the_file_states_is_taken(cone, tmp_path):
-    stated = {
-        "a.stl": write_stl(cone, tmp_path / "a.stl", "cm", b"scanner X; units: cm"),
-        "a.obj": export(scaled(cone, 0.1), tmp_path / "a.obj", header="File units = centimeters"),
-    }
+    stl = write_stl(cone, tmp_path / "a.stl", "cm", b"scanner X; units: cm")
+    obj = export(scaled(cone, 0.1), tmp_path / "a.obj", header="File units = centimeters")
     ply = export(scaled(cone, 0.1), tmp_path / "a.ply")
     ply.write_bytes(ply.read_bytes().replace(b"\nelement", b"\ncomment unit cm\nelement", 1))
-    for file in (*stated.values(), ply):
+    for file in (stl, obj, ply):
         scan = read_scan(file)
         assert_same_surface(scan.mesh, cone)
         assert (scan.unit, scan.unit_source) == ("cm", "stated")
-    scan = read_scan(write_stl(cone, tmp_path / "a.stl", "mm", b"units: cm"), unit="mm")
+    scan = read_scan(write_stl(cone, stl, "mm", b"units: cm"), unit="mm")
     assert_same_surface(scan.mesh, cone)
     assert noted(scan, "states the unit cm")
-    with pytest.raises(ScanError, match="unknown"):
-        read_scan(tmp_path / "a.stl", unit="furlong")
+    with refused(ScanError, "unknown"):
+        read_scan(stl, unit="furlong")
 
 
 def test_of_two_bodies_one_must_be_chosen_by_its_number(cone, path):
@@ -131,26 +130,15 @@ def test_the_bodies_of_an_obj_go_by_the_names_of_objects_or_else_of_groups(cone,
             assert scan.body == name
 
 
-def binary(count: int, faces: int = 0) -> bytes:
-    return bytes(80) + struct.pack("<I", count) + bytes(50 * faces)
-
-
 PLY = b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
 PLY += b"property float z\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n"
-FACET = (
-    b"facet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
-)
 
 TRIANGLE = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf "
 BAD = {
     "no such.stl": (None, "cannot be read (No such file"),
     "kind.step": (b"ISO-10303-21;", "'.step' is not a supported scan format"),
-    "cut.stl": (binary(100, 60), "is not a valid STL file"),
+    "cut.stl": (bytes(80) + struct.pack("<I", 100) + bytes(3000), "is not a valid STL file"),
     "words.stl": (b"Dear prosthetist,\nthe scan is attached.\n" * 9, "is not a valid STL file"),
-    "text odd.stl": (
-        b"solid a\n" + FACET.replace(b"1 0 0", b"1 x 0") + b"endsolid a",
-        "is not a valid STL file",
-    ),
     "cut.ply": (PLY + b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", "fewer lines than elements"),
     "far.obj": (TRIANGLE + b"1 2 4\n", "not a valid OBJ"),
     "back.obj": (TRIANGLE + b"-1 -2 -3\n", "line 4 is not a vertex"),  # trimesh counts otherwise
@@ -160,16 +148,12 @@ BAD = {
 
 
 def test_bad_files_are_refused_in_one_line_that_names_them(tmp_path, capfd, caplog):
-    (tmp_path / "folder.stl").mkdir()
-    for name, (content, words) in (BAD | {"folder.stl": (None, "cannot be read")}).items():
+    for name, (content, words) in BAD.items():
         if content is not None:
             (tmp_path / name).write_bytes(content)
-        with pytest.raises(ScanError) as caught:
+        with refused(ScanError, words, name):
             read_scan(tmp_path / name)
-        assert words in str(caught.value) and name in str(caught.value), name
-        assert caught.value.hint
-    assert capfd.readouterr() == ("", "")
-    assert not caplog.records
+    assert capfd.readouterr() == ("", "") and not caplog.records
 
 
 def test_the_bodies_of_a_real_file(shared_data):
@@ -184,8 +168,11 @@ def test_the_bodies_of_a_real_file(shared_data):
 # --- repairs: each undoes a known damage and is reported
 
 
-def test_specks_doubles_and_empty_faces_are_removed_and_reported(cone, path):
+def test_specks_doubles_and_empty_faces_are_removed_and_reported_and_vertices_welded(cone, path):
     specks = [shifted(trimesh.creation.icosphere(1, 0.001), 0.2 + 0.01 * i) for i in range(3)]
+    hair = np.random.default_rng(1).uniform(-2e-8, 2e-8, (cone.faces.size, 3))
+    corners = np.arange(cone.faces.size).reshape(-1, 3)
+    loose = trimesh.Trimesh(cone.triangles.reshape(-1, 3) + hair, corners, process=False)
     twice = np.vstack([cone.faces[:7], cone.faces[5:15, ::-1], np.roll(cone.faces[20:22], 1, 1)])
     points = np.column_stack([cone.faces[:9, 0], cone.faces[:9, 0], cone.faces[:9, 1]])
     a, b = cone.faces[200][:2]
@@ -196,6 +183,7 @@ def test_specks_doubles_and_empty_faces_are_removed_and_reported(cone, path):
         (with_faces(cone, np.vstack([cone.faces, twice])), "removed 19 duplicate faces"),
         (with_faces(cone, np.vstack([points, cone.faces])), "removed 9 faces without area"),
         (trimesh.Trimesh(vertices, fin, process=False), "dropped 1 faces"),
+        (loose, "inferred unit mm"),  # vertices a hair apart are welded
     ):
         scan = read_scan(write_stl(scanned, path))
         assert_same_surface(scan.mesh, cone)
@@ -206,15 +194,6 @@ def test_specks_doubles_and_empty_faces_are_removed_and_reported(cone, path):
     gone = int((cone.faces == 50).any(axis=1).sum())
     assert np.isfinite(scan.mesh.vertices).all()
     assert noted(scan, f"removed {gone} faces with a corner that is not finite")
-
-
-def test_vertices_a_hair_apart_are_welded(cone, path):
-    rng = np.random.default_rng(1)
-    corners = cone.vertices[cone.faces] + rng.uniform(-2e-8, 2e-8, (len(cone.faces), 3, 3))
-    loose = trimesh.Trimesh(
-        corners.reshape(-1, 3), np.arange(3 * len(cone.faces)).reshape(-1, 3), process=False
-    )
-    assert_same_surface(read_scan(write_stl(loose, path)).mesh, cone)
 
 
 def test_the_winding_is_made_consistent_with_the_fewest_turns(path):
@@ -255,8 +234,6 @@ def test_small_holes_are_closed_by_fans_and_a_large_one_through_both_walls_is_le
     assert noted(scan, "small holes closed: 1, ")
     assert noted(scan, "edges of the surface left open: 2, ")
     vertex = np.argmin(np.linalg.norm(solid.vertices - [-0.05, 0.0, 0.1], axis=1))
-    for holed in (np.arange(len(solid.faces)) != small, (solid.faces != vertex).all(axis=1)):
-        scan = read_scan(write_stl(with_faces(solid, holed), path))
-        assert noted(scan, "small holes closed: 1, ")
-        assert scan.mesh.is_watertight and scan.mesh.is_winding_consistent
-        assert_same_surface(scan.mesh, solid)
+    scan = read_scan(write_stl(with_faces(solid, (solid.faces != vertex).all(axis=1)), path))
+    assert noted(scan, "small holes closed: 1, ") and scan.mesh.is_watertight
+    assert_same_surface(scan.mesh, solid)

@@ -76,6 +76,8 @@ def test_tiles_share_nothing_and_keep_the_contract(name: str) -> None:
     mesh, tiling = SURFACES[name], tiling_of(name)
     check_tiles(mesh, tiling)
     anchors, frames = tiling.squares.anchors, tiling.squares.rotations
+    if name == "dome":  # the same seed gives the same tiles
+        np.testing.assert_array_equal(tile(mesh).squares.anchors, anchors)
     assert np.abs(np.swapaxes(frames, 1, 2) @ frames - np.eye(3)).max() < 1e-9
     assert np.allclose(np.linalg.det(frames), 1.0)
     x, z = frames[:, :, 0], frames[:, :, 2]

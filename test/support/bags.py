@@ -40,10 +40,7 @@ def rewrite(source: Path, target: Path, change: Callable[[str, Any], Any]) -> Pa
 
 def move_to_namespace(source: Path, target: Path, namespace: str) -> Path:
     """Copy a trial as if its graph had run in a namespace."""
-    with copying(source, target, namespace) as (old, new):
-        for raw in old.messages():
-            new.write(namespace + raw.topic, raw.time, raw.data)
-    return target
+    return add_events(source, target, [], namespace).path
 
 
 def written_by_rosbags(
@@ -51,22 +48,19 @@ def written_by_rosbags(
     target: Path,
     storage: StoragePlugin = StoragePlugin.MCAP,
     mode: CompressionMode = CompressionMode.NONE,
-    chunk: int | None = None,
 ) -> Path:
-    """A bag by another writer; MCAP chunks end after so many messages."""
+    """A bag by another writer."""
     writer = Writer(target, version=9, storage_plugin=storage)
     if mode is not CompressionMode.NONE:
         writer.set_compression(mode, CompressionFormat.ZSTD)
     connections: dict[str, Any] = {}
     with writer:
-        for number, raw in enumerate(messages, 1):
+        for raw in messages:
             if raw.topic not in connections:
                 connections[raw.topic] = writer.add_connection(
                     raw.topic, raw.type, typestore=typestore()
                 )
             writer.write(connections[raw.topic], raw.time, raw.data)
-            if chunk is not None and number % chunk == 0:
-                writer.storage.close_chunk()
     return target
 
 

@@ -46,36 +46,27 @@ class Written:
 def cells_of(take: Written) -> tuple[list[tuple[str, str, str, str]], np.ndarray]:
     """Titles (type, name, property, axis) and numbers of the columns behind the time."""
     titles, columns, scale = [], [], UNITS[take.unit]
-    error = "Error Per Marker" if take.version in {"1.2", "1.20", "1.21"} else "Mean Marker Error"
     for name, pose in take.bodies.items():
         titles += [("Rigid Body", name, "Rotation", axis) for axis in "XYZW"]
         titles += [("Rigid Body", name, "Position", axis) for axis in "XYZ"]
-        titles.append(("Rigid Body", name, error, ""))
-        columns += [*pose.quaternion().T, *(pose.translation / scale).T]
-        columns.append(np.full(len(take), 5e-5 / scale))
+        titles.append(("Rigid Body", name, "Mean Marker Error", ""))
+        columns += [*pose.quaternion().T, *(pose.translation / scale).T, np.zeros(len(take))]
     for kind, markers in (("Rigid Body Marker", take.solved), ("Marker", take.markers)):
         for name, positions in markers.items():
             titles += [(kind, name, "Position", axis) for axis in "XYZ"]
             columns += [*(positions / scale).T]
-            if kind == "Rigid Body Marker":
-                titles.append((kind, name, "Marker Quality", ""))
-                columns.append(np.full(len(take), 0.99))
     return titles, np.array(columns).T
 
 
 def motive_lines(take: Written) -> list[str]:
     """The lines of an export: the header and blank line, the rows of names, the frames."""
     titles, table = cells_of(take)
-    header = {
-        "Format Version": take.version,
-        "Take Name": "Take 2024-05-05 03.49.50 PM",
-        "Capture Frame Rate": f"{RATE:.6f}",
-        "Export Frame Rate": f"{RATE:.6f}",
-        "Total Exported Frames": str(len(take)),
-        "Rotation Type": "Quaternion",
-        "Length Units": take.unit,
-        "Coordinate Space": "Global",
-    }
+    header = (
+        f"Format Version,{take.version},Take Name,Take 2024-05-05 03.49.50 PM"
+        f",Capture Frame Rate,{RATE:.6f},Export Frame Rate,{RATE:.6f}"
+        f",Total Exported Frames,{len(take)},Rotation Type,Quaternion"
+        f",Length Units,{take.unit},Coordinate Space,Global"
+    )
     kinds, names, meanings, axes = (list(row) for row in zip(*titles, strict=True))
     ids = [f'"{sum(map(ord, name)):08X}"' for name in names]
     named = float(take.version) > 1.22
@@ -87,8 +78,7 @@ def motive_lines(take: Written) -> list[str]:
     for frame, numbers in enumerate(table):
         cells = [f"{value:.6f}" if np.isfinite(value) else "" for value in numbers]
         rows.append([str(frame), f"{frame / RATE:.6f}", *cells])
-    first = ",".join(f"{key},{value}" for key, value in header.items())
-    return [first, "", *(",".join(row) for row in rows)]
+    return [header, "", *(",".join(row) for row in rows)]
 
 
 def write_take(take: Written, path: Path, newline: str = "\r\n", bom: bool = False) -> Path:
@@ -128,15 +118,12 @@ def make_bench(
     limb_in_cell = Pose(np.eye(3), IN_SOCKET) @ random_pose(scene, 0.01)
     socket_in_cell, pylon_in_limb = random_pose(scene, 0.15), random_pose(scene, 0.2)
     limb_in_world = cell_in_world @ limb_in_cell
-    places = {
-        **dict(
-            zip(SOCKET_NAMES, (cell_in_world @ socket_in_cell).apply(SOCKET_TRIAD), strict=True)
-        ),
-        **dict(zip(PYLON_NAMES, (limb_in_world @ pylon_in_limb).apply(PYLON_TRIAD), strict=True)),
-    }
+    socket = (cell_in_world @ socket_in_cell).apply(SOCKET_TRIAD)
+    pylon = (limb_in_world @ pylon_in_limb).apply(PYLON_TRIAD)
+    places = dict(zip(SOCKET_NAMES + PYLON_NAMES, [*socket, *pylon], strict=True))
     known = {}
     for group, frame, points in (("Cell", cell_in_world, CELL), ("Limb", limb_in_world, LIMB)):
-        known[group] = {f"{group}:{i}": point for i, point in enumerate(points[:landmarks])}
+        known[group] = {f"{group}:{i}": p for i, p in enumerate(points[:landmarks].tolist())}
         for name, point in known[group].items():
             places[name] = frame.apply(point + rng.normal(0.0, placement, 3))
     markers = {name: place + rng.normal(0.0, noise, (frames, 3)) for name, place in places.items()}
@@ -151,8 +138,8 @@ def make_bench(
         take=Written(markers, **changes),
         document={
             "bodies": {"socket": list(SOCKET_NAMES), "pylon": list(PYLON_NAMES)},
-            "load_cell": {name: point.tolist() for name, point in known["Cell"].items()},
-            "limb": {name: point.tolist() for name, point in known["Limb"].items()},
+            "load_cell": known["Cell"],
+            "limb": known["Limb"],
         },
     )
 

@@ -17,17 +17,12 @@ _DISTAL_HEIGHT = 0.080  # [m]; of the distal end above the load cell
 _DISTAL_RADIUS = 0.046  # [m]; of the wall at the distal end
 _SIN, _COS = math.sin(math.radians(6.0)), math.cos(math.radians(6.0))  # of the taper
 _REACH = 0.047  # [m]; largest distance between neighbours
-# Directions from the axis and rings of the tiles with a cluster.
-_CLUSTERS = {
-    "brim_lateral": ((0, 1), 5),
-    "mid_anterior": ((1, 0), 3),
-    "posterior_distal": ((-1, 0), 0),
-}
+_CLUSTERS = {"brim_lateral": 53, "mid_anterior": 28, "posterior_distal": 4, "distal": 62}
 
 
 def ring_socket() -> SocketGeometry:
     """A right circular cone, open at the top, standing on the load cell; x is anterior."""
-    names, places, frames, rings = [], [], [], []
+    names, places, frames = [], [], []
     for ring in range(_RINGS):
         along = (ring + 0.75) * _PITCH
         radius = _DISTAL_RADIUS + along * _SIN
@@ -40,19 +35,12 @@ def ring_socket() -> SocketGeometry:
             names.append(f"ring{ring + 1}_{place + 1:02d}")
             places.append(radius * outward + [0.0, 0.0, _DISTAL_HEIGHT + along * _COS])
             frames.append(np.column_stack([proximal, np.cross(inward, proximal), inward]))
-            rings.append(ring)
     for place, (x, y) in enumerate([(0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)]):
         names.append(f"end_{place + 1}")
         places.append(np.array([x * _PITCH, y * _PITCH, _DISTAL_HEIGHT]))
         frames.append(np.eye(3))  # on the end no tangent is proximal: x is anterior
-        rings.append(_RINGS)
     anchors, rotations = np.array(places), np.array(frames)
-    clusters = {
-        name: int(np.argmax(np.where(np.array(rings) == ring, anchors[:, :2] @ facing, -np.inf)))
-        for name, (facing, ring) in _CLUSTERS.items()
-    }
-    clusters["distal"] = names.index("end_1")
-    for cluster, tile in clusters.items():
+    for cluster, tile in _CLUSTERS.items():
         names[tile] = cluster
     near = np.linalg.norm(anchors[:, None] - anchors, axis=2) < _REACH
     alike = rotations[:, :, 2] @ rotations[:, :, 2].T > -0.2
@@ -63,7 +51,7 @@ def ring_socket() -> SocketGeometry:
         rotations=rotations,
         areas=np.full(len(names), _TILE**2),
         neighbours=np.argwhere(np.triu(near & alike, 1)),
-        clusters=clusters,
+        clusters=_CLUSTERS,
         socket_markers=np.array([[0.0, 0.0, 0.0], [0.090, 0.0, 0.0], [0.025, 0.050, 0.0]]),
         pylon_markers=np.array([[0.0, 0.0, 0.0], [0.110, 0.0, 0.010], [0.040, 0.075, 0.0]]),
         socket_body=Pose(turns[0], np.array([0.080, -0.030, 0.150])),

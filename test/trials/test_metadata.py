@@ -35,8 +35,7 @@ def test_all_fields_and_any_text_come_back_as_they_were(tmp_path: Path) -> None:
     values = ("S01", "right", "PTB 3", "sock", 82.5, "KL", "hold", "new foot")
     stated = TrialMetadata(*values)
     assert (*stated.columns().values(),) == values and len(FIELDS) == len(values)
-    texts = ("S01", "007", "1e3", "yes", "null", "2026-01-01")
-    texts += ("a: b # c", "\"'\\", "ü 日本 🦿", "-")
+    texts = ("007", "1e3", "yes", "null", "2026-01-01", "a: b # c", "\"'\\", "ü 日本 🦿", "-")
     for given in (stated, *(TrialMetadata(socket=text, notes=text) for text in texts)):
         write_metadata(given, tmp_path / METADATA_FILE)
         assert read_metadata(tmp_path / METADATA_FILE) == given
@@ -50,7 +49,6 @@ WRONG = [
     ({"operator": "K L"}, "initials"),
     ({"liner": "  "}, "liner is empty"),
     ({"notes": "bell\a"}, "control character"),
-    ({"notes": "\udcff"}, "control character"),
     ({"protocol": "x" * 81}, "81 characters"),
 ]
 
@@ -102,8 +100,6 @@ def test_annotate_adds_changes_removes_and_leaves_the_bag_alone(folder: Path, ca
 
 def test_info_shows_what_is_stated(hold: Path, tmp_path: Path, capsys: Any) -> None:
     trial = Path(shutil.copytree(hold, tmp_path / "a"))
-    write_metadata(TrialMetadata("S07", mass=81.5), trial / METADATA_FILE)
-    shown = verb(capsys, "info", trial)[1]
-    assert "S07" in shown and "81.5 kg" in shown
-    (trial / METADATA_FILE).write_text("side: lft")
-    assert "note: the metadata are left out" in verb(capsys, "info", trial)[1]
+    for text, shown in (("mass: 81.5", "81.5 kg"), ("side: l", "note: the metadata are left out")):
+        (trial / METADATA_FILE).write_text(text)
+        assert shown in verb(capsys, "info", trial)[1]

@@ -1,4 +1,4 @@
-"""Trials recorded with a wrong load cell, tare or marker model, and repaired when they are read."""
+"""Trials recorded with a wrong load cell, tare or marker model, or drift: repaired when read."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from support.verbs import call
 from support.wording import refused
 
 import socket_testbed as st
-from socket_testbed.errors import TestbedError, TrialError
+from socket_testbed.errors import CalibrationError, ConfigurationError, TestbedError, TrialError
 from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, read_socket, write_socket
@@ -25,7 +25,12 @@ from socket_testbed.settings.testbed import TestbedSettings, read_testbed, write
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.layout import decode, stamp_of
 from socket_testbed.trials.messages import load_cell_raw_packer, pose_packer, wrench_packer
-from socket_testbed.trials.synchronise import Measurements, read_measurements
+from socket_testbed.trials.synchronise import (
+    Measurements,
+    correct_measurements,
+    parse_unloaded,
+    read_measurements,
+)
 from socket_testbed.trials.topics import LOAD_CELL_RAW, MARKERS
 from socket_testbed.trials.trial import Trial
 
@@ -83,6 +88,13 @@ def miswired(hold: Path, right: LoadCellSettings, tmp_path_factory: pytest.TempP
     return path
 
 
+def bare(trial: Path, path: Path, name: str = "testbed.yaml") -> Path:
+    """A copy of a trial without one of its files."""
+    shutil.copytree(trial, path)
+    (path / name).unlink()
+    return path
+
+
 def test_a_wrong_load_cell_and_tare_are_repaired(
     hold: Path, miswired: Path, right: LoadCellSettings, tmp_path: Path
 ) -> None:
@@ -98,17 +110,15 @@ def test_a_wrong_load_cell_and_tare_are_repaired(
     assert "with the tare 0:5: Mx" in notes[1]
     assert {path.name: path.read_bytes() for path in miswired.iterdir()} == before
     # Without stored settings ratios are used as they are; a tare alone needs no matrix.
-    path = Path(shutil.copytree(miswired, tmp_path / "miswired"))
-    (path / "testbed.yaml").unlink()
-    mean = recorded.wrench[recorded.time <= 5.0].mean(axis=0)
-    shifted = Trial(path, tare="0:5").samples().wrench
-    np.testing.assert_allclose(shifted, recorded.wrench - mean, rtol=0.0, atol=1e-9)
-    path = Path(shutil.copytree(hold, tmp_path / "hold"))
-    (path / "testbed.yaml").unlink()
+    path = bare(hold, tmp_path / "hold")
     doubled = dataclasses.replace(right, matrix=tuple(2.0 * np.array(right.matrix)))
     file = store(doubled, tmp_path / "doubled.yaml")
-    wrench = Trial(path, load_cell_file=file).samples().wrench
-    np.testing.assert_allclose(wrench, 2.0 * true.wrench, rtol=1e-12, atol=1e-11)
+    for given, factor, offset in (
+        ({"load_cell_file": file}, 2.0, 0.0),
+        ({"tare": "0:5"}, 1.0, unloaded),
+    ):
+        wrench = Trial(path, **given).samples().wrench
+        np.testing.assert_allclose(wrench, factor * true.wrench - offset, rtol=1e-12, atol=1e-9)
 
 
 def without(topic: str) -> Callable[[str, Any], Any]:
@@ -120,9 +130,7 @@ def test_what_cannot_be_repaired_is_refused(
 ) -> None:
     file = store(right, tmp_path / "right.yaml")
     old = rewrite(hold, tmp_path / "old", without("/load_cell/raw"))
-    unknown = Path(shutil.copytree(miswired, tmp_path / "unknown"))
-    (unknown / "testbed.yaml").unlink()
-    other = Path(shutil.copytree(miswired, tmp_path / "other"))
+    unknown, other = bare(miswired, tmp_path / "unknown"), bare(miswired, tmp_path / "other")
     store(right, other / "testbed.yaml")
     few = store(dataclasses.replace(right, matrix=(1.0,) * 35), tmp_path / "few.yaml")
     moved = dataclasses.replace(right, channels=8, inputs=(0, 1, 2, 3, 4, 7))
@@ -147,12 +155,12 @@ def test_results_of_many_trials_depend_on_load_cell_tare_and_options(
     (tmp_path / "study").mkdir()
     (tmp_path / "study" / "hold").symlink_to(hold)
     file = store(right, tmp_path / "right.yaml")
-    words = ["fit", tmp_path / "study", "-o", tmp_path / "models", "--jobs", "1", "--tare", "0:5"]
+    words = ["fit", tmp_path / "study", "-o", tmp_path / "models", "--jobs", "1", "--theta", 0.9]
+    words += ["--tare", "0:5"]
     for given, text in (
         ([], "hold: ok, "),
         ([], "hold: skipped"),
         (["--load-cell", file], "hold: ok, "),
-        (["--load-cell", file, "--theta", 0.9], "hold: ok, "),
     ):
         _, out, err = call(capsys, *words, *given)
         assert text in out and "made anew from load_cell/raw" in err
@@ -196,9 +204,7 @@ def test_a_marker_that_was_registered_wrong_is_repaired(hold, geometry, tmp_path
     assert len(notes) == 1 and notes[0].startswith(text)
     recorded = Trial(path).measurements().socket
     if by > 0.002:
-        assert np.isnan(recorded).all() and notes[0].endswith(
-            f"0 of the recorded ones refused, {240 - missing} new"
-        )
+        assert np.isnan(recorded).all() and f" refused, {240 - missing} new" in notes[0]
     else:
         shift = 1e3 * np.linalg.norm(found.socket[:, :3] - recorded[:, :3], axis=1)
         assert f"moved by {np.nanmedian(shift):.3g} mm and " in notes[0]
@@ -233,14 +239,13 @@ def test_markers_that_cannot_be_fitted_are_noted_or_refused(
 ) -> None:
     other, notes = tmp_path / "other.yaml", []
     write_socket(moved_marker(geometry, 0.005), other)
-    unknown = Path(shutil.copytree(hold, tmp_path / "unknown"))
-    (unknown / "socket.yaml").write_text("tiles: {}")
+    unknown = bare(hold, tmp_path / "unknown", "socket.yaml")
     found = Trial(unknown, other, notify=notes.append).measurements()
     np.testing.assert_array_equal(found.socket, Trial(hold).measurements().socket)
     assert len(notes) == 1 and notes[0].startswith("the poses stay as recorded, with markers")
-    bare = rewrite(hold, tmp_path / "bare", without(f"/{MARKERS.name}"))
-    with refused(TrialError, "bare: holds no 'mocap/markers', so its poses cannot"):
-        Trial(bare, other).samples()
+    unmarked = rewrite(hold, tmp_path / "unmarked", without(f"/{MARKERS.name}"))
+    with refused(TrialError, "unmarked: holds no 'mocap/markers', so its poses cannot"):
+        Trial(unmarked, other).samples()
 
     def four(topic: str, message: Any) -> Any:
         if topic == f"/{MARKERS.name}":
@@ -250,3 +255,89 @@ def test_markers_that_cannot_be_fitted_are_noted_or_refused(
     more = rewrite(hold, tmp_path / "more", four)
     with refused(TrialError, "4 markers of the socket were recorded, and the geometry"):
         Trial(more, other).samples()
+
+
+# --- drift of the clusters, by spans without load
+
+
+@pytest.fixture
+def measured(hold: Path) -> Measurements:
+    """The trial's measurements; its first and last 10 s made to be without load."""
+    found = Trial(hold).measurements()
+    rest = (found.time < 10.0) | (found.time > found.time[-1] - 10.0)
+    capacitance = found.capacitance.copy()
+    capacitance[rest] = np.array([5.1, 5.2, 5.0, 5.3])
+    return dataclasses.replace(found, capacitance=capacitance)
+
+
+def correct(trial: Trial, measured: Measurements) -> Measurements:
+    """The correction of `Trial.measurements`, of any measurements."""
+    least, notify = trial.estimator.plateau.least_force, trial.notify or (lambda note: None)
+    return correct_measurements(
+        measured, trial.unloaded, trial.calibration, least, str(trial.path), notify
+    )
+
+
+def test_drift_between_two_spans_is_taken_off(hold: Path, measured: Measurements) -> None:
+    time, notes = measured.time, []
+    end = time[-1]
+    trial = Trial(hold, notify=notes.append, unloaded=((0.0, 8.0), (end - 8.0, end)))
+    drift = 0.2 * (time - 4.0) / (end - 8.0)
+    drifted = dataclasses.replace(measured, capacitance=measured.capacitance + drift[:, None, None])
+    corrected = correct(trial, drifted)
+    inner = (time > 8.0) & (time < end - 8.0)
+    found, true = (each.capacitance[inner] for each in (corrected, measured))
+    np.testing.assert_allclose(found, true, atol=0.003)  # what was not measured stays so
+    assert len(notes) == 4 and all("more than 1 kPa" in note for note in notes)
+
+
+def with_baselines(trial: Trial) -> Trial:
+    """The trial with a baseline of 5 pF in the calibration of every cluster."""
+    clusters = {
+        name: dataclasses.replace(cluster, baseline=np.full(4, 5.0))
+        for name, cluster in trial.calibration.clusters.items()
+    }
+    trial.__dict__["calibration"] = dataclasses.replace(trial.calibration, clusters=clusters)
+    return trial
+
+
+def test_a_baseline_takes_off_earlier_drift_but_not_what_a_weight_presses(
+    hold: Path, measured: Measurements
+) -> None:
+    """A baseline is of a cluster that bears nothing: not even the pylon's weight."""
+    trial = with_baselines(Trial(hold, unloaded=((0.0, 8.0),)))
+    wrench = np.where(measured.time[:, None] <= 8.0, 0.0, measured.wrench)
+    corrected = correct(trial, dataclasses.replace(measured, wrench=wrench))
+    np.testing.assert_allclose(corrected.capacitance[3], np.full((4, 4), 5.0))
+    end, notes = measured.time[-1], []
+    spans = ((0.0, 8.0), (end - 8.0, end))
+    trial = with_baselines(Trial(hold, notify=notes.append, unloaded=spans))
+    corrected = correct(trial, measured)
+    assert "load cell measured 92 N in 0:8" in notes[0] and "baseline" in notes[0]
+    expected = correct(Trial(hold, unloaded=spans), measured)
+    np.testing.assert_array_equal(corrected.capacitance, expected.capacitance)
+
+
+def test_spans_that_cannot_correct_are_refused_or_reported(
+    hold: Path, measured: Measurements
+) -> None:
+    for spans in (((25.0, 30.0),), ((0.0, 5.0), (25.0, 30.0))):
+        with refused(TrialError, "25:30 is not without load", "279 N there: ", " 92 N"):
+            Trial(hold, unloaded=spans).samples()
+    with refused(CalibrationError, "from 900 s to 901 s", "too few"):
+        correct(Trial(hold, unloaded=((900.0, 901.0),)), measured)
+    notes: list[str] = []
+    Trial(hold, notify=notes.append, unloaded=((0.0, 3.0),)).samples()
+    assert len(notes) == 1 and "distal is not corrected: give a second span" in notes[0]
+    for wrong in (["5"], ["8:2"], ["nan:1"], ["0:1", "2:3", "4:5"], ["0:5", "3:8"]):
+        with refused(ConfigurationError, "--unloaded"):
+            parse_unloaded(wrong)
+
+
+def test_a_model_remembers_the_spans(hold: Path, tmp_path: Path, capsys: Any) -> None:
+    model, spans = tmp_path / "m.json", ["--unloaded", "0:3"]
+    assert call(capsys, "fit", hold, *spans, "--segment", "all", "-o", model)[0] == 0
+    assert json.loads(model.read_text())["trial"]["unloaded"] == [[0.0, 3.0]]
+    judged = ["evaluate", hold, "--model", model]
+    assert "fitted with --unloaded" in call(capsys, *judged)[2]
+    assert "--unloaded" not in call(capsys, *judged, *spans)[2]

@@ -1,6 +1,7 @@
 """A recorded trial as a whole: its samples, and errors that name what is wrong with it."""
 
 import shutil
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,6 @@ def test_samples_agree_with_the_truth_within_the_sensors_errors(hold: Path, tmp_
         assert np.abs(samples.local_forces[:, column] - actual).max() < 8.0
     # True forces are those of the simulated tiles alone.
     assert read_true_forces(hold, samples.stamps, [*geometry.names[:-1], "another"]) is None
-    assert read_true_forces(tmp_path, samples.stamps, geometry.names) is None
     np.savez(tmp_path / TRUTH_FILE, forces=forces)
     with refused(TrialError, f"{TRUTH_FILE}: is damaged"):
         read_true_forces(tmp_path, samples.stamps, geometry.names)
@@ -79,8 +79,7 @@ def test_metadata_that_is_missing_or_promises_other_counts(hold: Path, tmp_path:
     file.write_text(text.replace("message_count: 240", "message_count: 241"))
     recording.write_bytes(data[:-1])
     with BagReader(target) as bag:
-        assert "cut short" in bag.notes[0] and "metadata.yaml lists" in bag.notes[1]
-        assert "copy the trial again" in bag.notes[1]
+        assert "cut short" in bag.notes[0] and "copy the trial again" in bag.notes[1]
 
 
 def test_topics_are_found_in_the_namespace_they_were_recorded_in(
@@ -131,15 +130,6 @@ def test_stamps_that_jump_back_are_counted_and_named(hold: Path, tmp_path: Path)
 
 # --- bags that were compressed by file, message or chunk
 
-KINDS = [
-    (StoragePlugin.MCAP, CompressionMode.FILE),
-    (StoragePlugin.MCAP, CompressionMode.MESSAGE),
-    (StoragePlugin.MCAP, CompressionMode.STORAGE),
-    (StoragePlugin.SQLITE3, CompressionMode.NONE),
-    (StoragePlugin.SQLITE3, CompressionMode.FILE),
-    (StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
-]
-
 
 def written(source: Path, path: Path, storage: StoragePlugin, mode: CompressionMode) -> Path:
     """A copy of a trial by another program, compressed."""
@@ -150,7 +140,9 @@ def written(source: Path, path: Path, storage: StoragePlugin, mode: CompressionM
 
 def test_a_compressed_trial_gives_the_samples_of_the_plain_one(hold: Path, tmp_path: Path) -> None:
     expected = Trial(hold).samples().values
-    for storage, mode in KINDS:
+    for storage, mode in product(StoragePlugin, CompressionMode):
+        if (storage, mode) == (StoragePlugin.SQLITE3, CompressionMode.STORAGE):
+            continue  # its storage has no chunks
         path = written(hold, tmp_path / f"{storage.name}_{mode.name}", storage, mode)
         np.testing.assert_array_equal(Trial(path).samples().values, expected)
         (path / "metadata.yaml").unlink()
