@@ -169,21 +169,6 @@ def test_a_notebook_draws_maps_at_an_instant_and_into_its_own_axes(folder) -> No
 
 
 @pytest.mark.slow
-def test_simulate_and_tile_are_those_of_the_verbs(folder, tmp_path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    verb("simulate", "-o", "hold", "--duration", 40, "--seed", 3)
-    same = st.open_trial(folder / "trials" / "hold").to_dataframe()
-    pd.testing.assert_frame_equal(st.open_trial("hold").to_dataframe(), same)
-
-    settings = TilingSettings(edge=0.05, flatness=0.015, rounds=0)
-    Path("none.yaml").write_text("clusters: {}\n")  # tiles so large leave no usual places
-    assert st.tile(folder / "scan.stl", "api.yaml", clusters="none.yaml", settings=settings).facts()
-    words = ["--size", 50, "--flatness", 15, "--rounds", 0, "--clusters", "none.yaml"]
-    verb("tile", folder / "scan.stl", "-o", "verb.yaml", *words)
-    assert Path("api.yaml").read_bytes() == Path("verb.yaml").read_bytes()
-
-
-@pytest.mark.slow
 def test_the_example_notebook_runs(tmp_path: Path) -> None:
     path = CHECKOUT / "examples" / "first_trial.ipynb"
     notebook = nbformat.read(path, as_version=4)
