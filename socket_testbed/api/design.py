@@ -60,17 +60,20 @@ class CalibratedCluster(Result):
         )
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Errors on held-out data by stress, in Pa and percent of the full scale."""
+        """Range and errors on held-out data by stress, in Pa and percent of the full scale."""
         import pandas as pd
 
         from socket_testbed.calibration.bench_data import STRESSES
 
         held_out = self.quality.held_out
         columns = {
+            "from [Pa]": self.quality.stress_range[:, 0],
+            "to [Pa]": self.quality.stress_range[:, 1],
             "held-out RMSE [Pa]": [errors.rmse for errors in held_out],
             "held-out RMSE [%]": [errors.percent for errors in held_out],
             "held-out MAE [Pa]": [errors.mae for errors in held_out],
             "held-out R2 [-]": [errors.r2 for errors in held_out],
+            "training RMSE [Pa]": [errors.rmse for errors in self.quality.training],
             "hysteresis [%]": self.quality.hysteresis,
             "repeatability [%]": self.quality.repeatability,
             "cross-talk [%]": self.quality.cross_talk,

@@ -31,7 +31,7 @@ from socket_testbed.live.bringup import (
     start,
     summary,
 )
-from socket_testbed.live.processes import Graph, require_ros
+from socket_testbed.live.processes import Graph
 from socket_testbed.live.simulated_world import SLOWEST, Simulation, busy_note, measure_speed, pace
 from socket_testbed.pages.document import part_of
 from socket_testbed.report.style import (
@@ -140,7 +140,6 @@ def _complete(trial: Trial) -> float:
 
 def _run_live(path: Path, seed: int, scale: float, log: Path) -> None:
     """Record a trial of the simulated testbed at a time scale [-]."""
-    require_ros()
     protocol = Simulation("protocol", _DURATION, seed, pace=_PACE, time_scale=scale)
     testbed = simulated_testbed(record=path, rate=_TRIGGER_RATE, simulation=protocol)
     progress = Progress("   running")
