@@ -1,12 +1,9 @@
 """The command line as a user calls it, with right and with wrong input."""
 
-import json
 import os
 import sys
 from pathlib import Path
 
-import numpy as np
-import pandas as pd
 import pytest
 from support.bags import edited
 from support.verbs import call, program, refused
@@ -51,22 +48,6 @@ def test_info_says_what_a_trial_holds(hold: Path, capsys) -> None:
     noise = {line.split("  ")[0]: line.split()[-1] for line in out.splitlines() if line}
     assert float(noise["force [N]"]) == pytest.approx(0.15, rel=0.2)  # the simulated load cell's
     assert 0.001 < float(noise["limb position [mm]"]) < 0.01  # 8 um a marker, averaged
-
-
-def test_a_left_out_channel_is_marked_and_bears_no_weight(hold, tmp_path, capsys) -> None:
-    """And what is printed of a model, and as JSON, is what the API gives."""
-    model = tmp_path / "model.json"
-    fit = ["fit", hold, "-o", model, "--variant", "stiffness_bias"]
-    code, out, _ = call(capsys, *fit, "--leave-out", "distal.Fx", "Mz")
-    assert code == 0 and out.count("not in objective") == 2
-    stored = json.loads(model.read_text())["parameters"]
-    assert stored["force_bias"]["distal"][0] == stored["wrench_bias"][2] == 0.0
-    found = json.loads(call(capsys, "evaluate", hold, "--model", model, "--json")[1])
-    assert found == st.evaluate(st.open_trial(hold), model).document()
-    median = found["in_objective"]["median_local_rmse [N]"]
-    out = call(capsys, "evaluate", hold, "--model", model)[1]
-    assert out.count("not in objective") == 2
-    assert f"median local RMSE {median:.3f} N, of the channels in the objective" in out
 
 
 @pytest.mark.slow
@@ -178,18 +159,6 @@ def test_a_model_of_another_socket_is_refused_wherever_one_is_given(
     ):
         refused(capsys, verb, trial, "--model", hold_model, *words, named=["another socket"])
     assert [*tmp_path.iterdir()] == [trial]
-
-
-def test_the_map_has_every_tile_with_its_uncertainty(hold: Path, tmp_path: Path, capsys) -> None:
-    """The verb, the function and the columns of `export` give the same."""
-    output, words = tmp_path / "map.csv", (hold, "--segment", "20:30", "-o")
-    code, out, _ = call(capsys, "map", *words, output)
-    assert code == 0 and "measured: wrench, brim_lateral" in out
-    expected = st.force_map(st.open_trial(hold), "20:30").to_dataframe()
-    pd.testing.assert_frame_equal(pd.read_csv(output, index_col=0), expected)
-    assert call(capsys, "export", *words, tmp_path / "all.parquet", "--map")[0] == 0
-    shown = pd.read_parquet(tmp_path / "all.parquet").filter(regex="^map")
-    np.testing.assert_array_equal(shown.to_numpy(), expected.to_numpy())
 
 
 def test_a_graph_stays_on_this_machine_unless_told_otherwise(hold: Path, monkeypatch) -> None:

@@ -57,8 +57,6 @@ def test_the_landmark_file_in_the_help_is_one(tmp_path, capsys):
     path.write_text(textwrap.dedent(example))
     socket, pylon = read_landmarks(path)
     assert socket.markers == SOCKET_NAMES and pylon.markers == "Pylon"
-    np.testing.assert_array_equal(socket.known[2], [0.0, 0.055, 0.04])
-    assert pylon.names == tuple(f"Limb:Marker{i}" for i in (1, 2, 3))
 
 
 @pytest.fixture
