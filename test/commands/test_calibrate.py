@@ -115,22 +115,16 @@ def test_a_bad_fit_is_drawn_but_refused_with_its_numbers_unless_forced(call, tmp
     assert not output.exists() and (tmp_path / "fit.pdf").read_bytes().startswith(b"%PDF")
     call(path, *WIRING, "--force")
     assert record(output)["forced"] is True
+    bench = sensor_bench(play=0.04)
+    bench.stress[[200, 500], 1] += 60e3
+    out = call(write_bench(tmp_path / "out.csv", bench), *WIRING, "--drop-outliers")
+    assert "2 outliers, left out of the fit" in out
+    assert record(output)["outliers"] == ["out.csv line 202", "out.csv line 502"]
     call(path, *WIRING, "--limit", 30)
     assert record(output)["forced"] is False and record(output)["limit_percent"] == 30.0
 
 
-def test_outliers_are_dropped_only_on_request_and_baselines_take_the_drift_off(
-    call, tmp_path, output
-):
-    bench = sensor_bench(play=0.04)
-    bench.stress[[200, 500], 1] += 60e3
-    path = write_bench(tmp_path / "bench.csv", bench)
-    assert "2 outliers, kept in the fit" in call(path, *WIRING, "--force")
-    assert "2 outliers, left out of the fit" in call(path, *WIRING, "--drop-outliers")
-    stored = record(output)
-    assert stored["outliers"] == ["bench.csv line 202", "bench.csv line 502"]
-    assert stored["readings"] == 1060
-
+def test_baselines_take_the_drift_off(call, tmp_path, output):
     files, unloaded = [tmp_path / "before.csv", tmp_path / "after.csv"], sensor_bench().capacitance
     for path, capacitance in zip(files, (unloaded[0], unloaded[0] + 0.2), strict=True):
         rows = [",".join(f"{value:.9g}" for value in capacitance)] * 5
@@ -142,18 +136,20 @@ def test_outliers_are_dropped_only_on_request_and_baselines_take_the_drift_off(
     assert found.bench["drift"]["flagged"] is True
 
 
-def test_forces_need_the_area_of_the_tile(call, tmp_path, output):
+def test_forces_are_stresses_over_the_area_of_the_tile(call, tmp_path, output):
     bench = sensor_bench()
     header = ("time [s]", "normal [N]", "shear_x [N]", "shear_y [N]", *HEADER[4:])
     newtons = dataclasses.replace(bench, stress=bench.stress * 9e-4 * 1e3)
-    path = write_bench(tmp_path / "newtons.csv", newtons, header)
-    call(path, *WIRING, named=["--area"])
-    socket = packaged("config", "socket.yaml")
-    gains, plain = [], write_bench(tmp_path / "bench.csv", bench)
-    for words in ((path, "--area", 9e-4), (path, "--geometry", socket), (plain,)):
-        call(*words, *WIRING)
+    write_bench(tmp_path / "newtons.csv", newtons, header)
+    write_bench(tmp_path / "pascals.csv", bench)
+    gains = []
+    for name, words in (
+        ("newtons", ["--geometry", packaged("config", "socket.yaml")]),
+        ("pascals", []),
+    ):
+        call(tmp_path / f"{name}.csv", *words, *WIRING)
         gains.append(read_calibration(output).clusters["distal"].normal[1])
-    np.testing.assert_allclose(gains, gains[0], rtol=1e-6)
+    assert gains[0] == pytest.approx(gains[1], rel=1e-6)
 
 
 def test_a_wrong_call_gives_one_line(call, bench_file, tmp_path, output):

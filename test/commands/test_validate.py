@@ -77,16 +77,3 @@ def test_what_cannot_be_judged_is_refused_alone_and_passed_over_among_others(
     assert code == 0 and "note: short: passed over: only 20 of 20 samples" in err
     assert "note: broken: passed over: " in err
     assert out.startswith("3 trials, means over them; models fitted on 2: s0, s1")
-
-
-def test_fit_says_who_bears_the_load_and_what_would_move_the_pose_more(
-    hold: Path, folder: Path, tmp_path, capsys
-) -> None:
-    words = ["--variant", "stiffness_bias", "-o", tmp_path / "hold.json"]
-    out = call(capsys, "fit", hold, *words)[1]
-    assert "warning: the springs bear only" in out  # the offsets explain a hold
-    assert "of noise: twist the limb in the socket" in out and "of 6 independent directions" in out
-    assert ("negative skill:" in out) is ("  -0." in out)
-    words = ["--variant", "stiffness", "-o", tmp_path / "moving.json", "--segment", "all"]
-    code, out, _ = call(capsys, "fit", folder / "s0", *words)
-    assert code == 0 and "warning" not in out
