@@ -64,9 +64,6 @@ def test_a_list_takes_no_path_and_may_be_given_in_parts(tmp_path: Path, monkeypa
     ):
         options = parser.parse_args(["-o", "m", *release_paths(line.split(), parser)])
         assert options.leave_out == ["Mz", "distal.Fx"] and options.trial == Path("hold")
-    line = "--leave-out Mz hold other/walk --json"
-    expected = "hold other/walk --leave-out Mz --json"
-    assert release_paths(line.split(), parser_of("validate")) == expected.split()
 
 
 def test_the_shell_completes_verbs_options_and_choices(tmp_path: Path) -> None:
