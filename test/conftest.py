@@ -97,17 +97,14 @@ def shared_data() -> Iterator[Path]:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Run the long modules first, those that wait for graphs beside those that compute."""
+    """Run the modules with graphs and the slow ones first, so that none is left for the end."""
     here = Path(__file__).parent
-    turn: dict[Path, int] = {}
-    counts = {"graph": 0, "slow": 0}
+    first: set[Path] = set()
     for item in items:
         if not LONG.isdisjoint(item.path.relative_to(here).parts):
             item.add_marker("long")
         if item.get_closest_marker("slow") and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(_SLOW_WITHIN))
-        kind = next((kind for kind in counts if item.get_closest_marker(kind)), None)
-        if kind is not None and item.path not in turn:
-            turn[item.path] = counts[kind]
-            counts[kind] += 1
-    items.sort(key=lambda item: (turn.get(item.path, len(turn)), item.path))
+        if item.get_closest_marker("graph") or item.get_closest_marker("slow"):
+            first.add(item.path)
+    items.sort(key=lambda item: (item.path not in first, item.path))

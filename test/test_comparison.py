@@ -71,20 +71,6 @@ def test_without_errors_of_sensors_it_is_students_t_test() -> None:
     assert not np.isfinite([found[name][1] for name in (*ENDS, "detectable")]).any()
 
 
-def test_without_spread_it_is_the_interval_of_single_trials() -> None:
-    """Trials that repeat each other tell no more of what the sensors leave open."""
-    values, reach = np.array([[10.0], [12.0]]), np.array([[5.0], [1.0]])
-    single = TRIALS.columns(values, values - reach, values + 2.0 * reach, 0.7)
-    many = [np.repeat(of, 3, axis=0) for of in (values, values - reach, values + 2.0 * reach)]
-    found = repeated(3).columns(*many, 0.7)
-    for column, expected in single.items():
-        np.testing.assert_allclose(found[column], expected, err_msg=column)
-    assert set(found) - set(single) == {"spread", "degrees of freedom", "detectable"}
-    # A normal error: 1.96 deviations to be told from 0, and 0.84 more in four of five cases.
-    farther = (single["difference"] - single["difference low"])[1]
-    np.testing.assert_allclose(found["detectable"][1], farther * (1.0 + norm.ppf(0.8) / 1.96))
-
-
 def test_intervals_hold_the_difference_and_see_the_detectable_one() -> None:
     """Errors that a limb shares, that a condition shares, and that differ by donning.
 
@@ -128,5 +114,4 @@ def test_angles_differ_and_are_averaged_the_short_way_round() -> None:
     values = np.array([[178.0], [-178.0], [-172.0], [-176.0]])
     table = table_of(repeated(2), "a", "shear direction [deg]", values, [0.0])
     assert table["value"].to_numpy() % 360.0 == pytest.approx([180.0, 186.0])
-    assert table["difference"][1] == pytest.approx(6.0)
     assert table["spread"][1] == pytest.approx(np.sqrt((2 * 2.0**2 + 2 * 2.0**2) / 2))

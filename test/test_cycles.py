@@ -9,7 +9,6 @@ from support.bags import add_events
 from support.wording import refused
 
 import socket_testbed as st
-from socket_testbed.__main__ import run
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.trials.trial import Trial
 
@@ -77,17 +76,6 @@ def test_what_is_no_cycle_is_named(walk: Trial) -> None:
     ):
         with refused(error, fact):
             st.cycles(walk, **arguments)
-
-
-def test_the_verb_writes_the_same_numbers(walk, tmp_path, capsys) -> None:
-    output = tmp_path / "cycles.csv"
-    words = ["export", str(walk.path), "--cycles", "step", "--segment", "0:30", "-o", str(output)]
-    assert run(words) == 0
-    assert "5 cycles from each 'step' to the next one, 3.00 s" in capsys.readouterr().out
-    written = pd.read_csv(output, index_col="cycle [%]")
-    expected = st.cycles(walk, by="step", segment="0:30").to_dataframe()
-    assert np.array_equal(written[list(expected)], expected, equal_nan=True)
-    assert "distal.normal mean [Pa]" in written and "stamp mean [ns]" not in written
 
 
 def test_a_figure_shows_mean_band_and_cycles(walk: Trial) -> None:

@@ -61,16 +61,12 @@ WRONG: list[tuple[Any, str]] = [
     ({}, "lamp: 'power' is missing: add 'power: ...'"),
     ({"power": 1, "colur": "red"}, "lamp: unknown key 'colur': did you mean 'colour'?"),
     ({"power": 101}, "lamp: power is 101: give a number from 0 to 100: what it takes [W]"),
-    ({"power": True}, "lamp: power is True: give a number"),
     ({"power": 13}, "lamp: power is 13: give another number"),
     ({"power": 1, "colour": "rad"}, "lamp: colour is 'rad': did you mean 'red'?"),
     ({"power": 1, "count": 1.5}, "lamp: count is 1.5: give a whole number"),
-    ({"power": 1, "lit": 1}, "lamp: lit is 1: give true or false"),
     ({"power": 1, "names": ["a", []]}, "lamp: names[1] is a list of 0: give a text, in quotes"),
     ({"power": 1, "at": [1, 2]}, "lamp: at[0] is 1: give a list of 2"),
-    ({"power": 1, "at": 3}, "lamp: at is 3: give a list of 2 lists of 2"),
     ({"power": 1, "inside": {"a": {"power": 1, "inside": {"c": {}}}}}, "a: inside: c: 'power' is"),
-    ([], "lamp is a list of 0: give 'key: value' lines"),
 ]
 
 

@@ -66,8 +66,6 @@ def test_an_output_replaces_nothing_and_makes_no_folder_unless_asked(
     assert (tmp_path / "new.json").read_text() == "another's"
     (tmp_path / "new.json").unlink()
     check_new_folder(tmp_path / "trials" / "s01")
-    with refused(ConfigurationError, "no such folder"):
-        check_new_folder(tmp_path / "home/trials/s01")
     for name, replace, fact in (
         ("bench.csv", False, "--replace"),
         (".", True, "as a folder"),

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.result import Result
 from socket_testbed.api.trials import PathLike, Progress, as_path, started
-from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import Calibration, read_calibration, write_calibration
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import atomic_output, packaged, refuse_existing
@@ -26,7 +26,6 @@ from socket_testbed.geometry.socket import read_socket, write_socket
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.artist import Artist
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
     from socket_testbed.calibration.calibrate import BenchCalibration
@@ -37,7 +36,6 @@ if TYPE_CHECKING:
     from socket_testbed.socket_design.tiling import TilingSettings
 
 _MOST_POINTS = 4000  # of a panel
-_LEVELS = 12  # of the stress, over which residuals are averaged
 
 
 @dataclass(frozen=True, repr=False)
@@ -60,17 +58,20 @@ class CalibratedCluster(Result):
         )
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Errors on held-out data by stress, in Pa and percent of the full scale."""
+        """Range and errors on held-out data by stress, in Pa and percent of the full scale."""
         import pandas as pd
 
         from socket_testbed.calibration.bench_data import STRESSES
 
         held_out = self.quality.held_out
         columns = {
+            "from [Pa]": self.quality.stress_range[:, 0],
+            "to [Pa]": self.quality.stress_range[:, 1],
             "held-out RMSE [Pa]": [errors.rmse for errors in held_out],
             "held-out RMSE [%]": [errors.percent for errors in held_out],
             "held-out MAE [Pa]": [errors.mae for errors in held_out],
             "held-out R2 [-]": [errors.r2 for errors in held_out],
+            "training RMSE [Pa]": [errors.rmse for errors in self.quality.training],
             "hysteresis [%]": self.quality.hysteresis,
             "repeatability [%]": self.quality.repeatability,
             "cross-talk [%]": self.quality.cross_talk,
@@ -133,7 +134,7 @@ class CalibratedCluster(Result):
             write_calibration(calibration, staging)
 
     def _figure(self, style: FigureStyle) -> Figure:
-        """Calibrated over known stress, residuals, those of the branches; a column per stress."""
+        """Calibrated over known stress, and the residuals; a column per stress."""
         from socket_testbed.calibration.bench_data import STRESSES
         from socket_testbed.report.style import lay_out, style_axes
 
@@ -144,13 +145,13 @@ class CalibratedCluster(Result):
             for stress in (found.bench.stress, found.fitted, found.cross_validation.predicted)
         )
         some = slice(None, None, 1 + len(known) // _MOST_POINTS)
-        figure = style.figure(150.0)
-        axes = figure.subplots(3, 3, sharex="col")
+        figure = style.figure(110.0)
+        axes = figure.subplots(2, 3, sharex="col")
         files = ", ".join(found.bench.files)
         style.add_title(figure, f"{self.name}: {files}; {groups} held out in turn")
         for k, name in enumerate(STRESSES):
-            x, residual = known[:, k], (fitted - known)[:, k]
-            above, middle, below = axes[:, k]
+            x = known[:, k]
+            above, below = axes[:, k]
             ends = [x[some].min(), x[some].max()]
             above.plot(ends, ends, color="0.72", linewidth=2.4)
             above.plot(x[some], fitted[some, k], ".", color="0.2", markersize=2.0)
@@ -158,15 +159,14 @@ class CalibratedCluster(Result):
                 places = np.array([(o.known, o.fitted) for o in outliers]).T * 1e-3
                 above.plot(*places, "o", color="#D55E00", fillstyle="none", label="outlier")
             unseen = (held_out - known)[some, k]
-            middle.plot(x[some], unseen, "x", color="#D55E00", markersize=3.0, label="held out")
-            fit = residual[some]
-            middle.plot(x[some], fit, ".", color="0.2", markersize=2.0, label="in the fit")
-            middle.axhline(0.0, color="0.72", linewidth=1.0)
-            _draw_loop(below, x, residual, found.branches[:, k])
+            below.plot(x[some], unseen, "x", color="#D55E00", markersize=3.0, label="held out")
+            fit = (fitted - known)[some, k]
+            below.plot(x[some], fit, ".", color="0.2", markersize=2.0, label="in the fit")
+            below.axhline(0.0, color="0.72", linewidth=1.0)
             error = f"\nheld-out:\n{found.held_out[k].percent:.1f} % of\nfull scale"
             above.set_title(name + error * style.titles)
             below.set_xlabel("known [kPa]")
-        for row, label in enumerate(("calibrated", "residual", "mean residual")):
+        for row, label in enumerate(("calibrated", "residual")):
             axes[row, 0].set_ylabel(f"{label} [kPa]")
         keys: dict[str, Artist] = {}
         for axis in axes.flat:
@@ -174,26 +174,8 @@ class CalibratedCluster(Result):
             axis.locator_params(nbins=4 if style.is_narrow else 6)
             handles, labels = axis.get_legend_handles_labels()
             keys |= dict(zip(labels, handles, strict=True))
-        columns = 3 if style.is_narrow else 5
-        figure.legend(keys.values(), keys.keys(), loc="outside lower center", ncols=columns)
+        figure.legend(keys.values(), keys.keys(), loc="outside lower center", ncols=3)
         return lay_out(figure)
-
-
-def _draw_loop(axis: Axes, known: FloatArray, residual: FloatArray, branches: IntArray) -> None:
-    """Mean residual of the rising and the falling branch over the known stress."""
-    from scipy.stats import binned_statistic
-
-    from socket_testbed.calibration.drift import FALLING, RISING
-
-    # Okabe & Ito's colours; the marks tell the branches apart in grey, too.
-    looks = ((RISING, "rising", "#0072B2", "^"), (FALLING, "falling", "#D55E00", "v"))
-    for branch, label, color, marker in looks:
-        rows, ends = branches == branch, (known.min(), known.max())
-        mean, edges, _ = binned_statistic(known[rows], residual[rows], bins=_LEVELS, range=ends)
-        centres, shown = 0.5 * (edges[1:] + edges[:-1]), np.isfinite(mean)
-        x, y = centres[shown], mean[shown]
-        axis.plot(x, y, label=label, color=color, marker=marker, markersize=4.0)
-    axis.axhline(0.0, color="0.72", linewidth=1.0)
 
 
 def calibrate(

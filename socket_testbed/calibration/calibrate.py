@@ -22,7 +22,6 @@ from socket_testbed.calibration.bench_data import STRESSES, BenchData
 from socket_testbed.calibration.drift import (
     DRIFT_LIMIT,
     FALLING,
-    NEITHER,
     RISING,
     Drift,
     cycle_ids,
@@ -262,7 +261,6 @@ class BenchCalibration:
     held_out: tuple[StressErrors, ...]  # errors on held-out data, one per stress
     normal_half_width: FloatArray  # half widths of the 95 % intervals of `normal`; (2,)
     shear_half_width: FloatArray  # the same of `shear`; (2, 6)
-    branches: IntArray  # `find_branches` of the sound rows; no branch of the others; (N, 3)
     hysteresis: FloatArray  # gap between rising and falling; (3,) [% of the full scale]
     repeatability: FloatArray  # spread of the cycles; (3,) [% of the full scale]
     # Apparent normal stress under pure shear and shear under pure normal stress, held out; (3,)
@@ -344,8 +342,7 @@ def calibrate_bench(
     checked = cross_validate(bench.capacitance[:, wiring], bench.stress, choose_groups(bench))
     kept = bench[sound]
     full_scale, residual = kept.full_scale, (fitted - bench.stress)[sound]
-    branches = np.full(bench.stress.shape, NEITHER)
-    branches[sound] = up_or_down = find_branches(kept)
+    branches = find_branches(kept)
     return BenchCalibration(
         cluster=cluster,
         bench=bench,
@@ -358,9 +355,8 @@ def calibrate_bench(
         held_out=stress_errors(bench.stress, checked.predicted, full_scale),
         normal_half_width=half_widths(cluster.normal, checked.normal),
         shear_half_width=half_widths(cluster.shear, checked.shear),
-        branches=branches,
-        hysteresis=hysteresis(kept, residual, up_or_down),
-        repeatability=repeatability(kept, residual, up_or_down, cycle_ids(bench)[sound]),
+        hysteresis=hysteresis(kept, residual, branches),
+        repeatability=repeatability(kept, residual, branches, cycle_ids(bench)[sound]),
         cross_talk=cross_talk(kept, (checked.predicted - bench.stress)[sound]),
     )
 

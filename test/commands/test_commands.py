@@ -1,12 +1,9 @@
 """The command line as a user calls it, with right and with wrong input."""
 
-import json
 import os
 import sys
 from pathlib import Path
 
-import numpy as np
-import pandas as pd
 import pytest
 from support.bags import edited
 from support.verbs import call, program, refused
@@ -53,22 +50,6 @@ def test_info_says_what_a_trial_holds(hold: Path, capsys) -> None:
     assert 0.001 < float(noise["limb position [mm]"]) < 0.01  # 8 um a marker, averaged
 
 
-def test_a_left_out_channel_is_marked_and_bears_no_weight(hold, tmp_path, capsys) -> None:
-    """And what is printed of a model, and as JSON, is what the API gives."""
-    model = tmp_path / "model.json"
-    fit = ["fit", hold, "-o", model, "--variant", "stiffness_bias"]
-    code, out, _ = call(capsys, *fit, "--leave-out", "distal.Fx", "Mz")
-    assert code == 0 and out.count("not in objective") == 2
-    stored = json.loads(model.read_text())["parameters"]
-    assert stored["force_bias"]["distal"][0] == stored["wrench_bias"][2] == 0.0
-    found = json.loads(call(capsys, "evaluate", hold, "--model", model, "--json")[1])
-    assert found == st.evaluate(st.open_trial(hold), model).document()
-    median = found["in_objective"]["median_local_rmse [N]"]
-    out = call(capsys, "evaluate", hold, "--model", model)[1]
-    assert out.count("not in objective") == 2
-    assert f"median local RMSE {median:.3f} N, of the channels in the objective" in out
-
-
 @pytest.mark.slow
 def test_all_but_the_graph_works_without_ros(tmp_path: Path) -> None:
     script = (
@@ -87,52 +68,25 @@ def test_all_but_the_graph_works_without_ros(tmp_path: Path) -> None:
     assert "rclpy cannot be imported: run 'make setup'" in err
 
 
-def test_a_broken_trial_is_named_and_leaves_nothing(hold, tmp_path, capsys) -> None:
-    """All that a file may hold: test_documents.py and test_recording.py."""
-    output, trial = tmp_path / "model.json", tmp_path / "hold"
-
-    def rename_cluster(document) -> None:
-        document["clusters"]["elsewhere"] = document["clusters"].pop("distal")
-
-    edited(hold, trial, rename_cluster, "calibration.yaml")
-    for spoil, named in (
-        (lambda: None, ["calibration", "distal", "elsewhere"]),
-        (lambda: os.truncate(trial / "hold.mcap", 5000), ["hold.mcap", "truncated"]),
-        ((trial / "hold.mcap").unlink, ["hold.mcap", "not there"]),
-        (
-            lambda: (trial / "metadata.yaml").write_text("rosbag2: ["),
-            ["metadata.yaml", "ros2 bag reindex"],
-        ),
-    ):
-        spoil()
-        refused(capsys, "fit", trial, "-o", output, named=named)
-        assert [*tmp_path.iterdir()] == [trial]
-
-
 WRONG = {
     "info nowhere": ["nowhere", "no such trial"],
     "fit HOLD -o m --segment 900:999": ["900:999", "samples"],
     "fit HOLD -o m --theta 1.5": ["theta", "from 0 to 1"],
     "fit HOLD -o m --leave-out distal.fx": ["distal.fx", "distal.Fx"],
-    "fit HOLD -o modles/m.json": ["modles", "no such folder"],
     "evaluate HOLD --model HOLD/socket.yaml": ["socket.yaml", "is not a model"],
     "simulate -o HOLD": ["exists already"],
-    "simulate -o x --rate 0": ["--rate", "from 0.1 to 1000"],
     "record new --mass 1000": ["--mass", "400"],
     "replay HOLD --geometry s.yaml": ["--geometry", "add --estimate"],
     "run --simulated --record home/trials/s01": ["home", "no such folder"],
     "run --fault mocap.drop=1": ["add --simulated"],
     "run --simulated --fault mocap.dorp=1": ["did you mean 'mocap.drop'?"],
     "run --simulated --leave-out distal.Fq": ["distal.F"],
-    "run --simulated --time-scale 2": ["--time-scale", "from 0.01 to 1"],
     "run --simulated --side left": ["--side is for a trial that is recorded"],
     "run --simulated --view --view-host 192.0.2.1": ["cannot listen on 192.0.2.1"],
     "run --duration 1": ["load_cell_node: "],
     "pressure HOLD --over-time": ["--over-time has no output"],
     "pressure HOLD -o regions.foo": ["'.foo' is not a table format"],
-    "pareto HOLD -o front.xlsx": ["front.xlsx", "use one of .csv"],
     "compare HOLD": ["1 trials", "2 to 12"],
-    "compare HOLD HOLD": ["hold is given twice"],
     "compare a.json b.json": ["a.json: compare takes trials", "evaluate TRIAL --model"],
     "view HOLD --namespace lab": ["--namespace is for the running testbed"],
     "view --tare none": ["--tare is for a trial"],
@@ -157,10 +111,8 @@ TAKEN = (
     "fit HOLD -o bench.json",
     "evaluate HOLD --model MODEL -o bench.csv",
     "export HOLD -o bench.csv",
-    "map HOLD -o bench.csv",
     "map HOLD -o new.csv --figure bench.png",
     "pressure HOLD -o bench.csv",
-    "pareto HOLD -o bench.csv",
     "pareto HOLD --figure bench.png",
     "validate HOLD -o bench.csv",
     "compare HOLD HOLD -o bench.csv",
@@ -182,7 +134,6 @@ def test_no_output_replaces_a_file_unless_that_is_asked_for(
         assert {file.read_text() for file in tmp_path.iterdir()} == {"data of a day"}, line
     words = ["fit", hold, "-o", "bench.json", "--variant", "stiffness"]
     assert call(capsys, *words, "--replace")[0] == 0
-    refused(capsys, "fit", hold, "-o", "model.csv", named=["a model is no .csv"])
     assert st.read_model("bench.json").model.variant == "stiffness"
 
 
@@ -208,20 +159,6 @@ def test_a_model_of_another_socket_is_refused_wherever_one_is_given(
     ):
         refused(capsys, verb, trial, "--model", hold_model, *words, named=["another socket"])
     assert [*tmp_path.iterdir()] == [trial]
-
-
-def test_the_map_has_every_tile_with_its_uncertainty(hold: Path, tmp_path: Path, capsys) -> None:
-    """The verb, the function and the columns of `export` give the same."""
-    output, words = tmp_path / "map.csv", (hold, "--segment", "20:30", "-o")
-    code, out, _ = call(capsys, "map", *words, output)
-    assert code == 0 and "measured: wrench, brim_lateral" in out
-    found = st.force_map(st.open_trial(hold), "20:30")
-    expected = found.to_dataframe()
-    pd.testing.assert_frame_equal(pd.read_csv(output, index_col=0), expected)
-    assert len(expected.columns) == 10 * len(found.trial.geometry)
-    assert call(capsys, "export", *words, tmp_path / "all.parquet", "--map")[0] == 0
-    shown = pd.read_parquet(tmp_path / "all.parquet").filter(regex="^map")
-    np.testing.assert_array_equal(shown.to_numpy(), expected.to_numpy())
 
 
 def test_a_graph_stays_on_this_machine_unless_told_otherwise(hold: Path, monkeypatch) -> None:

