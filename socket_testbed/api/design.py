@@ -67,10 +67,10 @@ class CalibratedCluster(Result):
 
         held_out = self.quality.held_out
         columns = {
-            "held-out RMSE [Pa]": [errors.rmse for errors in held_out],
-            "held-out RMSE [%]": [errors.percent for errors in held_out],
-            "held-out MAE [Pa]": [errors.mae for errors in held_out],
-            "held-out R2 [-]": [errors.r2 for errors in held_out],
+            "held-out RMSE [Pa]": held_out["rmse"],
+            "held-out RMSE [%]": held_out["percent"],
+            "held-out MAE [Pa]": held_out["mae"],
+            "held-out R2 [-]": held_out["r2"],
             "hysteresis [%]": self.quality.hysteresis,
             "repeatability [%]": self.quality.repeatability,
             "cross-talk [%]": self.quality.cross_talk,
@@ -163,7 +163,7 @@ class CalibratedCluster(Result):
             middle.plot(x[some], fit, ".", color="0.2", markersize=2.0, label="in the fit")
             middle.axhline(0.0, color="0.72", linewidth=1.0)
             _draw_loop(below, x, residual, found.branches[:, k])
-            error = f"\nheld-out:\n{found.held_out[k].percent:.1f} % of\nfull scale"
+            error = f"\nheld-out:\n{found.held_out['percent'].iloc[k]:.1f} % of\nfull scale"
             above.set_title(name + error * style.titles)
             below.set_xlabel("known [kPa]")
         for row, label in enumerate(("calibrated", "residual", "mean residual")):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -47,25 +47,20 @@ _LEVEL = 0.1  # [-] of the full scale; stresses within one level count as equal
 _PURE = 0.02  # [-] of the full scale; a smaller stress counts as none
 
 
-@dataclass(frozen=True)
-class StressErrors:
-    """Errors of one stress."""
+def stress_errors(known: FloatArray, predicted: FloatArray, full_scale: FloatArray) -> pd.DataFrame:
+    """Errors by stress: `rmse` and `mae` [Pa], `r2` [-], and the RMSE in `percent` of full scale.
 
-    rmse: float  # Root-mean-square error [Pa]
-    mae: float  # mean absolute error [Pa]
-    r2: float  # part of the known stress's variance that is explained [-]
-    percent: float  # the RMSE in percent of the full scale
-
-
-def stress_errors(
-    known: FloatArray, predicted: FloatArray, full_scale: FloatArray
-) -> tuple[StressErrors, ...]:
-    """Errors of the normal stress, shear x and shear y."""
+    R^2 is the part of the known stress's variance that is explained.
+    """
     residual = predicted - known
     rmse = np.sqrt(np.mean(residual**2, axis=0))
-    mae, r2 = np.mean(np.abs(residual), axis=0), 1.0 - rmse**2 / np.var(known, axis=0)
-    figures = np.column_stack([rmse, mae, r2, 100.0 * rmse / full_scale])
-    return tuple(StressErrors(*row) for row in figures.tolist())
+    errors = {
+        "rmse": rmse,
+        "mae": np.mean(np.abs(residual), axis=0),
+        "r2": 1.0 - rmse**2 / np.var(known, axis=0),
+        "percent": 100.0 * rmse / full_scale,
+    }
+    return pd.DataFrame(errors, index=STRESSES)
 
 
 def hysteresis(bench: BenchData, residual: FloatArray, branches: IntArray) -> FloatArray:
@@ -73,11 +68,8 @@ def hysteresis(bench: BenchData, residual: FloatArray, branches: IntArray) -> Fl
 
     Equal means that all three stresses lie within the same tenth of their full scales. In each
     such cell the mean residuals of the rising and of the falling rows are subtracted; the cells
-    of one level of the stress in question are averaged, and the widest level counts.
-
-    Returns:
-        One figure per stress, shape (3,) [%]; NaN for one that did not rise and fall between
-        equal stresses.
+    of one level of the stress in question are averaged, and the widest level counts. The figures,
+    shape (3,) [%], are NaN for a stress that did not rise and fall between equal stresses.
     """
     cells = _levels(bench)
     widest = np.full(3, np.nan)
@@ -103,11 +95,8 @@ def repeatability(
 ) -> FloatArray:
     """Spread of the cycles at equal stress on the same branch, in percent of the full scale.
 
-    The standard deviation over the cycles of their mean residuals in a cell (see
-    `hysteresis`), pooled over all cells that two cycles or more went through.
-
-    Returns:
-        One figure per stress, shape (3,) [%]; NaN for one that no two cycles repeated.
+    The standard deviation over the cycles of their mean residuals in a cell (see `hysteresis`),
+    pooled over all cells that two cycles or more went through, shape (3,) [%]; NaN without any.
     """
     cells = _levels(bench).assign(cycle=cycles)
     spread = np.full(3, np.nan)
@@ -126,12 +115,8 @@ def cross_talk(bench: BenchData, residual: FloatArray) -> FloatArray:
     """Apparent normal stress under pure shear, and apparent shear under pure normal stress.
 
     A row is pure if the stress that loads it is at least a tenth of its full scale and the others
-    are at most 2 % of theirs; of pure shear, x and y may come together. The mean residuals of the
-    cells (see `hysteresis`) are compared, and the largest size counts.
-
-    Returns:
-        The apparent normal stress, shear x and shear y, shape (3,) [% of the full scale]; NaN
-        without a pure row.
+    are at most 2 % of theirs; of pure shear, x and y may come together. The largest mean residual
+    of a cell (see `hysteresis`) counts, shape (3,) [% of the full scale]; NaN without a pure row.
     """
     share, cells = np.abs(bench.stress) / bench.full_scale, _levels(bench)
     small, loaded = share <= _PURE, share >= _LEVEL
@@ -234,10 +219,7 @@ def half_widths(full: FloatArray, without: FloatArray) -> FloatArray:
     cluster-robust inference", arXiv:2301.04527. The residuals within a group may be correlated
     in any way; those of different groups are taken as independent. It states how well this bench
     determines the coefficients, not whether the polynomial is the law of the sensor.
-
-    Args:
-        full: Coefficients of the fit to all data, any shape.
-        without: Coefficients of the fits without each group, shape (G, ...).
+    The coefficients b of the fit to all data have any shape, those without each group (G, ...).
     """
     count = len(without)
     variance = (count - 1) / count * ((without - full) ** 2).sum(axis=0)
@@ -258,8 +240,8 @@ class BenchCalibration:
     dropped: bool  # whether they were left out of the fit and of `bench`
     fitted: FloatArray  # stress by the calibration; (N, 3) [Pa]
     cross_validation: CrossValidation  # the fits without each group
-    training: tuple[StressErrors, ...]  # errors on the data of the fit, one per stress
-    held_out: tuple[StressErrors, ...]  # errors on held-out data, one per stress
+    training: pd.DataFrame  # `stress_errors` on the data of the fit
+    held_out: pd.DataFrame  # the same on held-out data
     normal_half_width: FloatArray  # half widths of the 95 % intervals of `normal`; (2,)
     shear_half_width: FloatArray  # the same of `shear`; (2, 6)
     branches: IntArray  # `find_branches` of the sound rows; no branch of the others; (N, 3)
@@ -292,19 +274,12 @@ class BenchCalibration:
 
     def above(self, limit: float) -> tuple[str, ...]:
         """Stresses whose held-out RMSE is above a limit [% of the full scale]."""
-        return tuple(
-            name
-            for name, errors in zip(STRESSES, self.held_out, strict=True)
-            if errors.percent > limit
-        )
+        return tuple(self.held_out.index[self.held_out["percent"] > limit])
 
     def require_accuracy(self, limit: float) -> None:
         """Refuse a calibration that predicts unseen data badly."""
-        errors = _by_stress(self.held_out)
-        bad = [
-            f"{name} {errors[name].percent:.1f} % ({errors[name].rmse:.0f} Pa)"
-            for name in self.above(limit)
-        ]
+        errors = self.held_out.loc[[*self.above(limit)]]
+        bad = [f"{e.Index} {e.percent:.1f} % ({e.rmse:.0f} Pa)" for e in errors.itertuples()]
         if bad:
             raise CalibrationError(
                 f"the held-out RMSE exceeds {limit:g} % of the full scale: {', '.join(bad)}",
@@ -315,14 +290,10 @@ class BenchCalibration:
 def calibrate_bench(
     bench: BenchData, wiring: IntArray, wiring_stated: bool, drop_outliers: bool
 ) -> BenchCalibration:
-    """Fit a cluster and judge the fit.
+    """Fit a cluster and judge the fit; outliers are left out only if they are to be dropped.
 
-    Args:
-        bench: The bench data.
-        wiring: Input that holds each channel, shape (4,).
-        wiring_stated: Whether it was given for this bench, so that it is kept even if the data
-            contradicts it.
-        drop_outliers: Whether outliers are left out.
+    The wiring is the input that holds each channel, shape (4,). One that was stated for this bench
+    is kept even if the data contradicts it.
     """
     check_excitation(bench.stress, ", ".join(bench.files))
     if not wiring_stated:
@@ -382,8 +353,8 @@ def bench_record(
         "full_scale": _by_stress(calibrated.full_scale),
         "stress_range": _by_stress(calibrated.stress_range),
         "held_out_by": str(calibrated.cross_validation.groups),
-        "held_out": _by_stress(calibrated.held_out),
-        "training": _by_stress(calibrated.training),
+        "held_out": calibrated.held_out.to_dict("index"),
+        "training": calibrated.training.to_dict("index"),
         "hysteresis_percent": _by_stress(calibrated.hysteresis),
         "repeatability_percent": _by_stress(calibrated.repeatability),
         "cross_talk_percent": _by_stress(calibrated.cross_talk),
@@ -411,8 +382,6 @@ def _by_stress(values: Iterable[Any]) -> dict[str, Any]:
 
 def _plain(value: Any) -> Any:
     """A value as YAML has it: numbers of a few digits, lists, dictionaries; None for NaN."""
-    if isinstance(value, StressErrors):
-        value = asdict(value)
     if isinstance(value, dict):
         return {key: _plain(entry) for key, entry in value.items()}
     if isinstance(value, list | np.ndarray):

@@ -297,11 +297,11 @@ def _errors(calibrated: BenchCalibration) -> str:
     columns = (
         ("from Pa", calibrated.stress_range[:, 0], 0),
         ("to Pa", calibrated.stress_range[:, 1], 0),
-        ("held-out RMSE Pa", [errors.rmse for errors in held_out], 1),
-        ("% FS", [errors.percent for errors in held_out], 2),
-        ("MAE Pa", [errors.mae for errors in held_out], 1),
-        ("R2", [errors.r2 for errors in held_out], 4),
-        ("training RMSE Pa", [errors.rmse for errors in calibrated.training], 1),
+        ("held-out RMSE Pa", held_out["rmse"], 1),
+        ("% FS", held_out["percent"], 2),
+        ("MAE Pa", held_out["mae"], 1),
+        ("R2", held_out["r2"], 4),
+        ("training RMSE Pa", calibrated.training["rmse"], 1),
         ("hysteresis % FS", calibrated.hysteresis, 2),
         ("repeatability % FS", calibrated.repeatability, 2),
     )

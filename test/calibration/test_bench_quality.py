@@ -84,7 +84,7 @@ def test_errors_are_those_of_their_definitions():
     root = np.sqrt(5.0)
     expected = [(root, 2.0, -4.0, 50 * root), (root, 2.0, -4.0, 100 * root)]
     expected.append((root, 2.0, 1 - 5 / 16, 25 * root))
-    np.testing.assert_allclose([dataclasses.astuple(each) for each in errors], expected)
+    np.testing.assert_allclose(errors, expected)
 
 
 def test_the_intervals_cover_95_percent_even_if_the_errors_of_a_cycle_hang_together():
