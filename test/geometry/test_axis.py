@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from support.ring_socket import ring_socket
+from support.problems import ring_socket
 
 from socket_testbed.files import packaged
 from socket_testbed.geometry.axis import (

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.problems import make_samples
-from support.ring_socket import ring_socket
+from support.problems import make_samples, ring_socket
 
 from socket_testbed.errors import TrialError
 from socket_testbed.files import packaged
