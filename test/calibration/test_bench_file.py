@@ -132,9 +132,7 @@ def test_a_bad_file_is_named_with_its_hint(tmp_path):
         error = refusal(edit(write_bench(tmp_path / "bench.csv", exact_bench()), change))
         assert all(fact in error.fact for fact in facts), error
         assert hint in error.hint
-    for path in (tmp_path / "none.csv", tmp_path):
-        assert str(path) in refusal(path).fact
-    path.joinpath("sheet.xlsx").write_bytes(b"PK\x03\x04\xff\xfe\x00\x9c")
+    (tmp_path / "sheet.xlsx").write_bytes(b"PK\x03\x04\xff\xfe\x00\x9c")
     assert "UTF-8" in refusal(tmp_path / "sheet.xlsx").hint
 
 
