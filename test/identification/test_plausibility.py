@@ -108,8 +108,7 @@ def found(samples) -> list[str]:
 def test_a_negated_wrench_is_noted_on_clear_evidence_alone(samples):
     negated = dataclasses.replace(samples, wrench=-samples.wrench)
     (note,) = implausible_notes(negated, GEOMETRY, ())
-    assert note.startswith("the wrench looks negated")
-    assert "200 N" in note and "3 of 3 clusters" in note
+    assert "wrench looks negated" in note and "200 N" in note and "3 of 3 clusters" in note
     hanging = dataclasses.replace(samples, wrench=samples.wrench * (-0.9 * HANGING / LOAD))
     pulled = dataclasses.replace(negated, local_forces=-samples.local_forces)
     shifted = samples.local_forces + np.array([0.0, 0.0, 150.0])
