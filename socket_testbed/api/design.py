@@ -63,19 +63,17 @@ class CalibratedCluster(Result):
         """Errors on held-out data by stress, in Pa and percent of the full scale."""
         import pandas as pd
 
-        from socket_testbed.calibration.bench_data import STRESSES
-
         held_out = self.quality.held_out
         columns = {
             "held-out RMSE [Pa]": held_out["rmse"],
             "held-out RMSE [%]": held_out["percent"],
             "held-out MAE [Pa]": held_out["mae"],
             "held-out R2 [-]": held_out["r2"],
-            "hysteresis [%]": self.quality.hysteresis,
-            "repeatability [%]": self.quality.repeatability,
-            "cross-talk [%]": self.quality.cross_talk,
+            "hysteresis [%]": self.quality.figures["hysteresis"],
+            "repeatability [%]": self.quality.figures["repeatability"],
+            "cross-talk [%]": self.quality.figures["cross_talk"],
         }
-        return pd.DataFrame(columns, index=pd.Index(STRESSES, name="stress"))
+        return pd.DataFrame(columns).rename_axis("stress")
 
     def notes(self) -> list[str]:
         """Notes on clusters of the calibration that were fitted to the same readings."""

@@ -45,6 +45,7 @@ from socket_testbed.errors import CalibrationError
 
 _LEVEL = 0.1  # [-] of the full scale; stresses within one level count as equal
 _PURE = 0.02  # [-] of the full scale; a smaller stress counts as none
+_UP_AND_DOWN = pd.MultiIndex.from_product([("mean", "size"), (RISING, FALLING)])
 
 
 def stress_errors(known: FloatArray, predicted: FloatArray, full_scale: FloatArray) -> pd.DataFrame:
@@ -63,76 +64,51 @@ def stress_errors(known: FloatArray, predicted: FloatArray, full_scale: FloatArr
     return pd.DataFrame(errors, index=STRESSES)
 
 
-def hysteresis(bench: BenchData, residual: FloatArray, branches: IntArray) -> FloatArray:
-    """Widest gap between rising and falling at equal stress, in percent of the full scale.
+def quality_figures(
+    bench: BenchData,
+    fitted: FloatArray,
+    unseen: FloatArray,
+    branches: IntArray,
+    cycles: IntArray,
+) -> pd.DataFrame:
+    """Figures of each stress [% of the full scale], from residuals of the fit and held-out ones.
 
-    Equal means that all three stresses lie within the same tenth of their full scales. In each
-    such cell the mean residuals of the rising and of the falling rows are subtracted; the cells
-    of one level of the stress in question are averaged, and the widest level counts. The figures,
-    shape (3,) [%], are NaN for a stress that did not rise and fall between equal stresses.
+    Rows are in one cell if all three stresses lie within the same tenth of their full scales.
+
+    - `hysteresis`: the gap between the mean residuals of rising and falling rows in a cell; the
+      cells of one level of the stress in question are averaged, and the widest level counts. NaN
+      for a stress that did not rise and fall between equal stresses.
+    - `repeatability`: the standard deviation over the cycles of their mean residuals in a cell on
+      the same branch, pooled over all cells that two cycles or more went through; NaN without any.
+    - `cross_talk`: the apparent normal stress under pure shear, and the apparent shear under pure
+      normal stress: the largest mean of the held-out residuals of a cell. A row is pure if the
+      stress that loads it is at least a tenth of its full scale and the others are at most 2 % of
+      theirs; of pure shear, x and y may come together. NaN without a pure row.
     """
-    cells = _levels(bench)
-    widest = np.full(3, np.nan)
-    for axis, stress in enumerate(STRESSES):
-        cells["residual"] = residual[:, axis]
-        up, down = (
-            cells[branches[:, axis] == branch]
-            .groupby([*STRESSES])["residual"]
-            .agg(["mean", "size"])
-            .add_suffix(suffix)
-            for branch, suffix in ((RISING, "_up"), (FALLING, "_down"))
-        )
-        both = up.join(down, how="inner")
-        weight = both[["size_up", "size_down"]].min(axis=1)
-        gap = (both["mean_up"] - both["mean_down"]) * weight
-        gaps = gap.groupby(stress).sum() / weight.groupby(stress).sum()
-        widest[axis] = 100.0 * gaps.abs().max() / bench.full_scale[axis]
-    return widest
-
-
-def repeatability(
-    bench: BenchData, residual: FloatArray, branches: IntArray, cycles: IntArray
-) -> FloatArray:
-    """Spread of the cycles at equal stress on the same branch, in percent of the full scale.
-
-    The standard deviation over the cycles of their mean residuals in a cell (see `hysteresis`),
-    pooled over all cells that two cycles or more went through, shape (3,) [%]; NaN without any.
-    """
-    cells = _levels(bench).assign(cycle=cycles)
-    spread = np.full(3, np.nan)
-    for axis in range(3):
-        cells["branch"], cells["residual"] = branches[:, axis], residual[:, axis]
-        means = cells.groupby([*STRESSES, "branch", "cycle"])["residual"].mean()
-        of_cell = means.groupby([*STRESSES, "branch"])
-        freedom = (of_cell.size() - 1).sum()
-        if freedom > 0:
-            variance = ((means - of_cell.transform("mean")) ** 2).sum() / freedom
-            spread[axis] = 100.0 * np.sqrt(variance) / bench.full_scale[axis]
-    return spread
-
-
-def cross_talk(bench: BenchData, residual: FloatArray) -> FloatArray:
-    """Apparent normal stress under pure shear, and apparent shear under pure normal stress.
-
-    A row is pure if the stress that loads it is at least a tenth of its full scale and the others
-    are at most 2 % of theirs; of pure shear, x and y may come together. The largest mean residual
-    of a cell (see `hysteresis`) counts, shape (3,) [% of the full scale]; NaN without a pure row.
-    """
-    share, cells = np.abs(bench.stress) / bench.full_scale, _levels(bench)
+    levels = np.round(bench.stress / (_LEVEL * bench.full_scale)).astype(np.int64)
+    share = np.abs(bench.stress) / bench.full_scale
     small, loaded = share <= _PURE, share >= _LEVEL
     by_normal = loaded[:, 0] & small[:, 1:].all(axis=1)
     by_shear = small[:, 0] & loaded[:, 1:].any(axis=1)
-    found = np.empty(3)
+    rows = []
     for axis, pure in enumerate((by_shear, by_normal, by_normal)):
-        means = cells[pure].assign(residual=residual[pure, axis]).groupby([*STRESSES]).mean()
-        found[axis] = 100.0 * means["residual"].abs().max() / bench.full_scale[axis]
-    return found
-
-
-def _levels(bench: BenchData) -> pd.DataFrame:
-    """Level of each stress in each row; the one of no stress is not cut in two."""
-    levels = np.round(bench.stress / (_LEVEL * bench.full_scale)).astype(np.int64)
-    return pd.DataFrame(levels, columns=STRESSES)
+        cells = pd.DataFrame(levels, columns=STRESSES)  # the level of no stress is not cut in two
+        cells["branch"], cells["cycle"] = branches[:, axis], cycles
+        cells["fitted"], cells["unseen"] = fitted[:, axis], unseen[:, axis]
+        on_branch = [*STRESSES, "branch"]
+        of_branches = cells.groupby(on_branch)["fitted"].agg(["mean", "size"]).unstack("branch")
+        both = of_branches.reindex(columns=_UP_AND_DOWN).dropna()
+        weight = both["size"].min(axis=1)
+        gap = (both["mean", RISING] - both["mean", FALLING]) * weight
+        gaps = (of.groupby(STRESSES[axis]).sum() for of in (gap, weight))
+        means = cells.groupby([*on_branch, "cycle"])["fitted"].mean()
+        of_cell = means.groupby(on_branch)
+        freedom = (of_cell.size() - 1).sum() or np.nan
+        spread = np.sqrt(((means - of_cell.transform("mean")) ** 2).sum() / freedom)
+        apparent = cells[pure].groupby([*STRESSES])["unseen"].mean()
+        rows.append((np.divide(*gaps).abs().max(), spread, apparent.abs().max()))
+    figures = 100.0 * np.array(rows) / bench.full_scale[:, None]
+    return pd.DataFrame(figures, STRESSES, ["hysteresis", "repeatability", "cross_talk"])
 
 
 _LEAST_GROUPS = 3
@@ -245,11 +221,7 @@ class BenchCalibration:
     normal_half_width: FloatArray  # half widths of the 95 % intervals of `normal`; (2,)
     shear_half_width: FloatArray  # the same of `shear`; (2, 6)
     branches: IntArray  # `find_branches` of the sound rows; no branch of the others; (N, 3)
-    hysteresis: FloatArray  # gap between rising and falling; (3,) [% of the full scale]
-    repeatability: FloatArray  # spread of the cycles; (3,) [% of the full scale]
-    # Apparent normal stress under pure shear and shear under pure normal stress, held out; (3,)
-    # [% of the full scale]
-    cross_talk: FloatArray
+    figures: pd.DataFrame  # `quality_figures`
 
     @property
     def full_scale(self) -> FloatArray:
@@ -314,7 +286,8 @@ def calibrate_bench(
     fitted = predict_stress(cluster, bench.capacitance)
     checked = cross_validate(bench.capacitance[:, wiring], bench.stress, choose_groups(bench))
     kept = bench[sound]
-    full_scale, residual = kept.full_scale, (fitted - bench.stress)[sound]
+    full_scale = kept.full_scale
+    residual, unseen = ((of - bench.stress)[sound] for of in (fitted, checked.predicted))
     branches = np.full(bench.stress.shape, NEITHER)
     branches[sound] = up_or_down = find_branches(kept)
     return BenchCalibration(
@@ -330,9 +303,7 @@ def calibrate_bench(
         normal_half_width=half_widths(cluster.normal, checked.normal),
         shear_half_width=half_widths(cluster.shear, checked.shear),
         branches=branches,
-        hysteresis=hysteresis(kept, residual, up_or_down),
-        repeatability=repeatability(kept, residual, up_or_down, cycle_ids(bench)[sound]),
-        cross_talk=cross_talk(kept, (checked.predicted - bench.stress)[sound]),
+        figures=quality_figures(kept, residual, unseen, up_or_down, cycle_ids(bench)[sound]),
     )
 
 
@@ -355,9 +326,7 @@ def bench_record(
         "held_out_by": str(calibrated.cross_validation.groups),
         "held_out": calibrated.held_out.to_dict("index"),
         "training": calibrated.training.to_dict("index"),
-        "hysteresis_percent": _by_stress(calibrated.hysteresis),
-        "repeatability_percent": _by_stress(calibrated.repeatability),
-        "cross_talk_percent": _by_stress(calibrated.cross_talk),
+        **calibrated.figures.add_suffix("_percent").to_dict(),
         "interval_95": {
             "normal": calibrated.normal_half_width,
             "shear_x": calibrated.shear_half_width[0],

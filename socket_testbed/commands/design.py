@@ -302,12 +302,12 @@ def _errors(calibrated: BenchCalibration) -> str:
         ("MAE Pa", held_out["mae"], 1),
         ("R2", held_out["r2"], 4),
         ("training RMSE Pa", calibrated.training["rmse"], 1),
-        ("hysteresis % FS", calibrated.hysteresis, 2),
-        ("repeatability % FS", calibrated.repeatability, 2),
+        ("hysteresis % FS", calibrated.figures["hysteresis"], 2),
+        ("repeatability % FS", calibrated.figures["repeatability"], 2),
     )
     talk = [
         number(value, 2) if isfinite(value) else f"no pure {'normal' if axis else 'shear'}"
-        for axis, value in enumerate(calibrated.cross_talk.tolist())
+        for axis, value in enumerate(calibrated.figures["cross_talk"])
     ]
     shown = [[number(float(value), digits) for value in values] for _, values, digits in columns]
     header = ["stress", *(name for name, *_ in columns), "cross-talk % FS"]

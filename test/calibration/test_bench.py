@@ -21,8 +21,7 @@ from socket_testbed.calibration.calibrate import (
     choose_groups,
     cross_validate,
     half_widths,
-    hysteresis,
-    repeatability,
+    quality_figures,
     stress_errors,
 )
 from socket_testbed.calibration.drift import (
@@ -213,8 +212,8 @@ def test_the_intervals_cover_95_percent_even_if_the_errors_of_a_cycle_hang_toget
 def test_play_of_some_width_is_found_as_hysteresis_of_that_width():
     for play in (0.02, 0.05, 0.1):
         found = calibrated(sensor_bench(play=play))
-        np.testing.assert_allclose(found.hysteresis, 100.0 * play, atol=0.7)
-    assert (calibrated(sensor_bench()).hysteresis < 0.6).all()  # that of the noise
+        np.testing.assert_allclose(found.figures["hysteresis"], 100.0 * play, atol=0.7)
+    assert (calibrated(sensor_bench()).figures["hysteresis"] < 0.6).all()  # that of the noise
     # A branch leaves out where a stress dwells; a stress that only rises has no hysteresis.
     ramp = np.concatenate([np.zeros(30), np.linspace(0, 1, 20), np.ones(30), np.linspace(1, 0, 20)])
     bench = bench_of(np.ones((100, 4)), ramp[:, None] * FULL_SCALE)
@@ -222,7 +221,8 @@ def test_play_of_some_width_is_found_as_hysteresis_of_that_width():
     assert (branches[32:48] == 1).all() and (branches[82:98] == -1).all()
     assert (branches[:30] == 0).all() and (branches[50:80] == 0).all()
     rows = np.arange(80)
-    assert np.isnan(hysteresis(bench[rows], np.ones((80, 3)), branches[rows])).all()
+    found = quality_figures(bench[rows], *np.ones((2, 80, 3)), branches[rows], rows)
+    assert found["hysteresis"].isna().all()
 
 
 def test_repeatability_is_the_spread_between_cycles():
@@ -232,10 +232,12 @@ def test_repeatability_is_the_spread_between_cycles():
     variances = []
     for seed in range(20):
         offsets = np.random.default_rng(seed).normal(0.0, 0.02, (36, 3)) * FULL_SCALE
-        variances.append(repeatability(bench, offsets[cycles], branches, cycles) ** 2)
+        residuals = [offsets[cycles]] * 2
+        found = quality_figures(bench, *residuals, branches, cycles)["repeatability"]
+        variances.append(found**2)
     np.testing.assert_allclose(np.sqrt(np.mean(variances, axis=0)), 2.0, rtol=0.1)
-    once = repeatability(bench, bench.stress, branches, np.zeros_like(cycles))
-    assert np.isnan(once).all()
+    once = quality_figures(bench, *residuals, branches, np.zeros_like(cycles))
+    assert once["repeatability"].isna().all()
 
 
 def spoil(bench: BenchData, seed: int) -> tuple[BenchData, set[int]]:
