@@ -7,8 +7,7 @@ import pytest
 from matplotlib import colormaps
 from matplotlib.collections import PolyCollection, QuadMesh
 from matplotlib.colors import Normalize
-from support.problems import random_socket
-from support.ring_socket import ring_socket
+from support.problems import random_socket, ring_socket
 
 from socket_testbed.identification.evaluation import channel_errors
 from socket_testbed.identification.pressure import Quantity

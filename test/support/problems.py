@@ -47,18 +47,18 @@ def ring_socket() -> SocketGeometry:
         names.append(f"end_{x}_{y}")
         anchors.append(np.array([x * pitch, y * pitch, 0.080]))
         frames.append(np.eye(3))  # on the end no tangent is proximal: x is anterior
-    on = {"brim_lateral": "ring6_4", "mid_anterior": "ring4_1"}
-    on |= {"posterior_distal": "ring1_5", "distal": "end_0_0"}
+    on = {"ring6_4": "brim_lateral", "ring4_1": "mid_anterior", "ring1_5": "posterior_distal"}
+    on |= {"end_0_0": "distal"}  # clusters, whose names their tiles have
     places, rotations = np.array(anchors), np.array(frames)
     apart = np.linalg.norm(places[:, None] - places, axis=2)
     alike = rotations[:, :, 2] @ rotations[:, :, 2].T > -0.2
     return SocketGeometry(
-        names=tuple(names),
+        names=tuple(on.get(name, name) for name in names),
         anchors=places,
         rotations=rotations,
         areas=np.full(len(names), 9e-4),
         neighbours=np.argwhere(np.triu((apart < 0.047) & alike, 1)),
-        clusters={name: names.index(tile) for name, tile in on.items()},
+        clusters={name: names.index(tile) for tile, name in on.items()},
         socket_markers=SOCKET_TRIAD,
         pylon_markers=PYLON_TRIAD,
         socket_body=Pose(np.eye(3), np.zeros(3)),
