@@ -61,22 +61,20 @@ class CalibratedCluster(Result):
         """Range and errors on held-out data by stress, in Pa and percent of the full scale."""
         import pandas as pd
 
-        from socket_testbed.calibration.bench_data import STRESSES
-
         held_out = self.quality.held_out
         columns = {
             "from [Pa]": self.quality.stress_range[:, 0],
             "to [Pa]": self.quality.stress_range[:, 1],
-            "held-out RMSE [Pa]": [errors.rmse for errors in held_out],
-            "held-out RMSE [%]": [errors.percent for errors in held_out],
-            "held-out MAE [Pa]": [errors.mae for errors in held_out],
-            "held-out R2 [-]": [errors.r2 for errors in held_out],
-            "training RMSE [Pa]": [errors.rmse for errors in self.quality.training],
-            "hysteresis [%]": self.quality.hysteresis,
-            "repeatability [%]": self.quality.repeatability,
-            "cross-talk [%]": self.quality.cross_talk,
+            "held-out RMSE [Pa]": held_out["rmse"],
+            "held-out RMSE [%]": held_out["percent"],
+            "held-out MAE [Pa]": held_out["mae"],
+            "held-out R2 [-]": held_out["r2"],
+            "training RMSE [Pa]": self.quality.training["rmse"],
+            "hysteresis [%]": self.quality.figures["hysteresis"],
+            "repeatability [%]": self.quality.figures["repeatability"],
+            "cross-talk [%]": self.quality.figures["cross_talk"],
         }
-        return pd.DataFrame(columns, index=pd.Index(STRESSES, name="stress"))
+        return pd.DataFrame(columns).rename_axis("stress")
 
     def notes(self) -> list[str]:
         """Notes on clusters of the calibration that were fitted to the same readings."""
@@ -163,7 +161,7 @@ class CalibratedCluster(Result):
             fit = (fitted - known)[some, k]
             below.plot(x[some], fit, ".", color="0.2", markersize=2.0, label="in the fit")
             below.axhline(0.0, color="0.72", linewidth=1.0)
-            error = f"\nheld-out:\n{found.held_out[k].percent:.1f} % of\nfull scale"
+            error = f"\nheld-out:\n{found.held_out['percent'].iloc[k]:.1f} % of\nfull scale"
             above.set_title(name + error * style.titles)
             below.set_xlabel("known [kPa]")
         for row, label in enumerate(("calibrated", "residual")):

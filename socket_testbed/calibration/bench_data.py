@@ -67,13 +67,9 @@ _ARRAYS = ("file", "line", "time", "cycle", "capacitance", "stress")  # of a Ben
 
 
 def scaled_stress(stress: FloatArray) -> FloatArray:
-    """Stresses as parts of the largest ones, from -1 to 1, however wrong one in a hundred is.
+    """Stresses (N, 3) [Pa] as parts of the largest ones, however wrong one in a hundred is.
 
-    Args:
-        stress: Normal stress, shear x and shear y, shape (N, 3) [Pa].
-
-    Returns:
-        Parts, shape (N, 3) [-]; zero for a stress that is hardly ever applied.
+    The parts are from -1 to 1; zero for a stress that is hardly ever applied.
     """
     scale = np.percentile(np.abs(stress), _SOUND, axis=0, method="lower")
     return np.clip(stress / np.where(scale > 0.0, scale, np.inf), -1.0, 1.0)
@@ -108,14 +104,10 @@ def read_bench(
 
     It has a header and a row per reading, with the columns `normal`, `shear_x`, `shear_y` and
     `c0` to `c3` (the converter's inputs), and optionally `time` and `cycle`. Their units
-    stand in the header, such as `normal [kPa]`, or in a row of their own below it. Other columns
-    are ignored.
-
-    Args:
-        path: The file; commas, semicolons or tabs separate its columns.
-        columns: Names in the header of quantities that it calls otherwise.
-        units: Units of quantities, instead of the header's, see `UNITS`.
-        area: Area on which a stress in N acts [m^2].
+    stand in the header, such as `normal [kPa]`, or in a row of their own below it; commas,
+    semicolons or tabs separate the columns. Others are ignored. `columns` names quantities that
+    the header calls otherwise, `units` (see `UNITS`) count instead of the header's, and a stress in
+    N acts on an area [m^2].
     """
     required, optional = (*STRESSES, *INPUTS), ("time", "cycle")
     found = _find_columns(path, required, optional, columns, units, area)
@@ -142,16 +134,7 @@ def read_bench(
 
 
 def read_unloaded(path: Path, columns: Mapping[str, str], units: Mapping[str, str]) -> FloatArray:
-    """Read the capacitances `c0` to `c3` of the unloaded cluster, see `read_bench`.
-
-    Args:
-        path: The file; its other columns are ignored.
-        columns: Names in the header of quantities that it calls otherwise.
-        units: Units of quantities, instead of the header's.
-
-    Returns:
-        Capacitances by input, shape (N, 4) [pF].
-    """
+    """Read `c0` to `c3` of the unloaded cluster, shape (N, 4) [pF]: see `read_bench`."""
     found = _find_columns(path, INPUTS, (), columns, units)
     return np.column_stack([found[name].values() for name in INPUTS])
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -44,109 +44,70 @@ from socket_testbed.errors import CalibrationError
 
 _LEVEL = 0.1  # [-] of the full scale; stresses within one level count as equal
 _PURE = 0.02  # [-] of the full scale; a smaller stress counts as none
+_UP_AND_DOWN = pd.MultiIndex.from_product([("mean", "size"), (RISING, FALLING)])
 
 
-@dataclass(frozen=True)
-class StressErrors:
-    """Errors of one stress."""
+def stress_errors(known: FloatArray, predicted: FloatArray, full_scale: FloatArray) -> pd.DataFrame:
+    """Errors by stress: `rmse` and `mae` [Pa], `r2` [-], and the RMSE in `percent` of full scale.
 
-    rmse: float  # Root-mean-square error [Pa]
-    mae: float  # mean absolute error [Pa]
-    r2: float  # part of the known stress's variance that is explained [-]
-    percent: float  # the RMSE in percent of the full scale
-
-
-def stress_errors(
-    known: FloatArray, predicted: FloatArray, full_scale: FloatArray
-) -> tuple[StressErrors, ...]:
-    """Errors of the normal stress, shear x and shear y."""
+    R^2 is the part of the known stress's variance that is explained.
+    """
     residual = predicted - known
     rmse = np.sqrt(np.mean(residual**2, axis=0))
-    mae, r2 = np.mean(np.abs(residual), axis=0), 1.0 - rmse**2 / np.var(known, axis=0)
-    figures = np.column_stack([rmse, mae, r2, 100.0 * rmse / full_scale])
-    return tuple(StressErrors(*row) for row in figures.tolist())
+    errors = {
+        "rmse": rmse,
+        "mae": np.mean(np.abs(residual), axis=0),
+        "r2": 1.0 - rmse**2 / np.var(known, axis=0),
+        "percent": 100.0 * rmse / full_scale,
+    }
+    return pd.DataFrame(errors, index=STRESSES)
 
 
-def hysteresis(bench: BenchData, residual: FloatArray, branches: IntArray) -> FloatArray:
-    """Widest gap between rising and falling at equal stress, in percent of the full scale.
+def quality_figures(
+    bench: BenchData,
+    fitted: FloatArray,
+    unseen: FloatArray,
+    branches: IntArray,
+    cycles: IntArray,
+) -> pd.DataFrame:
+    """Figures of each stress [% of the full scale], from residuals of the fit and held-out ones.
 
-    Equal means that all three stresses lie within the same tenth of their full scales. In each
-    such cell the mean residuals of the rising and of the falling rows are subtracted; the cells
-    of one level of the stress in question are averaged, and the widest level counts.
+    Rows are in one cell if all three stresses lie within the same tenth of their full scales.
 
-    Returns:
-        One figure per stress, shape (3,) [%]; NaN for one that did not rise and fall between
-        equal stresses.
+    - `hysteresis`: the gap between the mean residuals of rising and falling rows in a cell; the
+      cells of one level of the stress in question are averaged, and the widest level counts. NaN
+      for a stress that did not rise and fall between equal stresses.
+    - `repeatability`: the standard deviation over the cycles of their mean residuals in a cell on
+      the same branch, pooled over all cells that two cycles or more went through; NaN without any.
+    - `cross_talk`: the apparent normal stress under pure shear, and the apparent shear under pure
+      normal stress: the largest mean of the held-out residuals of a cell. A row is pure if the
+      stress that loads it is at least a tenth of its full scale and the others are at most 2 % of
+      theirs; of pure shear, x and y may come together. NaN without a pure row.
     """
-    cells = _levels(bench)
-    widest = np.full(3, np.nan)
-    for axis, stress in enumerate(STRESSES):
-        cells["residual"] = residual[:, axis]
-        up, down = (
-            cells[branches[:, axis] == branch]
-            .groupby([*STRESSES])["residual"]
-            .agg(["mean", "size"])
-            .add_suffix(suffix)
-            for branch, suffix in ((RISING, "_up"), (FALLING, "_down"))
-        )
-        both = up.join(down, how="inner")
-        weight = both[["size_up", "size_down"]].min(axis=1)
-        gap = (both["mean_up"] - both["mean_down"]) * weight
-        gaps = gap.groupby(stress).sum() / weight.groupby(stress).sum()
-        widest[axis] = 100.0 * gaps.abs().max() / bench.full_scale[axis]
-    return widest
-
-
-def repeatability(
-    bench: BenchData, residual: FloatArray, branches: IntArray, cycles: IntArray
-) -> FloatArray:
-    """Spread of the cycles at equal stress on the same branch, in percent of the full scale.
-
-    The standard deviation over the cycles of their mean residuals in a cell (see
-    `hysteresis`), pooled over all cells that two cycles or more went through.
-
-    Returns:
-        One figure per stress, shape (3,) [%]; NaN for one that no two cycles repeated.
-    """
-    cells = _levels(bench).assign(cycle=cycles)
-    spread = np.full(3, np.nan)
-    for axis in range(3):
-        cells["branch"], cells["residual"] = branches[:, axis], residual[:, axis]
-        means = cells.groupby([*STRESSES, "branch", "cycle"])["residual"].mean()
-        of_cell = means.groupby([*STRESSES, "branch"])
-        freedom = (of_cell.size() - 1).sum()
-        if freedom > 0:
-            variance = ((means - of_cell.transform("mean")) ** 2).sum() / freedom
-            spread[axis] = 100.0 * np.sqrt(variance) / bench.full_scale[axis]
-    return spread
-
-
-def cross_talk(bench: BenchData, residual: FloatArray) -> FloatArray:
-    """Apparent normal stress under pure shear, and apparent shear under pure normal stress.
-
-    A row is pure if the stress that loads it is at least a tenth of its full scale and the others
-    are at most 2 % of theirs; of pure shear, x and y may come together. The mean residuals of the
-    cells (see `hysteresis`) are compared, and the largest size counts.
-
-    Returns:
-        The apparent normal stress, shear x and shear y, shape (3,) [% of the full scale]; NaN
-        without a pure row.
-    """
-    share, cells = np.abs(bench.stress) / bench.full_scale, _levels(bench)
+    levels = np.round(bench.stress / (_LEVEL * bench.full_scale)).astype(np.int64)
+    share = np.abs(bench.stress) / bench.full_scale
     small, loaded = share <= _PURE, share >= _LEVEL
     by_normal = loaded[:, 0] & small[:, 1:].all(axis=1)
     by_shear = small[:, 0] & loaded[:, 1:].any(axis=1)
-    found = np.empty(3)
+    rows = []
     for axis, pure in enumerate((by_shear, by_normal, by_normal)):
-        means = cells[pure].assign(residual=residual[pure, axis]).groupby([*STRESSES]).mean()
-        found[axis] = 100.0 * means["residual"].abs().max() / bench.full_scale[axis]
-    return found
-
-
-def _levels(bench: BenchData) -> pd.DataFrame:
-    """Level of each stress in each row; the one of no stress is not cut in two."""
-    levels = np.round(bench.stress / (_LEVEL * bench.full_scale)).astype(np.int64)
-    return pd.DataFrame(levels, columns=STRESSES)
+        cells = pd.DataFrame(levels, columns=STRESSES)  # the level of no stress is not cut in two
+        cells["branch"], cells["cycle"] = branches[:, axis], cycles
+        cells["fitted"], cells["unseen"] = fitted[:, axis], unseen[:, axis]
+        on_branch = [*STRESSES, "branch"]
+        of_branches = cells.groupby(on_branch)["fitted"].agg(["mean", "size"]).unstack("branch")
+        both = of_branches.reindex(columns=_UP_AND_DOWN).dropna()
+        weight = both["size"].min(axis=1)
+        gap = (both["mean", RISING] - both["mean", FALLING]) * weight
+        gaps = (of.groupby(STRESSES[axis]).sum() for of in (gap, weight))
+        means = cells.groupby([*on_branch, "cycle"])["fitted"].mean()
+        of_cell = means.groupby(on_branch)
+        freedom = (of_cell.size() - 1).sum() or np.nan
+        spread = np.sqrt(((means - of_cell.transform("mean")) ** 2).sum() / freedom)
+        apparent = cells[pure].groupby([*STRESSES])["unseen"].mean()
+        rows.append((np.divide(*gaps).abs().max(), spread, apparent.abs().max()))
+    figures = 100.0 * np.array(rows) / bench.full_scale[:, None]
+    return pd.DataFrame(figures, STRESSES, ["hysteresis", "repeatability", "cross_talk"])
 
 
 _LEAST_GROUPS = 3
@@ -233,10 +194,7 @@ def half_widths(full: FloatArray, without: FloatArray) -> FloatArray:
     cluster-robust inference", arXiv:2301.04527. The residuals within a group may be correlated
     in any way; those of different groups are taken as independent. It states how well this bench
     determines the coefficients, not whether the polynomial is the law of the sensor.
-
-    Args:
-        full: Coefficients of the fit to all data, any shape.
-        without: Coefficients of the fits without each group, shape (G, ...).
+    The coefficients b of the fit to all data have any shape, those without each group (G, ...).
     """
     count = len(without)
     variance = (count - 1) / count * ((without - full) ** 2).sum(axis=0)
@@ -257,15 +215,11 @@ class BenchCalibration:
     dropped: bool  # whether they were left out of the fit and of `bench`
     fitted: FloatArray  # stress by the calibration; (N, 3) [Pa]
     cross_validation: CrossValidation  # the fits without each group
-    training: tuple[StressErrors, ...]  # errors on the data of the fit, one per stress
-    held_out: tuple[StressErrors, ...]  # errors on held-out data, one per stress
+    training: pd.DataFrame  # `stress_errors` on the data of the fit
+    held_out: pd.DataFrame  # the same on held-out data
     normal_half_width: FloatArray  # half widths of the 95 % intervals of `normal`; (2,)
     shear_half_width: FloatArray  # the same of `shear`; (2, 6)
-    hysteresis: FloatArray  # gap between rising and falling; (3,) [% of the full scale]
-    repeatability: FloatArray  # spread of the cycles; (3,) [% of the full scale]
-    # Apparent normal stress under pure shear and shear under pure normal stress, held out; (3,)
-    # [% of the full scale]
-    cross_talk: FloatArray
+    figures: pd.DataFrame  # `quality_figures`
 
     @property
     def full_scale(self) -> FloatArray:
@@ -290,19 +244,12 @@ class BenchCalibration:
 
     def above(self, limit: float) -> tuple[str, ...]:
         """Stresses whose held-out RMSE is above a limit [% of the full scale]."""
-        return tuple(
-            name
-            for name, errors in zip(STRESSES, self.held_out, strict=True)
-            if errors.percent > limit
-        )
+        return tuple(self.held_out.index[self.held_out["percent"] > limit])
 
     def require_accuracy(self, limit: float) -> None:
         """Refuse a calibration that predicts unseen data badly."""
-        errors = _by_stress(self.held_out)
-        bad = [
-            f"{name} {errors[name].percent:.1f} % ({errors[name].rmse:.0f} Pa)"
-            for name in self.above(limit)
-        ]
+        errors = self.held_out.loc[[*self.above(limit)]]
+        bad = [f"{e.Index} {e.percent:.1f} % ({e.rmse:.0f} Pa)" for e in errors.itertuples()]
         if bad:
             raise CalibrationError(
                 f"the held-out RMSE exceeds {limit:g} % of the full scale: {', '.join(bad)}",
@@ -313,14 +260,10 @@ class BenchCalibration:
 def calibrate_bench(
     bench: BenchData, wiring: IntArray, wiring_stated: bool, drop_outliers: bool
 ) -> BenchCalibration:
-    """Fit a cluster and judge the fit.
+    """Fit a cluster and judge the fit; outliers are left out only if they are to be dropped.
 
-    Args:
-        bench: The bench data.
-        wiring: Input that holds each channel, shape (4,).
-        wiring_stated: Whether it was given for this bench, so that it is kept even if the data
-            contradicts it.
-        drop_outliers: Whether outliers are left out.
+    The wiring is the input that holds each channel, shape (4,). One that was stated for this bench
+    is kept even if the data contradicts it.
     """
     check_excitation(bench.stress, ", ".join(bench.files))
     if not wiring_stated:
@@ -341,8 +284,9 @@ def calibrate_bench(
     fitted = predict_stress(cluster, bench.capacitance)
     checked = cross_validate(bench.capacitance[:, wiring], bench.stress, choose_groups(bench))
     kept = bench[sound]
-    full_scale, residual = kept.full_scale, (fitted - bench.stress)[sound]
-    branches = find_branches(kept)
+    full_scale = kept.full_scale
+    residual, unseen = ((of - bench.stress)[sound] for of in (fitted, checked.predicted))
+    cycles = cycle_ids(bench)[sound]
     return BenchCalibration(
         cluster=cluster,
         bench=bench,
@@ -355,9 +299,7 @@ def calibrate_bench(
         held_out=stress_errors(bench.stress, checked.predicted, full_scale),
         normal_half_width=half_widths(cluster.normal, checked.normal),
         shear_half_width=half_widths(cluster.shear, checked.shear),
-        hysteresis=hysteresis(kept, residual, branches),
-        repeatability=repeatability(kept, residual, branches, cycle_ids(bench)[sound]),
-        cross_talk=cross_talk(kept, (checked.predicted - bench.stress)[sound]),
+        figures=quality_figures(kept, residual, unseen, find_branches(kept), cycles),
     )
 
 
@@ -378,11 +320,9 @@ def bench_record(
         "full_scale": _by_stress(calibrated.full_scale),
         "stress_range": _by_stress(calibrated.stress_range),
         "held_out_by": str(calibrated.cross_validation.groups),
-        "held_out": _by_stress(calibrated.held_out),
-        "training": _by_stress(calibrated.training),
-        "hysteresis_percent": _by_stress(calibrated.hysteresis),
-        "repeatability_percent": _by_stress(calibrated.repeatability),
-        "cross_talk_percent": _by_stress(calibrated.cross_talk),
+        "held_out": calibrated.held_out.to_dict("index"),
+        "training": calibrated.training.to_dict("index"),
+        **calibrated.figures.add_suffix("_percent").to_dict(),
         "interval_95": {
             "normal": calibrated.normal_half_width,
             "shear_x": calibrated.shear_half_width[0],
@@ -407,8 +347,6 @@ def _by_stress(values: Iterable[Any]) -> dict[str, Any]:
 
 def _plain(value: Any) -> Any:
     """A value as YAML has it: numbers of a few digits, lists, dictionaries; None for NaN."""
-    if isinstance(value, StressErrors):
-        value = asdict(value)
     if isinstance(value, dict):
         return {key: _plain(entry) for key, entry in value.items()}
     if isinstance(value, list | np.ndarray):

@@ -31,8 +31,7 @@ DRIFT_LIMIT = 1000.0  # [Pa]; a larger drift during a run is flagged
 def find_extremes(values: FloatArray, least: float) -> IntArray:
     """Indices of the alternating extremes between which a signal moves by a least amount.
 
-    Returns:
-        Indices from the first extreme to the last one; a single one if nothing moves so much.
+    A single one if nothing moves so much.
     """
     extremes: list[int] = []
     lowest = highest = direction = 0
@@ -141,21 +140,12 @@ def correct_drift(
     after: Baseline | None = None,
     reference: FloatArray | None = None,
 ) -> FloatArray:
-    """Bring readings to the baseline that a calibration was made at.
+    """Bring readings by input, shape (N, 4) [pF], to the baseline that a calibration was made at.
 
-    ``c(t) - (b(t) - reference)``, with b the baseline: linear in time from before to after and
-    constant outside of them; without a baseline after, it is the one before.
-
-    Args:
-        capacitance: Capacitances by input, shape (N, 4) [pF]; NaN stays NaN.
-        time: Their times, shape (N,) [s].
-        before: The baseline before.
-        after: The baseline after; None if there is none.
-        reference: Baseline of the calibration by input, shape (4,) [pF]; None takes the one
-            before, so that only the drift since then is removed.
-
-    Returns:
-        Corrected capacitances, shape (N, 4) [pF].
+    ``c(t) - (b(t) - reference)``, with b the baseline: linear in time (N,) [s] from before to after
+    and constant outside of them; without a baseline after, it is the one before. The reference is
+    the baseline of the calibration by input, shape (4,) [pF]; without it, it is the one before, so
+    that only the drift since then is removed.
     """
     if reference is None:
         reference = before.capacitance

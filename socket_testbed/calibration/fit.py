@@ -123,11 +123,8 @@ def find_lack(products: FloatArray, rows: int) -> tuple[str, str] | None:
 
     A term is determined if the others do not explain it: the linear ones of all three
     stresses, since a stress that always comes with another cannot be separated from it, and the
-    second-degree ones of the shear.
-
-    Args:
-        products: Products of the `excitation_terms`, summed over the rows, shape (7, 7) [-].
-        rows: Number of the rows.
+    second-degree ones of the shear. The products of the `excitation_terms`, shape (7, 7) [-], are
+    summed over the rows.
     """
     moments = products / max(rows, 1)
     alone = _independent_parts(moments[:4, :4])

@@ -31,14 +31,9 @@ SHEAR_TERMS = ("1", "dx", "dy", "dx^2", "dx dy", "dy^2")
 
 
 def channel_features(capacitance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mean and pair differences of the channels (-x,+y), (+x,+y), (-x,-y), (+x,-y).
+    """Mean and pair differences of the channels (-x,+y), (+x,+y), (-x,-y), (+x,-y), (..., 4) [pF].
 
-    Args:
-        capacitance: Capacitances, shape (..., 4) [pF].
-
-    Returns:
-        Mean, difference along x (+x minus -x) and along y (+y minus -y), shape (...) each
-        [pF].
+    The differences are along x (+x minus -x) and y (+y minus -y), shape (...) each [pF].
     """
     c0, c1, c2, c3 = np.moveaxis(capacitance, -1, 0)
     mean = 0.25 * (c0 + c1 + c2 + c3)
@@ -72,16 +67,11 @@ class ClusterCalibration:
     bench: Mapping[str, Any] = field(default_factory=dict)
 
     def apply(self, capacitance: FloatArray, status: StatusArray) -> tuple[FloatArray, StatusArray]:
-        """Stress on the cluster from the converter's four inputs.
+        """Stress on the cluster from the converter's four inputs [pF] and their `Status`, (..., 4).
 
-        Args:
-            capacitance: Capacitances by input, shape (..., 4) [pF].
-            status: `Status` of each input, shape (..., 4).
-
-        Returns:
-            Normal stress (positive in compression), shear x and shear y, shape (..., 3)
-            [Pa], and their `Status`, shape (...). The stress is NaN unless all four
-            channels were read; out of the calibrated range it is an extrapolation.
+        The stress is normal (positive in compression), shear x and shear y, shape (..., 3) [Pa],
+        with one `Status`, shape (...). It is NaN unless all four channels were read; out of the
+        calibrated range it is an extrapolation.
         """
         capacitance = np.where(np.isfinite(capacitance), capacitance, np.nan)
         features = np.einsum("...ij,...j->...i", self._features, capacitance)
@@ -149,11 +139,7 @@ class Calibration:
             )
 
     def stacked(self, clusters: Collection[str]) -> ClusterCalibration:
-        """Coefficients of c clusters with an axis for them, to `apply` to shape (..., c, 4).
-
-        Args:
-            clusters: Their names, of which the calibration knows all; at least one.
-        """
+        """Coefficients of c known clusters, one at least, to `apply` to shape (..., c, 4)."""
         own = [self.clusters[name] for name in clusters]
         names = ("normal", "shear", "mean_range", "difference_range", "wiring")
         arrays: dict[str, Any] = {n: np.stack([getattr(c, n) for c in own]) for n in names}

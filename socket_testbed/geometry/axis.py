@@ -60,13 +60,10 @@ class SocketAxis:
 
 
 def axis_through(end: FloatArray, proximal: FloatArray, anterior: FloatArray = _X) -> SocketAxis:
-    """The axis through the distal end in a direction.
+    """The axis through the distal end (3,) [m] in {S}, in the proximal direction (3,).
 
-    Args:
-        end: Centre of the distal end in {S}, shape (3,) [m].
-        proximal: Direction towards the proximal end, shape (3,) [-].
-        anterior: Direction of which the part across the axis is anterior, x of {S} by default
-            (REP 103), shape (3,) [-]. Along the axis it says nothing: then -z of {S} is anterior.
+    The part of `anterior` across the axis is anterior, by default of x of {S} (REP 103). Along the
+    axis it says nothing: then -z of {S} is anterior.
     """
     along = proximal / np.linalg.norm(proximal)
     across = anterior - (anterior @ along) * along
@@ -76,13 +73,10 @@ def axis_through(end: FloatArray, proximal: FloatArray, anterior: FloatArray = _
 
 
 def proximal_direction(geometry: SocketGeometry) -> FloatArray:
-    """Unit vector in {S} towards the proximal end, the mean x axis of the tiles on the wall.
+    """Unit vector (3,) in {S} towards the proximal end, the mean x axis of the tiles on the wall.
 
     On the distal end no tangent is proximal, so tiles whose x axis is far from the mean of
     all are left out. Where the x axes cancel or all tiles face up it is z of {S}.
-
-    Returns:
-        The direction, shape (3,) [-].
     """
     x_axes = geometry.rotations[:, :, 0]
     mean = x_axes.mean(axis=0)
@@ -127,15 +121,9 @@ def anatomical_regions(geometry: SocketGeometry, side: Side | None = None) -> tu
 
     The sectors are quarter turns about the socket's axis (`socket_axis`), centred on
     anterior, left, posterior and right; the heights are thirds of the span of the tiles' centres
-    along the axis. Every tile is in exactly one sector, one height and one of their intersections.
-
-    Args:
-        geometry: Geometry of the socket.
-        side: The leg. Medial is left of the axis on a right leg, right of it on a left leg; without
-            a side the sectors are called `left` and `right`.
-
-    Returns:
-        Regions such as `anterior`, `proximal` and `anterior proximal`, less those without a tile.
+    along the axis. Every tile is in exactly one sector, one height and one of their intersections,
+    such as `anterior proximal`; regions without a tile are left out. Medial is left of the axis on
+    a right leg, right of it on a left leg; without a side the sectors are `left` and `right`.
     """
     axis = socket_axis(geometry)
     turns = np.round(axis.angles(geometry.anchors) / (0.5 * np.pi)) % 4

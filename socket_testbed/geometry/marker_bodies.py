@@ -37,12 +37,9 @@ def pose_uncertainty(points: FloatArray, noise: float) -> PoseUncertainty:
     With r the points from their centroid, the covariances are ``sigma^2 / k I`` of the shift
     and ``sigma^2 (sum(|r|^2 I - r r^T))^-1`` of the rotation. Their sum at a point is the
     target registration error of Fitzpatrick, West and Maurer 1998, doi:10.1109/42.736021,
-    whose squared localisation error is ``3 sigma^2``.
-
-    Args:
-        points: The k points in the body's frame, not on one line, shape (k, 3) [m].
-        noise: 1-sigma noise of a coordinate of the observed points [m]; for the mean of N
-            independent frames that of a frame over sqrt(N).
+    whose squared localisation error is ``3 sigma^2``. The k points are in the body's frame, not on
+    one line, shape (k, 3) [m]; sigma is the noise of a coordinate [m], for the mean of N
+    independent frames that of a frame over sqrt(N).
     """
     centroid = points.mean(axis=0)
     arms = points - centroid
@@ -54,12 +51,8 @@ def pose_uncertainty(points: FloatArray, noise: float) -> PoseUncertainty:
 def fit_rigid(points: FloatArray, observed: FloatArray) -> Pose:
     """Least-squares poses of a body from its points (Kabsch 1976, doi:10.1107/S0567739476001873).
 
-    Args:
-        points: Points in the body's frame, shape (k, 3) [m].
-        observed: The same points in another frame, M times, shape (M, k, 3) [m].
-
-    Returns:
-        M poses of the body in the frame of the observations.
+    The points are in the body's frame, shape (k, 3) [m], and observed M times in another one, shape
+    (M, k, 3) [m], in which the M poses are.
     """
     centre_points = points.mean(axis=0)
     centre_observed = observed.mean(axis=1)
@@ -174,10 +167,8 @@ def fit_body(
     they change their labels. The rest of a body has no pose if it could as well be another part
     of it, or is on one line. The rotation is the least-squares one (`fit_rigid`).
 
-    Args:
-        reference: Markers in the body's frame, shape (k, 3) [m].
-        observed: Markers in another frame, shape (N, k, 3) [m]; NaN where occluded.
-        tolerance: Largest difference of a distance from the body's [m].
+    The reference is the markers in the body's frame, shape (k, 3) [m]; they are observed in
+    another one, shape (N, k, 3) [m], NaN where occluded. Distances agree within the tolerance [m].
     """
     own = distances(reference)
     count, size = observed.shape[:2]

@@ -23,11 +23,9 @@ class Pose:
 
     @classmethod
     def from_quaternion(cls, translation: FloatArray, quaternion: FloatArray) -> Pose:
-        """Poses from quaternions (x, y, z, w) of any length; NaN or zero gives NaN.
+        """Poses from positions (N, 3) [m] and quaternions (x, y, z, w) of any length, (N, 4) [-].
 
-        Args:
-            translation: Positions, shape (N, 3) [m].
-            quaternion: Quaternions, shape (N, 4) [-].
+        A quaternion that is NaN or zero gives NaN.
         """
         usable = np.isfinite(quaternion).all(axis=-1) & (quaternion != 0.0).any(axis=-1)
         rotation = np.full((*quaternion.shape[:-1], 3, 3), np.nan)

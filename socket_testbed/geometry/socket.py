@@ -91,14 +91,9 @@ class SocketGeometry:
         )
 
     def limb_pose(self, socket_in_world: Pose, pylon_in_world: Pose) -> Pose:
-        """Pose of the limb in {S} from the poses of the two marker bodies; its origin is q.
+        """N poses of the limb in {S} from those of both marker bodies; NaN where one is NaN.
 
-        Args:
-            socket_in_world: Poses of the socket's marker body, N of them.
-            pylon_in_world: Poses of the pylon's marker body, N of them.
-
-        Returns:
-            N poses; NaN where a pose is NaN.
+        The origin of the limb is q.
         """
         return self.socket_body @ socket_in_world.inverse() @ pylon_in_world @ self.limb
 
@@ -248,12 +243,7 @@ def read_socket(path: Path) -> SocketGeometry:
 
 
 def socket_from_document(data: Any, where: str) -> SocketGeometry:
-    """Build the geometry from the content of `socket.yaml`, with every check.
-
-    Args:
-        data: The content.
-        where: What names it in an error.
-    """
+    """Build the geometry from the content of `socket.yaml`, with every check; errors say where."""
     document: _Socket = convert({} if data is None else data, _Socket, where)
     tiles, bodies = document.tiles, document.bodies
     names = tuple(tiles)
@@ -327,10 +317,7 @@ def find_regions(
 ) -> dict[str, tuple[int, ...]]:
     """Indices of the tiles of a user's own regions, ascending, by the regions' names.
 
-    Args:
-        regions: Names of tiles, by the names of the regions.
-        names: Names of the socket's tiles.
-        where: What names the regions' source in an error.
+    The regions hold names of tiles, of those of the socket; an error says where.
     """
     found = {}
     for name, tiles in regions.items():

@@ -131,12 +131,9 @@ def solve_box_qp(
 ) -> BoxSolution:
     """Solve a box QP and certify the answer; a solver's own verdict does not count.
 
-    Args:
-        problem: The problem, in scaled units.
-        solver: Any solver that qpsolvers finds.
-        tolerance: Largest residual of the certificate [-].
-        near: Solution of a similar problem, shape (p,) [-]: pivoting starts from its active set,
-            and the solver is called only where that leads nowhere.
+    The solver is any that qpsolvers finds, the tolerance the largest residual of the certificate
+    [-]. From the active set of `near`, the solution of a similar problem, shape (p,) [-], pivoting
+    starts, and the solver is called only where that leads nowhere.
     """
     check_solver(solver)
     if not (np.isfinite(problem.P).all() and np.isfinite(problem.q).all()):
@@ -215,10 +212,8 @@ def pivot(problem: BoxQP, start: FloatArray) -> BoxSolution:
     Block principal pivoting (Judice & Pires 1994, doi:10.1016/0305-0548(94)90106-6): all
     variables on the wrong side change sides at once, or, when that stops helping, one at a
     time, which cannot cycle. From a solver's answer a few steps reach the optimum to
-    rounding. It needs P to be definite over the free variables.
-
-    Returns:
-        The point with the smallest residuals on the way, at worst the start.
+    rounding. It needs P to be definite over the free variables. What is found is the point with the
+    smallest residuals on the way, at worst the start.
     """
     x, certificate = start, problem.certificate(start)
     trial = start - (problem.P @ start + problem.q)

@@ -491,12 +491,9 @@ class ContactModel:
     ) -> tuple[FloatArray, FloatArray]:
         """Displacements delta that the gates of the springs read, with their standard deviations.
 
-        Poses have the shape (N, 6) [m, rad], the covariance of their noise (6, 6).
-
-        Returns:
-            Displacements along x, y, z of {S}, shape (N, n, 3), in the rigid variants along each
-            tile's inward normal, shape (N, n, 1) [m]: negative in compression, infinite without
-            stiffness. Standard deviations of the noise, shape (n, 3) or (n, 1) [m].
+        By poses (N, 6) [m, rad] and the covariance of their noise (6, 6), they are along x, y, z of
+        {S}, shape (N, n, 3), in the rigid variants along each tile's inward normal, (N, n, 1) [m]:
+        negative in compression, infinite without stiffness. The deviations are (n, 3) or (n, 1).
         """
         law, axes = self.law, list(self.law.GATES)
         motion, stiff = law.motion(pose), self.stiffness > 0.0

@@ -22,6 +22,7 @@ from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.noise import channel_noise
 from socket_testbed.identification.plausibility import (
+    find_implausible,
     find_outliers,
     finite_quantile,
     outlier_notes,
@@ -36,7 +37,7 @@ from socket_testbed.identification.validation import (
     measurement_errors,
     thinned,
 )
-from socket_testbed.samples import Samples, Status, channel_unit
+from socket_testbed.samples import WRENCH_CHANNELS, Samples, Status, channel_unit
 from socket_testbed.settings.identification import ForceMapSettings
 
 GOOD, LOOK = "data: good", "data: look at "
@@ -60,7 +61,6 @@ NOISE = {"N": 20.0, "N m": 3.0}  # sound 0.3 N, like the published experiment 11
 STRESS_SHARE = (0.001, 3.0)
 WEIGHTS = (0.02, 5.0)  # size of the load in weights of a stated mass [-]
 SINKING = 0.5  # cosine of the limb's motion under load to the axis; sound 0.996 and more [-]
-LEVER = 2.0  # moment over force, in distances of the farthest tile [-]
 ROTATION = 0.7  # of the limb from its mean attitude, sound 0.04 [rad]
 GRAVITY = 9.81  # [m/s^2]
 
@@ -110,17 +110,12 @@ def _sizes(samples: Samples, geometry: SocketGeometry, mass: float | None) -> It
         except IdentificationError as error:
             yield Finding("the units", error.fact, error.hint)
             return
-    force = _norm(samples.wrench[:, 3:])
-    size, reach = finite_quantile(force, 0.95), _norm(geometry.anchors).max()
-    moment = finite_quantile(_norm(samples.wrench[:, :3]), 0.5)
-    load = finite_quantile(force, 0.5)
-    if load > 1.0 and moment > LEVER * reach * load:
-        yield Finding(
-            "the wrench",
-            f"{moment:.3g} N m of moment under {load:.3g} N is a lever of {moment / load:.2g} m,"
-            f" where the farthest tile is {reach:.2g} m away",
-            "check that moments are in N m and forces in N, and the load cell's channels",
-        )
+    for found in find_implausible(samples, geometry):
+        if found.channel in WRENCH_CHANNELS:
+            hint = "check that moments are in N m and forces in N, and the load cell's channels"
+            yield Finding("the wrench", f"{found.channel}: {found.reason}", hint)
+            break
+    size = finite_quantile(_norm(samples.wrench[:, 3:]), 0.95)
     weights = size / (GRAVITY * mass) if mass else 1.0
     if not WEIGHTS[0] <= weights <= WEIGHTS[1]:
         yield Finding(

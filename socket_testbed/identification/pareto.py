@@ -374,12 +374,10 @@ def beside_published(
     """The figures of the paper for a trial, beside the printed ones.
 
     The errors are those of the paper's two variants on every channel, the fronts theirs over theta
-    (none where there are no thetas to state), samples and settings those of the fits.
-
-    Returns:
-        A row per figure, indexed by its name and unit: for this trial and for the paper the values
-        without and with offsets, NaN where unknown, and a remark: why the two are not comparable,
-        or that the printed number is not known here.
+    (none where there are no thetas to state), samples and settings those of the fits. A row per
+    figure, indexed by its name and unit, has for this trial and for the paper the values without
+    and with offsets, NaN where unknown, and a remark: why the two are not comparable, or that the
+    printed number is not known here.
     """
     import pandas as pd
 

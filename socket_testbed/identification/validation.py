@@ -454,12 +454,11 @@ def judgements_table(judgements: Sequence[Judgement]) -> pd.DataFrame:
 
 
 def summarise_judgements(judgements: Sequence[Judgement]) -> pd.DataFrame:
-    """Means over the trials, a row per question, test and predictor, in their order.
+    """Means over the trials, a row per `question`, `test` and `predictor`, in their order.
 
-    Returns:
-        Indexed by `question`, `test` and `predictor`, with the columns of `judgements_table` that
-        are numbers, `judged [1]`, the number of judgements, `worst error [-]`, and the medians of
-        the skills, such as `median force skill [-]`: one trial may spoil a mean.
+    The columns are those of `judgements_table` that are numbers, `judged [1]`, the number of
+    judgements, `worst error [-]`, and the medians of the skills, such as `median force skill [-]`:
+    one trial may spoil a mean.
     """
     table = judgements_table([j for j in judgements if not j.cluster])
     grouped = table.groupby(["question", "test", "predictor"], sort=False)

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from support.ring_socket import ring_socket
+from support.problems import ring_socket
 
 from socket_testbed.files import packaged
 from socket_testbed.geometry.axis import (
@@ -39,14 +39,8 @@ def test_tiles_in_rings_are_at_their_heights_and_angles_however_the_socket_stand
     np.testing.assert_allclose(heights, axis.heights(RINGS.anchors), atol=1e-12)
 
 
-def test_angles_count_from_anterior_towards_left():
-    axis = axis_through(np.array([0.01, 0.02, 0.08]), np.array([0.0, 0.0, 2.0]))
-    steps = np.array([[0.05, 0.0, 0.1], [0.0, 0.05, 0.0], [-0.05, 0.001, 0.0], [0.0, -1.0, 0.0]])
-    around = axis.end + steps
-    np.testing.assert_allclose(np.degrees(axis.angles(around)), [0, 90, 179, -90], atol=0.2)
-    np.testing.assert_allclose(axis.heights(around), [0.1, 0.0, 0.0, 0.0])
-    np.testing.assert_allclose(axis.radii(around[0]), 0.05)
-    for proximal in ([1.0, 0.0, 0.0], [0.6, 0.0, 0.8]):  # anterior is across any axis
+def test_anterior_is_across_the_axis_however_that_stands():
+    for proximal in ([1.0, 0.0, 0.0], [0.6, 0.0, 0.8]):
         axis = axis_through(np.zeros(3), np.array(proximal))
         frame = np.stack([axis.anterior, axis.left, axis.proximal])
         np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)

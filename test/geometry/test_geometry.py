@@ -12,7 +12,11 @@ from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.pose import Pose
-from socket_testbed.geometry.socket import ScanFrame, read_socket, write_socket
+from socket_testbed.geometry.socket import (
+    ScanFrame,
+    read_socket,
+    write_socket,
+)
 
 
 @pytest.fixture
@@ -116,27 +120,16 @@ def test_a_socket_survives_its_file(rng, tmp_path):
     np.testing.assert_allclose(found.scan.points(picked), expected, atol=1e-8)
 
 
-@pytest.fixture
-def document(rng):
-    return random_socket(rng).to_document()
-
-
-def write_document(document, tmp_path):
-    path = tmp_path / "socket.yaml"
-    path.write_text(yaml.safe_dump(document, sort_keys=False))
-    return path
-
-
-def test_tiles_may_be_numbered_and_pairs_of_neighbours_given_twice(document, tmp_path):
-    number = {name: i for i, name in enumerate(document["tiles"])}
-    expected = read_socket(write_document(document, tmp_path)).neighbours
-    document["tiles"] = {number[name]: tile for name, tile in document["tiles"].items()}
-    document["neighbours"] = [[number[a], number[b]] for a, b in document["neighbours"]]
-    document["neighbours"] += [pair[::-1] for pair in document["neighbours"]]
-    document["clusters"] = {name: number[tile] for name, tile in document["clusters"].items()}
-    found = read_socket(write_document(document, tmp_path))
-    assert found.names == tuple(str(i) for i in range(len(number)))
-    np.testing.assert_array_equal(found.neighbours, expected)
+def test_tiles_may_be_numbered_and_pairs_of_neighbours_given_twice(rng, tmp_path):
+    geometry, path = random_socket(rng), tmp_path / "socket.yaml"
+    document, pairs = geometry.to_document(), geometry.neighbours.tolist()
+    document["tiles"] = dict(enumerate(document["tiles"].values()))
+    document["neighbours"] = [*pairs, *(pair[::-1] for pair in pairs)]
+    document["clusters"] = geometry.clusters
+    path.write_text(yaml.safe_dump(document))
+    found = read_socket(path)
+    assert found.names == tuple(str(i) for i in range(len(geometry)))
+    np.testing.assert_array_equal(found.neighbours, geometry.neighbours)
 
 
 LEFT_HANDED = np.diag([1.0, 1.0, -1.0]).tolist()
@@ -156,8 +149,9 @@ BAD = [
 ]
 
 
-def test_a_socket_that_cannot_be_is_refused(document, tmp_path):
+def test_a_socket_that_cannot_be_is_refused(rng, tmp_path):
+    path, document = tmp_path / "socket.yaml", random_socket(rng).to_document()
     for place, value, error in BAD:
-        path = write_document(changed(document, place, value), tmp_path)
+        path.write_text(yaml.safe_dump(changed(document, place, value)))
         with refused(ConfigurationError, str(path), error):
             read_socket(path)

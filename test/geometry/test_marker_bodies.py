@@ -1,7 +1,7 @@
 """Bodies of three to eight markers to poses: occluded, mislabelled and false markers."""
 
 import math
-from itertools import permutations, product
+from itertools import product
 
 import numpy as np
 import pytest
@@ -58,37 +58,6 @@ def check(fit, body, pose) -> None:
     assert off.max(initial=0.0) < 20.0 * NOISE and turned.max(initial=0.0) < 0.05
 
 
-def test_any_order_of_three_labels_gives_the_pose_and_an_occluded_marker_none(rng):
-    orders = np.array([*permutations(range(3))])
-    pose = random_pose(rng, 2.0, 60)
-    true = pose.place(SOCKET_TRIAD)
-    observed = np.take_along_axis(true, np.tile(orders, (10, 1))[:, :, None], axis=1)
-    lost = np.array([0, 7, 8, 59])
-    observed[lost, 1] = np.nan
-    fit, seen = fit_body(SOCKET_TRIAD, observed), np.setdiff1d(np.arange(60), lost)
-    np.testing.assert_allclose(fit.pose.rotation[seen], pose.rotation[seen], atol=1e-10)
-    np.testing.assert_allclose(fit.pose.translation[seen], pose.translation[seen], atol=1e-12)
-    np.testing.assert_allclose(fit.residual[seen], 0.0, atol=1e-12)
-    relabelled = np.take_along_axis(observed, fit.order[:, :, None], axis=1)
-    np.testing.assert_allclose(relabelled[seen], true[seen], atol=1e-15)
-    for values in (fit.pose.rotation, fit.pose.translation, fit.residual):
-        assert np.isnan(values[lost]).all()
-    assert (fit.order[lost] == -1).all()
-
-
-def test_another_triad_gives_no_pose_by_the_tolerance_of_its_edges(rng):
-    for stretch in (0.9, 1000.0):
-        observed = random_pose(rng, count=5).place(stretch * SOCKET_TRIAD)
-        fit = fit_body(SOCKET_TRIAD, observed)
-        assert np.isnan(fit.pose.rotation).all() and np.isnan(fit.residual).all()
-    reference = np.array([[0.0, 0.0, 0.0], [0.08, 0.0, 0.0], [0.0, 0.15, 0.0]])
-    longer = reference * [1.025, 1.0, 1.0]  # one edge by 2 mm, another by 1 mm
-    observed = random_pose(rng, count=4).place(longer)
-    observed[0] = observed[0, [1, 0, 2]]
-    for tolerance, found in ((0.0019, False), (0.0021, True)):
-        assert (fit_body(reference, observed, tolerance).found == found).all()
-
-
 def test_noise_never_turns_a_rightly_labelled_isosceles_triad_over(rng):
     for off in (0.0, 2e-5, 2e-4):  # from the line of symmetry [m]
         isosceles = np.array([[-0.04, 0.0, 0.0], [0.04, 0.0, 0.0], [off, 0.07, 0.0]])
@@ -117,7 +86,7 @@ def test_the_pose_is_that_of_least_squares_of_all_markers_seen(rng):
 
 
 def test_labels_in_any_order_are_put_right_and_other_bodies_have_no_pose(rng):
-    for size in SIZES:
+    for size in (3, *SIZES):
         body, pose = body_of(size), random_pose(rng, count=COUNT)
         truth = observe(body, pose, rng)
         for hidden in (0, 1):
@@ -134,9 +103,10 @@ def test_labels_in_any_order_are_put_right_and_other_bodies_have_no_pose(rng):
                 np.testing.assert_array_equal(observed[k, fit.order[k][used]], truth[k][used])
         truth[:, 1] += rng.uniform(0.01, 0.05, (COUNT, 3))
         fit = fit_body(body, truth)
-        assert fit.found.all() and (fit.order[:, 1] == -1).all()
+        assert fit.found.all() == (size > 3) and (fit.order[:, 1] == -1).all()
         check(fit, body, pose)
-        for other in (1.2 * body, body * np.array([1.0, 1.0, -1.0]), body_of(size, seed=5)):
+        others = (1.2 * body, body * np.array([1.0, 1.0, -1.0]), body_of(size, seed=5))
+        for other in others[: None if size > 3 else 1]:  # a triad has no mirror image
             assert not fit_body(body, observe(other, pose, rng)).found.any()
 
 

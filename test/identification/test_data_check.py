@@ -52,6 +52,7 @@ def put(value: float, *place: slice | int) -> Damage:
 DAMAGED: dict[str, tuple[str, tuple[str, ...], Damage]] = {
     "negated": ("the wrench", ("wrench",), np.negative),
     "kilonewtons": ("the wrench", ("wrench",), lambda v: v * np.repeat([1, 1e-3], 3)),
+    "lever": ("the wrench", ("wrench",), lambda v: v + 200.0 * (np.arange(6) == 0)),
     "newton millimetres": ("the units", ("wrench",), lambda v: v * np.repeat([1e3, 1], 3)),
     "millimetres": ("the units", ("position",), lambda v: 1e3 * v),
     "other axes": ("the limb pose", ("position",), lambda v: v[:, [2, 1, 0]]),

@@ -1,33 +1,28 @@
-import dataclasses
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from support.damage import changed
+from support.problems import make_case
 from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.evaluation import evaluate
 from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.model_file import read_model, write_model
-from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
-from socket_testbed.trials.segment import select_segment
-from socket_testbed.trials.trial import Trial
 
 
 @pytest.mark.parametrize("variant", ["stiffness_bias", "rigid_bias"])
-def test_a_model_reads_back_as_it_was_written(hold: Path, tmp_path: Path, variant) -> None:
-    trial = Trial(hold)
-    samples = trial.samples()
-    samples = samples[select_segment(samples, "plateau", PlateauSettings()).rows]
-    settings = IdentificationSettings(variant=variant, leave_out=("distal.Fy",))
-    fit = fit_contact_model(samples, trial.geometry, settings)
+def test_a_model_reads_back_as_it_was_written(tmp_path: Path, variant) -> None:
+    geometry, _, samples, settings = make_case(5, leave_out=("cluster_1.Fy",))
+    fit = fit_contact_model(samples, geometry, replace(settings, variant=variant))
     path = tmp_path / "model.json"
-    write_model(fit, trial.geometry, {"name": "hold"}, "plateau", path)
+    write_model(fit, geometry, {"name": "hold"}, "plateau", path)
 
     stored = read_model(path)
-    assert (stored.settings, stored.samples, stored.trial) == (settings, fit.samples, "hold")
+    assert (stored.settings, stored.samples, stored.trial) == (fit.settings, fit.samples, "hold")
     assert stored.last_stamp == fit.last_stamp
     np.testing.assert_array_equal(stored.model.stiffness, fit.model.stiffness)
     for name, bias in fit.model.force_bias.items():
@@ -35,7 +30,7 @@ def test_a_model_reads_back_as_it_was_written(hold: Path, tmp_path: Path, varian
     for before, kept, after in zip(
         fit.errors, stored.errors, evaluate(samples, stored.model), strict=True
     ):
-        assert dataclasses.astuple(before) == dataclasses.astuple(kept)
+        assert before == kept
         assert after.rmse == pytest.approx(before.rmse, abs=1e-5)
 
 

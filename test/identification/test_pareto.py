@@ -37,11 +37,8 @@ def test_every_solution_is_the_fit_at_its_theta_with_errors_over_the_size_of_wha
     geometry, _, samples, settings = make_case(2, gaps=True, leave_out=leave_out)
     samples.local_forces[:, 0, 2] = np.nan  # a channel that is left out may be dead
     # Neither theta nor variant matter.
-    settings, steps = dataclasses.replace(settings, theta=1.0, variant="rigid"), []
-    fronts = pareto_front(
-        samples, geometry, settings, THETAS, progress=lambda *step: steps.append(step)
-    )
-    assert steps == [(i, len(THETAS)) for i in range(1, len(THETAS) + 1)]
+    settings = dataclasses.replace(settings, theta=1.0, variant="rigid")
+    fronts = pareto_front(samples, geometry, settings, THETAS)
     assert tuple(fronts) == PAPER_VARIANTS
     measured = dict(zip(samples.channels, samples.trusted_values.T, strict=True))
     counted = [name for name in samples.channels if name not in leave_out]
@@ -107,10 +104,8 @@ def test_an_uncertified_solution_is_flagged_and_the_walk_goes_on(monkeypatch):
     fronts = pareto_front(samples, geometry, settings, THETAS)
     for variant, flawed in (("stiffness", [1]), ("stiffness_bias", [1, 2])):
         front, sound = fronts[variant], np.setdiff1d(range(len(THETAS)), flawed)
-        assert np.flatnonzero(~front.sound).tolist() == flawed
+        assert ["missed" in flaw for flaw in front.flaws] == [*np.isin(range(5), flawed)]
         assert np.isnan(front.wrench_error[flawed]).all() and np.isnan(front.rmse[flawed]).all()
-        assert not front.non_dominated[flawed].any()
-        assert all("missed" in front.flaws[i] for i in flawed)
         for name in ("wrench_error", "local_error"):
             found, other = getattr(front, name), getattr(expected[variant], name)
             np.testing.assert_allclose(found[sound], other[sound], rtol=1e-7)
@@ -157,7 +152,7 @@ def test_the_knee_of_a_hyperbola_is_where_its_slope_is_the_chord_s_and_without_o
 
 def test_a_front_marks_its_ends_and_its_knee_but_nothing_flawed():
     """A hyperbola with its corner at theta 0.4, dominated from theta 0.9 on."""
-    channels = ("Mx", "Fx", "Fz", "distal.Fx", "distal.Mz", "distal.Fz")
+    channels = ("Mx", "Fx", "Fz", "distal.Fx", "distal.Fy", "distal.Fz")
     points = []
     for i, t in enumerate(np.linspace(0.0, 1.0, 11)):
         errors = (0.1 + 0.01 / (t + 0.01), 0.1 + 0.01 / (0.81 - t)) if i < 9 else (2.0 + t, 2.0)
@@ -168,19 +163,15 @@ def test_a_front_marks_its_ends_and_its_knee_but_nothing_flawed():
     assert front.non_dominated.tolist() == [True] * 9 + [False] * 2
     groups = (front.moment_rmse, front.force_rmse, front.local_rmse)
     np.testing.assert_allclose(groups, np.outer([1.0, 2.5, 5.0], 1.0 + front.theta))
-    missing = dataclasses.replace(
-        points[4], wrench_error=np.nan, local_error=np.nan, rmse=np.full(6, np.nan), flaw="none"
-    )
-    points[4] = missing
+    points[4] = FrontPoint(0.4, None, np.full(6, np.nan), np.nan, np.nan, np.nan, "none")
     for flawed in (0, 8, 10):
         points[flawed] = dataclasses.replace(points[flawed], flaw="not determined")
     spoilt = Front("stiffness", channels, points)
-    assert np.flatnonzero(~spoilt.sound).tolist() == [0, 4, 8, 10]
-    assert not spoilt.non_dominated[[0, 4, 8, 10]].any()
+    assert not (spoilt.sound | spoilt.non_dominated)[[0, 4, 8, 10]].any()
     assert set(spoilt.marks) == {KNEE} and spoilt.marks[KNEE] in (3, 5)
     assert spoilt.worst_residual == pytest.approx(10e-12)
     table = front_table([front, spoilt])
-    assert table["variant"].tolist() == ["stiffness"] * 22 and table.loc[15, "flaw"] == "none"
+    assert len(table) == 22 and table.loc[15, "flaw"] == "none"
     np.testing.assert_array_equal(table["wrench error [-]"][11:], spoilt.wrench_error)
     document = json.loads(json.dumps(front_document(spoilt), allow_nan=False))
     assert document["marks"].keys() == spoilt.marks.keys()

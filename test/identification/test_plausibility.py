@@ -17,7 +17,6 @@ from socket_testbed.identification.plausibility import (
     LEAST_TENSION,
     LEVER_FACTOR,
     find_implausible,
-    find_outliers,
     implausible_notes,
     sign_note,
 )
@@ -59,7 +58,6 @@ def test_a_wrench_without_a_load_and_another_unit_are_refused():
 
 def test_an_outlier_is_left_out_and_noted_with_channel_and_time_and_many_are_refused():
     geometry, _, sound, settings = make_case(4)
-    assert not find_outliers(sound, geometry).rows.any()
     without = fit_contact_model(sound[np.arange(len(sound)) != 17], geometry, settings).model
     for array, place, value, name in (
         ("wrench", (17, 4), 2e3, "Fy has an outlier"),
@@ -72,35 +70,29 @@ def test_an_outlier_is_left_out_and_noted_with_channel_and_time_and_many_are_ref
         assert note.startswith(name) and "at 4.25 s" in note and note.endswith("left out")
         found = fit_contact_model(samples, geometry, settings)
         assert max(error.rmse for error in found.errors) < 100.0
-        if array == "local_forces":
-            errors = {error.name: error.samples for error in found.errors}
-            assert errors["cluster_1.Fz"] == len(samples) - 1
-        else:
-            np.testing.assert_array_equal(found.model.stiffness, without.stiffness)
+        assert array == "local_forces" or (found.model.stiffness == without.stiffness).all()
     sound.wrench[::8, 3] = 1e9
     is_refused(sound, geometry, settings, "5 of 40 samples are outliers: Fx has 5", "and 2 more")
     settings = dataclasses.replace(settings, leave_out=("Fx",))  # then it drops no sample
     assert fit_contact_model(sound, geometry, settings).samples == len(sound)
 
 
-@pytest.fixture
-def geometry():
-    return random_socket(np.random.default_rng(3))
+GEOMETRY = random_socket(np.random.default_rng(3))
 
 
-def loaded(geometry, count=COUNT, load=LOAD, spread=0.3):
+def loaded(count=COUNT, load=LOAD, spread=0.3):
     """A steady load, with every cluster pressed by a tenth of it."""
     rng = np.random.default_rng(4)
     wrench = rng.normal([1.0, -2.0, 0.5, 3.0, -5.0, -load], 0.3, (count, 6))
-    shape = (len(geometry.clusters), count, 3)
+    shape = (len(GEOMETRY.clusters), count, 3)
     forces = rng.normal([2.0, -1.0, -0.1 * load], spread, shape)
-    named = dict(zip(geometry.clusters, forces, strict=True))
+    named = dict(zip(GEOMETRY.clusters, forces, strict=True))
     return make_samples(rng.normal(0.0, 1e-4, (count, 3)), wrench, named)
 
 
 @pytest.fixture
-def samples(geometry):
-    return loaded(geometry)
+def samples():
+    return loaded()
 
 
 def scaled(samples, column, axis, factor):
@@ -109,75 +101,70 @@ def scaled(samples, column, axis, factor):
     return dataclasses.replace(samples, local_forces=forces)
 
 
-def found(samples, geometry) -> list[str]:
-    return [proposal.channel for proposal in find_implausible(samples, geometry)]
+def found(samples) -> list[str]:
+    return [proposal.channel for proposal in find_implausible(samples, GEOMETRY)]
 
 
-def test_a_negated_wrench_is_noted_on_clear_evidence_alone(geometry, samples):
+def test_a_negated_wrench_is_noted_on_clear_evidence_alone(samples):
     negated = dataclasses.replace(samples, wrench=-samples.wrench)
-    (note,) = implausible_notes(negated, geometry, ())
-    assert note.startswith("the wrench looks negated")
-    assert "200 N" in note and "3 of 3 clusters" in note
+    (note,) = implausible_notes(negated, GEOMETRY, ())
+    assert "wrench looks negated" in note and "200 N" in note and "3 of 3 clusters" in note
     hanging = dataclasses.replace(samples, wrench=samples.wrench * (-0.9 * HANGING / LOAD))
     pulled = dataclasses.replace(negated, local_forces=-samples.local_forces)
     shifted = samples.local_forces + np.array([0.0, 0.0, 150.0])
     offset = dataclasses.replace(samples, local_forces=shifted)
     unread = dataclasses.replace(negated, status=np.full_like(samples.status, 2))
     for doubtful in (hanging, pulled, offset, unread):
-        assert sign_note(doubtful, geometry) is None
+        assert sign_note(doubtful, GEOMETRY) is None
 
 
-def test_what_exceeds_the_load_pulls_or_has_no_lever_is_proposed_with_its_numbers(
-    samples, geometry
-):
-    assert implausible_notes(samples, geometry, ()) == []
+def test_what_exceeds_the_load_pulls_or_has_no_lever_is_proposed_with_its_numbers(samples):
+    assert implausible_notes(samples, GEOMETRY, ()) == []
     load = np.median(np.linalg.norm(samples.wrench[:, 3:], axis=1))
     for axis in range(3):
         size = np.median(np.abs(samples.local_forces[:, 1, axis]))
-        assert found(scaled(samples, 1, axis, 0.99 * load / size), geometry) == []
-        (proposal,) = find_implausible(scaled(samples, 1, axis, 10.0 * load / size), geometry)
+        assert found(scaled(samples, 1, axis, 0.99 * load / size)) == []
+        (proposal,) = find_implausible(scaled(samples, 1, axis, 10.0 * load / size), GEOMETRY)
         assert proposal.channel == f"cluster_1.F{'xyz'[axis]}" and "10 times" in proposal.reason
     unloaded = dataclasses.replace(samples, wrench=samples.wrench * (0.9 * LEAST_LOAD / LOAD))
-    assert found(scaled(unloaded, 1, 0, 1e4), geometry) == []  # nothing is too large for no load
+    assert found(scaled(unloaded, 1, 0, 1e4)) == []  # nothing is too large for no load
     heavy = scaled(samples, 1, 0, 1e4)
     for left_out, said in (((), "--leave-out cluster_1.Fx"), (("cluster_1.Fx",), "is left out")):
-        (note,) = implausible_notes(heavy, geometry, left_out)
+        (note,) = implausible_notes(heavy, GEOMETRY, left_out)
         assert note.startswith("cluster_1.Fx") and said in note
 
     pulled = scaled(samples, 2, 2, -1.0)  # as much tension as there was compression
-    (proposal,) = find_implausible(pulled, geometry)
+    (proposal,) = find_implausible(pulled, GEOMETRY)
     assert proposal.channel == "cluster_2.Fz" and "pull" in proposal.reason
     slack = scaled(samples, 2, 2, -0.9 * LEAST_TENSION / (0.1 * LOAD))
     sideways = scaled(samples, 2, 0, -20.0)  # 40 N of shear have a sign, and no meaning
-    assert found(slack, geometry) == found(sideways, geometry) == []
+    assert found(slack) == found(sideways) == []
 
-    reach = np.linalg.norm(geometry.anchors, axis=1).max()
+    reach = np.linalg.norm(GEOMETRY.anchors, axis=1).max()
     for axis, share in itertools.product(range(3), (0.99, 1.01)):
         wrench = samples.wrench.copy()
         wrench[:, axis] = -share * LEVER_FACTOR * reach * load
         expected = [f"M{'xyz'[axis]}"] if share > 1.0 else []
-        assert found(dataclasses.replace(samples, wrench=wrench), geometry) == expected
+        assert found(dataclasses.replace(samples, wrench=wrench)) == expected
 
 
-def test_peaks_above_1000_n_under_300_n_are_proposed_but_not_a_single_spike(geometry):
+def test_peaks_above_1000_n_under_300_n_are_proposed_but_not_a_single_spike():
     """The paper's decision: it left out three shear channels for such peaks."""
     for peaks, expected in ((1, []), (22, ["cluster_0.Fx", "cluster_1.Fy"])):
-        samples = loaded(geometry, 1000, 300.0, 3.0)
+        samples = loaded(1000, 300.0, 3.0)
         samples.local_forces[:peaks, 0, 0] = 1010.0
         samples.local_forces[-peaks:, 1, 1] = -1010.0
         samples.local_forces[:peaks, 2, 0] = 600.0  # twice the load: it may have an offset
-        assert found(samples, geometry) == expected
+        assert found(samples) == expected
 
 
-def test_a_cluster_outside_its_range_most_of_the_time_is_proposed_with_all_channels(
-    samples, geometry
-):
+def test_a_cluster_outside_its_range_most_of_the_time_is_proposed_with_all_channels(samples):
     for state in (Status.SATURATED, Status.OUT_OF_RANGE):
         samples.status[:10, 0] = Status.MISSING  # which says nothing of the range
         samples.status[10:, 0] = Status.OK
         samples.status[10:54, 0] = state  # 44 of 90
-        assert found(samples, geometry) == []
+        assert found(samples) == []
         samples.status[10:56, 0] = state  # 46 of 90
-        proposals = find_implausible(samples, geometry)
+        proposals = find_implausible(samples, GEOMETRY)
         assert [p.channel for p in proposals] == [f"cluster_0.F{axis}" for axis in "xyz"]
         assert all("46 of 90" in p.reason for p in proposals)

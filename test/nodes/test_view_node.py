@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import rclpy
 from support.graph import Probe
-from support.ring_socket import ring_socket
+from support.problems import ring_socket
 from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError

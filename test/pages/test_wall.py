@@ -6,8 +6,7 @@ import dataclasses
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from support.problems import random_socket
-from support.ring_socket import ring_socket
+from support.problems import random_socket, ring_socket
 
 from socket_testbed.pages.wall import patches, unrolled_tiles
 

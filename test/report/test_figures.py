@@ -13,8 +13,7 @@ from matplotlib.colors import Normalize
 from matplotlib.image import imread
 from matplotlib.text import Text
 from support.benches import nominal, sensor_bench
-from support.problems import random_socket
-from support.ring_socket import ring_socket
+from support.problems import random_socket, ring_socket
 
 from socket_testbed.api import CalibratedCluster, Cycles
 from socket_testbed.calibration.calibrate import calibrate_bench

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 from support.pages import Page
-from support.ring_socket import ring_socket
+from support.problems import ring_socket
 
 from socket_testbed.pages.wall import unrolled_tiles
 from socket_testbed.report.page import simplify, write_socket_page

@@ -34,8 +34,6 @@ def test_every_setting_has_a_unit_and_its_default_comes_back_from_its_flat_form(
         assert set(settings.to_flat()) == set(kind.flat())
         for field in kind.flat().values():
             assert field.metadata["description"].rstrip().endswith("]"), field.name
-        with pytest.raises(dataclasses.FrozenInstanceError):
-            setattr(settings, dataclasses.fields(kind)[0].name, None)
 
 
 def test_whatever_means_a_number_is_one_and_a_wrong_value_is_refused_by_its_name():
@@ -77,12 +75,9 @@ def test_a_solver_that_is_not_installed_is_refused_where_it_is_set(monkeypatch):
 # --- testbed.yaml
 
 
-@pytest.fixture
-def path(tmp_path):
-    return tmp_path / "testbed.yaml"
+def test_a_file_of_parameters_gives_the_settings_of_its_nodes_over_those_of_another(tmp_path):
+    path = tmp_path / "testbed.yaml"
 
-
-def test_a_file_of_parameters_gives_the_settings_of_its_nodes_over_those_of_another(path):
     def read(content, *base):
         path.write_text(content)
         return read_testbed(path, *base)
@@ -117,7 +112,8 @@ def test_a_file_of_parameters_gives_the_settings_of_its_nodes_over_those_of_anot
             read(content)
 
 
-def test_what_is_written_comes_back_but_for_what_belongs_to_one_run(path):
+def test_what_is_written_comes_back_but_for_what_belongs_to_one_run(tmp_path):
+    path = tmp_path / "testbed.yaml"
     estimator = EstimatorSettings(
         geometry="socket.yaml", identification=IdentificationSettings(leave_out=("Mz",), theta=0.3)
     )

@@ -89,6 +89,25 @@ def follow(scenario, seed: int, tissue) -> tuple[np.ndarray, np.ndarray]:
     return time, 1e3 * np.array(moved)
 
 
+def test_the_soft_tissue_is_incompressible_silicone_around_a_bone() -> None:
+    """Across, plane strain: the bone moves by 1, silicone slides on the wall. Along: pure shear."""
+    shear, bone, wall = 75e3 / 3.0, 0.010, 0.054  # [Pa, m, m]
+
+    def radial(r: float) -> np.ndarray:
+        return np.array([r**2, 1.0, r**-2, np.log(r)])
+
+    def around(r: float) -> np.ndarray:
+        return np.array([3.0 * r**2, 1.0, -(r**-2), np.log(r) + 1.0])
+
+    slope = np.array([6.0 * wall, 0.0, 2.0 * wall**-3, 1.0 / wall])
+    sliding = slope - (around(wall) - radial(wall)) / wall
+    solution = np.linalg.solve([radial(bone), around(bone), radial(wall), sliding], [1, 1, 0, 0])
+    across, along = 4.0 * shear * abs(solution[3]) / wall, shear / (wall * np.log(wall / bone))
+    tissues = [limb.make_tissue(GEOMETRY, np.random.default_rng(k), "soft") for k in range(20)]
+    assert np.median([t.modulus for t in tissues]) == pytest.approx(across, rel=0.05)
+    assert np.median([t.shear_modulus for t in tissues]) == pytest.approx(along, rel=0.05)
+
+
 @pytest.mark.parametrize(("tissue", "least", "most"), [("soft", 6.0, 9.0), ("stiff", 0.6, 1.4)])
 def test_the_limb_settles_under_the_paper_s_load(tissue, least, most) -> None:
     settled = []

@@ -22,6 +22,50 @@ def random_pose(rng: np.random.Generator, reach: float = 0.3, count: int | None 
     return Pose(Rotation.from_quat(quaternion).as_matrix(), rng.uniform(-reach, reach, shape))
 
 
+def wall_frame(angle: float, cone: float) -> tuple[np.ndarray, np.ndarray]:
+    """The direction outwards at an angle about z, and the frame of a tile there on a cone [rad]."""
+    outwards, upwards = np.array([np.cos(angle), np.sin(angle), 0.0]), np.array([0.0, 0.0, 1.0])
+    z = -np.cos(cone) * outwards + np.sin(cone) * upwards
+    x = np.sin(cone) * outwards + np.cos(cone) * upwards
+    return outwards, np.column_stack([x, np.cross(z, x), z])
+
+
+def ring_socket() -> SocketGeometry:
+    """A cone about z, 80 mm above the load cell, with tiles in six rings and on its distal end."""
+    pitch, cone = 0.033, np.radians(6.0)  # [m], [rad]
+    names, anchors, frames = [], [], []
+    for ring in range(6):
+        along = (ring + 0.75) * pitch
+        radius, height = 0.046 + along * np.sin(cone), 0.080 + along * np.cos(cone)
+        count = int(2.0 * np.pi * radius / pitch)
+        for place in range(count):
+            outwards, frame = wall_frame(2.0 * np.pi * place / count, cone)
+            names.append(f"ring{ring + 1}_{place + 1}")
+            anchors.append(radius * outwards + [0.0, 0.0, height])
+            frames.append(frame)
+    for x, y in ((0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)):
+        names.append(f"end_{x}_{y}")
+        anchors.append(np.array([x * pitch, y * pitch, 0.080]))
+        frames.append(np.eye(3))  # on the end no tangent is proximal: x is anterior
+    on = {"ring6_4": "brim_lateral", "ring4_1": "mid_anterior", "ring1_5": "posterior_distal"}
+    on |= {"end_0_0": "distal"}  # clusters, whose names their tiles have
+    places, rotations = np.array(anchors), np.array(frames)
+    apart = np.linalg.norm(places[:, None] - places, axis=2)
+    alike = rotations[:, :, 2] @ rotations[:, :, 2].T > -0.2
+    return SocketGeometry(
+        names=tuple(on.get(name, name) for name in names),
+        anchors=places,
+        rotations=rotations,
+        areas=np.full(len(names), 9e-4),
+        neighbours=np.argwhere(np.triu((apart < 0.047) & alike, 1)),
+        clusters={name: names.index(tile) for tile, name in on.items()},
+        socket_markers=SOCKET_TRIAD,
+        pylon_markers=PYLON_TRIAD,
+        socket_body=Pose(np.eye(3), np.zeros(3)),
+        limb=Pose(np.eye(3), np.zeros(3)),
+    )
+
+
 def random_socket(
     rng: np.random.Generator, rings: int = 2, columns: int = 4, clusters: int = 3
 ) -> SocketGeometry:
@@ -34,14 +78,11 @@ def random_socket(
     for ring in range(rings):
         for column in range(columns):
             angle = 2.0 * np.pi * (column + rng.uniform(-0.1, 0.1)) / columns
-            outwards = np.array([np.cos(angle), np.sin(angle), 0.0])
-            upwards = np.array([0.0, 0.0, 1.0])
-            z = -np.cos(cone) * outwards + np.sin(cone) * upwards
-            x = np.sin(cone) * outwards + np.cos(cone) * upwards
+            outwards, frame = wall_frame(angle, cone)
             radius = 0.045 + 0.01 * ring + rng.uniform(-0.002, 0.002)
             names.append(f"tile_{ring}_{column}")
-            anchors.append(radius * outwards + (0.1 + 0.06 * ring) * upwards)
-            rotations.append(np.column_stack([x, np.cross(z, x), z]))
+            anchors.append(radius * outwards + [0.0, 0.0, 0.1 + 0.06 * ring])
+            rotations.append(frame)
             tile = ring * columns + column
             pairs.append(sorted((tile, ring * columns + (column + 1) % columns)))
             if ring + 1 < rings:
