@@ -262,26 +262,6 @@ def test_the_line_is_asked_for_falling_edges_on_the_steady_clock(monkeypatch) ->
     assert make_load_cell(SETTINGS).converter.open_line is None
 
 
-def test_another_converter_is_named_until_it_is_changed() -> None:
-    bench = Bench()
-    right = bench.chip
-    eight = dataclasses.replace(SETTINGS, channels=8)
-    bench.chip = simulated_load_cell(moving, eight, bench.faults, bench.clock)
-    bench.run(0.5)
-    level, text = bench.cell.health(bench.now)
-    assert level == 2 and "ID 0x2802, not 0x26xx" in text and "channels" in text
-    with pytest.raises(DeviceError, match="0x2802"):
-        bench.converter.connect()
-    bench.chip = right
-    bench.run(0.6)
-    converter = bench.converter.connect()
-    assert converter.description == "ADS131M06 on spidev0.0, ID 0x2602"
-    assert converter.check_frames(20) == 0
-    bench.fault("flipped_bits", 1.0)
-    # A flipped bit behind the checksum, one in 24 bytes, harms nothing.
-    assert 40 <= converter.check_frames(50) <= 50
-
-
 def test_a_rail_and_a_full_scale_are_two_things() -> None:
     for axis, load, level, text in (
         (5, 2600.0, 2, "Fz is above 100 % of its full scale of 2500 N: unload the cell"),

@@ -1,6 +1,5 @@
 """The physics of the live simulated testbed, without processes and without a clock that runs."""
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ from socket_testbed.calibration.model import read_calibration
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.live.simulated_world import LiveTestbed, Simulation, markers_at
+from socket_testbed.live.simulated_world import LiveTestbed, Simulation
 from socket_testbed.simulation.limb import SCENARIOS
 from socket_testbed.simulation.world import SensorErrors, World
 
@@ -36,13 +35,3 @@ def test_the_limb_follows_a_scenario_again_and_again(tmp_path: Path) -> None:
         forgetful.advance(clocks.monotonic())
         assert not forgetful._history  # it may run for days
         assert travel > {"soft": 2e-3, "stiff": 3e-4}[tissue], scenario
-
-
-def test_bodies_of_different_sizes_are_where_their_poses_put_them() -> None:
-    more = np.vstack([GEOMETRY.socket_markers, [[0.01, 0.08, 0.03], [-0.05, 0.02, 0.06]]])
-    half = np.sqrt(0.5)
-    poses = np.array([[1.0, 2.0, 3.0, 0.0, 0.0, half, half], [0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]])
-    socket, pylon = markers_at(dataclasses.replace(GEOMETRY, socket_markers=more), poses)
-    turned = np.column_stack([-more[:, 1], more[:, 0], more[:, 2]])  # by 90 degrees about z
-    np.testing.assert_allclose(socket, turned + poses[0, :3], atol=1e-12)
-    np.testing.assert_allclose(pylon, GEOMETRY.pylon_markers + poses[1, :3], atol=1e-12)

@@ -20,14 +20,13 @@ from support import HANGS
 from support.graph import Probe
 from support.verbs import COMMAND
 
-from socket_testbed.batch import find_trials
 from socket_testbed.files import packaged
 from socket_testbed.live.processes import Graph
 from socket_testbed.nodes.base import stamp_to_ros
 from socket_testbed.settings.testbed import RecorderSettings, ReplaySettings
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.layout import decode, nanoseconds, stamp_of
-from socket_testbed.trials.metadata import METADATA_FILE, TrialMetadata
+from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.topics import RECORDED_TRIAL, WRENCH, match_topics
 from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial
 
@@ -180,25 +179,6 @@ def test_a_full_disk_ends_the_recording_and_keeps_it(tmp_path: Path) -> None:
         probe.wait(lambda: names(announced)[-1:] == [""], "no trial's name")
     numbers, _ = recorded(trial)
     assert numbers == list(range(len(numbers))) and len(numbers) > 200
-
-
-def test_a_second_recording_lies_beside_the_first_where_a_batch_finds_it(tmp_path: Path) -> None:
-    """And the name of each is announced while it is recorded, for late subscribers, too."""
-    trial = tmp_path / "s01"
-    with Probe() as probe, recorder("record:=true", f"directory:={trial}"):
-        announced = probe.listen(RECORDED_TRIAL)
-        probe.wait(lambda: names(announced)[-1:] == ["s01"], "the name")
-        record(probe, False)
-        assert record(probe, True) == f"recording {tmp_path / 's01_2'}"
-        probe.wait(lambda: names(announced)[-1:] == ["s01_2"], "the next name")
-        heard = len(announced)
-        probe.listen(RECORDED_TRIAL)
-        probe.wait(lambda: names(announced)[heard:] == ["s01_2"], "it for a late subscriber")
-        record(probe, False)
-        probe.wait(lambda: names(announced)[-1:] == [""], "its end")
-    assert list(find_trials(tmp_path)) == ["s01", "s01_2"]
-    assert not [path for path in trial.iterdir() if path.is_dir()]
-    assert not (trial / METADATA_FILE).exists()  # nothing is stated
 
 
 @pytest.mark.slow
