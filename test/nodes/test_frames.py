@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,7 +17,7 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.bringup import replay_nodes
 from socket_testbed.live.processes import Graph
-from socket_testbed.nodes.mocap_node import FrameBroadcaster, fixed_frames
+from socket_testbed.nodes.mocap_node import fixed_frames
 from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
 from socket_testbed.trials.layout import stamp_of
 from socket_testbed.trials.topics import FORCE_MAP, TF, TF_STATIC
@@ -56,17 +54,6 @@ def test_a_cluster_s_frame_is_its_tile_s_turned_as_it_is_glued() -> None:
     both: Pose = GEOMETRY.socket_body @ load_cell
     np.testing.assert_allclose(both.rotation, np.eye(3), atol=1e-9)
     np.testing.assert_allclose(both.translation, 0.0, atol=1e-9)
-
-
-def test_without_tf2_msgs_a_node_goes_on_and_warns_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "tf2_msgs", None)
-    monkeypatch.delitem(sys.modules, "tf2_msgs.msg", raising=False)
-    said: list[str] = []
-    node = SimpleNamespace(get_logger=lambda: SimpleNamespace(warning=said.append))
-    broadcaster = FrameBroadcaster(node, GEOMETRY)
-    assert not broadcaster.wanted
-    broadcaster.move(0, {})
-    assert len(said) == 1 and "tf2_msgs" in said[0]
 
 
 @pytest.mark.graph

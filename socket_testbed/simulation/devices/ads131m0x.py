@@ -14,9 +14,8 @@ from socket_testbed.drivers.load_cell.ads131m0x import checksum
 from socket_testbed.drivers.load_cell.load_cell import check_settings
 from socket_testbed.settings.acquisition import LoadCellSettings
 
-_ID, _STATUS, _MODE, _CLOCK, _GAIN1, _GAIN2, _CFG, _LAST = (*range(7), 0x30)
+_ID, _STATUS, _MODE, _CLOCK, _GAIN1, _GAIN2 = range(6)  # those that have an effect
 _RESET_BIT, _ANSI_BIT, _WORD_LENGTH = 0x0400, 0x0800, 0x0300
-_GAIN_CALIBRATION = 0x0C
 _RESET, _LOCK, _UNLOCK = 0x0011, 0x0555, 0x0655
 _RREG, _WREG = 0xA000, 0x6000
 _WORD = 3  # [bytes]
@@ -62,13 +61,10 @@ class SimulatedAds131m0x:
         self._locked = False
         self._response: list[int] = []  # empty: STATUS, as it is when it is sent
         self._latest = [0] * self._channels  # codes
-        self._registers = [0] * (_LAST + 1)
+        self._registers = [0] * (_GAIN2 + 1)
         self._registers[_ID] = 0x2002 | self._channels << 8
         self._registers[_MODE] = 0x0510
         self._registers[_CLOCK] = {6: 0x7F0E, 8: 0xFF0E}[self._channels]
-        self._registers[_CFG] = 0x0600
-        for channel in range(self._channels):
-            self._registers[_GAIN_CALIBRATION + 5 * channel] = 0x8000
         self._start(now)
 
     def _start(self, now: float) -> None:
@@ -99,7 +95,7 @@ class SimulatedAds131m0x:
         return [edge for edge in found if since < edge <= until]
 
     def xfer2(self, data: list[int], /) -> list[int]:
-        """Exchange one frame."""
+        """Exchange one frame, of a word for the command, one for each channel and the checksum."""
         now = self._clock()
         if self._fault("unplugged"):
             self._unplugged = True
@@ -109,16 +105,8 @@ class SimulatedAds131m0x:
             self._power_on(now)
         self._dip(now)
         self._convert(now)
-        count = len(data) // _WORD
-        words = unpack(">" + "Hx" * count, bytes(data[: _WORD * count]))
-        complete = len(words) >= self._channels + 2
-        answer = self._answer(len(data), complete)
-        if len(data) % _WORD or not words:
-            self._response = []
-        elif words[0] == _RESET and not complete:
-            self._response = [_RESET]  # which says that there was none
-        else:
-            self._execute(words, now)
+        answer = self._answer(len(data))
+        self._execute(unpack(">" + "Hx" * (len(data) // _WORD), bytes(data)), now)
         if self._rng.random() < self._fault("flipped_bits"):
             bit = int(self._rng.integers(8 * len(answer)))
             answer[bit // 8] ^= 1 << bit % 8
@@ -171,12 +159,12 @@ class SimulatedAds131m0x:
         """The channels that are enabled, a bit each."""
         return self._registers[_CLOCK] >> 8 & (1 << self._channels) - 1
 
-    def _answer(self, length: int, complete: bool) -> list[int]:
+    def _answer(self, length: int) -> list[int]:
         response = self._response or [self._read(_STATUS)]
         words = [word << 8 for word in response]
         if len(response) == 1:
             if self._fifo:
-                self._latest = self._fifo.pop(0) if complete else self._fifo[0]
+                self._latest = self._fifo.pop(0)
             enabled = self._enabled
             words += [code if enabled >> k & 1 else 0 for k, code in enumerate(self._latest)]
         answer = b"".join(word.to_bytes(_WORD, "big") for word in words)
@@ -209,15 +197,15 @@ class SimulatedAds131m0x:
         if address == _STATUS:
             mode = self._registers[_MODE] & (_ANSI_BIT | _RESET_BIT | _WORD_LENGTH)
             return self._locked << 15 | mode | (self._enabled if self._fifo else 0)
-        return self._registers[address] if address <= _LAST else 0
+        return self._registers[address] if address <= _GAIN2 else 0
 
     def _write(self, address: int, values: Sequence[int], now: float) -> int:
         """Write registers from an address on, but read-only ones; how many were written."""
-        before = self._registers[_CLOCK : _GAIN2 + 1]
-        places = range(max(address, _MODE), min(address + len(values), _LAST + 1))
+        before = self._registers[_CLOCK:]
+        places = range(max(address, _MODE), min(address + len(values), _GAIN2 + 1))
         for place in places:
             self._registers[place] = self._kept(place, values[place - address])
-        if self._registers[_CLOCK : _GAIN2 + 1] != before:
+        if self._registers[_CLOCK:] != before:
             self._start(now)
         return len(places)
 

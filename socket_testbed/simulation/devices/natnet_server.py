@@ -7,7 +7,7 @@ import socket
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from struct import pack, pack_into
 from typing import TypeAlias
 
@@ -313,7 +313,6 @@ class FaultyNetwork:
 class _Client:
     heard: float
     version: Version
-    subscriptions: set[str] = field(default_factory=set)  # of sections; none: it gets everything
 
 
 class NatNetServer:
@@ -475,7 +474,7 @@ class NatNetServer:
                     return pack("<i", 1)
                 client.version = wanted
             case "SubscribeToData" if client is not None:
-                client.subscriptions.add(argument.partition(",")[0])
+                pass  # every client gets everything
             case _:
                 return None
         return bytes(4)
@@ -491,18 +490,4 @@ class NatNetServer:
         ticks = (self._ticks(moment), self._ticks(moment + 0.5 * _LATENCY), self._ticks(now))
         content = self._scene.content(moment, self._number, ticks, self.recording)
         for address, client in targets.items():
-            frame = encode_frame(_subscribed(content, client), client.version)
-            self._network.send(frame, address)
-
-
-def _subscribed(content: Content, client: _Client) -> Content:
-    """The part of a frame that a client has subscribed to."""
-    if not client.subscriptions:
-        return content
-    return replace(
-        content,
-        bodies=content.bodies if "RigidBody" in client.subscriptions else (),
-        markers=content.markers if "LabeledMarkers" in client.subscriptions else (),
-        marker_sets={},
-        others=(),
-    )
+            self._network.send(encode_frame(content, client.version), address)
