@@ -129,16 +129,6 @@ def test_the_static_hold_is_the_paper_s_and_the_protocol_pushes_before_it() -> N
     assert np.ptp(pushed[:, 5]) > 0.9 * mass and np.ptp(pushed[:, 2]) > 2.0
 
 
-def test_a_seed_gives_one_trial() -> None:
-    first, second, other = (
-        simulate(GEOMETRY, CALIBRATION, "protocol", 6.0, 4.0, seed) for seed in (5, 5, 6)
-    )
-    np.testing.assert_array_equal(first.wrench, second.wrench)
-    np.testing.assert_array_equal(first.markers["pylon"], second.markers["pylon"])
-    np.testing.assert_array_equal(first.truth.forces, second.truth.forces)
-    assert not np.array_equal(first.truth.forces, other.truth.forces)
-
-
 def measure(window: float, rate: float = 4.0, **errors: float):
     """A trial of 100 samples, and the errors of the limb's measured position [m]."""
     sizes = dataclasses.replace(PERFECT, **errors)
