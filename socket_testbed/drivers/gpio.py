@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, Literal, Protocol, TypeAlias
@@ -120,8 +120,8 @@ def _not_permitted(path: str) -> DeviceError:
 class TimerTrigger:
     """A trigger without a wire: it has no pulse, and its time is that of the call."""
 
-    def __init__(self, clock: Callable[[], float] = clocks.monotonic) -> None:
-        self.fire = clock
+    def __init__(self) -> None:
+        self.fire = clocks.monotonic
         self.stray = 0
 
     def rest(self) -> None:
@@ -138,13 +138,9 @@ class GpioTrigger:
         self,
         lines: Lines,
         settings: TriggerSettings,
-        clock: Callable[[], float] = clocks.monotonic,
-        sleep: Callable[[float], None] = clocks.sleep,
     ) -> None:
         self._lines = lines
         self._settings = settings
-        self._clock = clock
-        self._sleep = sleep
         self._begun = 0.0
         self.stray = 0  # number of edges that belonged to no pulse
 
@@ -153,10 +149,10 @@ class GpioTrigger:
         settings = self._settings
         try:
             self.stray += len(self._lines.edges(0.0))
-            self._begun = self._clock()
+            self._begun = clocks.monotonic()
             self._lines.set(settings.output_line, True)
             # The line rises while this process sets it, which a busy machine may hold up.
-            deadline = self._clock() + settings.edge_within
+            deadline = clocks.monotonic() + settings.edge_within
             left = settings.edge_within
             while True:
                 for edge in self._lines.edges(left):
@@ -166,7 +162,7 @@ class GpioTrigger:
                 if left == 0.0:
                     break
                 # Once more after the deadline: the kernel's stamp counts.
-                left = max(0.0, deadline - self._clock())
+                left = max(0.0, deadline - clocks.monotonic())
         except OSError as error:
             raise DeviceError(
                 f"the GPIO lines cannot be used ({error.strerror or error})",
@@ -180,7 +176,7 @@ class GpioTrigger:
 
     def rest(self) -> None:
         """End the pulse when it has lasted long enough."""
-        self._sleep(max(0.0, self._begun + self._settings.pulse - self._clock()))
+        clocks.sleep(max(0.0, self._begun + self._settings.pulse - clocks.monotonic()))
         try:
             self._lines.set(self._settings.output_line, False)
         except OSError:

@@ -40,8 +40,6 @@ CAPACITIVE_CHIPS: dict[str, tuple[type[CapacitiveChip], type[SimulatedChip]]] = 
     "fdc1004": (Fdc1004, SimulatedFdc1004)
 }
 
-_I2C_FREQUENCY = 400e3  # [Hz]
-_SHORTEST_SLEEP = 5e-4  # [s]
 _BLOCK = 256  # noises that are drawn at once
 
 
@@ -98,15 +96,8 @@ def i2c_opener(settings: ClusterSettings) -> Callable[[int], I2cBus]:
     def capacitance(cluster: int, channel: int, moment: float) -> float:
         return world.capacitance(cluster, channel, moment) + float(noise(0.0, size))
 
-    def sleep(duration: float) -> None:
-        """Sleep, but not for a single transfer: the bus then owes its time to the next ones."""
-        if duration >= _SHORTEST_SLEEP:
-            clocks.sleep(duration)
-
     chip = capacitive_chip(settings)[1]
-    return SimulatedClusterHardware(
-        settings, chip, capacitance, world.faults, _I2C_FREQUENCY, sleep=sleep
-    ).open_bus
+    return SimulatedClusterHardware(settings, chip, capacitance, world.faults).open_bus
 
 
 def make_load_cell(settings: LoadCellSettings) -> LoadCell:

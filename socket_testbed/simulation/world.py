@@ -7,7 +7,7 @@ no more than this module: such a node starts without the physics.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -249,12 +249,8 @@ class SimulatedLines:
     def __init__(
         self,
         faults: Mapping[str, float],
-        clock: Callable[[], float] = clocks.monotonic,
-        sleep: Callable[[float], None] = clocks.sleep,
     ) -> None:
         self._faults = faults
-        self._clock = clock
-        self._sleep = sleep
         self._active = False
         self._edges: list[float] = []
 
@@ -262,16 +258,16 @@ class SimulatedLines:
         """Set the output line."""
         rising, self._active = active and not self._active, active
         if rising and not self._faults["trigger.missing"]:
-            self._edges.append(self._clock() + _DELAY + self._faults["trigger.late"])
+            self._edges.append(clocks.monotonic() + _DELAY + self._faults["trigger.late"])
 
     def edges(self, within: float) -> list[float]:
         """Rising edges that have come, or come within a time [s]."""
-        deadline = self._clock() + within
+        deadline = clocks.monotonic() + within
         if self._edges and (due := min(self._edges)) <= deadline:
-            self._sleep(max(0.0, due - self._clock()))
+            clocks.sleep(max(0.0, due - clocks.monotonic()))
         elif within > 0.0:
-            self._sleep(within)
-        now = self._clock()
+            clocks.sleep(within)
+        now = clocks.monotonic()
         come = [edge for edge in self._edges if edge <= now]
         self._edges = [edge for edge in self._edges if edge > now]
         return come

@@ -5,6 +5,7 @@ import itertools
 import os
 import random
 from dataclasses import replace
+from typing import Any
 from unittest.mock import Mock
 
 import numpy as np
@@ -13,6 +14,7 @@ from smbus2 import i2c_msg
 from support.clocks import FakeClock
 from support.wording import check_line, refused
 
+from socket_testbed import clocks
 from socket_testbed.drivers.clusters import i2c
 from socket_testbed.drivers.clusters.fdc1004 import Fdc1004
 from socket_testbed.drivers.clusters.i2c import (
@@ -35,8 +37,12 @@ from socket_testbed.simulation.world import FAULTS
 OK, SATURATED, MISSING = Status.OK, Status.SATURATED, Status.MISSING
 SETTINGS = ClusterSettings()
 CYCLE = 0.01  # [s]
-FREQUENCY = 400e3  # [Hz]
 START = 1000.0  # [s]
+
+
+@pytest.fixture(autouse=True)
+def clock(monkeypatch: pytest.MonkeyPatch) -> FakeClock:
+    return FakeClock(START).install(monkeypatch)
 
 
 class Schedule(dict[str, float]):
@@ -66,20 +72,18 @@ class Bench:
         speeds: tuple[float, ...] = (),
         overhead: float = 0.0,
     ) -> None:
-        self.clock = FakeClock(START)
+        self.clock: Any = clocks.monotonic
+        self.clock.now = START
         self.faults = Schedule(self.clock)
         self.slope = slope
         self.offsets: dict[tuple[int, int], float] = {}
         driver, simulated = hardware.capacitive_chip(settings)
         self.hardware = SimulatedClusterHardware(
-            settings, simulated, self.capacitance, self.faults, FREQUENCY, self.clock,
-            self.clock.sleep, speeds,
+            settings, simulated, self.capacitance, self.faults, speeds
         )  # fmt: skip
         self.settings = settings
         self.overhead = overhead
-        self.reader = ClusterReader(
-            settings, driver, self.hardware.open_bus, self.clock, self.clock.sleep
-        )
+        self.reader = ClusterReader(settings, driver, self.hardware.open_bus)
 
     def base(self, cluster: int, channel: int) -> float:
         return self.offsets.get((cluster, channel), 1.0 + 0.05 * (4 * cluster + channel))
@@ -156,7 +160,7 @@ INPUTS = [(0x08, 0x1000), (0x09, 0x3000), (0x0A, 0x5000), (0x0B, 0x7000)]
 
 def fdc1004(bus: I2cBus, rate: int = 400) -> Fdc1004:
     port = I2cPort(bus, "i2c-1", 0x50, "behind channel 2 of 0x70")
-    return Fdc1004(port, rate, sleep=lambda duration: None)
+    return Fdc1004(port, rate)
 
 
 def test_the_conversation_with_an_fdc1004() -> None:
@@ -343,20 +347,20 @@ def test_the_range_follows_an_input_until_it_is_beyond_every_range() -> None:
         check_line(reading.faults["brim_lateral"], "input 4 is out of range", f"CAPDAC {capdac}: ")
 
 
-def test_a_conversion_with_the_former_range_is_not_used() -> None:
+def test_a_conversion_with_the_former_range_is_not_used(clock: FakeClock) -> None:
     """An input that jumps out of the range and back has one of its two values, or none."""
     settings = replace(SETTINGS, names=("distal",), buses=(1,), channels=(0,), multiplexer=0)
     for back, pause in itertools.product(
         np.linspace(0.0, 0.03, 16), (0.0, 8e-3, 9e-3, 10e-3, 11e-3)
     ):
-        clock = FakeClock(START)
+        clock.now = START
 
         def jumping(n: int, moment: float, back: float = back) -> float:
             return 30.0 if START + 0.1 <= moment < START + 0.1 + back else 1.0
 
-        chip = SimulatedFdc1004(jumping, clock)
-        bus = SimulatedI2cBus([chip], frequency=FREQUENCY, clock=clock, sleep=clock.sleep)
-        reader = ClusterReader(settings, Fdc1004, lambda n, bus=bus: bus, clock, clock.sleep)
+        chip = SimulatedFdc1004(jumping)
+        bus = SimulatedI2cBus([chip])
+        reader = ClusterReader(settings, Fdc1004, lambda n, bus=bus: bus)
         while clock.now < START + 0.25:
             for wait in (pause, 0.0):
                 clock.now += wait

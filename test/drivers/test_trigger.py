@@ -17,10 +17,12 @@ from socket_testbed.simulation.world import FAULTS, SimulatedLines
 SETTINGS = TriggerSettings()
 
 
-def test_a_trigger_s_time_is_that_of_its_edge_never_of_another_pulse_s() -> None:
-    clock, faults = FakeClock(look=1e-6), dict.fromkeys(FAULTS, 0.0)
-    lines = SimulatedLines(faults, clock, clock.sleep)
-    trigger = GpioTrigger(lines, SETTINGS, clock, clock.sleep)
+def test_a_trigger_s_time_is_that_of_its_edge_never_of_another_pulse_s(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock, faults = FakeClock(look=1e-6).install(monkeypatch), dict.fromkeys(FAULTS, 0.0)
+    lines = SimulatedLines(faults)
+    trigger = GpioTrigger(lines, SETTINGS)
 
     def fire(times: int) -> None:
         for _ in range(times):
@@ -48,7 +50,7 @@ def test_a_trigger_s_time_is_that_of_its_edge_never_of_another_pulse_s() -> None
         faults["trigger.late"] = 0.0
         fire(20)
         assert trigger.stray > stray + 10
-    timer = TimerTrigger(clock)  # which needs no wire
+    timer = TimerTrigger()  # which needs no wire
     first = timer.fire()
     clock.sleep(0.25)
     assert 0.25 <= timer.fire() - first < 0.2501

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Callable
 from dataclasses import dataclass
 from fcntl import ioctl
 from typing import Protocol
@@ -148,9 +147,7 @@ class CapacitiveChip(Protocol):
     sample_rates: tuple[int, ...]  # conversions, shared by the inputs, that it can make [1/s]
     where: str  # where it is wired, for messages
 
-    def __init__(
-        self, port: I2cPort, sample_rate: int, sleep: Callable[[float], None], /
-    ) -> None: ...
+    def __init__(self, port: I2cPort, sample_rate: int, /) -> None: ...
 
     def check_identity(self) -> None:
         """Check that it is this chip."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import binascii
 import importlib
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -151,7 +150,6 @@ class Ads131m0x:
         channels: int,
         crc: str = "ccitt",
         name: str = "spidev0.0",
-        sleep: Callable[[float], None] = clocks.sleep,
     ) -> None:
         self.identity = 0  # its ID register; 0 before it is configured
         self._spi = spi
@@ -159,7 +157,6 @@ class Ads131m0x:
         self._wanted_crc = crc
         self._crc = crc
         self._name = name
-        self._sleep = sleep
 
     @property
     def description(self) -> str:
@@ -178,7 +175,7 @@ class Ads131m0x:
         # Before the reset its checksum may be of either kind.
         self._transfer(_UNLOCK)
         self._transfer(_RESET)
-        self._sleep(_RESET_TIME)
+        clocks.sleep(_RESET_TIME)
         acknowledged = _response(self._transfer(_READ | _ID << 7))
         answer = self._transfer(_NULL)
         # Ahead of the checksum, whose place in the frame depends on the number of channels.
@@ -198,7 +195,7 @@ class Ads131m0x:
         self._configure(oversampling, gain)
         # The first two conversions come from a faster, noisier filter; they are the two that
         # wait by now, or older than those.
-        self._sleep(conversion_period(clock_in, 3 * oversampling + _START_UP))
+        clocks.sleep(conversion_period(clock_in, 3 * oversampling + _START_UP))
         for _ in range(2):
             self._transfer(_NULL)
 

@@ -13,6 +13,7 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
+from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, line_weights
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.documents import Document, read_document
@@ -245,7 +246,7 @@ class LoadCell:
         """
         if self.converter.has_all(moment + self._reach(span)[1]):
             return True
-        now = self.converter.clock()
+        now = clocks.monotonic()
         return now >= self.over(moment, span) and self.converter.trouble(now)[0] > 1
 
     def wrench_at(self, moment: float, span: float = 0.0) -> WrenchReading:
@@ -272,7 +273,7 @@ class LoadCell:
             status, fault = Status.SATURATED, self._saturated(rails)
         elif count < max(1.0, 0.5 * expected) or uncertain:
             fault = f"{count} of {expected:.0f} conversions around the trigger"
-            _, trouble = self.converter.trouble(self.converter.clock())
+            _, trouble = self.converter.trouble(clocks.monotonic())
             fault = f"{fault}; {trouble}" if trouble else fault
         else:
             value, status = weights @ ratios, Status.OK
@@ -312,7 +313,7 @@ class LoadCell:
         A load above `tare_load` is removed only if that is forced; returns what was, in words.
         """
         settings = self.settings
-        now = self.converter.clock()
+        now = clocks.monotonic()
         level, trouble = self.converter.trouble(now)
         if trouble and level > 1:
             raise DeviceError(f"cannot tare: {trouble.fact}", trouble.hint)

@@ -40,21 +40,19 @@ class SimulatedAds131m0x:
         volts: Callable[[float], FloatArray],
         channels: int = 6,
         faults: Mapping[str, float] | None = None,
-        clock: Callable[[], float] = clocks.monotonic,
         clock_in: float = 8.192e6,
         seed: int | None = None,
     ) -> None:
         self._volts = volts
         self._channels = channels
         self._faults = {} if faults is None else faults
-        self._clock = clock
         self._modulator = clock_in / 2.0  # [Hz]
         self._rng = np.random.default_rng(seed)
         self._unplugged = False
         self._next_dip: float | None = None  # of the supply [s]
-        self._edges_until = clock()
+        self._edges_until = now = clocks.monotonic()
         self.is_wired = True  # DRDY to its line
-        self._power_on(clock())
+        self._power_on(now)
 
     def _power_on(self, now: float) -> None:
         """Fall into the reset state."""
@@ -87,7 +85,7 @@ class SimulatedAds131m0x:
 
     def edges(self, within: float) -> list[float]:
         """Falling edges of DRDY since the last call [s]; the reader never waits for one."""
-        until = self._clock()
+        until = clocks.monotonic()
         silent = self._fault("unplugged") or self._fault("frozen") or not self.is_wired
         over = 0 if silent else self._over(until)
         found = [self._first + k * self._period for k in range(1, over + 1)]
@@ -96,7 +94,7 @@ class SimulatedAds131m0x:
 
     def xfer2(self, data: list[int], /) -> list[int]:
         """Exchange one frame, of a word for the command, one for each channel and the checksum."""
-        now = self._clock()
+        now = clocks.monotonic()
         if self._fault("unplugged"):
             self._unplugged = True
             return [0] * len(data)
@@ -224,7 +222,6 @@ def simulated_load_cell(
     wrench: Callable[[float], FloatArray],
     settings: LoadCellSettings,
     faults: Mapping[str, float] | None = None,
-    clock: Callable[[], float] = clocks.monotonic,
     seed: int | None = None,
 ) -> SimulatedAds131m0x:
     """The converter of a load cell, its bridges under a load.
@@ -234,7 +231,6 @@ def simulated_load_cell(
             [N m, N].
         settings: How the bridges are wired, and their decoupling.
         faults: The faults of `simulation.world`, looked up at each frame.
-        clock: The steady clock [s].
         seed: Seed of the flipped bits.
     """
     check_settings(settings)
@@ -244,5 +240,5 @@ def simulated_load_cell(
     to_volts[list(settings.inputs)] = np.roll(1e-3 * per_bridge[:, None] * to_ratio, 3, axis=1)
     return SimulatedAds131m0x(
         lambda moment: to_volts @ wrench(moment),
-        settings.channels, faults, clock, settings.clock_in, seed,
+        settings.channels, faults, settings.clock_in, seed,
     )  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from socket_testbed import clocks
 from socket_testbed.simulation.devices.i2c import SimulatedChip, no_answer
 
 _CONF_MEAS, _FDC_CONF = 0x08, 0x0C
@@ -39,12 +40,12 @@ class SimulatedFdc1004(SimulatedChip):
 
     def stop(self) -> None:
         """Convert no more, until it is reset; finished conversions stay."""
-        self._convert(self._clock())
+        self._convert(clocks.monotonic())
         self._end = math.inf
 
     def write(self, data: bytes) -> None:
         """Take the bytes of a write."""
-        self._convert(self._clock())
+        self._convert(clocks.monotonic())
         register = data[0]
         known = register <= _FDC_CONF or register in _IDENTITY
         if not known or len(data) not in {1, 3}:
@@ -62,7 +63,7 @@ class SimulatedFdc1004(SimulatedChip):
 
     def read(self, length: int) -> bytes:
         """Answer with the register that the pointer is at, over and over."""
-        self._convert(self._clock())
+        self._convert(clocks.monotonic())
         value = self._value(self._pointer).to_bytes(2, "big")
         return (value * length)[:length]
 
@@ -92,7 +93,7 @@ class SimulatedFdc1004(SimulatedChip):
         if value & _REPEAT_ALL == _REPEAT_ALL and self._period:
             self._next = 0
             self._start(0)
-            self._end = self._clock() + self._period
+            self._end = clocks.monotonic() + self._period
 
     @property
     def _period(self) -> float:
