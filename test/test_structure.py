@@ -96,3 +96,14 @@ def test_a_node_hides_nothing_of_ros() -> None:
     for kind in classes - {Node}:
         own = stored_attributes(kind) | {name for name in vars(kind) if not name.startswith("__")}
         assert not own & theirs, (kind, own & theirs)
+
+
+def test_a_node_without_parameter_services_is_hidden() -> None:
+    """`ros2 param list` would wait for it: a name that begins with _ is not listed."""
+    calls = (n for tree in TREES.values() for n in ast.walk(tree) if isinstance(n, ast.Call))
+    names = [
+        ast.unparse(call.args[0]).lstrip("f").strip("'")
+        for call in calls
+        if "start_parameter_services=False" in map(ast.unparse, call.keywords)
+    ]
+    assert len(names) == 2 and all(name.startswith("_") for name in names), names
