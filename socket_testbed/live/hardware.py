@@ -7,6 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,12 +25,12 @@ from socket_testbed.drivers.gpio import (
     Use,
     trigger_lines,
 )
-from socket_testbed.drivers.load_cell.ads131m0x import SpiDevice, open_spi
+from socket_testbed.drivers.load_cell.ads131m0x import open_spi
 from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
 from socket_testbed.drivers.load_cell.load_cell import LoadCell
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.settings.acquisition import ClusterSettings, LoadCellSettings, TriggerSettings
-from socket_testbed.simulation.devices.ads131m0x import SimulatedAds131m0x, simulated_load_cell
+from socket_testbed.simulation.devices.ads131m0x import simulated_load_cell
 from socket_testbed.simulation.devices.fdc1004 import SimulatedFdc1004
 from socket_testbed.simulation.devices.i2c import SimulatedChip, SimulatedClusterHardware
 from socket_testbed.simulation.world import SensorErrors, SimulatedLines, World
@@ -105,8 +106,7 @@ def make_load_cell(settings: LoadCellSettings) -> LoadCell:
     open_device = spi_opener(settings)
     open_line: Callable[[], EdgeLine] | None = None
     if settings.data_ready_line >= 0 and settings.simulation:
-        chip = _simulated_load_cell(settings)
-        open_device = open_line = lambda: chip
+        open_line = open_device
     elif settings.data_ready_line >= 0:
         uses: dict[int, Use] = {settings.data_ready_line: "falling"}
         names = ("load_cell_node", "data_ready_chip", "data_ready_line to -1")
@@ -114,16 +114,11 @@ def make_load_cell(settings: LoadCellSettings) -> LoadCell:
     return LoadCell(settings, ConverterReader(settings, open_device, open_line=open_line))
 
 
-def spi_opener(settings: LoadCellSettings) -> Callable[[], SpiDevice]:
-    """A function that opens the load cell's converter."""
+def spi_opener(settings: LoadCellSettings) -> Callable[[], Any]:
+    """A function that opens the load cell's converter, an `SpiDevice`; simulated, its line, too."""
     if not settings.simulation:
         _require_real_time()
         return lambda: open_spi(settings.device, settings.spi_clock)
-    chip = _simulated_load_cell(settings)
-    return lambda: chip
-
-
-def _simulated_load_cell(settings: LoadCellSettings) -> SimulatedAds131m0x:
     world = World(Path(settings.simulation))
     rng = np.random.default_rng()
     size = SensorErrors().wrench_noise
@@ -132,4 +127,5 @@ def _simulated_load_cell(settings: LoadCellSettings) -> SimulatedAds131m0x:
     def wrench(moment: float) -> FloatArray:
         return world.wrench(moment) + next(noise)
 
-    return simulated_load_cell(wrench, settings, world.faults)
+    chip = simulated_load_cell(wrench, settings, world.faults)
+    return lambda: chip
