@@ -40,8 +40,7 @@ def test_a_trigger_s_time_is_that_of_its_edge_never_of_another_pulse_s(
     trigger.rest()
     faults["trigger.missing"] = 0.0
     for late in (0.0011, 0.01, 0.2):
-        faults["trigger.late"] = late
-        stray = trigger.stray
+        stray, faults["trigger.late"] = trigger.stray, late
         for _ in range(20):
             with pytest.raises(DeviceError):
                 trigger.fire()
