@@ -174,19 +174,12 @@ class World:
         self._shared["port"][0] = port
 
     def push(
-        self,
-        moment: float,
-        capacitance: FloatArray,
-        wrench: FloatArray,
-        poses: FloatArray,
+        self, moment: float, capacitance: FloatArray, wrench: FloatArray, poses: FloatArray
     ) -> None:
-        """Add the state at a time later than all before.
+        """Add the state at a time of the steady clock [s] later than all before.
 
-        Args:
-            moment: Time of the steady clock [s].
-            capacitance: Capacitances by cluster and input, shape (c, 4) [pF], c at most 16.
-            wrench: Load on the load cell [M; F], shape (6,) [N m, N].
-            poses: Positions [m] and quaternions (x, y, z, w) of the two bodies, shape (2, 7).
+        It is what the methods below return: capacitances by cluster and input, shape (c, 4) [pF],
+        c at most 16, wrench and poses.
         """
         state = np.zeros(_WIDTH)
         state[: capacitance.size] = capacitance.ravel()

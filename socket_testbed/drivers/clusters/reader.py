@@ -46,11 +46,7 @@ class ClusterReading:
 class ClusterReader:
     """Reads all clusters, and never raises for a fault of the hardware.
 
-    The first reading opens the buses.
-
-    Args:
-        chip: The chip that each cluster has.
-        open_bus: Opens the bus of a number, or raises a `DeviceError`.
+    The first reading opens the buses by their numbers; what opens one may raise a `DeviceError`.
     """
 
     def __init__(

@@ -135,13 +135,9 @@ def at_rail(codes: IntArray) -> BoolArray:
 
 
 class Ads131m0x:
-    """One converter.
+    """One converter of 6 (M06) or 8 (M08) channels, on a bus in SPI mode 1.
 
-    Args:
-        spi: Its bus, in SPI mode 1.
-        channels: 6 (M06) or 8 (M08).
-        crc: Checksum that it shall use, 'ccitt' or 'ansi'.
-        name: Its name in errors.
+    It shall use the checksum 'ccitt' or 'ansi'; errors have its name.
     """
 
     def __init__(
@@ -166,10 +162,8 @@ class Ads131m0x:
     def reset_and_configure(self, oversampling: int, gain: int, clock_in: float = 8.192e6) -> None:
         """Reset it, write its registers, read them back and drop unsettled conversions.
 
-        Args:
-            oversampling: Oversampling ratio, a power of two, 128 to 16384.
-            gain: Gain of all channels, a power of two, 1 to 128.
-            clock_in: Its clock [Hz].
+        Powers of two are the oversampling ratio, 128 to 16384, and the gain of all channels, 1 to
+        128. Its clock is in Hz.
         """
         self._crc = "ccitt"
         # Before the reset its checksum may be of either kind.

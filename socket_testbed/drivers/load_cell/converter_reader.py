@@ -46,10 +46,8 @@ class ConversionClock:
 
     A frame without new data means that no conversion waits; the next conversion ends within a
     period of it, and ahead of the frame that brings it. Conversions follow each other in equal
-    steps, so the bounds of all of them together are much closer than a reader's pace.
-
-    Args:
-        period: Time from one conversion to the next [s].
+    steps, a period [s] each, so the bounds of all of them together are much closer than a reader's
+    pace.
     """
 
     def __init__(self, period: float) -> None:

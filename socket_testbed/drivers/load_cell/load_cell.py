@@ -231,11 +231,9 @@ class LoadCell:
         return {**self.converter.counts(), "tare": tare, "tared": tared}
 
     def over(self, moment: float, span: float = 0.0) -> float:
-        """When the last conversion ends that makes the wrench at a time [s].
+        """When the last conversion ends that makes the wrench at a time of the steady clock [s].
 
-        Args:
-            moment: The time on the steady clock [s].
-            span: Span centred on it that is averaged where the window is shorter [s].
+        A span [s] centred on it is averaged where the window is shorter.
         """
         return self.converter.over(moment + self._reach(span)[1])
 

@@ -28,11 +28,8 @@ _WAITING = 2  # conversions that the FIFO holds
 class SimulatedAds131m0x:
     """One converter: an `SpiDevice`, and an `EdgeLine` where its DRDY is wired.
 
-    Args:
-        volts: Called with a time of the steady clock [s] for the voltages at the inputs,
-            shape (channels,) [V].
-        channels: 6 (M06) or 8 (M08).
-        clock_in: Clock of the converter [Hz].
+    It has 6 (M06) or 8 (M08) channels, whose voltages, shape (channels,) [V], are asked for by
+    times of the steady clock [s]. Its own clock is in Hz.
     """
 
     def __init__(
@@ -224,14 +221,10 @@ def simulated_load_cell(
     faults: Mapping[str, float] | None = None,
     seed: int | None = None,
 ) -> SimulatedAds131m0x:
-    """The converter of a load cell, its bridges under a load.
+    """The converter of a load cell, its bridges under a load [M; F], shape (6,) [N m, N].
 
-    Args:
-        wrench: Called with a time of the steady clock [s] for the load, [M; F], shape (6,)
-            [N m, N].
-        settings: How the bridges are wired, and their decoupling.
-        faults: The faults of `simulation.world`, looked up at each frame.
-        seed: Seed of the flipped bits.
+    That is asked for by times of the steady clock [s]; faults are those of `simulation.world`,
+    looked up at each frame.
     """
     check_settings(settings)
     to_ratio = np.linalg.inv(np.array(settings.matrix).reshape(6, 6))

@@ -37,11 +37,9 @@ class SimulatedChip:
     Subclasses are chips without a fault: they take `address`, `write` and `read`, which raise
     `no_answer` where the chip does not acknowledge, `power_up` and `stop`.
 
-    Args:
-        capacitance: Capacitance of an input, 0..3, at a time of the steady clock [pF].
-        faults: The faults of `simulation.world`, looked up at each transfer.
-        number: Its cluster's place in the settings, from 1, by which faults name it [1].
-        speed: Its oscillator's frequency over the nominal one [-].
+    It is made with the capacitance of an input, 0..3, at a time [pF], the faults of
+    `simulation.world`, by which number they name its cluster, from 1, and how fast its oscillator
+    is over the nominal one.
     """
 
     address = 0
@@ -142,13 +140,9 @@ Part: TypeAlias = SimulatedTca9548a | SimulatedChip
 
 
 class SimulatedI2cBus:
-    """The bus as a host has it open, with the one method of `smbus2.SMBus` that drivers use.
+    """The bus as a host has it open, with the multiplexers and chips that are on its wires.
 
-    Opening it restarts the host, as the chips see it.
-
-    Args:
-        parts: The multiplexers and chips that are on the same wires.
-        faults: The faults of `simulation.world`, looked up at each transfer.
+    Opening it restarts the host, as the chips see it. Faults are looked up at each transfer.
     """
 
     def __init__(
