@@ -27,7 +27,7 @@ from socket_testbed.settings.testbed import RecorderSettings, ReplaySettings
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.layout import decode, nanoseconds, stamp_of
 from socket_testbed.trials.metadata import TrialMetadata
-from socket_testbed.trials.topics import RECORDED_TRIAL, WRENCH, match_topics
+from socket_testbed.trials.topics import RECORDED_TRIAL, TF, WRENCH, match_topics
 from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial
 
 pytestmark = pytest.mark.graph
@@ -97,6 +97,7 @@ def test_a_replay_is_the_recording_in_its_order_and_time(hold: Path, tmp_path: P
         probe.node.create_subscription(
             Clock, "/clock", lambda m: ticks.append(nanoseconds(m.clock)), 1000
         )
+        frames = probe.listen(TF)
         settings = RecorderSettings(directory=str(recorded), record=False)
         graph.start("recorder_node", settings, use_sim_time=True)
         probe.wait(lambda: bool(probe.said(NODE)), "the recorder's diagnostics")
@@ -119,6 +120,7 @@ def test_a_replay_is_the_recording_in_its_order_and_time(hold: Path, tmp_path: P
             late = [1e-9 * (b.time - a.time) for a, b in zip(raws, again, strict=True)]
             assert abs(np.median(late)) < 10.0, name
         assert after.counts["/diagnostics"] > 0
+    assert {t.child_frame_id for m in frames for t in m.transforms} == {"socket", "limb"}
     assert ticks and ticks == sorted(ticks)  # the first may precede its discovery
     assert (path / "metadata.yaml").is_file() and (path / "socket.yaml").is_file()
     assert not any(file.stat().st_mode & 0o007 for file in (path, *path.iterdir()))
