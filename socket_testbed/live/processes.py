@@ -312,8 +312,7 @@ def _ending(code: int) -> str:
 def schedule(settings: SchedulingSettings) -> list[str]:
     """Schedule all threads of this process as its settings want it; later threads inherit it.
 
-    Returns:
-        What was refused, a line each: the fact, and how to get the right to it.
+    Returns what was refused, a line each: the fact, and how to get the right to it.
     """
     cores, priority = settings.cores, settings.priority
     refused = []

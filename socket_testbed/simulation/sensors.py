@@ -151,11 +151,8 @@ class MarkerBodies:
     ) -> tuple[Pose, Pose]:
         """True poses of the bodies of socket and pylon in the world, N of each.
 
-        Args:
-            position: Limb positions in {S}, shape (N, 3) [m].
-            rotation: Rotation vectors of the limb, shape (N, 3) [rad].
-            load: Loads [M; F], shape (N, 6) [N m, N].
-            swayed: Displacement of the stand in the world, shape (3,) [m].
+        N are the limb's positions [m] and rotation vectors [rad] in {S}, shape (N, 3), and loads
+        [M; F], shape (N, 6) [N m, N]. The stand is displaced in the world by (3,) [m].
         """
         count = len(position)
         shift = self._rng.normal(0.0, _STAND_TREMOR, (count, 3)) - _STAND_COMPLIANCE * load[:, 3:]

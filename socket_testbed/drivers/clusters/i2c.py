@@ -71,13 +71,8 @@ def opening_failed(number: int, error: OSError) -> DeviceError:
 class I2cPort:
     """One chip on a bus, its registers sent the most significant byte first.
 
-    Transfers that fail raise a `BusError`.
-
-    Args:
-        bus_name: The bus's name, such as i2c-1.
-        address: The chip's address [1].
-        place: Where it is on the bus, such as "behind channel 2 of 0x70".
-        part: What to check when it does not answer.
+    Transfers that fail raise a `BusError`, which names the bus, such as i2c-1, the place on it,
+    such as "behind channel 2 of 0x70", and the part to check.
     """
 
     def __init__(

@@ -98,11 +98,8 @@ class ConversionClock:
 class ConverterReader:
     """The converter of a load cell, with the conversions that it made.
 
-    One thread polls it and closes it in the end; any other thread may ask for the rest.
-
-    Args:
-        open_device: Opens its bus; called again after a failure.
-        open_line: Opens the line that DRDY is wired to; None: it is not wired.
+    One thread polls it and closes it in the end; any other thread may ask for the rest. Its bus is
+    opened again after a failure, and so is the line of DRDY where that is wired.
     """
 
     def __init__(
@@ -184,11 +181,7 @@ class ConverterReader:
         self._spi = self._line = None
 
     def between(self, start: float, end: float) -> tuple[FloatArray, IntArray]:
-        """Conversions measured after `start` and until `end` [s].
-
-        Returns:
-            Their times, shape (n,) [s], and their codes, shape (n, channels).
-        """
+        """Times, shape (n,) [s], and codes, shape (n, channels), measured in (start, end] [s]."""
         with self._lock:
             rows = slice(bisect_right(self._times, start), bisect_right(self._times, end))
             return np.array(self._times[rows]), self._stacked(self._codes[rows])

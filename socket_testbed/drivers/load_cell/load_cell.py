@@ -93,10 +93,9 @@ class Bridges:
         return np.asarray((ratios / other._scale)[..., bridges] * self._scale)
 
     def overload(self, peak: FloatArray) -> tuple[int, str]:
-        """How far absolute values of [M; F], shape (6,), go beyond the cell.
+        """How far absolute values of [M; F], shape (6,), go: fact and hint behind a level.
 
-        Returns:
-            0, 1 above 80 % of a full scale or 2 above all of it, with the fact and the hint.
+        That is 0, 1 above 80 % of a full scale, or 2 above all of it.
         """
         share = peak / self.full_scale
         worst = int(share.argmax())
@@ -211,10 +210,7 @@ class WrenchReading:
 class LoadCell:
     """A load cell behind an ADS131M06 or ADS131M08; any thread may call its methods.
 
-    Args:
-        settings: Its settings; others may be assigned, of which the window and those of the tare
-            are followed.
-        converter: What reads its converter, and is polled and closed by one thread.
+    Other settings may be assigned, of which the window and those of the tare are followed.
     """
 
     def __init__(self, settings: LoadCellSettings, converter: ConverterReader) -> None:
@@ -283,11 +279,7 @@ class LoadCell:
         return WrenchReading(wrench, value, tare, tared, status, count, fault)
 
     def health(self, now: float) -> tuple[int, str]:
-        """How it is at a time [s].
-
-        Returns:
-            0 (well), 1 (a warning) or 2 (an error), and the fact with the hint.
-        """
+        """How it is at a time [s]: 0 (well), 1 (a warning) or 2 (an error), fact and hint."""
         level, trouble = self.converter.trouble(now)
         found = [(level, str(trouble))]
         _, ratios, rails = self._between(now - RECENT, now)
