@@ -33,13 +33,9 @@ class Lines(EdgeLine, Protocol):
 
 
 class GpiodLines:
-    """Lines of a chip, held until they are closed.
+    """Lines of the chip with a label, by their numbers and uses, held until they are closed.
 
-    Args:
-        label: Label of the chip.
-        uses: Use of each line, by its number.
-        node: Node whose settings name the lines, for the hints: `setting` names the chip, and
-            with `without` it does without them.
+    Hints name the node whose `setting` is the chip, and that does without it with `without`.
     """
 
     def __init__(

@@ -199,12 +199,8 @@ class SimulatedI2cBus:
 class SimulatedClusterHardware:
     """The chips of all clusters where the settings say that they are.
 
-    Args:
-        chip: Which chip they are.
-        capacitance: Capacitance by the cluster's place in the settings, its input, 0..3, and a time
-            of the steady clock [pF].
-        faults: The faults of `simulation.world`, looked up at each transfer.
-        speeds: Frequency of each chip's oscillator over the nominal one, 1 if not given [-].
+    They feel a capacitance [pF] by the cluster's place in the settings, its input, 0..3, and a time
+    of the steady clock [s]. Of speeds there is one for each, or none: they are nominal.
     """
 
     def __init__(

@@ -307,15 +307,9 @@ class _Client:
 class NatNetServer:
     """Streams bodies to its clients, from its construction until it is closed.
 
-    Args:
-        bodies: The rigid bodies at a time of the steady clock [s]: each its name, its markers
-            in the world, shape (m, 3) [m], its position [m] and quaternion (x, y, z, w).
-        rate: Frame rate [Hz].
-        version: NatNet version.
-        address: Address of its command port; port 0 takes a free one.
-        multicast: Group and data port that it streams to; None: unicast.
-        faults: The faults `mocap.*` of `socket_testbed.simulation.world`, looked up live.
-        noise: Standard deviation of a marker's coordinate [m].
+    They are asked for by times of the steady clock [s], and come at a rate [Hz] with a noise of
+    each coordinate of a marker [m], in unicast or to a group and its data port. Faults are those of
+    `simulation.world`, looked up live. Port 0 of its address takes a free one.
     """
 
     def __init__(
