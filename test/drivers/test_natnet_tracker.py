@@ -251,6 +251,10 @@ def test_a_mean_does_not_lag_behind_a_steady_motion():
     socket, pylon = tracker.sample(0.4 * PERIOD, 0.25)
     assert (socket.frames, pylon.frames, socket.fault) == (32, 60, "")
     assert max(errors_of(socket, 0, 0.4 * PERIOD, pose=steady)[:2]) < 1e-7
+    # All frames around the trigger are occluded: there is no pose, though the window has frames.
+    around = [((0, 1),) if abs(time) < 0.04 else () for time in times]
+    tracker = tracker_of(times, pose=steady, hidden=around.__getitem__)
+    assert_no_pose(tracker.sample(0.0, 0.25)[0], "marker 2 of rigid body 'socket' is occluded")
 
 
 def test_with_a_frame_or_none_in_the_window_the_pose_is_interpolated():
