@@ -110,6 +110,8 @@ def test_jitter_missed_pulses_and_pauses_leave_the_period_and_another_rate_is_fo
     # Another trigger node.
     restarted = [(0.05 * k, 100 + k) for k in range(9)] + [(3.0 + 0.1 * k, k) for k in range(5)]
     assert periods_of(restarted)[-5:] == pytest.approx([0.0] * 3 + [0.1] * 2)
+    steps = [(10.0 + 0.1 * k, k) for k in range(4)] + [(5.0 + 0.1 * k, 4 + k) for k in range(4)]
+    assert periods_of(steps) == pytest.approx([0.0] * 3 + [0.1] + [0.0] * 3 + [0.1])
 
 
 def test_the_waits_double_up_to_the_longest_and_a_success_ends_them() -> None:

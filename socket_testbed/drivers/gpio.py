@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, Literal, Protocol, TypeAlias
@@ -33,13 +33,9 @@ class Lines(EdgeLine, Protocol):
 
 
 class GpiodLines:
-    """Lines of a chip, held until they are closed.
+    """Lines of the chip with a label, by their numbers and uses, held until they are closed.
 
-    Args:
-        label: Label of the chip.
-        uses: Use of each line, by its number.
-        node: Node whose settings name the lines, for the hints: `setting` names the chip, and
-            with `without` it does without them.
+    Hints name the node whose `setting` is the chip, and that does without it with `without`.
     """
 
     def __init__(
@@ -120,8 +116,8 @@ def _not_permitted(path: str) -> DeviceError:
 class TimerTrigger:
     """A trigger without a wire: it has no pulse, and its time is that of the call."""
 
-    def __init__(self, clock: Callable[[], float] = clocks.monotonic) -> None:
-        self.fire = clock
+    def __init__(self) -> None:
+        self.fire = clocks.monotonic
         self.stray = 0
 
     def rest(self) -> None:
@@ -138,13 +134,9 @@ class GpioTrigger:
         self,
         lines: Lines,
         settings: TriggerSettings,
-        clock: Callable[[], float] = clocks.monotonic,
-        sleep: Callable[[float], None] = clocks.sleep,
     ) -> None:
         self._lines = lines
         self._settings = settings
-        self._clock = clock
-        self._sleep = sleep
         self._begun = 0.0
         self.stray = 0  # number of edges that belonged to no pulse
 
@@ -153,10 +145,10 @@ class GpioTrigger:
         settings = self._settings
         try:
             self.stray += len(self._lines.edges(0.0))
-            self._begun = self._clock()
+            self._begun = clocks.monotonic()
             self._lines.set(settings.output_line, True)
             # The line rises while this process sets it, which a busy machine may hold up.
-            deadline = self._clock() + settings.edge_within
+            deadline = clocks.monotonic() + settings.edge_within
             left = settings.edge_within
             while True:
                 for edge in self._lines.edges(left):
@@ -166,7 +158,7 @@ class GpioTrigger:
                 if left == 0.0:
                     break
                 # Once more after the deadline: the kernel's stamp counts.
-                left = max(0.0, deadline - self._clock())
+                left = max(0.0, deadline - clocks.monotonic())
         except OSError as error:
             raise DeviceError(
                 f"the GPIO lines cannot be used ({error.strerror or error})",
@@ -180,7 +172,7 @@ class GpioTrigger:
 
     def rest(self) -> None:
         """End the pulse when it has lasted long enough."""
-        self._sleep(max(0.0, self._begun + self._settings.pulse - self._clock()))
+        clocks.sleep(max(0.0, self._begun + self._settings.pulse - clocks.monotonic()))
         try:
             self._lines.set(self._settings.output_line, False)
         except OSError:

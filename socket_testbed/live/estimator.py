@@ -92,10 +92,6 @@ class OnlineMap:
 
     Channels that are left out of the objective do not count, and neither do values that no limb in
     a socket gives. The settings may change meanwhile.
-
-    Attributes:
-        count: Number of maps.
-        places: The regions of the outputs; the last one is the socket.
     """
 
     def __init__(self, geometry: SocketGeometry, settings: Callable[[], EstimatorSettings]) -> None:
@@ -105,8 +101,8 @@ class OnlineMap:
         self._prior = settings().force_map
         self._map = ForceMap(geometry, tuple(geometry.clusters), self._prior)
         self._newest: Samples
-        self.count = 0
-        self.places = all_regions(geometry)
+        self.count = 0  # of maps
+        self.places = all_regions(geometry)  # of the outputs; the last one is the socket
 
     def update(self, sample: Samples) -> MapEstimate:
         """The map of one sample, with N = 1; it needs no pose."""
@@ -144,11 +140,6 @@ class OnlineEstimator:
     the wrench make a map, with both poses the newest model predicts. The settings are asked for as
     they are now. `notify` is called with each new model: a `Fit`, in a thread of the fitter's, or
     the `StoredModel` that was loaded.
-
-    Attributes:
-        map: The force map.
-        newest: Newest stamp of which the sample was predicted [ns]; 0 at first and after a jump
-            back in time.
     """
 
     def __init__(
@@ -180,7 +171,7 @@ class OnlineEstimator:
         self._counts = dict.fromkeys(names, 0)
         self._state = (0, "no model yet: waiting for steady data or estimator/fit")
         self.map = OnlineMap(geometry, settings)
-        self.newest = 0
+        self.newest = 0  # stamp of a complete sample [ns]; 0 also after a jump back in time
 
     @property
     def state(self) -> tuple[int, str]:

@@ -136,8 +136,7 @@ def fit_samples(
 ) -> Refit | None:
     """Fit on the newest steady stretch of some samples; without `steady` on all of them.
 
-    Returns:
-        The fit; None where there is no steady stretch that is large and new enough.
+    None where there is no steady stretch that is large and new enough.
     """
     # Live, a centred window would lag, and the wrench is measured anyway.
     settings = replace(settings, pose_smoothing=0.0, wrench_sharpness=())

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,12 +25,12 @@ from socket_testbed.drivers.gpio import (
     Use,
     trigger_lines,
 )
-from socket_testbed.drivers.load_cell.ads131m0x import SpiDevice, open_spi
+from socket_testbed.drivers.load_cell.ads131m0x import open_spi
 from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
 from socket_testbed.drivers.load_cell.load_cell import LoadCell
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.settings.acquisition import ClusterSettings, LoadCellSettings, TriggerSettings
-from socket_testbed.simulation.devices.ads131m0x import SimulatedAds131m0x, simulated_load_cell
+from socket_testbed.simulation.devices.ads131m0x import simulated_load_cell
 from socket_testbed.simulation.devices.fdc1004 import SimulatedFdc1004
 from socket_testbed.simulation.devices.i2c import SimulatedChip, SimulatedClusterHardware
 from socket_testbed.simulation.world import SensorErrors, SimulatedLines, World
@@ -40,8 +41,6 @@ CAPACITIVE_CHIPS: dict[str, tuple[type[CapacitiveChip], type[SimulatedChip]]] = 
     "fdc1004": (Fdc1004, SimulatedFdc1004)
 }
 
-_I2C_FREQUENCY = 400e3  # [Hz]
-_SHORTEST_SLEEP = 5e-4  # [s]
 _BLOCK = 256  # noises that are drawn at once
 
 
@@ -98,15 +97,8 @@ def i2c_opener(settings: ClusterSettings) -> Callable[[int], I2cBus]:
     def capacitance(cluster: int, channel: int, moment: float) -> float:
         return world.capacitance(cluster, channel, moment) + float(noise(0.0, size))
 
-    def sleep(duration: float) -> None:
-        """Sleep, but not for a single transfer: the bus then owes its time to the next ones."""
-        if duration >= _SHORTEST_SLEEP:
-            clocks.sleep(duration)
-
     chip = capacitive_chip(settings)[1]
-    return SimulatedClusterHardware(
-        settings, chip, capacitance, world.faults, _I2C_FREQUENCY, sleep=sleep
-    ).open_bus
+    return SimulatedClusterHardware(settings, chip, capacitance, world.faults).open_bus
 
 
 def make_load_cell(settings: LoadCellSettings) -> LoadCell:
@@ -114,8 +106,7 @@ def make_load_cell(settings: LoadCellSettings) -> LoadCell:
     open_device = spi_opener(settings)
     open_line: Callable[[], EdgeLine] | None = None
     if settings.data_ready_line >= 0 and settings.simulation:
-        chip = _simulated_load_cell(settings)
-        open_device = open_line = lambda: chip
+        open_line = open_device
     elif settings.data_ready_line >= 0:
         uses: dict[int, Use] = {settings.data_ready_line: "falling"}
         names = ("load_cell_node", "data_ready_chip", "data_ready_line to -1")
@@ -123,16 +114,11 @@ def make_load_cell(settings: LoadCellSettings) -> LoadCell:
     return LoadCell(settings, ConverterReader(settings, open_device, open_line=open_line))
 
 
-def spi_opener(settings: LoadCellSettings) -> Callable[[], SpiDevice]:
-    """A function that opens the load cell's converter."""
+def spi_opener(settings: LoadCellSettings) -> Callable[[], Any]:
+    """A function that opens the load cell's converter, an `SpiDevice`; simulated, its line, too."""
     if not settings.simulation:
         _require_real_time()
         return lambda: open_spi(settings.device, settings.spi_clock)
-    chip = _simulated_load_cell(settings)
-    return lambda: chip
-
-
-def _simulated_load_cell(settings: LoadCellSettings) -> SimulatedAds131m0x:
     world = World(Path(settings.simulation))
     rng = np.random.default_rng()
     size = SensorErrors().wrench_noise
@@ -141,4 +127,5 @@ def _simulated_load_cell(settings: LoadCellSettings) -> SimulatedAds131m0x:
     def wrench(moment: float) -> FloatArray:
         return world.wrench(moment) + next(noise)
 
-    return simulated_load_cell(wrench, settings, world.faults)
+    chip = simulated_load_cell(wrench, settings, world.faults)
+    return lambda: chip

@@ -139,12 +139,8 @@ class _Member:
 class Graph:
     """Node processes that live and end together; a context manager.
 
-    Args:
-        output: Where the nodes print to; None for this process's own output.
-        meanwhile: Called all the time while it waits.
-
-    Attributes:
-        folder: A folder that exists as long as the graph.
+    The nodes print to `output`, None for this process's own. `meanwhile` is called all the time
+    while the graph waits.
     """
 
     def __init__(
@@ -155,7 +151,7 @@ class Graph:
         self._members: dict[str, _Member] = {}
         self._spare: list[str] = []  # its arguments; empty for none
         self._temporary = TemporaryFolder()
-        self.folder = Path(self._temporary.name)
+        self.folder = Path(self._temporary.name)  # it exists as long as the graph
         self._environment = {**os.environ, PARENT: str(os.getpid()), **shared_environment()}
 
     def __enter__(self) -> Self:
@@ -316,8 +312,7 @@ def _ending(code: int) -> str:
 def schedule(settings: SchedulingSettings) -> list[str]:
     """Schedule all threads of this process as its settings want it; later threads inherit it.
 
-    Returns:
-        What was refused, a line each: the fact, and how to get the right to it.
+    Returns what was refused, a line each: the fact, and how to get the right to it.
     """
     cores, priority = settings.cores, settings.priority
     refused = []

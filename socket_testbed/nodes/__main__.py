@@ -80,8 +80,9 @@ def _run(names: list[str]) -> int:
             ready = None
             if names == [SPARE]:
                 # The others know a process that has a node, and as long as it has one.
-                plain = {"start_parameter_services": False, "enable_rosout": False}
-                ready = rclpy.create_node("_spare", **plain)
+                ready = rclpy.create_node(
+                    "_spare", start_parameter_services=False, enable_rosout=False
+                )
                 names, TestbedNode.arguments = _split(_await_place())
             nodes = []
             for name in names:

@@ -170,28 +170,22 @@ class TestbedNode(Node, Generic[S]):
     """A node with settings, topics, services and diagnostics.
 
     Nodes override `figures`, `check`, `ready` and `close` as they need. The parameters
-    are the settings of `kind`. For `settle` [s] a node that has not reported OK counts as starting.
-
-    Attributes:
-        arguments: ROS arguments of the nodes beside those of the process.
-        settings: The settings as they are now. A change that they refuse is refused by the node,
-            with the reason.
-        device: The device that it works with, empty if there is none.
-        finished: Set when the node has done its work.
+    are the settings of `kind`; a change that these refuse is refused, with the reason. For `settle`
+    [s] a node that has not reported OK counts as starting.
     """
 
     __test__ = False
-    arguments: ClassVar[list[str]] = []
+    arguments: ClassVar[list[str]] = []  # of ROS, beside those of the process
 
     def __init__(self, name: str, kind: type[S], settle: float = 0.0) -> None:
         super().__init__(name, cli_args=self.arguments)
-        self.device = ""
-        self.finished = Future()
+        self.device = ""  # that it works with, if any
+        self.finished = Future()  # set when it has done its work
         self._kind = kind
         fields = kind.flat()
         for parameter, value in parameter_values(kind()).items():
             self.declare_parameter(parameter, value, _descriptor(parameter, fields[parameter]))
-        self.settings = self._read_settings({})
+        self.settings = self._read_settings({})  # as they are now
         self.add_on_set_parameters_callback(self._check_settings)
         self.add_post_set_parameters_callback(self._change_settings)
 

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
-from rclpy.publisher import Publisher
 from std_msgs.msg import String
+from tf2_msgs.msg import TFMessage
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
@@ -31,7 +31,6 @@ from socket_testbed.nodes.base import (
     TestbedNode,
     file_or_packaged,
     header_to_ros,
-    message_type,
     publisher_qos,
 )
 from socket_testbed.nodes.sensor_node import SensorNode, averaging_span
@@ -146,8 +145,7 @@ class FrameBroadcaster:
 
     What moves follows the poses of the motion capture, on /tf; the rest is the socket's geometry,
     on /tf_static. mocap_node publishes them at the testbed, replay_node when a trial is replayed.
-    Without a namespace of their own, the topics are as the node's are remapped. Without tf2_msgs
-    nothing is published.
+    Without a namespace of their own, the topics are as the node's are remapped.
     """
 
     def __init__(
@@ -157,26 +155,18 @@ class FrameBroadcaster:
             SOCKET_POSE: (SOCKET_FRAME, Pose(np.eye(3), np.zeros(3))),
             PYLON_POSE: (LIMB_FRAME, geometry.limb),
         }
-        self._publisher: Publisher | None = None
-        try:
-            self._kind = message_type(TF)
-        except ImportError:
-            node.get_logger().warning(
-                "tf2_msgs cannot be imported: transforms are left out: install ros-jazzy-tf2-msgs"
-            )
-            return
         self._publisher, static = (
-            node.create_publisher(self._kind, namespace + topic.name, publisher_qos(topic))
+            node.create_publisher(TFMessage, namespace + topic.name, publisher_qos(topic))
             for topic in (TF, TF_STATIC)
         )
         now = node.get_clock().now().nanoseconds
         fixed = [_transform(now, *entry) for entry in fixed_frames(geometry)]
-        static.publish(self._kind(transforms=fixed))
+        static.publish(TFMessage(transforms=fixed))
 
     @property
     def wanted(self) -> bool:
         """Whether anybody subscribes."""
-        return self._publisher is not None and self._publisher.get_subscription_count() > 0
+        return bool(self._publisher.get_subscription_count())
 
     def move(self, stamp: int, poses: Mapping[Topic, FloatArray]) -> None:
         """Publish where socket and limb are; what the motion capture did not see is left out.
@@ -184,7 +174,7 @@ class FrameBroadcaster:
         The poses of a stamp [ns], of SOCKET_POSE, PYLON_POSE or both, are position [m] and
         quaternion (x, y, z, w), shape (7,).
         """
-        if self._publisher is None or not self.wanted:
+        if not self.wanted:
             return
         transforms = []
         for topic, vector in poses.items():
@@ -193,7 +183,7 @@ class FrameBroadcaster:
                 name, in_body = self._bodies[topic]
                 transforms.append(_transform(stamp, WORLD_FRAME, name, pose @ in_body))
         if transforms:
-            self._publisher.publish(self._kind(transforms=transforms))
+            self._publisher.publish(TFMessage(transforms=transforms))
 
 
 def fixed_frames(geometry: SocketGeometry) -> list[tuple[str, str, Pose]]:

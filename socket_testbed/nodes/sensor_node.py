@@ -20,22 +20,15 @@ class SensorNode(TestbedNode[S]):
     """Measures at each trigger, one after the other, in their order.
 
     A node overrides `measure` and `health`, and `idle` as it needs.
-
-    Attributes:
-        fault: The last fault of a measurement.
-        samples: Number of measurements.
-        missing: Number of them, or of their channels, that are missing.
-        busy_since: When the measurement in hand began on the steady clock [s], or None.
-        period: Time between the triggers up to the one in hand [s]; 0: not known yet.
     """
 
     def __init__(self, name: str, kind: type[S]) -> None:
         super().__init__(name, kind, settle=_SETTLE)
-        self.fault = RecentFault()
-        self.samples = 0
-        self.missing = 0
-        self.busy_since: float | None = None
-        self.period = 0.0
+        self.fault = RecentFault()  # of a measurement
+        self.samples = 0  # measurements
+        self.missing = 0  # of them, or of their channels
+        self.busy_since: float | None = None  # when the one in hand began on the steady clock [s]
+        self.period = 0.0  # between the triggers up to the one in hand [s]; 0: not known yet
         self._trigger_time = TriggerTime(SteadyClock())
         self._trigger_period = TriggerPeriod()
         self._due: queue.SimpleQueue[tuple[int, float, float] | None] = queue.SimpleQueue()

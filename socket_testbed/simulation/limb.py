@@ -46,7 +46,7 @@ _HELD = 0.05  # [N]; imbalance above which the limb is not held
 
 
 def load_history(scenario: Scenario, time: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Wrench of the load on the limb about the origin of {S}.
+    """Wrench of the load on the limb about the origin of {S}, [M; F], shape (N, 6) [N m, N].
 
     - `static_hold`: the pylon alone, the mass placed, held, removed, as published;
     - `ramp`: the mass put on and taken off slowly, again and again;
@@ -54,13 +54,8 @@ def load_history(scenario: Scenario, time: FloatArray, rng: np.random.Generator)
     - `protocol`: pushed, leaned on and twisted for the first half, then the hold, then the pylon
       alone: the protocol that `docs/protocol.md` recommends.
 
-    Args:
-        scenario: Which history.
-        time: Times since the start, shape (N,) [s].
-        rng: Source of the sway of pylon and mass, and of how the hands move.
-
-    Returns:
-        Wrenches [M; F], shape (N, 6) [N m, N].
+    The times are since the start, shape (N,) [s]; the sway of pylon and mass is random, and how
+    the hands move.
     """
     duration = float(time[-1]) if len(time) else 0.0
     added = np.zeros((len(time), 3))
@@ -178,11 +173,6 @@ def make_tissue(
     Under the published load it settles 7 mm (5 to 10 mm, by seed); measured were about 8 mm.
 
     The `stiff` tissue is a thin, firm layer: four times the normal and ten times the shear modulus.
-
-    Args:
-        geometry: Geometry of the socket.
-        rng: Source of the variation.
-        kind: The published silicone, or a firmer tissue.
     """
     modulus, shear_modulus, spread, stiffening, fit, fit_spread = _KINDS[kind]
     edges = np.sqrt(geometry.areas)
@@ -230,13 +220,7 @@ def _smooth_field(points: FloatArray, rng: np.random.Generator) -> FloatArray:
 class LoadedLimb:
     """A limb, a rigid bone in tissue, that is donned under a first load and follows it.
 
-    It moves from equilibrium to equilibrium.
-
-    Args:
-        geometry: Geometry of the socket.
-        load: The first load [M; F], shape (6,) [N m, N].
-        rng: Source of the tissue's variation.
-        kind: Kind of the tissue.
+    It moves from equilibrium to equilibrium. Loads are [M; F], shape (6,) [N m, N].
     """
 
     def __init__(
@@ -262,14 +246,9 @@ class LoadedLimb:
             self.step(share * load, 1.0)
 
     def step(self, load: FloatArray, duration: float) -> FloatArray:
-        """Move to the equilibrium under a load.
+        """Move to the equilibrium under a load about the origin of {S}, within a duration [s].
 
-        Args:
-            load: Load on the limb about the origin of {S}, [M; F], shape (6,) [N m, N].
-            duration: Time since the step before [s].
-
-        Returns:
-            Force of the limb on the socket at every tile, shape (n, 3) [N].
+        Returns the force of the limb on the socket at every tile, shape (n, 3) [N].
         """
         scale = 1e-3 * np.repeat([1.0, 1.0 / _LENGTH], 3)
         balance = np.concatenate([load[3:], load[:3] - np.cross(self._centre, load[3:])])

@@ -29,14 +29,9 @@ _STAND_TREMOR = 2e-5  # [m]
 
 
 def invert_calibration(calibration: ClusterCalibration, stress: FloatArray) -> FloatArray:
-    """Capacitances by input that a calibration turns into given stresses.
+    """Capacitances by input, shape (N, 4) [pF], that a calibration turns into given stresses.
 
-    Args:
-        calibration: Calibration of the cluster.
-        stress: Normal stress, shear x, shear y, shape (N, 3) [Pa].
-
-    Returns:
-        Capacitances, shape (N, 4) [pF].
+    These are normal stress, shear x, shear y, shape (N, 3) [Pa].
     """
     mean = (stress[:, 0] - calibration.normal[0]) / calibration.normal[1]
     x, y = np.zeros((2, len(stress)))
@@ -80,11 +75,9 @@ class ClusterSensor:
             self._offsets += (invert_calibration(calibration, stress[None]) - self._rest)[0]
 
     def respond(self, stress: FloatArray, time: FloatArray) -> FloatArray:
-        """Capacitances by input under a stress, shape (N, 4) [pF].
+        """Capacitances by input under a stress at N times [s], shape (N, 4) [pF].
 
-        Args:
-            stress: Normal stress, shear x, shear y in the cluster's nominal frame, (N, 3) [Pa].
-            time: Times, shape (N,) [s].
+        It is normal stress, shear x, shear y in the cluster's nominal frame, shape (N, 3) [Pa].
         """
         turned = stress.copy()
         turned[:, 1:] = stress[:, 1:] @ self._turn
@@ -102,23 +95,14 @@ class ClusterSensor:
 def cluster_stress(geometry: SocketGeometry, cluster: str, forces: FloatArray) -> FloatArray:
     """Normal stress, shear x, shear y on a cluster along its own axes, shape (N, 3) [Pa].
 
-    Args:
-        geometry: Geometry of the socket.
-        cluster: Name of the cluster.
-        forces: Forces on the socket at all tiles in {S}, shape (N, n, 3) [N].
+    The forces are those on the socket at all tiles in {S}, shape (N, n, 3) [N].
     """
     tile = geometry.clusters[cluster]
     return geometry.cluster_stress(cluster, forces[:, tile] @ geometry.rotations[tile])
 
 
 def vibration(amplitudes: FloatArray, time: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Vibrations of m channels in random phases, shape (N, m).
-
-    Args:
-        amplitudes: Their amplitudes in any unit, shape (m,).
-        time: Times, shape (N,) [s].
-        rng: Source of the phases.
-    """
+    """Vibrations of m channels in random phases at N times [s], in their unit, shape (N, m)."""
     phases = rng.uniform(0.0, 2.0 * np.pi, len(amplitudes))
     return np.asarray(amplitudes * np.sin(2.0 * np.pi * _VIBRATION * time[:, None] + phases))
 
@@ -134,13 +118,7 @@ def wrench_creep(
     """Creep of the load cell under a load, [M; F], shape (N, 6) [N m, N].
 
     Each channel follows the vertical force with a lag, up or down, and has crept by all of its
-    creep at most.
-
-    Args:
-        errors: Sizes of the errors.
-        load: Loads [M; F], shape (N, 6) [N m, N].
-        time: Times, shape (N,) [s].
-        rng: Source of the directions.
+    creep at most. The load is alike; the times are in seconds, shape (N,).
     """
     size = np.abs(load[:, 5])
     share = (size - size.min()) / max(float(np.ptp(size)), 1e-9)
@@ -173,11 +151,8 @@ class MarkerBodies:
     ) -> tuple[Pose, Pose]:
         """True poses of the bodies of socket and pylon in the world, N of each.
 
-        Args:
-            position: Limb positions in {S}, shape (N, 3) [m].
-            rotation: Rotation vectors of the limb, shape (N, 3) [rad].
-            load: Loads [M; F], shape (N, 6) [N m, N].
-            swayed: Displacement of the stand in the world, shape (3,) [m].
+        N are the limb's positions [m] and rotation vectors [rad] in {S}, shape (N, 3), and loads
+        [M; F], shape (N, 6) [N m, N]. The stand is displaced in the world by (3,) [m].
         """
         count = len(position)
         shift = self._rng.normal(0.0, _STAND_TREMOR, (count, 3)) - _STAND_COMPLIANCE * load[:, 3:]
@@ -202,16 +177,9 @@ class MarkerBodies:
 def observe_markers(
     pose: Pose, markers: FloatArray, errors: SensorErrors, rng: np.random.Generator
 ) -> FloatArray:
-    """A body's markers as the cameras see them.
+    """A body's k markers, (k, 3) [m], as the cameras see them at N poses of the body.
 
-    Args:
-        pose: Poses of the body in the world, N of them.
-        markers: The k markers in the body's frame, shape (k, 3) [m].
-        errors: Sizes of the errors.
-        rng: Their source.
-
-    Returns:
-        Labelled positions in the world, shape (N, k, 3) [m]; NaN where occluded.
+    These are labelled positions in the world, shape (N, k, 3) [m]; NaN where occluded.
     """
     seen = pose.place(markers)
     seen += rng.normal(0.0, errors.marker_noise, seen.shape)

@@ -33,15 +33,12 @@ _SCANNER = Rotation.from_matrix([[0, 1, 0], [0, 0, 1], [1, 0, 0]]) * Rotation.fr
 _OFFSET = np.array([34.0, -18.0, 410.0])  # [mm]; where the scanner's origin was
 
 
-def make_socket_scan(seed: int = 0, edge: float = _EDGE, noise: float = _NOISE) -> trimesh.Trimesh:
+def make_socket_scan(edge: float = _EDGE, noise: float = _NOISE) -> trimesh.Trimesh:
     """The interior of the socket as scanned, in mm, its normals outwards as many tools give them.
 
-    Args:
-        seed: Seed of the noise.
-        edge: Edge of a triangle [mm].
-        noise: Noise of a vertex [mm].
+    Triangles have an edge [mm], vertices a noise [mm].
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     # A flat disc of points, its radius the way from the end's middle up the wall, meshed and
     # then shaped: the triangles are irregular and there is no seam.
     reach = _BRIM + _END

@@ -125,7 +125,7 @@ def simulate(
     Args:
         geometry: The lab's geometry of the socket.
         calibration: The lab's calibration of the clusters.
-        scenario: The load history.
+        scenario: The load history, see `load_history`.
         duration: Duration [s].
         rate: Rate of the trigger [Hz].
         seed: Seed of everything that is random.
@@ -219,13 +219,9 @@ def write_simulated_trial(
     geometry_file: Path | None = None,
     calibration_file: Path | None = None,
 ) -> None:
-    """Write a simulated trial as a rosbag2 folder with its ground truth.
+    """Write a simulated trial as a new rosbag2 folder with its ground truth.
 
-    Args:
-        trial: The trial.
-        path: Folder of the trial; it must not exist.
-        geometry_file: The `socket.yaml` to store; None for the package's own.
-        calibration_file: The `calibration.yaml` to store; None for the package's own.
+    Its `socket.yaml` and `calibration.yaml` are stored; None stands for the package's own.
     """
     check_new_folder(path)
     parameters = packaged("config", "simulated.yaml")
@@ -249,12 +245,9 @@ def save_truth(path: Path, stamps: IntArray, truth: GroundTruth, **more: FloatAr
 
 
 def read_truth(path: Path, stamps: IntArray | None = None) -> GroundTruth:
-    """Read the ground truth beside a simulated trial.
+    """Read the ground truth in a simulated trial's folder at stamps, shape (N,) [ns].
 
-    Args:
-        path: Folder of the trial.
-        stamps: Times since the epoch for which it is wanted, shape (N,) [ns]; between the
-            times of the simulation it is linear. None for the simulation's own.
+    Between the times of the simulation it is linear; None stands for these.
     """
     try:
         with np.load(path / TRUTH_FILE) as data:
@@ -275,16 +268,9 @@ def read_truth(path: Path, stamps: IntArray | None = None) -> GroundTruth:
 
 
 def read_true_forces(path: Path, stamps: IntArray, tiles: Sequence[str]) -> FloatArray | None:
-    """Forces on the tiles in a trial's ground truth.
+    """Force of the limb on n tiles in {S} at stamps [ns], shape (N, n, 3) [N], as it truly was.
 
-    Args:
-        path: Folder of the trial.
-        stamps: Times since the epoch for which they are wanted, shape (N,) [ns].
-        tiles: Names of the n tiles.
-
-    Returns:
-        Force of the limb on the socket in {S}, shape (N, n, 3) [N]; None where the trial was not
-        simulated, or with other tiles.
+    None where the trial in the folder was not simulated, or with other tiles.
     """
     if not (path / TRUTH_FILE).is_file():
         return None
@@ -298,12 +284,7 @@ def _between(values: FloatArray, after: IntArray, share: FloatArray) -> FloatArr
 
 
 def _messages(trial: SimulatedTrial, ratios: FloatArray) -> Iterator[tuple[int, Topic, bytes]]:
-    """Stamps [ns], topics and messages in the order of their recording.
-
-    Args:
-        trial: The trial.
-        ratios: Ratios of the load cell's bridges, shape (N, 6) [mV/V].
-    """
+    """Stamps [ns], topics and messages in order; ratios of the bridges, shape (N, 6) [mV/V]."""
     pack_trigger, pack_wrench, pack_pose = trigger_packer(), wrench_packer(), pose_packer()
     pack_raw = load_cell_raw_packer()
     pack_markers = markers_packer({name: seen.shape[1] for name, seen in trial.markers.items()})

@@ -7,7 +7,7 @@ no more than this module: such a node starts without the physics.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -174,19 +174,12 @@ class World:
         self._shared["port"][0] = port
 
     def push(
-        self,
-        moment: float,
-        capacitance: FloatArray,
-        wrench: FloatArray,
-        poses: FloatArray,
+        self, moment: float, capacitance: FloatArray, wrench: FloatArray, poses: FloatArray
     ) -> None:
-        """Add the state at a time later than all before.
+        """Add the state at a time of the steady clock [s] later than all before.
 
-        Args:
-            moment: Time of the steady clock [s].
-            capacitance: Capacitances by cluster and input, shape (c, 4) [pF], c at most 16.
-            wrench: Load on the load cell [M; F], shape (6,) [N m, N].
-            poses: Positions [m] and quaternions (x, y, z, w) of the two bodies, shape (2, 7).
+        It is what the methods below return: capacitances by cluster and input, shape (c, 4) [pF],
+        c at most 16, wrench and poses.
         """
         state = np.zeros(_WIDTH)
         state[: capacitance.size] = capacitance.ravel()
@@ -249,12 +242,8 @@ class SimulatedLines:
     def __init__(
         self,
         faults: Mapping[str, float],
-        clock: Callable[[], float] = clocks.monotonic,
-        sleep: Callable[[float], None] = clocks.sleep,
     ) -> None:
         self._faults = faults
-        self._clock = clock
-        self._sleep = sleep
         self._active = False
         self._edges: list[float] = []
 
@@ -262,16 +251,16 @@ class SimulatedLines:
         """Set the output line."""
         rising, self._active = active and not self._active, active
         if rising and not self._faults["trigger.missing"]:
-            self._edges.append(self._clock() + _DELAY + self._faults["trigger.late"])
+            self._edges.append(clocks.monotonic() + _DELAY + self._faults["trigger.late"])
 
     def edges(self, within: float) -> list[float]:
         """Rising edges that have come, or come within a time [s]."""
-        deadline = self._clock() + within
+        deadline = clocks.monotonic() + within
         if self._edges and (due := min(self._edges)) <= deadline:
-            self._sleep(max(0.0, due - self._clock()))
+            clocks.sleep(max(0.0, due - clocks.monotonic()))
         elif within > 0.0:
-            self._sleep(within)
-        now = self._clock()
+            clocks.sleep(within)
+        now = clocks.monotonic()
         come = [edge for edge in self._edges if edge <= now]
         self._edges = [edge for edge in self._edges if edge > now]
         return come

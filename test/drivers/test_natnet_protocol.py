@@ -53,7 +53,6 @@ CONTENT = Content(
         Marker(2, 3, RNG.normal(size=3), MODEL_FILLED),
         Marker(2, 1, np.array([np.nan, 0.0, 0.0])),
     ],
-    marker_sets={"all": RNG.normal(size=(4, 3)), "": np.empty((0, 3))},
     recording=True,
     models_changed=True,
 )

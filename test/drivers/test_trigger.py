@@ -17,10 +17,12 @@ from socket_testbed.simulation.world import FAULTS, SimulatedLines
 SETTINGS = TriggerSettings()
 
 
-def test_a_trigger_s_time_is_that_of_its_edge_never_of_another_pulse_s() -> None:
-    clock, faults = FakeClock(look=1e-6), dict.fromkeys(FAULTS, 0.0)
-    lines = SimulatedLines(faults, clock, clock.sleep)
-    trigger = GpioTrigger(lines, SETTINGS, clock, clock.sleep)
+def test_a_trigger_s_time_is_that_of_its_edge_never_of_another_pulse_s(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock, faults = FakeClock(look=1e-6).install(monkeypatch), dict.fromkeys(FAULTS, 0.0)
+    lines = SimulatedLines(faults)
+    trigger = GpioTrigger(lines, SETTINGS)
 
     def fire(times: int) -> None:
         for _ in range(times):
@@ -38,8 +40,7 @@ def test_a_trigger_s_time_is_that_of_its_edge_never_of_another_pulse_s() -> None
     trigger.rest()
     faults["trigger.missing"] = 0.0
     for late in (0.0011, 0.01, 0.2):
-        faults["trigger.late"] = late
-        stray = trigger.stray
+        stray, faults["trigger.late"] = trigger.stray, late
         for _ in range(20):
             with pytest.raises(DeviceError):
                 trigger.fire()
@@ -48,7 +49,7 @@ def test_a_trigger_s_time_is_that_of_its_edge_never_of_another_pulse_s() -> None
         faults["trigger.late"] = 0.0
         fire(20)
         assert trigger.stray > stray + 10
-    timer = TimerTrigger(clock)  # which needs no wire
+    timer = TimerTrigger()  # which needs no wire
     first = timer.fire()
     clock.sleep(0.25)
     assert 0.25 <= timer.fire() - first < 0.2501

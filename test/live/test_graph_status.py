@@ -1,14 +1,13 @@
 """What the status line counts of serialised messages."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 
 import numpy as np
 import pytest
-from support.messages import Maker
+from support.messages import Maker, encode
 
-from socket_testbed.live.graph_status import MEASURED, GraphStatus
+from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.nodes.controls import StatusListener
-from socket_testbed.trials.layout import typestore
 from socket_testbed.trials.messages import (
     capacitance_packer,
     pose_packer,
@@ -19,6 +18,7 @@ from socket_testbed.trials.topics import (
     CAPACITANCE,
     ESTIMATED_WRENCH,
     PARAMETERS,
+    PYLON_POSE,
     RECORDED_TRIAL,
     SOCKET_POSE,
     TRIGGER,
@@ -27,26 +27,7 @@ from socket_testbed.trials.topics import (
 )
 
 PERIOD = 250_000_000  # [ns]
-COUNT = 240  # triggers
-MEASURED_WRENCH = np.arange(6.0)
-LOST = np.random.default_rng(0).random((COUNT, len(MEASURED))) < 0.125
-
-
-def messages() -> Iterator[tuple[Topic, bytes]]:
-    """Triggers, and measurements of which every eighth lacks something or does not come."""
-    capacitance, pose, ones = capacitance_packer(("p", "q")), pose_packer(), np.ones((2, 4))
-    for k in range(COUNT):
-        stamp = (1 + k) * PERIOD
-        yield TRIGGER, trigger_packer()(stamp, k)
-        for topic, lost in zip(MEASURED, LOST[k], strict=True):
-            lacking = np.nan if lost else 0.0
-            if topic is CAPACITANCE:  # a saturated channel is there
-                status = np.array([[0, 1, 2 * lost, 0], [0] * 4], np.uint8)
-                yield topic, capacitance(stamp, ones, status)
-            elif topic is WRENCH:
-                yield topic, wrench_packer()(stamp, np.append(MEASURED_WRENCH[:5], 5.0 + lacking))
-            elif topic is SOCKET_POSE or not lost:
-                yield topic, pose(stamp, np.array([0.0, lacking, 0.0, 0.0, 0.0, 0.0, 1.0]))
+WRENCHES = np.arange(6.0)
 
 
 def fed(found: Iterable[tuple[Topic, bytes]]) -> GraphStatus:
@@ -59,23 +40,35 @@ def fed(found: Iterable[tuple[Topic, bytes]]) -> GraphStatus:
 
 
 def test_complete_samples_are_counted_and_go_on_when_time_jumps_back() -> None:
+    capacitance, pose, ones = capacitance_packer(("p", "q")), pose_packer(), np.ones((2, 4))
+    messages: list[tuple[Topic, bytes]] = []
+    for k in range(40):  # of five one is complete: a saturated input lacks nothing
+        stamp, lacking = k * PERIOD, [np.nan if k % 5 == n else 0.0 for n in range(3)]
+        status = np.array([[0, 1, 2 * (k % 5 == 0), 0], [0] * 4], np.uint8)
+        messages += [
+            (TRIGGER, trigger_packer()(stamp, k)),
+            (CAPACITANCE, capacitance(stamp, ones, status)),
+            (WRENCH, wrench_packer()(stamp, np.append(WRENCHES[:5], 5.0 + lacking[1]))),
+            (SOCKET_POSE, pose(stamp, np.array([0.0, lacking[2], 0.0, 0.0, 0.0, 0.0, 1.0]))),
+        ]
+        if k % 5 != 3:
+            messages.append((PYLON_POSE, pose(stamp, np.eye(7)[6])))
     content = [(topic, Maker(1, 0).message(topic.type)) for topic in (PARAMETERS, RECORDED_TRIAL)]
-    named = [(t, bytes(typestore().serialize_cdr(m, t.type))) for t, m in content]
-    complete = (~LOST).all(axis=1).sum()
+    named = [(topic, encode(message, topic.type, little=True)) for topic, message in content]
     for times in (1, 2):
-        status = fed([*messages()] * times + named)
-        assert (status.triggers, status.complete) == (times * COUNT, times * complete)
-        assert status.elapsed == pytest.approx(1e-9 * (COUNT - 1) * PERIOD)
-        assert status.wrench is not None and (status.wrench[:5] == MEASURED_WRENCH[:5]).all()
+        status = fed(messages * times + named)
+        assert (status.triggers, status.complete) == (times * 40, times * 8)
+        assert status.elapsed == pytest.approx(1e-9 * 39 * PERIOD)
+        assert status.wrench is not None and (status.wrench == WRENCHES).all()
         assert (status.variant, status.trial) == (content[0][1].variant, content[1][1].data)
 
 
 def test_predictions_are_judged_over_the_last_seconds() -> None:
     """Predictions that are off by (3, 0, 0) N and (0, 0.2, 0) N m, and by far more long before."""
     found = []
-    for k in range(COUNT):
-        found.append((WRENCH, wrench_packer()(k * PERIOD, MEASURED_WRENCH)))
-        off = [0.0, -0.2, 0.0, 30.0 if k < COUNT - 48 else 3.0, 0.0, 0.0]
-        found.append((ESTIMATED_WRENCH, wrench_packer()(k * PERIOD, MEASURED_WRENCH + off)))
+    for k in range(100):
+        found.append((WRENCH, wrench_packer()(k * PERIOD, WRENCHES)))
+        off = [0.0, -0.2, 0.0, 30.0 if k < 52 else 3.0, 0.0, 0.0]
+        found.append((ESTIMATED_WRENCH, wrench_packer()(k * PERIOD, WRENCHES + off)))
     assert fed(found[:1]).errors() is None
     assert fed(found).errors() == pytest.approx((np.sqrt(3.0), 0.2 / np.sqrt(3.0)))

@@ -1,16 +1,12 @@
 """The graph as processes: what it needs, what it does without, and what it starts again."""
 
-import os
-import signal
 import tempfile
 from pathlib import Path
 
 import pytest
-from support.graph import Probe
 
 from socket_testbed.errors import TestbedError
-from socket_testbed.live.processes import SPARE, Graph
-from socket_testbed.settings.testbed import CalibrationNodeSettings
+from socket_testbed.live.processes import Graph
 
 pytestmark = pytest.mark.graph
 
@@ -51,28 +47,3 @@ def test_a_graph_ends_with_what_it_needs_and_goes_on_without_what_is_optional(
         graph.start_program("needed", "socket_testbed.nodes", ["no_such_node"])
         with pytest.raises(TestbedError, match="needed ended with exit code 1"):
             graph.watch(lambda: False, restarts.append)
-
-
-@pytest.mark.slow
-def test_a_spare_process_takes_the_place_of_a_killed_node() -> None:
-    said: list[str] = []
-    with open(os.devnull, "w") as nowhere, Graph(nowhere) as graph, Probe() as probe:  # noqa: PTH123
-        node = "calibration_node"
-        probe.said(node)
-        graph.start(node, CalibrationNodeSettings())
-        graph.keep_spare()
-        graph.watch(lambda: SPARE in graph._members, said.append)
-        spare = graph._members[SPARE].process
-        graph._members[node].process.send_signal(signal.SIGKILL)
-        graph.watch(lambda: bool(probe.said(node, "started again")), said.append)
-        assert said == ["calibration_node was ended by SIGKILL: started again"]
-        assert graph._members[node].process is spare
-        # There is another spare one; a dead one leaves the restart to a new process.
-        graph.watch(lambda: SPARE in graph._members, said.append)
-        dead = [graph._members[name].process for name in (SPARE, node)]
-        for process in dead:
-            process.send_signal(signal.SIGKILL)
-            process.wait()
-        graph.watch(lambda: len(said) == 3, said.append)
-        assert graph._members[node].process not in dead
-        assert graph._members[node].exit_code() is None

@@ -90,6 +90,8 @@ def test_a_busier_machine_gets_a_slower_testbed_and_hardware_keeps_to_real_time(
     ):
         with refused(ConfigurationError, "TIME_SCALE=0.5 is for a simulated testbed"):
             make()
+    with refused(ConfigurationError, "no simulated world: start one with"):
+        hardware.make_trigger(TriggerSettings(simulation="nowhere"))
 
 
 def test_doctor_says_whether_it_is_enough_for_the_rate(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,27 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-import sys
-from pathlib import Path
+from collections import defaultdict
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import pytest
+from rclpy.clock import Clock
 from scipy.spatial.transform import Rotation
-from support.bags import move_to_namespace, rewrite
-from support.graph import Probe
 
 from socket_testbed.files import packaged
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.live.bringup import replay_nodes
-from socket_testbed.live.processes import Graph
 from socket_testbed.nodes.mocap_node import FrameBroadcaster, fixed_frames
-from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
 from socket_testbed.trials.layout import stamp_of
-from socket_testbed.trials.topics import FORCE_MAP, TF, TF_STATIC
-from socket_testbed.trials.trial import Trial
+from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE
 
 GEOMETRY = read_socket(packaged("config", "socket.yaml"))
 
@@ -58,63 +51,34 @@ def test_a_cluster_s_frame_is_its_tile_s_turned_as_it_is_glued() -> None:
     np.testing.assert_allclose(both.translation, 0.0, atol=1e-9)
 
 
-def test_without_tf2_msgs_a_node_goes_on_and_warns_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "tf2_msgs", None)
-    monkeypatch.delitem(sys.modules, "tf2_msgs.msg", raising=False)
-    said: list[str] = []
-    node = SimpleNamespace(get_logger=lambda: SimpleNamespace(warning=said.append))
-    broadcaster = FrameBroadcaster(node, GEOMETRY)
-    assert not broadcaster.wanted
-    broadcaster.move(0, {})
-    assert len(said) == 1 and "tf2_msgs" in said[0]
+class Listened:
+    """Stands for a node that publishes: the messages by topic."""
+
+    def __init__(self) -> None:
+        self.sent: dict[str, list[Any]] = defaultdict(list)
+
+    def get_clock(self) -> Clock:
+        return Clock()
+
+    def create_publisher(self, kind: Any, name: str, qos: Any) -> SimpleNamespace:
+        return SimpleNamespace(publish=self.sent[name].append, get_subscription_count=lambda: 1)
 
 
-@pytest.mark.graph
-@pytest.mark.slow
-def test_the_transforms_of_a_replay_compose_to_the_recorded_poses(
-    hold: Path, tmp_path: Path
-) -> None:
-    """A trial of the namespace /lab, replayed with the estimator."""
-
-    def hide_pylon(topic: str, message: Any) -> Any:
-        """In the second half of every second."""
-        if topic == "/mocap/pylon/pose" and message.header.stamp.nanosec >= 500_000_000:
-            message.pose.position.x = float("nan")
-        return message
-
-    hidden = rewrite(hold, tmp_path / "hidden", hide_pylon)
-    trial = Trial(move_to_namespace(hidden, tmp_path / "lab", "/lab"))
-    replay = ReplaySettings(trial=str(trial.path), rate=20.0)
-    samples = trial.samples()
-    with Probe() as probe, Graph() as graph:
-        tf, static, maps = (
-            probe.listen(topic, f"/lab/{topic.name.strip('/')}")
-            for topic in (TF, TF_STATIC, FORCE_MAP)
-        )
-        graph.start_nodes(replay_nodes(trial, replay, EstimatorSettings(auto_fit=False)))
-        graph.wait("replay_node")
-        last = samples.stamps[-1]
-        probe.wait(lambda: bool(maps) and stamp_of(maps[-1]) == last, "the last sample")
-    fixed = {t.child_frame_id: t for m in static for t in m.transforms}
-    assert {(t.header.frame_id, name) for name, t in fixed.items()} == {
-        ("socket", "load_cell"),
-        *(("load_cell", name) for name in trial.geometry.clusters),
-    }
-    moving: dict[str, dict[int, Pose]] = {"socket": {}, "limb": {}}
-    for t in (t for message in tf for t in message.transforms):
-        assert t.header.frame_id == "world"
-        moving[t.child_frame_id][stamp_of(t)] = pose_of(t)
-    poses = dict(zip(samples.stamps.tolist(), samples.pose, strict=True))
-    # What the motion capture did not see is not published, all the rest is once a subscriber is
-    # found.
-    seen = {stamp for stamp, pose in poses.items() if np.isfinite(pose).all()}
-    for name, expected in (("socket", set(poses)), ("limb", seen)):
-        assert set(moving[name]) == {stamp for stamp in expected if stamp >= min(moving[name])}
-    both = sorted(set(moving["socket"]) & set(moving["limb"]))
-    assert both and len(seen) == 120
-    for stamp in both[::20]:
-        cell = moving["socket"][stamp] @ pose_of(fixed["load_cell"])
-        limb = cell.inverse() @ moving["limb"][stamp]
-        np.testing.assert_allclose(limb.translation, poses[stamp][:3], atol=1e-8)
-        turn = Rotation.from_rotvec(poses[stamp][3:]).as_matrix()
-        np.testing.assert_allclose(limb.rotation, turn, atol=1e-8)
+def test_the_transforms_compose_to_the_limb_in_the_socket() -> None:
+    rng, node = np.random.default_rng(0), Listened()
+    turns = Rotation.from_rotvec(rng.normal(size=(2, 3)))
+    vectors = np.hstack([rng.normal(size=(2, 3)), turns.as_quat()])
+    broadcaster = FrameBroadcaster(node, GEOMETRY, "/lab")
+    broadcaster.move(7, {SOCKET_POSE: vectors[0], PYLON_POSE: vectors[1]})
+    broadcaster.move(8, {SOCKET_POSE: vectors[0], PYLON_POSE: np.nan * vectors[1]})
+    seen, hidden = (message.transforms for message in node.sent["/lab/tf"])
+    assert [t.child_frame_id for t in seen] == ["socket", "limb"]
+    assert [t.child_frame_id for t in hidden] == ["socket"]
+    assert all(t.header.frame_id == "world" and stamp_of(t) == 7 for t in seen)
+    (fixed,) = node.sent["/lab/tf_static"]
+    (load_cell,) = (t for t in fixed.transforms if t.header.frame_id == "socket")
+    limb = (pose_of(seen[0]) @ pose_of(load_cell)).inverse() @ pose_of(seen[1])
+    bodies = (Pose.from_quaternion(vector[:3], vector[3:]) for vector in vectors)
+    expected = GEOMETRY.limb_pose(*bodies)
+    np.testing.assert_allclose(limb.translation, expected.translation, atol=1e-9)
+    np.testing.assert_allclose(limb.rotation, expected.rotation, atol=1e-9)

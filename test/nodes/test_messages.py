@@ -1,6 +1,5 @@
 """The contract's messages: as ROS has them, and as the testbed reads, packs and draws them."""
 
-import dataclasses
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -215,36 +214,28 @@ def test_tiles_are_drawn_where_they_are_their_forces_as_arrows_what_is_uncertain
     rng, count = np.random.default_rng(0), len(GEOMETRY)
     scalars = [rng.uniform(0.0, 4e4, (1, count)) for _ in range(4)]
     vectors = rng.normal(size=(2, 1, count, 3))
-    pressures = np.resize([-1e4, 0.0, 1e4, 2e4, 3e4, 9e4], count)
-    scalars[:2] = pressures[None], np.full((1, count), 1e3)
+    scalars[:2] = np.linspace(-1e4, 2.9e4, count)[None], np.linspace(0.0, 5e4, count)[None]
     estimate = MapEstimate(vectors[0], abs(vectors[1]), *scalars, "made up")
-    unsure = dataclasses.replace(
-        estimate, normal_pressure_standard_deviation=np.linspace(0.0, 5e4, count)[None]
-    )
-    picture = PressureMap(GEOMETRY)
-    faint = deserialize_message(picture.serialised(1, unsure), MarkerArray).markers[::2]
-    opacities = [tile.color.a for tile in faint]
-    assert opacities == sorted(opacities, reverse=True) and opacities[0] == 1.0 and opacities[-1]
-    sent = picture.serialised(STAMP, estimate)  # another one went before
+    sent = PressureMap(GEOMETRY).serialised(STAMP, estimate)
     message = deserialize_message(sent, MarkerArray)
     assert len(sent) == len(serialize_message(message)) and len(message.markers) == 2 * count
     for marker in message.markers:  # it ends by itself
         assert 0 < marker.lifetime.sec < 10 and marker.header == header_to_ros(STAMP)
-    green = [tile.color.g for tile in message.markers[:12:2]]
-    assert green == sorted(green, reverse=True)
-    assert green[0] == green[1] and green[-1] == green[-2] == 0.0
+    for colours in (
+        [tile.color.g for tile in message.markers[::2]],
+        [tile.color.a for tile in message.markers[::2]],
+    ):
+        assert colours == sorted(colours, reverse=True) and colours[0] > colours[-1] > 0.0
     for i in range(count):
         tile, arrow = message.markers[2 * i : 2 * i + 2]
-        assert tile.type == Marker.TRIANGLE_LIST and tile.scale.x == 1.0
-        assert (tile.ns, tile.id, arrow.ns, arrow.id) == ("tiles", i, "forces", i)
+        assert (tile.type, tile.ns, tile.id) == (Marker.TRIANGLE_LIST, "tiles", i)
+        assert (arrow.ns, arrow.id) == ("forces", i)
         q = tile.pose.orientation
         turn = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
         sides = (xyz(tile.points) @ turn.T + xyz([tile.pose.position])).reshape(2, 3, 3)
         normals = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0])
-        assert 0.5 * np.linalg.norm(normals, axis=1).sum() == pytest.approx(GEOMETRY.areas[i])
         outwards = -GEOMETRY.rotations[i][:, 2]
-        np.testing.assert_allclose(normals / np.linalg.norm(normals[0]), [outwards] * 2, atol=1e-9)
-        np.testing.assert_allclose(sides.mean(axis=(0, 1)), GEOMETRY.anchors[i], atol=0.02)
+        np.testing.assert_allclose(normals, [GEOMETRY.areas[i] * outwards] * 2, atol=1e-9)
         start, tip = xyz(arrow.points)
         np.testing.assert_allclose(start, GEOMETRY.anchors[i])
         np.testing.assert_allclose(tip - start, 0.002 * estimate.forces[0, i])

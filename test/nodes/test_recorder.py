@@ -20,15 +20,14 @@ from support import HANGS
 from support.graph import Probe
 from support.verbs import COMMAND
 
-from socket_testbed.batch import find_trials
 from socket_testbed.files import packaged
 from socket_testbed.live.processes import Graph
 from socket_testbed.nodes.base import stamp_to_ros
 from socket_testbed.settings.testbed import RecorderSettings, ReplaySettings
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.layout import decode, nanoseconds, stamp_of
-from socket_testbed.trials.metadata import METADATA_FILE, TrialMetadata
-from socket_testbed.trials.topics import RECORDED_TRIAL, WRENCH, match_topics
+from socket_testbed.trials.metadata import TrialMetadata
+from socket_testbed.trials.topics import RECORDED_TRIAL, TF, WRENCH, match_topics
 from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial
 
 pytestmark = pytest.mark.graph
@@ -98,6 +97,7 @@ def test_a_replay_is_the_recording_in_its_order_and_time(hold: Path, tmp_path: P
         probe.node.create_subscription(
             Clock, "/clock", lambda m: ticks.append(nanoseconds(m.clock)), 1000
         )
+        frames = probe.listen(TF)
         settings = RecorderSettings(directory=str(recorded), record=False)
         graph.start("recorder_node", settings, use_sim_time=True)
         probe.wait(lambda: bool(probe.said(NODE)), "the recorder's diagnostics")
@@ -120,6 +120,7 @@ def test_a_replay_is_the_recording_in_its_order_and_time(hold: Path, tmp_path: P
             late = [1e-9 * (b.time - a.time) for a, b in zip(raws, again, strict=True)]
             assert abs(np.median(late)) < 10.0, name
         assert after.counts["/diagnostics"] > 0
+    assert {t.child_frame_id for m in frames for t in m.transforms} == {"socket", "limb"}
     assert ticks and ticks == sorted(ticks)  # the first may precede its discovery
     assert (path / "metadata.yaml").is_file() and (path / "socket.yaml").is_file()
     assert not any(file.stat().st_mode & 0o007 for file in (path, *path.iterdir()))
@@ -180,25 +181,6 @@ def test_a_full_disk_ends_the_recording_and_keeps_it(tmp_path: Path) -> None:
         probe.wait(lambda: names(announced)[-1:] == [""], "no trial's name")
     numbers, _ = recorded(trial)
     assert numbers == list(range(len(numbers))) and len(numbers) > 200
-
-
-def test_a_second_recording_lies_beside_the_first_where_a_batch_finds_it(tmp_path: Path) -> None:
-    """And the name of each is announced while it is recorded, for late subscribers, too."""
-    trial = tmp_path / "s01"
-    with Probe() as probe, recorder("record:=true", f"directory:={trial}"):
-        announced = probe.listen(RECORDED_TRIAL)
-        probe.wait(lambda: names(announced)[-1:] == ["s01"], "the name")
-        record(probe, False)
-        assert record(probe, True) == f"recording {tmp_path / 's01_2'}"
-        probe.wait(lambda: names(announced)[-1:] == ["s01_2"], "the next name")
-        heard = len(announced)
-        probe.listen(RECORDED_TRIAL)
-        probe.wait(lambda: names(announced)[heard:] == ["s01_2"], "it for a late subscriber")
-        record(probe, False)
-        probe.wait(lambda: names(announced)[-1:] == [""], "its end")
-    assert list(find_trials(tmp_path)) == ["s01", "s01_2"]
-    assert not [path for path in trial.iterdir() if path.is_dir()]
-    assert not (trial / METADATA_FILE).exists()  # nothing is stated
 
 
 @pytest.mark.slow

@@ -1,5 +1,10 @@
 """A clock for tests that never wait, and how fast others let a simulated testbed run."""
 
+from typing import Self
+
+import pytest
+
+from socket_testbed import clocks
 from socket_testbed.live.simulated_world import SLOWEST, measure_speed
 
 
@@ -23,3 +28,9 @@ class FakeClock:
     def sleep(self, duration: float) -> None:
         assert duration >= 0.0
         self.now += duration
+
+    def install(self, monkeypatch: pytest.MonkeyPatch) -> Self:
+        """Let all of this process go by it."""
+        monkeypatch.setattr(clocks, "monotonic", self)
+        monkeypatch.setattr(clocks, "sleep", self.sleep)
+        return self

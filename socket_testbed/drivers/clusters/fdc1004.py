@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from socket_testbed import clocks
 from socket_testbed.drivers.clusters.i2c import INPUTS, Conversion, I2cPort
 from socket_testbed.errors import DeviceError
@@ -30,11 +28,8 @@ class Fdc1004:
     address = 0x50  # fixed
     sample_rates: tuple[int, ...] = (100, 200, 400)
 
-    def __init__(
-        self, port: I2cPort, sample_rate: int, sleep: Callable[[float], None] = clocks.sleep
-    ) -> None:
+    def __init__(self, port: I2cPort, sample_rate: int) -> None:
         self._port = port
-        self._sleep = sleep
         self._conf = self.sample_rates.index(sample_rate) + 1 << 10 | _REPEAT_ALL
         self.where = port.where  # where it is wired, for messages
         # offset of each input in steps of 3.125 pF, 0..31 [1]; a reset keeps them
@@ -54,7 +49,7 @@ class Fdc1004:
         """Reset the chip, check its identity, and let it convert all inputs in turn."""
         self._port.write(_FDC_CONF, _RESET)
         for _ in range(_RESET_POLLS):
-            self._sleep(_RESET_POLL)
+            clocks.sleep(_RESET_POLL)
             if not self._port.read(_FDC_CONF) & _RESET:
                 break
         else:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Callable
 from dataclasses import dataclass
 from fcntl import ioctl
 from typing import Protocol
@@ -72,13 +71,8 @@ def opening_failed(number: int, error: OSError) -> DeviceError:
 class I2cPort:
     """One chip on a bus, its registers sent the most significant byte first.
 
-    Transfers that fail raise a `BusError`.
-
-    Args:
-        bus_name: The bus's name, such as i2c-1.
-        address: The chip's address [1].
-        place: Where it is on the bus, such as "behind channel 2 of 0x70".
-        part: What to check when it does not answer.
+    Transfers that fail raise a `BusError`, which names the bus, such as i2c-1, the place on it,
+    such as "behind channel 2 of 0x70", and the part to check.
     """
 
     def __init__(
@@ -148,9 +142,7 @@ class CapacitiveChip(Protocol):
     sample_rates: tuple[int, ...]  # conversions, shared by the inputs, that it can make [1/s]
     where: str  # where it is wired, for messages
 
-    def __init__(
-        self, port: I2cPort, sample_rate: int, sleep: Callable[[float], None], /
-    ) -> None: ...
+    def __init__(self, port: I2cPort, sample_rate: int, /) -> None: ...
 
     def check_identity(self) -> None:
         """Check that it is this chip."""

@@ -46,11 +46,7 @@ class ClusterReading:
 class ClusterReader:
     """Reads all clusters, and never raises for a fault of the hardware.
 
-    The first reading opens the buses.
-
-    Args:
-        chip: The chip that each cluster has.
-        open_bus: Opens the bus of a number, or raises a `DeviceError`.
+    The first reading opens the buses by their numbers; what opens one may raise a `DeviceError`.
     """
 
     def __init__(
@@ -58,13 +54,9 @@ class ClusterReader:
         settings: ClusterSettings,
         chip: type[CapacitiveChip],
         open_bus: Callable[[int], I2cBus],
-        clock: Callable[[], float] = clocks.monotonic,
-        sleep: Callable[[float], None] = clocks.sleep,
     ) -> None:
         check_settings(settings, chip)
         self._settings = settings
-        self._clock = clock
-        self._sleep = sleep
         self._cycle = INPUTS / settings.sample_rate  # [s]
         self._buses = {number: _Bus(number, open_bus) for number in settings.buses}
         self._clusters: dict[str, _Cluster] = {}
@@ -73,8 +65,8 @@ class ClusterReader:
             bus.add_multiplexer(address)
             place = f"behind channel {channel} of 0x{address:02X}" if address else ""
             port = I2cPort(bus, bus.name, chip.address, place)
-            made = chip(port, settings.sample_rate, sleep)
-            self._clusters[name] = _Cluster(bus, (address, channel), made, self._cycle, clock)
+            made = chip(port, settings.sample_rate)
+            self._clusters[name] = _Cluster(bus, (address, channel), made, self._cycle)
 
     def read(self, trigger: float) -> ClusterReading:
         """Read the clusters for a trigger at a time of the steady clock [s]."""
@@ -84,11 +76,11 @@ class ClusterReader:
         for cluster in clusters:
             cluster.begin(trigger)
         latest = trigger + self._settings.latest
-        late = self._clock() > latest
+        late = clocks.monotonic() > latest
         # Those to be set up come last: they would hold up the others.
         waiting = [] if late else sorted(clusters, key=lambda cluster: not cluster.configured)
         while waiting := [cluster for cluster in waiting if self._advance(cluster)]:
-            self._sleep(_PAUSE * self._cycle)
+            clocks.sleep(_PAUSE * self._cycle)
 
         shape = (len(clusters), INPUTS)
         capacitance = np.full(shape, np.nan)
@@ -131,7 +123,7 @@ class ClusterReader:
 
     def _advance(self, cluster: _Cluster) -> bool:
         """Poll a cluster once; returns whether to poll it again."""
-        bus, now = cluster.bus, self._clock()
+        bus, now = cluster.bus, clocks.monotonic()
         if not bus.is_open and not bus.backoff.due(now):
             bus.given_up = bus.fault
         if bus.given_up:
@@ -155,7 +147,7 @@ class ClusterReader:
         return False
 
     def _failed(self, cluster: _Cluster, error: DeviceError) -> None:
-        bus, now = cluster.bus, self._clock()
+        bus, now = cluster.bus, clocks.monotonic()
         cluster.configured = False
         cluster.fault = str(error)
         if isinstance(error, BusTimeoutError):
@@ -257,7 +249,6 @@ class _Cluster:
     place: tuple[int, int]  # its multiplexer's address, 0: none, and channel
     chip: CapacitiveChip
     cycle: float  # [s]
-    clock: Callable[[], float]
     inputs: list[_Input] = field(default_factory=list)
     pending: set[int] = field(default_factory=set)  # without a value for the present trigger
     trigger: float = -math.inf  # [s]
@@ -270,7 +261,7 @@ class _Cluster:
         """Begin to gather the inputs' values for a trigger at a time of the steady clock [s]."""
         self.pending = set(range(INPUTS))
         self.trigger = trigger
-        self.begun = self.clock()
+        self.begun = clocks.monotonic()
 
     def select(self) -> None:
         """Connect the chip, and it alone."""
@@ -279,15 +270,15 @@ class _Cluster:
 
     def configure(self) -> None:
         """Reset and configure the chip; drops what came before."""
-        begun = self.clock()
+        begun = clocks.monotonic()
         self.chip.reset_and_configure()
         self.inputs = [_Input(low=begun) for _ in range(INPUTS)]
-        self.begun = self.clock()
+        self.begun = clocks.monotonic()
         self.configured = True
 
     def poll(self) -> bool:
         """Read what is done; returns whether inputs are still pending."""
-        asked = self.clock()
+        asked = clocks.monotonic()
         done = self.chip.done()
         codes = {n: self._read(n) for n in sorted(self.pending) if done[n]}
         for n in self.pending - codes.keys():
@@ -300,16 +291,16 @@ class _Cluster:
                 entry, conversion = self.inputs[n], self.chip.convert(n, code)
                 entry.value, entry.fault = conversion.picofarads, conversion.fault
                 if conversion.shifted:
-                    entry.settled = self.clock() + _SETTLING * self.cycle
+                    entry.settled = clocks.monotonic() + _SETTLING * self.cycle
                 self.pending.discard(n)
         return bool(self.pending)
 
     def _read(self, n: int) -> int | None:
         """The code of an input [1], or None if it may be too old; it is cleared either way."""
         entry = self.inputs[n]
-        entry.since, entry.low = entry.low, self.clock()
+        entry.since, entry.low = entry.low, clocks.monotonic()
         code = self.chip.read(n)
-        entry.read = self.clock()
+        entry.read = clocks.monotonic()
         if entry.since < max(self.trigger - _OLDEST * self.cycle, entry.settled):
             entry.since = -math.inf
             return None

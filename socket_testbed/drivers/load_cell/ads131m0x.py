@@ -5,7 +5,6 @@ from __future__ import annotations
 import binascii
 import importlib
 import re
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -136,13 +135,9 @@ def at_rail(codes: IntArray) -> BoolArray:
 
 
 class Ads131m0x:
-    """One converter.
+    """One converter of 6 (M06) or 8 (M08) channels, on a bus in SPI mode 1.
 
-    Args:
-        spi: Its bus, in SPI mode 1.
-        channels: 6 (M06) or 8 (M08).
-        crc: Checksum that it shall use, 'ccitt' or 'ansi'.
-        name: Its name in errors.
+    It shall use the checksum 'ccitt' or 'ansi'; errors have its name.
     """
 
     def __init__(
@@ -151,7 +146,6 @@ class Ads131m0x:
         channels: int,
         crc: str = "ccitt",
         name: str = "spidev0.0",
-        sleep: Callable[[float], None] = clocks.sleep,
     ) -> None:
         self.identity = 0  # its ID register; 0 before it is configured
         self._spi = spi
@@ -159,7 +153,6 @@ class Ads131m0x:
         self._wanted_crc = crc
         self._crc = crc
         self._name = name
-        self._sleep = sleep
 
     @property
     def description(self) -> str:
@@ -169,16 +162,14 @@ class Ads131m0x:
     def reset_and_configure(self, oversampling: int, gain: int, clock_in: float = 8.192e6) -> None:
         """Reset it, write its registers, read them back and drop unsettled conversions.
 
-        Args:
-            oversampling: Oversampling ratio, a power of two, 128 to 16384.
-            gain: Gain of all channels, a power of two, 1 to 128.
-            clock_in: Its clock [Hz].
+        Powers of two are the oversampling ratio, 128 to 16384, and the gain of all channels, 1 to
+        128. Its clock is in Hz.
         """
         self._crc = "ccitt"
         # Before the reset its checksum may be of either kind.
         self._transfer(_UNLOCK)
         self._transfer(_RESET)
-        self._sleep(_RESET_TIME)
+        clocks.sleep(_RESET_TIME)
         acknowledged = _response(self._transfer(_READ | _ID << 7))
         answer = self._transfer(_NULL)
         # Ahead of the checksum, whose place in the frame depends on the number of channels.
@@ -198,7 +189,7 @@ class Ads131m0x:
         self._configure(oversampling, gain)
         # The first two conversions come from a faster, noisier filter; they are the two that
         # wait by now, or older than those.
-        self._sleep(conversion_period(clock_in, 3 * oversampling + _START_UP))
+        clocks.sleep(conversion_period(clock_in, 3 * oversampling + _START_UP))
         for _ in range(2):
             self._transfer(_NULL)
 

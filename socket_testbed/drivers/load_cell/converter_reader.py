@@ -46,10 +46,8 @@ class ConversionClock:
 
     A frame without new data means that no conversion waits; the next conversion ends within a
     period of it, and ahead of the frame that brings it. Conversions follow each other in equal
-    steps, so the bounds of all of them together are much closer than a reader's pace.
-
-    Args:
-        period: Time from one conversion to the next [s].
+    steps, a period [s] each, so the bounds of all of them together are much closer than a reader's
+    pace.
     """
 
     def __init__(self, period: float) -> None:
@@ -100,30 +98,23 @@ class ConversionClock:
 class ConverterReader:
     """The converter of a load cell, with the conversions that it made.
 
-    One thread polls it and closes it in the end; any other thread may ask for the rest.
-
-    Args:
-        open_device: Opens its bus; called again after a failure.
-        open_line: Opens the line that DRDY is wired to; None: it is not wired.
+    One thread polls it and closes it in the end; any other thread may ask for the rest. Its bus is
+    opened again after a failure, and so is the line of DRDY where that is wired.
     """
 
     def __init__(
         self,
         settings: LoadCellSettings,
         open_device: Callable[[], SpiDevice],
-        clock: Callable[[], float] = clocks.monotonic,
-        sleep: Callable[[float], None] = clocks.sleep,
         open_line: Callable[[], EdgeLine] | None = None,
     ) -> None:
         # time from one conversion to the next [s]: how often to poll
         self.period = conversion_period(settings.clock_in, settings.oversampling)
-        self.clock = clock
         self.open_line = open_line
         self._silence = max(_SILENCE, 5.0 * self.period)  # without a conversion: an error [s]
         self._delay = group_delay(settings.clock_in, settings.oversampling)
         self._settings = settings
         self._open_device = open_device
-        self._sleep = sleep
         self._name = f"spidev{settings.device}"
 
         self._line: EdgeLine | None = None
@@ -141,7 +132,9 @@ class ConverterReader:
         self._times: list[float] = []
         self._codes: list[IntArray] = []
         self._emptied = self._corrupted = self._failed = -np.inf  # [s]
-        self._arrived = self._stored = clock()  # a conversion; one whose time is known [s]
+        self._arrived = self._stored = (
+            clocks.monotonic()
+        )  # a conversion; one whose time is known [s]
         self._fault: DeviceError | None = None
         self._counts = {"conversions": 0, "checksum_errors": 0, "restarts": 0}
         if open_line is not None:
@@ -155,7 +148,7 @@ class ConverterReader:
         """
         try:
             if self._converter is None:
-                if self._backoff.due(self.clock()):
+                if self._backoff.due(clocks.monotonic()):
                     self.connect()
             elif self._line is not None:
                 self._read_edges(self._converter, self._line)
@@ -170,14 +163,12 @@ class ConverterReader:
             settings = self._settings
             self.close()
             self._spi = self._open_device()
-            converter = Ads131m0x(
-                self._spi, settings.channels, settings.crc, self._name, self._sleep
-            )
+            converter = Ads131m0x(self._spi, settings.channels, settings.crc, self._name)
             converter.reset_and_configure(settings.oversampling, settings.gain, settings.clock_in)
             if self.open_line is not None:
                 self._line, self._synchronised = self.open_line(), False
             self._ends = ConversionClock(self.period)  # a reset begins another train of them
-            self._connected = self.clock()
+            self._connected = clocks.monotonic()
             self._converter = converter
         return self._converter
 
@@ -190,11 +181,7 @@ class ConverterReader:
         self._spi = self._line = None
 
     def between(self, start: float, end: float) -> tuple[FloatArray, IntArray]:
-        """Conversions measured after `start` and until `end` [s].
-
-        Returns:
-            Their times, shape (n,) [s], and their codes, shape (n, channels).
-        """
+        """Times, shape (n,) [s], and codes, shape (n, channels), measured in (start, end] [s]."""
         with self._lock:
             rows = slice(bisect_right(self._times, start), bisect_right(self._times, end))
             return np.array(self._times[rows]), self._stacked(self._codes[rows])
@@ -246,7 +233,7 @@ class ConverterReader:
 
     def _read_waiting(self, converter: Ads131m0x) -> None:
         for _ in range(_FRAMES):
-            begin = self.clock()
+            begin = clocks.monotonic()
             if (frame := self._read(converter, begin)) is None:
                 # It may have held a conversion: those behind it cannot be told apart.
                 self._ends.lose()
@@ -268,12 +255,12 @@ class ConverterReader:
                 self._corrupted = begin
                 self._counts["checksum_errors"] += 1
             return None
-        self._matched = self.clock()
+        self._matched = clocks.monotonic()
         return frame
 
     def _read_edges(self, converter: Ads131m0x, line: EdgeLine) -> None:
         """Read a frame for each edge; ambiguous ones are dropped."""
-        begin = self.clock()
+        begin = clocks.monotonic()
         edges = self._edges(line)
         if edges and not (self._synchronised and len(edges) <= _WAITING):
             self._synchronise(converter, line)
@@ -321,7 +308,7 @@ class ConverterReader:
                 del self._times[: -self._kept], self._codes[: -self._kept]
 
     def _expect_conversions(self) -> None:
-        now = self.clock()
+        now = clocks.monotonic()
         if now - max(self._arrived, self._connected) <= self._silence:
             return
         if self._line is not None and self._converter is not None and self._converter.read().new:
@@ -334,7 +321,7 @@ class ConverterReader:
         raise self._error("converts no more", _CHECK_CLOCK)
 
     def _fail(self, error: DeviceError) -> None:
-        now = self.clock()
+        now = clocks.monotonic()
         # A converter that worked until now is tried at once: after a dip its supply is back.
         if self._converter is not None and self._arrived > self._connected:
             self._backoff.succeeded()

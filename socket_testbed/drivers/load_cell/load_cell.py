@@ -13,6 +13,7 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
+from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, line_weights
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.documents import Document, read_document
@@ -92,10 +93,9 @@ class Bridges:
         return np.asarray((ratios / other._scale)[..., bridges] * self._scale)
 
     def overload(self, peak: FloatArray) -> tuple[int, str]:
-        """How far absolute values of [M; F], shape (6,), go beyond the cell.
+        """How far absolute values of [M; F], shape (6,), go: fact and hint behind a level.
 
-        Returns:
-            0, 1 above 80 % of a full scale or 2 above all of it, with the fact and the hint.
+        That is 0, 1 above 80 % of a full scale, or 2 above all of it.
         """
         share = peak / self.full_scale
         worst = int(share.argmax())
@@ -210,10 +210,7 @@ class WrenchReading:
 class LoadCell:
     """A load cell behind an ADS131M06 or ADS131M08; any thread may call its methods.
 
-    Args:
-        settings: Its settings; others may be assigned, of which the window and those of the tare
-            are followed.
-        converter: What reads its converter, and is polled and closed by one thread.
+    Other settings may be assigned, of which the window and those of the tare are followed.
     """
 
     def __init__(self, settings: LoadCellSettings, converter: ConverterReader) -> None:
@@ -230,11 +227,9 @@ class LoadCell:
         return {**self.converter.counts(), "tare": tare, "tared": tared}
 
     def over(self, moment: float, span: float = 0.0) -> float:
-        """When the last conversion ends that makes the wrench at a time [s].
+        """When the last conversion ends that makes the wrench at a time of the steady clock [s].
 
-        Args:
-            moment: The time on the steady clock [s].
-            span: Span centred on it that is averaged where the window is shorter [s].
+        A span [s] centred on it is averaged where the window is shorter.
         """
         return self.converter.over(moment + self._reach(span)[1])
 
@@ -245,7 +240,7 @@ class LoadCell:
         """
         if self.converter.has_all(moment + self._reach(span)[1]):
             return True
-        now = self.converter.clock()
+        now = clocks.monotonic()
         return now >= self.over(moment, span) and self.converter.trouble(now)[0] > 1
 
     def wrench_at(self, moment: float, span: float = 0.0) -> WrenchReading:
@@ -272,7 +267,7 @@ class LoadCell:
             status, fault = Status.SATURATED, self._saturated(rails)
         elif count < max(1.0, 0.5 * expected) or uncertain:
             fault = f"{count} of {expected:.0f} conversions around the trigger"
-            _, trouble = self.converter.trouble(self.converter.clock())
+            _, trouble = self.converter.trouble(clocks.monotonic())
             fault = f"{fault}; {trouble}" if trouble else fault
         else:
             value, status = weights @ ratios, Status.OK
@@ -284,11 +279,7 @@ class LoadCell:
         return WrenchReading(wrench, value, tare, tared, status, count, fault)
 
     def health(self, now: float) -> tuple[int, str]:
-        """How it is at a time [s].
-
-        Returns:
-            0 (well), 1 (a warning) or 2 (an error), and the fact with the hint.
-        """
+        """How it is at a time [s]: 0 (well), 1 (a warning) or 2 (an error), fact and hint."""
         level, trouble = self.converter.trouble(now)
         found = [(level, str(trouble))]
         _, ratios, rails = self._between(now - RECENT, now)
@@ -312,7 +303,7 @@ class LoadCell:
         A load above `tare_load` is removed only if that is forced; returns what was, in words.
         """
         settings = self.settings
-        now = self.converter.clock()
+        now = clocks.monotonic()
         level, trouble = self.converter.trouble(now)
         if trouble and level > 1:
             raise DeviceError(f"cannot tare: {trouble.fact}", trouble.hint)

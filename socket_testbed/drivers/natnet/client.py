@@ -25,9 +25,8 @@ _FAREWELL = 0.3  # [s]; time to stop a take on closing
 class NatNetClient:
     """Receives the frames of a server, on a thread of its own.
 
-    Args:
-        on_frame: Called on that thread with each frame, the middle of its exposure on the
-            steady clock [s], and the server's rigid bodies (None: not known yet).
+    There `on_frame` is called with each, the middle of its exposure on the steady clock [s], and
+    the server's rigid bodies (None: not known yet).
     """
 
     def __init__(self, settings: MocapSettings, on_frame: OnFrame) -> None:

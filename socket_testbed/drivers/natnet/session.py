@@ -63,14 +63,11 @@ class EchoClock:
     that all echoes allow, each loosened by the possible change of the drift since. Times are
     mapped by the middle of the region. Half of its width is the largest error, whatever the
     asymmetry of the network, as long as the drift changes by no more than 1e-5 in 40 s.
-
-    Args:
-        frequency: Frequency of the server's clock [Hz]; 0: it has none.
     """
 
     def __init__(self, frequency: int) -> None:
         self.uncertainty = 0.0  # largest error at the newest echo [s]
-        self._frequency = frequency
+        self._frequency = frequency  # of the server's clock [Hz]; 0: it has none
         # Both clocks are counted from the first echo on: the server's, and the request.
         self._origin = 0, 0.0  # [ticks], [s]
         # Time of the server, and the offset's bounds: request and arrival less that time [s].
@@ -84,8 +81,7 @@ class EchoClock:
     def add(self, request: float, ticks: int, arrival: float) -> bool:
         """Take an echo: the server's clock [ticks], read between request and arrival [s].
 
-        Returns:
-            False if it contradicts the map: this is another clock, and the map starts anew.
+        False if it contradicts the map: this is another clock, and the map starts anew.
         """
         if self._frequency <= 0 or arrival < request:
             return True

@@ -45,11 +45,8 @@ class BodyTracker:
     """Keeps the frames of the last second, and interpolates between them or averages them.
 
     A window [s] is the span around a trigger whose frames are averaged; with 0 a pose is
-    interpolated between two frames. Any thread may call any method.
-
-    Args:
-        socket_markers: The socket's 3 to 8 markers in its body's frame, shape (k, 3) [m].
-        pylon_markers: The pylon's markers, likewise.
+    interpolated between two frames. Any thread may call any method. Each body has 3 to 8 markers
+    in its own frame, shape (k, 3) [m].
     """
 
     def __init__(

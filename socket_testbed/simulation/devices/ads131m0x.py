@@ -14,9 +14,8 @@ from socket_testbed.drivers.load_cell.ads131m0x import checksum
 from socket_testbed.drivers.load_cell.load_cell import check_settings
 from socket_testbed.settings.acquisition import LoadCellSettings
 
-_ID, _STATUS, _MODE, _CLOCK, _GAIN1, _GAIN2, _CFG, _LAST = (*range(7), 0x30)
+_ID, _STATUS, _MODE, _CLOCK, _GAIN1, _GAIN2 = range(6)  # those that have an effect
 _RESET_BIT, _ANSI_BIT, _WORD_LENGTH = 0x0400, 0x0800, 0x0300
-_GAIN_CALIBRATION = 0x0C
 _RESET, _LOCK, _UNLOCK = 0x0011, 0x0555, 0x0655
 _RREG, _WREG = 0xA000, 0x6000
 _WORD = 3  # [bytes]
@@ -29,11 +28,8 @@ _WAITING = 2  # conversions that the FIFO holds
 class SimulatedAds131m0x:
     """One converter: an `SpiDevice`, and an `EdgeLine` where its DRDY is wired.
 
-    Args:
-        volts: Called with a time of the steady clock [s] for the voltages at the inputs,
-            shape (channels,) [V].
-        channels: 6 (M06) or 8 (M08).
-        clock_in: Clock of the converter [Hz].
+    It has 6 (M06) or 8 (M08) channels, whose voltages, shape (channels,) [V], are asked for by
+    times of the steady clock [s]. Its own clock is in Hz.
     """
 
     def __init__(
@@ -41,34 +37,29 @@ class SimulatedAds131m0x:
         volts: Callable[[float], FloatArray],
         channels: int = 6,
         faults: Mapping[str, float] | None = None,
-        clock: Callable[[], float] = clocks.monotonic,
         clock_in: float = 8.192e6,
         seed: int | None = None,
     ) -> None:
         self._volts = volts
         self._channels = channels
         self._faults = {} if faults is None else faults
-        self._clock = clock
         self._modulator = clock_in / 2.0  # [Hz]
         self._rng = np.random.default_rng(seed)
         self._unplugged = False
         self._next_dip: float | None = None  # of the supply [s]
-        self._edges_until = clock()
+        self._edges_until = now = clocks.monotonic()
         self.is_wired = True  # DRDY to its line
-        self._power_on(clock())
+        self._power_on(now)
 
     def _power_on(self, now: float) -> None:
         """Fall into the reset state."""
         self._locked = False
         self._response: list[int] = []  # empty: STATUS, as it is when it is sent
         self._latest = [0] * self._channels  # codes
-        self._registers = [0] * (_LAST + 1)
+        self._registers = [0] * (_GAIN2 + 1)
         self._registers[_ID] = 0x2002 | self._channels << 8
         self._registers[_MODE] = 0x0510
         self._registers[_CLOCK] = {6: 0x7F0E, 8: 0xFF0E}[self._channels]
-        self._registers[_CFG] = 0x0600
-        for channel in range(self._channels):
-            self._registers[_GAIN_CALIBRATION + 5 * channel] = 0x8000
         self._start(now)
 
     def _start(self, now: float) -> None:
@@ -91,7 +82,7 @@ class SimulatedAds131m0x:
 
     def edges(self, within: float) -> list[float]:
         """Falling edges of DRDY since the last call [s]; the reader never waits for one."""
-        until = self._clock()
+        until = clocks.monotonic()
         silent = self._fault("unplugged") or self._fault("frozen") or not self.is_wired
         over = 0 if silent else self._over(until)
         found = [self._first + k * self._period for k in range(1, over + 1)]
@@ -99,8 +90,8 @@ class SimulatedAds131m0x:
         return [edge for edge in found if since < edge <= until]
 
     def xfer2(self, data: list[int], /) -> list[int]:
-        """Exchange one frame."""
-        now = self._clock()
+        """Exchange one frame, of a word for the command, one for each channel and the checksum."""
+        now = clocks.monotonic()
         if self._fault("unplugged"):
             self._unplugged = True
             return [0] * len(data)
@@ -109,16 +100,8 @@ class SimulatedAds131m0x:
             self._power_on(now)
         self._dip(now)
         self._convert(now)
-        count = len(data) // _WORD
-        words = unpack(">" + "Hx" * count, bytes(data[: _WORD * count]))
-        complete = len(words) >= self._channels + 2
-        answer = self._answer(len(data), complete)
-        if len(data) % _WORD or not words:
-            self._response = []
-        elif words[0] == _RESET and not complete:
-            self._response = [_RESET]  # which says that there was none
-        else:
-            self._execute(words, now)
+        answer = self._answer(len(data))
+        self._execute(unpack(">" + "Hx" * (len(data) // _WORD), bytes(data)), now)
         if self._rng.random() < self._fault("flipped_bits"):
             bit = int(self._rng.integers(8 * len(answer)))
             answer[bit // 8] ^= 1 << bit % 8
@@ -171,12 +154,12 @@ class SimulatedAds131m0x:
         """The channels that are enabled, a bit each."""
         return self._registers[_CLOCK] >> 8 & (1 << self._channels) - 1
 
-    def _answer(self, length: int, complete: bool) -> list[int]:
+    def _answer(self, length: int) -> list[int]:
         response = self._response or [self._read(_STATUS)]
         words = [word << 8 for word in response]
         if len(response) == 1:
             if self._fifo:
-                self._latest = self._fifo.pop(0) if complete else self._fifo[0]
+                self._latest = self._fifo.pop(0)
             enabled = self._enabled
             words += [code if enabled >> k & 1 else 0 for k, code in enumerate(self._latest)]
         answer = b"".join(word.to_bytes(_WORD, "big") for word in words)
@@ -209,15 +192,15 @@ class SimulatedAds131m0x:
         if address == _STATUS:
             mode = self._registers[_MODE] & (_ANSI_BIT | _RESET_BIT | _WORD_LENGTH)
             return self._locked << 15 | mode | (self._enabled if self._fifo else 0)
-        return self._registers[address] if address <= _LAST else 0
+        return self._registers[address] if address <= _GAIN2 else 0
 
     def _write(self, address: int, values: Sequence[int], now: float) -> int:
         """Write registers from an address on, but read-only ones; how many were written."""
-        before = self._registers[_CLOCK : _GAIN2 + 1]
-        places = range(max(address, _MODE), min(address + len(values), _LAST + 1))
+        before = self._registers[_CLOCK:]
+        places = range(max(address, _MODE), min(address + len(values), _GAIN2 + 1))
         for place in places:
             self._registers[place] = self._kept(place, values[place - address])
-        if self._registers[_CLOCK : _GAIN2 + 1] != before:
+        if self._registers[_CLOCK:] != before:
             self._start(now)
         return len(places)
 
@@ -236,18 +219,12 @@ def simulated_load_cell(
     wrench: Callable[[float], FloatArray],
     settings: LoadCellSettings,
     faults: Mapping[str, float] | None = None,
-    clock: Callable[[], float] = clocks.monotonic,
     seed: int | None = None,
 ) -> SimulatedAds131m0x:
-    """The converter of a load cell, its bridges under a load.
+    """The converter of a load cell, its bridges under a load [M; F], shape (6,) [N m, N].
 
-    Args:
-        wrench: Called with a time of the steady clock [s] for the load, [M; F], shape (6,)
-            [N m, N].
-        settings: How the bridges are wired, and their decoupling.
-        faults: The faults of `simulation.world`, looked up at each frame.
-        clock: The steady clock [s].
-        seed: Seed of the flipped bits.
+    That is asked for by times of the steady clock [s]; faults are those of `simulation.world`,
+    looked up at each frame.
     """
     check_settings(settings)
     to_ratio = np.linalg.inv(np.array(settings.matrix).reshape(6, 6))
@@ -256,5 +233,5 @@ def simulated_load_cell(
     to_volts[list(settings.inputs)] = np.roll(1e-3 * per_bridge[:, None] * to_ratio, 3, axis=1)
     return SimulatedAds131m0x(
         lambda moment: to_volts @ wrench(moment),
-        settings.channels, faults, clock, settings.clock_in, seed,
+        settings.channels, faults, settings.clock_in, seed,
     )  # fmt: skip

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 
+from socket_testbed import clocks
 from socket_testbed.simulation.devices.i2c import SimulatedChip, no_answer
 
-_CONF_MEAS, _FDC_CONF, _OFFSET, _GAIN = 0x08, 0x0C, 0x0D, 0x11
+_CONF_MEAS, _FDC_CONF = 0x08, 0x0C
 _IDENTITY = {0xFE: 0x5449, 0xFF: 0x1004}
-_RESET, _REPEAT, _SETTABLE = 0x8000, 0x0100, 0x0DF0
+_RESET, _REPEAT_ALL, _SETTABLE = 0x8000, 0x01F0, 0x0DF0
 _RATES = (0.0, 100.0, 200.0, 400.0)  # [1/s]
 _CAPDAC = 4  # CHB; with any other, the inputs are single-ended
 _CAPDAC_UNIT = 3.125  # [pF]
@@ -18,7 +19,7 @@ _HIGHEST, _LOWEST = 0x7FFFFF, -0x800000
 class SimulatedFdc1004(SimulatedChip):
     """The chip in repeat mode: it converts as time passes, whether or not anyone reads it.
 
-    The offset and gain registers are kept but have no effect; single shots convert nothing.
+    It has no offset and gain registers, and converts in no other mode.
     """
 
     address = 0x50
@@ -28,27 +29,25 @@ class SimulatedFdc1004(SimulatedChip):
         super().power_up()
         self._pointer = 0
         self._kept = {_CONF_MEAS + n: 0x1C00 for n in range(4)}
-        self._kept |= {_OFFSET + n: 0 for n in range(4)} | {_GAIN + n: 0x4000 for n in range(4)}
         self._conf = 0  # FDC_CONF without DONE
         self._done = [False] * 4
         self._codes = [0] * 4
         self._low = [0] * 4  # the LSB registers, held since the MSB was read
         self._high_was_read = [False] * 4
-        self._sequence: list[int] = []
-        self._next = 0  # index in the sequence of the conversion under way
+        self._next = 0  # input of the conversion under way
         self._settings = 0  # CONF_MEAS as it was when that one began
         self._end = math.inf  # when that one ends [s]
 
     def stop(self) -> None:
         """Convert no more, until it is reset; finished conversions stay."""
-        self._convert(self._clock())
-        self._sequence, self._end = [], math.inf
+        self._convert(clocks.monotonic())
+        self._end = math.inf
 
     def write(self, data: bytes) -> None:
         """Take the bytes of a write."""
-        self._convert(self._clock())
+        self._convert(clocks.monotonic())
         register = data[0]
-        known = register < _GAIN + 4 or register in _IDENTITY
+        known = register <= _FDC_CONF or register in _IDENTITY
         if not known or len(data) not in {1, 3}:
             raise no_answer()
         self._pointer = register
@@ -64,7 +63,7 @@ class SimulatedFdc1004(SimulatedChip):
 
     def read(self, length: int) -> bytes:
         """Answer with the register that the pointer is at, over and over."""
-        self._convert(self._clock())
+        self._convert(clocks.monotonic())
         value = self._value(self._pointer).to_bytes(2, "big")
         return (value * length)[:length]
 
@@ -90,13 +89,11 @@ class SimulatedFdc1004(SimulatedChip):
             return
         self._conf = value & _SETTABLE
         self._done = [False] * 4
-        self._sequence = [n for n in range(4) if value & 0x80 >> n]
-        if not value & _REPEAT or not self._sequence or not self._period:
-            self._sequence, self._end = [], math.inf
-            return
-        self._next = 0
-        self._start(0)
-        self._end = self._clock() + self._period
+        self._end = math.inf
+        if value & _REPEAT_ALL == _REPEAT_ALL and self._period:
+            self._next = 0
+            self._start(0)
+            self._end = clocks.monotonic() + self._period
 
     @property
     def _period(self) -> float:
@@ -109,21 +106,20 @@ class SimulatedFdc1004(SimulatedChip):
             return
         # Rounds that nobody read leave no trace: only the last one is computed.
         behind = math.floor((now - self._end) / self._period) + 1
-        skipped = max(0, behind - len(self._sequence))
+        skipped = max(0, behind - 4)
         if skipped:
             self._end += skipped * self._period
             self._start(skipped)
         while now >= self._end:
-            n = self._sequence[self._next]
-            self._codes[n] = self._code(self._end)
-            self._done[n] = True
+            self._codes[self._next] = self._code(self._end)
+            self._done[self._next] = True
             self._end += self._period
             self._start(1)
 
     def _start(self, further: int) -> None:
-        """Begin a conversion so many further in the sequence."""
-        self._next = (self._next + further) % len(self._sequence)
-        self._settings = self._kept[_CONF_MEAS + self._sequence[self._next]]
+        """Begin a conversion so many inputs further."""
+        self._next = (self._next + further) % 4
+        self._settings = self._kept[_CONF_MEAS + self._next]
 
     def _code(self, moment: float) -> int:
         difference = self.input(self._settings >> 13 & 7, moment)

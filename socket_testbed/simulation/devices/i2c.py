@@ -20,6 +20,8 @@ from socket_testbed.settings.acquisition import ClusterSettings
 _BROWN_OUT_PERIOD = 0.3  # [s]
 _BEYOND = 1e3  # [pF]; out of every range
 _BITS_PER_BYTE = 9
+_FREQUENCY = 400e3  # [Hz]; of the bus
+_SHORTEST_SLEEP = 5e-4  # [s]; a transfer owes less than that to the next ones
 _LONGEST_CREDIT = 1e-3  # [s]
 _READ = 0x0001  # flag of linux/i2c.h
 
@@ -35,11 +37,9 @@ class SimulatedChip:
     Subclasses are chips without a fault: they take `address`, `write` and `read`, which raise
     `no_answer` where the chip does not acknowledge, `power_up` and `stop`.
 
-    Args:
-        capacitance: Capacitance of an input, 0..3, at a time of the clock [pF].
-        faults: The faults of `simulation.world`, looked up at each transfer.
-        number: Its cluster's place in the settings, from 1, by which faults name it [1].
-        speed: Its oscillator's frequency over the nominal one [-].
+    It is made with the capacitance of an input, 0..3, at a time [pF], the faults of
+    `simulation.world`, by which number they name its cluster, from 1, and how fast its oscillator
+    is over the nominal one.
     """
 
     address = 0
@@ -47,13 +47,11 @@ class SimulatedChip:
     def __init__(
         self,
         capacitance: Callable[[int, float], float],
-        clock: Callable[[], float] = clocks.monotonic,
         faults: Mapping[str, float] = MappingProxyType({}),
         number: int = 1,
         speed: float = 1.0,
     ) -> None:
         self._felt = capacitance
-        self._clock = clock
         self._faults = faults
         self._number = number
         self._speed = speed
@@ -92,7 +90,7 @@ class SimulatedChip:
         was_stuck, self._stuck = self._stuck, self._has("stuck_done")
         if self._stuck and not was_stuck:
             self.stop()
-        now = self._clock()
+        now = clocks.monotonic()
         if self._has("brown_out") and now - self._browned_out >= _BROWN_OUT_PERIOD:
             self._browned_out = now
             self.power_up()
@@ -142,29 +140,18 @@ Part: TypeAlias = SimulatedTca9548a | SimulatedChip
 
 
 class SimulatedI2cBus:
-    """The bus as a host has it open, with the one method of `smbus2.SMBus` that drivers use.
+    """The bus as a host has it open, with the multiplexers and chips that are on its wires.
 
-    Opening it restarts the host, as the chips see it.
-
-    Args:
-        parts: The multiplexers and chips that are on the same wires.
-        faults: The faults of `simulation.world`, looked up at each transfer.
-        frequency: Clock of the bus [Hz]; None: transfers take no time.
+    Opening it restarts the host, as the chips see it. Faults are looked up at each transfer.
     """
 
     def __init__(
         self,
         parts: Sequence[Part],
         faults: Mapping[str, float] = MappingProxyType({}),
-        frequency: float | None = None,
-        clock: Callable[[], float] = clocks.monotonic,
-        sleep: Callable[[float], None] = clocks.sleep,
     ) -> None:
         self._parts = parts
         self._faults = faults
-        self._frequency = frequency
-        self._clock = clock
-        self._sleep = sleep
         self._owed = 0.0  # time of the transfers that was not slept yet [s]
         self._is_gone = False
         for part in parts:
@@ -180,7 +167,7 @@ class SimulatedI2cBus:
             raise OSError(errno.ENODEV, "the bus is gone (simulated)")
         hangs_for = self._faults.get("clusters.timeout", 0.0)
         if hangs_for:
-            self._sleep(hangs_for)
+            clocks.sleep(hangs_for)
             raise OSError(errno.ETIMEDOUT, "the bus hangs (simulated)")
         self._take_time(sum(1 + message.len for message in messages))
         for message in messages:
@@ -201,26 +188,19 @@ class SimulatedI2cBus:
         self._is_gone = True
 
     def _take_time(self, transferred: int) -> None:
-        if self._frequency is None:
-            return
-        self._owed += transferred * _BITS_PER_BYTE / self._frequency
-        if self._owed > 0.0:
+        self._owed += transferred * _BITS_PER_BYTE / _FREQUENCY
+        if self._owed >= _SHORTEST_SLEEP:
             # A sleep is always too long: the next ones are shorter, so that the rate is right.
-            before = self._clock()
-            self._sleep(self._owed)
-            self._owed = max(self._owed - (self._clock() - before), -_LONGEST_CREDIT)
+            before = clocks.monotonic()
+            clocks.sleep(self._owed)
+            self._owed = max(self._owed - (clocks.monotonic() - before), -_LONGEST_CREDIT)
 
 
 class SimulatedClusterHardware:
     """The chips of all clusters where the settings say that they are.
 
-    Args:
-        chip: Which chip they are.
-        capacitance: Capacitance by the cluster's place in the settings, its input, 0..3, and a time
-            of the clock [pF].
-        faults: The faults of `simulation.world`, looked up at each transfer.
-        frequency: Clock of the buses [Hz]; None: transfers take no time.
-        speeds: Frequency of each chip's oscillator over the nominal one, 1 if not given [-].
+    They feel a capacitance [pF] by the cluster's place in the settings, its input, 0..3, and a time
+    of the steady clock [s]. Of speeds there is one for each, or none: they are nominal.
     """
 
     def __init__(
@@ -229,9 +209,6 @@ class SimulatedClusterHardware:
         chip: type[SimulatedChip],
         capacitance: Callable[[int, int, float], float],
         faults: Mapping[str, float],
-        frequency: float | None = None,
-        clock: Callable[[], float] = clocks.monotonic,
-        sleep: Callable[[float], None] = clocks.sleep,
         speeds: Sequence[float] = (),
     ) -> None:
         self.multiplexers: dict[tuple[int, int], SimulatedTca9548a] = {}  # by bus and address
@@ -239,7 +216,7 @@ class SimulatedClusterHardware:
         places = zip(settings.buses, settings.each_multiplexer, settings.channels, strict=True)
         for n, (bus, address, channel) in enumerate(places):
             speed = speeds[n] if speeds else 1.0
-            made = chip(partial(capacitance, n), clock, faults, 1 + n, speed)
+            made = chip(partial(capacitance, n), faults, 1 + n, speed)
             if not address:
                 self._buses[bus].append(made)
                 continue
@@ -248,7 +225,6 @@ class SimulatedClusterHardware:
                 self._buses[bus].append(self.multiplexers[bus, address])
             self.multiplexers[bus, address].chips[channel] = made
         self._faults = faults
-        self._timing = frequency, clock, sleep
 
     def open_bus(self, number: int) -> I2cBus:
         """Open a bus by its number [1]; chips that were unplugged come back reset."""
@@ -258,4 +234,4 @@ class SimulatedClusterHardware:
                 part.power_up()
         if unplugged or not parts:
             raise opening_failed(number, FileNotFoundError(errno.ENOENT, "simulated"))
-        return SimulatedI2cBus(parts, self._faults, *self._timing)
+        return SimulatedI2cBus(parts, self._faults)

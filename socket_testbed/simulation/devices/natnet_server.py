@@ -7,7 +7,7 @@ import socket
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from struct import pack, pack_into
 from typing import TypeAlias
 
@@ -61,16 +61,13 @@ class Marker:
 
 @dataclass(frozen=True)
 class Content:
-    """A frame: its sections of skeletons, assets, force plates and devices are empty."""
+    """A frame: all sections but those of rigid bodies and labelled markers are empty."""
 
     number: int
     # server's clock at mid-exposure, at data received and at transmission [ticks]
     ticks: tuple[int, int, int] = (0, 0, 0)
     bodies: Sequence[Body] = ()
     markers: Sequence[Marker] = ()
-    # positions of the markers of each set, shape (m, 3) [m]
-    marker_sets: Mapping[str, FloatArray] = field(default_factory=dict)
-    others: ArrayLike = ()  # positions of the unlabelled markers, shape (m, 3) [m]
     recording: bool = False
     models_changed: bool = False
 
@@ -114,10 +111,6 @@ def encode_server_info(info: ServerInfo) -> Message:
 def encode_frame(content: Content, version: Version) -> Message:
     """FRAME with all its sections."""
     sized = version >= (4, 1)
-    sets: Parts = []
-    for name, positions in content.marker_sets.items():
-        sets += [_text(name), len(positions), _floats(positions)]
-    others = _floats(content.others)
     bodies: Parts = [
         pack("<i8fh", body.id, *body.position, *body.quaternion, 1e-4, body.tracked)
         for body in content.bodies
@@ -127,8 +120,7 @@ def encode_frame(content: Content, version: Version) -> Message:
         for m in content.markers
     ]
     sections: list[tuple[int, Parts]] = [
-        (len(content.marker_sets), sets),
-        (len(others) // 12, [others]),
+        *[(0, Parts())] * 2,  # marker sets, other markers
         (len(bodies), bodies),
         *[(0, Parts())] * (2 if sized else 1),  # skeletons; assets
         (len(markers), markers),
@@ -223,7 +215,6 @@ class Scene:
         """The frame that is exposed at a time of the steady clock [s]."""
         bodies: list[Body] = []
         labelled: list[Marker] = []
-        sets: dict[str, FloatArray] = {}
         scene = self._bodies(moment)
         names = tuple(name for name, *_ in scene)
         if names != self._names:
@@ -232,9 +223,9 @@ class Scene:
         self._changed = max(0, self._changed - 1)
         for name, true, position, quaternion in scene:
             identity = self._identify(name)
-            sets[name], hidden = self._observe(name, np.asarray(true, dtype=float))
+            markers, hidden = self._observe(name, np.asarray(true, dtype=float))
             bodies.append(Body(identity, position, quaternion, not hidden.any()))
-            for k, (marker, is_hidden) in enumerate(zip(sets[name], hidden, strict=True)):
+            for k, (marker, is_hidden) in enumerate(zip(markers, hidden, strict=True)):
                 flags = HAS_MODEL | (OCCLUDED if is_hidden else SOLVED)
                 labelled.append(Marker(identity, k + 1, marker, flags))
         return Content(
@@ -242,8 +233,6 @@ class Scene:
             ticks=ticks,
             bodies=bodies,
             markers=labelled,
-            marker_sets=sets,
-            others=[[1.0, 2.0, 0.5]],  # a reflection on the floor
             recording=recording,
             models_changed=self._changed > 0,
         )
@@ -313,21 +302,14 @@ class FaultyNetwork:
 class _Client:
     heard: float
     version: Version
-    subscriptions: set[str] = field(default_factory=set)  # of sections; none: it gets everything
 
 
 class NatNetServer:
     """Streams bodies to its clients, from its construction until it is closed.
 
-    Args:
-        bodies: The rigid bodies at a time of the steady clock [s]: each its name, its markers
-            in the world, shape (m, 3) [m], its position [m] and quaternion (x, y, z, w).
-        rate: Frame rate [Hz].
-        version: NatNet version.
-        address: Address of its command port; port 0 takes a free one.
-        multicast: Group and data port that it streams to; None: unicast.
-        faults: The faults `mocap.*` of `socket_testbed.simulation.world`, looked up live.
-        noise: Standard deviation of a marker's coordinate [m].
+    They are asked for by times of the steady clock [s], and come at a rate [Hz] with a noise of
+    each coordinate of a marker [m], in unicast or to a group and its data port. Faults are those of
+    `simulation.world`, looked up live. Port 0 of its address takes a free one.
     """
 
     def __init__(
@@ -475,7 +457,7 @@ class NatNetServer:
                     return pack("<i", 1)
                 client.version = wanted
             case "SubscribeToData" if client is not None:
-                client.subscriptions.add(argument.partition(",")[0])
+                pass  # every client gets everything
             case _:
                 return None
         return bytes(4)
@@ -491,18 +473,4 @@ class NatNetServer:
         ticks = (self._ticks(moment), self._ticks(moment + 0.5 * _LATENCY), self._ticks(now))
         content = self._scene.content(moment, self._number, ticks, self.recording)
         for address, client in targets.items():
-            frame = encode_frame(_subscribed(content, client), client.version)
-            self._network.send(frame, address)
-
-
-def _subscribed(content: Content, client: _Client) -> Content:
-    """The part of a frame that a client has subscribed to."""
-    if not client.subscriptions:
-        return content
-    return replace(
-        content,
-        bodies=content.bodies if "RigidBody" in client.subscriptions else (),
-        markers=content.markers if "LabeledMarkers" in client.subscriptions else (),
-        marker_sets={},
-        others=(),
-    )
+            self._network.send(encode_frame(content, client.version), address)
