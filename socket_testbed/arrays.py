@@ -17,6 +17,12 @@ def rms(values: FloatArray, empty: float = float("nan")) -> float:
     return float(np.sqrt(np.mean(finite**2))) if len(finite) else empty
 
 
+def runs(flags: BoolArray) -> IntArray:
+    """Half-open index ranges in which the flags are set, shape (n, 2)."""
+    edges = np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8))
+    return np.flatnonzero(edges).reshape(-1, 2)
+
+
 def evenly(count: int, most: int) -> IntArray:
     """Indices of `most` of some samples at most, evenly spread from the first to the last."""
     chosen = np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)

@@ -493,7 +493,7 @@ class Followers:
         self._sent.append(stamp)
 
     def start_over(self) -> None:
-        """Time jumps back: what they had worked off says nothing any more."""
+        """Time jumps back: what they had processed says nothing any more."""
         with self._news:
             self._newest = dict.fromkeys(self._newest, 0)
             self._sent.clear()

@@ -279,7 +279,7 @@ class ReplayNode(TestbedNode[ReplaySettings]):
             )
 
     def _await_done(self) -> None:
-        """Wait until the last message is received and worked off.
+        """Wait until the last message is received and processed.
 
         Not every follower reports how far it is, and what is not acknowledged when the publishers
         go is lost. A trial may end between a trigger and what it asked for.
@@ -292,4 +292,4 @@ class ReplayNode(TestbedNode[ReplaySettings]):
     def _catch_up(self, behind: int) -> None:
         left = self._followers.catch_up(behind, _DONE_WITHIN)
         if left:
-            self.report(WARN, f"{left} triggers were not worked off in time")
+            self.report(WARN, f"{left} triggers were not processed in time")

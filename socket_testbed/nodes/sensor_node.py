@@ -51,7 +51,7 @@ class SensorNode(TestbedNode[S]):
         self._measuring.start()
 
     def close(self) -> None:
-        """Stop measuring; triggers that have come are worked off."""
+        """Stop measuring; triggers that have come are processed."""
         if self._measuring.is_alive():
             self._due.put(None)
             self._measuring.join()

@@ -118,7 +118,7 @@ class _Handler(BaseHTTPRequestHandler):
             else:
                 self._answer_file(address.path)
         except ValueError:
-            self._answer(HTTPStatus.BAD_REQUEST, b"the time is no number\n")
+            self._answer(HTTPStatus.BAD_REQUEST, b"the time is not a number\n")
 
     def do_POST(self) -> None:
         """A button."""

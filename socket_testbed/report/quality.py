@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from socket_testbed.arrays import BoolArray, FloatArray, StatusArray
+from socket_testbed.arrays import BoolArray, FloatArray, StatusArray, runs
 from socket_testbed.identification.noise import channel_noise, noise_groups
 from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart
 from socket_testbed.report.results import Results
@@ -119,9 +119,8 @@ def find_drop_outs(samples: Samples, segment: Segment) -> pd.DataFrame:
 
 def _longest(missing: BoolArray, time: FloatArray) -> float:
     """Longest time without a value, from the last one to the next, within the trial [s]."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
-    before = np.maximum(edges[::2] - 1, 0)
-    after = np.minimum(edges[1::2], len(time) - 1)
+    start, end = runs(missing).T
+    before, after = np.maximum(start - 1, 0), np.minimum(end, len(time) - 1)
     return float((time[after] - time[before]).max(initial=0.0))
 
 

@@ -271,7 +271,7 @@ def draw_wall(
     reach: FloatArray | None = None,
     side: str | None = None,
 ) -> None:
-    """Draw values on the wall, shape (n,), with a bar of colours, into the axes of somebody.
+    """Draw values on the wall, shape (n,), with a bar of colours, into the caller's axes.
 
     See `paint_tiles` for the reach of their intervals.
     """
@@ -341,7 +341,7 @@ def tile_map_figure(
 
 @in_style
 def socket_figure(geometry: SocketGeometry, title: str = "") -> Figure:
-    """The tiles of a socket with their names, each with its cluster where that is called else."""
+    """The tiles of a socket with their names, and the cluster where its name differs."""
     style = FigureStyle(300.0)
     figure = style.figure(140.0)
     style.add_title(figure, title)

@@ -10,11 +10,12 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.drivers.load_cell import load_cell
-from socket_testbed.drivers.load_cell.load_cell import AXES, UNITS, Bridges
+from socket_testbed.drivers.load_cell.load_cell import Bridges
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.trials.synchronise import Measurements, marker_count, parse_span
@@ -106,8 +107,8 @@ def _mean_load(
     worst = int(excess.argmax())
     if excess[worst] > 1.0:
         raise TrialError(
-            f"{where}: --tare {start:g}:{end:g}: {AXES[worst]} moves by {spread[worst]:.3g}"
-            f" {UNITS[worst]} (standard deviation)",
+            f"{where}: --tare {start:g}:{end:g}: {WRENCH_CHANNELS[worst]} moves by"
+            f" {spread[worst]:.3g} {channel_unit(WRENCH_CHANNELS[worst])} (standard deviation)",
             "give a span without load, at rest",
         )
     return wrenches[rows].mean(axis=0)

@@ -23,7 +23,7 @@ from typing import Literal, NamedTuple, NoReturn
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d, uniform_filter1d
 
-from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.arrays import FloatArray, IntArray, runs
 from socket_testbed.errors import ConfigurationError, TrialError, likely
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
@@ -66,7 +66,7 @@ def check_label(label: str) -> str:
     """
     if len(label) > _LONGEST_LABEL or not _LABEL.fullmatch(label) or label != label.strip():
         raise ConfigurationError(
-            f"{label!r} is no label of an event",
+            f"{label!r} is not a label of an event",
             "begin with a letter; letters, digits, blanks, '_', '.' and hyphens before a letter"
             f" may follow, such as 'heel-strike 2', {_LONGEST_LABEL} characters at most",
         )
@@ -209,7 +209,7 @@ def event_span(specification: str, events: Sequence[Event]) -> tuple[float, floa
 
     Each end is a label, as the second occurrence `label#2`, with seconds before or after it,
     `label-2` or `label+5`; or seconds since the first sample. Without a number the start is the
-    first occurrence, and the end the first one with which it is after the start. A
+    first occurrence, and the end its first occurrence after the start. A
     ConfigurationError is raised if it cannot be read, a TrialError if there is no such event, or
     the end is not after the start.
     """
@@ -480,7 +480,8 @@ def _steadiness(
     steady &= moving_mean(missing, width)[:, 0] <= settings.missing_fraction
     steady &= np.linalg.norm(wrench[:, 3:], axis=1) >= settings.least_force
     mean = np.hstack([wrench, clusters[:, counts]])
-    return _Steadiness(_runs(steady), names, mean, limits, width)
+    found = [(start, end) for start, end in runs(steady).tolist()]
+    return _Steadiness(found, names, mean, limits, width)
 
 
 def _slips(steady: _Steadiness, start: int, settings: PlateauSettings) -> str:
@@ -530,12 +531,6 @@ def _differences(mean: FloatArray, width: int) -> FloatArray:
     before = mean[np.maximum(np.arange(len(mean)) - (width + 1) // 2, 0)]
     after = mean[np.minimum(np.arange(len(mean)) + (width + 1) // 2, len(mean) - 1)]
     return np.asarray(after - before)
-
-
-def _runs(flags: BoolArray) -> list[tuple[int, int]]:
-    """Half-open index ranges in which the flags are set."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
 
 
 def longest_within(values: FloatArray, limits: FloatArray) -> tuple[int, int]:

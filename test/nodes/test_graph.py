@@ -155,7 +155,7 @@ def test_a_trial_that_ends_between_a_trigger_and_its_wrench_keeps_nobody_waiting
         for raw in raws[: last + 1]:
             new.write(raw.topic, raw.time, raw.data)
     code, _, err = program(*COMMAND, "replay", tmp_path / "cut", "--rate", 20, "--estimate")
-    assert code == 0 and "not worked off" not in err
+    assert code == 0 and "not processed" not in err
 
 
 # --- one graph for what follows: its nodes would answer beside those above

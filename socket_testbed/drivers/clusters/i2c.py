@@ -132,7 +132,7 @@ class Conversion:
 
 
 class CapacitiveChip(Protocol):
-    """A converter of four capacitances, all the time and in turn.
+    """A chip that converts its four inputs continuously, in turn.
 
     Every method raises a `DeviceError` if the chip or its bus fails.
     """

@@ -26,11 +26,10 @@ from socket_testbed.drivers.load_cell.ads131m0x import (
 from socket_testbed.drivers.load_cell.converter_reader import RECENT, ConverterReader
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.files import atomic_output, make_folder
-from socket_testbed.samples import Status
+from socket_testbed.samples import WRENCH_CHANNELS, Status, channel_unit
 from socket_testbed.settings.acquisition import LoadCellSettings
 
-AXES = ("Mx", "My", "Mz", "Fx", "Fy", "Fz")
-UNITS = ("N m", "N m", "N m", "N", "N", "N")
+_UNITS = tuple(map(channel_unit, WRENCH_CHANNELS))
 _NUMBERS = {  # settings with several numbers: how many, and what to give
     "inputs": (6, "give the input of each of the six bridges"),
     "amplifier_gain": (6, "give the gain of each of the six bridges"),
@@ -104,14 +103,14 @@ class Bridges:
         level = 2 if share[worst] > 1.0 else 1 if share[worst] > 0.8 else 0
         if level == 0:
             return 0, ""
-        limit = f"{10 * tenths} % of its full scale of {self.full_scale[worst]:g} {UNITS[worst]}"
+        limit = f"{10 * tenths} % of its full scale of {self.full_scale[worst]:g} {_UNITS[worst]}"
         hint = "unload the cell" if level == 2 else "do not load it further"
-        return level, f"{AXES[worst]} is above {limit}: {hint}"
+        return level, f"{WRENCH_CHANNELS[worst]} is above {limit}: {hint}"
 
 
 def in_words(wrench: FloatArray) -> str:
     """The values of [M; F], shape (6,) [N m, N], with their names and units."""
-    values = zip(AXES, wrench, UNITS, strict=True)
+    values = zip(WRENCH_CHANNELS, wrench, _UNITS, strict=True)
     return ", ".join(f"{axis} {value:.4g} {unit}" for axis, value, unit in values)
 
 
@@ -298,7 +297,7 @@ class LoadCell:
         return level, text if level else f"spidev{self.settings.device} converts"
 
     def tare(self, forced: bool = False) -> str:
-        """Let the load of the last `tare_duration` stand for no load.
+        """Tare: take the mean over the last `tare_duration` as zero load.
 
         A load above `tare_load` is removed only if that is forced; returns what was, in words.
         """
@@ -325,8 +324,9 @@ class LoadCell:
         worst = int((spread / limits).argmax())
         if spread[worst] > limits[worst]:
             raise DeviceError(
-                f"cannot tare: {AXES[worst]} moves by {spread[worst]:.3g} {UNITS[worst]} "
-                f"(standard deviation), more than {limits[worst]:g} {UNITS[worst]}",
+                f"cannot tare: {WRENCH_CHANNELS[worst]} moves by {spread[worst]:.3g}"
+                f" {_UNITS[worst]} (standard deviation), more than"
+                f" {limits[worst]:g} {_UNITS[worst]}",
                 "hold the cell still and tare again",
             )
         offsets = ratios.mean(axis=0)
