@@ -221,12 +221,13 @@ class OnlineEstimator:
         """
         measured = self._open.setdefault(stamp, {})
         measured[topic] = cluster_forces(self._geometry, value) if topic is STRESS else value
-        force_map = None
-        if topic in (STRESS, WRENCH) and STRESS in measured and WRENCH in measured:
-            force_map = self.map.update(self._sample(stamp, measured))
-        if len(measured) == len(MEASURED):
-            del self._open[stamp]
+        mapped = topic in (STRESS, WRENCH) and STRESS in measured and WRENCH in measured
+        complete = len(measured) == len(MEASURED)
+        if mapped or complete:
             sample = self._sample(stamp, measured)
+        force_map = self.map.update(sample) if mapped else None
+        if complete:
+            del self._open[stamp]
             estimates = Estimates(force_map, *self._predict(sample))
             self._keep(sample)
             return estimates
