@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from socket_testbed.api.trials import PathLike
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import atomic_output, check_picture
+from socket_testbed.files import check_picture, write_text
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.tables import write_table
 from socket_testbed.trials.segment import Segment
@@ -93,8 +93,7 @@ class Result:
         return self.to_dataframe()
 
     def _write_json(self, path: Path) -> None:
-        with atomic_output(path) as staging:
-            staging.write_text(self.to_json(), encoding="utf-8")
+        write_text(path, self.to_json())
 
     def _figure(self, style: FigureStyle) -> Figure:
         raise ConfigurationError(

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.documents import Document, FieldError, Text, convert, load_yaml
 from socket_testbed.errors import ConfigurationError, closest
-from socket_testbed.files import atomic_output
+from socket_testbed.files import write_text
 from socket_testbed.geometry.marker_bodies import FEWEST_MARKERS, MOST_MARKERS, body_fault
 from socket_testbed.geometry.pose import (
     Point,
@@ -233,8 +233,7 @@ def write_socket(geometry: SocketGeometry, path: Path) -> None:
     document = geometry.to_document()
     socket_from_document(document, str(path))
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=100)
-    with atomic_output(path) as output:
-        output.write_text(_HEADER + text, encoding="utf-8")
+    write_text(path, _HEADER + text)
 
 
 def read_socket(path: Path) -> SocketGeometry:

@@ -26,7 +26,7 @@ from socket_testbed.documents import (
     shown,
 )
 from socket_testbed.errors import ConfigurationError, closest
-from socket_testbed.files import atomic_output
+from socket_testbed.files import write_text
 from socket_testbed.geometry.socket import SocketGeometry, socket_from_document
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.evaluation import ChannelErrors, summarise_errors
@@ -103,8 +103,7 @@ def write_model(
             "errors": [record(error) for error in fit.errors],
         },
     }
-    with atomic_output(path) as staging:
-        staging.write_text(json.dumps(document, indent=1, allow_nan=False), encoding="utf-8")
+    write_text(path, json.dumps(document, indent=1, allow_nan=False))
 
 
 _ARRAYS = ("stiffness", "rest_positions", "wrench_bias", "reference_pose", "wrench_slope")

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from plotly.offline import get_plotlyjs
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.files import atomic_output
+from socket_testbed.files import write_text
 from socket_testbed.geometry.axis import socket_axis
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.pages.document import numbers, socket_document
@@ -135,9 +135,7 @@ def write_page(
     defaults = {"metadata": {}, "folder": "", "figures": False, "uncertain": UNCERTAIN}
     environment.globals |= defaults | {"viewer": _viewer()}
     found = {"title": title, "subtitle": subtitle, "groups": groups, "data": data}
-    with atomic_output(path) as staging:
-        text = environment.get_template("page.html").render(found | content)
-        staging.write_text(text, encoding="utf-8")
+    write_text(path, environment.get_template("page.html").render(found | content))
 
 
 @cache
