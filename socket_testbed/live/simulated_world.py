@@ -29,11 +29,12 @@ from socket_testbed.simulation.sensors import (
     CAMERA_RATE,
     ClusterSensor,
     MarkerBodies,
+    SensorErrors,
     cluster_stress,
     wrench_offset,
 )
 from socket_testbed.simulation.trial import GroundTruth, random_streams, save_truth
-from socket_testbed.simulation.world import SensorErrors, World
+from socket_testbed.simulation.world import World
 
 _PERIOD = 0.04  # [s]; of the physics; between two states the world is linear
 _LEAD = 0.2  # [s]; of the physics ahead of the clock: a busy machine does not stop the world
@@ -68,6 +69,7 @@ class Simulation:
     sway: float = 0.0  # how far the stand sways in the world [m]
     time_scale: float = 1.0  # testbed seconds per real second, in (0, 1] [-]
     tissue: TissueKind = "soft"  # kind of the limb's tissue
+    noise: float = 1.0  # of the load cell, over the usual one [-]
 
 
 @dataclass(frozen=True)
@@ -128,6 +130,8 @@ class LiveTestbed:
         streams = random_streams(simulation.seed)
         tissue_rng, load_rng, cell_rng, cluster_rng, marker_rng, _ = streams
         self._world = world
+        world.capacitance_noise[:] = errors.capacitance_noise
+        world.wrench_noise[:] = simulation.noise * errors.wrench_noise(1.0)
         self._geometry = geometry
         self._times = np.arange(0.0, simulation.period, _PERIOD)
         self._loads = load_history(simulation.scenario, simulation.pace * self._times, load_rng)

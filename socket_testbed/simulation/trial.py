@@ -25,16 +25,17 @@ from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, load_history
 from socket_testbed.simulation.sensors import (
     CAMERA_RATE,
+    LONGEST_MEAN,
     SHAKEN,
     ClusterSensor,
     MarkerBodies,
+    SensorErrors,
     cluster_stress,
     observe_markers,
     vibration,
     wrench_creep,
     wrench_offset,
 )
-from socket_testbed.simulation.world import SensorErrors
 from socket_testbed.trials.bag import BagWriter
 from socket_testbed.trials.messages import (
     capacitance_packer,
@@ -159,7 +160,8 @@ def simulate(
         stress += vibration(size, time, shake_rng)
         capacitance[cluster] = sensor.read(stress, time, cluster_rng)
     felt = load + wrench_offset(errors, cell_rng)
-    felt += cell_rng.normal(0.0, 1.0, load.shape) * errors.wrench_noise
+    noise = errors.wrench_noise(min(LONGEST_MEAN, 1.0 / rate))
+    felt += cell_rng.normal(0.0, 1.0, load.shape) * noise
     felt += wrench_creep(errors, load, time, cell_rng)
     felt += vibration(errors.force_vibration * SHAKEN, time, shake_rng)
 

@@ -12,7 +12,8 @@ from support.wording import refused
 from socket_testbed.drivers.gpio import GpioTrigger, TimerTrigger, trigger_lines
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import TriggerSettings
-from socket_testbed.simulation.world import FAULTS, SimulatedLines
+from socket_testbed.simulation.devices.gpio import SimulatedLines
+from socket_testbed.simulation.world import FAULTS
 
 SETTINGS = TriggerSettings()
 

@@ -6,8 +6,7 @@ import pytest
 import socket_testbed as st
 from socket_testbed.identification.evaluation import summarise_errors
 from socket_testbed.simulation.limb import load_history
-from socket_testbed.simulation.sensors import wrench_creep
-from socket_testbed.simulation.world import LIKE_PAPER
+from socket_testbed.simulation.sensors import LIKE_PAPER, wrench_creep
 
 
 def test_the_load_cell_creeps_by_so_much() -> None:

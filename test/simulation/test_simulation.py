@@ -5,17 +5,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.clocks import FakeClock
 from support.wording import refused
 
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.errors import TestbedError
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
+from socket_testbed.live.hardware import make_clusters, make_load_cell
+from socket_testbed.live.simulated_world import LiveTestbed, Simulation
+from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.simulation import limb
 from socket_testbed.simulation.limb import TISSUES, LoadedLimb, load_history
-from socket_testbed.simulation.sensors import CAMERA_RATE
+from socket_testbed.simulation.sensors import CAMERA_RATE, SensorErrors
 from socket_testbed.simulation.trial import simulate
-from socket_testbed.simulation.world import SensorErrors
+from socket_testbed.simulation.world import World
 from socket_testbed.socket_design.motive import read_motive_csv
 
 PERFECT = SensorErrors(**{field.name: 0.0 for field in dataclasses.fields(SensorErrors)})
@@ -153,6 +157,28 @@ def test_perfect_sensors_see_the_truth() -> None:
         assert (status == 0).all()
         actual = trial.truth.forces[:, tile] @ GEOMETRY.rotations[tile]
         np.testing.assert_allclose(GEOMETRY.cluster_force(cluster, stress), actual, atol=2e-3)
+
+
+def test_a_running_testbed_is_as_noisy_as_a_simulated_trial(tmp_path: Path, monkeypatch) -> None:
+    """By the unmodified drivers, which average conversions of the load cell, none of clusters."""
+    clock, world = FakeClock(1000.0).install(monkeypatch), World(tmp_path, create=True)
+    usual = SensorErrors()
+    LiveTestbed(world, GEOMETRY, CALIBRATION, Simulation(), usual).advance(clock.now)
+    nodes = read_testbed(packaged("config", "simulated.yaml"))
+    cell = make_load_cell(dataclasses.replace(nodes.load_cell_node, simulation=str(tmp_path)))
+    for rate in (4.0, 20.0):
+        triggers = clock.now + 1.0 + np.arange(60) / rate
+        while clock.now < triggers[-1] + 0.5:
+            clock.sleep(1.1e-3)
+            cell.converter.poll()
+        wrench = np.array([cell.wrench_at(trigger, 1.0 / rate).wrench for trigger in triggers])
+        trial = simulate(GEOMETRY, CALIBRATION, "static_hold", 120.0 / rate, rate, 0)
+        live, offline = wrench.std(axis=0), (trial.wrench - trial.truth.wrench).std(axis=0)
+        for group in (slice(3), slice(3, 6)):
+            assert np.mean(live[group]) == pytest.approx(np.mean(offline[group]), rel=0.25)
+    clusters = make_clusters(dataclasses.replace(nodes.cluster_node, simulation=str(tmp_path)))
+    read = np.array([clusters.read(clock.now).capacitance for _ in range(40)])
+    assert np.mean(read.std(axis=0)) == pytest.approx(usual.capacitance_noise, rel=0.1)
 
 
 def test_the_noise_of_a_marker_is_that_of_a_real_take(shared_data: Path) -> None:

@@ -8,8 +8,7 @@ import numpy as np
 from socket_testbed.calibration.bench_data import BenchData
 from socket_testbed.calibration.model import ClusterCalibration, read_calibration
 from socket_testbed.files import packaged
-from socket_testbed.simulation.sensors import ClusterSensor, invert_calibration
-from socket_testbed.simulation.world import SensorErrors
+from socket_testbed.simulation.sensors import ClusterSensor, SensorErrors, invert_calibration
 
 HEADER = ("time [s]", "normal [kPa]", "shear_x [kPa]", "shear_y [kPa]")
 HEADER += ("c0 [pF]", "c1 [pF]", "c2 [pF]", "c3 [pF]")
