@@ -79,11 +79,6 @@ def _lengths(vectors: FloatArray) -> FloatArray:
     return np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
 
 
-def root_mean_square(values: FloatArray, axis: int = -1) -> FloatArray:
-    """Root of the mean of the squares along an axis."""
-    return np.sqrt((values**2).mean(axis=axis))
-
-
 EDGE_TOLERANCE = 0.002  # [m]; well above the noise of a marker
 _SMALLEST = 0.01  # [m]; distance of two markers, and of one from the line of the others
 _THINNEST = 0.002  # [m]; the latter for three markers, which are all needed for a pose
@@ -209,7 +204,7 @@ def _fit_ordered(
         rows = np.flatnonzero((named == used).all(axis=1))
         markers = np.take_along_axis(observed[rows], order[rows][:, used][:, :, None], axis=1)
         pose = fit_rigid(reference[used], markers)
-        off = root_mean_square(misfit(reference[used], markers, pose))
+        off = np.sqrt((misfit(reference[used], markers, pose) ** 2).mean(axis=1))
         # Mirrored markers have all distances right; three of more agree easily by chance.
         some = used.sum() == FEWEST_MARKERS < len(used)
         fits = off <= (_CLOSE if some else 1.0) * tolerance

@@ -25,7 +25,7 @@ from socket_testbed.drivers.load_cell.ads131m0x import (
 )
 from socket_testbed.drivers.load_cell.converter_reader import RECENT, ConverterReader
 from socket_testbed.errors import ConfigurationError, DeviceError
-from socket_testbed.files import atomic_output, make_folder
+from socket_testbed.files import make_folder, write_text
 from socket_testbed.samples import WRENCH_CHANNELS, Status, channel_unit
 from socket_testbed.settings.acquisition import LoadCellSettings
 
@@ -175,8 +175,7 @@ class Tare:
             if self._path is not None:
                 content = {"offsets_mV_per_V": offsets.tolist(), "time": _written(time)}
                 make_folder(self._path.parent)
-                with atomic_output(self._path) as path:
-                    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+                write_text(self._path, json.dumps(content, indent=2) + "\n")
             self.no_load = offsets.copy(), 1000 * (time // 1000)
 
 
