@@ -46,7 +46,7 @@ def test_frames_of_every_version_come_with_their_exposure_on_the_steady_clock():
         with Link(version=version) as link:
             link.until_level(0)
             assert min(link.worst() for _ in range(5)) < ACCURACY
-            assert set(link.client._session.models) == {"pylon", "socket"}
+            assert set(link.client._models) == {"pylon", "socket"}
             link.restart()
             assert min(link.worst() for _ in range(5)) < ACCURACY
             numbers, moments = zip(*link.frames, strict=True)
@@ -104,9 +104,9 @@ def test_changed_rigid_bodies_are_asked_for():
 
     with Link(bodies=renamed) as link:
         link.until_level(0)
-        assert set(link.client._session.models) == {"other", "socket"}
+        assert set(link.client._models) == {"other", "socket"}
         names[1] = "pylon"
-        until(lambda: "pylon" in link.client._session.models, "the new body")
+        until(lambda: "pylon" in link.client._models, "the new body")
         link.worst()
 
 
@@ -129,7 +129,7 @@ def test_neither_strangers_nor_a_callback_that_fails_end_the_stream(link):
         taken.append(frame)
         raise ValueError("the callback's own")
 
-    link.client._session._on_frame = take
+    link.client._on_frame = take
     until(lambda: len(taken) > 10, "frames")
     assert "the callback's own" in link.health()[1]
 
@@ -137,7 +137,7 @@ def test_neither_strangers_nor_a_callback_that_fails_end_the_stream(link):
 def test_a_take_is_named_started_and_stopped_and_its_end_by_hand_is_reported(link):
     link.client.set_recording("trial_1")
     until(lambda: link.server.recording, "the recording")
-    until(lambda: link.client._session.takes.settled, "the answer")
+    until(lambda: link.client._takes.settled, "the answer")
     link.client.set_recording(None)
     until(lambda: not link.server.recording, "the end")
     link.client.set_recording("trial_2")
@@ -148,7 +148,7 @@ def test_a_take_is_named_started_and_stopped_and_its_end_by_hand_is_reported(lin
     link.server.recording = False
     until(lambda: "does not record" in link.client.recording_fault, "the fault")
     link.client.set_recording(None)
-    until(lambda: link.client._session.takes.settled, "the stop")
+    until(lambda: link.client._takes.settled, "the stop")
     link.client.set_recording("last")
     until(lambda: link.server.recording, "the recording")
     link.client.close()
@@ -160,13 +160,13 @@ def test_lost_replies_are_asked_for_again_and_do_not_make_more_takes():
     with Link(client=False, seed=3) as link:
         link.faults["mocap.drop"] = 0.7
         link.client.start()
-        until(lambda: link.client._session.models is not None, "the rigid bodies")
+        until(lambda: link.client._models is not None, "the rigid bodies")
         until(lambda: len(link.frames) > 20, "frames")
         link.faults.update({"mocap.drop": 0.4, "mocap.duplicate": 0.5, "mocap.truncate": 0.3})
         for number in range(2):
             link.client.set_recording(f"take {number}")
             until(lambda: link.server.recording, "the recording")
-            until(lambda: link.client._session.takes.settled, "the answer")
+            until(lambda: link.client._takes.settled, "the answer")
             link.client.set_recording(None)
             until(lambda: not link.server.recording, "the end")
         assert link.server.takes == ["take 0", "take 1"]
@@ -177,7 +177,7 @@ def test_a_take_goes_on_after_a_restart_and_after_a_network_that_comes_back(link
         return link.client.recording_fault == "" and link.is_fine()
 
     link.client.set_recording("long")
-    until(lambda: link.client._session.takes.settled and link.server.recording, "it")
+    until(lambda: link.client._takes.settled and link.server.recording, "it")
     link.faults["mocap.unplugged"] = 1.0
     link.until_level(2)
     link.faults.clear()

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from socket_testbed.drivers.natnet.session import EchoClock
+from socket_testbed.drivers.natnet.clock import EchoClock
 from socket_testbed.settings.acquisition import MocapSettings
 
 LIMIT = MocapSettings().clock_uncertainty  # [s]
