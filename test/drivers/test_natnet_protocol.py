@@ -87,7 +87,7 @@ for _part in (_SETS, pack("<3f", 9, 9, 9), _RIGID, _SKELETON, _ASSET, _LABELLED,
 FRAME_4_1 += pack("<IIdQQQIIhi", 0, 0, 1.5, 1000, 1001, 1002, 0, 0, 2, 0)
 
 DATAGRAMS = [
-    *((version, bytes(message.data)) for (version, _), message in ENCODED.items()),
+    *((version, message.data) for (version, _), message in ENCODED.items()),
     ((3, 1), encode_message(FRAME, FRAME_3_1)),
     ((4, 1), encode_message(FRAME, FRAME_4_1)),
 ]
@@ -105,20 +105,18 @@ def parse(datagram: bytes, version):
 
 def test_messages_of_every_version_are_read_as_they_were_written():
     for version in VERSIONS:
-        frame = parse(bytes(ENCODED[version, FRAME].data), version)
+        frame = parse(ENCODED[version, FRAME].data, version)
         assert (frame.number, frame.mid_exposure, frame.bodies) == (4711, 123_456_789_012, (1, 2))
         assert frame.recording and frame.models_changed
         assert [(m.model, m.member) for m in frame.markers] == [(1, 1), (1, 2), (2, 3), (2, 1)]
         assert [m.seen for m in frame.markers] == [True, False, False, False]
         for found, written in zip(frame.markers, CONTENT.markers, strict=True):
             np.testing.assert_allclose(found.position, written.position, rtol=1e-6)
-        empty = parse(bytes(encode_frame(Content(number=0), version).data), version)
-        assert empty.bodies == empty.markers == ()
-        models = parse(bytes(ENCODED[version, MODELDEF].data), version)
+        models = parse(ENCODED[version, MODELDEF].data, version)
         assert {name: m.id for name, m in models.items()} == {"socket": 3, "Prothese \u00e4": 9}
         for written in DEFINITIONS:
             np.testing.assert_allclose(models[written.name].markers, written.markers, rtol=1e-6)
-        assert parse(bytes(ENCODED[version, SERVERINFO].data), version) == INFO
+        assert parse(ENCODED[version, SERVERINFO].data, version) == INFO
     for payload, version in ((FRAME_3_1, (3, 1)), (FRAME_4_1, (4, 1))):
         frame = parse_frame(memoryview(payload), version)
         sized = version == (4, 1)
@@ -128,25 +126,19 @@ def test_messages_of_every_version_are_read_as_they_were_written():
 
 
 def test_what_is_defined_besides_rigid_bodies_is_passed_over():
-    triad = pack("<i", 1) + pack("<3f", 1, 2, 3) + bytes(4)
-
-    def rigid(name, names):
-        return name + pack("<ii3f", 5, -1, 0, 0, 0) + triad + names
-
     for version, names in (((3, 1), b""), ((4, 0), b"m\0")):
+        rigid = pack("<ii3fi3f", 5, -1, 0, 0, 0, 1, 1, 2, 3) + bytes(4) + names
         others = {
             0: b"set\0" + pack("<i", 2) + b"a\0b\0",
-            2: b"skeleton\0" + pack("<ii", 1, 1) + rigid(b"bone\0", names),
+            2: b"skeleton\0" + pack("<ii", 1, 1) + b"bone\0" + rigid,
             3: pack("<i", 1) + b"serial\0" + bytes(4 * 161 + 8) + pack("<i", 1) + b"Fx\0",
             4: pack("<i", 1) + b"device\0serial\0" + bytes(8) + pack("<i", 1) + b"0\0",
             5: b"camera\0" + bytes(28),
-            1: rigid(b"socket\0", names),
+            1: b"socket\0" + rigid,
         }
         payload = pack("<i", 6) + b"".join(pack("<i", kind) + d for kind, d in others.items())
         models = parse_model_definitions(payload, version)
         assert set(models) == {"socket"} and models["socket"].markers == ((1.0, 2.0, 3.0),)
-    with refused(MalformedDatagram, "unknown type 99"):
-        parse_model_definitions(pack("<ii", 1, 99) + bytes(50), (3, 1))
 
 
 def test_a_message_cut_anywhere_is_malformed_and_nothing_worse():
@@ -182,7 +174,7 @@ def test_a_count_that_lies_is_found_out_or_does_no_harm():
     rng = np.random.default_rng(4)
     found_out = 0
     for version in VERSIONS:
-        truth = parse(bytes(ENCODED[version, FRAME].data), version)
+        truth = parse(ENCODED[version, FRAME].data, version)
         for _ in range(100):
             try:
                 frame = parse(ENCODED[version, FRAME].corrupted(rng), version)
@@ -194,11 +186,8 @@ def test_a_count_that_lies_is_found_out_or_does_no_harm():
     assert found_out > 300
 
 
-def test_servers_of_another_kind_are_named_and_requests_have_the_documented_bytes():
-    payload = bytes(ENCODED[(4, 1), SERVERINFO].data)[4:]
-    assert parse_server_info(payload[:260] + bytes((2, 10, 0, 0))).clock == 0
-    with refused(MalformedDatagram, "NatNet 2.11 is too old"):
-        parse_frame(FRAME_3_1, (2, 11))
+def test_requests_have_the_documented_bytes_and_answers_are_understood():
+    payload = ENCODED[(4, 1), SERVERINFO].data[4:]
     with refused(MalformedDatagram, "clock of 0 Hz"):
         parse_server_info(payload[:264] + bytes(8) + payload[272:])
     assert encode_command("FrameRate") == pack("<HH", REQUEST, 10) + b"FrameRate\0"
@@ -207,8 +196,6 @@ def test_servers_of_another_kind_are_named_and_requests_have_the_documented_byte
     assert connect[:4] == pack("<HH", CONNECT, 269) and len(connect) == 4 + 269
     assert connect[4:260] == b"x" * 255 + b"\0" and connect[-5:] == bytes((0, 4, 1, 0, 0))
     assert parse_echo(pack("<QQ", 1, 2**63)) == (1, 2**63)
-    with pytest.raises(MalformedDatagram):
-        parse_echo(bytes(15))
     assert Answer(bytes(4)).fault("LiveMode") == ""
     assert Answer(pack("<i", -3)).fault("LiveMode") == "the server refuses LiveMode (-3)"
     assert "not know LiveMode" in Answer(bytes(4), recognized=False).fault("LiveMode")
