@@ -1,13 +1,11 @@
 """`register`: its landmark file (test_documents.py has its fields), what it prints and writes."""
 
 import copy
-import textwrap
 
 import numpy as np
 import pytest
 from support import verbs
 from support.motive_takes import (
-    SOCKET_NAMES,
     Bench,
     between,
     make_bench,
@@ -17,10 +15,8 @@ from support.motive_takes import (
 )
 from support.wording import check_line
 
-from socket_testbed.__main__ import run
 from socket_testbed.errors import TestbedError
 from socket_testbed.geometry.socket import read_socket, write_socket
-from socket_testbed.socket_design.registration import LANDMARK_FILE_HELP, read_landmarks
 
 
 @pytest.fixture
@@ -31,7 +27,6 @@ def rng():
 BAD_FILES = (
     (lambda d: d["bodies"].pop("pylon"), "bodies: 'pylon' is missing", "add"),
     (lambda d: d.update(limb={"A": [0, 0, 0], "B": [0, 1, 0]}), "limb: 2 landmarks", "3 or more"),
-    (lambda d: d["bodies"].update(socket=["A", "B", "A"]), "socket names a marker twice", "once"),
     (lambda d: d["limb"].update({"Cell:1": [0.0] * 3}), "'Cell:1' is on the socket's side", "one"),
     # Files that are good, but of another take:
     (lambda d: d["bodies"].update(pylon={"rigid_body": "Pilon"}), "has no rigid body 'Pilon'"),
@@ -46,17 +41,6 @@ def test_a_bad_landmark_file_is_named_with_its_field(rng, tmp_path):
         bench.document = copy.deepcopy(right)
         change(bench.document)
         check_line(refused(bench, tmp_path, TestbedError), *named)
-
-
-def test_the_landmark_file_in_the_help_is_one(tmp_path, capsys):
-    with pytest.raises(SystemExit):
-        run(["register", "--help"])
-    assert LANDMARK_FILE_HELP in capsys.readouterr().out
-    _, example, _ = LANDMARK_FILE_HELP.split("\n\n")
-    path = tmp_path / "landmarks.yaml"
-    path.write_text(textwrap.dedent(example))
-    socket, pylon = read_landmarks(path)
-    assert socket.markers == SOCKET_NAMES and pylon.markers == "Pylon"
 
 
 @pytest.fixture
