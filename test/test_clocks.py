@@ -10,7 +10,6 @@ from socket_testbed import clocks as clocks_module
 from socket_testbed.clocks import (
     BEGINNING,
     TIME_SCALE,
-    Backoff,
     SteadyClock,
     TriggerPeriod,
     TriggerTime,
@@ -104,11 +103,3 @@ def test_jitter_missed_pulses_and_pauses_leave_the_period_and_another_rate_is_fo
     assert periods_of(faster)[-5:] == pytest.approx([0.01] * 5)
     restarted = [(0.05 * k, 100 + k) for k in range(9)] + [(3.0 + 0.1 * k, k) for k in range(5)]
     assert periods_of(restarted)[-5:] == pytest.approx([0.0] * 3 + [0.1] * 2)
-
-
-def test_the_waits_double_up_to_the_longest_and_a_success_ends_them() -> None:
-    backoff = Backoff(0.4)
-    for now, wait in enumerate((0.05, 0.1, 0.2, 0.4, 0.4)):
-        assert backoff.due(now)
-        backoff.failed(now)
-        assert not backoff.due(now + wait - 1e-9) and backoff.due(now + wait + 1e-9)

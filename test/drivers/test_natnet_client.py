@@ -72,16 +72,14 @@ def test_a_unicast_server_is_asked_for_little_in_the_wanted_version_and_describe
 
 
 def test_a_server_is_waited_for_and_found():
-    for first in ("client", "server"):
-        with Link(client=first != "client") as link:
-            address = link.server.address
-            link.server.close()
-            if first == "client":
-                link.client.start()
-            link.until_level(2, "check that Motive streams (Data Streaming, unicast")
-            link.server = NatNetServer(scene, address=address, faults=link.faults, seed=9)
-            assert link.until_level(0) < 1.5
-            assert link.worst() < ACCURACY
+    with Link(client=False) as link:
+        address = link.server.address
+        link.server.close()
+        link.client.start()
+        link.until_level(2, "check that Motive streams (Data Streaming, unicast")
+        link.server = NatNetServer(scene, address=address, faults=link.faults, seed=9)
+        assert link.until_level(0) < 1.5
+        assert link.worst() < ACCURACY
     with Link(settings={"interface": "192.0.2.77"}) as link:  # which is not there yet
         link.until_level(2, "no network")
 
@@ -134,9 +132,7 @@ def test_a_take_is_named_started_and_stopped_and_its_end_by_hand_is_reported(lin
     link.client.set_recording(None)
     until(lambda: not link.server.recording, "the end")
     link.client.set_recording("trial_2")
-    until(lambda: link.server.recording, "the recording")
-    link.client.set_recording("trial_3")
-    until(lambda: link.server.takes == ["trial_1", "trial_2", "trial_3"], "another take")
+    until(lambda: link.server.takes == ["trial_1", "trial_2"], "another take")
     until(lambda: link.client.recording_fault == "", "the end of all faults")
     link.server.recording = False
     until(lambda: "does not record" in link.client.recording_fault, "the fault")

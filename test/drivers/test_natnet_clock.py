@@ -69,7 +69,6 @@ def follow(way: Delay, back: Delay, jump: float = 0.0) -> np.ndarray:
 
 def test_no_frame_is_stamped_worse_than_is_stated() -> None:
     for name, way, back, share in (
-        ("busy Wi-Fi", jitter(0.8e-3, 0.4e-3), jitter(0.8e-3, 1.5e-3), 0.9),
         ("a queue that fills and empties", GOOD, queue(0.02, 7.0), 0.8),
         ("power saving, mostly asleep", GOOD, power_save(0.1), 0.9),
         ("back always 8 ms slower", jitter(3e-4, 1e-4), jitter(8.3e-3, 1e-4), 0.0),

@@ -118,7 +118,7 @@ def test_messages_of_every_version_are_read_as_they_were_written():
             np.testing.assert_allclose(models[written.name].markers, written.markers, rtol=1e-6)
         assert parse(ENCODED[version, SERVERINFO].data, version) == INFO
     for payload, version in ((FRAME_3_1, (3, 1)), (FRAME_4_1, (4, 1))):
-        frame = parse_frame(memoryview(payload), version)
+        frame = parse_frame(payload, version)
         sized = version == (4, 1)
         assert (frame.number, frame.mid_exposure, frame.bodies) == (17 + sized, 1000, (5,))
         assert frame.markers == ((5, 2, (4.0, 5.0, 6.0), True),)
@@ -198,5 +198,3 @@ def test_requests_have_the_documented_bytes_and_answers_are_understood():
     assert parse_echo(pack("<QQ", 1, 2**63)) == (1, 2**63)
     assert Answer(bytes(4)).fault("LiveMode") == ""
     assert Answer(pack("<i", -3)).fault("LiveMode") == "the server refuses LiveMode (-3)"
-    assert "not know LiveMode" in Answer(bytes(4), recognized=False).fault("LiveMode")
-    assert Answer(b"Bitstream,4.1\0").text == "Bitstream,4.1"

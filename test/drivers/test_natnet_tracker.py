@@ -91,7 +91,6 @@ def errors_of(
 
 
 def assert_right(tracker: BodyTracker, moment: float, within: float = 5e-5) -> None:
-    """Both bodies have their pose, and their markers are in place."""
     for body, found in enumerate(tracker.sample(moment)):
         assert found.fault == ""
         assert max(errors_of(found, body, moment)) < within
@@ -203,7 +202,7 @@ def test_the_pose_is_the_mean_of_the_frames_in_the_window_and_markers_are_at_the
 
 def test_a_mean_does_not_lag_behind_a_steady_motion():
     """Wherever the trigger is between frames, and whichever are missing or without a pose."""
-    for share in (1.0, 0.7, 0.5):
+    for share in (1.0, 0.5):
         rng = np.random.default_rng(round(10 * share))
         times = np.arange(-0.3, 0.3, PERIOD)
         tracker = tracker_of(times[rng.random(len(times)) < share], pose=steady)

@@ -1,14 +1,16 @@
-"""The trigger's driver against simulated lines."""
+"""GPIO: the trigger against simulated lines, and what is asked of the kernel."""
 
 from pathlib import Path
 from unittest.mock import Mock
 
 import gpiod
 import pytest
+from gpiod.line import Clock, Direction, Edge
 from support.clocks import FakeClock
 from support.wording import refused
 
-from socket_testbed.drivers.gpio import GpioTrigger, TimerTrigger, trigger_lines
+from socket_testbed.drivers import gpio
+from socket_testbed.drivers.gpio import GpiodLines, GpioTrigger, TimerTrigger, trigger_lines
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.simulation.devices.gpio import SimulatedLines
@@ -63,3 +65,17 @@ def test_lines_that_cannot_be_had_say_why(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(gpiod, "Chip", Mock(side_effect=PermissionError(13, "Permission denied")))
     with refused(DeviceError, "gpiochip0: permission denied", "gpio"):
         trigger_lines(SETTINGS)
+
+
+def test_drdy_is_asked_for_falling_edges_on_the_steady_clock(monkeypatch) -> None:
+    request = Mock()
+    request.read_edge_events.return_value = [Mock(timestamp_ns=5_002_000_000)]
+    monkeypatch.setattr(gpio, "_chip", lambda *_: "/dev/gpiochip4")
+    monkeypatch.setattr(gpiod, "request_lines", asked := Mock(return_value=request))
+    line = GpiodLines("a chip", {22: "falling"}, "load_cell_node", "data_ready_chip", "")
+    wanted = asked.call_args.kwargs["config"][22]
+    assert (wanted.direction, wanted.edge_detection) == (Direction.INPUT, Edge.FALLING)
+    assert wanted.event_clock == Clock.MONOTONIC
+    assert line.edges(0.0) == pytest.approx([5.002])
+    line.close()
+    request.release.assert_called_once()
