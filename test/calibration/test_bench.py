@@ -191,15 +191,11 @@ def test_play_of_some_width_is_found_as_hysteresis_of_that_width():
         found = calibrated(sensor_bench(play=play))
         np.testing.assert_allclose(found.figures["hysteresis"], 100.0 * play, atol=0.7)
     assert (calibrated(sensor_bench()).figures["hysteresis"] < 0.6).all()  # that of the noise
-    # A branch leaves out where a stress dwells; a stress that only rises has no hysteresis.
+    # A branch leaves out where a stress dwells.
     ramp = np.concatenate([np.zeros(30), np.linspace(0, 1, 20), np.ones(30), np.linspace(1, 0, 20)])
-    bench = bench_of(np.ones((100, 4)), ramp[:, None] * FULL_SCALE)
-    branches = find_branches(bench)
+    branches = find_branches(bench_of(np.ones((100, 4)), ramp[:, None] * FULL_SCALE))
     assert (branches[32:48] == 1).all() and (branches[82:98] == -1).all()
     assert (branches[:30] == 0).all() and (branches[50:80] == 0).all()
-    rows = np.arange(80)
-    found = quality_figures(bench[rows], *np.ones((2, 80, 3)), branches[rows], rows)
-    assert found["hysteresis"].isna().all()
 
 
 def test_repeatability_is_the_spread_between_cycles():
@@ -235,10 +231,6 @@ def test_exactly_the_wrong_readings_are_outliers():
         capacitance[300:340, 2] += 1.0
         block = find_outliers(dataclasses.replace(bench, capacitance=capacitance), WIRING)
         assert [outlier.row for outlier in block] == [*range(300, 340)]
-    rest = bench[np.zeros(3000, dtype=np.int64)]  # many rows at rest make no load an outlier
-    noise = np.random.default_rng(0).normal(0.0, 0.002, (3000, 4))
-    rest = dataclasses.replace(rest, capacitance=rest.capacitance + noise)
-    assert find_outliers(join_benches([rest, bench]), WIRING) == ()
 
 
 def test_outliers_stay_in_the_fit_but_not_in_its_range_unless_they_are_dropped():

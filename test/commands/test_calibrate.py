@@ -144,15 +144,10 @@ def test_forces_are_stresses_over_the_area_of_the_tile(call, tmp_path, output):
     assert gains[0] == pytest.approx(gains[1], rel=1e-6)
 
 
-def test_a_wrong_call_gives_one_line(call, bench_file, tmp_path, output):
+def test_a_wrong_sign_or_wiring_is_found_out(call, bench_file, tmp_path, output):
     bench = sensor_bench()
     upside_down = bench_of(12.0 - bench.capacitance, bench.stress)
     path = write_bench(tmp_path / "upside_down.csv", upside_down)
     call(path, *WIRING, "--force", named=["gain of the normal stress"])
-    for words, named in (
-        (("--wiring", 2, 3, 1, 0), ("exceeds 10 %", "shear_x 4")),
-        (("--units", "normal"), ("--units: 'normal' is no", "normal=kPa")),
-        (("--baseline", "a", "b", "c"), ("--baseline: 3 files", "before")),
-    ):
-        call(bench_file, *WIRING, *words, named=named)
+    call(bench_file, "--wiring", 2, 3, 1, 0, named=["exceeds 10 %", "shear_x 4"])
     assert not output.exists()

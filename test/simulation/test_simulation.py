@@ -18,7 +18,7 @@ from socket_testbed.live.hardware import make_clusters, make_load_cell
 from socket_testbed.live.simulated_world import LiveTestbed, Simulation
 from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.simulation import limb
-from socket_testbed.simulation.limb import TISSUES, LoadedLimb, load_history
+from socket_testbed.simulation.limb import LoadedLimb, load_history
 from socket_testbed.simulation.sensors import CAMERA_RATE, LIKE_PAPER, SensorErrors, wrench_creep
 from socket_testbed.simulation.trial import simulate
 from socket_testbed.simulation.world import World
@@ -64,42 +64,21 @@ def test_the_tissue_stiffens_creeps_under_a_held_load_and_does_not_retrace(monke
     assert 0.0 < second < first
 
 
-def follow(scenario, seed: int, tissue) -> tuple[np.ndarray, np.ndarray]:
-    """Times [s], and positions [mm] and rotations [mrad] of a limb in 120 s, shape (60, 6)."""
-    rng = np.random.default_rng(seed)
-    time = np.arange(0.0, 120.0, 2.0)
-    load = load_history(scenario, time, rng)
-    loaded = LoadedLimb(GEOMETRY, load[0], rng, tissue)
-    moved = []
-    for wrench in load:
-        loaded.step(wrench, 2.0)
-        moved.append(np.concatenate([loaded.position, loaded.rotation]))
-    return time, 1e3 * np.array(moved)
-
-
 @pytest.mark.parametrize(("tissue", "least", "most"), [("soft", 6.0, 9.0), ("stiff", 0.6, 1.4)])
 def test_the_limb_settles_under_the_paper_s_load(tissue, least, most) -> None:
-    settled = []
+    time, settled = np.arange(0.0, 120.0, 2.0), []
     for seed in range(5):
-        time, moved = follow("static_hold", seed, tissue)
+        rng = np.random.default_rng(seed)
+        load, moved = load_history("static_hold", time, rng), []
+        loaded = LoadedLimb(GEOMETRY, load[0], rng, tissue)
+        for wrench in load:
+            loaded.step(wrench, 2.0)
+            moved.append(1e3 * loaded.position)  # [mm]
         before, held = (time > 5) & (time < 15), (time > 60) & (time < 95)
-        settled.append((moved[before].mean(axis=0) - moved[held].mean(axis=0))[:3])
+        settled.append(np.array(moved)[before].mean(axis=0) - np.array(moved)[held].mean(axis=0))
     down = np.array(settled)[:, 2]
     assert least < np.median(down) < most
     assert 0.6 * least < down.min() and down.max() < 1.4 * most
-    assert np.abs(np.array(settled)[:, :2]).max() < 0.15 * most
-
-
-@pytest.mark.parametrize("tissue", TISSUES)
-def test_the_protocol_excites_all_six_numbers_of_the_pose(tissue) -> None:
-    alone = {}  # what of each number's changes the others do not explain linearly, rms
-    for scenario in ("protocol", "static_hold"):
-        time, moved = follow(scenario, 1, tissue)
-        covariance = np.cov(moved[(time > 6) & (time < 60)].T)
-        alone[scenario] = np.sqrt(1.0 / np.diag(np.linalg.inv(covariance)))
-    least = {"soft": [0.08, 0.08, 1.0, 3.0, 3.0, 3.0], "stiff": [0.02, 0.02, 0.1, 0.4, 0.4, 0.2]}
-    assert (alone["protocol"] > least[tissue]).all()  # [mm, mrad]
-    assert (alone["protocol"] > 10.0 * alone["static_hold"]).all()
 
 
 def test_the_static_hold_is_the_paper_s_and_the_protocol_pushes_before_it() -> None:
@@ -188,9 +167,7 @@ def test_the_mean_over_the_window_averages_the_cameras_noise_and_does_not_lag() 
         frames = 2 * int(0.5 * window * CAMERA_RATE) + 1
         expected = single.std(axis=0) / np.sqrt(frames)
         np.testing.assert_allclose((averaged - perfect).std(axis=0), expected, rtol=0.35)
-        speed = 0.008 * np.pi / 30.0  # [m/s]; of the limb's settling under the ramp
-        if rate == 4.0:
-            assert np.abs(perfect.mean(axis=0)).max() < 0.01 * 0.125 * speed
+        assert np.abs(perfect.mean(axis=0)).max() < 1e-6  # it settles by 1 mm/s
     trial, off = measure(0.25, drop_out=0.3, label_swap=0.2)
     assert np.abs(off).max() < 1e-4  # one frame with the body is enough
     assert np.isnan(trial.markers["pylon"][:, :, 0]).mean() == pytest.approx(0.3, abs=0.1)
