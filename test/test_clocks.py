@@ -32,9 +32,7 @@ class Clocks:
         return SteadyClock(lambda: self.wall, lambda: self.steady)
 
 
-def test_it_keeps_its_pace_in_all_processes_and_measures_steps_of_the_system_clock(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_it_keeps_its_pace_in_all_processes_and_measures_a_step(monkeypatch) -> None:
     clocks = Clocks()
     clock = clocks.clock()
     assert clock.now() == START and clock.step() == 0.0
@@ -54,9 +52,7 @@ def test_it_keeps_its_pace_in_all_processes_and_measures_steps_of_the_system_clo
         assert later.to_steady(clock.to_epoch(seconds)) == pytest.approx(seconds, abs=1e-9)
 
 
-def test_the_processes_of_a_testbed_run_at_its_scale_and_a_wrong_one_is_refused(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_all_processes_run_at_one_scale_and_a_wrong_one_is_refused(monkeypatch) -> None:
     environment = clocks_module.shared_environment(0.25)
     code = "from socket_testbed import clocks; print(clocks.time_scale(), clocks.real(3.0))"
     assert program(sys.executable, "-c", code, **environment)[1].split() == ["0.25", "12.0"]

@@ -10,7 +10,6 @@ from support import meshes
 from support.verbs import call, refused
 
 from socket_testbed.__main__ import run
-from socket_testbed.geometry.axis import all_regions
 from socket_testbed.geometry.socket import read_socket, write_socket
 
 pytestmark = pytest.mark.slow
@@ -80,17 +79,6 @@ def test_clusters_and_bodies_are_taken_over(tiled: Path, tmp_path: Path, capsys)
     # Without --bodies the registration is not overwritten.
     code, _, err = call(capsys, "tile", cup, "-o", output, "--replace", *anterior)
     assert code == 1 and "registered marker bodies" in err and "--bodies" in err
-
-
-def test_clusters_are_proposed_where_they_tell_most(cup: Path, tmp_path: Path, capsys) -> None:
-    output = tmp_path / "six.yaml"
-    words = ["tile", cup, "-o", output, "--anterior=-y", "--rounds", "2", "--place", "6"]
-    code, _, error = call(capsys, *words, "--keep-out", "posterior")
-    geometry = read_socket(output)
-    assert code == 0 and "the number tells more than the places" in error
-    assert list(geometry.clusters) == [f"cluster_{number}" for number in range(1, 7)]
-    tiles = {region.name: set(region.tiles) for region in all_regions(geometry)}
-    assert not tiles["posterior"] & set(geometry.clusters.values())
 
 
 TENTH = meshes.scaled(meshes.open_cone(0.06, 0.07, 0.4, 0.02), 0.1)

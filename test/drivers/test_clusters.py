@@ -218,9 +218,7 @@ class SimulatedOtherChip(SimulatedFdc1004):
     address = 0x2A
 
 
-def test_clusters_on_several_buses_and_multiplexers_and_of_another_chip_are_told_apart(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_clusters_on_several_buses_or_of_another_chip_are_told_apart(monkeypatch) -> None:
     """Chips share one address: a channel left open on another multiplexer would mix two of them."""
     ten = replace(
         SETTINGS,
@@ -320,9 +318,7 @@ def test_a_conversion_with_the_former_range_is_not_used(clock: FakeClock) -> Non
         assert is_good(reading)
 
 
-def test_a_chip_that_hangs_gives_nothing_old_and_silences_no_other(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_chip_that_hangs_gives_nothing_old_and_silences_no_other(monkeypatch) -> None:
     """One that hangs the bus costs one time-out."""
     bench = Bench()
     bench.read()

@@ -1,6 +1,5 @@
 """GPIO: the trigger against simulated lines, and what is asked of the kernel."""
 
-from pathlib import Path
 from unittest.mock import Mock
 
 import gpiod
@@ -10,7 +9,7 @@ from support.clocks import FakeClock
 from support.wording import refused
 
 from socket_testbed.drivers import gpio
-from socket_testbed.drivers.gpio import GpiodLines, GpioTrigger, TimerTrigger, trigger_lines
+from socket_testbed.drivers.gpio import GpiodLines, GpioTrigger, TimerTrigger
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.simulation.devices.gpio import SimulatedLines
@@ -19,9 +18,7 @@ from socket_testbed.simulation.world import FAULTS
 SETTINGS = TriggerSettings()
 
 
-def test_a_trigger_s_time_is_that_of_its_edge_never_of_another_pulse_s(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_trigger_s_time_is_that_of_its_edge_never_of_another_pulse_s(monkeypatch) -> None:
     clock, faults = FakeClock(look=1e-6).install(monkeypatch), dict.fromkeys(FAULTS, 0.0)
     lines = SimulatedLines(faults)
     trigger = GpioTrigger(lines, SETTINGS)
@@ -55,16 +52,6 @@ def test_a_trigger_s_time_is_that_of_its_edge_never_of_another_pulse_s(
     first = timer.fire()
     clock.sleep(0.25)
     assert 0.25 <= timer.fire() - first < 0.2501
-
-
-def test_lines_that_cannot_be_had_say_why(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Path, "glob", lambda *_: iter(()))
-    with refused(DeviceError, "'pinctrl-rp1' (there is none)", "set trigger_node's"):
-        trigger_lines(SETTINGS)
-    monkeypatch.setattr(Path, "glob", lambda *_: iter([Path("/dev/gpiochip0")]))
-    monkeypatch.setattr(gpiod, "Chip", Mock(side_effect=PermissionError(13, "Permission denied")))
-    with refused(DeviceError, "gpiochip0: permission denied", "gpio"):
-        trigger_lines(SETTINGS)
 
 
 def test_drdy_is_asked_for_falling_edges_on_the_steady_clock(monkeypatch) -> None:

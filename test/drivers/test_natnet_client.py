@@ -4,9 +4,11 @@ import itertools
 import socket
 
 import pytest
+from support.clocks import careful_time_scale
 from support.natnet import Link, scene, until
 from support.wording import refused
 
+from socket_testbed import clocks
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.settings.acquisition import MocapSettings
@@ -14,6 +16,14 @@ from socket_testbed.simulation.devices.natnet_server import NatNetServer
 
 ACCURACY = 1e-3  # [m]; of a marker that moves at 0.3 m/s, with the loopback's delays
 GROUP = "239.255.77.13"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def testbed_time():
+    """Real threads and sockets run in testbed time, as slow as this machine needs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(clocks, "_scale", careful_time_scale())
+        yield
 
 
 @pytest.fixture
@@ -163,7 +173,7 @@ def test_lost_replies_are_asked_for_again_and_do_not_make_more_takes():
 
 def test_a_take_goes_on_after_a_restart_and_after_a_network_that_comes_back(link):
     def is_over() -> bool:
-        return link.client.recording_fault == "" and link.is_fine()
+        return link.client.recording_fault == "" and link.health()[0] == 0
 
     link.client.set_recording("long")
     until(lambda: link.client._takes.settled and link.server.recording, "it")

@@ -4,7 +4,6 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-import qpsolvers
 from support.wording import refused
 
 from socket_testbed.drivers.natnet.connection import TakeKeeper
@@ -17,7 +16,6 @@ from socket_testbed.settings.testbed import (
     TestbedSettings,
     WindowSettings,
     check_take_name,
-    estimator_settings,
     read_testbed,
     write_testbed,
 )
@@ -52,14 +50,6 @@ def test_whatever_means_a_number_is_one_and_a_wrong_value_is_refused_by_its_name
             IdentificationSettings(**{name: value})
     with refused(ConfigurationError, "here: identification.theta is 7: give a number from 0 to 1"):
         EstimatorSettings.from_flat({"identification.theta": 7}, "here")
-
-
-def test_a_solver_that_is_not_installed_is_refused_where_it_is_set(monkeypatch):
-    with refused(ConfigurationError, "solver 'osqqp' is not installed: did you mean 'osqp'?"):
-        estimator_settings(EstimatorSettings(), solver="osqqp")
-    monkeypatch.setattr(qpsolvers, "available_solvers", ["daqp"])
-    # A trial that was recorded elsewhere can be read all the same.
-    assert estimator_settings(EstimatorSettings()).identification.solver == "osqp"
 
 
 # --- testbed.yaml
