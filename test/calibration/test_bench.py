@@ -133,16 +133,6 @@ def test_each_group_is_predicted_by_a_fit_to_the_others():
         np.testing.assert_allclose(found.predicted[held], expected, rtol=1e-8, atol=1e-6)
 
 
-def test_errors_are_those_of_their_definitions():
-    known = np.array([[0.0, 1.0, -4.0], [2.0, -1.0, 4.0]])
-    off, full_scale = np.array([[1.0], [-3.0]]), np.array([2.0, 1.0, 4.0])
-    errors = calibrate.stress_errors(known, known + off, full_scale)
-    root = np.sqrt(5.0)
-    expected = [(root, 2.0, -4.0, 50 * root), (root, 2.0, -4.0, 100 * root)]
-    expected.append((root, 2.0, 1 - 5 / 16, 25 * root))
-    np.testing.assert_allclose(errors, expected)
-
-
 def test_the_intervals_cover_95_percent_even_if_the_errors_of_a_cycle_hang_together():
     cluster, bench = nominal(), exact_bench(steps=10)
     stress, channels = bench.stress, bench.capacitance[:, WIRING]

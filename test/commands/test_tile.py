@@ -81,18 +81,13 @@ def test_clusters_and_bodies_are_taken_over(tiled: Path, tmp_path: Path, capsys)
     assert code == 1 and "registered marker bodies" in err and "--bodies" in err
 
 
-TENTH = meshes.scaled(meshes.open_cone(0.06, 0.07, 0.4, 0.02), 0.1)
-TUBE = meshes.open_cone(0.05, 0.06, 0.13, 0.008, closed=False)
-BAD = (
-    (TUBE, ("--anterior=+x",), "not on this socket (distal 1"),
-    (TENTH, ("--unit", "mm"), "its unit is likely cm: give --unit cm"),
-    (CUP, ("--anterior", "+z"), "--anterior is along"),
-)
-
-
-def test_bad_input_is_one_line(tmp_path: Path, capsys) -> None:
+def test_a_wrong_unit_or_direction_is_one_line(tmp_path: Path, capsys) -> None:
     scan, output = tmp_path / "cup.stl", tmp_path / "socket.yaml"
-    for mesh, words, message in BAD:
+    tenth = meshes.scaled(meshes.open_cone(0.06, 0.07, 0.4, 0.02), 0.1)
+    for mesh, words, message in (
+        (tenth, ("--unit", "mm"), "its unit is likely cm: give --unit cm"),
+        (CUP, ("--anterior", "+z"), "--anterior is along"),
+    ):
         meshes.write_stl(mesh, scan)
         refused(capsys, "tile", scan, "-o", output, "--rounds", 0, *words, named=[message])
         assert not output.exists()

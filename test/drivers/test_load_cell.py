@@ -20,7 +20,7 @@ from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.drivers.load_cell import ads131m0x, converter_reader
 from socket_testbed.drivers.load_cell.converter_reader import ConversionClock, ConverterReader
-from socket_testbed.drivers.load_cell.load_cell import LoadCell, check_settings
+from socket_testbed.drivers.load_cell.load_cell import LoadCell
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.nodes.sensor_node import averaging_span
 from socket_testbed.samples import Status
@@ -229,16 +229,15 @@ def test_with_drdy_each_conversion_has_the_time_of_its_edge() -> None:
 def test_a_rail_and_a_full_scale_are_two_things() -> None:
     for axis, load, level, text in (
         (5, 2600.0, 2, "Fz is above 100 % of its full scale of 2500 N: unload the cell"),
-        (2, -50.0, 1, "Mz is above 80 % of its full scale of 60 N m"),
+        (2, -50.0, 1, "Mz is above 80 % of its full scale of 60 N m: do not load it further"),
     ):
         wrench = load * np.eye(6)[axis]
         bench = Bench(wrench=still(wrench))
         bench.run(0.2)
         _, reading = bench.readings[-1]
         np.testing.assert_allclose(reading.wrench, wrench, atol=1e-2)
-        found, said = bench.health()
-        assert found == level and said.startswith(text)
-        assert reading.fault == (said if level == 2 else "")
+        assert bench.health() == (level, text)
+        assert reading.fault == (text if level == 2 else "")
     bench = Bench(wrench=still(np.zeros(6)))
     bench.run(0.2)
     bench.fault("rail", 6.0)  # 1 + input 5, where the third bridge is
@@ -293,19 +292,6 @@ def test_a_tare_refuses_what_it_must() -> None:
     quiet.run(0.2)
     with refused(DeviceError, "bridge 2 (input 0) is at its rail"):
         quiet.cell.tare()
-
-
-def test_wrong_settings_are_named() -> None:
-    slow = dataclasses.replace(SETTINGS, oversampling=16384)
-    for name, value, fact in (
-        ("matrix", (1.0,) * 35, " has 35 numbers"),
-        ("matrix", (1.0,) * 36, " cannot be inverted"),
-        ("inputs", (0, 1, 2, 3, 4, 7), " names input 7"),
-        ("gain", 3, " is 3: "),
-        ("window", 0.001, " is 0.001 s"),
-    ):
-        with refused(ConfigurationError, f"load_cell_node: {name}{fact}"):
-            check_settings(dataclasses.replace(slow, **{name: value}))
 
 
 # --- the converter, byte by byte
@@ -423,6 +409,9 @@ def test_conversions_are_timed_closer_than_they_are_read() -> None:
                 taken += 1
             waiting += 1
         times.nothing_waits(now, now)
+        if waiting % 500 == 250:
+            times.lose()
+            times.nothing_waits(now, now)
     assert taken > 2700
     assert worst < 0.25 * CONVERSION
 

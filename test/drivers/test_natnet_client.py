@@ -10,8 +10,7 @@ from support.wording import refused
 
 from socket_testbed import clocks
 from socket_testbed.drivers.natnet.client import NatNetClient
-from socket_testbed.errors import ConfigurationError, DeviceError
-from socket_testbed.settings.acquisition import MocapSettings
+from socket_testbed.errors import DeviceError
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
 
 ACCURACY = 1e-3  # [m]; of a marker that moves at 0.3 m/s, with the loopback's delays
@@ -65,20 +64,6 @@ def test_frames_of_every_version_come_with_their_exposure_on_the_steady_clock():
     with Link(version=(2, 10)) as link:
         link.until_level(2, "NatNet 2.10 is too old, NatNet 3.0 is needed: update Motive to 2.0")
         assert not link.frames
-
-
-def test_a_unicast_server_is_asked_for_little_in_the_wanted_version_and_described():
-    with Link(version=(4, 4)) as link:
-        link.until_level(0)
-        assert link.client.server == "simulated Motive 3.1, NatNet 4.4"
-        until(lambda: len(link.server.commands) >= 3, "the subscriptions")
-        assert list(dict.fromkeys(link.server.commands)) == [
-            "Bitstream,4.1", "SubscribeToData,RigidBody,All", "SubscribeToData,LabeledMarkers,All",
-        ]  # fmt: skip
-    with Link(settings={"clock_uncertainty": 1e-5}) as link:  # less than the loopback's delays
-        link.until_level(
-            1, "(clock_uncertainty is 0.01 ms), so poses are missing: switch the Wi-Fi"
-        )
 
 
 def test_a_server_is_waited_for_and_found():
@@ -208,13 +193,3 @@ def test_a_group_is_heard_again_after_faults_and_its_misuse_is_named(group):
             NatNetClient(link.settings, link.take).start()
     with Link(multicast=group, settings={"multicast": ""}) as link:
         link.until_level(2, f"streams to the group {group[0]}: choose unicast")
-
-
-def test_a_wrong_address_is_refused_at_once():
-    for settings, text in (
-        ({}, "server is empty"),
-        ({"server": "no such host.invalid"}, "server 'no such host.invalid' is not known"),
-        ({"server": "127.0.0.1", "multicast": "10.0.0.1"}, "multicast is '10.0.0.1'"),
-    ):
-        with refused(ConfigurationError, f"mocap_node: {text}"):
-            NatNetClient(MocapSettings(**settings), lambda *_: None)
