@@ -207,6 +207,9 @@ def test_outliers_stay_in_the_fit_but_not_in_its_range_unless_they_are_dropped()
     clean, (spoilt, rows) = calibrated(bench), spoil(bench, 1)
     kept, dropped = calibrated(spoilt), calibrated(spoilt, drop_outliers=True)
     assert len(kept.bench) == len(dropped.bench) + len(rows)
+    squares = ((clean.fitted - bench.stress) ** 2).mean(axis=0)
+    np.testing.assert_allclose(clean.training["rmse"] ** 2, squares)
+    np.testing.assert_allclose(clean.training["r2"], 1.0 - squares / bench.stress.var(axis=0))
     assert np.ptp(kept.cluster.mean_range) < np.ptp(clean.cluster.mean_range) + 1e-9
     np.testing.assert_array_equal(kept.full_scale, clean.full_scale)
     assert np.abs(kept.cluster.normal / clean.cluster.normal - 1.0).max() > 1e-3
