@@ -134,7 +134,6 @@ def test_columns_are_named_with_or_without_their_unit_and_units_replaced(tmp_pat
     late = dataclasses.replace(bench, time=bench.time * 1e3)
     edit(write_bench(path, late), with_cell(0, 1, "sigma [Pa]"))
     for title in ("sigma [Pa]", "sigma"):
-        assert "--units time=ms" in refusal(path, {"normal": title}, {"normal": "kPa"}).hint
         found = read_bench(path, {"normal": title}, {"normal": "kPa", "time": "ms"})
         np.testing.assert_allclose(found.stress, bench.stress, rtol=1e-8, atol=1e-6)
         np.testing.assert_allclose(found.time, bench.time, atol=1e-9)

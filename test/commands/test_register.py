@@ -42,12 +42,7 @@ def test_the_verb_writes_the_registered_socket(files, tmp_path, capsys):
     assert between(new.socket_body, bench.socket_body)[0] < 0.002
     assert between(new.limb, bench.limb)[0] < 0.002
     x, y, z = (f"{1e3 * value:.2f}" for value in new.limb.translation)
-    for words in (
-        *("60 frames at 120 Hz", "socket and load_cell: 53 frames used, 7 left out (7 occluded"),
-        *("5 landmarks, residual 0.", "limb position q in {S}: (", f"at ({x}, {y}, {z}) mm"),
-        *(f"\n{name} " for name in bench.take.markers),
-    ):
-        assert words in out
+    assert "53 frames used, 7 left out (7 occluded" in out and f"at ({x}, {y}, {z}) mm" in out
 
 
 def test_without_an_output_the_socket_is_replaced_or_left_as_it_was(files, tmp_path, capsys):

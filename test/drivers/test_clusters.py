@@ -210,14 +210,6 @@ def test_settings_that_do_not_fit_together_are_refused() -> None:
             check_settings(settings, hardware.capacitive_chip(settings)[0])
 
 
-class OtherChip(Fdc1004):
-    address = 0x2A
-
-
-class SimulatedOtherChip(SimulatedFdc1004):
-    address = 0x2A
-
-
 def test_clusters_on_several_buses_or_of_another_chip_are_told_apart(monkeypatch) -> None:
     """Chips share one address: a channel left open on another multiplexer would mix two of them."""
     ten = replace(
@@ -231,7 +223,8 @@ def test_clusters_on_several_buses_or_of_another_chip_are_told_apart(monkeypatch
     for _ in range(3):
         assert is_good(bench.read())
         bench.clock.now += 0.1
-    monkeypatch.setitem(hardware.CAPACITIVE_CHIPS, "other", (OtherChip, SimulatedOtherChip))
+    pair = (type("Other", (kind,), {"address": 0x2A}) for kind in (Fdc1004, SimulatedFdc1004))
+    monkeypatch.setitem(hardware.CAPACITIVE_CHIPS, "other", tuple(pair))
     bench = Bench(settings=replace(SETTINGS, chip="other"))
     assert "0x2A behind channel 3 of 0x70 on i2c-1" in str(bench.reader.identify()["distal"])
     assert is_good(bench.read())

@@ -9,7 +9,7 @@ from support.clocks import FakeClock
 from support.wording import refused
 
 from socket_testbed.drivers import gpio
-from socket_testbed.drivers.gpio import GpiodLines, GpioTrigger, TimerTrigger
+from socket_testbed.drivers.gpio import GpiodLines, GpioTrigger
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.simulation.devices.gpio import SimulatedLines
@@ -48,10 +48,6 @@ def test_a_trigger_s_time_is_that_of_its_edge_never_of_another_pulse_s(monkeypat
         faults["trigger.late"] = 0.0
         fire(20)
         assert trigger.stray > stray + 10
-    timer = TimerTrigger()  # which needs no wire
-    first = timer.fire()
-    clock.sleep(0.25)
-    assert 0.25 <= timer.fire() - first < 0.2501
 
 
 def test_drdy_is_asked_for_falling_edges_on_the_steady_clock(monkeypatch) -> None:

@@ -366,10 +366,9 @@ def test_the_conversation_is_that_of_the_data_sheet() -> None:
 
 
 def test_a_chip_that_is_another_or_dead_or_deaf_is_named() -> None:
-    for channels, other in ((6, 8), (8, 6)):
-        _, _, converter = converter_on_a_wire(channels, chip_channels=other)
-        with refused(DeviceError, f"the converter says ID 0x2{other}02, not 0x2{channels}xx"):
-            converter.reset_and_configure(4096, 1)
+    _, _, converter = converter_on_a_wire(8, chip_channels=6)
+    with refused(DeviceError, "the converter says ID 0x2602, not 0x28xx"):
+        converter.reset_and_configure(4096, 1)
     chip, wire, converter = converter_on_a_wire()
     wire.alter = lambda answer: [255] * len(answer)
     with refused(DeviceError, "spidev0.0: no answer (every bit reads 1)", "MISO"):
