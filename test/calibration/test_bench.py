@@ -146,12 +146,9 @@ def test_the_intervals_cover_95_percent_even_if_the_errors_of_a_cycle_hang_toget
             known = stress + 0.005 * FULL_SCALE * errors
             normal, shear = fit.fit_polynomials(channels, known)
             checked = calibrate.cross_validate(channels, known, groups)
-            for found, true, without in (
-                (normal, cluster.normal, checked.normal),
-                (shear, cluster.shear, checked.shear),
-            ):
-                width = calibrate.half_widths(found, without)
-                covered += (np.abs(found - true) <= width).ravel().tolist()
+            for name, found in (("normal", normal), ("shear", shear)):
+                width = calibrate.half_widths(found, getattr(checked, name))
+                covered += (np.abs(found - getattr(cluster, name)) <= width).ravel().tolist()
         assert 0.93 < np.mean(covered) < 0.98
 
 

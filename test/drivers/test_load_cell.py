@@ -373,9 +373,6 @@ def test_a_chip_that_is_another_or_dead_or_deaf_is_named() -> None:
     wire.alter = lambda answer: [255] * len(answer)
     with refused(DeviceError, "spidev0.0: no answer (every bit reads 1)", "MISO"):
         converter.reset_and_configure(4096, 1)
-    wire.alter = Mock(side_effect=OSError(110, "Connection timed out"))
-    with refused(DeviceError, "spidev0.0: the bus fails (Connection timed out)"):
-        converter.read()
     deaf = Mock(xfer2=lambda data: chip.xfer2(words(0) if data[:2] == [0x61, 0x03] else data))
     with refused(DeviceError, "register 0x02"):
         ads131m0x.Ads131m0x(deaf, 6).reset_and_configure(4096, 1)
@@ -436,10 +433,10 @@ def test_the_bus_is_opened_in_mode_1_or_says_why_not(monkeypatch: pytest.MonkeyP
     spi = ads131m0x.open_spi("1.2", 8e6)
     device.open.assert_called_once_with(1, 2)
     assert (spi.mode, spi.max_speed_hz) == (1, 8_000_000)
-    for number, hint in {2: "dtparam=spi=on", 13: "group spi", 16: "spi_clock"}.items():
+    for number, hint in {2: "dtparam=spi=on", 13: "group spi"}.items():
         device.open.side_effect = OSError(number, "x")
         with refused(DeviceError, "/dev/spidev0.0", hint):
             ads131m0x.open_spi("0.0", 8e6)
-    assert device.close.call_count == 3
+    assert device.close.call_count == 2
     with refused(ConfigurationError, "N.M"):
         ads131m0x.open_spi("spidev0.0", 8e6)

@@ -132,7 +132,6 @@ BAD = [
     (("clusters", "cluster_0"), "tile_0_x", "cluster_0: no tile 'tile_0_x': did you mean"),
     (("clusters",), {"a": "tile_0_0", "b": "tile_0_0"}, "on 'tile_0_0': give each its own tile"),
     (("bodies", "socket", "markers"), LINE, "the markers are on one line"),
-    (("regions",), {"heel": []}, "regions: heel has no tiles"),
     (("regions",), {"socket": ["tile_0_0"]}, "name of a standard region"),
 ]
 

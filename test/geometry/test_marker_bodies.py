@@ -53,7 +53,6 @@ def errors_of(fit, body, pose) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check(fit, body, pose) -> None:
-    """Poses are right wherever there is one."""
     off, turned = errors_of(fit, body, pose)
     assert off.max(initial=0.0) < 20.0 * NOISE and turned.max(initial=0.0) < 0.05
 
@@ -167,11 +166,8 @@ def test_covariances_are_those_of_random_trials_and_of_the_published_formula(rng
             for point in (middle, LIMB)
         )
         turn = Rotation.from_matrix(pose.rotation.T @ fit.rotation).as_rotvec()
-        for found, expected in (
-            (shift, stated.shift),
-            (turn, stated.rotation),
-            (limb, stated.at(LIMB)),
-        ):
+        pairs = (shift, stated.shift), (turn, stated.rotation), (limb, stated.at(LIMB))
+        for found, expected in pairs:
             white = np.linalg.solve(np.linalg.cholesky(expected), found.T)
             np.testing.assert_allclose(np.cov(white), np.eye(3), atol=5.0 / math.sqrt(FRAMES))
             np.testing.assert_allclose(white.mean(axis=1), 0.0, atol=5.0 / math.sqrt(FRAMES))
