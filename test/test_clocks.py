@@ -7,13 +7,7 @@ import pytest
 from support.verbs import program
 
 from socket_testbed import clocks as clocks_module
-from socket_testbed.clocks import (
-    BEGINNING,
-    TIME_SCALE,
-    SteadyClock,
-    TriggerPeriod,
-    TriggerTime,
-)
+from socket_testbed.clocks import BEGINNING, TIME_SCALE, SteadyClock, TriggerPeriod, TriggerTime
 
 START = 1_760_000_000_123_456_789  # [ns]
 

@@ -18,6 +18,7 @@ import pandas as pd
 from scipy.special import stdtrit
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.calibration import fit
 from socket_testbed.calibration.bench_data import STRESSES, BenchData
 from socket_testbed.calibration.drift import (
     DRIFT_LIMIT,
@@ -26,18 +27,6 @@ from socket_testbed.calibration.drift import (
     Drift,
     cycle_ids,
     find_branches,
-)
-from socket_testbed.calibration.fit import (
-    Outlier,
-    check_excitation,
-    design_matrices,
-    excitation_terms,
-    find_lack,
-    find_outliers,
-    fit_cluster,
-    fit_polynomials,
-    predict_stress,
-    require_wiring,
 )
 from socket_testbed.calibration.model import SMALLEST_GAIN, ClusterCalibration
 from socket_testbed.errors import CalibrationError
@@ -64,11 +53,7 @@ def stress_errors(known: FloatArray, predicted: FloatArray, full_scale: FloatArr
 
 
 def quality_figures(
-    bench: BenchData,
-    fitted: FloatArray,
-    unseen: FloatArray,
-    branches: IntArray,
-    cycles: IntArray,
+    bench: BenchData, fitted: FloatArray, unseen: FloatArray, branches: IntArray, cycles: IntArray
 ) -> pd.DataFrame:
     """Figures of each stress [% of the full scale], from residuals of the fit and held-out ones.
 
@@ -154,12 +139,12 @@ def choose_groups(bench: BenchData) -> Groups:
     files, others = Groups("file", bench.file), Groups("cycle", cycle_ids(bench))
     if len(others) < _LEAST_GROUPS:
         others = Groups("block", np.arange(len(bench)) * _BLOCKS // len(bench))
-    terms = excitation_terms(bench.stress)
+    terms = fit.excitation_terms(bench.stress)
     products = terms.T @ terms
     for groups in (files, others) if len(files) >= _LEAST_GROUPS else (others,):
         for rows in groups.rows:
             rest = products - terms[rows].T @ terms[rows]
-            if lack := find_lack(rest, len(bench) - len(rows)):
+            if lack := fit.find_lack(rest, len(bench) - len(rows)):
                 refusal = CalibrationError(
                     f"without the {groups.unit} that starts at {bench.place(int(rows[0]))},"
                     f" {lack[0]}, so the fit cannot be checked on data it has not seen",
@@ -173,10 +158,10 @@ def choose_groups(bench: BenchData) -> Groups:
 
 def cross_validate(capacitance: FloatArray, stress: FloatArray, groups: Groups) -> CrossValidation:
     """Fit without each group in turn, and predict it."""
-    of_mean, of_differences = design_matrices(capacitance)
+    of_mean, of_differences = fit.design_matrices(capacitance)
     predicted, fits = np.empty_like(stress), []
     for rows in groups.rows:
-        normal, shear = fit_polynomials(
+        normal, shear = fit.fit_polynomials(
             np.delete(capacitance, rows, axis=0), np.delete(stress, rows, axis=0)
         )
         predicted[rows, 0] = of_mean[rows] @ normal
@@ -211,7 +196,7 @@ class BenchCalibration:
     cluster: ClusterCalibration
     bench: BenchData  # the data that it was fitted to
     sound: BoolArray  # rows of it that are no outliers; (N,)
-    outliers: tuple[Outlier, ...]  # readings far from the rest
+    outliers: tuple[fit.Outlier, ...]  # readings far from the rest
     dropped: bool  # whether they were left out of the fit and of `bench`
     fitted: FloatArray  # stress by the calibration; (N, 3) [Pa]
     cross_validation: CrossValidation  # the fits without each group
@@ -265,11 +250,11 @@ def calibrate_bench(
     The wiring is the input that holds each channel, shape (4,). One that was stated for this bench
     is kept even if the data contradicts it.
     """
-    check_excitation(bench.stress, ", ".join(bench.files))
+    fit.check_excitation(bench.stress, ", ".join(bench.files))
     if not wiring_stated:
-        require_wiring(bench, wiring)
-    fit_polynomials(bench.capacitance[:, wiring], bench.stress)  # refuses what is singular
-    outliers = find_outliers(bench, wiring)
+        fit.require_wiring(bench, wiring)
+    fit.fit_polynomials(bench.capacitance[:, wiring], bench.stress)  # refuses what is singular
+    outliers = fit.find_outliers(bench, wiring)
     sound = np.ones(len(bench), dtype=bool)
     sound[[outlier.row for outlier in outliers]] = False
     if drop_outliers:
@@ -280,8 +265,8 @@ def calibrate_bench(
                 "look at them with --figure, and leave --drop-outliers away",
             )
         bench, sound = bench[sound], sound[sound]
-    cluster = fit_cluster(bench.capacitance, bench.stress, wiring, sound)
-    fitted = predict_stress(cluster, bench.capacitance)
+    cluster = fit.fit_cluster(bench.capacitance, bench.stress, wiring, sound)
+    fitted = fit.predict_stress(cluster, bench.capacitance)
     checked = cross_validate(bench.capacitance[:, wiring], bench.stress, choose_groups(bench))
     kept = bench[sound]
     full_scale = kept.full_scale

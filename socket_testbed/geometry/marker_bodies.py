@@ -71,12 +71,7 @@ def nearest_rotations(matrices: FloatArray) -> FloatArray:
 
 def misfit(points: FloatArray, observed: FloatArray, pose: Pose) -> FloatArray:
     """Distances of observed points from where poses put them, shape (M, k) [m]."""
-    return _lengths(observed - pose.place(points))
-
-
-def _lengths(vectors: FloatArray) -> FloatArray:
-    """Lengths of vectors along the last axis; faster than `np.linalg.norm`."""
-    return np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
+    return np.linalg.norm(observed - pose.place(points), axis=-1)
 
 
 EDGE_TOLERANCE = 0.002  # [m]; well above the noise of a marker
@@ -120,7 +115,7 @@ class BodyFit:
 
 def distances(markers: FloatArray) -> FloatArray:
     """Distances between k markers, shape (..., k, k) [m]; NaN where one is occluded."""
-    return _lengths(markers[..., :, None, :] - markers[..., None, :, :])
+    return np.linalg.norm(markers[..., :, None, :] - markers[..., None, :, :], axis=-1)
 
 
 def body_fault(markers: FloatArray) -> tuple[str, str] | None:

@@ -12,18 +12,10 @@ import numpy as np
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
+from socket_testbed.drivers import gpio
 from socket_testbed.drivers.clusters.fdc1004 import Fdc1004
 from socket_testbed.drivers.clusters.i2c import CapacitiveChip, I2cBus, open_i2c
 from socket_testbed.drivers.clusters.reader import ClusterReader
-from socket_testbed.drivers.gpio import (
-    EdgeLine,
-    GpiodLines,
-    GpioTrigger,
-    TimerTrigger,
-    Trigger,
-    Use,
-    trigger_lines,
-)
 from socket_testbed.drivers.load_cell.ads131m0x import conversion_period, open_spi
 from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
 from socket_testbed.drivers.load_cell.load_cell import LoadCell
@@ -51,15 +43,17 @@ def _require_real_time() -> None:
         )
 
 
-def make_trigger(settings: TriggerSettings) -> Trigger:
+def make_trigger(settings: TriggerSettings) -> gpio.Trigger:
     """The trigger."""
     if settings.source == "timer":
-        return TimerTrigger()
+        return gpio.TimerTrigger()
     if settings.simulation:
         faults = World(Path(settings.simulation)).faults
-        return GpioTrigger(SimulatedLines(faults), settings)
+        return gpio.GpioTrigger(SimulatedLines(faults), settings)
     _require_real_time()
-    return GpioTrigger(trigger_lines(settings), settings)
+    uses: dict[int, gpio.Use] = {settings.output_line: "output", settings.input_line: "rising"}
+    names = ("trigger_node", "chip", "source to timer")
+    return gpio.GpioTrigger(gpio.GpiodLines(settings.chip, uses, *names), settings)
 
 
 def wall_clock(settings: TriggerSettings) -> Callable[[], int]:
@@ -102,13 +96,13 @@ def i2c_opener(settings: ClusterSettings) -> Callable[[int], I2cBus]:
 def make_load_cell(settings: LoadCellSettings) -> LoadCell:
     """The load cell, with its converter's DRDY where that is wired."""
     open_device = spi_opener(settings)
-    open_line: Callable[[], EdgeLine] | None = None
+    open_line: Callable[[], gpio.EdgeLine] | None = None
     if settings.data_ready_line >= 0 and settings.simulation:
         open_line = open_device
     elif settings.data_ready_line >= 0:
-        uses: dict[int, Use] = {settings.data_ready_line: "falling"}
+        uses: dict[int, gpio.Use] = {settings.data_ready_line: "falling"}
         names = ("load_cell_node", "data_ready_chip", "data_ready_line to -1")
-        open_line = partial(GpiodLines, settings.data_ready_chip, uses, *names)
+        open_line = partial(gpio.GpiodLines, settings.data_ready_chip, uses, *names)
     return LoadCell(settings, ConverterReader(settings, open_device, open_line=open_line))
 
 

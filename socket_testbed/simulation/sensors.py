@@ -212,8 +212,7 @@ class MarkerBodies:
         if swayed is not None:
             shift += swayed
         world = Pose(
-            np.tile(_SOCKET_IN_WORLD.rotation, (count, 1, 1)),
-            _SOCKET_IN_WORLD.translation + shift,
+            np.tile(_SOCKET_IN_WORLD.rotation, (count, 1, 1)), _SOCKET_IN_WORLD.translation + shift
         )
         limb = Pose(Rotation.from_rotvec(rotation).as_matrix(), position)
         # socket_body maps the body to {S}; world maps {S} to the world.

@@ -36,38 +36,21 @@ from socket_testbed.simulation.sensors import (
     wrench_creep,
     wrench_offset,
 )
+from socket_testbed.trials import messages, topics
 from socket_testbed.trials.bag import BagWriter
-from socket_testbed.trials.messages import (
-    capacitance_packer,
-    load_cell_raw_packer,
-    markers_packer,
-    pose_packer,
-    trigger_packer,
-    wrench_packer,
-)
-from socket_testbed.trials.topics import (
-    CAPACITANCE,
-    LOAD_CELL_RAW,
-    MARKERS,
-    PYLON_POSE,
-    SOCKET_POSE,
-    TRIGGER,
-    WRENCH,
-    Topic,
-)
 from socket_testbed.trials.trial import read_configuration, store_configuration
 
 TRUTH_FILE = "ground_truth.npz"
 
 # When each measurement is recorded after its trigger [ns].
 _DELAYS = {
-    TRIGGER: 0,
-    WRENCH: 3_000_000,
-    LOAD_CELL_RAW: 3_100_000,
-    SOCKET_POSE: 8_000_000,
-    PYLON_POSE: 8_100_000,
-    MARKERS: 8_200_000,
-    CAPACITANCE: 17_000_000,
+    topics.TRIGGER: 0,
+    topics.WRENCH: 3_000_000,
+    topics.LOAD_CELL_RAW: 3_100_000,
+    topics.SOCKET_POSE: 8_000_000,
+    topics.PYLON_POSE: 8_100_000,
+    topics.MARKERS: 8_200_000,
+    topics.CAPACITANCE: 17_000_000,
 }
 _FRAMES_AT_ONCE = 50_000
 _START = 1_767_258_000_000_000_000  # [ns]; 2026-01-01 09:00 UTC
@@ -285,23 +268,27 @@ def _between(values: FloatArray, after: IntArray, share: FloatArray) -> FloatArr
     return np.asarray((1.0 - share) * values[after - 1] + share * values[after])
 
 
-def _messages(trial: SimulatedTrial, ratios: FloatArray) -> Iterator[tuple[int, Topic, bytes]]:
+def _messages(
+    trial: SimulatedTrial, ratios: FloatArray
+) -> Iterator[tuple[int, topics.Topic, bytes]]:
     """Stamps [ns], topics and messages in order; ratios of the bridges, shape (N, 6) [mV/V]."""
-    pack_trigger, pack_wrench, pack_pose = trigger_packer(), wrench_packer(), pose_packer()
-    pack_raw = load_cell_raw_packer()
-    pack_markers = markers_packer({name: seen.shape[1] for name, seen in trial.markers.items()})
-    pack_capacitance = capacitance_packer(list(trial.capacitance))
+    pack_trigger, pack_wrench = messages.trigger_packer(), messages.wrench_packer()
+    pack_pose, pack_raw = messages.pose_packer(), messages.load_cell_raw_packer()
+    sizes = {name: seen.shape[1] for name, seen in trial.markers.items()}
+    pack_markers = messages.markers_packer(sizes)
+    pack_capacitance = messages.capacitance_packer(list(trial.capacitance))
     capacitance = np.stack(list(trial.capacitance.values()), axis=1)
     status = np.where(np.isfinite(capacitance), Status.OK, Status.MISSING).astype(np.uint8)
     poses = {
         topic: np.hstack([trial.poses[name].translation, trial.poses[name].quaternion()])
-        for topic, name in ((SOCKET_POSE, "socket"), (PYLON_POSE, "pylon"))
+        for topic, name in ((topics.SOCKET_POSE, "socket"), (topics.PYLON_POSE, "pylon"))
     }
     for k, stamp in enumerate(trial.stamps.tolist()):
-        yield stamp, TRIGGER, pack_trigger(stamp, k)
-        yield stamp, WRENCH, pack_wrench(stamp, trial.wrench[k])
-        yield stamp, LOAD_CELL_RAW, pack_raw(stamp, ratios[k], np.zeros(6), 0, Status.OK)
+        yield stamp, topics.TRIGGER, pack_trigger(stamp, k)
+        yield stamp, topics.WRENCH, pack_wrench(stamp, trial.wrench[k])
+        yield stamp, topics.LOAD_CELL_RAW, pack_raw(stamp, ratios[k], np.zeros(6), 0, Status.OK)
         for topic, pose in poses.items():
             yield stamp, topic, pack_pose(stamp, pose[k])
-        yield stamp, MARKERS, pack_markers(stamp, [seen[k] for seen in trial.markers.values()])
-        yield stamp, CAPACITANCE, pack_capacitance(stamp, capacitance[k], status[k])
+        markers = [seen[k] for seen in trial.markers.values()]
+        yield stamp, topics.MARKERS, pack_markers(stamp, markers)
+        yield stamp, topics.CAPACITANCE, pack_capacitance(stamp, capacitance[k], status[k])

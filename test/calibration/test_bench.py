@@ -4,14 +4,7 @@ import dataclasses
 import itertools
 
 import numpy as np
-from support.benches import (
-    FULL_SCALE,
-    bench_of,
-    exact_bench,
-    load_path,
-    nominal,
-    sensor_bench,
-)
+from support.benches import FULL_SCALE, bench_of, exact_bench, load_path, nominal, sensor_bench
 from support.wording import refused
 
 from socket_testbed.calibration import calibrate, drift, fit

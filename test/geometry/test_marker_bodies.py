@@ -8,12 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from support.problems import SOCKET_TRIAD, random_pose
 
-from socket_testbed.geometry.marker_bodies import (
-    body_fault,
-    fit_body,
-    fit_rigid,
-    pose_uncertainty,
-)
+from socket_testbed.geometry.marker_bodies import body_fault, fit_body, fit_rigid, pose_uncertainty
 from socket_testbed.geometry.pose import Pose
 
 NOISE = 1e-4  # [m]

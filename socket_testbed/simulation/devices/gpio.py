@@ -12,10 +12,7 @@ _DELAY = 2e-6  # [s]; from the trigger's output to the stamped edge
 class SimulatedLines:
     """The `Lines` of `drivers.gpio.GpioTrigger`, with a wire between them: the edge comes by it."""
 
-    def __init__(
-        self,
-        faults: Mapping[str, float],
-    ) -> None:
+    def __init__(self, faults: Mapping[str, float]) -> None:
         self._faults = faults
         self._active = False
         self._edges: list[float] = []
