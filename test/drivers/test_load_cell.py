@@ -20,7 +20,7 @@ from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.drivers.load_cell import ads131m0x, converter_reader
 from socket_testbed.drivers.load_cell.converter_reader import ConversionClock, ConverterReader
-from socket_testbed.drivers.load_cell.load_cell import LoadCell
+from socket_testbed.drivers.load_cell.load_cell import LoadCell, check_settings
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.nodes.sensor_node import averaging_span
 from socket_testbed.samples import Status
@@ -292,6 +292,20 @@ def test_a_tare_refuses_what_it_must() -> None:
     quiet.run(0.2)
     with refused(DeviceError, "bridge 2 (input 0) is at its rail"):
         quiet.cell.tare()
+    quiet.fault("unplugged", 1.0)
+    quiet.run(0.05)
+    with refused(DeviceError, "cannot tare: ", "no answer"):
+        quiet.cell.tare()
+
+
+def test_settings_that_would_give_wrong_wrenches_are_refused() -> None:
+    for name, value, fact in (
+        ("matrix", (1.0,) * 36, " cannot be inverted"),
+        ("inputs", (0, 1, 2, 3, 4, 4), " names an input twice"),
+        ("gain", 3, " is 3: "),
+    ):
+        with refused(ConfigurationError, f"load_cell_node: {name}{fact}"):
+            check_settings(dataclasses.replace(SETTINGS, **{name: value}))
 
 
 # --- the converter, byte by byte
