@@ -23,16 +23,9 @@ from socket_testbed.clocks import SteadyClock
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.live.processes import end_with_starter, measure_lateness
+from socket_testbed.simulation import sensors
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
 from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, load_history
-from socket_testbed.simulation.sensors import (
-    CAMERA_RATE,
-    ClusterSensor,
-    MarkerBodies,
-    SensorErrors,
-    cluster_stress,
-    wrench_offset,
-)
 from socket_testbed.simulation.trial import GroundTruth, random_streams, save_truth
 from socket_testbed.simulation.world import World
 
@@ -123,7 +116,7 @@ class LiveTestbed:
         geometry: SocketGeometry,
         calibration: Calibration,
         simulation: Simulation,
-        errors: SensorErrors,
+        errors: sensors.SensorErrors,
         remembers: bool = True,
     ) -> None:
         calibration.require(geometry.clusters, "the socket")
@@ -138,12 +131,12 @@ class LiveTestbed:
         self._sway = simulation.sway
         self._remembers = remembers
         self._limb = LoadedLimb(geometry, self._loads[0], tissue_rng, simulation.tissue)
-        self._offset = wrench_offset(errors, cell_rng)
+        self._offset = sensors.wrench_offset(errors, cell_rng)
         self._sensors = {
-            name: ClusterSensor(calibration.clusters[name], errors, cluster_rng)
+            name: sensors.ClusterSensor(calibration.clusters[name], errors, cluster_rng)
             for name in geometry.clusters
         }
-        self._bodies = MarkerBodies(geometry, errors, marker_rng)
+        self._bodies = sensors.MarkerBodies(geometry, errors, marker_rng)
         self._start = clocks.monotonic()
         self._last = self._start
         self._history: list[dict[str, Any]] = []
@@ -161,7 +154,7 @@ class LiveTestbed:
         now = np.array([elapsed])
         capacitance = np.vstack(
             [
-                sensor.respond(cluster_stress(self._geometry, name, forces[None]), now)
+                sensor.respond(sensors.cluster_stress(self._geometry, name, forces[None]), now)
                 for name, sensor in self._sensors.items()
             ]
         )
@@ -244,7 +237,7 @@ def main() -> None:
     sys.setswitchinterval(_SWITCH)
     clock = SteadyClock()
     world = World(Path(folder))
-    errors = SensorErrors()
+    errors = sensors.SensorErrors()
     geometry = read_socket(Path(socket_file))
     calibration = read_calibration(Path(calibration_file))
     testbed = LiveTestbed(world, geometry, calibration, simulation, errors, bool(truth))
@@ -259,7 +252,7 @@ def main() -> None:
     moment = clocks.monotonic()
     testbed.advance(moment)
     server = NatNetServer(
-        bodies, rate=CAMERA_RATE, faults=world.faults, noise=errors.marker_noise,
+        bodies, rate=sensors.CAMERA_RATE, faults=world.faults, noise=errors.marker_noise,
         seed=simulation.seed,
         address=("127.0.0.1", world.port),  # started again, it is where the clients look for it
     )  # fmt: skip

@@ -22,20 +22,8 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import read_testbed
+from socket_testbed.simulation import sensors
 from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, load_history
-from socket_testbed.simulation.sensors import (
-    CAMERA_RATE,
-    LONGEST_MEAN,
-    SHAKEN,
-    ClusterSensor,
-    MarkerBodies,
-    SensorErrors,
-    cluster_stress,
-    observe_markers,
-    vibration,
-    wrench_creep,
-    wrench_offset,
-)
 from socket_testbed.trials import messages, topics
 from socket_testbed.trials.bag import BagWriter
 from socket_testbed.trials.trial import read_configuration, store_configuration
@@ -99,7 +87,7 @@ def simulate(
     duration: float,
     rate: float,
     seed: int,
-    errors: SensorErrors | None = None,
+    errors: sensors.SensorErrors | None = None,
     progress: Progress | None = None,
     tissue: TissueKind = "soft",
     mocap_window: float = 0.25,
@@ -120,7 +108,7 @@ def simulate(
             pose; 0 for one frame [s].
     """
     calibration.require(geometry.clusters, "the socket")
-    errors = errors or SensorErrors()
+    errors = errors or sensors.SensorErrors()
     tissue_rng, load_rng, cell_rng, cluster_rng, marker_rng, shake_rng = random_streams(seed)
     count = max(2, round(duration * rate))
     time = np.arange(count) / rate
@@ -137,16 +125,16 @@ def simulate(
 
     capacitance = {}
     for cluster in geometry.clusters:
-        sensor = ClusterSensor(calibration.clusters[cluster], errors, cluster_rng)
-        stress = cluster_stress(geometry, cluster, forces)
+        sensor = sensors.ClusterSensor(calibration.clusters[cluster], errors, cluster_rng)
+        stress = sensors.cluster_stress(geometry, cluster, forces)
         size = errors.stress_vibration * shake_rng.uniform(0.5, 1.5, 3)
-        stress += vibration(size, time, shake_rng)
+        stress += sensors.vibration(size, time, shake_rng)
         capacitance[cluster] = sensor.read(stress, time, cluster_rng)
-    felt = load + wrench_offset(errors, cell_rng)
-    noise = errors.wrench_noise(min(LONGEST_MEAN, 1.0 / rate))
+    felt = load + sensors.wrench_offset(errors, cell_rng)
+    noise = errors.wrench_noise(min(sensors.LONGEST_MEAN, 1.0 / rate))
     felt += cell_rng.normal(0.0, 1.0, load.shape) * noise
-    felt += wrench_creep(errors, load, time, cell_rng)
-    felt += vibration(errors.force_vibration * SHAKEN, time, shake_rng)
+    felt += sensors.wrench_creep(errors, load, time, cell_rng)
+    felt += sensors.vibration(errors.force_vibration * sensors.SHAKEN, time, shake_rng)
 
     window = min(mocap_window, 1.0 / rate)
     markers, poses = _motion_capture(geometry, truth, rate, window, errors, marker_rng)
@@ -159,17 +147,17 @@ def _motion_capture(
     truth: GroundTruth,
     rate: float,
     window: float,
-    errors: SensorErrors,
+    errors: sensors.SensorErrors,
     rng: np.random.Generator,
 ) -> tuple[dict[str, FloatArray], dict[str, Pose]]:
     """Markers of both bodies at each trigger and their mean poses in the window around it.
 
     Between the triggers the limb moves linearly, and so on before the first and after the last.
     """
-    bodies = MarkerBodies(geometry, errors, rng)
+    bodies = sensors.MarkerBodies(geometry, errors, rng)
     references = {"socket": geometry.socket_markers, "pylon": geometry.pylon_markers}
-    reach = int(0.5 * window * CAMERA_RATE)
-    offsets = np.arange(-reach, reach + 1) * rate / CAMERA_RATE  # [triggers]
+    reach = int(0.5 * window * sensors.CAMERA_RATE)
+    offsets = np.arange(-reach, reach + 1) * rate / sensors.CAMERA_RATE  # [triggers]
     count = len(truth.wrench)
     markers = {name: np.empty((count, *own.shape)) for name, own in references.items()}
     poses = {name: Pose(np.empty((count, 3, 3)), np.empty((count, 3))) for name in references}
@@ -180,7 +168,7 @@ def _motion_capture(
         moved = (truth.position, truth.rotation, truth.wrench)
         true = bodies.poses(*(_between(values, after, at - after + 1.0) for values in moved))
         for pose, (name, own) in zip(true, references.items(), strict=True):
-            seen = observe_markers(pose, own, errors, rng)
+            seen = sensors.observe_markers(pose, own, errors, rng)
             markers[name][rows] = seen[reach :: len(offsets)]
             mean = _mean_poses(fit_body(own, seen).pose, len(rows))
             poses[name].rotation[rows] = mean.rotation

@@ -13,15 +13,7 @@ from smbus2 import i2c_msg
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray, StatusArray
-from socket_testbed.drivers.clusters.i2c import (
-    INPUTS,
-    BusError,
-    BusGoneError,
-    BusTimeoutError,
-    CapacitiveChip,
-    I2cBus,
-    I2cPort,
-)
+from socket_testbed.drivers.clusters import i2c
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import ClusterSettings
@@ -52,20 +44,20 @@ class ClusterReader:
     def __init__(
         self,
         settings: ClusterSettings,
-        chip: type[CapacitiveChip],
-        open_bus: Callable[[int], I2cBus],
+        chip: type[i2c.CapacitiveChip],
+        open_bus: Callable[[int], i2c.I2cBus],
     ) -> None:
         check_settings(settings, chip)
         self._settings = settings
-        cycle = INPUTS / settings.sample_rate  # [s]
+        cycle = i2c.INPUTS / settings.sample_rate  # [s]
         self._buses = {number: _Bus(number, open_bus) for number in settings.buses}
         self._clusters: dict[str, _Cluster] = {}
         for name, (number, address, channel) in _places(settings):
             bus = self._buses[number]
             if address:
-                bus.multiplexers[address] = I2cPort(bus, bus.name, address, part="multiplexer")
+                bus.multiplexers[address] = i2c.I2cPort(bus, bus.name, address, part="multiplexer")
             place = f"behind channel {channel} of 0x{address:02X}" if address else ""
-            made = chip(I2cPort(bus, bus.name, chip.address, place), settings.sample_rate)
+            made = chip(i2c.I2cPort(bus, bus.name, chip.address, place), settings.sample_rate)
             self._clusters[name] = _Cluster(bus, (address, channel), made, cycle)
 
     def read(self, trigger: float) -> ClusterReading:
@@ -82,7 +74,7 @@ class ClusterReader:
         while waiting := [cluster for cluster in waiting if cluster.advance()]:
             clocks.sleep(_PAUSE * waiting[0].cycle)
 
-        shape = (len(clusters), INPUTS)
+        shape = (len(clusters), i2c.INPUTS)
         capacitance = np.full(shape, np.nan)
         status = np.full(shape, Status.MISSING, dtype=np.uint8)
         faults = {}
@@ -130,16 +122,16 @@ class _Bus:
     decided in `note`.
     """
 
-    def __init__(self, number: int, open_bus: Callable[[int], I2cBus]) -> None:
+    def __init__(self, number: int, open_bus: Callable[[int], i2c.I2cBus]) -> None:
         self.name = f"i2c-{number}"
         self.configured: set[tuple[int, int]] = set()  # places of the chips, since it was opened
-        self.multiplexers: dict[int, I2cPort] = {}  # by their addresses
+        self.multiplexers: dict[int, i2c.I2cPort] = {}  # by their addresses
         self.given_up = ""  # why nothing more is read from it for the present trigger
         self.backoff = clocks.Backoff()
         self._closed_by = ""  # the fault for which it was closed
         self._number = number
         self._open_bus = open_bus
-        self._bus: I2cBus | None = None
+        self._bus: i2c.I2cBus | None = None
 
     @property
     def is_open(self) -> bool:
@@ -156,10 +148,10 @@ class _Bus:
         Otherwise the bus is closed, to be opened again: it is gone, or its multiplexer fails.
         Every transfer on a bus that hangs takes its whole time-out: one for a trigger is enough.
         """
-        if isinstance(error, BusTimeoutError):
+        if isinstance(error, i2c.BusTimeoutError):
             self.given_up = str(error)
-        of_chip = not isinstance(error, BusError) or error.address == chip
-        if self.is_open and of_chip and not isinstance(error, BusGoneError):
+        of_chip = not isinstance(error, i2c.BusError) or error.address == chip
+        if self.is_open and of_chip and not isinstance(error, i2c.BusGoneError):
             return True
         self.given_up = self._closed_by = str(error)
         self.backoff.failed(now)
@@ -220,7 +212,7 @@ class _Cluster:
 
     bus: _Bus
     place: tuple[int, int]  # its multiplexer's address, 0: none, and channel
-    chip: CapacitiveChip
+    chip: i2c.CapacitiveChip
     cycle: float  # [s]
     inputs: list[_Input] = field(default_factory=list)
     pending: set[int] = field(default_factory=set)  # without a value for the present trigger
@@ -235,7 +227,7 @@ class _Cluster:
 
     def begin(self, trigger: float) -> None:
         """Begin to gather the inputs' values for a trigger at a time of the steady clock [s]."""
-        self.pending = set(range(INPUTS))
+        self.pending = set(range(i2c.INPUTS))
         self.trigger = trigger
         self.begun = clocks.monotonic()
 
@@ -274,7 +266,7 @@ class _Cluster:
         """Reset and configure the chip; drops what came before."""
         begun = clocks.monotonic()
         self.chip.reset_and_configure()
-        self.inputs = [_Input(low=begun) for _ in range(INPUTS)]
+        self.inputs = [_Input(low=begun) for _ in range(i2c.INPUTS)]
         self.begun = clocks.monotonic()
         self.bus.configured.add(self.place)
 
@@ -330,7 +322,7 @@ def _places(settings: ClusterSettings) -> Iterator[tuple[str, tuple[int, int, in
     return zip(settings.names, places, strict=True)
 
 
-def check_settings(settings: ClusterSettings, chip: type[CapacitiveChip]) -> None:
+def check_settings(settings: ClusterSettings, chip: type[i2c.CapacitiveChip]) -> None:
     """Check that the settings fit together, beyond the range of each."""
     names, buses, channels = settings.names, settings.buses, settings.channels
     multiplexers = settings.each_multiplexer
