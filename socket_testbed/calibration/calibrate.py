@@ -18,22 +18,14 @@ import pandas as pd
 from scipy.special import stdtrit
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.calibration import fit
+from socket_testbed.calibration import drift, fit
 from socket_testbed.calibration.bench_data import STRESSES, BenchData
-from socket_testbed.calibration.drift import (
-    DRIFT_LIMIT,
-    FALLING,
-    RISING,
-    Drift,
-    cycle_ids,
-    find_branches,
-)
 from socket_testbed.calibration.model import SMALLEST_GAIN, ClusterCalibration
 from socket_testbed.errors import CalibrationError
 
 _LEVEL = 0.1  # [-] of the full scale; stresses within one level count as equal
 _PURE = 0.02  # [-] of the full scale; a smaller stress counts as none
-_UP_AND_DOWN = pd.MultiIndex.from_product([("mean", "size"), (RISING, FALLING)])
+_UP_AND_DOWN = pd.MultiIndex.from_product([("mean", "size"), (drift.RISING, drift.FALLING)])
 
 
 def stress_errors(known: FloatArray, predicted: FloatArray, full_scale: FloatArray) -> pd.DataFrame:
@@ -83,7 +75,7 @@ def quality_figures(
         of_branches = cells.groupby(on_branch)["fitted"].agg(["mean", "size"]).unstack("branch")
         both = of_branches.reindex(columns=_UP_AND_DOWN).dropna()
         weight = both["size"].min(axis=1)
-        gap = (both["mean", RISING] - both["mean", FALLING]) * weight
+        gap = (both["mean", drift.RISING] - both["mean", drift.FALLING]) * weight
         gaps = (of.groupby(STRESSES[axis]).sum() for of in (gap, weight))
         means = cells.groupby([*on_branch, "cycle"])["fitted"].mean()
         of_cell = means.groupby(on_branch)
@@ -136,7 +128,7 @@ def choose_groups(bench: BenchData) -> Groups:
     ten blocks of successive rows. Cycles that cannot be left out are no reason to fall back to
     blocks: these would share their cycles and flatter the fit.
     """
-    files, others = Groups("file", bench.file), Groups("cycle", cycle_ids(bench))
+    files, others = Groups("file", bench.file), Groups("cycle", drift.cycle_ids(bench))
     if len(others) < _LEAST_GROUPS:
         others = Groups("block", np.arange(len(bench)) * _BLOCKS // len(bench))
     terms = fit.excitation_terms(bench.stress)
@@ -271,7 +263,7 @@ def calibrate_bench(
     kept = bench[sound]
     full_scale = kept.full_scale
     residual, unseen = ((of - bench.stress)[sound] for of in (fitted, checked.predicted))
-    cycles = cycle_ids(bench)[sound]
+    cycles = drift.cycle_ids(bench)[sound]
     return BenchCalibration(
         cluster=cluster,
         bench=bench,
@@ -284,7 +276,7 @@ def calibrate_bench(
         held_out=stress_errors(bench.stress, checked.predicted, full_scale),
         normal_half_width=half_widths(cluster.normal, checked.normal),
         shear_half_width=half_widths(cluster.shear, checked.shear),
-        figures=quality_figures(kept, residual, unseen, find_branches(kept), cycles),
+        figures=quality_figures(kept, residual, unseen, drift.find_branches(kept), cycles),
     )
 
 
@@ -292,7 +284,7 @@ _DIGITS = 4  # of an error; a bench does not determine more
 
 
 def bench_record(
-    calibrated: BenchCalibration, date: str, limit: float, forced: bool, drift: Drift | None
+    calibrated: BenchCalibration, date: str, limit: float, forced: bool, found: drift.Drift | None
 ) -> dict[str, Any]:
     """The content of `bench` in a cluster's section of `calibration.yaml`."""
     record: dict[str, Any] = {
@@ -316,12 +308,12 @@ def bench_record(
         "outliers": [outlier.place for outlier in calibrated.outliers],
         "outliers_dropped": calibrated.dropped,
     }
-    if drift is not None:
+    if found is not None:
         record["drift"] = {
-            "capacitance": drift.capacitance,
-            "stress": _by_stress(drift.stress),
-            "limit": DRIFT_LIMIT,
-            "flagged": drift.flagged,
+            "capacitance": found.capacitance,
+            "stress": _by_stress(found.stress),
+            "limit": drift.DRIFT_LIMIT,
+            "flagged": found.flagged,
         }
     return {**_plain(record), "limit_percent": limit}
 
