@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 WRENCH_CHANNELS = ("Mx", "My", "Mz", "Fx", "Fy", "Fz")
 LOCAL_CHANNELS = ("Fx", "Fy", "Fz")
+GRAVITY = 9.81  # [m/s^2]
 
 
 class Status(IntEnum):

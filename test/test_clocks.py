@@ -7,14 +7,7 @@ import pytest
 from support.verbs import program
 
 from socket_testbed import clocks as clocks_module
-from socket_testbed.clocks import (
-    BEGINNING,
-    TIME_SCALE,
-    Backoff,
-    SteadyClock,
-    TriggerPeriod,
-    TriggerTime,
-)
+from socket_testbed.clocks import BEGINNING, TIME_SCALE, SteadyClock, TriggerPeriod, TriggerTime
 
 START = 1_760_000_000_123_456_789  # [ns]
 
@@ -33,9 +26,7 @@ class Clocks:
         return SteadyClock(lambda: self.wall, lambda: self.steady)
 
 
-def test_it_keeps_its_pace_in_all_processes_and_measures_steps_of_the_system_clock(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_it_keeps_its_pace_in_all_processes_and_measures_a_step(monkeypatch) -> None:
     clocks = Clocks()
     clock = clocks.clock()
     assert clock.now() == START and clock.step() == 0.0
@@ -55,20 +46,13 @@ def test_it_keeps_its_pace_in_all_processes_and_measures_steps_of_the_system_clo
         assert later.to_steady(clock.to_epoch(seconds)) == pytest.approx(seconds, abs=1e-9)
 
 
-def test_the_processes_of_a_testbed_run_at_its_scale_and_a_wrong_one_is_refused(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    code = (
-        "from socket_testbed import clocks; import time; a = time.monotonic();"
-        "print(clocks.time_scale(), clocks.real(3.0), clocks.monotonic() - clocks.time_scale() * a)"
-    )
+def test_all_processes_run_at_one_scale_and_a_wrong_one_is_refused(monkeypatch) -> None:
     environment = clocks_module.shared_environment(0.25)
-    _, out, _ = program(sys.executable, "-c", code, **environment)
-    found, real, later = map(float, out.split())
-    assert (found, real) == (0.25, 12.0) and later >= 0.0
+    code = "from socket_testbed import clocks; print(clocks.time_scale(), clocks.real(3.0))"
+    assert program(sys.executable, "-c", code, **environment)[1].split() == ["0.25", "12.0"]
     now = int(environment[BEGINNING]) + 0.25 * time.monotonic_ns()
     assert now == pytest.approx(time.time_ns(), abs=60e9)
-    for scale in ("0", "-1", "1.5", "nan", "slow"):
+    for scale in ("0", "1.5", "nan", "slow"):
         monkeypatch.setenv(TIME_SCALE, scale)
         with pytest.raises(SystemExit, match=f"^error: {TIME_SCALE}={scale}: set a number"):
             clocks_module._inherited_scale()
@@ -107,16 +91,5 @@ def test_jitter_missed_pulses_and_pauses_leave_the_period_and_another_rate_is_fo
     assert periods_of(jittery)[6:] == pytest.approx([0.05] * (len(seen) - 6), abs=2.5e-3)
     faster = [(0.25 * k, k) for k in range(9)] + [(2.0 + 0.01 * k, 8 + k) for k in range(1, 9)]
     assert periods_of(faster)[-5:] == pytest.approx([0.01] * 5)
-    # Another trigger node.
     restarted = [(0.05 * k, 100 + k) for k in range(9)] + [(3.0 + 0.1 * k, k) for k in range(5)]
     assert periods_of(restarted)[-5:] == pytest.approx([0.0] * 3 + [0.1] * 2)
-    steps = [(10.0 + 0.1 * k, k) for k in range(4)] + [(5.0 + 0.1 * k, 4 + k) for k in range(4)]
-    assert periods_of(steps) == pytest.approx([0.0] * 3 + [0.1] + [0.0] * 3 + [0.1])
-
-
-def test_the_waits_double_up_to_the_longest_and_a_success_ends_them() -> None:
-    backoff = Backoff(0.4)
-    for now, wait in enumerate((0.05, 0.1, 0.2, 0.4, 0.4)):
-        assert backoff.due(now)
-        backoff.failed(now)
-        assert not backoff.due(now + wait - 1e-9) and backoff.due(now + wait + 1e-9)

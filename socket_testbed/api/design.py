@@ -19,7 +19,7 @@ from socket_testbed.api.trials import PathLike, Progress, as_path, started
 from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import Calibration, read_calibration, write_calibration
 from socket_testbed.errors import ConfigurationError, closest
-from socket_testbed.files import atomic_output, packaged, refuse_existing
+from socket_testbed.files import packaged, refuse_existing
 from socket_testbed.geometry.axis import all_regions
 from socket_testbed.geometry.socket import read_socket, write_socket
 
@@ -128,8 +128,7 @@ class CalibratedCluster(Result):
         if self.existing_file is None or self.existing_file.resolve() != path.resolve():
             refuse_existing(path)
         calibration = self.calibration(limit, force)
-        with atomic_output(path) as staging:
-            write_calibration(calibration, staging)
+        write_calibration(calibration, path)
 
     def _figure(self, style: FigureStyle) -> Figure:
         """Calibrated over known stress, and the residuals; a column per stress."""

@@ -286,9 +286,9 @@ def simulate(
     Trial('trials/short')
     """
     from socket_testbed.simulation.limb import SCENARIOS, TISSUES
+    from socket_testbed.simulation.sensors import LIKE_PAPER
     from socket_testbed.simulation.trial import simulate as simulate_trial
     from socket_testbed.simulation.trial import write_simulated_trial
-    from socket_testbed.simulation.world import LIKE_PAPER
 
     folder, socket_file, calibration_file = Path(path), as_path(geometry), as_path(calibration)
     if scenario not in SCENARIOS:

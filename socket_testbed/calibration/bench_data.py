@@ -95,10 +95,7 @@ _LARGEST_FILE = 2**27  # [bytes]
 
 
 def read_bench(
-    path: Path,
-    columns: Mapping[str, str],
-    units: Mapping[str, str],
-    area: float | None = None,
+    path: Path, columns: Mapping[str, str], units: Mapping[str, str], area: float | None = None
 ) -> BenchData:
     """Read a bench file.
 

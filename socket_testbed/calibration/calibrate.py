@@ -18,33 +18,14 @@ import pandas as pd
 from scipy.special import stdtrit
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.calibration import drift, fit
 from socket_testbed.calibration.bench_data import STRESSES, BenchData
-from socket_testbed.calibration.drift import (
-    DRIFT_LIMIT,
-    FALLING,
-    RISING,
-    Drift,
-    cycle_ids,
-    find_branches,
-)
-from socket_testbed.calibration.fit import (
-    Outlier,
-    check_excitation,
-    design_matrices,
-    excitation_terms,
-    find_lack,
-    find_outliers,
-    fit_cluster,
-    fit_polynomials,
-    predict_stress,
-    require_wiring,
-)
 from socket_testbed.calibration.model import SMALLEST_GAIN, ClusterCalibration
 from socket_testbed.errors import CalibrationError
 
 _LEVEL = 0.1  # [-] of the full scale; stresses within one level count as equal
 _PURE = 0.02  # [-] of the full scale; a smaller stress counts as none
-_UP_AND_DOWN = pd.MultiIndex.from_product([("mean", "size"), (RISING, FALLING)])
+_UP_AND_DOWN = pd.MultiIndex.from_product([("mean", "size"), (drift.RISING, drift.FALLING)])
 
 
 def stress_errors(known: FloatArray, predicted: FloatArray, full_scale: FloatArray) -> pd.DataFrame:
@@ -64,11 +45,7 @@ def stress_errors(known: FloatArray, predicted: FloatArray, full_scale: FloatArr
 
 
 def quality_figures(
-    bench: BenchData,
-    fitted: FloatArray,
-    unseen: FloatArray,
-    branches: IntArray,
-    cycles: IntArray,
+    bench: BenchData, fitted: FloatArray, unseen: FloatArray, branches: IntArray, cycles: IntArray
 ) -> pd.DataFrame:
     """Figures of each stress [% of the full scale], from residuals of the fit and held-out ones.
 
@@ -98,7 +75,7 @@ def quality_figures(
         of_branches = cells.groupby(on_branch)["fitted"].agg(["mean", "size"]).unstack("branch")
         both = of_branches.reindex(columns=_UP_AND_DOWN).dropna()
         weight = both["size"].min(axis=1)
-        gap = (both["mean", RISING] - both["mean", FALLING]) * weight
+        gap = (both["mean", drift.RISING] - both["mean", drift.FALLING]) * weight
         gaps = (of.groupby(STRESSES[axis]).sum() for of in (gap, weight))
         means = cells.groupby([*on_branch, "cycle"])["fitted"].mean()
         of_cell = means.groupby(on_branch)
@@ -151,15 +128,15 @@ def choose_groups(bench: BenchData) -> Groups:
     ten blocks of successive rows. Cycles that cannot be left out are no reason to fall back to
     blocks: these would share their cycles and flatter the fit.
     """
-    files, others = Groups("file", bench.file), Groups("cycle", cycle_ids(bench))
+    files, others = Groups("file", bench.file), Groups("cycle", drift.cycle_ids(bench))
     if len(others) < _LEAST_GROUPS:
         others = Groups("block", np.arange(len(bench)) * _BLOCKS // len(bench))
-    terms = excitation_terms(bench.stress)
+    terms = fit.excitation_terms(bench.stress)
     products = terms.T @ terms
     for groups in (files, others) if len(files) >= _LEAST_GROUPS else (others,):
         for rows in groups.rows:
             rest = products - terms[rows].T @ terms[rows]
-            if lack := find_lack(rest, len(bench) - len(rows)):
+            if lack := fit.find_lack(rest, len(bench) - len(rows)):
                 refusal = CalibrationError(
                     f"without the {groups.unit} that starts at {bench.place(int(rows[0]))},"
                     f" {lack[0]}, so the fit cannot be checked on data it has not seen",
@@ -173,10 +150,10 @@ def choose_groups(bench: BenchData) -> Groups:
 
 def cross_validate(capacitance: FloatArray, stress: FloatArray, groups: Groups) -> CrossValidation:
     """Fit without each group in turn, and predict it."""
-    of_mean, of_differences = design_matrices(capacitance)
+    of_mean, of_differences = fit.design_matrices(capacitance)
     predicted, fits = np.empty_like(stress), []
     for rows in groups.rows:
-        normal, shear = fit_polynomials(
+        normal, shear = fit.fit_polynomials(
             np.delete(capacitance, rows, axis=0), np.delete(stress, rows, axis=0)
         )
         predicted[rows, 0] = of_mean[rows] @ normal
@@ -211,7 +188,7 @@ class BenchCalibration:
     cluster: ClusterCalibration
     bench: BenchData  # the data that it was fitted to
     sound: BoolArray  # rows of it that are no outliers; (N,)
-    outliers: tuple[Outlier, ...]  # readings far from the rest
+    outliers: tuple[fit.Outlier, ...]  # readings far from the rest
     dropped: bool  # whether they were left out of the fit and of `bench`
     fitted: FloatArray  # stress by the calibration; (N, 3) [Pa]
     cross_validation: CrossValidation  # the fits without each group
@@ -265,11 +242,11 @@ def calibrate_bench(
     The wiring is the input that holds each channel, shape (4,). One that was stated for this bench
     is kept even if the data contradicts it.
     """
-    check_excitation(bench.stress, ", ".join(bench.files))
+    fit.check_excitation(bench.stress, ", ".join(bench.files))
     if not wiring_stated:
-        require_wiring(bench, wiring)
-    fit_polynomials(bench.capacitance[:, wiring], bench.stress)  # refuses what is singular
-    outliers = find_outliers(bench, wiring)
+        fit.require_wiring(bench, wiring)
+    fit.fit_polynomials(bench.capacitance[:, wiring], bench.stress)  # refuses what is singular
+    outliers = fit.find_outliers(bench, wiring)
     sound = np.ones(len(bench), dtype=bool)
     sound[[outlier.row for outlier in outliers]] = False
     if drop_outliers:
@@ -280,13 +257,13 @@ def calibrate_bench(
                 "look at them with --figure, and leave --drop-outliers away",
             )
         bench, sound = bench[sound], sound[sound]
-    cluster = fit_cluster(bench.capacitance, bench.stress, wiring, sound)
-    fitted = predict_stress(cluster, bench.capacitance)
+    cluster = fit.fit_cluster(bench.capacitance, bench.stress, wiring, sound)
+    fitted = fit.predict_stress(cluster, bench.capacitance)
     checked = cross_validate(bench.capacitance[:, wiring], bench.stress, choose_groups(bench))
     kept = bench[sound]
     full_scale = kept.full_scale
     residual, unseen = ((of - bench.stress)[sound] for of in (fitted, checked.predicted))
-    cycles = cycle_ids(bench)[sound]
+    cycles = drift.cycle_ids(bench)[sound]
     return BenchCalibration(
         cluster=cluster,
         bench=bench,
@@ -299,7 +276,7 @@ def calibrate_bench(
         held_out=stress_errors(bench.stress, checked.predicted, full_scale),
         normal_half_width=half_widths(cluster.normal, checked.normal),
         shear_half_width=half_widths(cluster.shear, checked.shear),
-        figures=quality_figures(kept, residual, unseen, find_branches(kept), cycles),
+        figures=quality_figures(kept, residual, unseen, drift.find_branches(kept), cycles),
     )
 
 
@@ -307,7 +284,7 @@ _DIGITS = 4  # of an error; a bench does not determine more
 
 
 def bench_record(
-    calibrated: BenchCalibration, date: str, limit: float, forced: bool, drift: Drift | None
+    calibrated: BenchCalibration, date: str, limit: float, forced: bool, found: drift.Drift | None
 ) -> dict[str, Any]:
     """The content of `bench` in a cluster's section of `calibration.yaml`."""
     record: dict[str, Any] = {
@@ -331,12 +308,12 @@ def bench_record(
         "outliers": [outlier.place for outlier in calibrated.outliers],
         "outliers_dropped": calibrated.dropped,
     }
-    if drift is not None:
+    if found is not None:
         record["drift"] = {
-            "capacitance": drift.capacitance,
-            "stress": _by_stress(drift.stress),
-            "limit": DRIFT_LIMIT,
-            "flagged": drift.flagged,
+            "capacitance": found.capacitance,
+            "stress": _by_stress(found.stress),
+            "limit": drift.DRIFT_LIMIT,
+            "flagged": found.flagged,
         }
     return {**_plain(record), "limit_percent": limit}
 

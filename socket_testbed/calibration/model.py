@@ -21,6 +21,7 @@ from msgspec import Meta
 from socket_testbed.arrays import FloatArray, IntArray, StatusArray
 from socket_testbed.documents import Document, FieldError, Text, read_document
 from socket_testbed.errors import CalibrationError
+from socket_testbed.files import write_text
 from socket_testbed.samples import Status
 
 SMALLEST_GAIN = 100.0  # [Pa/pF]; a smaller one is in another unit
@@ -167,9 +168,9 @@ _HEADER = """\
 
 
 def write_calibration(calibration: Calibration, path: Path) -> None:
-    """Write `calibration.yaml`."""
+    """Write `calibration.yaml`, complete or not at all."""
     text = yaml.safe_dump(calibration.to_document(), sort_keys=False, default_flow_style=None)
-    path.write_text(_HEADER + text, encoding="utf-8")
+    write_text(path, _HEADER + text)
 
 
 _Number = Annotated[float, Meta(ge=-1e9, le=1e9)]  # [Pa, Pa/pF, Pa/pF^2, pF]

@@ -8,7 +8,9 @@ bus under the same names. The clusters' chip can be another one (`CapacitiveChip
 
 A reader beside it (`clusters/reader.py`, `load_cell/load_cell.py`, `natnet/client.py`) decides
 when to read, starts again after a failure, and gives the values for a trigger and the instrument's
-health. It never raises for a fault of the hardware.
+health. It never raises for a fault of the hardware: what one costs is decided in one place each,
+`_Bus.note` (I2C, a bus that hangs or is gone included), `ConverterReader._fail` (SPI),
+`NatNetClient._lose` (the network); a trigger without its edge is a `DeviceError`.
 """
 
 from __future__ import annotations

@@ -130,11 +130,7 @@ class TimerTrigger:
 class GpioTrigger:
     """A pulse on a line, stamped by the kernel at its edge on another line wired to it."""
 
-    def __init__(
-        self,
-        lines: Lines,
-        settings: TriggerSettings,
-    ) -> None:
+    def __init__(self, lines: Lines, settings: TriggerSettings) -> None:
         self._lines = lines
         self._settings = settings
         self._begun = 0.0
@@ -184,9 +180,3 @@ class GpioTrigger:
 
 
 Trigger: TypeAlias = TimerTrigger | GpioTrigger
-
-
-def trigger_lines(settings: TriggerSettings) -> GpiodLines:
-    """The lines of the GPIO chip that the settings name, through gpiod."""
-    uses: dict[int, Use] = {settings.output_line: "output", settings.input_line: "rising"}
-    return GpiodLines(settings.chip, uses, "trigger_node", "chip", "source to timer")

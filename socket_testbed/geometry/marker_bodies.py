@@ -71,17 +71,7 @@ def nearest_rotations(matrices: FloatArray) -> FloatArray:
 
 def misfit(points: FloatArray, observed: FloatArray, pose: Pose) -> FloatArray:
     """Distances of observed points from where poses put them, shape (M, k) [m]."""
-    return _lengths(observed - pose.place(points))
-
-
-def _lengths(vectors: FloatArray) -> FloatArray:
-    """Lengths of vectors along the last axis; faster than `np.linalg.norm`."""
-    return np.sqrt(np.einsum("...i,...i->...", vectors, vectors))
-
-
-def root_mean_square(values: FloatArray, axis: int = -1) -> FloatArray:
-    """Root of the mean of the squares along an axis."""
-    return np.sqrt((values**2).mean(axis=axis))
+    return np.linalg.norm(observed - pose.place(points), axis=-1)
 
 
 EDGE_TOLERANCE = 0.002  # [m]; well above the noise of a marker
@@ -125,7 +115,7 @@ class BodyFit:
 
 def distances(markers: FloatArray) -> FloatArray:
     """Distances between k markers, shape (..., k, k) [m]; NaN where one is occluded."""
-    return _lengths(markers[..., :, None, :] - markers[..., None, :, :])
+    return np.linalg.norm(markers[..., :, None, :] - markers[..., None, :, :], axis=-1)
 
 
 def body_fault(markers: FloatArray) -> tuple[str, str] | None:
@@ -209,7 +199,7 @@ def _fit_ordered(
         rows = np.flatnonzero((named == used).all(axis=1))
         markers = np.take_along_axis(observed[rows], order[rows][:, used][:, :, None], axis=1)
         pose = fit_rigid(reference[used], markers)
-        off = root_mean_square(misfit(reference[used], markers, pose))
+        off = np.sqrt((misfit(reference[used], markers, pose) ** 2).mean(axis=1))
         # Mirrored markers have all distances right; three of more agree easily by chance.
         some = used.sum() == FEWEST_MARKERS < len(used)
         fits = off <= (_CLOSE if some else 1.0) * tolerance

@@ -37,7 +37,7 @@ from socket_testbed.identification.validation import (
     measurement_errors,
     thinned,
 )
-from socket_testbed.samples import WRENCH_CHANNELS, Samples, Status, channel_unit
+from socket_testbed.samples import GRAVITY, WRENCH_CHANNELS, Samples, Status, channel_unit
 from socket_testbed.settings.identification import ForceMapSettings
 
 GOOD, LOOK = "data: good", "data: look at "
@@ -62,7 +62,6 @@ STRESS_SHARE = (0.001, 3.0)
 WEIGHTS = (0.02, 5.0)  # size of the load in weights of a stated mass [-]
 SINKING = 0.5  # cosine of the limb's motion under load to the axis; sound 0.996 and more [-]
 ROTATION = 0.7  # of the limb from its mean attitude, sound 0.04 [rad]
-GRAVITY = 9.81  # [m/s^2]
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from functools import partial
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -13,35 +12,26 @@ import numpy as np
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
+from socket_testbed.drivers import gpio
 from socket_testbed.drivers.clusters.fdc1004 import Fdc1004
 from socket_testbed.drivers.clusters.i2c import CapacitiveChip, I2cBus, open_i2c
 from socket_testbed.drivers.clusters.reader import ClusterReader
-from socket_testbed.drivers.gpio import (
-    EdgeLine,
-    GpiodLines,
-    GpioTrigger,
-    TimerTrigger,
-    Trigger,
-    Use,
-    trigger_lines,
-)
-from socket_testbed.drivers.load_cell.ads131m0x import open_spi
+from socket_testbed.drivers.load_cell.ads131m0x import conversion_period, open_spi
 from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
 from socket_testbed.drivers.load_cell.load_cell import LoadCell
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.settings.acquisition import ClusterSettings, LoadCellSettings, TriggerSettings
 from socket_testbed.simulation.devices.ads131m0x import simulated_load_cell
 from socket_testbed.simulation.devices.fdc1004 import SimulatedFdc1004
+from socket_testbed.simulation.devices.gpio import SimulatedLines
 from socket_testbed.simulation.devices.i2c import SimulatedChip, SimulatedClusterHardware
-from socket_testbed.simulation.world import SensorErrors, SimulatedLines, World
+from socket_testbed.simulation.world import World
 
 # The driver of each chip that clusters can have and its simulated counterpart, by the name that
 # cluster_node's setting `chip` gives it.
 CAPACITIVE_CHIPS: dict[str, tuple[type[CapacitiveChip], type[SimulatedChip]]] = {
     "fdc1004": (Fdc1004, SimulatedFdc1004)
 }
-
-_BLOCK = 256  # noises that are drawn at once
 
 
 def _require_real_time() -> None:
@@ -53,15 +43,17 @@ def _require_real_time() -> None:
         )
 
 
-def make_trigger(settings: TriggerSettings) -> Trigger:
+def make_trigger(settings: TriggerSettings) -> gpio.Trigger:
     """The trigger."""
     if settings.source == "timer":
-        return TimerTrigger()
+        return gpio.TimerTrigger()
     if settings.simulation:
         faults = World(Path(settings.simulation)).faults
-        return GpioTrigger(SimulatedLines(faults), settings)
+        return gpio.GpioTrigger(SimulatedLines(faults), settings)
     _require_real_time()
-    return GpioTrigger(trigger_lines(settings), settings)
+    uses: dict[int, gpio.Use] = {settings.output_line: "output", settings.input_line: "rising"}
+    names = ("trigger_node", "chip", "source to timer")
+    return gpio.GpioTrigger(gpio.GpiodLines(settings.chip, uses, *names), settings)
 
 
 def wall_clock(settings: TriggerSettings) -> Callable[[], int]:
@@ -91,11 +83,11 @@ def i2c_opener(settings: ClusterSettings) -> Callable[[int], I2cBus]:
         _require_real_time()
         return lambda number: open_i2c(number, settings.bus_timeout)
     world = World(Path(settings.simulation))
-    noise = np.random.default_rng().normal
-    size = SensorErrors().capacitance_noise
+    rng = np.random.default_rng()
 
     def capacitance(cluster: int, channel: int, moment: float) -> float:
-        return world.capacitance(cluster, channel, moment) + float(noise(0.0, size))
+        noise = float(rng.normal(0.0, world.capacitance_noise[0]))
+        return world.capacitance(cluster, channel, moment) + noise
 
     chip = capacitive_chip(settings)[1]
     return SimulatedClusterHardware(settings, chip, capacitance, world.faults).open_bus
@@ -104,13 +96,13 @@ def i2c_opener(settings: ClusterSettings) -> Callable[[int], I2cBus]:
 def make_load_cell(settings: LoadCellSettings) -> LoadCell:
     """The load cell, with its converter's DRDY where that is wired."""
     open_device = spi_opener(settings)
-    open_line: Callable[[], EdgeLine] | None = None
+    open_line: Callable[[], gpio.EdgeLine] | None = None
     if settings.data_ready_line >= 0 and settings.simulation:
         open_line = open_device
     elif settings.data_ready_line >= 0:
-        uses: dict[int, Use] = {settings.data_ready_line: "falling"}
+        uses: dict[int, gpio.Use] = {settings.data_ready_line: "falling"}
         names = ("load_cell_node", "data_ready_chip", "data_ready_line to -1")
-        open_line = partial(GpiodLines, settings.data_ready_chip, uses, *names)
+        open_line = partial(gpio.GpiodLines, settings.data_ready_chip, uses, *names)
     return LoadCell(settings, ConverterReader(settings, open_device, open_line=open_line))
 
 
@@ -121,11 +113,10 @@ def spi_opener(settings: LoadCellSettings) -> Callable[[], Any]:
         return lambda: open_spi(settings.device, settings.spi_clock)
     world = World(Path(settings.simulation))
     rng = np.random.default_rng()
-    size = SensorErrors().wrench_noise
-    noise = (row for _ in count() for row in rng.normal(0.0, size, (_BLOCK, 6)))
+    period = conversion_period(settings.clock_in, settings.oversampling)
 
-    def wrench(moment: float) -> FloatArray:
-        return world.wrench(moment) + next(noise)
+    def noise() -> FloatArray:
+        return rng.normal(0.0, world.wrench_noise / np.sqrt(period))
 
-    chip = simulated_load_cell(wrench, settings, world.faults)
+    chip = simulated_load_cell(world.wrench, settings, world.faults, noise=noise)
     return lambda: chip

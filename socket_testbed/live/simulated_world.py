@@ -23,17 +23,11 @@ from socket_testbed.clocks import SteadyClock
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.live.processes import end_with_starter, measure_lateness
+from socket_testbed.simulation import sensors
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
 from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, load_history
-from socket_testbed.simulation.sensors import (
-    CAMERA_RATE,
-    ClusterSensor,
-    MarkerBodies,
-    cluster_stress,
-    wrench_offset,
-)
 from socket_testbed.simulation.trial import GroundTruth, random_streams, save_truth
-from socket_testbed.simulation.world import SensorErrors, World
+from socket_testbed.simulation.world import World
 
 _PERIOD = 0.04  # [s]; of the physics; between two states the world is linear
 _LEAD = 0.2  # [s]; of the physics ahead of the clock: a busy machine does not stop the world
@@ -68,6 +62,7 @@ class Simulation:
     sway: float = 0.0  # how far the stand sways in the world [m]
     time_scale: float = 1.0  # testbed seconds per real second, in (0, 1] [-]
     tissue: TissueKind = "soft"  # kind of the limb's tissue
+    noise: float = 1.0  # of the load cell, over the usual one [-]
 
 
 @dataclass(frozen=True)
@@ -121,25 +116,27 @@ class LiveTestbed:
         geometry: SocketGeometry,
         calibration: Calibration,
         simulation: Simulation,
-        errors: SensorErrors,
+        errors: sensors.SensorErrors,
         remembers: bool = True,
     ) -> None:
         calibration.require(geometry.clusters, "the socket")
         streams = random_streams(simulation.seed)
         tissue_rng, load_rng, cell_rng, cluster_rng, marker_rng, _ = streams
         self._world = world
+        world.capacitance_noise[:] = errors.capacitance_noise
+        world.wrench_noise[:] = simulation.noise * errors.wrench_noise(1.0)
         self._geometry = geometry
         self._times = np.arange(0.0, simulation.period, _PERIOD)
         self._loads = load_history(simulation.scenario, simulation.pace * self._times, load_rng)
         self._sway = simulation.sway
         self._remembers = remembers
         self._limb = LoadedLimb(geometry, self._loads[0], tissue_rng, simulation.tissue)
-        self._offset = wrench_offset(errors, cell_rng)
+        self._offset = sensors.wrench_offset(errors, cell_rng)
         self._sensors = {
-            name: ClusterSensor(calibration.clusters[name], errors, cluster_rng)
+            name: sensors.ClusterSensor(calibration.clusters[name], errors, cluster_rng)
             for name in geometry.clusters
         }
-        self._bodies = MarkerBodies(geometry, errors, marker_rng)
+        self._bodies = sensors.MarkerBodies(geometry, errors, marker_rng)
         self._start = clocks.monotonic()
         self._last = self._start
         self._history: list[dict[str, Any]] = []
@@ -157,7 +154,7 @@ class LiveTestbed:
         now = np.array([elapsed])
         capacitance = np.vstack(
             [
-                sensor.respond(cluster_stress(self._geometry, name, forces[None]), now)
+                sensor.respond(sensors.cluster_stress(self._geometry, name, forces[None]), now)
                 for name, sensor in self._sensors.items()
             ]
         )
@@ -240,7 +237,7 @@ def main() -> None:
     sys.setswitchinterval(_SWITCH)
     clock = SteadyClock()
     world = World(Path(folder))
-    errors = SensorErrors()
+    errors = sensors.SensorErrors()
     geometry = read_socket(Path(socket_file))
     calibration = read_calibration(Path(calibration_file))
     testbed = LiveTestbed(world, geometry, calibration, simulation, errors, bool(truth))
@@ -255,7 +252,7 @@ def main() -> None:
     moment = clocks.monotonic()
     testbed.advance(moment)
     server = NatNetServer(
-        bodies, rate=CAMERA_RATE, faults=world.faults, noise=errors.marker_noise,
+        bodies, rate=sensors.CAMERA_RATE, faults=world.faults, noise=errors.marker_noise,
         seed=simulation.seed,
         address=("127.0.0.1", world.port),  # started again, it is where the clients look for it
     )  # fmt: skip

@@ -14,6 +14,7 @@ import yaml
 
 from socket_testbed.documents import Document, read_document, refuse_unknown
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import write_text
 from socket_testbed.settings.acquisition import (
     ClusterSettings,
     LoadCellSettings,
@@ -222,7 +223,7 @@ def write_testbed(nodes: dict[str, Settings], path: Path) -> None:
         }
         for node, settings in nodes.items()
     }
-    path.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+    write_text(path, yaml.safe_dump(document, sort_keys=False))
 
 
 def _flatten(section: dict[str, Any]) -> dict[str, Any]:

@@ -18,13 +18,13 @@ from scipy.optimize import root
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import TestbedError
 from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.samples import GRAVITY
 
 Scenario = Literal["static_hold", "ramp", "multi_direction", "protocol"]
 SCENARIOS: tuple[Scenario, ...] = get_args(Scenario)
 TissueKind = Literal["soft", "stiff"]
 TISSUES: tuple[TissueKind, ...] = get_args(TissueKind)
 
-_GRAVITY = 9.81  # [m/s^2]
 _PYLON_MASS = 9.3  # [kg]; as published
 _ADDED_MASS = 19.0  # [kg]; as published
 _PYLON_POINT = np.array([0.004, -0.003, 0.45])  # [m]; centre of mass of the pylon in {S}
@@ -34,7 +34,7 @@ _SWAY_FORCE = 0.4  # [N]
 _SWAY_TIME = 0.6  # [s]
 _PUSH = 35.0  # [N]; of the hands, largest
 _PUSH_HEIGHT, _PUSH_TRAVEL = 0.35, 0.15  # [m]; above the load cell, and up and down from there
-_LEAN = _ADDED_MASS * _GRAVITY  # [N]; of the hands on the pylon, largest
+_LEAN = _ADDED_MASS * GRAVITY  # [N]; of the hands on the pylon, largest
 _LEAN_ARM = 0.03  # [m]; of the leaning about the axis
 _TWIST = 1.5  # [N m]; of the hands about the axis, largest
 _HAND_PERIODS = np.array([11.0, 23.0, 7.3, 17.0, 9.1, 13.0])  # [s]
@@ -74,10 +74,10 @@ def load_history(scenario: Scenario, time: FloatArray, rng: np.random.Generator)
         added[:, 0] = push * np.cos(around)
         added[:, 1] = push * np.sin(around)
         added[:, 2] = 60.0 * share * np.sin(up)
-    added[:, 2] -= share * _ADDED_MASS * _GRAVITY
+    added[:, 2] -= share * _ADDED_MASS * GRAVITY
     added[:, :2] += _sway(time, rng) * (0.3 + share[:, None])
 
-    pylon = np.tile([0.0, 0.0, -_PYLON_MASS * _GRAVITY], (len(time), 1))
+    pylon = np.tile([0.0, 0.0, -_PYLON_MASS * GRAVITY], (len(time), 1))
     moment = np.cross(_PYLON_POINT, pylon) + np.cross(_ADDED_POINT, added)
     return np.hstack([moment, pylon + added]) + hands
 

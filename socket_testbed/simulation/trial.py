@@ -22,51 +22,23 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import read_testbed
+from socket_testbed.simulation import sensors
 from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, load_history
-from socket_testbed.simulation.sensors import (
-    CAMERA_RATE,
-    SHAKEN,
-    ClusterSensor,
-    MarkerBodies,
-    cluster_stress,
-    observe_markers,
-    vibration,
-    wrench_creep,
-    wrench_offset,
-)
-from socket_testbed.simulation.world import SensorErrors
+from socket_testbed.trials import messages, topics
 from socket_testbed.trials.bag import BagWriter
-from socket_testbed.trials.messages import (
-    capacitance_packer,
-    load_cell_raw_packer,
-    markers_packer,
-    pose_packer,
-    trigger_packer,
-    wrench_packer,
-)
-from socket_testbed.trials.topics import (
-    CAPACITANCE,
-    LOAD_CELL_RAW,
-    MARKERS,
-    PYLON_POSE,
-    SOCKET_POSE,
-    TRIGGER,
-    WRENCH,
-    Topic,
-)
 from socket_testbed.trials.trial import read_configuration, store_configuration
 
 TRUTH_FILE = "ground_truth.npz"
 
 # When each measurement is recorded after its trigger [ns].
 _DELAYS = {
-    TRIGGER: 0,
-    WRENCH: 3_000_000,
-    LOAD_CELL_RAW: 3_100_000,
-    SOCKET_POSE: 8_000_000,
-    PYLON_POSE: 8_100_000,
-    MARKERS: 8_200_000,
-    CAPACITANCE: 17_000_000,
+    topics.TRIGGER: 0,
+    topics.WRENCH: 3_000_000,
+    topics.LOAD_CELL_RAW: 3_100_000,
+    topics.SOCKET_POSE: 8_000_000,
+    topics.PYLON_POSE: 8_100_000,
+    topics.MARKERS: 8_200_000,
+    topics.CAPACITANCE: 17_000_000,
 }
 _FRAMES_AT_ONCE = 50_000
 _START = 1_767_258_000_000_000_000  # [ns]; 2026-01-01 09:00 UTC
@@ -115,7 +87,7 @@ def simulate(
     duration: float,
     rate: float,
     seed: int,
-    errors: SensorErrors | None = None,
+    errors: sensors.SensorErrors | None = None,
     progress: Progress | None = None,
     tissue: TissueKind = "soft",
     mocap_window: float = 0.25,
@@ -136,7 +108,7 @@ def simulate(
             pose; 0 for one frame [s].
     """
     calibration.require(geometry.clusters, "the socket")
-    errors = errors or SensorErrors()
+    errors = errors or sensors.SensorErrors()
     tissue_rng, load_rng, cell_rng, cluster_rng, marker_rng, shake_rng = random_streams(seed)
     count = max(2, round(duration * rate))
     time = np.arange(count) / rate
@@ -153,15 +125,16 @@ def simulate(
 
     capacitance = {}
     for cluster in geometry.clusters:
-        sensor = ClusterSensor(calibration.clusters[cluster], errors, cluster_rng)
-        stress = cluster_stress(geometry, cluster, forces)
+        sensor = sensors.ClusterSensor(calibration.clusters[cluster], errors, cluster_rng)
+        stress = sensors.cluster_stress(geometry, cluster, forces)
         size = errors.stress_vibration * shake_rng.uniform(0.5, 1.5, 3)
-        stress += vibration(size, time, shake_rng)
+        stress += sensors.vibration(size, time, shake_rng)
         capacitance[cluster] = sensor.read(stress, time, cluster_rng)
-    felt = load + wrench_offset(errors, cell_rng)
-    felt += cell_rng.normal(0.0, 1.0, load.shape) * errors.wrench_noise
-    felt += wrench_creep(errors, load, time, cell_rng)
-    felt += vibration(errors.force_vibration * SHAKEN, time, shake_rng)
+    felt = load + sensors.wrench_offset(errors, cell_rng)
+    noise = errors.wrench_noise(min(sensors.LONGEST_MEAN, 1.0 / rate))
+    felt += cell_rng.normal(0.0, 1.0, load.shape) * noise
+    felt += sensors.wrench_creep(errors, load, time, cell_rng)
+    felt += sensors.vibration(errors.force_vibration * sensors.SHAKEN, time, shake_rng)
 
     window = min(mocap_window, 1.0 / rate)
     markers, poses = _motion_capture(geometry, truth, rate, window, errors, marker_rng)
@@ -174,17 +147,17 @@ def _motion_capture(
     truth: GroundTruth,
     rate: float,
     window: float,
-    errors: SensorErrors,
+    errors: sensors.SensorErrors,
     rng: np.random.Generator,
 ) -> tuple[dict[str, FloatArray], dict[str, Pose]]:
     """Markers of both bodies at each trigger and their mean poses in the window around it.
 
     Between the triggers the limb moves linearly, and so on before the first and after the last.
     """
-    bodies = MarkerBodies(geometry, errors, rng)
+    bodies = sensors.MarkerBodies(geometry, errors, rng)
     references = {"socket": geometry.socket_markers, "pylon": geometry.pylon_markers}
-    reach = int(0.5 * window * CAMERA_RATE)
-    offsets = np.arange(-reach, reach + 1) * rate / CAMERA_RATE  # [triggers]
+    reach = int(0.5 * window * sensors.CAMERA_RATE)
+    offsets = np.arange(-reach, reach + 1) * rate / sensors.CAMERA_RATE  # [triggers]
     count = len(truth.wrench)
     markers = {name: np.empty((count, *own.shape)) for name, own in references.items()}
     poses = {name: Pose(np.empty((count, 3, 3)), np.empty((count, 3))) for name in references}
@@ -195,7 +168,7 @@ def _motion_capture(
         moved = (truth.position, truth.rotation, truth.wrench)
         true = bodies.poses(*(_between(values, after, at - after + 1.0) for values in moved))
         for pose, (name, own) in zip(true, references.items(), strict=True):
-            seen = observe_markers(pose, own, errors, rng)
+            seen = sensors.observe_markers(pose, own, errors, rng)
             markers[name][rows] = seen[reach :: len(offsets)]
             mean = _mean_poses(fit_body(own, seen).pose, len(rows))
             poses[name].rotation[rows] = mean.rotation
@@ -283,23 +256,27 @@ def _between(values: FloatArray, after: IntArray, share: FloatArray) -> FloatArr
     return np.asarray((1.0 - share) * values[after - 1] + share * values[after])
 
 
-def _messages(trial: SimulatedTrial, ratios: FloatArray) -> Iterator[tuple[int, Topic, bytes]]:
+def _messages(
+    trial: SimulatedTrial, ratios: FloatArray
+) -> Iterator[tuple[int, topics.Topic, bytes]]:
     """Stamps [ns], topics and messages in order; ratios of the bridges, shape (N, 6) [mV/V]."""
-    pack_trigger, pack_wrench, pack_pose = trigger_packer(), wrench_packer(), pose_packer()
-    pack_raw = load_cell_raw_packer()
-    pack_markers = markers_packer({name: seen.shape[1] for name, seen in trial.markers.items()})
-    pack_capacitance = capacitance_packer(list(trial.capacitance))
+    pack_trigger, pack_wrench = messages.trigger_packer(), messages.wrench_packer()
+    pack_pose, pack_raw = messages.pose_packer(), messages.load_cell_raw_packer()
+    sizes = {name: seen.shape[1] for name, seen in trial.markers.items()}
+    pack_markers = messages.markers_packer(sizes)
+    pack_capacitance = messages.capacitance_packer(list(trial.capacitance))
     capacitance = np.stack(list(trial.capacitance.values()), axis=1)
     status = np.where(np.isfinite(capacitance), Status.OK, Status.MISSING).astype(np.uint8)
     poses = {
         topic: np.hstack([trial.poses[name].translation, trial.poses[name].quaternion()])
-        for topic, name in ((SOCKET_POSE, "socket"), (PYLON_POSE, "pylon"))
+        for topic, name in ((topics.SOCKET_POSE, "socket"), (topics.PYLON_POSE, "pylon"))
     }
     for k, stamp in enumerate(trial.stamps.tolist()):
-        yield stamp, TRIGGER, pack_trigger(stamp, k)
-        yield stamp, WRENCH, pack_wrench(stamp, trial.wrench[k])
-        yield stamp, LOAD_CELL_RAW, pack_raw(stamp, ratios[k], np.zeros(6), 0, Status.OK)
+        yield stamp, topics.TRIGGER, pack_trigger(stamp, k)
+        yield stamp, topics.WRENCH, pack_wrench(stamp, trial.wrench[k])
+        yield stamp, topics.LOAD_CELL_RAW, pack_raw(stamp, ratios[k], np.zeros(6), 0, Status.OK)
         for topic, pose in poses.items():
             yield stamp, topic, pack_pose(stamp, pose[k])
-        yield stamp, MARKERS, pack_markers(stamp, [seen[k] for seen in trial.markers.values()])
-        yield stamp, CAPACITANCE, pack_capacitance(stamp, capacitance[k], status[k])
+        markers = [seen[k] for seen in trial.markers.values()]
+        yield stamp, topics.MARKERS, pack_markers(stamp, markers)
+        yield stamp, topics.CAPACITANCE, pack_capacitance(stamp, capacitance[k], status[k])

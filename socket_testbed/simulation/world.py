@@ -8,13 +8,11 @@ no more than this module: such a node starts without the physics.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.errors import ConfigurationError
@@ -48,60 +46,11 @@ FAULTS = {
 }
 
 
-@dataclass(frozen=True)
-class SensorErrors:
-    """Sizes of the errors of all sensors."""
-
-    gain_mismatch: float = 0.02  # spread of the gains of a cluster's channels [-]
-    offset: float = 0.03  # spread of the offsets of a cluster's channels [pF]
-    cross_talk: float = 0.03  # part of a neighbouring channel's change that a channel picks up [-]
-    capacitance_drift: float = 1.0e-4  # spread of the drift of a channel [pF/s]
-    capacitance_noise: float = 0.002  # noise of a channel [pF]
-    # largest offset of a cluster's three stresses, as a cluster has that is built into a socket
-    # after its calibration; a fifth of it is the smallest [Pa]
-    stress_offset: float = 0.0
-    placement: float = 0.05  # spread of a cluster's rotation about its normal [rad]
-    force_noise: float = 0.15  # noise of the load cell's forces [N]
-    moment_noise: float = 0.01  # noise of the load cell's moments [N m]
-    force_offset: float = 0.8  # spread of the forces' offsets after taring [N]
-    moment_offset: float = 0.05  # spread of the moments' offsets after taring [N m]
-    force_creep: float = 0.0  # by how much each force creeps under the largest load [N]
-    moment_creep: float = 0.0  # by how much each moment creeps under the largest load [N m]
-    force_vibration: float = 0.0  # amplitude of the load cell's forces as the stand vibrates [N]
-    # mean amplitude of a cluster's stresses as its cable moves with it [Pa]
-    stress_vibration: float = 0.0
-    # noise of a marker's coordinate [m]; white from frame to frame, measured on the body at rest of
-    # `sample_optitrack_take.csv` (120 Hz, a triad of 0.2 m; cmuphyscomp/hmv-s16 on GitHub). Long
-    # lenses and large rooms have more
-    marker_noise: float = 8.0e-6
-    drop_out: float = 0.002  # chance that a marker is occluded in a frame [-]
-    label_swap: float = 0.002  # chance that two labels of a body are swapped in a frame [-]
-    registration: float = 5.0e-4  # spread of the error of a body's registration [m]
-    registration_angle: float = 0.003  # the same for its rotation [rad]
-
-    @property
-    def wrench_noise(self) -> FloatArray:
-        """Noise of the load cell, [M; F], shape (6,) [N m, N]."""
-        return np.repeat([self.moment_noise, self.force_noise], 3)
-
-
-# Errors as large as in the published experiment, whose causes are not known. Steady ones: the load
-# cell creeps by 4 N and 0.9 N m, clusters have offsets of up to 150 N on their 9 cm^2. Beside
-# offsets, 5 N was left there and 4 N on a cluster: more than the drift of a plateau, so faster.
-LIKE_PAPER = SensorErrors(
-    stress_offset=150.0 / 9e-4,
-    force_creep=4.0,
-    moment_creep=0.9,
-    force_vibration=7.2,
-    stress_vibration=5.5 / 9e-4,
-)
-
 _FILE = "world"
 _KEPT = 32  # states; more than any chip looks back
 _MOST_CLUSTERS = 16
 _INPUTS = 4 * _MOST_CLUSTERS  # capacitances
 _WIDTH = _INPUTS + 6 + 14
-_DELAY = 2e-6  # [s]; from the trigger's output to the stamped edge
 _LAYOUT = np.dtype(
     [
         ("changes", np.uint64),
@@ -110,6 +59,8 @@ _LAYOUT = np.dtype(
         ("time", np.float64, (_KEPT,)),
         ("state", np.float64, (_KEPT, _WIDTH)),
         ("faults", np.float64, (len(FAULTS),)),
+        ("capacitance_noise", np.float64),
+        ("wrench_noise", np.float64, (6,)),
     ]
 )
 
@@ -163,6 +114,10 @@ class World:
         self._clock = SteadyClock()
         self._segment = _Segment(0.0, 0.0, np.zeros(_WIDTH), np.zeros(_WIDTH))
         self.faults = FaultSwitches(shared["faults"][0])
+        # noise of the converters, white, to be set in place: of a conversion, shape (1,) [pF]; of
+        # a wrench [M; F] in a mean over one second, shape (6,) [N m, N]
+        self.capacitance_noise = shared["capacitance_noise"]
+        self.wrench_noise = shared["wrench_noise"][0]
 
     @property
     def port(self) -> int:
@@ -234,36 +189,3 @@ class World:
                 rate = (self._state[later] - state) / (end - start)
             if before % 2 == 0 and before == self._changes[0]:
                 return _Segment(start, end, state, rate)
-
-
-class SimulatedLines:
-    """The `Lines` of `drivers.gpio.GpioTrigger`, with a wire between them: the edge comes by it."""
-
-    def __init__(
-        self,
-        faults: Mapping[str, float],
-    ) -> None:
-        self._faults = faults
-        self._active = False
-        self._edges: list[float] = []
-
-    def set(self, line: int, active: bool) -> None:
-        """Set the output line."""
-        rising, self._active = active and not self._active, active
-        if rising and not self._faults["trigger.missing"]:
-            self._edges.append(clocks.monotonic() + _DELAY + self._faults["trigger.late"])
-
-    def edges(self, within: float) -> list[float]:
-        """Rising edges that have come, or come within a time [s]."""
-        deadline = clocks.monotonic() + within
-        if self._edges and (due := min(self._edges)) <= deadline:
-            clocks.sleep(max(0.0, due - clocks.monotonic()))
-        elif within > 0.0:
-            clocks.sleep(within)
-        now = clocks.monotonic()
-        come = [edge for edge in self._edges if edge <= now]
-        self._edges = [edge for edge in self._edges if edge > now]
-        return come
-
-    def close(self) -> None:
-        """Nothing is held."""

@@ -118,13 +118,13 @@ _Scanned = Annotated[float, Meta(ge=-1e6, le=1e6)]  # in the scan's unit
 _Metres = Annotated[float, Meta(ge=-10.0, le=10.0)]
 
 
-class _Landmark(Document):
+class _PickedLandmark(Document):
     scan: tuple[_Scanned, _Scanned, _Scanned]
     load_cell: tuple[_Metres, _Metres, _Metres]
 
 
-class _Landmarks(Document):
-    landmarks: dict[str, _Landmark]
+class _PickedLandmarks(Document):
+    landmarks: dict[str, _PickedLandmark]
 
 
 def place_by_landmarks(path: Path, scale: float) -> Placement:
@@ -133,7 +133,7 @@ def place_by_landmarks(path: Path, scale: float) -> Placement:
     The file holds, below the key `landmarks`, for each by name: `scan` (in the scan's unit) and
     `load_cell` [m].
     """
-    landmarks = read_document(path, _Landmarks).landmarks
+    landmarks = read_document(path, _PickedLandmarks).landmarks
     scan, load_cell = (
         np.array([getattr(each, frame) for each in landmarks.values()]).reshape(-1, 3)
         for frame in ("scan", "load_cell")

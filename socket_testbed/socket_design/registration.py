@@ -22,7 +22,7 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta
 
-from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray, rms
 from socket_testbed.documents import Document, FieldError, Text, read_document
 from socket_testbed.errors import ConfigurationError, RegistrationError
 from socket_testbed.geometry.axis import socket_axis
@@ -37,7 +37,6 @@ from socket_testbed.geometry.marker_bodies import (
     fit_rigid,
     misfit,
     pose_uncertainty,
-    root_mean_square,
 )
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
@@ -84,7 +83,7 @@ class _Bodies(Document):
                 raise FieldError(f"{body} names a marker twice", "name each marker once")
 
 
-class _Landmarks(Document):
+class _LandmarkFile(Document):
     bodies: _Bodies
     load_cell: _Coordinates
     limb: _Coordinates
@@ -110,7 +109,7 @@ class Side:
 
 def read_landmarks(path: Path) -> tuple[Side, Side]:
     """Read LANDMARKS.yaml: the sides of the socket and of the limb."""
-    document = read_document(path, _Landmarks)
+    document = read_document(path, _LandmarkFile)
     sides, named = [], list[set[str]]()
     for body, frame in (("socket", "load_cell"), ("pylon", "limb")):
         given, landmarks = getattr(document.bodies, body), getattr(document, frame)
@@ -148,7 +147,7 @@ class LandmarkFit:
     @property
     def rms(self) -> float:
         """Root-mean-square residual [m]."""
-        return float(root_mean_square(self.residual))
+        return rms(self.residual)
 
 
 def register_landmarks(
@@ -270,7 +269,7 @@ def average_still(
         )
     positions = positions[used]
     mean, third = positions.mean(axis=0), len(positions) // 3
-    spread = root_mean_square(np.linalg.norm(positions - mean, axis=2), axis=0)
+    spread = np.sqrt(((positions - mean) ** 2).sum(axis=2).mean(axis=0))
     moved = positions[-third:].mean(axis=0) - positions[:third].mean(axis=0)
     drift = np.linalg.norm(moved, axis=1)
     blocks = np.array([block.mean(axis=0) for block in np.array_split(positions, _BLOCKS)])

@@ -4,44 +4,11 @@ import dataclasses
 import itertools
 
 import numpy as np
-from support.benches import (
-    FULL_SCALE,
-    bench_of,
-    exact_bench,
-    load_path,
-    nominal,
-    sensor_bench,
-)
+from support.benches import FULL_SCALE, bench_of, exact_bench, load_path, nominal, sensor_bench
 from support.wording import refused
 
+from socket_testbed.calibration import calibrate, drift, fit
 from socket_testbed.calibration.bench_data import BenchData, join_benches
-from socket_testbed.calibration.calibrate import (
-    Groups,
-    calibrate_bench,
-    choose_groups,
-    cross_validate,
-    half_widths,
-    quality_figures,
-    stress_errors,
-)
-from socket_testbed.calibration.drift import (
-    DRIFT_LIMIT,
-    Baseline,
-    average_baseline,
-    correct_bench,
-    correct_drift,
-    cycle_ids,
-    find_branches,
-    measure_drift,
-)
-from socket_testbed.calibration.fit import (
-    check_excitation,
-    find_outliers,
-    find_wiring,
-    fit_cluster,
-    fit_polynomials,
-    predict_stress,
-)
 from socket_testbed.calibration.model import channel_features
 from socket_testbed.errors import CalibrationError
 from socket_testbed.samples import Status
@@ -57,24 +24,18 @@ def test_the_coefficients_of_exact_data_are_recovered():
     far = rng.uniform(-0.1, 0.1, (500, 4)) + np.array([5.0, 10.0, 5.0, 10.0])
     for name, channels, rtol in (("brim_lateral", near, 1e-9), ("distal", far, 1e-6)):
         cluster = nominal(name)
-        stress = predict_stress(cluster, channels[:, np.argsort(cluster.wiring)])
-        normal, shear = fit_polynomials(channels, stress)
+        stress = fit.predict_stress(cluster, channels[:, np.argsort(cluster.wiring)])
+        normal, shear = fit.fit_polynomials(channels, stress)
         np.testing.assert_allclose(normal, cluster.normal, rtol=rtol)
         np.testing.assert_allclose(shear, cluster.shear, rtol=rtol)
-    bench = exact_bench()
+    channels, stress = sensor_bench(play=0.05).capacitance[:, WIRING], load_path()
+    normal, shear = fit.fit_polynomials(channels, stress)  # by least squares where it is not exact
+    mean, x, y = channel_features(channels)
+    np.testing.assert_allclose(normal, np.polyfit(mean, stress[:, 0], 1)[::-1], rtol=1e-9)
+    terms = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+    np.testing.assert_allclose(shear.T, np.linalg.lstsq(terms, stress[:, 1:])[0], rtol=1e-7)
     with refused(CalibrationError, "always go together", "input of its own"):
-        fit_polynomials(bench.capacitance[:, [0, 0, 2, 2]], bench.stress)
-
-
-def test_the_residual_is_orthogonal_to_every_term():
-    bench = sensor_bench(play=0.05)
-    found = fit_cluster(bench.capacitance, bench.stress, WIRING, ALL)
-    residual = (predict_stress(found, bench.capacitance) - bench.stress) / FULL_SCALE
-    mean, x, y = channel_features(bench.capacitance[:, WIRING])
-    for term, axes in ((mean, [0]), (x, [1, 2]), (y, [1, 2]), (x * y, [1, 2]), (x * x, [1, 2])):
-        correlation = term @ residual[:, axes] / np.linalg.norm(term)
-        np.testing.assert_allclose(correlation, 0.0, atol=1e-10 * len(bench))
-    np.testing.assert_allclose(residual.mean(axis=0), 0.0, atol=1e-12)
+        fit.fit_polynomials(channels[:, [0, 0, 2, 2]], stress)
 
 
 def test_the_range_is_that_of_both_differences():
@@ -82,18 +43,12 @@ def test_the_range_is_that_of_both_differences():
     mean, x, y = channel_features(bench.capacitance[:, WIRING])
     some = mean < np.median(mean)
     for rows in (ALL, some):
-        found = fit_cluster(bench.capacitance, bench.stress, WIRING, rows)
+        found = fit.fit_cluster(bench.capacitance, bench.stress, WIRING, rows)
         np.testing.assert_array_equal(found.mean_range, [mean[rows].min(), mean[rows].max()])
         both = [max(x[rows].min(), y[rows].min()), min(x[rows].max(), y[rows].max())]
         np.testing.assert_array_equal(found.difference_range, both)
     _, status = found.apply(bench.capacitance, np.zeros(bench.capacitance.shape, dtype=np.uint8))
     assert (status[~some] == Status.OUT_OF_RANGE).all()
-
-
-def with_column(axis: int, values: np.ndarray) -> np.ndarray:
-    stress = load_path()
-    stress[:, axis] = values
-    return stress
 
 
 def test_the_stress_that_is_missing_is_named():
@@ -102,34 +57,32 @@ def test_the_stress_that_is_missing_is_named():
     crossed = np.concatenate([np.outer(ramp, FULL_SCALE * direction) for direction in directions])
     noise = np.random.default_rng(5).normal(0.0, 0.005, (250, 3)) * FULL_SCALE
     path = load_path()
+    n, x, y = path.T
     for stress, *named in (
         (path[:29], "29 readings are too few", "several"),
-        (with_column(0, 5e3), "normal spans only 0 Pa", "apply normal"),
         (path / 1e3, "normal spans only 60 Pa", "--units normal=UNIT"),
-        (with_column(0, path[:, 1] * 2 + 30e3), "normal always goes with", "stay as"),
-        (with_column(2, 0.5 * path[:, 1]), "shear_x always goes with", "stay as"),
-        (with_column(1, (path[:, 1] > 1e3) * 1e4), "shear_x takes too few values", "three"),
+        (np.column_stack([n, 0.5 * y, y]), "shear_x always goes with", "stay as"),
+        (np.column_stack([n, (x > 1e3) * 1e4, y]), "shear_x takes too few values", "three"),
         (crossed + noise, "shear_x and shear_y are never applied together", "together"),
     ):
         with refused(CalibrationError, "bench.csv: ", *named):
-            check_excitation(stress, "bench.csv")
-    check_excitation(with_column(1, np.sign(path[:, 1]) * 1e4), "bench.csv")
+            fit.check_excitation(stress, "bench.csv")
     path[40] = [2e6, -9e5, 9e5]  # a spike
-    check_excitation(path, "bench.csv")
+    fit.check_excitation(path, "bench.csv")
 
 
 def test_every_wiring_is_found():
     channels = sensor_bench(play=0.05).capacitance[:, WIRING]
     channels[7, 2] += 30.0
     for wiring in itertools.permutations(range(4)):
-        assert tuple(find_wiring(channels[:, np.argsort(wiring)], load_path())) == wiring
+        assert tuple(fit.find_wiring(channels[:, np.argsort(wiring)], load_path())) == wiring
 
 
 # --- the quality
 
 
 def calibrated(bench: BenchData, drop_outliers: bool = False):
-    return calibrate_bench(bench, WIRING, True, drop_outliers)
+    return calibrate.calibrate_bench(bench, WIRING, True, drop_outliers)
 
 
 def true_cycles(bench: BenchData, cycles: int = 18) -> np.ndarray:
@@ -141,58 +94,42 @@ def test_cycles_are_the_file_s_own_or_found_in_spite_of_noise_and_a_spike():
     noise = np.random.default_rng(0).normal(0.0, 0.01, bench.stress.shape)
     stress = bench.stress + noise * FULL_SCALE
     stress[70] = [1.9e6, 9e5, 0.0]
-    found = cycle_ids(dataclasses.replace(bench, stress=stress))
+    found = drift.cycle_ids(dataclasses.replace(bench, stress=stress))
     assert (found != true_cycles(bench)).mean() < 0.05 and found.max() == 17
     named = dataclasses.replace(bench, cycle=np.arange(len(bench)) % 4)
-    ids = cycle_ids(join_benches([named, bench]))  # files never share one
+    ids = drift.cycle_ids(join_benches([named, bench]))  # files never share one
     np.testing.assert_array_equal(ids[: len(bench)], named.cycle)
     assert set(ids[len(bench) :]) == set(range(4, 22))
 
 
 def test_groups_are_the_largest_that_can_be_left_out():
     bench = sensor_bench()
-    assert str(choose_groups(join_benches([bench] * 2))) == "36 cycles"
-    assert str(choose_groups(join_benches([bench] * 3))) == "3 files"
+    assert str(calibrate.choose_groups(join_benches([bench] * 2))) == "36 cycles"
+    assert str(calibrate.choose_groups(join_benches([bench] * 3))) == "3 files"
     # Of three files, one alone has shear: no file can be left out, but cycles can.
     plain = bench.stress[:, 1:].any(axis=1)
     parts = [bench, bench[~plain], bench[~plain]]
-    assert choose_groups(join_benches(parts)).unit == "cycle"
-    rise = np.linspace(0.0, 1.0, 400)  # of a load that goes round and round, but never down
-    angle, radius = 6.0 * np.pi * rise, 0.5 + 0.5 * rise
-    spiral = np.column_stack([rise, radius * np.cos(angle), radius * np.sin(angle)])
-    found = choose_groups(bench_of(np.ones((400, 4)), spiral * FULL_SCALE))
-    assert str(found) == "10 blocks"
-    assert [rows.tolist() for rows in found.rows] == np.arange(400).reshape(10, 40).tolist()
+    assert calibrate.choose_groups(join_benches(parts)).unit == "cycle"
     with refused(CalibrationError, "without the cycle that starts at bench.csv line", "repeat"):
-        choose_groups(sensor_bench(directions=4, repeats=1))
+        calibrate.choose_groups(sensor_bench(directions=4, repeats=1))
 
 
 def test_each_group_is_predicted_by_a_fit_to_the_others():
     bench = sensor_bench(play=0.05)
-    groups = Groups("cycle", true_cycles(bench))
-    found = cross_validate(bench.capacitance[:, WIRING], bench.stress, groups)
+    groups = calibrate.Groups("cycle", true_cycles(bench))
+    found = calibrate.cross_validate(bench.capacitance[:, WIRING], bench.stress, groups)
     for group in (0, 7, 17):
         held = groups.ids == group
-        other = fit_cluster(bench.capacitance[~held], bench.stress[~held], WIRING, ALL[~held])
-        np.testing.assert_allclose(found.normal[group], other.normal, rtol=1e-9)
+        other = fit.fit_cluster(bench.capacitance[~held], bench.stress[~held], WIRING, ALL[~held])
         np.testing.assert_allclose(found.shear[group], other.shear, rtol=1e-7)
-        expected = predict_stress(other, bench.capacitance[held])
+        expected = fit.predict_stress(other, bench.capacitance[held])
         np.testing.assert_allclose(found.predicted[held], expected, rtol=1e-8, atol=1e-6)
-
-
-def test_errors_are_those_of_their_definitions():
-    known = np.array([[0.0, 1.0, -4.0], [2.0, -1.0, 4.0]])
-    errors = stress_errors(known, known + np.array([[1.0], [-3.0]]), np.array([2.0, 1.0, 4.0]))
-    root = np.sqrt(5.0)
-    expected = [(root, 2.0, -4.0, 50 * root), (root, 2.0, -4.0, 100 * root)]
-    expected.append((root, 2.0, 1 - 5 / 16, 25 * root))
-    np.testing.assert_allclose(errors, expected)
 
 
 def test_the_intervals_cover_95_percent_even_if_the_errors_of_a_cycle_hang_together():
     cluster, bench = nominal(), exact_bench(steps=10)
     stress, channels = bench.stress, bench.capacitance[:, WIRING]
-    groups = Groups("cycle", np.arange(len(stress)) // 19)
+    groups = calibrate.Groups("cycle", np.arange(len(stress)) // 19)
     for noise_of_cycle in (0.0, 1.0):
         covered = []
         for seed in range(120):
@@ -200,12 +137,11 @@ def test_the_intervals_cover_95_percent_even_if_the_errors_of_a_cycle_hang_toget
             errors = rng.normal(size=stress.shape)
             errors += noise_of_cycle * rng.normal(size=(len(groups), 3))[groups.ids]
             known = stress + 0.005 * FULL_SCALE * errors
-            normal, shear = fit_polynomials(channels, known)
-            checked = cross_validate(channels, known, groups)
-            covered += [
-                *(np.abs(normal - cluster.normal) <= half_widths(normal, checked.normal)),
-                *(np.abs(shear - cluster.shear) <= half_widths(shear, checked.shear)).ravel(),
-            ]
+            normal, shear = fit.fit_polynomials(channels, known)
+            checked = calibrate.cross_validate(channels, known, groups)
+            for name, found in (("normal", normal), ("shear", shear)):
+                width = calibrate.half_widths(found, getattr(checked, name))
+                covered += (np.abs(found - getattr(cluster, name)) <= width).ravel().tolist()
         assert 0.93 < np.mean(covered) < 0.98
 
 
@@ -214,30 +150,24 @@ def test_play_of_some_width_is_found_as_hysteresis_of_that_width():
         found = calibrated(sensor_bench(play=play))
         np.testing.assert_allclose(found.figures["hysteresis"], 100.0 * play, atol=0.7)
     assert (calibrated(sensor_bench()).figures["hysteresis"] < 0.6).all()  # that of the noise
-    # A branch leaves out where a stress dwells; a stress that only rises has no hysteresis.
+    # A branch leaves out where a stress dwells.
     ramp = np.concatenate([np.zeros(30), np.linspace(0, 1, 20), np.ones(30), np.linspace(1, 0, 20)])
-    bench = bench_of(np.ones((100, 4)), ramp[:, None] * FULL_SCALE)
-    branches = find_branches(bench)
+    branches = drift.find_branches(bench_of(np.ones((100, 4)), ramp[:, None] * FULL_SCALE))
     assert (branches[32:48] == 1).all() and (branches[82:98] == -1).all()
     assert (branches[:30] == 0).all() and (branches[50:80] == 0).all()
-    rows = np.arange(80)
-    found = quality_figures(bench[rows], *np.ones((2, 80, 3)), branches[rows], rows)
-    assert found["hysteresis"].isna().all()
 
 
 def test_repeatability_is_the_spread_between_cycles():
     bench = sensor_bench(repeats=4)
     cycles = true_cycles(bench, 36)
-    branches = find_branches(bench)
+    branches = drift.find_branches(bench)
     variances = []
     for seed in range(20):
         offsets = np.random.default_rng(seed).normal(0.0, 0.02, (36, 3)) * FULL_SCALE
         residuals = [offsets[cycles]] * 2
-        found = quality_figures(bench, *residuals, branches, cycles)["repeatability"]
+        found = calibrate.quality_figures(bench, *residuals, branches, cycles)["repeatability"]
         variances.append(found**2)
     np.testing.assert_allclose(np.sqrt(np.mean(variances, axis=0)), 2.0, rtol=0.1)
-    once = quality_figures(bench, *residuals, branches, np.zeros_like(cycles))
-    assert once["repeatability"].isna().all()
 
 
 def spoil(bench: BenchData, seed: int) -> tuple[BenchData, set[int]]:
@@ -254,17 +184,12 @@ def test_exactly_the_wrong_readings_are_outliers():
     for seed in range(4):
         bench = sensor_bench(seed, play=0.04)
         spoilt, rows = spoil(bench, seed)
-        assert {outlier.row for outlier in find_outliers(spoilt, WIRING)} == rows
+        assert {outlier.row for outlier in fit.find_outliers(spoilt, WIRING)} == rows
         # A block of neighbours that are wrong alike pulls the fit harder.
         capacitance = bench.capacitance.copy()
         capacitance[300:340, 2] += 1.0
-        block = find_outliers(dataclasses.replace(bench, capacitance=capacitance), WIRING)
+        block = fit.find_outliers(dataclasses.replace(bench, capacitance=capacitance), WIRING)
         assert [outlier.row for outlier in block] == [*range(300, 340)]
-    assert block[0].place == "bench.csv line 302"
-    rest = bench[np.zeros(3000, dtype=np.int64)]  # many rows at rest make no load an outlier
-    noise = np.random.default_rng(0).normal(0.0, 0.002, (3000, 4))
-    rest = dataclasses.replace(rest, capacitance=rest.capacitance + noise)
-    assert find_outliers(join_benches([rest, bench]), WIRING) == ()
 
 
 def test_outliers_stay_in_the_fit_but_not_in_its_range_unless_they_are_dropped():
@@ -272,6 +197,9 @@ def test_outliers_stay_in_the_fit_but_not_in_its_range_unless_they_are_dropped()
     clean, (spoilt, rows) = calibrated(bench), spoil(bench, 1)
     kept, dropped = calibrated(spoilt), calibrated(spoilt, drop_outliers=True)
     assert len(kept.bench) == len(dropped.bench) + len(rows)
+    squares = ((clean.fitted - bench.stress) ** 2).mean(axis=0)
+    np.testing.assert_allclose(clean.training["rmse"] ** 2, squares)
+    np.testing.assert_allclose(clean.training["r2"], 1.0 - squares / bench.stress.var(axis=0))
     assert np.ptp(kept.cluster.mean_range) < np.ptp(clean.cluster.mean_range) + 1e-9
     np.testing.assert_array_equal(kept.full_scale, clean.full_scale)
     assert np.abs(kept.cluster.normal / clean.cluster.normal - 1.0).max() > 1e-3
@@ -287,50 +215,32 @@ REST = exact_bench().capacitance[0]
 DRIFT = np.array([0.05, -0.02, 0.08, 0.03])  # [pF] over a run
 
 
-def test_a_baseline_is_the_median_of_the_whole_readings():
-    readings = np.vstack([REST, REST + 9.0, REST, np.where(np.arange(4) == 2, np.nan, 5.0)])
-    np.testing.assert_array_equal(average_baseline(3.0, readings, "x").capacitance, REST)
-    with refused(CalibrationError, "before.csv: 2 complete readings are too few"):
-        average_baseline(0.0, readings[1:], "before.csv")
-
-
 def test_the_drift_in_stress_is_that_of_the_calibration_and_flagged_above_the_limit():
     """A common drift is read as normal stress by the gain; none of it as shear."""
-    for part, flagged in ((0.95, False), (-0.95, False), (1.05, True)):
-        shift = part * DRIFT_LIMIT / nominal().normal[1]
-        drift = measure_drift(nominal(), Baseline(0.0, REST), Baseline(9.0, REST + shift))
-        np.testing.assert_allclose(drift.capacitance, shift, rtol=1e-9)
-        np.testing.assert_allclose(drift.stress, [part * DRIFT_LIMIT, 0, 0], atol=1e-6)
-        assert drift.flagged is flagged
+    for part, flagged in ((-0.95, False), (1.05, True)):
+        shift = part * drift.DRIFT_LIMIT / nominal().normal[1]
+        before, after = drift.Baseline(0.0, REST), drift.Baseline(9.0, REST + shift)
+        found = drift.measure_drift(nominal(), before, after)
+        np.testing.assert_allclose(found.capacitance, shift, rtol=1e-9)
+        np.testing.assert_allclose(found.stress, [part * drift.DRIFT_LIMIT, 0, 0], atol=1e-6)
+        assert found.flagged is flagged
 
 
 def test_a_linear_drift_is_taken_off_between_the_baselines_and_stays_outside_of_them():
     time = np.linspace(-3.0, 22.0, 101)
-    true = exact_bench().capacitance[:101].copy()
-    true[7, 3] = np.nan
+    true = exact_bench().capacitance[:101]
     drifted = true + np.outer(np.clip((time - 2.0) / 10.0, 0.0, 1.0), DRIFT)
     # Mounted with an offset, it drifts from there.
     for mounted in (np.zeros(4), np.array([0.2, -0.1, 0.1, 0.3])):
-        before, after = Baseline(2.0, REST + mounted), Baseline(12.0, REST + mounted + DRIFT)
-        found = correct_drift(drifted + mounted, time, before, after, reference=REST)
+        rest = REST + mounted
+        before, after = drift.Baseline(2.0, rest), drift.Baseline(12.0, rest + DRIFT)
+        found = drift.correct_drift(drifted + mounted, time, before, after, reference=REST)
         np.testing.assert_allclose(found, true, atol=1e-12)
-        found = correct_drift(drifted + mounted, time, before, after)
+        found = drift.correct_drift(drifted + mounted, time, before, after)
         np.testing.assert_allclose(found, true + mounted, atol=1e-12)
-    # A single baseline corrects to that of the calibration, if there is one.
-    alone = Baseline(0.0, REST + DRIFT)
-    np.testing.assert_array_equal(correct_drift(true, time, alone), true)
-    found = correct_drift(true + DRIFT, time, alone, reference=REST)
+    # A single baseline corrects to that of the calibration.
+    alone = drift.Baseline(0.0, REST + DRIFT)
+    found = drift.correct_drift(true + DRIFT, time, alone, reference=REST)
     np.testing.assert_allclose(found, true, atol=1e-12)
     with refused(CalibrationError, "not later", "before first"):
-        correct_drift(true, time, before, before)
-
-
-def test_drift_over_several_files_or_without_time_is_refused():
-    bench = bench_of(np.full((9, 4), 6.0), np.zeros((9, 3)))
-    timeless = dataclasses.replace(bench, time=np.full(9, np.nan))
-    for wrong, named in (
-        (join_benches([bench, bench]), ("2 bench files cannot share", "the one file")),
-        (timeless, ("bench.csv: has no time", "time [s]")),
-    ):
-        with refused(CalibrationError, *named):
-            correct_bench(wrong, Baseline(0.0, REST), Baseline(0.8, REST + DRIFT))
+        drift.correct_drift(true, time, before, before)

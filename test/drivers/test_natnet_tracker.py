@@ -4,9 +4,8 @@ import itertools
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 from support.natnet import NAMES, TRIADS, markers_at, pose_at
-from support.wording import check_line
 
 from socket_testbed import clocks
 from socket_testbed.drivers.natnet.messages import LabelledMarker, MocapFrame, RigidBodyDefinition
@@ -41,16 +40,14 @@ def steady(body, moment):
 
 
 def frame_at(
-    moment, swapped=(), labels=None, lies=(), wrong=0.0, references=TRIADS, pose=pose_at, ids=IDS,
+    moment, swapped=(), labels=slice(None), wrong=0.0, references=TRIADS, pose=pose_at, ids=IDS,
     hidden=(), gone=(),
 ) -> MocapFrame:  # fmt: skip
     """A frame of the true motion; `swapped` names (body, label, label), others (body, label)."""
-    placed = [markers_at(body, moment, references, pose) + wrong for body in range(2)]
-    if labels is not None:
-        placed = [places[list(labels)] for places in placed]
+    placed = [(markers_at(body, moment, references, pose) + wrong)[labels] for body in range(2)]
     for body, a, b in swapped:
         placed[body][[a, b]] = placed[body][[b, a]]
-    for body, label in lies:
+    for body, label in hidden:
         placed[body][label] = 0.0
     markers = [LabelledMarker(0, 77, (1.0, 1.0, 1.0), True)]
     for body, places in enumerate(placed):
@@ -94,7 +91,6 @@ def errors_of(
 
 
 def assert_right(tracker: BodyTracker, moment: float, within: float = 5e-5) -> None:
-    """Both bodies have their pose, and their markers are in place."""
     for body, found in enumerate(tracker.sample(moment)):
         assert found.fault == ""
         assert max(errors_of(found, body, moment)) < within
@@ -111,36 +107,30 @@ def assert_no_pose(found: SeenBody, fault: str) -> None:
 
 def test_of_more_markers_few_make_a_pose_unless_labels_could_be_exchanged() -> None:
     """Of the first four, the first and the fourth are as far from the third to within 2 mm."""
-    for count, labels, fault in (
-        (4, (0,), ""),
-        (8, (0, 7), ""),
-        (4, (1,), "marker 2 of rigid body 'socket' is occluded, and the others do not make its"),
-        (5, (0, 1, 3), "marker 1, 2, 4 of rigid body 'socket' is occluded"),
-    ):
+    for count, labels in ((8, (0, 7)), (4, (1,))):
         references, hidden = (EIGHT[:count], TRIADS[1]), [(0, label) for label in labels]
         tracker = tracker_of(
             frames(), references=references, hidden=lambda _, hidden=hidden: hidden
         )
         socket, pylon = tracker.sample(9.3 * PERIOD, 10.0 * PERIOD)
         assert max(errors_of(pylon, 1, 9.3 * PERIOD)) < 3e-4
-        if fault:
-            assert_no_pose(socket, fault)
+        if labels == (1,):
+            assert_no_pose(socket, "marker 2 of rigid body 'socket' is occluded, and the others")
         else:
             assert max(errors_of(socket, 0, 9.3 * PERIOD, references)) < 3e-4
             assert seen(socket) == [k not in labels for k in range(count)]
 
 
 def test_frames_without_a_pose_are_bridged_over_the_largest_gap_at_most():
-    for first, last in ((9, 9), (10, 10), (9, 10)):
-        hidden = [((0, 2),) if first <= i <= last else () for i in range(20)]
-        assert_right(tracker_of(frames(), hidden=hidden.__getitem__), 9.5 * PERIOD, 1e-4)
+    hidden = [((0, 2),) if i in (9, 10) else () for i in range(20)]
+    assert_right(tracker_of(frames(), hidden=hidden.__getitem__), 9.5 * PERIOD, 1e-4)
     short = MocapSettings(stale=1.5 * PERIOD)
     tracker = tracker_of(frames(), short, hidden=lambda i: ((0, 2),) if i == 9 else ())
-    socket, pylon = tracker.sample(9.5 * PERIOD)
+    socket, _ = tracker.sample(9.5 * PERIOD)
     assert_no_pose(socket, "marker 3 of rigid body 'socket' is occluded")
-    assert seen(socket) == [True, True, False] and not pylon.fault
+    assert seen(socket) == [True, True, False]
     tracker = tracker_of(np.concatenate([frames(10), frames(10, 0.2)]))
-    for trigger in (0.1, 0.199, -0.01, 0.25):
+    for trigger in (0.1, -0.01, 0.25):
         for found in tracker.sample(trigger):
             assert_no_pose(found, "no two frames within 0.05 s")
             assert np.isnan(found.markers).all()
@@ -148,56 +138,28 @@ def test_frames_without_a_pose_are_bridged_over_the_largest_gap_at_most():
     tracker = tracker_of(frames(500))  # kept for a second
     assert_no_pose(tracker.sample(200.5 * PERIOD)[0], "no two frames")
     assert_right(tracker, 400.5 * PERIOD)
-    assert len(tracker._bodies[0]._frames) < 250
-
-
-def test_of_a_lasting_occlusion_the_other_markers_keep_their_places_or_are_missing():
-    """By the order of the labels in the fits before it, if their distances agree."""
-    labels, hidden = (2, 0, 1), ((0, 0), (0, 1))
-    tracker = tracker_of(
-        frames(200), labels=lambda _: labels, hidden=lambda i: hidden if i >= 10 else ()
-    )
-    socket, _ = tracker.sample(190.5 * PERIOD)
-    assert seen(socket) == [False, True, False]
-    assert errors_of(socket, 0, 190.5 * PERIOD)[2] < 1e-5
-    alone = tracker_of(frames(200), labels=lambda _: labels, hidden=lambda _: hidden)
-    assert not any(seen(alone.sample(190.5 * PERIOD)[0]))
-    swapped = tracker_of(
-        frames(),
-        labels=lambda _: (1, 0, 2),
-        swapped=lambda i: ((0, 0, 2),) if i > 5 else (),
-        hidden=lambda i: ((0, 0),) if i > 5 else (),
-    )
-    assert not any(seen(swapped.sample(8.5 * PERIOD)[0]))
 
 
 def test_unknown_bodies_and_another_triad_are_reported():
     four = (TRIADS[0], EIGHT[:4])
     for models, text in (
-        (None, "has not sent its rigid bodies yet"),
         (models_of("socket", "A"), "no rigid body 'pylon' (there are: A, socket): name it so"),
-        ({}, "(there are: none): name it so there, or set pylon_body"),
         (models_of(*NAMES, references=four), "rigid body 'pylon' has 4 markers in Motive, and 3"),
     ):
         tracker = tracker_of(frames(), models=models)
         assert tracker.ready(5.5 * PERIOD)
-        _, pylon = tracker.sample(5.5 * PERIOD)
-        assert_no_pose(pylon, text)
-        assert not any(seen(pylon))
+        assert_no_pose(tracker.sample(5.5 * PERIOD)[1], text)
     tracker = BodyTracker(SETTINGS, 1.2 * TRIADS[0], TRIADS[1])
     for moment in frames():
         tracker.add(frame_at(moment), moment, MODELS)
-    socket, pylon = tracker.sample(5.5 * PERIOD)
-    check_line(socket.fault, "do not fit its triad: check the geometry")
-    assert_no_pose(socket, "")
+    socket, _ = tracker.sample(5.5 * PERIOD)
+    assert_no_pose(socket, "do not fit its triad: check the geometry")
     assert errors_of(socket, 0, 5.5 * PERIOD)[2] < 1e-5  # its markers are kept
-    assert pylon.fault == ""
 
 
 def test_ready_means_that_no_later_frame_makes_it_better():
     tracker = tracker_of(frames(10))
-    assert tracker.ready(8.5 * PERIOD) and tracker.ready(9.0 * PERIOD)
-    assert not tracker.ready(9.1 * PERIOD)
+    assert tracker.ready(9.0 * PERIOD) and not tracker.ready(9.1 * PERIOD)
     occluded = tracker_of(frames(10), hidden=lambda i: ((1, 1),) if i >= 9 else ())
     assert not occluded.ready(8.5 * PERIOD)  # the next frame may show the marker
     occluded.add(frame_at(10 * PERIOD), 10 * PERIOD, MODELS)
@@ -208,7 +170,6 @@ def test_ready_means_that_no_later_frame_makes_it_better():
     assert not tracker.wait(10.2 * PERIOD, clocks.monotonic(), 20.0 * PERIOD)
     tracker.add(frame_at(20 * PERIOD), 20 * PERIOD, MODELS)
     assert tracker.wait(10.2 * PERIOD, clocks.monotonic(), 20.0 * PERIOD)
-    assert not BodyTracker(SETTINGS, *TRIADS).ready(0.0, 0.25)
 
 
 def fitted(markers) -> tuple[np.ndarray, list[Rotation]]:
@@ -232,12 +193,14 @@ def test_the_pose_is_the_mean_of_the_frames_in_the_window_and_markers_are_at_the
     quaternions = np.array([rotation.as_quat() for rotation in rotations])
     mean = Rotation.from_quat(np.linalg.eigh(quaternions.T @ quaternions)[1][:, -1])
     assert (Rotation.from_quat(socket.quaternion).inv() * mean).magnitude() < 1e-8
-    np.testing.assert_array_equal(socket.markers, tracker.sample(0.0)[0].markers)
+    between = tracker.sample(0.0, 0.002)[0]  # of a frame or none in the window
+    np.testing.assert_array_equal(socket.markers, between.markers)
+    assert between.frames == 2
 
 
 def test_a_mean_does_not_lag_behind_a_steady_motion():
     """Wherever the trigger is between frames, and whichever are missing or without a pose."""
-    for share in (1.0, 0.7, 0.5):
+    for share in (1.0, 0.5):
         rng = np.random.default_rng(round(10 * share))
         times = np.arange(-0.3, 0.3, PERIOD)
         tracker = tracker_of(times[rng.random(len(times)) < share], pose=steady)
@@ -245,36 +208,17 @@ def test_a_mean_does_not_lag_behind_a_steady_motion():
             for body, found in enumerate(tracker.sample(trigger, window)):
                 if not found.fault:
                     assert max(errors_of(found, body, trigger, pose=steady)[:2]) < 1e-7
-    times = PERIOD * np.arange(-60, 60)
-    late = [((0, 1),) if time > 2.5 * PERIOD else () for time in times]
-    tracker = tracker_of(times, pose=steady, hidden=late.__getitem__)
-    socket, pylon = tracker.sample(0.4 * PERIOD, 0.25)
-    assert (socket.frames, pylon.frames, socket.fault) == (32, 60, "")
-    assert max(errors_of(socket, 0, 0.4 * PERIOD, pose=steady)[:2]) < 1e-7
     # All frames around the trigger are occluded: there is no pose, though the window has frames.
+    times = PERIOD * np.arange(-60, 60)
     around = [((0, 1),) if abs(time) < 0.04 else () for time in times]
     tracker = tracker_of(times, pose=steady, hidden=around.__getitem__)
     assert_no_pose(tracker.sample(0.0, 0.25)[0], "marker 2 of rigid body 'socket' is occluded")
 
 
-def test_with_a_frame_or_none_in_the_window_the_pose_is_interpolated():
-    noise = np.random.default_rng(0).normal(0.0, 1e-4, (11, 3, 3))
-    times = PERIOD * np.arange(-5, 6)
-    tracker = tracker_of(times, pose=steady, wrong=noise.__getitem__)
-    nearest = [markers_at(0, times[k], pose=steady) + noise[k] for k in (5, 6)]
-    positions, rotations = fitted(np.array(nearest))
-    between = Slerp([0.0, 1.0], Rotation.concatenate(rotations))(0.2)
-    for window in (0.0, 0.5 * PERIOD, 1.9 * PERIOD):
-        socket, _ = tracker.sample(0.2 * PERIOD, window)
-        np.testing.assert_allclose(socket.position, [0.8, 0.2] @ positions, atol=1e-12)
-        assert (Rotation.from_quat(socket.quaternion).inv() * between).magnitude() < 1e-7
-        assert socket.frames == 2
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_whatever_happens_to_the_frames_a_pose_is_right_or_missing(seed):
     rng = np.random.default_rng(seed)
-    labels = tuple(rng.permutation(3))
+    labels = rng.permutation(3)
     tracker = BodyTracker(SETTINGS, *TRIADS)
     pairs = [(body, label) for body in range(2) for label in range(3)]
     moment = 10.0 * seed
@@ -290,8 +234,8 @@ def test_whatever_happens_to_the_frames_a_pose_is_right_or_missing(seed):
         hidden = [pair for pair in pairs if rng.random() < 0.08]
         gone = [pair for pair in pairs if rng.random() < 0.015]
         frame = frame_at(
-            moment, swapped, labels, lies=hidden, wrong=rng.normal(0.0, 1e-5, (3, 3)),
-            hidden=hidden, gone=gone, ids=ids,
+            moment, swapped, labels, wrong=rng.normal(0.0, 1e-5, (3, 3)), hidden=hidden, gone=gone,
+            ids=ids,
         )  # fmt: skip
         models = models_of(*(NAMES if ids == IDS else NAMES[::-1]))
         tracker.add(frame, moment, models if rng.random() > 0.02 else None)

@@ -1,4 +1,4 @@
-"""Poses, and the socket: from two marker bodies to q, from stresses to forces, and its file."""
+"""Poses, and the socket: its bodies, forces, file, axis and regions."""
 
 import dataclasses
 
@@ -7,16 +7,19 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 from support.damage import changed
-from support.problems import random_pose, random_socket
+from support.problems import random_pose, random_socket, ring_socket
 from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.geometry.pose import Pose
-from socket_testbed.geometry.socket import (
-    ScanFrame,
-    read_socket,
-    write_socket,
+from socket_testbed.files import packaged
+from socket_testbed.geometry.axis import (
+    all_regions,
+    anatomical_regions,
+    proximal_direction,
+    socket_axis,
 )
+from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.socket import HEIGHTS, ScanFrame, read_socket, write_socket
 
 
 @pytest.fixture
@@ -120,31 +123,15 @@ def test_a_socket_survives_its_file(rng, tmp_path):
     np.testing.assert_allclose(found.scan.points(picked), expected, atol=1e-8)
 
 
-def test_tiles_may_be_numbered_and_pairs_of_neighbours_given_twice(rng, tmp_path):
-    geometry, path = random_socket(rng), tmp_path / "socket.yaml"
-    document, pairs = geometry.to_document(), geometry.neighbours.tolist()
-    document["tiles"] = dict(enumerate(document["tiles"].values()))
-    document["neighbours"] = [*pairs, *(pair[::-1] for pair in pairs)]
-    document["clusters"] = geometry.clusters
-    path.write_text(yaml.safe_dump(document))
-    found = read_socket(path)
-    assert found.names == tuple(str(i) for i in range(len(geometry)))
-    np.testing.assert_array_equal(found.neighbours, geometry.neighbours)
-
-
 LEFT_HANDED = np.diag([1.0, 1.0, -1.0]).tolist()
 LINE = [[0.0, 0.0, 0.0], [0.05, 0.0, 0.0], [0.1, 0.0, 0.0]]
 TILE = ("tiles", "tile_0_1")
 BAD = [
     ((*TILE, "frame"), LEFT_HANDED, "tile_0_1: frame is not a right-handed orthonormal"),
     ((*TILE, "anchor"), [0.0, 0.0, 120.0], "anchor[2] is 120.0: give a number from -2 to 2"),
-    (("neighbours",), [["tile_0_0", "tile_0_9"]], "no tile 'tile_0_9': did you mean 'tile_0_"),
-    (("neighbours",), [["tile_0_0", "tile_0_0"]], "give two different tiles"),
     (("clusters", "cluster_0"), "tile_0_x", "cluster_0: no tile 'tile_0_x': did you mean"),
     (("clusters",), {"a": "tile_0_0", "b": "tile_0_0"}, "on 'tile_0_0': give each its own tile"),
     (("bodies", "socket", "markers"), LINE, "the markers are on one line"),
-    (("regions",), {"heel": []}, "regions: heel has no tiles"),
-    (("regions",), {"heel": ["tile_0_0", "tile_0_0"]}, "holds a tile twice"),
     (("regions",), {"socket": ["tile_0_0"]}, "name of a standard region"),
 ]
 
@@ -155,3 +142,53 @@ def test_a_socket_that_cannot_be_is_refused(rng, tmp_path):
         path.write_text(yaml.safe_dump(changed(document, place, value)))
         with refused(ConfigurationError, str(path), error):
             read_socket(path)
+
+
+# --- the axis, where a tile is in height and angle, and the regions about it
+
+RINGS, PACKAGED = ring_socket(), read_socket(packaged("config", "socket.yaml"))
+
+
+def test_tiles_in_rings_are_at_their_heights_and_angles_however_the_socket_stands():
+    axis = socket_axis(RINGS)
+    np.testing.assert_allclose(axis.proximal, [0.0, 0.0, 1.0], atol=0.03)
+    anchors = RINGS.anchors[[name.startswith("ring") for name in RINGS.names]]
+    expected = np.arctan2(anchors[:, 1], anchors[:, 0])
+    turned = (axis.angles(anchors) - expected + np.pi) % (2.0 * np.pi) - np.pi
+    np.testing.assert_allclose(turned, 0.0, atol=np.radians(4.0))
+    heights = anchors[:, 2] - RINGS.anchors[:, 2].min()
+    np.testing.assert_allclose(axis.heights(anchors), heights, atol=0.003)
+    np.testing.assert_allclose(axis.radii(anchors), np.hypot(*anchors[:, :2].T), atol=0.004)
+
+    turn = Rotation.from_euler("xyz", [50.0, -70.0, 120.0], degrees=True).as_matrix()
+    turned = dataclasses.replace(
+        RINGS, rotations=turn @ RINGS.rotations, anchors=RINGS.anchors @ turn.T
+    )
+    np.testing.assert_allclose(proximal_direction(turned), turn @ axis.proximal, atol=1e-12)
+    heights = socket_axis(turned).heights(turned.anchors)
+    np.testing.assert_allclose(heights, axis.heights(RINGS.anchors), atol=1e-12)
+
+
+def test_regions_are_where_their_names_say_and_share_the_tiles_out():
+    for geometry, side in ((PACKAGED, "left"), (PACKAGED, None), (RINGS, "right")):
+        regions = anatomical_regions(geometry, side)
+        for group in (regions[:4], regions[4:7], regions[7:]):  # sectors, heights, both
+            tiles = np.concatenate([region.tiles for region in group])
+            np.testing.assert_array_equal(np.sort(tiles), np.arange(len(geometry)))
+    own = {"fibula head": (3, 5), "patellar tendon": (40,)}
+    geometry = dataclasses.replace(RINGS, regions=own)
+    names = [region.name for region in all_regions(geometry)]
+    assert names[-4:] == ["fibula head", "patellar tendon", "unmeasured wall", "socket"]
+    centre = {r.name: geometry.anchors[r.tiles].mean(axis=0) for r in anatomical_regions(geometry)}
+    assert centre["anterior middle"][0] > 0.03 > -0.03 > centre["posterior middle"][0]
+    assert centre["left middle"][1] > 0.03 > -0.03 > centre["right middle"][1]
+    for sector in ("anterior", "posterior", "left", "right"):
+        heights = [centre[f"{sector} {height}"][2] for height in HEIGHTS]
+        assert heights == sorted(heights, reverse=True)
+    # Medial is left on a right leg, and right on a left leg.
+    left_leg, right_leg, neither = (
+        {r.name: r.tiles.tolist() for r in anatomical_regions(PACKAGED, side)}
+        for side in ("left", "right", None)
+    )
+    assert right_leg["medial"] == left_leg["lateral"] == neither["left"]
+    assert right_leg["lateral"] == left_leg["medial"] == neither["right"]

@@ -4,12 +4,9 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-import pytest
-import qpsolvers
 from support.wording import refused
 
 from socket_testbed.drivers.natnet.connection import TakeKeeper
-from socket_testbed.drivers.natnet.messages import encode_command
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.settings.identification import IdentificationSettings
@@ -19,7 +16,6 @@ from socket_testbed.settings.testbed import (
     TestbedSettings,
     WindowSettings,
     check_take_name,
-    estimator_settings,
     read_testbed,
     write_testbed,
 )
@@ -48,28 +44,12 @@ def test_whatever_means_a_number_is_one_and_a_wrong_value_is_refused_by_its_name
         ("theta", 1.01, "theta is 1.01: give a number from 0 to 1: weight"),
         ("variant", "stifness", "did you mean 'stiffness'"),
         ("leave_out", "Mz", "leave_out is 'Mz': give a list"),
-        ("initial_stiffness", "aut", "is 'aut': give a number from 0"),
         ("reference_position", [1.0], "give x, y and z in m"),
     ):
         with refused(ConfigurationError, error):
             IdentificationSettings(**{name: value})
-    for name, error in (
-        ("auto_fit", "auto_fit is 7: give true or false"),
-        ("identification.tetha", "here: unknown key 'identification.tetha': did you mean 'iden"),
-        ("identification.theta", "here: identification.theta is 7: give a number from 0 to 1"),
-    ):
-        with refused(ConfigurationError, error):
-            EstimatorSettings.from_flat({name: 7}, "here")
-
-
-def test_a_solver_that_is_not_installed_is_refused_where_it_is_set(monkeypatch):
-    with refused(ConfigurationError, "solver 'osqqp' is not installed: did you mean 'osqp'?"):
-        estimator_settings(EstimatorSettings(), solver="osqqp")
-    monkeypatch.setattr(qpsolvers, "available_solvers", ["daqp"])
-    with pytest.raises(ConfigurationError, match=r"'osqp' is not.*runtime\.txt for .*or use.*daqp"):
-        estimator_settings(EstimatorSettings(), solver="osqp")
-    # A trial that was recorded elsewhere can be read all the same.
-    assert estimator_settings(EstimatorSettings()).identification.solver == "osqp"
+    with refused(ConfigurationError, "here: identification.theta is 7: give a number from 0 to 1"):
+        EstimatorSettings.from_flat({"identification.theta": 7}, "here")
 
 
 # --- testbed.yaml
@@ -100,12 +80,9 @@ def test_a_file_of_parameters_gives_the_settings_of_its_nodes_over_those_of_anot
     first = read("trigger_node: {ros__parameters: {rate: 9, pulse: 1e-3}}")
     second = read("trigger_node: {ros__parameters: {rate: 7}}", first)
     assert second.trigger_node == TriggerSettings(rate=7.0)
-    third = read("replay_node: {ros__parameters: {rate: 7}}", first)
-    assert third.trigger_node == first.trigger_node != TriggerSettings()
     known = "estimator_node: {ros__parameters: {identification: "
     for content, error in (
         ("estimater_node: {ros__parameters: {}}", "did you mean 'estimator_node'"),
-        ("estimator_node: {}", "estimator_node: 'ros__parameters' is missing: add"),
         (f"{known}{{tetha: 1}}}}}}", "'identification.tetha': did you mean 'identification.theta'"),
     ):
         with refused(ConfigurationError, str(path), error):
@@ -130,16 +107,13 @@ def test_what_is_written_comes_back_but_for_what_belongs_to_one_run(tmp_path):
 def test_a_name_goes_to_motive_as_it_is_or_is_refused_when_it_is_given(tmp_path: Path):
     for name in ("trial_20261122_101500", "S01 left 2", "Übung-3.b", "歩行"):
         assert check_take_name(name) == name
-        assert encode_command(f"SetRecordTakeName,{name}").count(b",") == 1
     wrong = ("", "a,b", "StopRecording\nx", "a\0b", "..", "a/b", "a\\b", "C:x", "a ", "a\u2028b")
     for name in (*wrong, "\udcff", "x" * 70_000, "ü" * 101):
         with refused(ConfigurationError, "the trial's name ", ": give letters") as caught:
             check_take_name(name)
         assert len(str(caught.value).encode()) < 450
-    for name in ("a,b", "line\nbreak", "x" * 230):
-        with refused(ConfigurationError, "the trial's name"):
-            RecorderSettings(directory=str(tmp_path / name), record=True)
-        RecorderSettings(directory=str(tmp_path / name))  # it is no trial itself
+    with refused(ConfigurationError, "the trial's name"):
+        RecorderSettings(directory=str(tmp_path / "a,b"), record=True)
     # A refused take is not pursued, and the one before it ends.
     sent: list[str] = []
     keeper = TakeKeeper(lambda command, done: sent.append(command))

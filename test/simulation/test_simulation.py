@@ -5,17 +5,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.wording import refused
+from support.clocks import FakeClock
 
+import socket_testbed as st
 from socket_testbed.calibration.model import read_calibration
-from socket_testbed.errors import TestbedError
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.simulation import limb
-from socket_testbed.simulation.limb import TISSUES, LoadedLimb, load_history
-from socket_testbed.simulation.sensors import CAMERA_RATE
+from socket_testbed.identification.evaluation import summarise_errors
+from socket_testbed.live.hardware import make_clusters, make_load_cell
+from socket_testbed.live.simulated_world import LiveTestbed, Simulation
+from socket_testbed.settings.testbed import read_testbed
+from socket_testbed.simulation.limb import LoadedLimb, load_history
+from socket_testbed.simulation.sensors import CAMERA_RATE, LIKE_PAPER, SensorErrors, wrench_creep
 from socket_testbed.simulation.trial import simulate
-from socket_testbed.simulation.world import SensorErrors
+from socket_testbed.simulation.world import World
 from socket_testbed.socket_design.motive import read_motive_csv
 
 PERFECT = SensorErrors(**{field.name: 0.0 for field in dataclasses.fields(SensorErrors)})
@@ -36,98 +39,31 @@ def test_the_socket_carries_the_load_by_pressure_within_the_cone_of_friction() -
         assert (tangential <= tissue.friction * normal + 1e-9).all()
 
 
-def test_the_tissue_stiffens_creeps_under_a_held_load_and_does_not_retrace(monkeypatch) -> None:
-    def settle(loaded: LoadedLimb, force: float, duration: float = 0.25) -> np.ndarray:
-        loaded.step(force * DOWN, duration)
-        return loaded.position
-
-    loaded = LoadedLimb(GEOMETRY, 250.0 * DOWN, np.random.default_rng(0))
-    at_once = settle(loaded, 250.0)
-    for _ in range(200):
-        held = settle(loaded, 250.0, 0.5)
-    assert held[2] < at_once[2] - 1e-5
-    *_, back = (settle(loaded, 250.0 * share, 1e-6) for share in (1.2, 1.4, 1.2, 1.0))
-    assert np.linalg.norm(back - held) > 1e-6
-    with refused(TestbedError, "no equilibrium under the load", "give a smaller load"):
-        settle(loaded, -5000.0)  # which pulls the limb out
-
-    stuck = dataclasses.replace(loaded.tissue, friction=0.0, creep=0.0, fit=0.0 * loaded.tissue.fit)
-    monkeypatch.setattr(limb, "make_tissue", lambda *_: stuck)
-    loaded = LoadedLimb(GEOMETRY, 100.0 * DOWN, np.random.default_rng(0))
-    first, second = -np.diff([settle(loaded, force)[2] for force in (100.0, 300.0, 500.0)])
-    assert 0.0 < second < first
-
-
-def follow(scenario, seed: int, tissue) -> tuple[np.ndarray, np.ndarray]:
-    """Times [s], and positions [mm] and rotations [mrad] of a limb in 120 s, shape (60, 6)."""
-    rng = np.random.default_rng(seed)
-    time = np.arange(0.0, 120.0, 2.0)
-    load = load_history(scenario, time, rng)
-    loaded = LoadedLimb(GEOMETRY, load[0], rng, tissue)
-    moved = []
-    for wrench in load:
-        loaded.step(wrench, 2.0)
-        moved.append(np.concatenate([loaded.position, loaded.rotation]))
-    return time, 1e3 * np.array(moved)
-
-
-def test_the_soft_tissue_is_incompressible_silicone_around_a_bone() -> None:
-    """Across, plane strain: the bone moves by 1, silicone slides on the wall. Along: pure shear."""
-    shear, bone, wall = 75e3 / 3.0, 0.010, 0.054  # [Pa, m, m]
-
-    def radial(r: float) -> np.ndarray:
-        return np.array([r**2, 1.0, r**-2, np.log(r)])
-
-    def around(r: float) -> np.ndarray:
-        return np.array([3.0 * r**2, 1.0, -(r**-2), np.log(r) + 1.0])
-
-    slope = np.array([6.0 * wall, 0.0, 2.0 * wall**-3, 1.0 / wall])
-    sliding = slope - (around(wall) - radial(wall)) / wall
-    solution = np.linalg.solve([radial(bone), around(bone), radial(wall), sliding], [1, 1, 0, 0])
-    across, along = 4.0 * shear * abs(solution[3]) / wall, shear / (wall * np.log(wall / bone))
-    tissues = [limb.make_tissue(GEOMETRY, np.random.default_rng(k), "soft") for k in range(20)]
-    assert np.median([t.modulus for t in tissues]) == pytest.approx(across, rel=0.05)
-    assert np.median([t.shear_modulus for t in tissues]) == pytest.approx(along, rel=0.05)
-
-
 @pytest.mark.parametrize(("tissue", "least", "most"), [("soft", 6.0, 9.0), ("stiff", 0.6, 1.4)])
 def test_the_limb_settles_under_the_paper_s_load(tissue, least, most) -> None:
-    settled = []
+    time, settled = np.arange(0.0, 120.0, 2.0), []
     for seed in range(5):
-        time, moved = follow("static_hold", seed, tissue)
+        rng = np.random.default_rng(seed)
+        load, moved = load_history("static_hold", time, rng), []
+        loaded = LoadedLimb(GEOMETRY, load[0], rng, tissue)
+        for wrench in load:
+            loaded.step(wrench, 2.0)
+            moved.append(1e3 * loaded.position)  # [mm]
         before, held = (time > 5) & (time < 15), (time > 60) & (time < 95)
-        settled.append((moved[before].mean(axis=0) - moved[held].mean(axis=0))[:3])
+        settled.append(np.array(moved)[before].mean(axis=0) - np.array(moved)[held].mean(axis=0))
     down = np.array(settled)[:, 2]
     assert least < np.median(down) < most
     assert 0.6 * least < down.min() and down.max() < 1.4 * most
-    assert np.abs(np.array(settled)[:, :2]).max() < 0.15 * most
-
-
-@pytest.mark.parametrize("tissue", TISSUES)
-def test_the_protocol_excites_all_six_numbers_of_the_pose(tissue) -> None:
-    alone = {}  # what of each number's changes the others do not explain linearly, rms
-    for scenario in ("protocol", "static_hold"):
-        time, moved = follow(scenario, 1, tissue)
-        covariance = np.cov(moved[(time > 6) & (time < 60)].T)
-        alone[scenario] = np.sqrt(1.0 / np.diag(np.linalg.inv(covariance)))
-    least = {"soft": [0.08, 0.08, 1.0, 3.0, 3.0, 3.0], "stiff": [0.02, 0.02, 0.1, 0.4, 0.4, 0.2]}
-    assert (alone["protocol"] > least[tissue]).all()  # [mm, mrad]
-    assert (alone["protocol"] > 10.0 * alone["static_hold"]).all()
 
 
 def test_the_static_hold_is_the_paper_s_and_the_protocol_pushes_before_it() -> None:
     time, pylon, mass = np.arange(0, 120, 0.25), 9.3 * 9.81, 19.0 * 9.81
-    for scenario, begin, held, end in (
-        ("static_hold", 15, (25, 95), 110), ("protocol", 4, (66, 105), 109),
-    ):  # fmt: skip
+    for scenario in ("static_hold", "protocol"):
         load = load_history(scenario, time, np.random.default_rng(0))
-        alone = (time < begin) | (time > end)
-        np.testing.assert_allclose(load[alone, 5], -pylon, atol=1e-9)
-        holds = (time > held[0]) & (time < held[1])
-        np.testing.assert_allclose(load[holds, 5], -pylon - mass, atol=1e-9)
+        np.testing.assert_allclose(load[(time < 4) | (time > 110), 5], -pylon, atol=1e-9)
+        np.testing.assert_allclose(load[(time > 66) & (time < 95), 5], -pylon - mass, atol=1e-9)
     pushed = load[(time > 7) & (time < 57)]
     assert (pushed[:, 3:5].min(axis=0) < -20.0).all() and (pushed[:, 3:5].max(axis=0) > 20.0).all()
-    assert np.ptp(pushed[:, 5]) > 0.9 * mass and np.ptp(pushed[:, 2]) > 2.0
 
 
 def measure(window: float, rate: float = 4.0, **errors: float):
@@ -155,6 +91,28 @@ def test_perfect_sensors_see_the_truth() -> None:
         np.testing.assert_allclose(GEOMETRY.cluster_force(cluster, stress), actual, atol=2e-3)
 
 
+def test_a_running_testbed_is_as_noisy_as_a_simulated_trial(tmp_path: Path, monkeypatch) -> None:
+    """By the unmodified drivers, which average conversions of the load cell, none of clusters."""
+    clock, world = FakeClock(1000.0).install(monkeypatch), World(tmp_path, create=True)
+    usual = SensorErrors()
+    LiveTestbed(world, GEOMETRY, CALIBRATION, Simulation(), usual).advance(clock.now)
+    nodes = read_testbed(packaged("config", "simulated.yaml"))
+    cell = make_load_cell(dataclasses.replace(nodes.load_cell_node, simulation=str(tmp_path)))
+    for rate in (4.0, 20.0):
+        triggers = clock.now + 1.0 + np.arange(60) / rate
+        while clock.now < triggers[-1] + 0.5:
+            clock.sleep(1.1e-3)
+            cell.converter.poll()
+        wrench = np.array([cell.wrench_at(trigger, 1.0 / rate).wrench for trigger in triggers])
+        trial = simulate(GEOMETRY, CALIBRATION, "static_hold", 120.0 / rate, rate, 0)
+        live, offline = wrench.std(axis=0), (trial.wrench - trial.truth.wrench).std(axis=0)
+        for group in (slice(3), slice(3, 6)):
+            assert np.mean(live[group]) == pytest.approx(np.mean(offline[group]), rel=0.25)
+    clusters = make_clusters(dataclasses.replace(nodes.cluster_node, simulation=str(tmp_path)))
+    read = np.array([clusters.read(clock.now).capacitance for _ in range(40)])
+    assert np.mean(read.std(axis=0)) == pytest.approx(usual.capacitance_noise, rel=0.1)
+
+
 def test_the_noise_of_a_marker_is_that_of_a_real_take(shared_data: Path) -> None:
     """`sample_optitrack_take.csv` of cmuphyscomp/hmv-s16: a triad of 0.2 m, 250 frames at 120 Hz.
 
@@ -179,13 +137,36 @@ def test_the_mean_over_the_window_averages_the_cameras_noise_and_does_not_lag() 
         frames = 2 * int(0.5 * window * CAMERA_RATE) + 1
         expected = single.std(axis=0) / np.sqrt(frames)
         np.testing.assert_allclose((averaged - perfect).std(axis=0), expected, rtol=0.35)
-        speed = 0.008 * np.pi / 30.0  # [m/s]; of the limb's settling under the ramp
-        if rate == 4.0:
-            assert np.abs(perfect.mean(axis=0)).max() < 0.01 * 0.125 * speed
+        assert np.abs(perfect.mean(axis=0)).max() < 1e-6  # it settles by 1 mm/s
     trial, off = measure(0.25, drop_out=0.3, label_swap=0.2)
     assert np.abs(off).max() < 1e-4  # one frame with the body is enough
     assert np.isnan(trial.markers["pylon"][:, :, 0]).mean() == pytest.approx(0.3, abs=0.1)
     assert np.isnan(measure(0.25, drop_out=1.0)[1]).all()
-    trial, off = measure(0.0, label_swap=0.2)
-    jumped = np.abs(np.diff(trial.markers["pylon"], axis=0)).max(axis=(1, 2)) > 0.01
-    assert 0.15 < jumped.mean() < 0.5 and np.abs(off).max() < 1e-9
+
+
+def test_the_load_cell_creeps_by_so_much() -> None:
+    time = np.arange(0.0, 120.0, 0.25)
+    load = load_history("static_hold", time, np.random.default_rng(0))
+    creep = wrench_creep(LIKE_PAPER, load, time, np.random.default_rng(1))
+    np.testing.assert_allclose(np.ptp(creep, axis=0), np.repeat([0.9, 4.0], 3))
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.* looks implausible")
+def test_the_paper_s_variants_come_near_its_figures(tmp_path) -> None:
+    """Published, RMSE without -> with offsets: moments 1.69 -> 0.44 N m, Mx 3.99 -> 0.95 N m,
+    forces 5.94 -> 5.25 N, clusters 90 -> 3.8 N."""
+    found: dict[str, list[list[float]]] = {"stiffness": [], "stiffness_bias": []}
+    for seed in (0, 1, 2):
+        trial = st.simulate(tmp_path / str(seed), seed=seed, like_paper=True)
+        for variant, rows in found.items():
+            fitted = st.fit(trial, variant=variant, weights="raw", theta=0.98)
+            errors = st.evaluate(trial, fitted).errors
+            summary = summarise_errors(errors)
+            (about_x,) = (error.rmse for error in errors if error.name == "Mx")
+            rows.append([summary.moment_rmse, about_x, summary.force_rmse, summary.local_rmse])
+    without, with_offsets = (np.median(found[variant], axis=0) for variant in found)
+    # moments, Mx, forces, clusters
+    assert (without > [1.2, 2.0, 4.5, 60.0]).all() and (without < [2.4, 8.0, 8.9, 135.0]).all()
+    assert (with_offsets > [0.33, 0.71, 3.9, 2.8]).all()
+    assert (with_offsets < [0.59, 1.27, 7.0, 5.1]).all()

@@ -8,8 +8,7 @@ import numpy as np
 from socket_testbed.calibration.bench_data import BenchData
 from socket_testbed.calibration.model import ClusterCalibration, read_calibration
 from socket_testbed.files import packaged
-from socket_testbed.simulation.sensors import ClusterSensor, invert_calibration
-from socket_testbed.simulation.world import SensorErrors
+from socket_testbed.simulation.sensors import ClusterSensor, SensorErrors, invert_calibration
 
 HEADER = ("time [s]", "normal [kPa]", "shear_x [kPa]", "shear_y [kPa]")
 HEADER += ("c0 [pF]", "c1 [pF]", "c2 [pF]", "c3 [pF]")
@@ -17,6 +16,7 @@ ERRORS = SensorErrors(capacitance_drift=0.0)
 FULL_SCALE = np.array([60e3, 15e3, 15e3])
 
 
+@cache
 def nominal(cluster: str = "distal") -> ClusterCalibration:
     """A cluster of the package's own calibration."""
     return read_calibration(packaged("config", "calibration.yaml")).clusters[cluster]
@@ -70,25 +70,16 @@ def exact_bench(steps: int = 30) -> BenchData:
     return bench_of(invert_calibration(nominal(), stress), stress)
 
 
-@cache
-def sensor_response(
-    seed: int, play: float, directions: int, repeats: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Load path and capacitances without noise of the sensor of a seed."""
+def sensor_bench(
+    seed: int = 0, play: float = 0.0, directions: int = 8, repeats: int = 2
+) -> BenchData:
+    """Readings of the simulated sensor of a seed on the bench."""
     stress = load_path(directions, repeats)
     sensor = ClusterSensor(nominal(), ERRORS, np.random.default_rng(seed))
     felt = felt_with_play(stress, play) if play else stress
-    return stress, sensor.respond(felt, np.zeros(len(stress)))
-
-
-def sensor_bench(
-    seed: int = 0, play: float = 0.0, draw: int = 0, directions: int = 8, repeats: int = 2
-) -> BenchData:
-    """Readings of the sensor of a seed on the bench; `draw` is another run of the same one."""
-    stress, capacitance = sensor_response(seed, play, directions, repeats)
-    rng = np.random.default_rng([seed, draw])
-    noise = rng.normal(0.0, ERRORS.capacitance_noise, capacitance.shape)
-    return bench_of(capacitance + noise, stress.copy())
+    capacitance = sensor.respond(felt, np.zeros(len(stress)))
+    noise = np.random.default_rng([seed, 0]).normal(size=capacitance.shape)
+    return bench_of(capacitance + ERRORS.capacitance_noise * noise, stress)
 
 
 def write_bench(path: Path, bench: BenchData, header: tuple[str, ...] = HEADER) -> Path:

@@ -102,9 +102,6 @@ class Link:
     def health(self) -> tuple[int, str]:
         return self.client.health(clocks.monotonic())
 
-    def is_fine(self) -> bool:
-        return self.health()[0] == 0
-
     def until_level(self, level: int, text: str = "") -> float:
         def reached() -> bool:
             now, message = self.health()

@@ -36,8 +36,8 @@ from support.graph import Probe
 LEVELS = ("OK", "WARN", "ERROR")
 MEASURED = (CAPACITANCE, WRENCH, SOCKET_POSE, PYLON_POSE, MARKERS)
 
-# Everything changes fast, all the time: an old value is a wrong one.
-MOVING = Simulation("multi_direction", period=40.0, seed=2, pace=6.0, sway=0.05)
+# Everything changes fast, all the time: an old value is a wrong one, and no noise hides it.
+MOVING = Simulation("multi_direction", period=40.0, seed=2, pace=6.0, sway=0.05, noise=0.1)
 
 
 _RATE = 20.0  # [Hz]; of the trigger

@@ -13,15 +13,7 @@ from smbus2 import i2c_msg
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray, StatusArray
-from socket_testbed.drivers.clusters.i2c import (
-    INPUTS,
-    BusError,
-    BusGoneError,
-    BusTimeoutError,
-    CapacitiveChip,
-    I2cBus,
-    I2cPort,
-)
+from socket_testbed.drivers.clusters import i2c
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import ClusterSettings
@@ -52,21 +44,21 @@ class ClusterReader:
     def __init__(
         self,
         settings: ClusterSettings,
-        chip: type[CapacitiveChip],
-        open_bus: Callable[[int], I2cBus],
+        chip: type[i2c.CapacitiveChip],
+        open_bus: Callable[[int], i2c.I2cBus],
     ) -> None:
         check_settings(settings, chip)
         self._settings = settings
-        self._cycle = INPUTS / settings.sample_rate  # [s]
+        cycle = i2c.INPUTS / settings.sample_rate  # [s]
         self._buses = {number: _Bus(number, open_bus) for number in settings.buses}
         self._clusters: dict[str, _Cluster] = {}
         for name, (number, address, channel) in _places(settings):
             bus = self._buses[number]
-            bus.add_multiplexer(address)
+            if address:
+                bus.multiplexers[address] = i2c.I2cPort(bus, bus.name, address, part="multiplexer")
             place = f"behind channel {channel} of 0x{address:02X}" if address else ""
-            port = I2cPort(bus, bus.name, chip.address, place)
-            made = chip(port, settings.sample_rate)
-            self._clusters[name] = _Cluster(bus, (address, channel), made, self._cycle)
+            made = chip(i2c.I2cPort(bus, bus.name, chip.address, place), settings.sample_rate)
+            self._clusters[name] = _Cluster(bus, (address, channel), made, cycle)
 
     def read(self, trigger: float) -> ClusterReading:
         """Read the clusters for a trigger at a time of the steady clock [s]."""
@@ -79,10 +71,10 @@ class ClusterReader:
         late = clocks.monotonic() > latest
         # Those to be set up come last: they would hold up the others.
         waiting = [] if late else sorted(clusters, key=lambda cluster: not cluster.configured)
-        while waiting := [cluster for cluster in waiting if self._advance(cluster)]:
-            clocks.sleep(_PAUSE * self._cycle)
+        while waiting := [cluster for cluster in waiting if cluster.advance()]:
+            clocks.sleep(_PAUSE * waiting[0].cycle)
 
-        shape = (len(clusters), INPUTS)
+        shape = (len(clusters), i2c.INPUTS)
         capacitance = np.full(shape, np.nan)
         status = np.full(shape, Status.MISSING, dtype=np.uint8)
         faults = {}
@@ -119,80 +111,52 @@ class ClusterReader:
             if bus.is_open:
                 with suppress(DeviceError):
                     bus.disconnect()
-            self._close(bus)
-
-    def _advance(self, cluster: _Cluster) -> bool:
-        """Poll a cluster once; returns whether to poll it again."""
-        bus, now = cluster.bus, clocks.monotonic()
-        if not bus.is_open and not bus.backoff.due(now):
-            bus.given_up = bus.fault
-        if bus.given_up:
-            cluster.fault = bus.given_up
-            return False
-        try:
-            bus.open()
-            if not cluster.configured and not cluster.backoff.due(now):
-                return False
-            cluster.select()
-            if not cluster.configured:
-                cluster.configure()
-            if cluster.poll():
-                return True
-        except DeviceError as error:
-            self._failed(cluster, error)
-            return False
-        cluster.fault = ""
-        cluster.backoff.succeeded()
-        bus.backoff.succeeded()
-        return False
-
-    def _failed(self, cluster: _Cluster, error: DeviceError) -> None:
-        bus, now = cluster.bus, clocks.monotonic()
-        cluster.configured = False
-        cluster.fault = str(error)
-        if isinstance(error, BusTimeoutError):
-            # Every transfer on a bus that hangs takes its whole time-out: one is enough.
-            bus.given_up = str(error)
-        of_chip = not isinstance(error, BusError) or error.address == cluster.chip.address
-        if bus.is_open and of_chip and not isinstance(error, BusGoneError):
-            cluster.backoff.failed(now)
-            return
-        bus.given_up = bus.fault = str(error)
-        bus.backoff.failed(now)
-        self._close(bus)
-
-    def _close(self, bus: _Bus) -> None:
-        bus.close()
-        for cluster in self._clusters.values():
-            if cluster.bus is bus:
-                cluster.configured = False
+            bus.close()
 
 
 class _Bus:
     """A bus with its multiplexers (TI TCA9548A), if it has any, and its state as far as known.
 
     It is opened when needed, and can be closed and opened under the chips on it. The chips share
-    one address: two channels at once would put them on the same wires.
+    one address: two channels at once would put them on the same wires. What a fault costs is
+    decided in `note`.
     """
 
-    def __init__(self, number: int, open_bus: Callable[[int], I2cBus]) -> None:
+    def __init__(self, number: int, open_bus: Callable[[int], i2c.I2cBus]) -> None:
         self.name = f"i2c-{number}"
-        self.backoff = clocks.Backoff()
-        self.fault = ""  # why it was closed
+        self.configured: set[tuple[int, int]] = set()  # places of the chips, since it was opened
+        self.multiplexers: dict[int, i2c.I2cPort] = {}  # by their addresses
         self.given_up = ""  # why nothing more is read from it for the present trigger
+        self.backoff = clocks.Backoff()
+        self._closed_by = ""  # the fault for which it was closed
         self._number = number
         self._open_bus = open_bus
-        self._bus: I2cBus | None = None
-        self._multiplexers: dict[int, I2cPort] = {}  # by their addresses
-
-    def add_multiplexer(self, address: int) -> None:
-        """Say that there is a multiplexer at an address; 0: none."""
-        if address:
-            self._multiplexers[address] = I2cPort(self, self.name, address, part="multiplexer")
+        self._bus: i2c.I2cBus | None = None
 
     @property
     def is_open(self) -> bool:
         return self._bus is not None
+
+    def unusable(self, now: float) -> str:
+        """Why nothing can be read from it at a time [s]; empty: it is open, or may be opened."""
+        waits = not self.is_open and not self.backoff.due(now)
+        return self.given_up or (self._closed_by if waits else "")
+
+    def note(self, error: DeviceError, chip: int, now: float) -> bool:
+        """Take a fault met on the way to a chip at an address; whether it is that chip's alone.
+
+        Otherwise the bus is closed, to be opened again: it is gone, or its multiplexer fails.
+        Every transfer on a bus that hangs takes its whole time-out: one for a trigger is enough.
+        """
+        if isinstance(error, i2c.BusTimeoutError):
+            self.given_up = str(error)
+        of_chip = not isinstance(error, i2c.BusError) or error.address == chip
+        if self.is_open and of_chip and not isinstance(error, i2c.BusGoneError):
+            return True
+        self.given_up = self._closed_by = str(error)
+        self.backoff.failed(now)
+        self.close()
+        return False
 
     def open(self) -> None:
         if self._bus is None:
@@ -211,16 +175,17 @@ class _Bus:
         """
         self.disconnect(but=multiplexer)
         if multiplexer:
-            self._multiplexers[multiplexer].write_byte(1 << channel)
+            self.multiplexers[multiplexer].write_byte(1 << channel)
 
     def disconnect(self, but: int = 0) -> None:
         """Connect no channel, of any multiplexer but one."""
-        for address, multiplexer in self._multiplexers.items():
+        for address, multiplexer in self.multiplexers.items():
             if address != but:
                 multiplexer.write_byte(0)
 
     def close(self) -> None:
         """Close it; one that is gone is closed already."""
+        self.configured.clear()
         bus, self._bus = self._bus, None
         if bus is not None:
             with suppress(OSError):
@@ -247,36 +212,65 @@ class _Cluster:
 
     bus: _Bus
     place: tuple[int, int]  # its multiplexer's address, 0: none, and channel
-    chip: CapacitiveChip
+    chip: i2c.CapacitiveChip
     cycle: float  # [s]
     inputs: list[_Input] = field(default_factory=list)
     pending: set[int] = field(default_factory=set)  # without a value for the present trigger
     trigger: float = -math.inf  # [s]
     begun: float = -math.inf  # to read for it [s]
-    configured: bool = False
     fault: str = ""
     backoff: clocks.Backoff = field(default_factory=clocks.Backoff)
 
+    @property
+    def configured(self) -> bool:
+        return self.place in self.bus.configured
+
     def begin(self, trigger: float) -> None:
         """Begin to gather the inputs' values for a trigger at a time of the steady clock [s]."""
-        self.pending = set(range(INPUTS))
+        self.pending = set(range(i2c.INPUTS))
         self.trigger = trigger
         self.begun = clocks.monotonic()
+
+    def advance(self) -> bool:
+        """Poll it once; returns whether to poll it again."""
+        now = clocks.monotonic()
+        if unusable := self.bus.unusable(now):
+            self.fault = unusable
+            return False
+        try:
+            self.bus.open()
+            if not self.configured and not self.backoff.due(now):
+                return False
+            self.select()
+            if not self.configured:
+                self._configure()
+            if self._poll():
+                return True
+        except DeviceError as error:
+            self.bus.configured.discard(self.place)
+            self.fault, now = str(error), clocks.monotonic()
+            if self.bus.note(error, self.chip.address, now):
+                self.backoff.failed(now)
+            return False
+        self.fault = ""
+        self.backoff.succeeded()
+        self.bus.backoff.succeeded()
+        return False
 
     def select(self) -> None:
         """Connect the chip, and it alone."""
         self.bus.open()
         self.bus.select(*self.place)
 
-    def configure(self) -> None:
+    def _configure(self) -> None:
         """Reset and configure the chip; drops what came before."""
         begun = clocks.monotonic()
         self.chip.reset_and_configure()
-        self.inputs = [_Input(low=begun) for _ in range(INPUTS)]
+        self.inputs = [_Input(low=begun) for _ in range(i2c.INPUTS)]
         self.begun = clocks.monotonic()
-        self.configured = True
+        self.bus.configured.add(self.place)
 
-    def poll(self) -> bool:
+    def _poll(self) -> bool:
         """Read what is done; returns whether inputs are still pending."""
         asked = clocks.monotonic()
         done = self.chip.done()
@@ -328,7 +322,7 @@ def _places(settings: ClusterSettings) -> Iterator[tuple[str, tuple[int, int, in
     return zip(settings.names, places, strict=True)
 
 
-def check_settings(settings: ClusterSettings, chip: type[CapacitiveChip]) -> None:
+def check_settings(settings: ClusterSettings, chip: type[i2c.CapacitiveChip]) -> None:
     """Check that the settings fit together, beyond the range of each."""
     names, buses, channels = settings.names, settings.buses, settings.channels
     multiplexers = settings.each_multiplexer

@@ -141,11 +141,7 @@ class Ads131m0x:
     """
 
     def __init__(
-        self,
-        spi: SpiDevice,
-        channels: int,
-        crc: str = "ccitt",
-        name: str = "spidev0.0",
+        self, spi: SpiDevice, channels: int, crc: str = "ccitt", name: str = "spidev0.0"
     ) -> None:
         self.identity = 0  # its ID register; 0 before it is configured
         self._spi = spi

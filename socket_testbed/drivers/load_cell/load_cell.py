@@ -17,15 +17,10 @@ from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, line_weights
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.documents import Document, read_document
-from socket_testbed.drivers.load_cell.ads131m0x import (
-    at_rail,
-    check_device,
-    conversion_period,
-    volts,
-)
+from socket_testbed.drivers.load_cell import ads131m0x
 from socket_testbed.drivers.load_cell.converter_reader import RECENT, ConverterReader
 from socket_testbed.errors import ConfigurationError, DeviceError
-from socket_testbed.files import atomic_output, make_folder
+from socket_testbed.files import make_folder, write_text
 from socket_testbed.samples import WRENCH_CHANNELS, Status, channel_unit
 from socket_testbed.settings.acquisition import LoadCellSettings
 
@@ -68,7 +63,7 @@ class Bridges:
 
     def ratios(self, codes: IntArray) -> FloatArray:
         """Ratios of the bridges, shape (n, 6) [mV/V], of codes by input, shape (n, channels)."""
-        return self._scale * volts(codes[:, self.inputs], self._gain)
+        return self._scale * ads131m0x.volts(codes[:, self.inputs], self._gain)
 
     def wrenches(self, ratios: FloatArray) -> FloatArray:
         """Wrenches [M; F], shape (..., 6) [N m, N], of ratios, shape (..., 6) [mV/V]."""
@@ -116,7 +111,7 @@ def in_words(wrench: FloatArray) -> str:
 
 def check_settings(settings: LoadCellSettings) -> None:
     """Check that the settings fit together, beyond the range of each."""
-    check_device(settings.device)
+    ads131m0x.check_device(settings.device)
     if settings.channels not in (6, 8):
         raise _wrong(f"channels is {settings.channels}", "give 6 (ADS131M06) or 8 (ADS131M08)")
     for name, low, high in (("oversampling", 128, 16384), ("gain", 1, 128)):
@@ -140,7 +135,7 @@ def check_settings(settings: LoadCellSettings) -> None:
     lengths = np.linalg.norm(matrix, axis=1, keepdims=True)
     if not lengths.all() or np.linalg.cond(matrix / lengths) > _WORST_CONDITION:
         raise _wrong("matrix cannot be inverted", "check the maker's 36 numbers, row by row")
-    period = conversion_period(settings.clock_in, settings.oversampling)
+    period = ads131m0x.conversion_period(settings.clock_in, settings.oversampling)
     if settings.window < period:
         raise _wrong(
             f"window is {settings.window:g} s, shorter than a conversion ({period:g} s)",
@@ -175,8 +170,7 @@ class Tare:
             if self._path is not None:
                 content = {"offsets_mV_per_V": offsets.tolist(), "time": _written(time)}
                 make_folder(self._path.parent)
-                with atomic_output(self._path) as path:
-                    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+                write_text(self._path, json.dumps(content, indent=2) + "\n")
             self.no_load = offsets.copy(), 1000 * (time // 1000)
 
 
@@ -282,7 +276,7 @@ class LoadCell:
         level, trouble = self.converter.trouble(now)
         found = [(level, str(trouble))]
         _, ratios, rails = self._between(now - RECENT, now)
-        newest = at_rail(self.converter.newest(_BROKEN_WIRE)[:, self._bridges.inputs])
+        newest = ads131m0x.at_rail(self.converter.newest(_BROKEN_WIRE)[:, self._bridges.inputs])
         broken = newest.sum(axis=0) == _BROKEN_WIRE
         if broken.any():
             fact = f"{self._saturated(broken)} for {_BROKEN_WIRE} conversions or more"
@@ -344,7 +338,7 @@ class LoadCell:
     def _between(self, start: float, end: float) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Times [s] of the conversions, ratios [mV/V] and which are clipped, shape (n, 6) each."""
         times, codes = self.converter.between(start, end)
-        return times, self._bridges.ratios(codes), at_rail(codes[:, self._bridges.inputs])
+        return times, self._bridges.ratios(codes), ads131m0x.at_rail(codes[:, self._bridges.inputs])
 
     def _reach(self, span: float) -> tuple[float, float]:
         """How far before and after a time the conversions are that make its wrench [s]."""

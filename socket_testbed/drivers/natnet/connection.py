@@ -13,12 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from socket_testbed import clocks
-from socket_testbed.drivers.natnet.messages import (
-    LARGEST_DATAGRAM,
-    OLDEST,
-    Version,
-    encode_command,
-)
+from socket_testbed.drivers.natnet.messages import LARGEST_DATAGRAM, OLDEST, Version, encode_command
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.settings.testbed import check_take_name

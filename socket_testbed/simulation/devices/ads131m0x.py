@@ -29,7 +29,7 @@ class SimulatedAds131m0x:
     """One converter: an `SpiDevice`, and an `EdgeLine` where its DRDY is wired.
 
     It has 6 (M06) or 8 (M08) channels, whose voltages, shape (channels,) [V], are asked for by
-    times of the steady clock [s]. Its own clock is in Hz.
+    times of the steady clock [s]; `noise` is that of one conversion, alike. Its own clock is in Hz.
     """
 
     def __init__(
@@ -39,8 +39,10 @@ class SimulatedAds131m0x:
         faults: Mapping[str, float] | None = None,
         clock_in: float = 8.192e6,
         seed: int | None = None,
+        noise: Callable[[], FloatArray | float] = lambda: 0.0,
     ) -> None:
         self._volts = volts
+        self._noise = noise
         self._channels = channels
         self._faults = {} if faults is None else faults
         self._modulator = clock_in / 2.0  # [Hz]
@@ -141,6 +143,7 @@ class SimulatedAds131m0x:
             # is exact for whatever bends no more than a cubic.
             middle, deviation = end - self._mean, self._deviation
             volts = 0.5 * (self._volts(middle - deviation) + self._volts(middle + deviation))
+        volts = volts + self._noise()
         rail = int(self._fault("rail")) - 1
         codes = []
         for channel, voltage in enumerate(volts.tolist()):
@@ -220,11 +223,12 @@ def simulated_load_cell(
     settings: LoadCellSettings,
     faults: Mapping[str, float] | None = None,
     seed: int | None = None,
+    noise: Callable[[], FloatArray] = lambda: np.zeros(6),
 ) -> SimulatedAds131m0x:
     """The converter of a load cell, its bridges under a load [M; F], shape (6,) [N m, N].
 
-    That is asked for by times of the steady clock [s]; faults are those of `simulation.world`,
-    looked up at each frame.
+    That is asked for by times of the steady clock [s], its noise once for each conversion; faults
+    are those of `simulation.world`, looked up at each frame.
     """
     check_settings(settings)
     to_ratio = np.linalg.inv(np.array(settings.matrix).reshape(6, 6))
@@ -234,4 +238,5 @@ def simulated_load_cell(
     return SimulatedAds131m0x(
         lambda moment: to_volts @ wrench(moment),
         settings.channels, faults, settings.clock_in, seed,
+        lambda: to_volts @ noise(),
     )  # fmt: skip

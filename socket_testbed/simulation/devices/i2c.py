@@ -146,9 +146,7 @@ class SimulatedI2cBus:
     """
 
     def __init__(
-        self,
-        parts: Sequence[Part],
-        faults: Mapping[str, float] = MappingProxyType({}),
+        self, parts: Sequence[Part], faults: Mapping[str, float] = MappingProxyType({})
     ) -> None:
         self._parts = parts
         self._faults = faults

@@ -46,7 +46,6 @@ class Body:
     id: int
     position: FloatArray
     quaternion: FloatArray
-    tracked: bool = True
 
 
 @dataclass(frozen=True)
@@ -112,7 +111,7 @@ def encode_frame(content: Content, version: Version) -> Message:
     """FRAME with all its sections."""
     sized = version >= (4, 1)
     bodies: Parts = [
-        pack("<i8fh", body.id, *body.position, *body.quaternion, 1e-4, body.tracked)
+        pack("<i8fh", body.id, *body.position, *body.quaternion, 1e-4, True)
         for body in content.bodies
     ]
     markers: Parts = [
@@ -224,7 +223,7 @@ class Scene:
         for name, true, position, quaternion in scene:
             identity = self._identify(name)
             markers, hidden = self._observe(name, np.asarray(true, dtype=float))
-            bodies.append(Body(identity, position, quaternion, not hidden.any()))
+            bodies.append(Body(identity, position, quaternion))
             for k, (marker, is_hidden) in enumerate(zip(markers, hidden, strict=True)):
                 flags = HAS_MODEL | (OCCLUDED if is_hidden else SOLVED)
                 labelled.append(Marker(identity, k + 1, marker, flags))

@@ -1,0 +1,39 @@
+"""The trigger's two GPIO lines, with a wire between them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from socket_testbed import clocks
+
+_DELAY = 2e-6  # [s]; from the trigger's output to the stamped edge
+
+
+class SimulatedLines:
+    """The `Lines` of `drivers.gpio.GpioTrigger`, with a wire between them: the edge comes by it."""
+
+    def __init__(self, faults: Mapping[str, float]) -> None:
+        self._faults = faults
+        self._active = False
+        self._edges: list[float] = []
+
+    def set(self, line: int, active: bool) -> None:
+        """Set the output line."""
+        rising, self._active = active and not self._active, active
+        if rising and not self._faults["trigger.missing"]:
+            self._edges.append(clocks.monotonic() + _DELAY + self._faults["trigger.late"])
+
+    def edges(self, within: float) -> list[float]:
+        """Rising edges that have come, or come within a time [s]."""
+        deadline = clocks.monotonic() + within
+        if self._edges and (due := min(self._edges)) <= deadline:
+            clocks.sleep(max(0.0, due - clocks.monotonic()))
+        elif within > 0.0:
+            clocks.sleep(within)
+        now = clocks.monotonic()
+        come = [edge for edge in self._edges if edge <= now]
+        self._edges = [edge for edge in self._edges if edge > now]
+        return come
+
+    def close(self) -> None:
+        """Nothing is held."""
