@@ -2,7 +2,7 @@
 
 **How does the limb's motion make forces?** The contact model. `contact` defines the laws and the
 models that hold one. `problem` chooses and weighs the channels of a fit and turns them into
-programs for any law, `box_qp` solves and certifies these. `fit` runs both stages, `pareto` runs
+programs for any law, `solver` solves and certifies these. `fit` runs both stages, `pareto` runs
 them over the trade-off and compares with the paper. `model_file` is a model's file, `evaluation`
 its errors.
 

@@ -8,14 +8,6 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.box_qp import (
-    BoxQP,
-    BoxSolution,
-    is_definite,
-    pivot,
-    solve_box_qp,
-    solve_cold,
-)
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.evaluation import ChannelErrors, evaluate
 from socket_testbed.identification.problem import (
@@ -23,6 +15,14 @@ from socket_testbed.identification.problem import (
     Problem,
     build_objective,
     check_channels,
+)
+from socket_testbed.identification.solver import (
+    BoxQP,
+    BoxSolution,
+    is_definite,
+    pivot,
+    solve_box_qp,
+    solve_cold,
 )
 from socket_testbed.samples import Samples, channel_names
 from socket_testbed.settings.identification import IdentificationSettings, check_solver

@@ -25,11 +25,11 @@ from support.stacked import (
 from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError, IdentificationError
-from socket_testbed.identification.box_qp import solve_box_qp
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.model_file import read_model, write_model
 from socket_testbed.identification.problem import LEAST_SAMPLES, Problem, build_objective
+from socket_testbed.identification.solver import solve_box_qp
 from socket_testbed.settings.identification import (
     PAPER_VARIANTS,
     RIGID_VARIANTS,

@@ -10,7 +10,6 @@ from support.wording import refused
 
 from socket_testbed.errors import IdentificationError, TestbedError
 from socket_testbed.identification import pareto
-from socket_testbed.identification.box_qp import UncertifiedSolutionError, solve_box_qp
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.pareto import (
@@ -26,6 +25,7 @@ from socket_testbed.identification.pareto import (
     front_table,
     pareto_front,
 )
+from socket_testbed.identification.solver import UncertifiedSolutionError, solve_box_qp
 from socket_testbed.settings.identification import PAPER_VARIANTS
 
 THETAS = (0.0, 0.07, 0.5, 0.93, 1.0)

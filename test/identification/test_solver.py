@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import qpsolvers
 
-from socket_testbed.identification import box_qp
-from socket_testbed.identification.box_qp import (
+from socket_testbed.identification.solver import (
     WARM_START,
     BoxQP,
     BoxSolution,
@@ -79,7 +78,8 @@ def test_a_wrong_answer_is_refused_whatever_the_solver_says(monkeypatch):
     wrong = np.clip(optimum + 0.05, problem.lower, problem.upper)
     monkeypatch.setattr(qpsolvers, "solve_problem", solver := Mock())
     for correct in ("pivot", "pivot_regularised"):  # nobody corrects its answer
-        monkeypatch.setattr(box_qp, correct, lambda of, x: BoxSolution(x, of.certificate(x)))
+        place = f"socket_testbed.identification.solver.{correct}"
+        monkeypatch.setattr(place, lambda of, x: BoxSolution(x, of.certificate(x)))
     for result, reason in (
         (qpsolvers.Solution(None, found=True, x=wrong), "KKT"),
         (qpsolvers.Solution(None, found=True, x=None), "gave no answer"),
