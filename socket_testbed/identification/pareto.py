@@ -32,7 +32,7 @@ from socket_testbed.arrays import BoolArray, FloatArray, evenly
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.evaluation import ChannelErrors, evaluate, summarise_errors
+from socket_testbed.identification.fit import ChannelErrors, evaluate, summarise_errors
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.problem import Objective, Problem, build_objective
 from socket_testbed.identification.solver import (

@@ -12,7 +12,6 @@ from support.problems import make_samples, moving_limb, random_bed, random_socke
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification import information as module
-from socket_testbed.identification.evaluation import predict_channels
 from socket_testbed.identification.information import (
     LoadShare,
     _information,
@@ -106,7 +105,7 @@ def test_what_is_known_grows_with_motion_and_falls_with_noise_and_offsets():
         unit = np.zeros(bed.stiffness.size)
         unit[i] = 1.0
         single = dataclasses.replace(bed, stiffness=unit.reshape(-1, 3))
-        columns.append((predict_channels(single, pose, clusters) / deviations).ravel())
+        columns.append((single.predict(pose, clusters) / deviations).ravel())
     stacked = np.array(columns)
     assert np.allclose(_information(pose, bed, clusters, deviations), stacked @ stacked.T)
 

@@ -9,8 +9,7 @@ from support.problems import make_case
 from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.identification.evaluation import evaluate
-from socket_testbed.identification.fit import fit_contact_model
+from socket_testbed.identification.fit import evaluate, fit_contact_model
 from socket_testbed.identification.model_file import read_model, write_model
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import socket_testbed as st
-from socket_testbed.identification.evaluation import summarise_errors
+from socket_testbed.identification.fit import summarise_errors
 from socket_testbed.simulation.limb import load_history
 from socket_testbed.simulation.sensors import wrench_creep
 from socket_testbed.simulation.world import LIKE_PAPER
