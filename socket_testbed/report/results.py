@@ -14,7 +14,7 @@ from socket_testbed.arrays import BoolArray, FloatArray, evenly
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.axis import Region, all_regions
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.data_check import Finding
+from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.identification.fit import (
     ChannelErrors,
     Fit,
@@ -143,7 +143,7 @@ class Results:
     no_validation: str  # for this reason
     pressure: SegmentPressure
     over_trial: PressureOutputs  # at instants spread over the trial, with that of the peak
-    data: tuple[Finding, ...]  # what to look at in the data
+    data: tuple[DataFinding, ...]  # what to look at in the data
 
     @property
     def in_segment(self) -> BoolArray:
