@@ -91,8 +91,8 @@ def test_clusters_are_proposed_where_they_tell_most(cup: Path, tmp_path: Path, c
     assert list(geometry.clusters) == [f"cluster_{number}" for number in range(1, 7)]
     tiles = {region.name: set(region.tiles) for region in all_regions(geometry)}
     assert not tiles["posterior"] & set(geometry.clusters.values())
-    code, _, error = call(capsys, *words, "--replace", "--keep-out", "nowhere")
-    assert code == 1 and "tile 'nowhere'" in error.splitlines()[-1]
+    words[1] = "no scan"  # refused before it is read
+    refused(capsys, *words, "--replace", "--keep-out", "nowhere", named=["tile 'nowhere'"])
 
 
 TENTH = meshes.scaled(meshes.open_cone(0.06, 0.07, 0.4, 0.02), 0.1)
