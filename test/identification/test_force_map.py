@@ -163,3 +163,7 @@ def test_joint_draws_have_the_posterior_of_a_plain_conditioning() -> None:
     expected = covariance / np.outer(deviation, deviation)
     assert np.abs(found - expected).max() < 0.1
     assert np.abs(found - expected).mean() < 0.02  # 3000 pairs
+    # Of many hypotheses, each has the draws that its probability gives it.
+    (joint,) = ForceMap(GEOMETRY, CLUSTERS).sample(samples)
+    drawn = np.bincount(joint.hypotheses, minlength=len(joint.weights))
+    assert len(drawn) > 3 and np.abs(drawn - 100.0 * joint.weights).max() <= 1.0

@@ -62,17 +62,23 @@ def test_the_inner_wall_of_a_shell_is_kept_and_a_single_surface_whole(shape):
         check(scan, cone)
 
 
-def test_walls_of_any_thickness_and_a_long_solid_distal_end():
+def test_walls_of_any_thickness_a_slanted_cut_and_a_long_solid_distal_end():
     for thickness in (0.0015, 0.015):
         check(shell(*CONE, 0.004, thickness, dome=True), open_cone(*CONE, 0.004, dome=True))
-    cup = (0.05, 0.05, 0.15)
+    inner, cut = open_cone(*CONE, EDGE, arc=4.0), shell(*CONE, EDGE, 0.01, arc=4.0)
+    outer = slice(len(inner.vertices), None)  # turned, so that the cavity sees a face of the cut
+    cut.vertices[outer] = Rotation.from_rotvec(0.1 * UP).apply(cut.vertices[outer])
+    check(cut, inner, off=2.0)
 
-    def lengthened(points):
-        """As printed with its adapter: the middle of the body is within the material."""
-        return points - np.outer(0.12 * (points[:, 2] < -1e-6), UP)
+    for shape in ({"hole": 0.01, "dome": True}, {"arc": np.pi}):
+        inner = open_cone(*CONE, EDGE, **shape)
+        low = inner.vertices[:, 2].min() - 1e-6
 
-    for shape in ({"hole": 0.018}, {"arc": np.pi}):
-        check(moved(shell(*cup, EDGE, WALL, **shape), lengthened), open_cone(*cup, EDGE, **shape))
+        def lengthened(points, low=low):
+            """As printed with its adapter: the middle of the body is within the material."""
+            return points - np.outer(0.12 * (points[:, 2] < low), UP)
+
+        check(moved(shell(*CONE, EDGE, WALL, **shape), lengthened), inner)
 
 
 def oval(points):
@@ -234,6 +240,7 @@ def test_scans_without_a_cavity_or_an_opening_are_refused():
         (ball, "has no cavity"),
         (plate, "has no cavity"),
         (sheet, "has no cavity"),
+        (with_faces(ball, ball.triangles_center[:, 2] < -0.074), "has no cavity"),  # a dish
         (hollow, "closed"),
         (with_faces(ball, ball.triangles_center[:, 2] < 0.0795), "closed|equally open"),
     ):
