@@ -11,32 +11,8 @@ from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS
 REFERENCE = np.array([0.01, -0.02, 0.15, 0.02, 0.1, -0.05])  # [m, rad]
 
 
-@pytest.fixture
-def rng():
-    return np.random.default_rng(1)
-
-
-def law_of(variant, geometry, sharpness=2000.0):
-    return LAWS[variant](geometry.anchors, geometry.rotations, sharpness, REFERENCE)
-
-
-@pytest.mark.parametrize("variant", [v for v in VARIANTS if LAWS[v].REFINED])
-def test_slopes_and_bends_are_the_derivatives_of_the_columns(rng, variant):
-    law = law_of(variant, random_socket(rng), 300.0)
-    moved, step = rng.uniform(-0.004, 0.004, (30, 3, 5)), 1e-7  # [m]
-    slopes, bends = law.slopes(moved), law.bends(moved)
-    for along in range(3):
-        change = step * np.eye(3)[along][:, None]
-        after, before = (law.columns(moved + sign * change) for sign in (1.0, -1.0))
-        steeper, flatter = (law.slopes(moved + sign * change) for sign in (1.0, -1.0))
-        for axis in range(3):
-            expected = (after - before)[:, axis] / (2.0 * step)
-            np.testing.assert_allclose(slopes.get((axis, along), 0.0), expected, atol=1e-6)
-            for other in range(along + 1):
-                none = np.zeros((30, 5))
-                bend = steeper.get((axis, other), none) - flatter.get((axis, other), none)
-                found = bends.get((axis, other, along), none)
-                np.testing.assert_allclose(found, bend / (2.0 * step), atol=2e-4 * 300.0)
+def law_of(variant, geometry):
+    return LAWS[variant](geometry.anchors, geometry.rotations, 2000.0, REFERENCE)
 
 
 @pytest.mark.parametrize("variant", VARIANTS)

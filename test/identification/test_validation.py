@@ -36,11 +36,6 @@ from socket_testbed.settings.identification import VARIANTS, ForceMapSettings
 
 
 @pytest.fixture
-def rng():
-    return np.random.default_rng(8)
-
-
-@pytest.fixture
 def geometry(rng):
     return random_socket(rng)
 

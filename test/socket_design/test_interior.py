@@ -39,11 +39,6 @@ SHAPES = {
 }
 
 
-@pytest.fixture
-def rng():
-    return np.random.default_rng(7)
-
-
 def inside_out(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     return trimesh.Trimesh(mesh.vertices, mesh.faces[:, ::-1], process=False)
 

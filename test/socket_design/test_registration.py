@@ -32,11 +32,6 @@ from socket_testbed.socket_design.registration import (
 )
 
 
-@pytest.fixture
-def rng():
-    return np.random.default_rng(23)
-
-
 def test_a_body_of_more_markers_is_registered_in_the_frame_of_its_first(rng, tmp_path):
     bench = make_bench(rng)
     names, extra = list(SOCKET_NAMES), np.array([[0.02, 0.06, 0.01], [-0.05, 0.01, 0.045]])
