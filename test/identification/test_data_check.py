@@ -1,6 +1,5 @@
 """Sound trials are good; a damaged copy says what to look at."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +11,6 @@ from socket_testbed.identification.data_check import check_data
 from socket_testbed.samples import Status
 from socket_testbed.simulation.limb import SCENARIOS, TISSUES
 
-Damage = Callable[[np.ndarray], np.ndarray]
 ALL = slice(None)
 
 
@@ -39,7 +37,7 @@ def late(values: np.ndarray, by: int = 20) -> np.ndarray:
     return np.concatenate([np.repeat(values[:1], by, axis=0), values[:-by]])
 
 
-def put(value: float, *place: slice | int) -> Damage:
+def put(value: float, *place: slice | int):
     def damage(values: np.ndarray) -> np.ndarray:
         values = values.copy()
         values[place] = value
@@ -49,7 +47,7 @@ def put(value: float, *place: slice | int) -> Damage:
 
 
 # By damage: where to look, the arrays, and what becomes of them.
-DAMAGED: dict[str, tuple[str, tuple[str, ...], Damage]] = {
+DAMAGED = {
     "negated": ("the wrench", ("wrench",), np.negative),
     "kilonewtons": ("the wrench", ("wrench",), lambda v: v * np.repeat([1, 1e-3], 3)),
     "lever": ("the wrench", ("wrench",), lambda v: v + 200.0 * (np.arange(6) == 0)),

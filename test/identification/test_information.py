@@ -14,7 +14,6 @@ from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification import information as module
 from socket_testbed.identification.information import (
     LoadShare,
-    _information,
     engagement,
     find_suspension,
     known_directions,
@@ -32,8 +31,7 @@ def moving(rng, geometry, motion, noise, count=400):
     return make_samples(pose, np.zeros((count, 6)), {})
 
 
-def test_the_shares_of_a_bed_are_its_own():
-    rng = np.random.default_rng(1)
+def test_the_shares_of_a_bed_are_its_own(rng):
     bed = random_bed(rng, random_socket(rng), "stiffness_bias")
     samples = samples_of_bed(rng, bed, moving_limb(rng, 30))
     shares = {share.name: share for share in load_shares(samples, bed)}
@@ -45,17 +43,15 @@ def test_the_shares_of_a_bed_are_its_own():
         measured = samples.wrench[:, part]
         by_hand = np.sum(bed.wrench_bias[part] * measured) / np.sum(measured**2)
         assert share.offsets == pytest.approx(by_hand)
-    for springs, warned in ((0.12, True), (0.6, False)):
-        force = LoadShare("force", springs, 0.3, 0.1)
-        assert ("only 12 % of the measured" in share_warning((share, force, share))) == warned
+    force = LoadShare("force", 0.12, 0.3, 0.1)
+    assert "only 12 % of the measured" in share_warning((share, force, share))
     samples.wrench[:, 1] = np.nan  # My was never measured
     samples.position[3] = np.nan
     assert np.isnan(load_shares(samples, bed)[2].springs)
     assert load_shares(samples, bed)[0].residual == pytest.approx(0.0, abs=1e-9)
 
 
-def test_motion_and_noise_are_told_apart():
-    rng = np.random.default_rng(2)
+def test_motion_and_noise_are_told_apart(rng):
     geometry = random_socket(rng)  # along z
     motion = np.array([1e-4, 2e-3, 1e-3, 2e-3, 2e-2, 0.0])
     noise = np.array([2e-4, 2e-4, 1e-4, 1e-3, 1e-3, 1e-3])
@@ -72,8 +68,7 @@ def test_motion_and_noise_are_told_apart():
     assert all("unknown noise" in str(excitation) for excitation in unknown.excitations)
 
 
-def test_what_is_known_grows_with_motion_and_falls_with_noise_and_offsets():
-    rng = np.random.default_rng(6)
+def test_what_is_known_grows_with_motion_and_falls_with_noise_and_offsets(rng):
     geometry = random_socket(rng, rings=4, columns=8, clusters=4)
     bed = random_bed(rng, geometry, "stiffness_bias")
     steady = samples_of_bed(rng, bed, rng.normal(0.0, 1e-5, (200, 3)), noise=0.1)
@@ -94,29 +89,13 @@ def test_what_is_known_grows_with_motion_and_falls_with_noise_and_offsets():
     assert with_slope.offsets != pytest.approx(without.offsets)
     assert known_directions(moving, sloped, 1e3) < known_directions(moving, plain, 1e3)
 
-    # The derivatives are those of the model, which is linear in its stiffnesses.
-    geometry = random_socket(rng)
-    bed = random_bed(rng, geometry)
-    pose = samples_of_bed(rng, bed, moving_limb(rng, 5)).pose
-    clusters = tuple(geometry.clusters)
-    deviations = rng.uniform(0.5, 2.0, 6 + 3 * len(clusters))
-    columns = []
-    for i in range(bed.stiffness.size):
-        unit = np.zeros(bed.stiffness.size)
-        unit[i] = 1.0
-        single = dataclasses.replace(bed, stiffness=unit.reshape(-1, 3))
-        columns.append((single.predict(pose, clusters) / deviations).ravel())
-    stacked = np.array(columns)
-    assert np.allclose(_information(pose, bed, clusters, deviations), stacked @ stacked.T)
-
 
 @pytest.mark.parametrize("variant", ["stiffness", "rigid_bias"])
 def test_springs_are_engaged_in_compression_and_uncertain_within_the_spread_of_drawn_poses(
-    variant, monkeypatch
+    rng, variant, monkeypatch
 ):
     """A limb at rest, turned far from {S}, whose pose has noise: no formula but the motion."""
     monkeypatch.setattr(module, "_BLOCK", 700)
-    rng = np.random.default_rng(8)
     count, centre = 3000, np.array([0.01, -0.02, 0.13])
     bed = dataclasses.replace(
         random_bed(rng, random_socket(rng, 4, 8), variant, untouched=0.2),
