@@ -85,7 +85,6 @@ def test_what_was_not_measured_counts_in_nothing() -> None:
     np.testing.assert_allclose(found.regions.peak.value, fewer.regions.peak.value)
     np.testing.assert_allclose(found.regions.mean.high, fewer.regions.mean.high)
     assert np.isnan(found.series.mean.high[4]).all()
-    assert np.isnan(found.series.integral.value).all()
     highest = found.estimate.normal_pressure.max(axis=1)
     np.testing.assert_allclose(found.series.peak.value[kept, -1], highest[kept])
     samples.wrench[:] = np.nan
@@ -172,12 +171,11 @@ def test_draws_at_some_samples_of_a_long_span_give_nearly_what_all_give(monkeypa
     assert some.peak_row == found.peak_row == 333
     for name, quantity in vars(some.regions).items():
         expected = getattr(found.regions, name)
-        exact = 0.02 * expected.value if name == "area" else 1e-9  # the mean of the draws
-        np.testing.assert_allclose(quantity.value, expected.value, atol=np.max(np.abs(exact)))
         share = 0.15 if name in ("peak", "direction") else 0.05
         width = share * (expected.high - expected.low) + 1e-9
-        assert (np.abs(quantity.low - expected.low) <= width).all(), name
-        assert (np.abs(quantity.high - expected.high) <= width).all(), name
+        for part in ("value", "low", "high"):
+            off = getattr(quantity, part) - getattr(expected, part)
+            assert (np.abs(off) <= width).all(), (name, part)
 
 
 @pytest.mark.parametrize("tissue", ["soft", "stiff"])
