@@ -34,22 +34,21 @@ from socket_testbed.socket_design.registration import (
 
 def test_a_body_of_more_markers_is_registered_in_the_frame_of_its_first(rng, tmp_path):
     bench = make_bench(rng)
-    names, extra = list(SOCKET_NAMES), np.array([[0.02, 0.06, 0.01], [-0.05, 0.01, 0.045]])
-    own = own_frame_of(np.array([bench.places[name] for name in names]))
-    markers = bench.take.markers
-    for k, place in enumerate(own.apply(own_frame_of(SOCKET_TRIAD).inverse().apply(extra))):
-        names.append(f"Socket:Extra{k}")
-        markers[names[-1]] = place + rng.normal(0.0, 1e-4, (len(bench.take), 3))
+    names, markers = [*SOCKET_NAMES, "Extra0", "Extra1"], bench.take.markers
+    extra = np.array([[0.02, 0.06, 0.01], [-0.05, 0.01, 0.045]])
+    into_own = own_frame_of(SOCKET_TRIAD).inverse()
+    own = own_frame_of(triads(bench)[0])
+    for name, place in zip(names[3:], own.apply(into_own.apply(extra)), strict=True):
+        markers[name] = place + rng.normal(0.0, 1e-4, (len(bench.take), 3))
     exchanged = np.array([markers[names[-1]][:20], markers[names[0]][:20]])  # labels, at first
     markers[names[0]][:20], markers[names[-1]][:20] = exchanged
     markers[names[3]][50] = np.nan
     bench.document["bodies"]["socket"] = names
     found = register(bench, tmp_path)
     assert found.socket.still.used.sum() == 59
-    body = found.geometry.socket_markers
-    true = own_frame_of(SOCKET_TRIAD).inverse().apply(np.vstack([SOCKET_TRIAD, extra]))
-    in_cell = found.geometry.socket_body.apply(body)
-    np.testing.assert_allclose(in_cell, bench.socket_body.apply(true), atol=5e-4)
+    true = bench.socket_body.apply(into_own.apply(np.vstack([SOCKET_TRIAD, extra])))
+    body = found.geometry.socket_body.apply(found.geometry.socket_markers)
+    np.testing.assert_allclose(body, true, atol=5e-4)
 
 
 def triads(bench: Bench) -> list[np.ndarray]:
@@ -106,9 +105,8 @@ def still_markers(rng, frames: int = 60, noise: float = 1e-4) -> np.ndarray:
     return rng.uniform(-1.0, 1.0, (4, 3)) + rng.normal(0.0, noise, (frames, 4, 3))
 
 
-def average(positions: np.ndarray, fits: np.ndarray | None = None):
-    fits = np.ones(len(positions), dtype=bool) if fits is None else fits
-    return average_still("ABCD", positions, fits, "take.csv: socket")
+def average(positions: np.ndarray, fits: np.ndarray | bool = True):
+    return average_still("ABCD", positions, np.full(len(positions), fits), "take.csv: socket")
 
 
 def test_frames_are_counted_by_their_fault(rng):
@@ -135,7 +133,6 @@ def test_a_little_motion_is_noted_and_more_is_refused(rng):
         (6e-4 * ramp, "C drifted by 0.4"),
         (6e-4 * shake, "C moved about by 0.6"),
         (3e-3 * ramp, "socket: C drifted by 2.0"),
-        (2e-3 * shake, "socket: C moved about by 2.0"),
         (0.03 * (ramp > 0.7), "in 18 of 60 frames a marker, mostly C, is more than 5 mm"),
         (np.where(ramp < 0.25, 0.0, np.nan), "show all of A, B, C, D (C is occluded in 45"),
     ):
@@ -155,8 +152,7 @@ TARGET = np.array([0.02, -0.03, 0.25])  # [m]; off the landmarks, as the limb is
 NOISE = 4e-4  # [m]
 
 
-def names_of(count: int) -> tuple[str, ...]:
-    return tuple(f"LC{i + 1}" for i in range(count))
+NAMES = tuple(f"LC{i + 1}" for i in range(len(CELL)))
 
 
 def normalised(fit: LandmarkFit, pose: Pose) -> float:
@@ -168,7 +164,7 @@ def normalised(fit: LandmarkFit, pose: Pose) -> float:
 def test_landmarks_give_the_pose_of_least_squares_within_its_stated_uncertainty(rng):
     """With a noise from the residuals it is an F of 3, 3k - 6."""
     for count in (3, 5):
-        known, names, found = CELL[:count], names_of(count), []
+        known, names, found = CELL[:count], NAMES[:count], []
         for _ in range(400):
             pose = random_pose(rng, 1.0)
             measured = pose.apply(known) + rng.normal(0.0, NOISE, known.shape)
@@ -187,11 +183,10 @@ def test_landmarks_that_hold_no_frame_are_refused(rng):
     for known, measured, fact in (
         (CELL[:2], CELL[:2], "2 landmarks"),
         (near, near, "LC2 and LC4 are given 1.0 mm apart"),
-        (CELL[:4], near, "LC2 and LC4 were measured 1.0 mm apart"),
         (CELL, line, "were measured on one line"),
     ):
         with wording.refused(RegistrationError, fact):
-            register_landmarks(known, random_pose(rng).apply(measured), names_of(len(known)))
+            register_landmarks(known, random_pose(rng).apply(measured), NAMES[: len(known)])
 
 
 def test_a_wrong_landmark_is_noted_then_refused_unless_forced(rng, tmp_path):
@@ -206,12 +201,9 @@ def test_a_wrong_landmark_is_noted_then_refused_unless_forced(rng, tmp_path):
     assert np.trace(forced.covariance) > 30.0 * np.trace(found.covariance)
     for side in ("load_cell", "limb"):
         bench = make_bench(rng, frames=20, landmarks=4)
-        right = bench.document[side]
-        names = [*right]
-        swapped = dict(zip([names[-1], *names[1:-1], names[0]], right.values(), strict=True))
-        mirrored = {name: [x, -y, z] for name, (x, y, z) in right.items()}  # they are off a plane
-        for bench.document[side] in (swapped, mirrored):
-            assert "mm off" in refused(bench, tmp_path)
+        for point in bench.document[side].values():
+            point[1] *= -1.0  # mirrored, and off a plane
+        assert "mm off" in refused(bench, tmp_path)
 
 
 def test_landmarks_in_one_plane_are_noted_and_refused_if_the_limb_is_outside(rng, tmp_path):
