@@ -40,7 +40,7 @@ SHAPES = {
 
 
 def inside_out(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    return trimesh.Trimesh(mesh.vertices, mesh.faces[:, ::-1], process=False)
+    return with_faces(mesh, mesh.faces[:, ::-1])
 
 
 def check(scan: trimesh.Trimesh, inner: trimesh.Trimesh, up=UP, off: float = 1.0) -> None:
@@ -84,7 +84,7 @@ def pressed_in(points):
     """A bar across the front, as for the patellar tendon."""
     angle = np.arctan2(points[:, 1], points[:, 0])
     depth = 0.35 * np.exp(-(((points[:, 2] - 0.12) / 0.02) ** 2) - (angle / 0.5) ** 2)
-    return points * np.column_stack([1.0 - depth, 1.0 - depth, np.ones(len(points))])
+    return points * (1.0 - np.outer(depth, [1.0, 1.0, 0.0]))
 
 
 def test_sockets_that_are_not_round_or_are_shallow():
@@ -109,22 +109,12 @@ def test_noise_makes_no_holes(rng):
 
 
 def test_neither_the_pose_nor_the_order_of_the_faces_matters(rng):
-    for shape in ({"dome": True}, {"arc": 4.0}):
-        cone = open_cone(*CONE, EDGE, **shape)
-        solid = shell(*CONE, EDGE, WALL, **shape)
-        for mesh in (cone, solid, inside_out(solid)):
-            turn, shift = Rotation.random(random_state=5), rng.normal(0.0, 1.0, 3)
-            vertices = turn.apply(mesh.vertices) + shift
-            scan = trimesh.Trimesh(vertices, rng.permutation(mesh.faces), process=False)
-            inner = moved(cone, lambda points: turn.apply(points) + shift)  # noqa: B023
-            check(scan, inner, turn.apply(UP))
-
-
-def test_faces_missing_outside_the_inner_wall_do_not_matter():
-    solid, inner = shell(*CONE, 0.004, WALL, dome=True), open_cone(*CONE, 0.004, dome=True)
-    centres = solid.triangles_center
-    below_the_brim = (solid.faces.max(axis=1) >= len(inner.vertices)) & (centres[:, 2] <= 0.18)
-    assert_same_faces(find_interior(with_faces(solid, ~below_the_brim)).mesh, inner)
+    cone, solid = open_cone(*CONE, EDGE, arc=4.0), shell(*CONE, EDGE, WALL, arc=4.0)
+    turn, shift = Rotation.random(random_state=5), rng.normal(0.0, 1.0, 3)
+    inner = moved(cone, lambda points: turn.apply(points) + shift)
+    for mesh in (cone, solid, inside_out(solid)):
+        shuffled = with_faces(mesh, rng.permutation(mesh.faces))
+        check(moved(shuffled, lambda points: turn.apply(points) + shift), inner, turn.apply(UP))
 
 
 def test_a_window_is_an_opening_and_its_rim_is_no_wall():
@@ -150,12 +140,9 @@ def thickened(surface: trimesh.Trimesh, thickness: float) -> trimesh.Trimesh:
 
 
 def test_a_ledge_that_shades_the_wall_makes_no_hole():
-    height = 0.06
-
     def overhanging(points):
-        ring = np.exp(-(((points[:, 2] - height) / 0.012) ** 2))
-        inward = 1.0 - 0.3 * ring
-        ledge = points * np.column_stack([inward, inward, np.ones(len(points))])
+        ring = np.exp(-(((points[:, 2] - 0.06) / 0.012) ** 2))
+        ledge = points * (1.0 - np.outer(0.3 * ring, [1.0, 1.0, 0.0]))
         return ledge - np.outer(0.02 * ring, UP)
 
     cone = moved(open_cone(*CONE, 0.003, dome=True), overhanging)
@@ -212,11 +199,12 @@ def test_the_more_open_end_is_proximal_and_equal_ends_need_a_direction():
         find_interior(tube)
     # A given direction is kept; what the scan says against it is noted.
     cup, socket = open_cone(0.05, 0.05, 0.2, EDGE, closed=False), open_cone(*CONE, EDGE)
+    whole = shell(*CONE, EDGE, WALL)
     for scan, inner, direction, words in (
         (tube, cup, [0.0, 0.0, -2.0], "decides"),
-        (shell(*CONE, EDGE, WALL), socket, [0.0, 0.0, -3.0], "closed end, 180 deg"),
-        (shell(*CONE, EDGE, WALL), socket, [1.0, 0.0, 1.0], "45 deg off"),
-        (shell(*CONE, EDGE, WALL), socket, [0.1, 0.0, 1.0], ""),
+        (whole, socket, [0.0, 0.0, -3.0], "closed end, 180 deg"),
+        (whole, socket, [1.0, 0.0, 1.0], "45 deg off"),
+        (whole, socket, [0.1, 0.0, 1.0], ""),
     ):
         interior = find_interior(scan, np.array(direction))
         np.testing.assert_allclose(interior.proximal, direction / np.linalg.norm(direction))
@@ -225,10 +213,10 @@ def test_the_more_open_end_is_proximal_and_equal_ends_need_a_direction():
         assert (words in notes[0]) if words else not notes
 
 
-def test_scans_without_a_cavity_or_an_opening_are_refused():
+def test_scans_without_a_cavity_or_an_opening_are_refused(rng):
     ball = trimesh.creation.icosphere(subdivisions=4, radius=0.08)
     plate = trimesh.creation.box((0.1, 0.13, 0.02)).subdivide().subdivide()
-    noise = np.random.default_rng(0).normal(0.0, 5e-4, plate.vertices.shape)
+    noise = rng.normal(0.0, 5e-4, plate.vertices.shape)
     sheet = moved(with_faces(plate, plate.face_normals[:, 2] > 0.5), lambda points: points + noise)
     hollow = trimesh.util.concatenate([ball, inside_out(trimesh.creation.icosphere(4, 0.07))])
     for solid, words in (
