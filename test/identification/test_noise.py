@@ -62,16 +62,6 @@ def test_a_quantised_channel_has_at_least_the_noise_of_its_steps_and_few_values_
     assert np.isnan(channel_noise(samples).wrench).tolist() == [True] * 2 + [False] * 4
 
 
-def test_the_poses_components_keep_their_correlation():
-    samples, mixing = noisy_samples(70, 6000), np.eye(6)
-    mixing[0, 4] = 0.1  # [m]; the position's noise comes in part from the rotation's
-    samples.position[:, 0] += mixing[0, 4] * samples.rotation[:, 1]
-    expected = mixing @ np.diag(POSE_NOISE**2) @ mixing.T
-    size = np.outer(*[np.sqrt(np.diag(expected))] * 2)
-    found = channel_noise(samples).pose_covariance / size
-    np.testing.assert_allclose(found, expected / size, atol=0.12)
-
-
 def test_smoothing_keeps_linear_motion_and_averages_the_noise(rng):
     samples, noise = noisy_samples(91), POSE_NOISE * rng.normal(size=(800, 6))
     drift = np.outer(samples.time, POSE_NOISE)

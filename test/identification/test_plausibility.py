@@ -18,7 +18,6 @@ from socket_testbed.identification.plausibility import (
     implausible_notes,
     sign_note,
 )
-from socket_testbed.samples import Status
 
 LOAD, COUNT = 200.0, 100  # [N], samples
 
@@ -139,12 +138,3 @@ def test_peaks_above_1000_n_under_300_n_are_proposed_but_not_a_single_spike():
         samples.local_forces[-peaks:, 1, 1] = -1010.0
         samples.local_forces[:peaks, 2, 0] = 600.0  # twice the load: it may have an offset
         assert found(samples) == expected
-
-
-def test_a_cluster_outside_its_range_most_of_the_time_is_proposed_with_all_channels():
-    samples = loaded()
-    samples.status[:10, 0] = Status.MISSING  # which says nothing of the range
-    samples.status[10:54, 0] = Status.SATURATED  # 44 of 90
-    assert found(samples) == []
-    samples.status[50:56, 0] = Status.OUT_OF_RANGE  # 46 of 90
-    assert found(samples) == [f"cluster_0.F{axis}" for axis in "xyz"]

@@ -1,7 +1,6 @@
 """Tilings judged by points drawn on the surface; clusters, proposals for them, the load cell."""
 
 import math
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import trimesh
 import yaml
 from scipy.spatial.transform import Rotation
 from support import meshes
-from support.problems import make_samples
 from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError, RegistrationError
@@ -19,8 +17,6 @@ from socket_testbed.files import packaged
 from socket_testbed.geometry.axis import axis_through
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import ScanFrame, read_socket
-from socket_testbed.identification.force_map import ForceMap
-from socket_testbed.settings.identification import ForceMapSettings
 from socket_testbed.socket_design.clusters import (
     ClusterPlace,
     LaidCluster,
@@ -30,7 +26,6 @@ from socket_testbed.socket_design.clusters import (
 )
 from socket_testbed.socket_design.design import (
     nominal_places,
-    parse_direction,
     place_by_landmarks,
     place_by_points,
     tile_names,
@@ -138,7 +133,7 @@ def test_cluster_places_are_read(tmp_path: Path) -> None:
     scan = ScanFrame(0.001, Pose(np.eye(3), np.array([0.0, 0.02, 0.0])))
     assert mid.in_load_cell(scan).centre == pytest.approx([0.05, 0.01, 0.2])
     assert distal.in_load_cell(scan).centre == pytest.approx([0.0, 0.0, 0.1])
-    assert brim.frame is not None and brim.frame[:, 2] == pytest.approx([-1.0, 0.0, 0.0])
+    assert brim.frame[:, 2] == pytest.approx([-1.0, 0.0, 0.0])
     for text, words in (
         ("clusters: {distal: {point: [0, 0, 100]}}", "point[2] is 100: give a number from -2 to 2"),
         ("clusters: {distal: {anchor: [0, 0, 0.1]}}", "has anchor: give a point"),
@@ -146,14 +141,6 @@ def test_cluster_places_are_read(tmp_path: Path) -> None:
         path.write_text(text)
         with refused(ConfigurationError, words):
             read_cluster_places(path)
-
-
-def test_directions() -> None:
-    for text, expected in (("-X", [-1, 0, 0]), ("0, 3 4", [0, 0.6, 0.8])):
-        assert parse_direction(text, "--proximal") == pytest.approx(expected)
-    for wrong in ("w", "0 0 0", "1 nan 2"):
-        with pytest.raises(ConfigurationError, match="--proximal is"):
-            parse_direction(wrong, "--proximal")
 
 
 def test_placement_by_landmarks_or_points(tmp_path: Path) -> None:
@@ -186,19 +173,6 @@ def test_clusters_that_are_there_stay_and_each_further_one_lowers_the_error() ->
     assert errors == sorted(errors, reverse=True) and 0.0 < errors[-1] < errors[0] < 1.0
     low, high = found.at_random
     assert errors[-1] < high and low < high
-
-
-def test_the_first_proposal_is_the_best_single_cluster_of_the_force_map() -> None:
-    """Under one hypothesis: tried on every tile, by the map's own standard deviations."""
-    settings = ForceMapSettings(draws=1)
-    left = []
-    for tile in range(len(GEOMETRY)):
-        geometry = replace(GEOMETRY, clusters={"c": tile})
-        samples = make_samples(np.zeros((1, 6)), np.zeros((1, 6)), {"c": np.zeros((1, 3))})
-        estimate = ForceMap(geometry, ("c",), settings).estimate(samples)
-        left.append((estimate.standard_deviations**2).sum())
-    place = place_clusters(GEOMETRY, 1, settings=replace(settings, spread=0.0)).tiles[0]
-    assert left[place] < 1.02 * min(left)
 
 
 # --- Whole tilings
