@@ -1,8 +1,8 @@
 """The fit, from samples to a model, against the stacked problems and known truths."""
 
-import dataclasses
 import json
 import math
+from dataclasses import replace
 from unittest.mock import patch
 
 import numpy as np
@@ -64,10 +64,10 @@ def test_the_fit_is_both_stages_of_the_stacked_problem(variant, leave_out):
     geometry, _, samples, settings = make_case(91, variant, gaps=True, leave_out=leave_out)
     centre = samples.position.mean(axis=0)
     if len(leave_out) == 1:
-        settings = dataclasses.replace(settings, weights="raw", theta=0.3)
+        settings = replace(settings, weights="raw", theta=0.3)
     elif leave_out:  # then about a given reference, and with rest positions at their limit
         centre = centre + np.array([0.003, -0.002, 0.004])
-        settings = dataclasses.replace(
+        settings = replace(
             settings, reference_position=tuple(centre.tolist()), rest_position_limit=8e-4
         )
     u = stack_stage_one(samples, geometry, settings).solve()
@@ -100,7 +100,7 @@ def test_the_chosen_solver_is_called_for_every_program_and_the_fit_repeats_exact
     for variant, programs in (("stiffness_bias", 2), ("rigid_bias", 3)):
         # Without beds for the wrench, which are fitted as well.
         geometry, _, samples, settings = make_case(31, solver=solver, wrench_sharpness=())
-        settings = dataclasses.replace(settings, variant=variant)
+        settings = replace(settings, variant=variant)
         with patch("qpsolvers.solve_problem", wraps=qpsolvers.solve_problem) as solve:
             fit, again = (fit_contact_model(samples, geometry, settings) for _ in range(2))
         called = [call.args[1] for call in solve.call_args_list]
@@ -144,8 +144,8 @@ def test_what_cannot_be_fitted_is_refused_with_its_name():
     geometry, _, samples, settings = make_case(71)
 
     def is_refused(kind, *names, leave_out=(), **arrays):
-        spoilt = dataclasses.replace(samples, **arrays)
-        chosen = dataclasses.replace(settings, leave_out=leave_out)
+        spoilt = replace(samples, **arrays)
+        chosen = replace(settings, leave_out=leave_out)
         with refused(kind, *names):
             fit_contact_model(spoilt, geometry, chosen)
 
@@ -225,7 +225,7 @@ def rigid_case(seed: int, variant="rigid", count: int = 80, **changes):
     rng = np.random.default_rng(seed)
     geometry = random_socket(rng, rings=3, columns=5)
     size, inwards = (len(geometry), 3), geometry.rotations[:, 2]
-    bed = dataclasses.replace(
+    bed = replace(
         random_bed(np.random.default_rng(0), geometry, variant),
         rest_positions=rng.normal([0.0, 0.0, 0.003], 0.001, size) - 0.004 * inwards,
         stiffness=rng.uniform(0.5, 1.5, size) * [2000.0, 2000.0, 6000.0],
@@ -264,7 +264,7 @@ def test_derivatives_agree_with_differences_and_stage_two_with_the_objective(var
 def test_constants_of_the_clusters_move_nothing_but_their_offsets():
     geometry, _, samples, settings = rigid_case(13, "rigid_bias")
     mean = samples.local_forces.mean(axis=0)
-    moved = dataclasses.replace(samples, local_forces=samples.local_forces - 2.0 * mean)
+    moved = replace(samples, local_forces=samples.local_forces - 2.0 * mean)
     one, other = (fit_contact_model(s, geometry, settings) for s in (samples, moved))
     np.testing.assert_allclose(other.stage_one.x, one.stage_one.x, atol=1e-9)
     np.testing.assert_allclose(other.model.stiffness, one.model.stiffness, rtol=1e-6)
@@ -287,12 +287,12 @@ def test_joint_refinement_recovers_what_the_bed_bears(variant):
 def test_a_pose_or_a_load_that_stands_still_gives_no_slope():
     geometry, bed, samples, settings = rigid_case(12, "rigid_bias")
     # The mean of the rotation differs from it by rounding.
-    still = dataclasses.replace(samples, rotation=np.tile([0.1, -0.2, 0.3], (80, 1)))
+    still = replace(samples, rotation=np.tile([0.1, -0.2, 0.3], (80, 1)))
     model = fit_contact_model(still, geometry, settings).model
     assert (model.wrench_slope[:, 3:] == 0.0).all()
     # A limb that creeps while its load stays tells nothing about another load.
     noise = np.random.default_rng(0).normal(0.0, [0.001] * 3 + [0.1] * 3, (80, 6))
-    creeping = dataclasses.replace(samples, wrench=samples.wrench.mean(axis=0) + noise)
+    creeping = replace(samples, wrench=samples.wrench.mean(axis=0) + noise)
     held = fit_contact_model(creeping, geometry, settings).model
     size = np.abs(bed.wrench(samples.pose) - bed.wrench(samples.pose).mean(axis=0)).max(axis=0)
     reach = np.abs(samples.pose - held.reference_pose).max(axis=0)
@@ -305,11 +305,11 @@ def test_the_wrench_is_taken_from_what_predicts_the_unseen_half_best(tmp_path):
     own = fit_contact_model(samples, geometry, settings)
     assert own.wrench == "" and own.model.of_wrench is None  # the bed is the truth
     soft = {"contact_sharpness": 20.0, "wrench_sharpness": (20.0, bed.sharpness)}
-    fit = fit_contact_model(samples, geometry, dataclasses.replace(settings, **soft))
+    fit = fit_contact_model(samples, geometry, replace(settings, **soft))
     assert fit.wrench.startswith("springs of sharpness 300 /m: ")
     assert fit.model.sharpness == 20.0 and fit.model.of_wrench.sharpness == bed.sharpness
     change = samples.wrench - samples.wrench.mean(axis=0)  # under one load it says nothing
-    held = dataclasses.replace(samples, wrench=np.array([0, 1, 0, 5, 3, -250.0]) + 1e-3 * change)
+    held = replace(samples, wrench=np.array([0, 1, 0, 5, 3, -250.0]) + 1e-3 * change)
     assert fit_contact_model(held, geometry, settings).model.of_wrench is None
     slope = np.random.default_rng(2).normal(size=(6, 6)) * np.repeat([[40.0], [2000.0]], 3, axis=0)
     pose = samples.pose - samples.pose.mean(axis=0)
@@ -317,7 +317,7 @@ def test_the_wrench_is_taken_from_what_predicts_the_unseen_half_best(tmp_path):
     fit = fit_contact_model(samples, geometry, settings)
     assert fit.wrench.startswith("linear regression on the pose: ")
     np.testing.assert_allclose(fit.model.wrench(samples.pose), samples.wrench, atol=0.5)
-    alone = dataclasses.replace(fit.model, of_wrench=None)
+    alone = replace(fit.model, of_wrench=None)
     np.testing.assert_array_equal(alone.forces(samples.pose), fit.model.forces(samples.pose))
     path = tmp_path / "model.json"
     write_model(fit, geometry, {"name": "made up"}, "all", path)
@@ -376,7 +376,7 @@ def test_the_quoted_figures_are_means_and_medians_of_the_channels_in_the_objecti
 @pytest.mark.parametrize("variant", ["stiffness_bias", "rigid_bias"])
 def test_a_model_reads_back_as_it_was_written(tmp_path, variant):
     geometry, _, samples, settings = make_case(5, leave_out=("cluster_1.Fy",))
-    fit = fit_contact_model(samples, geometry, dataclasses.replace(settings, variant=variant))
+    fit = fit_contact_model(samples, geometry, replace(settings, variant=variant))
     path = tmp_path / "model.json"
     write_model(fit, geometry, {"name": "hold"}, "plateau", path)
 

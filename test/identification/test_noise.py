@@ -1,6 +1,6 @@
 """The noise of every channel: what is known of it comes back, what is no noise does not matter."""
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -53,7 +53,7 @@ def test_a_quantised_channel_has_at_least_the_noise_of_its_steps_and_few_values_
     samples, rng = noisy_samples(40), np.random.default_rng(41)
     slow = np.sin(2.0 * np.pi * samples.time[:, None] / 60.0)
     read = np.round((slow + step * rng.normal(0.0, noise, (800, 6))) / step) * step
-    found = channel_noise(dataclasses.replace(samples, wrench=read)).wrench
+    found = channel_noise(replace(samples, wrench=read)).wrench
     assert (found >= 0.999 * step / np.sqrt(12.0)).all()
     np.testing.assert_allclose(found, step * np.hypot(noise, np.sqrt(1.0 / 12.0)), rtol=0.25)
     for count in (0, 3, LEAST_DIFFERENCES + 2):
@@ -66,8 +66,7 @@ def test_smoothing_keeps_linear_motion_and_averages_the_noise(rng):
     samples, noise = noisy_samples(91), POSE_NOISE * rng.normal(size=(800, 6))
     drift = np.outer(samples.time, POSE_NOISE)
     still, steady = (
-        dataclasses.replace(samples, position=pose[:, :3], rotation=pose[:, 3:])
-        for pose in (noise, drift)
+        replace(samples, position=pose[:, :3], rotation=pose[:, 3:]) for pose in (noise, drift)
     )
     # Rotations about different axes do not add up exactly: (0.4 rad)^2 of some mrad.
     np.testing.assert_allclose(smooth_poses(steady, 2.0).pose, drift, atol=2e-5)
@@ -81,12 +80,12 @@ def test_smoothing_does_not_reach_across_a_gap_fills_nothing_and_holds_in_any_fr
     position = 0.01 * late[:, None] * np.ones(3)
     position[30] = np.nan
     stamps = samples.stamps + 500_000_000 * late
-    apart = dataclasses.replace(samples, stamps=stamps, position=position)
+    apart = replace(samples, stamps=stamps, position=position)
     smooth = smooth_poses(apart, 4.0)
     np.testing.assert_allclose(smooth.position, position, atol=1e-15)
     assert np.isnan(smooth.rotation[30]).all() and np.isfinite(smooth.rotation[29]).all()
     around = Rotation.from_rotvec([0.0, 0.0, np.pi])  # rotation vectors jump there
     vectors = (around * Rotation.from_rotvec(samples.rotation)).as_rotvec()
-    turned = smooth_poses(dataclasses.replace(samples, rotation=vectors), 2.0).rotation
+    turned = smooth_poses(replace(samples, rotation=vectors), 2.0).rotation
     expected = around * Rotation.from_rotvec(smooth_poses(samples, 2.0).rotation)
     assert (expected.inv() * Rotation.from_rotvec(turned)).magnitude().max() < 1e-12

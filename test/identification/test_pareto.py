@@ -1,7 +1,7 @@
 """The front over theta against single fits and its theorems; where it bends, on known fronts."""
 
-import dataclasses
 import json
+from dataclasses import replace
 from unittest.mock import DEFAULT, Mock
 
 import numpy as np
@@ -37,7 +37,7 @@ def test_every_solution_is_the_fit_at_its_theta_with_errors_over_the_size_of_wha
     geometry, _, samples, settings = make_case(2, gaps=True, leave_out=leave_out)
     samples.local_forces[:, 0, 2] = np.nan  # a channel that is left out may be dead
     # Neither theta nor variant matter.
-    settings = dataclasses.replace(settings, theta=1.0, variant="rigid")
+    settings = replace(settings, theta=1.0, variant="rigid")
     fronts = pareto_front(samples, geometry, settings, THETAS)
     assert tuple(fronts) == PAPER_VARIANTS
     measured = dict(zip(samples.channels, samples.trusted_values.T, strict=True))
@@ -53,7 +53,7 @@ def test_every_solution_is_the_fit_at_its_theta_with_errors_over_the_size_of_wha
     for variant, front in fronts.items():
         assert front.theta.tolist() == list(THETAS) and list(front.channels) == counted
         for point in front.points:
-            single = dataclasses.replace(settings, theta=point.theta, variant=variant)
+            single = replace(settings, theta=point.theta, variant=variant)
             fit = fit_contact_model(samples, geometry, single)  # which starts from nothing
             assert point.flaw == "" and point.residual <= settings.solver_tolerance
             rest = fit.model.rest_positions
@@ -73,7 +73,7 @@ def test_what_nothing_decides_is_not_on_the_front():
     # A row of tiles, none of them under a cluster, that is joined to no other.
     island = {i for i in range(len(geometry)) if i not in geometry.clusters.values()}
     pairs = [p for p in geometry.neighbours if (p[0] in island) == (p[1] in island)]
-    split = dataclasses.replace(geometry, neighbours=np.array(pairs))
+    split = replace(geometry, neighbours=np.array(pairs))
     for front in pareto_front(samples, split, settings, THETAS).values():
         assert "Stage 1" in front.flaws[0] and "determine" in front.flaws[0]
         assert not front.sound[0] and not front.non_dominated[0]
@@ -83,7 +83,7 @@ def test_what_nothing_decides_is_not_on_the_front():
         ({"smoothness": 0.0}, "more smoothness"),
     ):
         with refused(TestbedError, reason):
-            chosen = dataclasses.replace(settings, **changes)
+            chosen = replace(settings, **changes)
             pareto_front(samples, geometry, chosen, THETAS)
 
 
@@ -152,7 +152,7 @@ def test_a_front_marks_its_ends_and_its_knee_but_nothing_flawed():
     np.testing.assert_allclose(groups, np.outer([1.0, 2.5, 5.0], 1.0 + front.theta))
     points[4] = FrontPoint(0.4, None, np.full(6, np.nan), np.nan, np.nan, np.nan, "none")
     for flawed in (0, 8, 10):
-        points[flawed] = dataclasses.replace(points[flawed], flaw="not determined")
+        points[flawed] = replace(points[flawed], flaw="not determined")
     spoilt = Front("stiffness", channels, points)
     assert not (spoilt.sound | spoilt.non_dominated)[[0, 4, 8, 10]].any()
     assert set(spoilt.marks) == {KNEE} and spoilt.marks[KNEE] in (3, 5)

@@ -1,6 +1,6 @@
 """Samples that no limb in a socket gives are refused or noted; what to leave out is proposed."""
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 from support.problems import make_case, make_samples, random_socket
@@ -44,7 +44,7 @@ def test_a_wrench_without_a_load_and_another_unit_are_refused():
     for wrench in (1e-4, 0.0):
         samples.wrench[:] = wrench
         is_refused(samples, geometry, settings, "holds no load")
-    settings = dataclasses.replace(settings, leave_out=("Mx", "My", "Mz", "Fx", "Fy", "Fz"))
+    settings = replace(settings, leave_out=("Mx", "My", "Mz", "Fx", "Fy", "Fz"))
     assert fit_contact_model(samples, geometry, settings).samples == len(samples)
 
 
@@ -65,7 +65,7 @@ def test_an_outlier_is_left_out_and_noted_with_channel_and_time_and_many_are_ref
         assert array == "local_forces" or (found.model.stiffness == without.stiffness).all()
     sound.wrench[::8, 3] = 1e9
     is_refused(sound, geometry, settings, "5 of 40 samples are outliers: Fx has 5")
-    settings = dataclasses.replace(settings, leave_out=("Fx",))  # then it drops no sample
+    settings = replace(settings, leave_out=("Fx",))  # then it drops no sample
     assert fit_contact_model(sound, geometry, settings).samples == len(sound)
 
 
@@ -85,7 +85,7 @@ def loaded(count=COUNT, load=LOAD, spread=0.3):
 def scaled(samples, column, axis, factor):
     forces = samples.local_forces.copy()
     forces[:, column, axis] *= factor
-    return dataclasses.replace(samples, local_forces=forces)
+    return replace(samples, local_forces=forces)
 
 
 def found(samples) -> list[str]:
@@ -94,14 +94,14 @@ def found(samples) -> list[str]:
 
 def test_a_negated_wrench_is_noted_on_clear_evidence_alone():
     samples = loaded()
-    negated = dataclasses.replace(samples, wrench=-samples.wrench)
+    negated = replace(samples, wrench=-samples.wrench)
     (note,) = implausible_notes(negated, GEOMETRY, ())
     assert "wrench looks negated" in note and "200 N" in note and "3 of 3 clusters" in note
-    hanging = dataclasses.replace(samples, wrench=samples.wrench * (-0.9 * HANGING / LOAD))
-    pulled = dataclasses.replace(negated, local_forces=-samples.local_forces)
+    hanging = replace(samples, wrench=samples.wrench * (-0.9 * HANGING / LOAD))
+    pulled = replace(negated, local_forces=-samples.local_forces)
     shifted = samples.local_forces + np.array([0.0, 0.0, 150.0])
-    offset = dataclasses.replace(samples, local_forces=shifted)
-    unread = dataclasses.replace(negated, status=np.full_like(samples.status, 2))
+    offset = replace(samples, local_forces=shifted)
+    unread = replace(negated, status=np.full_like(samples.status, 2))
     for doubtful in (hanging, pulled, offset, unread):
         assert sign_note(doubtful, GEOMETRY) is None
 
@@ -115,7 +115,7 @@ def test_what_exceeds_the_load_pulls_or_has_no_lever_is_proposed_with_its_number
         assert found(scaled(samples, 1, axis, 0.99 * load / size)) == []
         (proposal,) = find_implausible(scaled(samples, 1, axis, 10.0 * load / size), GEOMETRY)
         assert proposal.channel == f"cluster_1.F{'xyz'[axis]}" and "10 times" in proposal.reason
-    unloaded = dataclasses.replace(samples, wrench=samples.wrench * (0.9 * LEAST_LOAD / LOAD))
+    unloaded = replace(samples, wrench=samples.wrench * (0.9 * LEAST_LOAD / LOAD))
     assert found(scaled(unloaded, 1, 0, 1e4)) == []  # nothing is too large for no load
     for left_out, said in (((), "--leave-out cluster_1.Fx"), (("cluster_1.Fx",), "is left out")):
         (note,) = implausible_notes(scaled(samples, 1, 0, 1e4), GEOMETRY, left_out)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -67,7 +67,7 @@ def test_clusters_share_by_distance_and_the_wrench_is_met_by_the_smallest_change
     assert np.allclose(local[2], given[2, 0])
     assert np.isnan(found[3]).all()
 
-    geometry = dataclasses.replace(geometry, areas=rng.uniform(5e-4, 2e-3, len(geometry)))
+    geometry = replace(geometry, areas=rng.uniform(5e-4, 2e-3, len(geometry)))
     forces, held = rng.normal(size=(2, len(geometry), 3)), [0, 3]
     wrench = rng.normal(0.0, [1.0] * 3 + [50.0] * 3, (2, 6))
     found = close_wrench(geometry, forces, wrench, held)

@@ -1,6 +1,6 @@
 """Motive's CSV exports: of every version, broken, and of a real system."""
 
-import dataclasses
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -53,19 +53,19 @@ def check(take: MotiveTake, scene: Written, within: float = 1e-6) -> None:
 def test_every_version_unit_and_line_end_is_read(scene, tmp_path):
     path = tmp_path / "take.csv"
     for version in ("1.2", "1.20", "1.21", "1.22", "1.23", "1.24", "1.25"):
-        check(read_motive_csv(write_take(dataclasses.replace(scene, version=version), path)), scene)
+        check(read_motive_csv(write_take(replace(scene, version=version), path)), scene)
     for unit, metres in UNITS.items():
-        take = read_motive_csv(write_take(dataclasses.replace(scene, unit=unit), path))
+        take = read_motive_csv(write_take(replace(scene, unit=unit), path))
         check(take, scene, 1e-6 * metres)
     check(read_motive_csv(write_lines(motive_lines(scene), path, "\n", "utf-8-sig")), scene)
-    newer = read_motive_csv(write_take(dataclasses.replace(scene, version="1.31"), path))
+    newer = read_motive_csv(write_take(replace(scene, version="1.31"), path))
     assert "1.31" in newer.notes[0] and len(newer) == 30
 
 
 def test_what_is_not_needed_and_the_sign_of_q_do_not_matter_and_a_lost_body_has_no_pose(
     scene, tmp_path
 ):
-    lines = motive_lines(dataclasses.replace(scene, version="1.24"))
+    lines = motive_lines(replace(scene, version="1.24"))
     extra = [",Bone", ",Hips", ",0A", ",Position", ",X", *[",not read"] * 30]
     codes = ["", "", "", "", "TimeCode", *["15:26:46:12.02"] * 30]
     for i, (bone, code) in enumerate(zip(extra, codes, strict=True), start=2):
@@ -112,7 +112,7 @@ def test_missing_and_doubled_names_are_named(scene, tmp_path):
         take.stack(["Socket:Marker1"])
     # Since format 1.22 solved markers have the names of measured ones.
     solved = dict(zip(take.markers_of("Socket"), scene.solved.values(), strict=False))
-    both = dataclasses.replace(scene, solved=solved, version="1.23")
+    both = replace(scene, solved=solved, version="1.23")
     check(read(motive_lines(both), tmp_path), both)
 
 

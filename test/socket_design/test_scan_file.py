@@ -199,23 +199,6 @@ def test_the_winding_is_made_consistent_with_the_fewest_turns(rng, path):
     assert noted(scan, f"reversed {flip.sum()} faces")
 
 
-def test_where_the_surface_touches_itself_it_is_cut(path):
-    solid = shell(*CONE, EDGE, 0.005)
-    here, there = (
-        solid.faces[np.argmin(np.linalg.norm(solid.triangles_center - place, axis=1))]
-        for place in ([0.05, 0.0, 0.1], [-0.05, 0.0, 0.1])
-    )
-    for corners, sides in ((1, 0), (2, 4)):
-        vertices = solid.vertices.copy()
-        vertices[there[:corners]] = vertices[here[:corners]]
-        touching = trimesh.Trimesh(vertices, solid.faces, process=False)
-        scan = read_scan(write_stl(touching, path))
-        assert len(scan.mesh.vertices) == len(touching.vertices)
-        assert scan.mesh.euler_number == touching.euler_number
-        assert np.unique(scan.mesh.edges_sorted, axis=0, return_counts=True)[1].max() == 2
-        assert noted(scan, f"more than two faces share, {sides} sides") == (sides > 0)
-
-
 def test_small_holes_are_closed_by_fans_and_a_large_one_through_both_walls_is_left(path):
     solid = shell(*CONE, 0.0025, 0.005)
     centres = solid.triangles_center

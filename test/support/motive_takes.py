@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -151,8 +150,8 @@ def track(bench: Bench, name: str, triad: tuple[str, ...], frame: Pose) -> Bench
     pose = own_frame_of(np.array([bench.places[marker] for marker in triad])) @ frame
     count = len(bench.take)
     tracked = Pose(np.tile(pose.rotation, (count, 1, 1)), np.tile(pose.translation, (count, 1)))
-    take = dataclasses.replace(bench.take, bodies={**bench.take.bodies, name: tracked})
-    return dataclasses.replace(bench, take=take)
+    take = replace(bench.take, bodies={**bench.take.bodies, name: tracked})
+    return replace(bench, take=take)
 
 
 def write_landmarks(document: dict, path: Path) -> Path:
