@@ -105,7 +105,7 @@ BAD = (
 
 
 def test_bad_input_is_one_line(tmp_path: Path, capsys) -> None:
-    """Files that are no scan: test_scan_file.py; no socket: test_interior.py."""
+    """Files that are no scan, or no socket: test_scan_file.py."""
     scan, output = tmp_path / "cup.stl", tmp_path / "socket.yaml"
     for mesh, words, message in BAD:
         meshes.write_stl(mesh, scan)
