@@ -29,7 +29,7 @@ from support.stacked import (
 )
 from support.wording import refused
 
-from socket_testbed.errors import ConfigurationError, IdentificationError
+from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.identification.contact import LAWS, ContactModel, wrench_map
 from socket_testbed.identification.fit import (
     channel_errors,
@@ -89,8 +89,7 @@ def test_the_fit_is_both_stages_of_the_stacked_problem(variant, leave_out):
 def test_k0_is_the_slope_of_the_wrench_over_the_position():
     geometry, _, samples, settings = make_case(95, initial_stiffness=0.0)
     moved = np.tile(samples.position, len(geometry))  # every tile with the limb
-    samples.wrench[:] = [1.0, 2.0, 3.0, 4.0, 5.0, -300.0]
-    samples.wrench[:] += 4e3 * moved @ wrench_map(geometry.anchors).T
+    samples.wrench[:] = -300.0 + 4e3 * moved @ wrench_map(geometry.anchors).T
     fit = fit_contact_model(samples, geometry, settings)
     assert fit.settings.initial_stiffness == pytest.approx(4e3)
 
@@ -142,27 +141,21 @@ def test_what_is_left_out_does_not_matter_and_the_fit_says_what_it_rests_on(lost
 
 def test_what_cannot_be_fitted_is_refused_with_its_name():
     geometry, _, samples, settings = make_case(71)
-
-    def is_refused(kind, *names, leave_out=(), **arrays):
-        spoilt = replace(samples, **arrays)
-        chosen = replace(settings, leave_out=leave_out)
-        with refused(kind, *names):
-            fit_contact_model(spoilt, geometry, chosen)
-
-    for array, place, value, channel in (
-        ("local_forces", np.s_[:, 1, 2], np.nan, "cluster_1.Fz"),
-        ("wrench", np.s_[:, 2], np.nan, "Mz"),
+    forces, wrench = samples.local_forces.copy(), samples.wrench.copy()
+    forces[:, 1, 2], wrench[:, 2] = np.nan, np.nan
+    few = np.where(np.arange(40)[:, None] < LEAST_SAMPLES - 1, samples.position, np.nan)
+    for leave_out, arrays, *names in (
+        ((), {"local_forces": forces}, "cluster_1.Fz ", "(--leave-out "),
+        ((), {"wrench": wrench}, "Mz ", "(--leave-out "),
+        ((), {"position": few}, "only 11 of 40 samples", "needs 12"),
+        ((), {"position": np.full((40, 3), np.nan)}, "only 0 of 40 samples"),
+        ((), {"clusters": ("cluster_0", "brim", "cluster_2")}, "'brim'"),
+        (("mz",), {}, "leave_out: no channel 'mz'", "Mz"),
+        (samples.channels, {}, "every channel is left out"),
     ):
-        values = getattr(samples, array).copy()
-        values[place] = value
-        is_refused(IdentificationError, f"{channel} ", "(--leave-out ", **{array: values})
-    is_refused(ConfigurationError, "leave_out", "'mz'", "Mz", leave_out=("mz",))
-    is_refused(ConfigurationError, "'brim'", clusters=("cluster_0", "brim", "cluster_2"))
-    is_refused(IdentificationError, "every channel is left out", leave_out=samples.channels)
-    for count in (LEAST_SAMPLES - 1, 0):
-        position = np.where(np.arange(len(samples))[:, None] < count, samples.position, np.nan)
-        names = (f"only {count} of {len(samples)} samples", f"needs {LEAST_SAMPLES}")
-        is_refused(IdentificationError, *names, position=position)
+        with refused(TestbedError, *names):
+            spoilt = replace(samples, **arrays)
+            fit_contact_model(spoilt, geometry, replace(settings, leave_out=leave_out))
 
 
 # --- Stage 2 at given rest positions

@@ -74,12 +74,8 @@ def test_the_prior_s_parts_are_its_equation_s() -> None:
         np.testing.assert_allclose(prior.blocks, blocks, atol=1e-9 * whole.max())
     # Hypotheses follow the stated distributions.
     settings = ForceMapSettings(draws=256, spread=2.0)
-    found = hypotheses(settings)
-    assert vars(found[0]) == pytest.approx(vars(settings))
-    for name, spread in (("sinking", 2.0), ("length", 0.5), ("cluster_error", 1.0)):
-        logs = np.log([getattr(sizes, name) / getattr(settings, name) for sizes in found])
-        assert abs(np.median(logs)) < 0.1 * spread and abs(logs.std() - spread) < 0.1 * spread
-    assert max(sizes.share for sizes in found) <= 1.0
+    logs = np.log([sizes.sinking / settings.sinking for sizes in hypotheses(settings)])
+    assert abs(np.median(logs)) < 0.2 and abs(logs.std() - 2.0) < 0.2
 
 
 def test_a_trial_s_evidence_weighs_the_hypotheses_of_each_of_its_samples() -> None:

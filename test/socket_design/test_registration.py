@@ -137,7 +137,6 @@ def test_frames_are_counted_by_their_fault(rng):
 def test_a_little_motion_is_noted_and_more_is_refused(rng):
     ramp, shake = np.linspace(0.0, 1.0, 60), (-1.0) ** np.arange(60)
     for motion, words in (
-        (1e-4 * ramp, ""),
         (6e-4 * ramp, "C drifted by 0.4"),
         (6e-4 * shake, "C moved about by 0.6"),
         (3e-3 * ramp, "socket: C drifted by 2.0"),
@@ -151,7 +150,7 @@ def test_a_little_motion_is_noted_and_more_is_refused(rng):
                 average(positions)
         else:
             notes = average(positions).notes
-            assert len(notes) == bool(words) and all(words in note for note in notes)
+            assert len(notes) == 1 and words in notes[0]
 
 
 # --- landmarks
@@ -362,17 +361,13 @@ def test_a_take_that_was_cut_short_keeps_its_whole_frames(scene, tmp_path):
 def test_missing_and_doubled_names_are_named(scene, tmp_path):
     lines = motive_lines(scene)
     take = read(lines, tmp_path)
-    for name, *words in (
-        ("Sockt:Marker1", "no marker 'Sockt:", "mean 'Socket:Marker1'"),
-        ("Socket_2", "not a measured one", "Markers"),
-    ):
-        with wording.refused(RegistrationError, *words):
-            take.stack([name])
+    with wording.refused(RegistrationError, "no marker 'Sockt:", "mean 'Socket:Marker1'"):
+        take.stack(["Sockt:Marker1"])
+    with wording.refused(RegistrationError, "not a measured one", "Markers"):
+        take.stack(["Socket_2"])
     lines[3] = lines[3].replace("Socket:Marker3", "Socket:Marker1")
-    take = read(lines, tmp_path)
-    assert "Socket:Marker1" not in take.markers and "Socket:Marker2" in take.markers
     with wording.refused(RegistrationError, "'Socket:Marker1' occurs twice"):
-        take.stack(["Socket:Marker1"])
+        read(lines, tmp_path).stack(["Socket:Marker1"])
     # Since format 1.22 solved markers have the names of measured ones.
     solved = dict(zip(take.markers_of("Socket"), scene.solved.values(), strict=False))
     both = replace(scene, solved=solved, version="1.23")
