@@ -12,7 +12,6 @@ import socket_testbed as st
 from socket_testbed.errors import IdentificationError
 from socket_testbed.identification.data_check import check_data
 from socket_testbed.identification.fit import fit_contact_model
-from socket_testbed.identification.pareto import pareto_front
 from socket_testbed.identification.plausibility import (
     HANGING,
     LEAST_LOAD,
@@ -110,14 +109,6 @@ def test_a_reversed_cluster_another_size_and_few_samples_are_named(sound: dict[s
 LOAD, COUNT = 200.0, 100  # [N], samples
 
 
-def is_refused(samples, geometry, settings, *names):
-    """Check that a fit and a front refuse samples with a line that names these."""
-    with refused(IdentificationError, *names):
-        fit_contact_model(samples, geometry, settings)
-    with refused(IdentificationError, *names):
-        pareto_front(samples, geometry, settings, (0.0, 1.0))
-
-
 def test_a_wrench_without_a_load_and_another_unit_are_refused():
     for array, column, names in (
         ("position", np.s_[:], ("limb position", "likely in millimetres")),
@@ -127,11 +118,13 @@ def test_a_wrench_without_a_load_and_another_unit_are_refused():
     ):
         geometry, _, samples, settings = make_case(3)
         getattr(samples, array)[column] *= 1000.0
-        is_refused(samples, geometry, settings, *names)
+        with refused(IdentificationError, *names):
+            fit_contact_model(samples, geometry, settings)
     geometry, _, samples, settings = make_case(2)
     for wrench in (1e-4, 0.0):
         samples.wrench[:] = wrench
-        is_refused(samples, geometry, settings, "holds no load")
+        with refused(IdentificationError, "holds no load"):
+            fit_contact_model(samples, geometry, settings)
     settings = replace(settings, leave_out=("Mx", "My", "Mz", "Fx", "Fy", "Fz"))
     assert fit_contact_model(samples, geometry, settings).samples == len(samples)
 
@@ -152,7 +145,8 @@ def test_an_outlier_is_left_out_and_noted_with_channel_and_time_and_many_are_ref
         assert max(error.rmse for error in found.errors) < 100.0
         assert array == "local_forces" or (found.model.stiffness == without.stiffness).all()
     sound.wrench[::8, 3] = 1e9
-    is_refused(sound, geometry, settings, "5 of 40 samples are outliers: Fx has 5")
+    with refused(IdentificationError, "5 of 40 samples are outliers: Fx has 5"):
+        fit_contact_model(sound, geometry, settings)
     settings = replace(settings, leave_out=("Fx",))  # then it drops no sample
     assert fit_contact_model(sound, geometry, settings).samples == len(sound)
 

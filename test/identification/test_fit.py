@@ -48,7 +48,6 @@ from socket_testbed.settings.identification import (
     IdentificationSettings,
 )
 
-FAR = np.array([0.01, -0.02, 0.03])  # [m]; no sign may hide behind a mean position of zero
 SOLVERS = [solver for solver in ("osqp", "daqp") if solver in qpsolvers.available_solvers]
 LEFT_OUT = [
     (),
@@ -169,26 +168,6 @@ def solve_stage_two(samples, geometry, settings, rest):
     moments = problem.moments(x)
     x[:3] = solve_box_qp(problem.stage_two(moments), "osqp", 1e-6).x.reshape(3, -1)
     return problem, moments, x
-
-
-def test_products_keep_their_digits_on_a_hold():
-    """Against extended precision: what is centred after the product loses eight digits here."""
-    geometry, bed, samples, settings = make_case(4, "stiffness_bias")
-    samples.position[:] = FAR + 1e-5 * samples.position  # a hold of some nanometres
-    rest = FAR + bed.rest_positions
-    found = solve_stage_two(samples, geometry, settings, rest)[1][0]
-    wide = np.longdouble
-    position = samples.position.astype(wide)
-    S = naive_gated(position[:, None] - rest.astype(wide), wide(2000.0))
-    S = S.transpose(0, 2, 1).reshape(len(position), -1)
-    Y = samples.wrench.astype(wide)
-    np.testing.assert_allclose(found.mean, S.mean(axis=0).astype(float), rtol=1e-12, atol=1e-18)
-    S, Y = S - S.mean(axis=0), Y - Y.mean(axis=0)
-    spread = np.sqrt(np.diag(S.T @ S) / len(S)).astype(float)
-    limit = 1e-7 * np.outer(spread, spread) + 1e-30
-    assert (np.abs(found.gram - S.T @ S / len(S)) <= limit).all()
-    limit = np.outer(1e-7 * spread + 1e-16, Y.std(axis=0).astype(float))
-    assert (np.abs(found.cross - S.T @ Y / len(S)) <= limit).all()
 
 
 def test_determined_directions_are_those_that_the_data_decides_however_many_samples_repeat_it():
@@ -366,23 +345,16 @@ def test_the_quoted_figures_are_means_and_medians_of_the_channels_in_the_objecti
 # --- The file of a model
 
 
-@pytest.mark.parametrize("variant", ["stiffness_bias", "rigid_bias"])
-def test_a_model_reads_back_as_it_was_written(tmp_path, variant):
+def test_a_model_reads_back_as_it_was_written(tmp_path):
     geometry, _, samples, settings = make_case(5, leave_out=("cluster_1.Fy",))
-    fit = fit_contact_model(samples, geometry, replace(settings, variant=variant))
+    fit = fit_contact_model(samples, geometry, settings)
     path = tmp_path / "model.json"
     write_model(fit, geometry, {"name": "hold"}, "plateau", path)
-
     stored = read_model(path)
     assert (stored.settings, stored.samples, stored.trial) == (fit.settings, fit.samples, "hold")
-    assert stored.last_stamp == fit.last_stamp
-    np.testing.assert_array_equal(stored.model.stiffness, fit.model.stiffness)
-    for name, bias in fit.model.force_bias.items():
-        np.testing.assert_array_equal(stored.model.force_bias[name], bias)
-    for before, kept, after in zip(
-        fit.errors, stored.errors, evaluate(samples, stored.model), strict=True
-    ):
-        assert before == kept
+    assert stored.last_stamp == fit.last_stamp and stored.errors == fit.errors
+    again = evaluate(samples, stored.model)
+    for before, after in zip(fit.errors, again, strict=True):
         assert after.rmse == pytest.approx(before.rmse, abs=1e-5)
 
 

@@ -19,7 +19,6 @@ from support.meshes import (
     scaled,
     shell,
     shifted,
-    wavy,
     with_faces,
     write_stl,
 )
@@ -224,7 +223,6 @@ SHAPES = {
     "tube": {"closed": False},
     "hole": {"hole": 0.008},
     "wide hole in a dome": {"dome": True, "hole": 0.02},
-    "flared brim": {"dome": True, "flare": 0.02},
     "half": {"arc": np.pi},
     "third with a dome": {"dome": True, "arc": FULL / 3.0},
     "open along its side": {"closed": False, "arc": 5.2},
@@ -269,7 +267,9 @@ def test_walls_of_any_thickness_a_slanted_cut_and_a_long_solid_distal_end():
 
 
 def oval(points):
-    return points * [1.35, 0.75, 1.0]
+    """With a trim line that rises and falls, twice around."""
+    wave = 0.1 * np.maximum(points[:, 2], 0.0) * np.cos(2.0 * np.arctan2(*points.T[1::-1]))
+    return points * [1.35, 0.75, 1.0] + np.outer(wave, UP)
 
 
 def pressed_in(points):
@@ -283,8 +283,8 @@ def test_sockets_that_are_not_round_or_are_shallow():
     for change in (oval, pressed_in):
         for shape in ({"dome": True}, {"dome": True, "arc": 3.6}):
             scan, inner = shell(*CONE, EDGE, WALL, **shape), open_cone(*CONE, EDGE, **shape)
-            found = find_interior(moved(wavy(scan, 0.02), change))
-            assert_same_faces(found.mesh, moved(wavy(inner, 0.02), change))
+            found = find_interior(moved(scan, change))
+            assert_same_faces(found.mesh, moved(inner, change))
     for height in (0.01, 0.06):
         cone = (0.05, 0.06, height)
         scan = moved(shell(*cone, EDGE, WALL, dome=True), oval)

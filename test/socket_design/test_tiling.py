@@ -14,7 +14,6 @@ from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError, RegistrationError
 from socket_testbed.files import packaged
-from socket_testbed.geometry.axis import axis_through
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import ScanFrame, read_socket
 from socket_testbed.socket_design.clusters import (
@@ -25,7 +24,6 @@ from socket_testbed.socket_design.clusters import (
     read_cluster_places,
 )
 from socket_testbed.socket_design.design import (
-    nominal_places,
     place_by_landmarks,
     place_by_points,
 )
@@ -93,40 +91,14 @@ def test_a_cluster_over_the_brim_is_laid_beside_it_and_one_that_cannot_be_laid_i
             lay(*places)
 
 
-def test_nominal_clusters_are_four_different_tiles() -> None:
-    angle, height = np.tile(np.arange(8) * math.pi / 4, 3), np.repeat([0.1, 0.15, 0.2], 8)
-    anchors = np.column_stack([0.05 * np.cos(angle), 0.05 * np.sin(angle), height])
-    anchors = np.vstack([anchors, [0.01, 0.0, 0.08]])
-    squares, axis = (
-        Squares(anchors, np.tile(np.eye(3), (25, 1, 1)), 0.03),
-        axis_through(0.08 * Z, Z, X),
-    )
-    tiles = nominal_places(squares, axis)
-    names = ["brim_lateral", "mid_anterior", "posterior_distal", "distal"]
-    assert list(tiles) == names and tiles["distal"] == 24
-    found = anchors[[*tiles.values()][:3]]
-    assert found == pytest.approx(np.array([[0, 0.05, 0.2], [0.05, 0, 0.15], [-0.05, 0, 0.1]]))
-    with refused(ConfigurationError, "3 tiles do not hold the usual 4 clusters"):
-        nominal_places(squares.take(np.arange(3)), axis)
-
-
 def test_cluster_places_are_read(tmp_path: Path) -> None:
     path = tmp_path / "clusters.yaml"
-    path.write_text(
-        "clusters:\n  distal: {point: [0, 0, 0.1]}\n"
-        "  brim: {anchor: [0.05, 0, 0.2], frame: [[0, 0, -1], [0, 1, 0], [1, 0, 0]]}\n"
-        "  mid: {scan: [50.0, -10.0, 200.0]}\n"
-    )
-    distal, brim, mid = read_cluster_places(path)
+    path.write_text("clusters:\n  a: {point: [0, 0, 0.1]}\n  b: {scan: [50.0, -10.0, 200.0]}\n")
     scan = ScanFrame(0.001, Pose(np.eye(3), np.array([0.0, 0.02, 0.0])))
-    assert mid.in_load_cell(scan).centre == pytest.approx([0.05, 0.01, 0.2])
-    assert distal.in_load_cell(scan).centre == pytest.approx([0.0, 0.0, 0.1])
-    assert brim.frame[:, 2] == pytest.approx([-1.0, 0.0, 0.0])
-    for text, words in (
-        ("clusters: {distal: {point: [0, 0, 100]}}", "point[2] is 100: give a number from -2 to 2"),
-        ("clusters: {distal: {anchor: [0, 0, 0.1]}}", "has anchor: give a point"),
-    ):
-        path.write_text(text)
+    a, b = (place.in_load_cell(scan).centre for place in read_cluster_places(path))
+    assert a == pytest.approx([0.0, 0.0, 0.1]) and b == pytest.approx([0.05, 0.01, 0.2])
+    for place, words in (("point: [0, 0, 9]", "[2] is 9"), ("anchor: [0, 0, 0.1]", "has anchor")):
+        path.write_text(f"clusters: {{distal: {{{place}}}}}")
         with refused(ConfigurationError, words):
             read_cluster_places(path)
 

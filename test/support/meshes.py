@@ -16,7 +16,6 @@ from scipy.spatial import cKDTree
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 FULL = 2.0 * math.pi
-FLARE = math.radians(60.0)
 
 
 def open_cone(
@@ -45,14 +44,6 @@ def shell(
     """A watertight shell whose inner wall is `open_cone` of the same arguments."""
     inner = _profile(distal_radius, proximal_radius, height, edge, **ends)
     return _revolve([inner, _offset(inner, thickness)], edge, arc)
-
-
-def wavy(mesh: trimesh.Trimesh, amplitude: float) -> trimesh.Trimesh:
-    """The same mesh with a trim line that rises and falls by an amplitude, twice around."""
-    points = mesh.vertices.copy()
-    along = np.clip(points[:, 2] / points[:, 2].max(), 0.0, None)
-    points[:, 2] += amplitude * along * np.cos(2.0 * np.arctan2(points[:, 1], points[:, 0]))
-    return trimesh.Trimesh(points, mesh.faces, process=False)
 
 
 def scaled(mesh: trimesh.Trimesh, factor: float) -> trimesh.Trimesh:
@@ -115,15 +106,9 @@ def _profile(
     dome: bool = False,
     closed: bool = True,
     hole: float = 0.0,
-    flare: float = 0.0,
 ) -> np.ndarray:
     """Points (r, z) of the inner wall from the axis, or the hole, to the brim, (M, 2)."""
     wall = _along([[distal, 0.0], [proximal, height]], edge)
-    if flare:
-        slope = math.atan2(proximal - distal, height)
-        turn = slope + np.linspace(0.0, FLARE, max(2, round(flare * FLARE / edge)) + 1)[1:]
-        across = np.cos(slope) - np.cos(turn), np.sin(turn) - np.sin(slope)
-        wall = np.vstack([wall, wall[-1] + flare * np.column_stack(across)])
     if not closed:
         return wall
     if dome:
