@@ -330,6 +330,5 @@ def _lag(reference: FloatArray, course: FloatArray, period: float) -> float:
 
 
 def _longest_run(values: FloatArray) -> int:
-    """Length of the longest run of equal values."""
     ends = np.flatnonzero(np.append(np.diff(values) != 0.0, True))
     return int(np.diff(np.append(-1, ends)).max())

@@ -126,7 +126,6 @@ class _Conditioned:
     variances: FloatArray  # of the forces, shape (M, n, 4) [N^2]
 
     def __getitem__(self, kept: IntArray) -> _Conditioned:
-        """Some of the hypotheses."""
         parts = {name: values[kept] for name, values in vars(self).items() if name != "present"}
         return replace(self, **parts)
 
@@ -389,7 +388,6 @@ class ForceMap:
         return forces, noise
 
     def _condition(self, pattern: bytes) -> _Conditioned:
-        """The hypotheses conditioned on a pattern of channels."""
         present = np.flatnonzero(np.frombuffer(pattern, bool))
         cross = self._cross[..., present]
         total = self._total[:, present[:, None], present]

@@ -237,7 +237,6 @@ def _look(mesh: trimesh.Trimesh, samples: SurfaceSamples, spine: Spine) -> Cavit
 
 
 def _find_cavity(name: str, mesh: trimesh.Trimesh) -> Cavity:
-    """Find the cavity of a surface."""
     if mesh.is_watertight and mesh.volume < 0.0:
         mesh = _flipped(mesh)
     samples = _spread_samples(mesh)
@@ -266,7 +265,6 @@ def _find_cavity(name: str, mesh: trimesh.Trimesh) -> Cavity:
 
 
 def _flipped(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The same surface with its normals reversed."""
     return plain_mesh(mesh.vertices, mesh.faces[:, ::-1])
 
 

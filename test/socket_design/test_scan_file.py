@@ -362,6 +362,7 @@ def test_the_inner_wall_of_a_real_shell(shared_data: Path):
     assert np.percentile(surface.query(mesh.triangles_center + depth)[0], 1) > 0.0055
 
     assert angle_between(interior.proximal, UP) < 8.0  # its wide end is up
+    assert not any("no axis" in note for note in interior.notes)
 
 
 def test_a_real_limb_is_kept_whole_and_separated_from_a_shell_around_it(shared_data: Path):
