@@ -106,7 +106,7 @@ def test_a_reversed_cluster_another_size_and_few_samples_are_named(sound: dict[s
 # --- Samples that no limb in a socket gives
 
 
-LOAD, COUNT = 200.0, 100  # [N], samples
+LOAD = 200.0  # [N]
 
 
 def test_a_wrench_without_a_load_and_another_unit_are_refused():
@@ -154,14 +154,13 @@ def test_an_outlier_is_left_out_and_noted_with_channel_and_time_and_many_are_ref
 GEOMETRY = random_socket(np.random.default_rng(3))
 
 
-def loaded(count=COUNT, load=LOAD, spread=0.3):
+def loaded():
     """A steady load, with every cluster pressed by a tenth of it."""
     rng = np.random.default_rng(4)
-    wrench = rng.normal([1.0, -2.0, 0.5, 3.0, -5.0, -load], 0.3, (count, 6))
-    shape = (len(GEOMETRY.clusters), count, 3)
-    forces = rng.normal([2.0, -1.0, -0.1 * load], spread, shape)
+    wrench = rng.normal([1.0, -2.0, 0.5, 3.0, -5.0, -LOAD], 0.3, (100, 6))
+    forces = rng.normal([2.0, -1.0, -0.1 * LOAD], 0.3, (len(GEOMETRY.clusters), 100, 3))
     named = dict(zip(GEOMETRY.clusters, forces, strict=True))
-    return make_samples(rng.normal(0.0, 1e-4, (count, 3)), wrench, named)
+    return make_samples(rng.normal(0.0, 1e-4, (100, 3)), wrench, named)
 
 
 def scaled(samples, column, axis, factor):
