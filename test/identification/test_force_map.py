@@ -15,7 +15,6 @@ from socket_testbed.identification import pressure
 from socket_testbed.identification.force_map import (
     ForceMap,
     Prior,
-    _rice_deviation,
     _rigid_motions,
     hypotheses,
     map_trial,
@@ -113,15 +112,6 @@ def test_a_dropped_channel_is_as_if_it_never_was_and_leaves_less_known() -> None
     samples.wrench[:] = np.nan
     nothing = force_map.estimate(samples)
     assert (nothing.forces == 0.0).all() and (nothing.standard_deviations > 0.0).all()
-
-
-def test_the_shear_s_deviation_is_that_of_a_rice_distribution() -> None:
-    random = np.random.default_rng(1)
-    for size, sigma in ((0.0, 1.0), (1.0, 1.0), (5.0, 0.5)):
-        drawn = random.normal([size, 0.0], sigma, (200_000, 2))
-        expected = np.sqrt(np.mean((np.hypot(*drawn.T) - size) ** 2))
-        found = _rice_deviation(np.array([size]), np.array([sigma]))[0]
-        assert found == pytest.approx(expected, rel=0.01)
 
 
 def test_outliers_and_channels_left_out_do_not_count() -> None:

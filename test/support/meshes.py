@@ -19,31 +19,18 @@ FULL = 2.0 * math.pi
 
 
 def open_cone(
-    distal_radius: float,
-    proximal_radius: float,
-    height: float,
-    edge: float,
-    *,
-    arc: float = FULL,
-    **ends: float,
+    distal: float, proximal: float, height: float, edge: float, arc: float = FULL, **ends: float
 ) -> trimesh.Trimesh:
     """A wall with its distal end (see `_profile`), open at the top: one surface."""
-    return _revolve([_profile(distal_radius, proximal_radius, height, edge, **ends)], edge, arc)
+    return _revolve([_profile(distal, proximal, height, edge, **ends)], edge, arc)
 
 
 def shell(
-    distal_radius: float,
-    proximal_radius: float,
-    height: float,
-    edge: float,
-    thickness: float,
-    *,
-    arc: float = FULL,
-    **ends: float,
+    distal: float, proximal: float, height: float, edge: float, wall: float, arc=FULL, **ends: float
 ) -> trimesh.Trimesh:
     """A watertight shell whose inner wall is `open_cone` of the same arguments."""
-    inner = _profile(distal_radius, proximal_radius, height, edge, **ends)
-    return _revolve([inner, _offset(inner, thickness)], edge, arc)
+    inner = _profile(distal, proximal, height, edge, **ends)
+    return _revolve([inner, _offset(inner, wall)], edge, arc)
 
 
 def scaled(mesh: trimesh.Trimesh, factor: float) -> trimesh.Trimesh:
@@ -99,13 +86,7 @@ def write_stl(mesh: trimesh.Trimesh, path: Path, unit: str = "mm", header: bytes
 
 
 def _profile(
-    distal: float,
-    proximal: float,
-    height: float,
-    edge: float,
-    dome: bool = False,
-    closed: bool = True,
-    hole: float = 0.0,
+    distal: float, proximal: float, height: float, edge: float, dome=False, closed=True, hole=0.0
 ) -> np.ndarray:
     """Points (r, z) of the inner wall from the axis, or the hole, to the brim, (M, 2)."""
     wall = _along([[distal, 0.0], [proximal, height]], edge)

@@ -160,10 +160,7 @@ def naive_gated(displacement: np.ndarray, sharpness: float) -> np.ndarray:
 
 
 def make_case(
-    seed: int,
-    variant: Variant = "stiffness_bias",
-    gaps: bool = False,
-    **changes,
+    seed: int, variant: Variant = "stiffness_bias", gaps: bool = False, **changes
 ) -> tuple[SocketGeometry, ContactModel, Samples, IdentificationSettings]:
     """A random bed and its samples: the socket, the bed, the samples and the settings.
 

@@ -53,13 +53,10 @@ def stack_stage_one(
 
 
 def stack_stage_two(
-    samples: Samples,
-    geometry: SocketGeometry,
-    settings: IdentificationSettings,
-    rest_positions: np.ndarray,
+    samples: Samples, geometry: SocketGeometry, settings: IdentificationSettings, rest: np.ndarray
 ) -> StackedRows:
     """Stage 2 row by row, in the stiffnesses [kN/m], with explicit offsets after them."""
-    displacement = (samples.position[:, None] - rest_positions).reshape(len(samples), -1)
+    displacement = (samples.position[:, None] - rest).reshape(len(samples), -1)
     gain = KILONEWTON_PER_METRE * naive_gated(displacement, settings.gate_sharpness)
     difference = settings.stiffness_difference / KILONEWTON_PER_METRE
     with_bias, none = settings.variant == "stiffness_bias", np.zeros_like(gain)
