@@ -23,10 +23,7 @@ from socket_testbed.socket_design.clusters import (
     place_clusters,
     read_cluster_places,
 )
-from socket_testbed.socket_design.design import (
-    place_by_landmarks,
-    place_by_points,
-)
+from socket_testbed.socket_design.design import place_by_landmarks, place_by_points
 from socket_testbed.socket_design.squares import Squares, Surroundings, rim_points, spread_points
 from socket_testbed.socket_design.tiling import Tiling, TilingSettings, tile_interior
 
