@@ -185,7 +185,6 @@ class JointDraws:
     errors: FloatArray  # E, shape (D/2, 3n) [N]
 
     def __getitem__(self, part: slice) -> JointDraws:
-        """The draws of some of the samples."""
         channels, sizes = self.channels[part], self.sizes[part]
         return replace(self, rows=self.rows[part], channels=channels, sizes=sizes)
 
@@ -402,7 +401,6 @@ class ForceMap:
         )
 
     def _source(self, present: BoolArray) -> str:
-        """The prior's mean and the measured channels."""
         wrench = len(WRENCH_CHANNELS)
         names = np.repeat(["wrench", *self._clusters], [wrench] + [3] * len(self._clusters))
         parts = dict.fromkeys(names[present.any(axis=0)])

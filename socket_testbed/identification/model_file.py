@@ -109,7 +109,6 @@ _ARRAYS = ("stiffness", "rest_positions", "wrench_bias", "reference_pose", "wren
 
 
 def _parameters(model: ContactModel) -> dict[str, Any]:
-    """The parameters of a model for JSON."""
     found = {name: plain(getattr(model, name)) for name in ("variant", "sharpness", *_ARRAYS)}
     found["force_bias"] = {name: plain(bias) for name, bias in model.force_bias.items()}
     found["clusters"] = list(model.cluster_points)

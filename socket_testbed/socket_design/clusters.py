@@ -266,14 +266,12 @@ class _Expectation:
         return int(free[gains[free].argmax()])
 
     def _given(self, tiles: Sequence[int]) -> list[FloatArray]:
-        """The covariances given clusters on some tiles."""
         found = self._loaded
         for tile in tiles:
             found = [self._lowered(covariance, 3 * tile + np.arange(3)) for covariance in found]
         return found
 
     def _lowered(self, covariance: FloatArray, rows: IntArray) -> FloatArray:
-        """A covariance given a cluster on the tile of some rows."""
         columns, own = covariance[:, rows], covariance[np.ix_(rows, rows)]
         return covariance - columns @ np.linalg.solve(own + self._noise(own), columns.T)
 

@@ -212,7 +212,6 @@ class Cavity:
 
 
 def _look(mesh: trimesh.Trimesh, samples: SurfaceSamples, spine: Spine) -> Cavity:
-    """Look around from a spine."""
     rays = samples.points - spine.feet(samples.points)
     depth = np.fmax(np.linalg.norm(rays, axis=1), _NO_DEPTH)
     facing = -diagonal_dot(mesh.face_normals[samples.owners], rays) / depth
