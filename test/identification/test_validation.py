@@ -32,11 +32,6 @@ from socket_testbed.identification.validation import (
 from socket_testbed.settings.identification import ForceMapSettings
 
 
-@pytest.fixture
-def geometry(rng):
-    return random_socket(rng)
-
-
 def rivals(geometry):
     """What needs no prior: the interpolations of the clusters."""
     found = field_estimators(geometry, ForceMapSettings())
@@ -123,7 +118,8 @@ def samples_of_forces(geometry, forces, errors=0.0):
     return make_samples(np.zeros((len(forces), 3)), wrench, named)
 
 
-def test_a_left_out_cluster_is_judged_on_what_the_others_say(geometry):
+def test_a_left_out_cluster_is_judged_on_what_the_others_say(rng):
+    geometry = random_socket(rng)
     uniform = np.tile(geometry.rotations @ [1.0, -2.0, -10.0], (6, 1, 1))
     samples = samples_of_forces(geometry, uniform)
     noise = np.zeros((3, 3))
@@ -149,7 +145,8 @@ def test_a_left_out_cluster_is_judged_on_what_the_others_say(geometry):
     assert row["error [-]"] == pytest.approx(0.5 * chosen[""].error)
 
 
-def test_intervals_hold_what_they_say_and_tiles_with_a_sensor_do_not_count(rng, geometry):
+def test_intervals_hold_what_they_say_and_tiles_with_a_sensor_do_not_count(rng):
+    geometry = random_socket(rng)
     count, spread, noise = 4000, 2.0, 1.5
     truth = rng.normal(size=(count, len(geometry), 3))
     samples = samples_of_forces(geometry, truth, noise * rng.normal(size=(3, count, 3)))

@@ -220,8 +220,6 @@ UP = np.array([0.0, 0.0, 1.0])
 
 SHAPES = {
     "flat end": {},
-    "tube": {"closed": False},
-    "hole": {"hole": 0.008},
     "wide hole in a dome": {"dome": True, "hole": 0.02},
     "half": {"arc": np.pi},
     "third with a dome": {"dome": True, "arc": FULL / 3.0},
@@ -391,13 +389,12 @@ def test_the_more_open_end_is_proximal_and_equal_ends_need_a_direction():
         (tube, cup, [0.0, 0.0, -2.0], "decides"),
         (whole, socket, [0.0, 0.0, -3.0], "closed end, 180 deg"),
         (whole, socket, [1.0, 0.0, 1.0], "45 deg off"),
-        (whole, socket, [0.1, 0.0, 1.0], ""),
     ):
         interior = find_interior(scan, np.array(direction))
         np.testing.assert_allclose(interior.proximal, direction / np.linalg.norm(direction))
         assert_same_faces(interior.mesh, inner)
         notes = [note for note in interior.notes if "direction" in note or "decides" in note]
-        assert (words in notes[0]) if words else not notes
+        assert words in notes[0]
 
 
 def test_scans_without_a_cavity_or_an_opening_are_refused(rng):
