@@ -33,11 +33,11 @@ from threadpoolctl import threadpool_limits
 import socket_testbed as st
 from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.box_qp import solve_box_qp
 from socket_testbed.identification.contact import gate, wrench_map
 from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.pareto import pareto_front
 from socket_testbed.identification.problem import Objective, Problem, build_objective
+from socket_testbed.identification.solver import solve_box_qp
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import (
     PAPER_VARIANTS,

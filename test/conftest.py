@@ -4,6 +4,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support import SHARED_DATA
 
@@ -52,7 +53,7 @@ _SLOW_WITHIN = 400.0  # [s]; with a module's fixtures, on a machine that others 
 LONG = {
     *("commands", "test_api.py", "test_damaged_files.py"),
     *("test_trials.py", "test_export.py", "test_recording.py"),
-    *("test_registration.py", "test_tiling_parts.py", "test_socket_view.py"),
+    *("test_registration.py", "test_tiling.py", "test_socket_view.py"),
     *("test_report.py", "test_server.py", "test_player.py", "test_natnet_client.py"),
 }
 
@@ -63,6 +64,11 @@ def domain(request: pytest.FixtureRequest) -> None:
     own = (item for item in request.session.items if item.path == request.path)
     if any(item.get_closest_marker(kind) for item in own for kind in ("graph", "slow")):
         os.environ["ROS_DOMAIN_ID"] = claim_domain()
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(1)
 
 
 @pytest.fixture(scope="session")

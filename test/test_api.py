@@ -178,7 +178,7 @@ def test_the_readme_s_lines_run(tmp_path, monkeypatch, capsys) -> None:
 
 
 def test_a_fit_of_wrong_values_is_refused_or_noted(folder, tmp_path) -> None:
-    """What counts as wrong: identification/test_plausibility.py."""
+    """What counts as wrong: identification/test_data_check.py."""
 
     def scaled(factor: float, ending: str, part: str) -> Path:
         def change(topic: str, message):

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.result import Result
 from socket_testbed.api.trials import PathLike, Progress, as_path, started
-from socket_testbed.arrays import FloatArray
+from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.calibration.model import Calibration, read_calibration, write_calibration
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import packaged, refuse_existing
@@ -320,8 +320,13 @@ def tile(
     if output is not None:
         _check_socket_output(Path(output), bodies)
     places = read_cluster_places(Path(clusters)) if clusters else [] if place else None
-    kept = read_socket(as_path(bodies) or packaged("config", "socket.yaml"))
-    kept = kept if bodies else dataclasses.replace(kept, registration="")
+    usual = read_socket(packaged("config", "socket.yaml"))
+    usual_regions = {region.name: region.tiles for region in all_regions(usual)}
+    own = [place.name for place in places or ()]
+    for name in keep_out:  # before any tile is laid
+        if name not in own and not designs.TILE_NAME.fullmatch(name):
+            _tiles_named(name, usual_regions)
+    kept = read_socket(Path(bodies)) if bodies else dataclasses.replace(usual, registration="")
     upwards = designs.parse_direction(proximal, "--proximal") if proximal else None
     front = designs.parse_direction(anterior, "--anterior") if anterior else None
 
@@ -361,14 +366,11 @@ def _with_proposed_clusters(
     from socket_testbed.socket_design.clusters import place_clusters
 
     geometry = design.geometry
-    regions = {region.name: region for region in all_regions(geometry)}
+    tiles = {tile: np.array([number]) for number, tile in enumerate(geometry.names)}
+    tiles |= {region.name: region.tiles for region in all_regions(geometry)}
     allowed = np.ones(len(geometry), dtype=bool)
     for name in keep_out:
-        if name not in regions and name not in geometry.names:
-            fact = f"--keep-out: there is no region or tile '{name}'"
-            raise ConfigurationError(fact, closest(name, [*regions, *geometry.names]))
-        tiles = regions[name].tiles if name in regions else [geometry.names.index(name)]
-        allowed[tiles] = False
+        allowed[_tiles_named(name, tiles)] = False
     found = place_clusters(geometry, count, list(geometry.clusters.values()), allowed)
     names, clusters = list(geometry.names), dict(geometry.clusters)
     for number, tile in enumerate(found.tiles[len(clusters) :].tolist(), start=1):
@@ -383,6 +385,14 @@ def _with_proposed_clusters(
     )
     geometry = dataclasses.replace(geometry, names=tuple(names), clusters=clusters)
     return dataclasses.replace(design, geometry=geometry, notes=(*design.notes, note))
+
+
+def _tiles_named(name: str, tiles: Mapping[str, IntArray]) -> IntArray:
+    """The tiles of a region, or the one of that name."""
+    if name not in tiles:
+        fact = f"--keep-out: there is no region or tile '{name}'"
+        raise ConfigurationError(fact, closest(name, tiles))
+    return tiles[name]
 
 
 def _check_socket_output(output: Path, bodies: PathLike | None) -> None:

@@ -19,14 +19,14 @@ from socket_testbed.api.result import Result, origin
 from socket_testbed.api.trials import PathLike, as_path, as_trial, note, select
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.identification.evaluation import (
+from socket_testbed.identification.fit import (
     ChannelErrors,
+    Fit,
     errors_to_dataframe,
     evaluate_predictions,
-    predict_channels,
+    fit_contact_model,
     summarise_errors,
 )
-from socket_testbed.identification.fit import Fit, fit_contact_model
 from socket_testbed.identification.information import (
     Engagement,
     LoadShare,
@@ -374,7 +374,7 @@ def _predictions(samples: Samples, stored: StoredModel) -> FloatArray:
     """Predictions of a model, shape (N, 6 + 3c), from poses averaged as in its fit."""
     smooth = smooth_poses(samples, stored.settings.pose_smoothing)
     with threadpool_limits(1):
-        return predict_channels(stored.model, smooth.pose, samples.clusters)
+        return stored.model.predict(smooth.pose, samples.clusters)
 
 
 def predict(trial: Trial | PathLike, model: Model) -> pd.DataFrame:

@@ -16,7 +16,7 @@ from socket_testbed.errors import ConfigurationError, TrialError, closest
 from socket_testbed.files import check_new_folder, packaged
 from socket_testbed.geometry.axis import Side
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.identification.data_check import Finding
+from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.identification.data_check import check_data as find_faults
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
@@ -194,7 +194,7 @@ def _warn(note: str) -> None:
     warnings.warn(note, stacklevel=2)
 
 
-def check_data(trial: Trial | PathLike) -> tuple[Finding, ...]:
+def check_data(trial: Trial | PathLike) -> tuple[DataFinding, ...]:
     """Check whether a trial's data is good: what to look at, the worst first.
 
     Signs, lags, units, dead, clipped, noisy and missing sources, each judged by itself and by the

@@ -69,6 +69,7 @@ def open_given(
 
 def open_checked(trial: Path, **options: Any) -> Trial:
     """Open the trial of the options, and say first whether its data is good."""
+    check_settings(options)
     opened = open_given(trial, **options)
     say_data(opened)
     return opened
@@ -87,6 +88,12 @@ def say_data(trial: Trial, prefix: str = "", good: bool = True) -> str:
         if trial.notify is not None and (good or line != GOOD):
             trial.notify(f"{prefix}{line}")
     return found[0].removeprefix("data: ")
+
+
+def check_settings(options: Mapping[str, Any]) -> None:
+    """Refuse settings of a fit that are wrong for any trial, before one is read."""
+    settings = given(options, estimator_settings, IdentificationSettings)
+    estimator_settings(EstimatorSettings(), **settings)
 
 
 def open_all(
@@ -261,8 +268,7 @@ def on_trials(
             f"{trial} holds {len(trials)} trials",
             "give -o FOLDER without --json and --figure, or one trial",
         )
-    settings = given(options, estimator_settings, IdentificationSettings)
-    estimator_settings(EstimatorSettings(), **settings)  # wrong for all is reported once
+    check_settings(options)
     files = {_option(name): options.get(name) for name in _FILES}
     spans = parse_unloaded([*options["unloaded"]])
     planned = plan_jobs(trials, output, verb.suffix, files, spans, options["tare"])

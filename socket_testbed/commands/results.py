@@ -28,7 +28,7 @@ from socket_testbed.commands.options import (
 from socket_testbed.commands.terminal import Progress, number, table, text_of
 from socket_testbed.errors import ConfigurationError, IdentificationError
 from socket_testbed.geometry.socket import PARTS_OF_SECTORS
-from socket_testbed.identification.evaluation import (
+from socket_testbed.identification.fit import (
     ChannelErrors,
     errors_to_dataframe,
     summarise_errors,

@@ -2,9 +2,9 @@
 
 **How does the limb's motion make forces?** The contact model. `contact` defines the laws and the
 models that hold one. `problem` chooses and weighs the channels of a fit and turns them into
-programs for any law, `box_qp` solves and certifies these. `fit` runs both stages, `pareto` runs
-them over the trade-off and compares with the paper. `model_file` is a model's file, `evaluation`
-its errors.
+programs for any law, `solver` solves and certifies these. `fit` runs both stages and gives the
+errors of a model, `pareto` runs them over the trade-off and compares with the paper. `model_file`
+is a model's file.
 
 **What is the force on every tile now?** The force map, which needs no fit. `force_map` estimates
 it from the clusters and the wrench, `pressure` reads regions from it.

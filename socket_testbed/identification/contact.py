@@ -15,6 +15,7 @@ and in `settings.identification`.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar
@@ -23,8 +24,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.settings.identification import IdentificationSettings, Variant
 
+_CHUNK = 4096  # samples; predicting takes memory by the samples times the tiles
 _LARGEST_SETTLING = 0.02  # [m]; of a limb under its load; a bed is at least that stiff
 
 
@@ -485,6 +488,26 @@ class ContactModel:
             name: forces[:, column] @ self.rotations[point] + self.force_bias.get(name, no_bias)
             for column, (name, point) in enumerate(self.cluster_points.items())
         }
+
+    def predict(self, pose: FloatArray, clusters: Sequence[str]) -> FloatArray:
+        """Every channel in the order of `channel_names`, shape (N, 6 + 3c) [N m, N].
+
+        The wrench comes first, then the force on each of the c clusters in its frame, by poses as
+        in `forces`.
+        """
+        lacking = [name for name in clusters if name not in self.cluster_points]
+        if lacking:
+            raise ConfigurationError(
+                f"the model has no cluster {', '.join(lacking)}",
+                "fit a model on a trial that has it",
+            )
+        predicted = np.empty((len(pose), 6 + 3 * len(clusters)))
+        for start in range(0, len(pose), _CHUNK):
+            rows = slice(start, start + _CHUNK)
+            local = self.cluster_forces(pose[rows])
+            forces = [local[name] for name in clusters]
+            predicted[rows] = np.hstack([self.wrench(pose[rows]), *forces])
+        return predicted
 
     def gate_displacements(
         self, pose: FloatArray, noise: FloatArray

@@ -65,7 +65,7 @@ ROTATION = 0.7  # of the limb from its mean attitude, sound 0.04 [rad]
 
 
 @dataclass(frozen=True)
-class Finding:
+class DataFinding:
     """Something about a trial's data that should be looked at."""
 
     source: str  # what: the wrench, the limb pose, a cluster or a channel
@@ -82,7 +82,7 @@ def check_data(
     mass: float | None = None,
     leave_out: tuple[str, ...] = (),
     whole: bool = True,
-) -> tuple[Finding, ...]:
+) -> tuple[DataFinding, ...]:
     """What to look at in the data of a trial, the worst first; empty if it is good.
 
     The mass is that of the person [kg], if it is stated. Channels that are left out are not looked
@@ -91,33 +91,33 @@ def check_data(
     """
     if len(samples) < LEAST_SAMPLES:
         fact = f"{len(samples)} samples are too few to judge it by"
-        return (Finding("the trial", fact, f"record {LEAST_SAMPLES} or more"),)
+        return (DataFinding("the trial", fact, f"record {LEAST_SAMPLES} or more"),)
     found = [*_sizes(samples, geometry, mass)]
     if whole:
         found += [*_courses(samples, geometry)] or [*_disagreements(samples, geometry)]
     found += [finding for finding in _channels(samples) if finding.source not in leave_out]
     spikes = outlier_notes(samples, find_outliers(samples, geometry, leave_out))
-    found += [Finding("single values", note, "check cables and connectors") for note in spikes]
+    found += [DataFinding("single values", note, "check cables and connectors") for note in spikes]
     return tuple(found)
 
 
-def _sizes(samples: Samples, geometry: SocketGeometry, mass: float | None) -> Iterator[Finding]:
+def _sizes(samples: Samples, geometry: SocketGeometry, mass: float | None) -> Iterator[DataFinding]:
     """Units and frames."""
     for require in (require_position, require_units):
         try:
             require(samples, geometry)
         except IdentificationError as error:
-            yield Finding("the units", error.fact, error.hint)
+            yield DataFinding("the units", error.fact, error.hint)
             return
     for found in find_implausible(samples, geometry):
         if found.channel in WRENCH_CHANNELS:
             hint = "check that moments are in N m and forces in N, and the load cell's channels"
-            yield Finding("the wrench", f"{found.channel}: {found.reason}", hint)
+            yield DataFinding("the wrench", f"{found.channel}: {found.reason}", hint)
             break
     size = finite_quantile(_norm(samples.wrench[:, 3:]), 0.95)
     weights = size / (GRAVITY * mass) if mass else 1.0
     if not WEIGHTS[0] <= weights <= WEIGHTS[1]:
-        yield Finding(
+        yield DataFinding(
             "the wrench",
             f"its force of {size:.3g} N is {weights:.2g} weights of the stated {mass:g} kg",
             "check that forces are in N, and the mass",
@@ -125,14 +125,14 @@ def _sizes(samples: Samples, geometry: SocketGeometry, mass: float | None) -> It
     rotation = _known(samples.rotation)
     angle = finite_quantile(_norm(rotation - rotation.mean(axis=0)), 0.95)
     if angle > ROTATION:
-        yield Finding(
+        yield DataFinding(
             "the limb pose",
             f"the limb turns by {np.degrees(angle):.0f} deg in the socket",
             "check the order of the quaternion (x, y, z, w), and the marker bodies",
         )
 
 
-def _courses(samples: Samples, geometry: SocketGeometry) -> Iterator[Finding]:
+def _courses(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFinding]:
     """Signs, lags, and what follows the load and what does not."""
     proximal = proximal_direction(geometry)
     load = -samples.wrench[:, 3:] @ proximal
@@ -143,7 +143,7 @@ def _courses(samples: Samples, geometry: SocketGeometry) -> Iterator[Finding]:
         return
     changes = [float(np.nanstd(course)) for course in (together, load)]
     if changes[0] > max(STRESS_SHARE[1] * changes[1], LEAST_CHANGE / 5):
-        yield Finding(
+        yield DataFinding(
             "the wrench",
             f"its force along the socket changes by {changes[1]:.2g} N while those of the clusters"
             f" change by {changes[0]:.2g} N",
@@ -158,10 +158,10 @@ def _courses(samples: Samples, geometry: SocketGeometry) -> Iterator[Finding]:
     opposite = sum(value < OPPOSITE for value in follows)
     if note or (opposite > 1 and 2 * opposite > len(follows)):
         fact = "the clusters are pressed less the more the load cell is"
-        yield Finding("the wrench", note or fact, "check the sign of the load cell's channels")
+        yield DataFinding("the wrench", note or fact, "check the sign of the load cell's channels")
         return
     if 0.0 < changes[0] < STRESS_SHARE[0] * changes[1]:
-        yield Finding(
+        yield DataFinding(
             "the clusters",
             f"their forces change by {changes[0]:.2g} N while the load does by {changes[1]:.2g} N",
             "check that stresses are in Pa and forces in N, and the calibration",
@@ -171,7 +171,7 @@ def _courses(samples: Samples, geometry: SocketGeometry) -> Iterator[Finding]:
         lag = _lag(load, course, period)
         if abs(lag) > max(LATEST, 2.5 * period):
             how = f"{'late' if lag > 0.0 else 'early'} by {abs(lag):.1f} s against the load cell"
-            yield Finding(name, how, "check the clocks and the delays of the sources")
+            yield DataFinding(name, how, "check the clocks and the delays of the sources")
             return
     noises = channel_noise(samples).local_forces[:, 2]
     posed = np.isfinite(samples.pose).any()
@@ -180,7 +180,7 @@ def _courses(samples: Samples, geometry: SocketGeometry) -> Iterator[Finding]:
         samples.clusters, follows, pressing.T, noises, strict=True
     ):
         if value < OPPOSITE:
-            yield Finding(
+            yield DataFinding(
                 name,
                 f"it is pressed less the more the limb is loaded (correlation {value:.2f})",
                 "check the sign of its normal channel, or whether clusters are exchanged",
@@ -190,14 +190,14 @@ def _courses(samples: Samples, geometry: SocketGeometry) -> Iterator[Finding]:
             and _explained(column, causes) < EXPLAINED
             and np.nanstd(column) > QUIET * noise  # or it is hardly loaded
         ):
-            yield Finding(
+            yield DataFinding(
                 name,
                 f"it does not follow the load (correlation {value:.2f})",
                 "check its place, its cable and its calibration",
             )
     along = _along(samples.position, load, proximal)
     if along < SINKING:
-        yield Finding(
+        yield DataFinding(
             "the limb pose",
             "the limb does not sink as it is loaded: it moves at"
             f" {np.degrees(np.arccos(along)):.0f} deg to the socket's axis",
@@ -205,7 +205,7 @@ def _courses(samples: Samples, geometry: SocketGeometry) -> Iterator[Finding]:
         )
 
 
-def _disagreements(samples: Samples, geometry: SocketGeometry) -> Iterator[Finding]:
+def _disagreements(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFinding]:
     """The cluster, if any, that reads what the others and the wrench do not expect."""
     rows = thinned(loaded_rows(samples, LEAST_CHANGE), _JUDGED)
     if not len(rows):
@@ -225,10 +225,10 @@ def _disagreements(samples: Samples, geometry: SocketGeometry) -> Iterator[Findi
     _, name, fact = worst
     if name:
         hint = "check its calibration and its place, and whether clusters are exchanged"
-        yield Finding(name, fact, hint)
+        yield DataFinding(name, fact, hint)
 
 
-def _channels(samples: Samples) -> Iterator[Finding]:
+def _channels(samples: Samples) -> Iterator[DataFinding]:
     """Sources and channels that are missing, stand still, are clipped or noisy."""
     period = float(np.median(np.diff(samples.time)))
     sources = {
@@ -239,14 +239,16 @@ def _channels(samples: Samples) -> Iterator[Finding]:
     for name, present in sources.items():
         lacking = float(np.mean(~present))
         if lacking > MISSING:
-            yield Finding(
+            yield DataFinding(
                 name,
                 f"{100.0 * lacking:.0f} % of its samples are missing or out of range",
                 "see 'info' for the gaps, and 'doctor' for the wiring",
             )
     # A pose that is averaged or extrapolated still moves in its last digits.
     if period * max(map(_longest_run, _known(samples.pose).T)) > max(STILL, 4.0 * period):
-        yield Finding("the limb pose", "it stands still", "check the cameras and the bodies' names")
+        yield DataFinding(
+            "the limb pose", "it stands still", "check the cameras and the bodies' names"
+        )
     values = samples.trusted_values
     noises = channel_noise(samples).values.tolist()
     for name, column, noise in zip(samples.channels, values.T, noises, strict=True):
@@ -266,7 +268,7 @@ def _channels(samples: Samples) -> Iterator[Finding]:
             hint = "check shields, connectors and the supply"
         else:
             continue
-        yield Finding(name, fact, hint)
+        yield DataFinding(name, fact, hint)
 
 
 def _known(vectors: FloatArray) -> FloatArray:
@@ -327,6 +329,5 @@ def _lag(reference: FloatArray, course: FloatArray, period: float) -> float:
 
 
 def _longest_run(values: FloatArray) -> int:
-    """Length of the longest run of equal values."""
     ends = np.flatnonzero(np.append(np.diff(values) != 0.0, True))
     return int(np.diff(np.append(-1, ends)).max())

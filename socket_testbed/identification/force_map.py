@@ -126,7 +126,6 @@ class _Conditioned:
     variances: FloatArray  # of the forces, shape (M, n, 4) [N^2]
 
     def __getitem__(self, kept: IntArray) -> _Conditioned:
-        """Some of the hypotheses."""
         parts = {name: values[kept] for name, values in vars(self).items() if name != "present"}
         return replace(self, **parts)
 
@@ -186,7 +185,6 @@ class JointDraws:
     errors: FloatArray  # E, shape (D/2, 3n) [N]
 
     def __getitem__(self, part: slice) -> JointDraws:
-        """The draws of some of the samples."""
         channels, sizes = self.channels[part], self.sizes[part]
         return replace(self, rows=self.rows[part], channels=channels, sizes=sizes)
 
@@ -389,7 +387,6 @@ class ForceMap:
         return forces, noise
 
     def _condition(self, pattern: bytes) -> _Conditioned:
-        """The hypotheses conditioned on a pattern of channels."""
         present = np.flatnonzero(np.frombuffer(pattern, bool))
         cross = self._cross[..., present]
         total = self._total[:, present[:, None], present]
@@ -404,7 +401,6 @@ class ForceMap:
         )
 
     def _source(self, present: BoolArray) -> str:
-        """The prior's mean and the measured channels."""
         wrench = len(WRENCH_CHANNELS)
         names = np.repeat(["wrench", *self._clusters], [wrench] + [3] * len(self._clusters))
         parts = dict.fromkeys(names[present.any(axis=0)])

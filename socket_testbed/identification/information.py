@@ -29,7 +29,6 @@ from socket_testbed.arrays import FloatArray, IntArray, evenly
 from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel, relative_pose, wrench_map
-from socket_testbed.identification.evaluation import predict_channels
 from socket_testbed.identification.noise import (
     ChannelNoise,
     channel_noise,
@@ -78,8 +77,8 @@ def load_shares(samples: Samples, model: ContactModel) -> tuple[LoadShare, ...]:
     """
     bed = replace(model, of_wrench=None)
     alone = replace(bed, wrench_bias=np.zeros(6), wrench_slope=np.zeros((6, 6)))
-    springs = predict_channels(alone, samples.pose, ())
-    offsets = predict_channels(bed, samples.pose, ()) - springs
+    springs = alone.predict(samples.pose, ())
+    offsets = bed.predict(samples.pose, ()) - springs
     found = []
     for name, part in (("Fz", slice(5, 6)), ("force", slice(3, 6)), ("moment", slice(0, 3))):
         measured = samples.wrench[:, part]
@@ -129,7 +128,7 @@ def known_directions(
     pose = smooth_poses(samples, window).pose[chosen]
     middle = pose.mean(axis=0)
     drawn = np.random.default_rng(0).multivariate_normal(np.zeros(6), spread, _DRAWS)
-    sent = predict_channels(model, middle + drawn, samples.clusters).std(axis=0)
+    sent = model.predict(middle + drawn, samples.clusters).std(axis=0)
     deviations = np.hypot(np.nan_to_num(noise.values, nan=np.inf), sent)
     basis, inverse = _moving_directions(pose - middle, spread)
     moved = middle + (pose - middle) @ basis @ inverse

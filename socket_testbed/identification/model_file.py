@@ -29,8 +29,7 @@ from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import write_text
 from socket_testbed.geometry.socket import SocketGeometry, socket_from_document
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.evaluation import ChannelErrors, summarise_errors
-from socket_testbed.identification.fit import Fit
+from socket_testbed.identification.fit import ChannelErrors, Fit, summarise_errors
 from socket_testbed.settings.identification import IdentificationSettings, Variant
 
 _FORMAT = "socket_testbed model 1"
@@ -110,7 +109,6 @@ _ARRAYS = ("stiffness", "rest_positions", "wrench_bias", "reference_pose", "wren
 
 
 def _parameters(model: ContactModel) -> dict[str, Any]:
-    """The parameters of a model for JSON."""
     found = {name: plain(getattr(model, name)) for name in ("variant", "sharpness", *_ARRAYS)}
     found["force_bias"] = {name: plain(bias) for name, bias in model.force_bias.items()}
     found["clusters"] = list(model.cluster_points)

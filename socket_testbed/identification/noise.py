@@ -54,11 +54,6 @@ class ChannelNoise:
         """Noise in the order of `Samples.channels`, shape (6 + 3c,) [N m, N]."""
         return np.concatenate([self.wrench, self.local_forces.reshape(-1)])
 
-    @property
-    def pose_covariance(self) -> FloatArray:
-        """Covariance of the noise of the pose, shape (6, 6) [m^2, m rad, rad^2]."""
-        return self.pose_correlation * np.outer(self.pose, self.pose)
-
 
 def channel_noise(samples: Samples) -> ChannelNoise:
     """Estimate the noise of every channel from its third differences: see this module.
@@ -85,7 +80,9 @@ def pose_covariance(samples: Samples, window: float) -> FloatArray:
     Its shape is (6, 6) [m^2, m rad, rad^2]. It is NaN for a position whose noise the samples do not
     show; a rotation that never changes has none.
     """
-    covariance = channel_noise(samples).pose_covariance * smoothing_gain(samples, window)
+    noise = channel_noise(samples)
+    covariance = noise.pose_correlation * np.outer(noise.pose, noise.pose)
+    covariance *= smoothing_gain(samples, window)
     still = np.isnan(np.diag(covariance)) & (np.arange(6) >= 3)
     covariance[still] = covariance[:, still] = 0.0
     return np.asarray(covariance)

@@ -31,16 +31,16 @@ import numpy as np
 from socket_testbed.arrays import BoolArray, FloatArray, evenly
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.box_qp import (
+from socket_testbed.identification.contact import ContactModel
+from socket_testbed.identification.fit import ChannelErrors, evaluate, summarise_errors
+from socket_testbed.identification.model_file import finite_or_null
+from socket_testbed.identification.problem import Objective, Problem, build_objective
+from socket_testbed.identification.solver import (
     BoxQP,
     BoxSolution,
     UncertifiedSolutionError,
     solve_box_qp,
 )
-from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.evaluation import ChannelErrors, evaluate, summarise_errors
-from socket_testbed.identification.model_file import finite_or_null
-from socket_testbed.identification.problem import Objective, Problem, build_objective
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.settings.identification import PAPER_VARIANTS, IdentificationSettings, Variant
 

@@ -42,7 +42,6 @@ from scipy.linalg import block_diag
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, rms
 from socket_testbed.errors import ConfigurationError, IdentificationError, closest
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.box_qp import BoxQP
 from socket_testbed.identification.contact import LAWS, ContactModel, Loading
 from socket_testbed.identification.noise import ChannelNoise, channel_noise, smooth_poses
 from socket_testbed.identification.plausibility import (
@@ -54,6 +53,7 @@ from socket_testbed.identification.plausibility import (
     require_load,
     require_units,
 )
+from socket_testbed.identification.solver import BoxQP
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
 from socket_testbed.settings.identification import BIAS_VARIANTS, IdentificationSettings, Variant
 

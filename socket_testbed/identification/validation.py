@@ -25,13 +25,14 @@ from socket_testbed.arrays import BoolArray, FloatArray, IntArray, evenly, rms
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel, wrench_map
-from socket_testbed.identification.evaluation import (
+from socket_testbed.identification.fit import (
+    REGRESSION,
     ChannelErrors,
     evaluate,
     finite_mean,
-    predict_channels,
+    fit_contact_model,
+    regress_wrench,
 )
-from socket_testbed.identification.fit import REGRESSION, fit_contact_model, regress_wrench
 from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.noise import channel_noise, smooth_poses
 from socket_testbed.identification.problem import LEAST_SAMPLES
@@ -141,7 +142,7 @@ def wrench_predictors(
     return {
         CONSTANT: lambda pose: np.tile(mean, (len(pose), 1)),
         REGRESSION: lambda pose: constant + pose @ slope.T,
-        **{name: partial(predict_channels, m, clusters=()) for name, m in models.items()},
+        **{name: partial(m.predict, clusters=()) for name, m in models.items()},
     }
 
 

@@ -20,7 +20,6 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.data_check import LEAST_SAMPLES as LEAST_CHECKED
 from socket_testbed.identification.data_check import check_data
-from socket_testbed.identification.evaluation import predict_channels
 from socket_testbed.identification.fit import Fit, fit_contact_model
 from socket_testbed.identification.plausibility import (
     LEAST_FORCE,
@@ -189,7 +188,7 @@ def _compare(
     size = np.repeat(sizes, [group.shape[1] for group in groups])
 
     def error(model: ContactModel) -> float:
-        predicted = predict_channels(model, samples.pose, samples.clusters)
+        predicted = model.predict(samples.pose, samples.clusters)
         relative = (predicted - measured) / size
         wrench, clusters = rms(relative[:, :6], 0.0), rms(relative[:, 6:], 0.0)
         return float(np.sqrt(settings.theta * wrench**2 + (1.0 - settings.theta) * clusters**2))

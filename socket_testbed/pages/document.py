@@ -15,7 +15,7 @@ import numpy as np
 from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.axis import UNMEASURED, Region, Side, proximal_direction
 from socket_testbed.geometry.socket import HEIGHTS, PARTS_OF_SECTORS, SOCKET, SocketGeometry
-from socket_testbed.identification.data_check import Finding
+from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.identification.pressure import (
     PressureOutputs,
     Quantity,
@@ -173,7 +173,7 @@ def cards(
     return found
 
 
-def data_card(findings: Sequence[Finding]) -> Document:
+def data_card(findings: Sequence[DataFinding]) -> Document:
     """The card of a trial's data."""
     if not findings:
         return {"title": "Data", "value": "good", "words": "nothing implausible in any source"}

@@ -10,7 +10,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.identification.evaluation import (
+from socket_testbed.identification.fit import (
     ChannelErrors,
     summarise_errors,
 )

@@ -14,13 +14,13 @@ from socket_testbed.arrays import BoolArray, FloatArray, evenly
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.axis import Region, all_regions
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.data_check import Finding
-from socket_testbed.identification.evaluation import (
+from socket_testbed.identification.data_check import DataFinding
+from socket_testbed.identification.fit import (
     ChannelErrors,
+    Fit,
     evaluate_predictions,
-    predict_channels,
+    fit_contact_model,
 )
-from socket_testbed.identification.fit import Fit, fit_contact_model
 from socket_testbed.identification.force_map import map_trial
 from socket_testbed.identification.information import (
     Engagement,
@@ -143,7 +143,7 @@ class Results:
     no_validation: str  # for this reason
     pressure: SegmentPressure
     over_trial: PressureOutputs  # at instants spread over the trial, with that of the peak
-    data: tuple[Finding, ...]  # what to look at in the data
+    data: tuple[DataFinding, ...]  # what to look at in the data
 
     @property
     def in_segment(self) -> BoolArray:
@@ -253,7 +253,7 @@ def _judge(samples: Samples, segment: Segment, label: str, source: Fit | StoredM
     model, settings, chosen = source.model, source.settings, samples[segment.rows]
     window, leave_out = settings.pose_smoothing, settings.leave_out
     smooth = smooth_poses(samples, window)
-    predicted = predict_channels(model, smooth.pose, samples.clusters)
+    predicted = model.predict(smooth.pose, samples.clusters)
     outside = ~_rows_of(segment, samples)
     held_out = evaluate_predictions(samples[outside], predicted[outside], leave_out)
     enough = max(error.samples for error in held_out) >= _LEAST_HELD_OUT

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from socket_testbed import __version__
-from socket_testbed.identification.evaluation import summarise_errors
+from socket_testbed.identification.fit import summarise_errors
 from socket_testbed.identification.information import share_warning
 from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.report.page import Heading, Section

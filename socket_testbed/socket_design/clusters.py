@@ -237,12 +237,11 @@ class ClusterPlacement:
 class _Expectation:
     """What the prior expects of the map's error, given the wrench and clusters on some tiles."""
 
-    def __init__(self, geometry: SocketGeometry, settings: ForceMapSettings) -> None:
-        self._settings = settings
+    def __init__(self, geometry: SocketGeometry) -> None:
         self._before: list[FloatArray] = []  # K under each hypothesis
         self._loaded: list[FloatArray] = []  # likewise, given the wrench
         bare = replace(geometry, clusters={})
-        for sizes in hypotheses(replace(settings, draws=_HYPOTHESES)):
+        for sizes in hypotheses(ForceMapSettings(draws=_HYPOTHESES)):
             prior = Prior(bare, (), sizes)
             whole = prior.covariance()
             mapped = whole @ prior.mapping.T
@@ -267,14 +266,12 @@ class _Expectation:
         return int(free[gains[free].argmax()])
 
     def _given(self, tiles: Sequence[int]) -> list[FloatArray]:
-        """The covariances given clusters on some tiles."""
         found = self._loaded
         for tile in tiles:
             found = [self._lowered(covariance, 3 * tile + np.arange(3)) for covariance in found]
         return found
 
     def _lowered(self, covariance: FloatArray, rows: IntArray) -> FloatArray:
-        """A covariance given a cluster on the tile of some rows."""
         columns, own = covariance[:, rows], covariance[np.ix_(rows, rows)]
         return covariance - columns @ np.linalg.solve(own + self._noise(own), columns.T)
 
@@ -289,24 +286,22 @@ class _Expectation:
 
     def _noise(self, own: FloatArray) -> FloatArray:
         """Covariances of the errors of clusters that measure forces of covariances (..., 3, 3)."""
-        offset, gain = self._settings.cluster_error, self._settings.cluster_gain_error
+        offset, gain = ForceMapSettings.cluster_error, ForceMapSettings.cluster_gain_error
         return np.asarray(np.eye(3) * (offset**2 + gain**2 * own))
 
 
 def place_clusters(
     geometry: SocketGeometry,
     count: int,
-    stay: Sequence[int] = (),
-    allowed: BoolArray | None = None,
-    settings: ForceMapSettings | None = None,
+    stay: Sequence[int],
+    allowed: BoolArray,
 ) -> ClusterPlacement:
     """Propose tiles for so many clusters, those that stay on their tiles included.
 
     The socket's own clusters do not count. `allowed` are the tiles that may take another cluster,
-    shape (n,), all if it is not given; the settings are those of the force map's prior.
+    shape (n,).
     """
-    expectation = _Expectation(geometry, settings or ForceMapSettings())
-    allowed = np.ones(len(geometry), dtype=bool) if allowed is None else allowed
+    expectation = _Expectation(geometry)
     free = np.setdiff1d(np.flatnonzero(allowed), stay)
     if not len(stay) <= count <= len(stay) + len(free):
         raise ConfigurationError(

@@ -258,6 +258,9 @@ def _axis_of(mesh: trimesh.Trimesh, proximal: FloatArray) -> SocketAxis:
     return axis_through(middle + (lowest - middle @ proximal) * proximal, proximal, _ANTERIOR)
 
 
+TILE_NAME = re.compile(r"h\d{3}_a\d{3}[a-z]?")
+
+
 def tile_names(anchors: FloatArray, axis: SocketAxis) -> tuple[str, ...]:
     """Names such as `h092_a045`: 92 mm above the distal end, 45 degrees from anterior.
 

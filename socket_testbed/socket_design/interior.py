@@ -212,7 +212,6 @@ class Cavity:
 
 
 def _look(mesh: trimesh.Trimesh, samples: SurfaceSamples, spine: Spine) -> Cavity:
-    """Look around from a spine."""
     rays = samples.points - spine.feet(samples.points)
     depth = np.fmax(np.linalg.norm(rays, axis=1), _NO_DEPTH)
     facing = -diagonal_dot(mesh.face_normals[samples.owners], rays) / depth
@@ -237,7 +236,6 @@ def _look(mesh: trimesh.Trimesh, samples: SurfaceSamples, spine: Spine) -> Cavit
 
 
 def _find_cavity(name: str, mesh: trimesh.Trimesh) -> Cavity:
-    """Find the cavity of a surface."""
     if mesh.is_watertight and mesh.volume < 0.0:
         mesh = _flipped(mesh)
     samples = _spread_samples(mesh)
@@ -266,7 +264,6 @@ def _find_cavity(name: str, mesh: trimesh.Trimesh) -> Cavity:
 
 
 def _flipped(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The same surface with its normals reversed."""
     return plain_mesh(mesh.vertices, mesh.faces[:, ::-1])
 
 

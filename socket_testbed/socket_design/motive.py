@@ -181,7 +181,6 @@ def _read_titles(text: str) -> tuple[list[str], list[list[str]], int]:
 
 
 def _read_header(cells: list[str]) -> tuple[dict[str, str], list[str]]:
-    """Values of the header by their keys, and notes."""
     # A comma in the name of the take shifts the pairs: the value follows its key.
     values = dict(pairwise(cells))
     values["Export Frame Rate"] = values.get("Export Frame Rate") or values.get(

@@ -202,7 +202,6 @@ class Search:
         return near[self._overlap(tile, near)]
 
     def _overlap(self, index: int, others: IntArray) -> BoolArray:
-        """Which of some squares overlap a given one."""
         squares, normals = self._squares, self._normals
         x, y, z = (squares.anchors[others] - squares.anchors[index]).T
         apart2 = x**2 + y**2 + z**2
@@ -330,7 +329,6 @@ def _distance(points: FloatArray, others: FloatArray) -> FloatArray:
 
 
 def _covered(points: SurfacePoints, squares: Squares) -> BoolArray:
-    """Which points lie under a square."""
     half = 0.5 * squares.edge
     x, y, _ = np.abs(seen_from(squares, points.positions))
     covered = (x < half) & (y < half)

@@ -48,7 +48,7 @@ from socket_testbed.trials.topics import (
 if TYPE_CHECKING:
     import pandas as pd
 
-    from socket_testbed.identification.data_check import Finding
+    from socket_testbed.identification.data_check import DataFinding
 
 SOCKET_FILE = "socket.yaml"
 CALIBRATION_FILE = "calibration.yaml"
@@ -171,7 +171,7 @@ class Trial:
         return self.measurements_and_samples()[1]
 
     @cached_property
-    def findings(self) -> tuple[Finding, ...]:
+    def findings(self) -> tuple[DataFinding, ...]:
         """What to look at in its data, the worst first; empty if it is good: see `check_data`."""
         from socket_testbed.identification.data_check import check_data  # a replay needs it not
 

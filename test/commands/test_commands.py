@@ -71,7 +71,7 @@ def test_all_but_the_graph_works_without_ros(tmp_path: Path) -> None:
 WRONG = {
     "info nowhere": ["nowhere", "no such trial"],
     "fit HOLD -o m --segment 900:999": ["900:999", "samples"],
-    "fit HOLD -o m --theta 1.5": ["theta", "from 0 to 1"],
+    "fit nowhere -o m --theta 1.5": ["theta", "from 0 to 1"],
     "fit HOLD -o m --leave-out distal.fx": ["distal.fx", "distal.Fx"],
     "evaluate HOLD --model HOLD/socket.yaml": ["socket.yaml", "is not a model"],
     "simulate -o HOLD": ["exists already"],

@@ -10,6 +10,7 @@ from support import meshes
 from support.verbs import call, refused
 
 from socket_testbed.__main__ import run
+from socket_testbed.geometry.axis import all_regions
 from socket_testbed.geometry.socket import read_socket, write_socket
 
 pytestmark = pytest.mark.slow
@@ -77,6 +78,19 @@ def test_clusters_and_bodies_are_taken_over(tiled: Path, tmp_path: Path, capsys)
     # Without --bodies the registration is not overwritten.
     code, _, err = call(capsys, "tile", cup, "-o", output, "--replace", *anterior)
     assert code == 1 and "registered marker bodies" in err and "--bodies" in err
+
+
+def test_clusters_are_proposed_where_they_tell_most(cup: Path, tmp_path: Path, capsys) -> None:
+    output = tmp_path / "six.yaml"
+    words = ["tile", cup, "-o", output, "--anterior=-y", "--rounds", "2", "--place", "6"]
+    code, _, error = call(capsys, *words, "--keep-out", "posterior")
+    geometry = read_socket(output)
+    assert code == 0 and "the number tells more than the places" in error
+    assert list(geometry.clusters) == [f"cluster_{number}" for number in range(1, 7)]
+    tiles = {region.name: set(region.tiles) for region in all_regions(geometry)}
+    assert not tiles["posterior"] & set(geometry.clusters.values())
+    words[1] = "no scan"  # refused before it is read
+    refused(capsys, *words, "--replace", "--keep-out", "nowhere", named=["tile 'nowhere'"])
 
 
 def test_a_wrong_unit_or_direction_is_one_line(tmp_path: Path, capsys) -> None:

@@ -1,18 +1,29 @@
-"""Sound trials are good; a damaged copy says what to look at."""
+"""Sound trials are good; damaged ones say what to look at, are refused, or propose a cut."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.problems import make_case, make_samples, random_socket
+from support.wording import refused
 
 import socket_testbed as st
+from socket_testbed.errors import IdentificationError
 from socket_testbed.identification.data_check import check_data
+from socket_testbed.identification.fit import fit_contact_model
+from socket_testbed.identification.plausibility import (
+    HANGING,
+    LEAST_LOAD,
+    LEAST_TENSION,
+    LEVER_FACTOR,
+    find_implausible,
+    implausible_notes,
+    sign_note,
+)
 from socket_testbed.samples import Status
 from socket_testbed.simulation.limb import SCENARIOS, TISSUES
 
-Damage = Callable[[np.ndarray], np.ndarray]
 ALL = slice(None)
 
 
@@ -39,7 +50,7 @@ def late(values: np.ndarray, by: int = 20) -> np.ndarray:
     return np.concatenate([np.repeat(values[:1], by, axis=0), values[:-by]])
 
 
-def put(value: float, *place: slice | int) -> Damage:
+def put(value: float, *place: slice | int):
     def damage(values: np.ndarray) -> np.ndarray:
         values = values.copy()
         values[place] = value
@@ -49,7 +60,7 @@ def put(value: float, *place: slice | int) -> Damage:
 
 
 # By damage: where to look, the arrays, and what becomes of them.
-DAMAGED: dict[str, tuple[str, tuple[str, ...], Damage]] = {
+DAMAGED = {
     "negated": ("the wrench", ("wrench",), np.negative),
     "kilonewtons": ("the wrench", ("wrench",), lambda v: v * np.repeat([1, 1e-3], 3)),
     "lever": ("the wrench", ("wrench",), lambda v: v + 200.0 * (np.arange(6) == 0)),
@@ -90,3 +101,111 @@ def test_a_reversed_cluster_another_size_and_few_samples_are_named(sound: dict[s
     samples.local_forces[:, 0] *= -1.0
     (found,) = check_data(samples, trial.geometry)
     assert found.source == samples.clusters[0] and "sign" in found.hint
+
+
+# --- Samples that no limb in a socket gives
+
+
+LOAD = 200.0  # [N]
+
+
+def test_a_wrench_without_a_load_and_another_unit_are_refused():
+    for array, column, names in (
+        ("position", np.s_[:], ("limb position", "likely in millimetres")),
+        ("wrench", np.s_[:, 3:], ("F", "likely in millinewtons")),
+        ("wrench", np.s_[:], ("M", "likely in newton millimetres")),
+        ("local_forces", np.s_[:], ("cluster_", "likely in millinewtons")),
+    ):
+        geometry, _, samples, settings = make_case(3)
+        getattr(samples, array)[column] *= 1000.0
+        with refused(IdentificationError, *names):
+            fit_contact_model(samples, geometry, settings)
+    geometry, _, samples, settings = make_case(2)
+    for wrench in (1e-4, 0.0):
+        samples.wrench[:] = wrench
+        with refused(IdentificationError, "holds no load"):
+            fit_contact_model(samples, geometry, settings)
+    settings = replace(settings, leave_out=("Mx", "My", "Mz", "Fx", "Fy", "Fz"))
+    assert fit_contact_model(samples, geometry, settings).samples == len(samples)
+
+
+def test_an_outlier_is_left_out_and_noted_with_channel_and_time_and_many_are_refused():
+    geometry, _, sound, settings = make_case(4)
+    without = fit_contact_model(sound[np.arange(len(sound)) != 17], geometry, settings).model
+    for array, place, value, name in (
+        ("wrench", (17, 4), 2e3, "Fy has an outlier"),
+        ("local_forces", (17, 1, 2), -1e9, "cluster_1.Fz has an outlier"),
+        ("position", (17, 1), -1e9, "limb position has an outlier"),
+    ):
+        samples = make_case(4)[2]
+        getattr(samples, array)[place] = value
+        (note,) = [n for n in implausible_notes(samples, geometry, ()) if "outlier" in n]
+        assert note.startswith(name) and "at 4.25 s" in note and note.endswith("left out")
+        found = fit_contact_model(samples, geometry, settings)
+        assert max(error.rmse for error in found.errors) < 100.0
+        assert array == "local_forces" or (found.model.stiffness == without.stiffness).all()
+    sound.wrench[::8, 3] = 1e9
+    with refused(IdentificationError, "5 of 40 samples are outliers: Fx has 5"):
+        fit_contact_model(sound, geometry, settings)
+    settings = replace(settings, leave_out=("Fx",))  # then it drops no sample
+    assert fit_contact_model(sound, geometry, settings).samples == len(sound)
+
+
+GEOMETRY = random_socket(np.random.default_rng(3))
+
+
+def loaded():
+    """A steady load, with every cluster pressed by a tenth of it."""
+    rng = np.random.default_rng(4)
+    wrench = rng.normal([1.0, -2.0, 0.5, 3.0, -5.0, -LOAD], 0.3, (100, 6))
+    forces = rng.normal([2.0, -1.0, -0.1 * LOAD], 0.3, (len(GEOMETRY.clusters), 100, 3))
+    named = dict(zip(GEOMETRY.clusters, forces, strict=True))
+    return make_samples(rng.normal(0.0, 1e-4, (100, 3)), wrench, named)
+
+
+def scaled(samples, column, axis, factor):
+    forces = samples.local_forces.copy()
+    forces[:, column, axis] *= factor
+    return replace(samples, local_forces=forces)
+
+
+def found(samples) -> list[str]:
+    return [proposal.channel for proposal in find_implausible(samples, GEOMETRY)]
+
+
+def test_a_negated_wrench_is_noted_on_clear_evidence_alone():
+    samples = loaded()
+    negated = replace(samples, wrench=-samples.wrench)
+    (note,) = implausible_notes(negated, GEOMETRY, ())
+    assert "wrench looks negated" in note and "200 N" in note and "3 of 3 clusters" in note
+    hanging = replace(samples, wrench=samples.wrench * (-0.9 * HANGING / LOAD))
+    pulled = replace(negated, local_forces=-samples.local_forces)
+    shifted = samples.local_forces + np.array([0.0, 0.0, 150.0])
+    offset = replace(samples, local_forces=shifted)
+    unread = replace(negated, status=np.full_like(samples.status, 2))
+    for doubtful in (hanging, pulled, offset, unread):
+        assert sign_note(doubtful, GEOMETRY) is None
+
+
+def test_what_exceeds_the_load_pulls_or_has_no_lever_is_proposed_with_its_numbers():
+    samples = loaded()
+    assert implausible_notes(samples, GEOMETRY, ()) == []
+    load = np.median(np.linalg.norm(samples.wrench[:, 3:], axis=1))
+    for axis in range(3):
+        size = np.median(np.abs(samples.local_forces[:, 1, axis]))
+        assert found(scaled(samples, 1, axis, 0.99 * load / size)) == []
+        (proposal,) = find_implausible(scaled(samples, 1, axis, 10.0 * load / size), GEOMETRY)
+        assert proposal.channel == f"cluster_1.F{'xyz'[axis]}" and "10 times" in proposal.reason
+    unloaded = replace(samples, wrench=samples.wrench * (0.9 * LEAST_LOAD / LOAD))
+    assert found(scaled(unloaded, 1, 0, 1e4)) == []  # nothing is too large for no load
+    for left_out, said in (((), "--leave-out cluster_1.Fx"), (("cluster_1.Fx",), "is left out")):
+        (note,) = implausible_notes(scaled(samples, 1, 0, 1e4), GEOMETRY, left_out)
+        assert note.startswith("cluster_1.Fx") and said in note
+
+    pulled = scaled(samples, 2, 2, -1.0)  # as much tension as there was compression
+    assert found(pulled) == ["cluster_2.Fz"]
+    assert found(scaled(samples, 2, 2, -0.9 * LEAST_TENSION / (0.1 * LOAD))) == []
+    reach = np.linalg.norm(GEOMETRY.anchors, axis=1).max()
+    for share, expected in ((0.99, []), (1.01, ["My"])):
+        samples.wrench[:, 1] = -share * LEVER_FACTOR * reach * load
+        assert found(samples) == expected

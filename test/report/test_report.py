@@ -12,7 +12,7 @@ from support.problems import make_samples
 from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.identification.evaluation import summarise_errors
+from socket_testbed.identification.fit import summarise_errors
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.report import fronts, validation, write
 from socket_testbed.report.quality import find_drop_outs, find_gaps

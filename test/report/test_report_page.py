@@ -18,7 +18,7 @@ from support.pages import MADE, NASTY, Page, numbers
 
 import socket_testbed as st
 from socket_testbed.__main__ import run
-from socket_testbed.identification.evaluation import evaluate, summarise_errors
+from socket_testbed.identification.fit import evaluate, summarise_errors
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY
 from socket_testbed.identification.pressure import TITLES, interval_end
 from socket_testbed.report import style

@@ -11,7 +11,7 @@ import socket_testbed as st
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.identification.evaluation import summarise_errors
+from socket_testbed.identification.fit import summarise_errors
 from socket_testbed.live.hardware import make_clusters, make_load_cell
 from socket_testbed.live.simulated_world import LiveTestbed, Simulation
 from socket_testbed.settings.testbed import read_testbed

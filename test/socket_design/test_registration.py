@@ -1,6 +1,7 @@
-"""From static takes to a registered socket: labels, stillness, landmarks and their uncertainty."""
+"""From static takes to a registered socket: the files, stillness, landmarks, uncertainty."""
 
-from collections import defaultdict
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,19 +12,25 @@ from support.motive_takes import (
     CELL,
     PYLON_NAMES,
     SOCKET_NAMES,
+    UNITS,
     Bench,
+    Written,
     between,
     make_bench,
+    motive_lines,
     own_frame_of,
     refused,
     register,
     track,
+    write_lines,
+    write_take,
 )
 from support.problems import SOCKET_TRIAD, random_pose
 
 from socket_testbed.errors import RegistrationError
 from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.pose import Pose
+from socket_testbed.socket_design.motive import MotiveTake, read_motive_csv
 from socket_testbed.socket_design.registration import (
     LandmarkFit,
     Registration,
@@ -32,29 +39,23 @@ from socket_testbed.socket_design.registration import (
 )
 
 
-@pytest.fixture
-def rng():
-    return np.random.default_rng(23)
-
-
 def test_a_body_of_more_markers_is_registered_in_the_frame_of_its_first(rng, tmp_path):
     bench = make_bench(rng)
-    names, extra = list(SOCKET_NAMES), np.array([[0.02, 0.06, 0.01], [-0.05, 0.01, 0.045]])
-    own = own_frame_of(np.array([bench.places[name] for name in names]))
-    markers = bench.take.markers
-    for k, place in enumerate(own.apply(own_frame_of(SOCKET_TRIAD).inverse().apply(extra))):
-        names.append(f"Socket:Extra{k}")
-        markers[names[-1]] = place + rng.normal(0.0, 1e-4, (len(bench.take), 3))
+    names, markers = [*SOCKET_NAMES, "Extra0", "Extra1"], bench.take.markers
+    extra = np.array([[0.02, 0.06, 0.01], [-0.05, 0.01, 0.045]])
+    into_own = own_frame_of(SOCKET_TRIAD).inverse()
+    own = own_frame_of(triads(bench)[0])
+    for name, place in zip(names[3:], own.apply(into_own.apply(extra)), strict=True):
+        markers[name] = place + rng.normal(0.0, 1e-4, (len(bench.take), 3))
     exchanged = np.array([markers[names[-1]][:20], markers[names[0]][:20]])  # labels, at first
     markers[names[0]][:20], markers[names[-1]][:20] = exchanged
     markers[names[3]][50] = np.nan
     bench.document["bodies"]["socket"] = names
     found = register(bench, tmp_path)
     assert found.socket.still.used.sum() == 59
-    body = found.geometry.socket_markers
-    true = own_frame_of(SOCKET_TRIAD).inverse().apply(np.vstack([SOCKET_TRIAD, extra]))
-    in_cell = found.geometry.socket_body.apply(body)
-    np.testing.assert_allclose(in_cell, bench.socket_body.apply(true), atol=5e-4)
+    true = bench.socket_body.apply(into_own.apply(np.vstack([SOCKET_TRIAD, extra])))
+    body = found.geometry.socket_body.apply(found.geometry.socket_markers)
+    np.testing.assert_allclose(body, true, atol=5e-4)
 
 
 def triads(bench: Bench) -> list[np.ndarray]:
@@ -111,9 +112,8 @@ def still_markers(rng, frames: int = 60, noise: float = 1e-4) -> np.ndarray:
     return rng.uniform(-1.0, 1.0, (4, 3)) + rng.normal(0.0, noise, (frames, 4, 3))
 
 
-def average(positions: np.ndarray, fits: np.ndarray | None = None):
-    fits = np.ones(len(positions), dtype=bool) if fits is None else fits
-    return average_still("ABCD", positions, fits, "take.csv: socket")
+def average(positions: np.ndarray, fits: np.ndarray | bool = True):
+    return average_still("ABCD", positions, np.full(len(positions), fits), "take.csv: socket")
 
 
 def test_frames_are_counted_by_their_fault(rng):
@@ -136,11 +136,9 @@ def test_frames_are_counted_by_their_fault(rng):
 def test_a_little_motion_is_noted_and_more_is_refused(rng):
     ramp, shake = np.linspace(0.0, 1.0, 60), (-1.0) ** np.arange(60)
     for motion, words in (
-        (1e-4 * ramp, ""),
         (6e-4 * ramp, "C drifted by 0.4"),
         (6e-4 * shake, "C moved about by 0.6"),
         (3e-3 * ramp, "socket: C drifted by 2.0"),
-        (2e-3 * shake, "socket: C moved about by 2.0"),
         (0.03 * (ramp > 0.7), "in 18 of 60 frames a marker, mostly C, is more than 5 mm"),
         (np.where(ramp < 0.25, 0.0, np.nan), "show all of A, B, C, D (C is occluded in 45"),
     ):
@@ -151,7 +149,7 @@ def test_a_little_motion_is_noted_and_more_is_refused(rng):
                 average(positions)
         else:
             notes = average(positions).notes
-            assert len(notes) == bool(words) and all(words in note for note in notes)
+            assert len(notes) == 1 and words in notes[0]
 
 
 # --- landmarks
@@ -160,8 +158,7 @@ TARGET = np.array([0.02, -0.03, 0.25])  # [m]; off the landmarks, as the limb is
 NOISE = 4e-4  # [m]
 
 
-def names_of(count: int) -> tuple[str, ...]:
-    return tuple(f"LC{i + 1}" for i in range(count))
+NAMES = tuple(f"LC{i + 1}" for i in range(len(CELL)))
 
 
 def normalised(fit: LandmarkFit, pose: Pose) -> float:
@@ -173,7 +170,7 @@ def normalised(fit: LandmarkFit, pose: Pose) -> float:
 def test_landmarks_give_the_pose_of_least_squares_within_its_stated_uncertainty(rng):
     """With a noise from the residuals it is an F of 3, 3k - 6."""
     for count in (3, 5):
-        known, names, found = CELL[:count], names_of(count), []
+        known, names, found = CELL[:count], NAMES[:count], []
         for _ in range(400):
             pose = random_pose(rng, 1.0)
             measured = pose.apply(known) + rng.normal(0.0, NOISE, known.shape)
@@ -192,11 +189,10 @@ def test_landmarks_that_hold_no_frame_are_refused(rng):
     for known, measured, fact in (
         (CELL[:2], CELL[:2], "2 landmarks"),
         (near, near, "LC2 and LC4 are given 1.0 mm apart"),
-        (CELL[:4], near, "LC2 and LC4 were measured 1.0 mm apart"),
         (CELL, line, "were measured on one line"),
     ):
         with wording.refused(RegistrationError, fact):
-            register_landmarks(known, random_pose(rng).apply(measured), names_of(len(known)))
+            register_landmarks(known, random_pose(rng).apply(measured), NAMES[: len(known)])
 
 
 def test_a_wrong_landmark_is_noted_then_refused_unless_forced(rng, tmp_path):
@@ -211,12 +207,9 @@ def test_a_wrong_landmark_is_noted_then_refused_unless_forced(rng, tmp_path):
     assert np.trace(forced.covariance) > 30.0 * np.trace(found.covariance)
     for side in ("load_cell", "limb"):
         bench = make_bench(rng, frames=20, landmarks=4)
-        right = bench.document[side]
-        names = [*right]
-        swapped = dict(zip([names[-1], *names[1:-1], names[0]], right.values(), strict=True))
-        mirrored = {name: [x, -y, z] for name, (x, y, z) in right.items()}  # they are off a plane
-        for bench.document[side] in (swapped, mirrored):
-            assert "mm off" in refused(bench, tmp_path)
+        for point in bench.document[side].values():
+            point[1] *= -1.0  # mirrored, and off a plane
+        assert "mm off" in refused(bench, tmp_path)
 
 
 def test_landmarks_in_one_plane_are_noted_and_refused_if_the_limb_is_outside(rng, tmp_path):
@@ -234,47 +227,162 @@ def test_landmarks_in_one_plane_are_noted_and_refused_if_the_limb_is_outside(rng
 # --- uncertainty
 
 
-def errors_of(found: Registration, bench: Bench) -> dict[str, np.ndarray]:
-    """Errors of a registration, by the name of their covariance and in its axes."""
-    geometry, in_world, fitted = found.geometry, [], []
-    own = (geometry.socket_markers, geometry.pylon_markers)
-    for places, markers in zip(triads(bench), own, strict=True):
-        batch = fit_body(markers, places[None]).pose
-        in_world.append(own_frame_of(places))
-        fitted.append(Pose(batch.rotation[0], batch.translation[0]))
-    cell_in_world = in_world[0] @ bench.socket_body.inverse()
-    no_motion = geometry.socket_body @ fitted[0].inverse() @ cell_in_world
-    limb = fitted[1].inverse() @ in_world[1] @ bench.limb
-    at = geometry.socket_body.translation
-    return {
-        "socket": no_motion.apply(at) - at,
-        "socket's turn": Rotation.from_matrix(no_motion.rotation).as_rotvec(),
-        "limb": geometry.limb.translation - limb.translation,
-        "limb's turn": Rotation.from_matrix(geometry.limb.rotation @ limb.rotation.T).as_rotvec(),
-        "q": geometry.limb_pose(*fitted).translation - bench.q,
-    }
-
-
 @pytest.mark.slow
-def test_every_covariance_has_the_size_and_direction_of_the_errors(tmp_path):
+def test_the_covariances_have_the_size_and_direction_of_the_errors(tmp_path):
     """One bench, measured again and again, with as much noise by the triads as by landmarks."""
-    rng, count = np.random.default_rng(7), 250
-    errors, stated = defaultdict(list), defaultdict(list)
-    for _ in range(count):
+    rng, errors, stated = np.random.default_rng(7), [], []
+    for _ in range(250):
         bench = make_bench(rng, 20, 2e-4, scene=np.random.default_rng(8), unit="Millimeters")
         found = register(bench, tmp_path)
         socket, pylon = triads(bench)
         noisy = (triad + rng.normal(0.0, 2e-4, (3, 3)) for triad in (socket, pylon))
-        frame = limb_position(found, *noisy) - limb_position(found, socket, pylon)
-        for name, error in (errors_of(found, bench) | {"a frame": frame}).items():
-            errors[name].append(error)
-        stated_now = (*found.socket_body_covariances(), *found.limb_covariances())
-        stated_now += (found.covariance, found.single)
-        for name, covariance in zip(errors, stated_now, strict=True):
-            stated[name].append(covariance)
-    for name, samples in errors.items():
-        factor = np.linalg.cholesky(np.mean(stated[name], axis=0))
-        white = np.cov(np.linalg.solve(factor, np.transpose(samples)))
+        position = limb_position(found, socket, pylon)
+        errors.append([position - bench.q, limb_position(found, *noisy) - position])
+        stated.append([found.covariance, found.single])
+    for error, mean in zip(np.swapaxes(errors, 0, 1), np.mean(stated, axis=0), strict=True):
+        white = np.linalg.eigvalsh(np.cov(np.linalg.solve(np.linalg.cholesky(mean), error.T)))
         # Sigma is never taken below the noise of the means, which makes it a little too large.
-        assert np.linalg.eigvalsh(white).min() > 0.65, name
-        assert np.linalg.eigvalsh(white).max() < 1.35, name
+        assert white.min() > 0.65 and white.max() < 1.35
+
+
+# --- Motive's CSV exports: of every version, broken, and of a real system
+
+
+FIRST_FRAME = 7  # index of its line in formats until 1.22
+
+
+@pytest.fixture
+def scene() -> Written:
+    """A body with its triad and a loose marker over 30 frames, some of it occluded."""
+    rng = np.random.default_rng(5)
+    pose = random_pose(rng, 1.0, 30)
+    triad = np.array([p.apply(SOCKET_TRIAD) for p in map(Pose, pose.rotation, pose.translation)])
+    noisy = (triad + rng.normal(0.0, 1e-4, triad.shape)).swapaxes(0, 1)
+    markers = {f"Socket:Marker{i + 1}": noisy[i] for i in range(3)}
+    markers["Unlabeled:108"] = rng.uniform(-1.0, 1.0, (30, 3))
+    markers["Socket:Marker2"][4:9] = np.nan
+    solved = {f"Socket_{i + 1}": triad[:, i] for i in range(3)}
+    return Written(markers, solved, {"Socket": pose})
+
+
+def read(lines: list[str], folder: Path) -> MotiveTake:
+    return read_motive_csv(write_lines(lines, folder / "take.csv"))
+
+
+def check(take: MotiveTake, scene: Written, within: float = 1e-6) -> None:
+    """The take holds all of the scene, within the digits of the file [m]."""
+    for found, true in ((take.markers, scene.markers), (take.solved, scene.solved)):
+        assert list(found) == list(true)
+        for name, positions in true.items():
+            np.testing.assert_allclose(found[name], positions, atol=within)
+    for name, pose in scene.bodies.items():
+        np.testing.assert_allclose(take.body(name).translation, pose.translation, atol=within)
+        np.testing.assert_allclose(take.body(name).rotation, pose.rotation, atol=3e-6)
+    np.testing.assert_array_equal(take.frames, np.arange(30))
+    np.testing.assert_allclose(take.times, np.arange(30) / 120.0, atol=1e-6)
+    assert take.notes == () and take.frame_rate == 120.0
+
+
+def test_every_version_unit_and_line_end_is_read(scene, tmp_path):
+    path = tmp_path / "take.csv"
+    for version in ("1.2", "1.20", "1.21", "1.22", "1.23", "1.24", "1.25"):
+        check(read_motive_csv(write_take(replace(scene, version=version), path)), scene)
+    for unit, metres in UNITS.items():
+        take = read_motive_csv(write_take(replace(scene, unit=unit), path))
+        check(take, scene, 1e-6 * metres)
+    check(read_motive_csv(write_lines(motive_lines(scene), path, "\n", "utf-8-sig")), scene)
+    newer = read_motive_csv(write_take(replace(scene, version="1.31"), path))
+    assert "1.31" in newer.notes[0] and len(newer) == 30
+
+
+def test_what_is_not_needed_and_the_sign_of_q_do_not_matter_and_a_lost_body_has_no_pose(
+    scene, tmp_path
+):
+    lines = motive_lines(replace(scene, version="1.24"))
+    extra = [",Bone", ",Hips", ",0A", ",Position", ",X", *[",not read"] * 30]
+    codes = ["", "", "", "", "TimeCode", *["15:26:46:12.02"] * 30]
+    for i, (bone, code) in enumerate(zip(extra, codes, strict=True), start=2):
+        frame, time, *cells = lines[i].split(",")
+        if i >= FIRST_FRAME and i % 2:
+            cells[:4] = [f"{-float(cell):.6f}" for cell in cells[:4]]
+        lines[i] = ",".join([frame, time, code, *cells]) + bone + ",,,"
+    # A comma in the name of the take shifts the pairs of the header.
+    lines[0] = lines[0].replace("Take 2024-05-05", "Static, left, 2024-05-05")
+    check(read(lines, tmp_path), scene)
+    cells = lines[FIRST_FRAME + 3].split(",")
+    lines[FIRST_FRAME + 3] = ",".join([*cells[:3], *[""] * 8, *cells[11:]])
+    pose = read(lines, tmp_path).body("Socket")
+    lost = np.isnan(pose.rotation).all(axis=(1, 2)) & np.isnan(pose.translation).all(axis=1)
+    np.testing.assert_array_equal(np.flatnonzero(lost), [3])
+
+
+def test_a_take_that_was_cut_short_keeps_its_whole_frames(scene, tmp_path):
+    path = tmp_path / "take.csv"
+    whole = write_take(scene, path).read_bytes()
+    for lost in (1, 2, 30, 200):
+        path.write_bytes(whole[:-lost])
+        take = read_motive_csv(path)
+        # Without its line end it may have lost digits, too; a lone carriage return is an end.
+        kept = 30 if lost == 1 else 29
+        expected = scene.markers["Unlabeled:108"][:kept]
+        np.testing.assert_allclose(take.markers["Unlabeled:108"], expected, atol=1e-6)
+        assert lost == 1 or ("cut short" in take.notes[0] and "30 were exported" in take.notes[1])
+
+
+def test_missing_and_doubled_names_are_named(scene, tmp_path):
+    lines = motive_lines(scene)
+    take = read(lines, tmp_path)
+    with wording.refused(RegistrationError, "no marker 'Sockt:", "mean 'Socket:Marker1'"):
+        take.stack(["Sockt:Marker1"])
+    with wording.refused(RegistrationError, "not a measured one", "Markers"):
+        take.stack(["Socket_2"])
+    lines[3] = lines[3].replace("Socket:Marker3", "Socket:Marker1")
+    with wording.refused(RegistrationError, "'Socket:Marker1' occurs twice"):
+        read(lines, tmp_path).stack(["Socket:Marker1"])
+    # Since format 1.22 solved markers have the names of measured ones.
+    solved = dict(zip(take.markers_of("Socket"), scene.solved.values(), strict=False))
+    both = replace(scene, solved=solved, version="1.23")
+    check(read(motive_lines(both), tmp_path), both)
+
+
+def text(old: str, new: str, line: int = 0):
+    """What replaces a text, once in one line."""
+    return lambda lines: [*lines[:line], lines[line].replace(old, new, 1), *lines[line + 1 :]]
+
+
+BAD = [  # a change of the lines, and what the error says of it
+    (lambda lines: lines[FIRST_FRAME - 1 :], "not a Motive export", "header information"),
+    (lambda lines: lines[:FIRST_FRAME], "holds no frame", "export"),
+    (text("Length Units,Meters", "Length,Meters"), "'Length Units'", "export"),
+    (text("Quaternion", "XYZ"), "type XYZ", "export quaternions"),
+    (text(",Meters", ",Furlongs"), "'Furlongs'", "metres"),
+    (text("Version,1.21", "Version,1.1"), "version 1.1", "1.20 to 1.25"),
+    (lambda lines: [*lines[:9], lines[9] + ",1.0", *lines[10:]], "line 10 has", "export"),
+    (text(",W,", ",Q,", 6), "rigid body 'Socket' has no column Rotation W", "all its"),
+    (text("0.", "O.", 10), "line 11, column 2 (time) holds 'O.025000'", "number"),
+    (text("2,", "1,", 9), "line 10: the frame does not follow", "export"),
+    (text("0.033333,", "0.033333,7", 11), "line 12: the quaternion of 'Socket'", "export"),
+]
+
+
+def test_a_bad_file_is_named_with_its_place_and_a_hint(scene, tmp_path):
+    for change, *words in BAD:
+        with wording.refused(RegistrationError, str(tmp_path / "take.csv"), *words):
+            read(change(motive_lines(scene)), tmp_path)
+
+
+def test_the_markers_of_a_real_take_give_the_pose_of_motive(shared_data):
+    real = read_motive_csv(shared_data / "motive_csv" / "sample_optitrack_take.csv")
+    assert len(real) == 250 and real.frame_rate == 120.0 and real.notes == ()
+    motive = real.body("Rigid Body 1")
+    measured = real.stack(real.markers_of("Rigid Body 1"))
+    solved = np.stack([*real.solved.values()], axis=1)
+    move = random_pose(np.random.default_rng(3), 1.0)  # the body hardly moves: move the scene
+    expected = move @ motive
+    for markers, labels in ((measured, [1, 0, 2]), (solved, [2, 0, 1])):
+        arms = markers - motive.translation[:, None]
+        observed = (markers @ move.rotation.T + move.translation)[:, labels]
+        fit = fit_body((arms @ motive.rotation).mean(axis=0), observed)
+        off = np.linalg.norm(fit.pose.translation - expected.translation, axis=1)
+        turn = np.swapaxes(expected.rotation, 1, 2) @ fit.pose.rotation
+        assert off.max() < 5e-5 and Rotation.from_matrix(turn).magnitude().max() < 3e-4

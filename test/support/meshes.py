@@ -7,7 +7,6 @@ normals out of the solid (so those of the inner wall point into the cavity, too)
 
 import math
 from collections.abc import Callable
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -17,43 +16,21 @@ from scipy.spatial import cKDTree
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 FULL = 2.0 * math.pi
-FLARE = math.radians(60.0)
 
 
 def open_cone(
-    distal_radius: float,
-    proximal_radius: float,
-    height: float,
-    edge: float,
-    *,
-    arc: float = FULL,
-    **ends: float,
+    distal: float, proximal: float, height: float, edge: float, arc: float = FULL, **ends: float
 ) -> trimesh.Trimesh:
     """A wall with its distal end (see `_profile`), open at the top: one surface."""
-    return _revolve([_profile(distal_radius, proximal_radius, height, edge, **ends)], edge, arc)
+    return _revolve([_profile(distal, proximal, height, edge, **ends)], edge, arc)
 
 
 def shell(
-    distal_radius: float,
-    proximal_radius: float,
-    height: float,
-    edge: float,
-    thickness: float,
-    *,
-    arc: float = FULL,
-    **ends: float,
+    distal: float, proximal: float, height: float, edge: float, wall: float, arc=FULL, **ends: float
 ) -> trimesh.Trimesh:
     """A watertight shell whose inner wall is `open_cone` of the same arguments."""
-    inner = _profile(distal_radius, proximal_radius, height, edge, **ends)
-    return _revolve([inner, _offset(inner, thickness)], edge, arc)
-
-
-def wavy(mesh: trimesh.Trimesh, amplitude: float) -> trimesh.Trimesh:
-    """The same mesh with a trim line that rises and falls by an amplitude, twice around."""
-    points = mesh.vertices.copy()
-    along = np.clip(points[:, 2] / points[:, 2].max(), 0.0, None)
-    points[:, 2] += amplitude * along * np.cos(2.0 * np.arctan2(points[:, 1], points[:, 0]))
-    return trimesh.Trimesh(points, mesh.faces, process=False)
+    inner = _profile(distal, proximal, height, edge, **ends)
+    return _revolve([inner, _offset(inner, wall)], edge, arc)
 
 
 def scaled(mesh: trimesh.Trimesh, factor: float) -> trimesh.Trimesh:
@@ -109,22 +86,10 @@ def write_stl(mesh: trimesh.Trimesh, path: Path, unit: str = "mm", header: bytes
 
 
 def _profile(
-    distal: float,
-    proximal: float,
-    height: float,
-    edge: float,
-    dome: bool = False,
-    closed: bool = True,
-    hole: float = 0.0,
-    flare: float = 0.0,
+    distal: float, proximal: float, height: float, edge: float, dome=False, closed=True, hole=0.0
 ) -> np.ndarray:
     """Points (r, z) of the inner wall from the axis, or the hole, to the brim, (M, 2)."""
     wall = _along([[distal, 0.0], [proximal, height]], edge)
-    if flare:
-        slope = math.atan2(proximal - distal, height)
-        turn = slope + np.linspace(0.0, FLARE, max(2, round(flare * FLARE / edge)) + 1)[1:]
-        across = np.cos(slope) - np.cos(turn), np.sin(turn) - np.sin(slope)
-        wall = np.vstack([wall, wall[-1] + flare * np.column_stack(across)])
     if not closed:
         return wall
     if dome:
@@ -156,43 +121,24 @@ def _offset(profile: np.ndarray, thickness: float) -> np.ndarray:
 
 def _revolve(profiles: list[np.ndarray], edge: float, arc: float) -> trimesh.Trimesh:
     """A wall, or an inner and an outer wall joined at the brim, at a hole and at the cuts."""
-    order = np.vstack([profiles[0], *(p[::-1] for p in profiles[1:])])
-    rings, points = [], []
-    for r, z in order:
-        steps = max(3, round(arc * r / edge)) if r > 1e-9 else 0
-        angle = np.linspace(0.0, arc, steps + 1)[: -1 if arc == FULL and steps else None]
-        rings.append(np.arange(len(angle)) + sum(map(len, rings)))
-        points.append(np.column_stack([r * np.cos(angle), r * np.sin(angle), z + 0.0 * angle]))
-    closed = arc == FULL
-    faces = [_stitch(a, b, closed) for a, b in pairwise(rings)]
-    if len(profiles) == 2:
-        if len(rings[0]) > 1:
-            faces.append(_stitch(rings[-1], rings[0], closed))
-        if not closed:
-            faces += _cuts(rings[: len(profiles[0])], rings[len(profiles[0]) :][::-1])
-    return trimesh.Trimesh(np.vstack(points), np.vstack(faces), process=False)
+    r, z = np.vstack([profiles[0], *(p[::-1] for p in profiles[1:])]).T[:, :, None]
+    angle = np.linspace(0.0, arc, max(3, round(arc * profiles[0][:, 0].max() / edge)) + 1)
+    angle = angle[:-1] if arc == FULL else angle
+    points = np.stack(np.broadcast_arrays(r * np.cos(angle), r * np.sin(angle), z), axis=2)
+    number = np.arange(r.size * len(angle)).reshape(r.size, -1)  # by ring and angle
+    number = np.where(r > 1e-9, number, number[:, :1])
+    rings = np.vstack([number, number[:1]]) if len(profiles) == 2 and r[0] > 1e-9 else number
+    grids = [np.hstack([rings, rings[:, :1]]) if arc == FULL else rings]
+    if len(profiles) == 2 and arc < FULL:
+        inner, outer = number[: len(profiles[0])], number[len(profiles[0]) :][::-1]
+        grids += [np.stack([outer, inner], 2)[:, 0], np.stack([inner, outer], 2)[:, -1]]
+    faces = np.vstack([_triangles(grid) for grid in grids])
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    used, faces = np.unique(faces, return_inverse=True)
+    return trimesh.Trimesh(points.reshape(-1, 3)[used], faces.reshape(-1, 3), process=False)
 
 
-def _stitch(lower: np.ndarray, upper: np.ndarray, closed: bool) -> np.ndarray:
-    """Triangles between two rings, whatever their numbers of vertices, (F, 3)."""
-    edges_lower, edges_upper = (len(r) - (not closed or len(r) == 1) for r in (lower, upper))
-    i, j = np.arange(edges_lower), np.arange(edges_upper)
-    middle_i, middle_j = (i + 0.5) / max(edges_lower, 1), (j + 0.5) / max(edges_upper, 1)
-    apex_i = np.searchsorted(middle_j, middle_i, side="left")
-    apex_j = np.searchsorted(middle_i, middle_j, side="right")
-    a, b = len(lower), len(upper)
-    from_lower = np.column_stack([lower[(i + 1) % a], lower[i], upper[apex_i % b]])
-    from_upper = np.column_stack([upper[j], upper[(j + 1) % b], lower[apex_j % a]])
-    return np.vstack([from_lower, from_upper])
-
-
-def _cuts(inner: list[np.ndarray], outer: list[np.ndarray]) -> list[np.ndarray]:
-    """The two faces where a C-section is cut, as lists of triangles."""
-    faces = []
-    for end, turn in ((0, 1), (-1, -1)):
-        p, q = (np.array([ring[end] for ring in rings]) for rings in (inner, outer))
-        quads = np.vstack(
-            [np.column_stack([p[:-1], q[:-1], p[1:]]), np.column_stack([q[:-1], q[1:], p[1:]])]
-        )
-        faces.append(quads[:, ::turn])
-    return faces
+def _triangles(grid: np.ndarray) -> np.ndarray:
+    """Two triangles for each cell of a grid of vertices, (F, 3)."""
+    a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, :-1], grid[1:, 1:]
+    return np.concatenate([np.dstack([b, a, c]), np.dstack([c, d, b])]).reshape(-1, 3)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -43,8 +42,9 @@ class Written:
         return len(next(iter(self.markers.values())))
 
 
-def cells_of(take: Written) -> tuple[list[tuple[str, str, str, str]], np.ndarray]:
-    """Titles (type, name, property, axis) and numbers of the columns behind the time."""
+def motive_lines(take: Written) -> list[str]:
+    """The lines of an export: the header and blank line, the rows of names, the frames."""
+    # Titles (type, name, property, axis) and numbers of the columns behind the time.
     titles, columns, scale = [], [], UNITS[take.unit]
     for name, pose in take.bodies.items():
         titles += [("Rigid Body", name, "Rotation", axis) for axis in "XYZW"]
@@ -55,12 +55,6 @@ def cells_of(take: Written) -> tuple[list[tuple[str, str, str, str]], np.ndarray
         for name, positions in markers.items():
             titles += [(kind, name, "Position", axis) for axis in "XYZ"]
             columns += [*(positions / scale).T]
-    return titles, np.array(columns).T
-
-
-def motive_lines(take: Written) -> list[str]:
-    """The lines of an export: the header and blank line, the rows of names, the frames."""
-    titles, table = cells_of(take)
     header = (
         f"Format Version,{take.version},Take Name,Take 2024-05-05 03.49.50 PM"
         f",Capture Frame Rate,{RATE:.6f},Export Frame Rate,{RATE:.6f}"
@@ -75,19 +69,18 @@ def motive_lines(take: Written) -> list[str]:
     if float(take.version) >= 1.25:
         rows.append(["", "Parent", *["" for _ in names]])
     rows += [["", "", *meanings], ["Frame", "Time (Seconds)", *axes]]
-    for frame, numbers in enumerate(table):
+    for frame, numbers in enumerate(np.array(columns).T):
         cells = [f"{value:.6f}" if np.isfinite(value) else "" for value in numbers]
         rows.append([str(frame), f"{frame / RATE:.6f}", *cells])
     return [header, "", *(",".join(row) for row in rows)]
 
 
-def write_take(take: Written, path: Path, newline: str = "\r\n", bom: bool = False) -> Path:
-    return write_lines(motive_lines(take), path, newline, bom)
+def write_take(take: Written, path: Path) -> Path:
+    return write_lines(motive_lines(take), path)
 
 
-def write_lines(lines: list[str], path: Path, newline: str = "\n", bom: bool = False) -> Path:
-    text = "".join(line + newline for line in lines)
-    path.write_bytes(text.encode("utf-8-sig" if bom else "utf-8"))
+def write_lines(lines: list[str], path: Path, newline: str = "\r\n", code: str = "utf-8") -> Path:
+    path.write_bytes("".join(line + newline for line in lines).encode(code))
     return path
 
 
@@ -157,8 +150,8 @@ def track(bench: Bench, name: str, triad: tuple[str, ...], frame: Pose) -> Bench
     pose = own_frame_of(np.array([bench.places[marker] for marker in triad])) @ frame
     count = len(bench.take)
     tracked = Pose(np.tile(pose.rotation, (count, 1, 1)), np.tile(pose.translation, (count, 1)))
-    take = dataclasses.replace(bench.take, bodies={**bench.take.bodies, name: tracked})
-    return dataclasses.replace(bench, take=take)
+    take = replace(bench.take, bodies={**bench.take.bodies, name: tracked})
+    return replace(bench, take=take)
 
 
 def write_landmarks(document: dict, path: Path) -> Path:

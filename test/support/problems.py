@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -30,40 +32,45 @@ def wall_frame(angle: float, cone: float) -> tuple[np.ndarray, np.ndarray]:
     return outwards, np.column_stack([x, np.cross(z, x), z])
 
 
+def _cone(
+    tiles: dict[str, tuple[np.ndarray, np.ndarray]], near: float, clusters: dict[str, str]
+) -> SocketGeometry:
+    """A socket of tiles by name, anchor and frame, which are neighbours if nearer than that [m]."""
+    names, places = tuple(tiles), np.array([anchor for anchor, _ in tiles.values()])
+    rotations = np.array([frame for _, frame in tiles.values()])
+    apart = np.linalg.norm(places[:, None] - places, axis=2)
+    alike = rotations[:, :, 2] @ rotations[:, :, 2].T > -0.2
+    return SocketGeometry(
+        names=names,
+        anchors=places,
+        rotations=rotations,
+        areas=np.full(len(names), 9e-4),
+        neighbours=np.argwhere(np.triu((apart < near) & alike, 1)),
+        clusters={name: names.index(tile) for name, tile in clusters.items()},
+        socket_markers=SOCKET_TRIAD,
+        pylon_markers=PYLON_TRIAD,
+        socket_body=Pose(np.eye(3), np.zeros(3)),
+        limb=Pose(np.eye(3), np.zeros(3)),
+    )
+
+
 def ring_socket() -> SocketGeometry:
     """A cone about z, 80 mm above the load cell, with tiles in six rings and on its distal end."""
     pitch, cone = 0.033, np.radians(6.0)  # [m], [rad]
-    names, anchors, frames = [], [], []
+    on = {"ring6_4": "brim_lateral", "ring4_1": "mid_anterior", "ring1_5": "posterior_distal"}
+    on |= {"end_0_0": "distal"}  # clusters, whose names their tiles have
+    tiles = {}
     for ring in range(6):
         along = (ring + 0.75) * pitch
         radius, height = 0.046 + along * np.sin(cone), 0.080 + along * np.cos(cone)
         count = int(2.0 * np.pi * radius / pitch)
         for place in range(count):
             outwards, frame = wall_frame(2.0 * np.pi * place / count, cone)
-            names.append(f"ring{ring + 1}_{place + 1}")
-            anchors.append(radius * outwards + [0.0, 0.0, height])
-            frames.append(frame)
-    for x, y in ((0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)):
-        names.append(f"end_{x}_{y}")
-        anchors.append(np.array([x * pitch, y * pitch, 0.080]))
-        frames.append(np.eye(3))  # on the end no tangent is proximal: x is anterior
-    on = {"ring6_4": "brim_lateral", "ring4_1": "mid_anterior", "ring1_5": "posterior_distal"}
-    on |= {"end_0_0": "distal"}  # clusters, whose names their tiles have
-    places, rotations = np.array(anchors), np.array(frames)
-    apart = np.linalg.norm(places[:, None] - places, axis=2)
-    alike = rotations[:, :, 2] @ rotations[:, :, 2].T > -0.2
-    return SocketGeometry(
-        names=tuple(on.get(name, name) for name in names),
-        anchors=places,
-        rotations=rotations,
-        areas=np.full(len(names), 9e-4),
-        neighbours=np.argwhere(np.triu((apart < 0.047) & alike, 1)),
-        clusters={name: names.index(tile) for tile, name in on.items()},
-        socket_markers=SOCKET_TRIAD,
-        pylon_markers=PYLON_TRIAD,
-        socket_body=Pose(np.eye(3), np.zeros(3)),
-        limb=Pose(np.eye(3), np.zeros(3)),
-    )
+            tiles[f"ring{ring + 1}_{place + 1}"] = radius * outwards + [0.0, 0.0, height], frame
+    for x, y in ((0, 0), (1, 0), (0, 1), (-1, 0), (0, -1)):  # no tangent is proximal: x is anterior
+        tiles[f"end_{x}_{y}"] = np.array([x * pitch, y * pitch, 0.080]), np.eye(3)
+    named = {on.get(name, name): tile for name, tile in tiles.items()}
+    return _cone(named, 0.047, {name: name for name in on.values()})
 
 
 def random_socket(
@@ -73,33 +80,24 @@ def random_socket(
 
     The clusters lie on random tiles; the neighbours are those along the ring and the column.
     """
-    names, anchors, rotations, pairs = [], [], [], []
+    tiles, pairs = {}, []
     cone = rng.uniform(0.05, 0.2)  # [rad]
     for ring in range(rings):
         for column in range(columns):
-            angle = 2.0 * np.pi * (column + rng.uniform(-0.1, 0.1)) / columns
-            outwards, frame = wall_frame(angle, cone)
+            outwards, frame = wall_frame(
+                2.0 * np.pi * (column + rng.uniform(-0.1, 0.1)) / columns, cone
+            )
             radius = 0.045 + 0.01 * ring + rng.uniform(-0.002, 0.002)
-            names.append(f"tile_{ring}_{column}")
-            anchors.append(radius * outwards + [0.0, 0.0, 0.1 + 0.06 * ring])
-            rotations.append(frame)
-            tile = ring * columns + column
+            anchor = radius * outwards + [0.0, 0.0, 0.1 + 0.06 * ring]
+            tile = len(tiles)
+            tiles[f"tile_{ring}_{column}"] = anchor, frame
             pairs.append(sorted((tile, ring * columns + (column + 1) % columns)))
-            if ring + 1 < rings:
-                pairs.append([tile, tile + columns])
-    covered = rng.permutation(len(names))[:clusters].tolist()
-    return SocketGeometry(
-        names=tuple(names),
-        anchors=np.array(anchors),
-        rotations=np.array(rotations),
-        areas=np.full(len(names), 9e-4),
-        neighbours=np.unique(np.array(pairs), axis=0),
-        clusters={f"cluster_{i}": int(tile) for i, tile in enumerate(covered)},
-        socket_markers=SOCKET_TRIAD,
-        pylon_markers=PYLON_TRIAD,
-        socket_body=random_pose(rng),
-        limb=random_pose(rng),
-    )
+            pairs += [[tile, tile + columns]] if ring + 1 < rings else []
+    covered = rng.permutation([*tiles])[:clusters]
+    geometry = _cone(tiles, 0.0, {f"cluster_{i}": str(tile) for i, tile in enumerate(covered)})
+    neighbours = np.unique(np.array(pairs), axis=0)
+    socket_body, limb = random_pose(rng), random_pose(rng)
+    return replace(geometry, neighbours=neighbours, socket_body=socket_body, limb=limb)
 
 
 def random_bed(
@@ -162,10 +160,7 @@ def naive_gated(displacement: np.ndarray, sharpness: float) -> np.ndarray:
 
 
 def make_case(
-    seed: int,
-    variant: Variant = "stiffness_bias",
-    gaps: bool = False,
-    **changes,
+    seed: int, variant: Variant = "stiffness_bias", gaps: bool = False, **changes
 ) -> tuple[SocketGeometry, ContactModel, Samples, IdentificationSettings]:
     """A random bed and its samples: the socket, the bed, the samples and the settings.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -34,104 +35,77 @@ class StackedRows:
         return answer.x
 
 
+def relative(found: np.ndarray, expected: np.ndarray) -> float:
+    return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
+
+
 def stack_stage_one(
     samples: Samples, geometry: SocketGeometry, settings: IdentificationSettings
 ) -> StackedRows:
     """Stage 1 row by row, in the rest positions about q_ref [mm]."""
     reference = np.array(settings.reference_position or samples.position.mean(axis=0))
-    n, k0 = len(geometry), settings.initial_stiffness
-
-    def springs(k: int) -> tuple[np.ndarray, np.ndarray]:
-        # F = k0 (q - reference) - k0 u
-        at_reference = np.tile(k0 * (samples.position[k] - reference), n)
-        return -k0 * MILLIMETRE * np.eye(3 * n), at_reference
-
+    # F = k0 (q - reference) - k0 u
+    k0, moved = settings.initial_stiffness, np.tile(samples.position - reference, len(geometry))
+    gain = np.full_like(moved, -k0 * MILLIMETRE)
     difference = settings.rest_position_difference / MILLIMETRE
-    limit = np.full(3 * n, settings.rest_position_limit / MILLIMETRE)
-    return _stack(samples, geometry, settings, springs, difference, (-limit, limit), False)
+    limit = settings.rest_position_limit / MILLIMETRE
+    return _stack(samples, geometry, settings, gain, k0 * moved, difference, (-limit, limit), False)
 
 
 def stack_stage_two(
-    samples: Samples,
-    geometry: SocketGeometry,
-    settings: IdentificationSettings,
-    rest_positions: np.ndarray,
+    samples: Samples, geometry: SocketGeometry, settings: IdentificationSettings, rest: np.ndarray
 ) -> StackedRows:
     """Stage 2 row by row, in the stiffnesses [kN/m], with explicit offsets after them."""
-
-    def springs(k: int) -> tuple[np.ndarray, np.ndarray]:
-        displacement = (samples.position[k] - rest_positions).reshape(-1)
-        s = naive_gated(displacement, settings.gate_sharpness)
-        return KILONEWTON_PER_METRE * np.diag(s), np.zeros(3 * len(geometry))
-
+    displacement = (samples.position[:, None] - rest).reshape(len(samples), -1)
+    gain = KILONEWTON_PER_METRE * naive_gated(displacement, settings.gate_sharpness)
     difference = settings.stiffness_difference / KILONEWTON_PER_METRE
-    bounds = (np.zeros(3 * len(geometry)), np.full(3 * len(geometry), np.inf))
-    with_bias = settings.variant == "stiffness_bias"
-    return _stack(samples, geometry, settings, springs, difference, bounds, with_bias)
+    with_bias, none = settings.variant == "stiffness_bias", np.zeros_like(gain)
+    return _stack(samples, geometry, settings, gain, none, difference, (0.0, np.inf), with_bias)
 
 
-def relative(found: np.ndarray, expected: np.ndarray) -> float:
-    return float(np.linalg.norm(found - expected) / np.linalg.norm(expected))
-
-
-def _stack(samples, geometry, settings, springs, difference, bounds, with_bias) -> StackedRows:
-    """Rows of theta J_w + (1 - theta) J_f + lambda J_s; `springs(k)` gives F = G x + h."""
-    names, measured = samples.channels, samples.values
+def _stack(
+    samples, geometry, settings, gain, constant, difference, bounds, with_bias
+) -> StackedRows:
+    """Rows of theta J_w + (1 - theta) J_f + lambda J_s, with the forces F = gain x + constant."""
+    measured, maps = samples.values, _channel_maps(samples, geometry)
     usable = np.isfinite(measured)
     usable[:, 6:] &= np.repeat(samples.status == 0, 3, axis=1)
-    kept = [i for i, name in enumerate(names) if name not in settings.leave_out]
-    moments, forces = [i for i in kept if i < 3], [i for i in kept if 3 <= i < 6]
-    local = [i for i in kept if i >= 6]
-    wrench_share = settings.theta / max(len(moments) + len(forces), 1)
-    local_share = (1.0 - settings.theta) / max(len(local), 1)
-    root = np.zeros(len(names))  # of the weight of a squared error
-    for group, floor, share in (
-        (moments, 0.1, wrench_share),
-        (forces, 1.0, wrench_share),
-        (local, 1.0, local_share),
-    ):
-        values = measured[:, group][usable[:, group]]
-        size = max(np.sqrt(np.mean(values**2)) if values.size else 0.0, floor)
-        root[group] = np.sqrt(share / usable[:, group].sum(axis=0)) / size
+    kept = np.array([name not in settings.leave_out for name in samples.channels])
+    usable &= kept
+    count = np.maximum(usable.sum(axis=0), 1)
+    power = np.where(usable, measured, 0.0) ** 2
+    weights = np.where(np.arange(len(kept)) < 6, settings.theta, 1.0 - settings.theta) / count
     if settings.weights == "raw":
-        power = np.nansum(np.where(usable, measured, np.nan) ** 2, axis=0) / usable.sum(axis=0)
-        group_weight = np.where(np.arange(len(names)) < 6, settings.theta, 1.0 - settings.theta)
-        raw = group_weight * 2.0 / power[kept].sum() / usable.sum(axis=0)
-        root[kept] = np.sqrt(raw[kept])
+        weights *= 2.0 / (power.sum(axis=0) / count).sum()
+    else:
+        for group, floor in ((slice(3), 0.1), (slice(3, 6), 1.0), (slice(6, None), 1.0)):
+            size = power[:, group].sum() / max(usable[:, group].sum(), 1)
+            weights[group] /= max(size, floor**2)
+        for together in (slice(6), slice(6, None)):
+            weights[together] /= max(kept[together].sum(), 1)
+    root = np.sqrt(weights)
 
-    maps = [channel_row(samples, geometry, i) for i in range(len(names))]
-    offset_rows = np.zeros((len(names), len(kept) if with_bias else 0))
-    if with_bias:
-        offset_rows[kept, range(len(kept))] = 1.0
-    rows, targets = [], []
-    for k in range(len(samples)):
-        G, h = springs(k)
-        for i in kept:
-            if usable[k, i]:
-                rows.append(root[i] * np.concatenate([maps[i] @ G, offset_rows[i]]))
-                targets.append(root[i] * (measured[k, i] - maps[i] @ h))
-    columns = 3 * len(geometry)
-    free = np.full(offset_rows.shape[1], np.inf)
-    weight = settings.smoothness / (3 * len(geometry.neighbours)) / difference**2
-    for a, b in geometry.neighbours:
-        for axis in range(3):
-            row = np.zeros(columns + len(free))
-            row[3 * a + axis], row[3 * b + axis] = 1.0, -1.0
-            rows.append(np.sqrt(weight) * row)
-            targets.append(0.0)
-    lower, upper = np.concatenate([bounds[0], -free]), np.concatenate([bounds[1], free])
-    return StackedRows(np.array(rows), np.array(targets), lower, upper)
+    rows = root[:, None] * maps * gain[:, None]  # by sample and channel
+    targets = root * (measured - constant @ maps.T)
+    offsets = root[:, None] * np.eye(len(kept))[:, kept if with_bias else []]
+    offsets = np.broadcast_to(offsets, (len(rows), *offsets.shape))
+    A = np.concatenate([rows, offsets], axis=2)[usable]
+    smooth = np.sqrt(settings.smoothness / (3 * len(geometry.neighbours))) / difference
+    differences = np.zeros((3 * len(geometry.neighbours), A.shape[1]))
+    for k, ((a, b), axis) in enumerate(product(geometry.neighbours, range(3))):
+        differences[k, [3 * a + axis, 3 * b + axis]] = smooth, -smooth
+    free = np.arange(A.shape[1]) >= gain.shape[1]
+    lower, upper = np.where(free, -np.inf, bounds[0]), np.where(free, np.inf, bounds[1])
+    b = np.concatenate([targets[usable], np.zeros(len(differences))])
+    return StackedRows(np.vstack([A, differences]), b, lower, upper)
 
 
-def channel_row(samples: Samples, geometry: SocketGeometry, channel: int) -> np.ndarray:
-    """How the forces on all tiles in {S} make one channel, shape (3n,)."""
-    row = np.zeros((len(geometry), 3))
-    for tile in range(len(geometry)):
-        for axis, force in enumerate(np.eye(3)):
-            if channel < 3:
-                row[tile, axis] = np.cross(geometry.anchors[tile], force)[channel]
-            elif channel < 6:
-                row[tile, axis] = force[channel - 3]
-            elif geometry.clusters[samples.clusters[(channel - 6) // 3]] == tile:
-                row[tile, axis] = (geometry.rotations[tile].T @ force)[channel % 3]
-    return row.reshape(-1)
+def _channel_maps(samples: Samples, geometry: SocketGeometry) -> np.ndarray:
+    """How the forces on all tiles in {S} make the channels, shape (6 + 3c, 3n)."""
+    maps = np.zeros((len(samples.channels), len(geometry), 3))
+    maps[:3] = np.cross(geometry.anchors[:, None], np.eye(3)).transpose(2, 0, 1)
+    maps[3:6] = np.eye(3)[:, None]
+    for k, name in enumerate(samples.clusters):
+        tile = geometry.clusters[name]
+        maps[6 + 3 * k : 9 + 3 * k, tile] = geometry.rotations[tile].T
+    return maps.reshape(len(maps), -1)

@@ -19,7 +19,7 @@ import socket_testbed as st
 from socket_testbed.__main__ import run
 from socket_testbed.calibration.bench_data import STRESSES
 from socket_testbed.errors import TestbedError
-from socket_testbed.identification.evaluation import evaluate
+from socket_testbed.identification.fit import evaluate
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.samples import WRENCH_CHANNELS, Status
 from socket_testbed.tables import matlab_names, write_table

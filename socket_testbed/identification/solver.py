@@ -1,4 +1,6 @@
-r"""Quadratic programs with bounds, their solution and its certificate.
+r"""The solver of a fit: OSQP, polished to the exact optimum and certified.
+
+Both stages and every step of a refinement are quadratic programs with bounds:
 
 .. math:: \min_x \tfrac12 x^T P x + q^T x \quad \text{s.t.} \quad l \le x \le u
 
@@ -23,17 +25,17 @@ from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import IdentificationError
 from socket_testbed.settings.identification import check_solver
 
-# The same trial is to give the same answer: OSQP's own rule adapts rho after a time that it
-# measures, a fixed interval of iterations does not.
-_OPTIONS: dict[str, dict[str, Any]] = {
-    "osqp": {
-        "eps_abs": 1e-6,
-        "eps_rel": 0.0,
-        "max_iter": 4000,
-        "polishing": False,
-        "adaptive_rho": True,
-        "adaptive_rho_interval": 25,
-    }
+# OSQP's answer need only be near the optimum: pivoting takes it there exactly, so that its own
+# polishing would be in vain. Other solvers have their own defaults.
+OSQP_SETTINGS: dict[str, Any] = {
+    "eps_abs": 1e-6,  # [-]; largest residual, in scaled units
+    "eps_rel": 0.0,
+    "max_iter": 4000,
+    "polishing": False,
+    # The same trial is to give the same answer: OSQP's own rule adapts rho after a time that it
+    # measures, a fixed interval of iterations does not.
+    "adaptive_rho": True,
+    "adaptive_rho_interval": 25,
 }
 WARM_START = "warm start"  # what a solution says that no solver was called for
 _EXCHANGES = 300
@@ -166,7 +168,8 @@ def solve_cold(problem: BoxQP, solver: str) -> BoxSolution:
         with warnings.catch_warnings():
             # The certificate judges the answer: the solver's warnings say nothing new.
             warnings.simplefilter("ignore")
-            answer = qpsolvers.solve_problem(program, solver, **_OPTIONS.get(solver, {}))
+            options = OSQP_SETTINGS if solver == "osqp" else {}
+            answer = qpsolvers.solve_problem(program, solver, **options)
     except Exception as error:  # each backend has errors of its own
         raise UncertifiedSolutionError(
             f"{problem.name}: {solver} failed ({error})", "try another solver"
