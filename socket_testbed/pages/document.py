@@ -105,7 +105,7 @@ def measured_pressure(samples: Samples, geometry: SocketGeometry) -> FloatArray:
 
 
 def trial_document(trial: Trial, outputs: PressureOutputs, time: FloatArray) -> Document:
-    """The socket of a trial, and its course from outputs at some times [s]."""
+    """The socket of a trial, and its course from outputs of the socket at some times [s]."""
     force = -outputs.samples.wrench[:, 3:] @ proximal_direction(trial.geometry)
     peak = outputs.series.peak.part((..., -1))
     events = [(event.time, event.label) for event in trial.events()]

@@ -40,7 +40,7 @@ from socket_testbed.pages.document import (
     trial_document,
 )
 from socket_testbed.report.page import Heading, Pictures, ReportFigure, Section
-from socket_testbed.report.results import Results, SegmentPressure, by_place
+from socket_testbed.report.results import Results
 from socket_testbed.report.style import (
     LINE_STYLES,
     THINNED,
@@ -53,6 +53,7 @@ from socket_testbed.report.style import (
 from socket_testbed.report.surface import model_values
 from socket_testbed.report.tiles import add_key, tile_map_figure
 from socket_testbed.tables import NOTHING, UNCERTAIN, Table, split_unit
+from socket_testbed.trials.pressure import SegmentPressure, by_place
 
 _DECIMALS = {
     "peak pressure [kPa]": 1,
