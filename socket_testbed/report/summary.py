@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from socket_testbed import __version__
 from socket_testbed.identification.evaluation import summarise_errors
 from socket_testbed.identification.information import share_warning
 from socket_testbed.identification.model_file import StoredModel
@@ -22,6 +21,7 @@ from socket_testbed.report.quality import find_gaps, mean_and_sigma
 from socket_testbed.report.results import Candidate, Results
 from socket_testbed.tables import Table, number, pairs_table
 from socket_testbed.trials.trial import PARAMETERS_FILE
+from socket_testbed.version import __version__
 
 _LIBRARIES = ("numpy", "scipy", "osqp", "qpsolvers", "matplotlib", "plotly")
 _DIGEST = 16  # hexadecimal digits: enough to tell files apart
