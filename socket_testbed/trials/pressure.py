@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,11 +14,39 @@ from socket_testbed.geometry.axis import Region, all_regions
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.force_map import ForceMap, map_trial
 from socket_testbed.identification.information import Suspension, find_suspension
-from socket_testbed.identification.pressure import THRESHOLD, PressureOutputs, pressure_outputs
+from socket_testbed.identification.pressure import (
+    SHARE,
+    THRESHOLD,
+    PressureOutputs,
+    Quantity,
+    RegionOutputs,
+    pressure_outputs,
+    read_column,
+)
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings
+from socket_testbed.tables import NOTHING, UNCERTAIN
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+# Decimals of the outputs that a reader sees, by their titles, in the order of the tables.
+DECIMALS = {
+    "mean pressure [kPa]": 1,
+    "peak pressure [kPa]": 1,
+    "contact area [cm^2]": 0,
+    "pressure-time integral [kPa s]": 0,
+    "share of load [%]": 0,
+    "shear [kPa]": 1,
+    "shear direction [deg]": 0,
+    "centre of pressure x [mm]": 0,
+    "centre of pressure y [mm]": 0,
+    "centre of pressure z [mm]": 0,
+}
+_OF_LIMB = 2
+INLINE = "{} ({})"  # a value, and its interval
 
 
 @dataclass(frozen=True)
@@ -84,3 +112,40 @@ def by_place(names: Iterable[str], found: Mapping[str, FloatArray]) -> dict[str,
         for column, name in enumerate(names)
         for title, values in found.items()
     }
+
+
+def cells(
+    names: Iterable[str], found: RegionOutputs, form: str = INLINE, share: float = SHARE
+) -> pd.DataFrame:
+    """Outputs of places as a reader sees them, a row each: values and intervals in a form.
+
+    An interval that reaches farther than a share of its value is called uncertain.
+    """
+    import pandas as pd
+
+    columns = {
+        title: _in_words(read_column(found, title), decimals, form, share)
+        for title, decimals in DECIMALS.items()
+    }
+    return pd.DataFrame(columns, index=[*names])
+
+
+def limb_cells(found: Suspension, share: float = SHARE) -> dict[str, str]:
+    """The same of how the limb sits in the socket, by title."""
+    outputs = found.outputs().items()
+    return {title: _in_words(of, _OF_LIMB, INLINE, share)[0] for title, of in outputs}
+
+
+def _in_words(quantity: Quantity, decimals: int, form: str, share: float) -> list[str]:
+    """Values with their intervals; a dash for what is not known."""
+    of = (quantity.value, quantity.low, quantity.high, quantity.certain(share))
+    number = f"{{:z.{decimals}f}}"
+    return [
+        form.format(
+            number.format(value),
+            f"{number} to {number}".format(low, high) + UNCERTAIN * (not certain),
+        )
+        if np.isfinite([low, high]).all()
+        else NOTHING
+        for value, low, high, certain in zip(*map(np.atleast_1d, of), strict=True)
+    ]
