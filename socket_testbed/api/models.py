@@ -227,7 +227,7 @@ class Evaluation(Result):
             self._write_json(path)
 
     def _figure(self, style: FigureStyle) -> Figure:
-        from socket_testbed.report.channels import wrench_figure
+        from socket_testbed.report.models import wrench_figure
 
         predicted = _predictions(self.trial.samples(), self.model)
         shown = [(self.model.model.variant, predicted, self.errors)]

@@ -78,8 +78,7 @@ def _report(trial: Trial, options: Mapping[str, Any]) -> Results:
 
 
 def _show_report(results: Results, options: Mapping[str, Any]) -> None:
-    from socket_testbed.report.summary import summarise
-    from socket_testbed.report.write import files_folder
+    from socket_testbed.report.write import files_folder, summarise
 
     page = options["output"]
     for line in summarise(results):

@@ -38,6 +38,7 @@ from socket_testbed.pages.document import (
     moments,
     trial_document,
 )
+from socket_testbed.report.models import model_values
 from socket_testbed.report.page import Heading, Pictures, ReportFigure, Section
 from socket_testbed.report.results import Results
 from socket_testbed.report.style import (
@@ -49,7 +50,6 @@ from socket_testbed.report.style import (
     thin,
     thin_band,
 )
-from socket_testbed.report.surface import model_values
 from socket_testbed.report.tiles import add_key, tile_map_figure
 from socket_testbed.tables import Table, split_unit
 from socket_testbed.trials.pressure import DECIMALS, SegmentPressure, by_place, cells, limb_cells

@@ -8,15 +8,7 @@ from pathlib import Path
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import atomic_output, check_outputs, refuse_existing
-from socket_testbed.report import (
-    channels,
-    fronts,
-    pressure,
-    quality,
-    summary,
-    surface,
-    validation,
-)
+from socket_testbed.report import fronts, models, pressure, quality, validation
 from socket_testbed.report.page import Section, write_page
 from socket_testbed.report.results import Results
 from socket_testbed.report.style import FigureStyle
@@ -31,16 +23,16 @@ SECTIONS: dict[str, tuple[Callable[[Results], Section], ...]] = {
     "": (pressure.head_section,),
     "Numbers": (pressure.section,),
     "Model": (
-        summary.section,
-        channels.wrench_section,
-        channels.local_section,
-        channels.errors_section,
+        models.section,
+        models.wrench_section,
+        models.local_section,
+        models.errors_section,
         validation.section,
         fronts.section,
-        channels.paper_section,
-        surface.section,
+        models.paper_section,
+        models.surface_section,
     ),
-    "Data": (summary.notes_section, quality.section),
+    "Data": (quality.notes_section, quality.section),
 }
 
 
@@ -72,7 +64,7 @@ def write_report(
     check_page_path(page, replace)
     folder = files_folder(page)
     groups = {group: [make(results) for make in makers] for group, makers in SECTIONS.items()}
-    groups["Data"].append(summary.origin_section(results, command, made))
+    groups["Data"].append(quality.origin_section(results, command, made))
     sections = [section for group in groups.values() for section in group]
     figures = [figure for section in sections for figure in section.figures]
     with atomic_output(page) as new_page, atomic_output(folder, replace) as new_folder:
@@ -94,3 +86,12 @@ def write_report(
             folder=folder.name,
             figures=style is not None,
         )
+
+
+def summarise(results: Results) -> list[str]:
+    """A statement each on the pressure, the data, the segment and every model."""
+    return [
+        pressure.describe_pressure(results.pressure),
+        "; ".join(map(str, results.data)).capitalize() or "Data: good.",
+        *models.describe_models(results),
+    ]

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
 # Decimals of the outputs that a reader sees, by their titles, in the order of the tables.
 DECIMALS = {
-    "mean pressure [kPa]": 1,
     "peak pressure [kPa]": 1,
+    "mean pressure [kPa]": 1,
     "contact area [cm^2]": 0,
     "pressure-time integral [kPa s]": 0,
     "share of load [%]": 0,

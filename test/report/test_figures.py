@@ -19,7 +19,7 @@ from socket_testbed.api import CalibratedCluster, Cycles
 from socket_testbed.calibration.calibrate import calibrate_bench
 from socket_testbed.identification.pressure import Quantity
 from socket_testbed.identification.validation import CLOSED, FORCE_MAP, INVERSE_DISTANCE, Judgement
-from socket_testbed.report.channels import wrench_section
+from socket_testbed.report.models import wrench_section
 from socket_testbed.report.page import Section
 from socket_testbed.report.pressure import draw_regions, group_regions
 from socket_testbed.report.results import Results

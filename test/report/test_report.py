@@ -15,10 +15,9 @@ from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.evaluation import summarise_errors
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.report import fronts, validation, write
-from socket_testbed.report.quality import find_drop_outs, find_gaps
+from socket_testbed.report.quality import find_drop_outs, find_gaps, list_notes
 from socket_testbed.report.results import Results, compute_results
-from socket_testbed.report.summary import list_notes, summarise
-from socket_testbed.report.write import check_page_path, write_report
+from socket_testbed.report.write import check_page_path, summarise, write_report
 from socket_testbed.settings.identification import PAPER_VARIANTS
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
@@ -106,7 +105,7 @@ def test_a_page_that_cannot_be_written_is_refused_and_nothing_is_left(
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(write, "SECTIONS", {"Data": (write.channels.errors_section,)})
+    monkeypatch.setattr(write, "SECTIONS", {"Data": (write.models.errors_section,)})
     monkeypatch.setattr(write, "write_table", full)
     with refused(ConfigurationError, "No space left"):
         write_report(results, tmp_path / "page.html", "", MADE)
