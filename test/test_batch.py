@@ -4,17 +4,15 @@ The trials here are folders with some bytes, and the work counts them.
 """
 
 import shutil
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
 import pytest
 from support.batches import count
-from support.wording import refused
 
 from socket_testbed.batch import Job, Row, Task, find_trials, plan_jobs, run_batch
-from socket_testbed.errors import TestbedError, TrialError
+from socket_testbed.errors import TrialError
 
 
 def make_trial(path: Path, content: str = "messages") -> Path:
@@ -152,12 +150,3 @@ def test_a_worker_that_dies_costs_its_own_trial_only(study: Path, task: Task) ->
         run(study, task, processes=2)
     assert table_of(task)["status"].tolist() == ["ok", "failed", "ok"]
     assert "its worker failed" in table_of(task)["error"]["s02/hold"]
-
-
-def test_an_unreachable_or_missing_dask_is_one_line(study, task, monkeypatch) -> None:
-    monkeypatch.setattr("socket_testbed.batch._PATIENCE", "100ms")
-    with refused(TestbedError, "no scheduler with a worker answers"):
-        run(study, task, dask="tcp://127.0.0.1:1")
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with refused(TestbedError, "Dask is not installed"):
-        run(study, task, dask="tcp://127.0.0.1:1")

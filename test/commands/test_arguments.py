@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import pytest
-from support.verbs import COMMAND, program
 
 from socket_testbed.__main__ import run
 from socket_testbed.commands.arguments import Parser, add_options, release_paths
@@ -64,17 +63,3 @@ def test_a_list_takes_no_path_and_may_be_given_in_parts(tmp_path: Path, monkeypa
     ):
         options = parser.parse_args(["-o", "m", *release_paths(line.split(), parser)])
         assert options.leave_out == ["Mz", "distal.Fx"] and options.trial == Path("hold")
-
-
-def test_the_shell_completes_verbs_options_and_choices(tmp_path: Path) -> None:
-    answer = tmp_path / "answer"
-    for line, offered in (
-        ("socket-testbed ev", {"evaluate"}),
-        ("socket-testbed fit --leave", {"--leave-out"}),
-        ("socket-testbed simulate --tissue s", {"soft", "stiff"}),
-    ):
-        shell = {"COMP_LINE": line, "COMP_POINT": str(len(line)), "_ARGCOMPLETE": "1"}
-        shell |= {"_ARGCOMPLETE_STDOUT_FILENAME": str(answer), "_ARGCOMPLETE_IFS": "\n"}
-        assert program(*COMMAND, **shell)[0] == 0
-        assert {*answer.read_text().replace(" ", "").split("\n")} == offered
-        answer.unlink()

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from distributed import LocalCluster
 from support import HANGS
-from support.verbs import COMMAND, call, program, refused
+from support.verbs import COMMAND, call, program
 
 import socket_testbed as st
 
@@ -106,19 +106,6 @@ def test_trials_are_judged_by_their_own_models_or_all_by_one(
         row = pd.read_csv(tmp_path / name / "summary.csv").set_index("trial").loc["s01/hold"]
         assert row["model"] == model.rpartition("/")[2]
         assert row["in_sample"] == ("yes" if name == "own" else "no")
-
-
-def test_what_is_wrong_for_all_is_one_line(study, models, tmp_path, capsys) -> None:
-    """What is wrong for one trial too: test_commands.py."""
-    for words, named in (
-        ("fit -o OUT --jobs 0", ["--jobs", "0"]),
-        ("evaluate --model MODELS", ["3 trials", "-o"]),
-        ("evaluate --model MODELS -o MODELS", ["summary.csv exists already"]),
-    ):
-        places = {"OUT": tmp_path / "out", "MODELS": models}
-        verb, *rest = (places.get(word, word) for word in words.split())
-        refused(capsys, verb, study, *rest, named=named)
-        assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow

@@ -137,13 +137,6 @@ def test_no_output_replaces_a_file_unless_that_is_asked_for(
     assert st.read_model("bench.json").model.variant == "stiffness"
 
 
-def test_a_trial_of_another_kind_is_shown_and_refused(shared_data: Path, capsys) -> None:
-    code, out, err = call(capsys, "info", shared_data / "rosbag2" / "talker")
-    assert code == 1
-    assert "/topic" in out and " 10 " in out
-    assert "has no topic 'trigger'" in err
-
-
 def test_a_model_of_another_socket_is_refused_wherever_one_is_given(
     hold, hold_model, tmp_path, capsys
 ) -> None:

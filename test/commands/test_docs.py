@@ -1,9 +1,13 @@
-"""Docs are true: the README's commands run, and its tables name what there is."""
+"""Docs are true: the README's commands run, and tables and layouts name what there is."""
 
 import itertools
+import json
 import re
 import sys
+from importlib import import_module
 from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 from support import CHECKOUT
@@ -11,6 +15,7 @@ from support.verbs import program
 
 from socket_testbed import __version__
 from socket_testbed.__main__ import VERBS
+from socket_testbed.files import packaged
 from socket_testbed.trials.topics import TOPICS
 
 PAGES = [CHECKOUT / "README.md", CHECKOUT / "CONTRIBUTING.md", *(CHECKOUT / "docs").glob("*.md")]
@@ -100,3 +105,36 @@ def test_programs_compile_and_one_version_stands_everywhere() -> None:
             compile(code, page.name, "exec")  # test_api.py runs the README's first
     for name in ("package.xml", "msg_defs/package.xml", "CITATION.cff", "CHANGELOG.md"):
         assert re.search(rf"[>:[] ?{__version__}[<\n\]]", (CHECKOUT / name).read_text()), name
+
+
+def field_type(kind: str, path: str) -> str:
+    """Type of a field of a message, by the words between its slashes."""
+    for word in path.split("/"):
+        package, _, name = kind.rpartition("/")
+        message: Any = getattr(import_module(f"{package.removesuffix('/msg')}.msg"), name)
+        field, _, index = word.partition("[")
+        kind = message.get_fields_and_field_types()[field]
+        if index:
+            kind = kind.removeprefix("sequence<").removesuffix(">")
+    return kind
+
+
+def test_plotjuggler_and_foxglove_draw_fields_of_topics_that_there_are() -> None:
+    by_name = {f"/{topic.name.lstrip('/')}": topic for topic in TOPICS}
+    layout = ElementTree.fromstring(packaged("config", "plotjuggler_layout.xml").read_text())
+    selected = {topic.attrib["name"] for topic in layout.iter("topic")}
+    for name in (curve.attrib["name"] for curve in layout.iter("curve")):
+        (topic,) = (t for t in selected if name.startswith(f"{t}/"))
+        assert field_type(by_name[topic].type, name.removeprefix(f"{topic}/")) == "double"
+
+    foxglove = json.loads(packaged("config", "foxglove_layout.json").read_text())
+    panels = foxglove["configById"]
+    assert set(re.findall(r'"([\w]+![\w]+)"', json.dumps(foxglove["layout"]))) == set(panels)
+    for panel in panels.values():
+        for curve in panel.get("paths", ()):
+            topic, _, field = curve["value"].removeprefix("/").partition(".")
+            plain = re.sub(r"\[:\]\{.*\}", "[0]", field).replace(".", "/")
+            assert field_type(by_name[f"/{topic}"].type, plain) == "double", curve
+        for named in ("topicPath", "topicToRender"):
+            assert panel.get(named, "/trigger") in by_name
+        assert set(panel.get("topics", ())) <= set(by_name)

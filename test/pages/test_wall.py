@@ -2,28 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
-from scipy.spatial.transform import Rotation
 from support.problems import random_socket, ring_socket
 
 from socket_testbed.pages.wall import patches, unrolled_tiles
 
 GEOMETRY = ring_socket()
 BASE, TAPER = 0.046, np.tan(np.radians(6.0))  # [m], [-]; of the cone
-
-
-def test_a_square_has_the_tiles_area_and_lies_in_its_plane_along_its_axes() -> None:
-    rng = np.random.default_rng(5)
-    tilted = random_socket(rng, rings=3, columns=5)
-    turns = Rotation.random(len(tilted), random_state=7).as_matrix()
-    tilted = dataclasses.replace(tilted, rotations=turns, areas=rng.uniform(1e-5, 1e-3, 15))
-    squares = unrolled_tiles(tilted).squares
-    edges = (np.roll(squares, -1, axis=1) - squares) / np.sqrt(tilted.areas)[:, None, None]
-    np.testing.assert_allclose(squares.mean(axis=1), tilted.anchors, atol=1e-15)
-    for edge, axis, sign in ((0, 0, 1.0), (1, 1, 1.0), (2, 0, -1.0), (3, 1, -1.0)):
-        np.testing.assert_allclose(edges[:, edge], sign * turns[:, :, axis], atol=1e-12)
 
 
 def test_each_tile_is_at_its_angle_and_height_or_on_the_distal_end() -> None:

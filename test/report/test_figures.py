@@ -6,11 +6,10 @@ from itertools import product
 
 import numpy as np
 import pytest
-from matplotlib import colormaps, rc_context
+from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize
-from matplotlib.image import imread
 from matplotlib.text import Text
 from support.benches import nominal, sensor_bench
 from support.problems import random_socket, ring_socket
@@ -18,7 +17,6 @@ from support.problems import random_socket, ring_socket
 from socket_testbed.api import CalibratedCluster, Cycles
 from socket_testbed.calibration.calibrate import calibrate_bench
 from socket_testbed.identification.pressure import Quantity
-from socket_testbed.identification.validation import CLOSED, FORCE_MAP, INVERSE_DISTANCE, Judgement
 from socket_testbed.report.models import wrench_section
 from socket_testbed.report.page import Section
 from socket_testbed.report.pressure import draw_regions, group_regions
@@ -36,7 +34,6 @@ from socket_testbed.report.style import (
     thin_band,
 )
 from socket_testbed.report.tiles import tile_map_figure
-from socket_testbed.report.validation import validation_figure
 from socket_testbed.report.write import SECTIONS
 
 NASTY, UNIT = "a$_b <i>", "pressure [kPa]"
@@ -81,24 +78,6 @@ def test_a_thinned_line_keeps_its_peaks_its_order_and_its_gaps(rng):
     x, lowest, highest = thin_band(time, low, high, 500)
     assert len(x) <= 500
     assert np.nanmin(lowest) == np.nanmin(low) and highest.max() == high.max()
-
-
-def test_the_validation_shows_every_error_and_the_coverage():
-    unknown, known = (np.nan,) * 3, (0.5, 0.7, 0.9)
-    predictors = ((INVERSE_DISTANCE, unknown), (CLOSED, unknown), (FORCE_MAP, known))
-    errors = {("cluster", NASTY): (0.8, 0.7, 0.5), ("tiles", ""): (0.5, 0.45, 0.3)}
-    judgements = [
-        Judgement(question, predictor, "left out", "", "a", cluster, 9, error, coverage=coverage)
-        for (question, cluster), found in errors.items()
-        for (predictor, coverage), error in zip(predictors, found, strict=True)
-    ]
-    bars, coverage = validation_figure(judgements, NASTY).axes
-    names = [text.get_text() for text in bars.get_yticklabels()]
-    assert names == [NASTY, "tiles without a sensor"]
-    widths = [[bar.get_width() for bar in shown] for shown in bars.containers]
-    assert widths == [list(row) for row in zip(*errors.values(), strict=True)]
-    line = coverage.lines[1].get_xydata().tolist()
-    assert line == [[50.0, 50.0], [80.0, 70.0], [95.0, 90.0]]
 
 
 def scales_of(figure) -> list[tuple[float, float]]:
@@ -252,13 +231,3 @@ def test_every_figure_is_as_wide_as_stated_and_every_word_legible(figures, tmp_p
         if titles:
             save_figure(figure, tmp_path / "figure.pdf")
             check_pdf((tmp_path / "figure.pdf").read_bytes(), width)
-
-
-def test_a_png_has_300_pixels_to_the_inch_whatever_a_user_has_set(figures, tmp_path):
-    for width in WIDTHS:
-        with rc_context({"font.size": 4.0, "xtick.labelsize": 3.0, "savefig.bbox": "tight"}):
-            figure = figures["pareto"](FigureStyle(width))
-            save_figure(figure, tmp_path / "figure.png")
-            assert min(size for _, size, _ in drawn_texts(figure)[0]) == 7.0
-        pixels = imread(tmp_path / "figure.png").shape[1]
-        assert pixels == pytest.approx(width / 25.4 * 300, abs=1.0)

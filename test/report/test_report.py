@@ -1,20 +1,24 @@
-"""What a report computes, says and refuses."""
+"""What a report computes, says and refuses; the page of a socket."""
 
 from __future__ import annotations
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
+import trimesh
 from support.bags import rewrite
-from support.pages import MADE, NASTY, THETAS
-from support.problems import make_samples
+from support.pages import MADE, NASTY, THETAS, Page
+from support.problems import make_samples, ring_socket
 from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.evaluation import summarise_errors
 from socket_testbed.identification.model_file import read_model
+from socket_testbed.pages.wall import unrolled_tiles
 from socket_testbed.report import fronts, validation, write
+from socket_testbed.report.page import simplify, write_socket_page
 from socket_testbed.report.quality import find_drop_outs, find_gaps, list_notes
 from socket_testbed.report.results import Results, compute_results
 from socket_testbed.report.write import check_page_path, summarise, write_report
@@ -131,3 +135,44 @@ def test_gaps_and_drop_outs_are_counted():
     assert longest.tolist() == pytest.approx([11 / 4.0, 10 / 4.0, 0.0])
     counts = ["missing [1]", "saturated [1]", "out of range [1]"]
     assert tuple(lost.loc["a (Fx, Fy, Fz)", counts]) == (4, 3, 5)
+
+
+def sphere(subdivisions: int) -> trimesh.Trimesh:
+    return trimesh.creation.icosphere(subdivisions, radius=0.05)
+
+
+def test_a_simplified_surface_keeps_its_size_and_its_area() -> None:
+    mesh = sphere(5)
+    corners = np.arange(mesh.faces.size).reshape(-1, 3)
+    soup = trimesh.Trimesh(mesh.vertices[mesh.faces].reshape(-1, 3), corners, process=False)
+    for surface in (mesh, soup):
+        simplified = simplify(surface, 4_000)
+        assert 1_000 < len(simplified.faces) <= 4_000
+        assert simplified.area == pytest.approx(mesh.area, rel=0.03)
+        np.testing.assert_allclose(simplified.bounds, mesh.bounds, atol=0.02 * mesh.extents.max())
+    assert simplify(mesh, len(mesh.faces)) is mesh
+
+
+def test_a_page_shows_tiles_and_surface_loads_nothing_and_its_names_are_no_markup(tmp_path) -> None:
+    geometry, nasty = ring_socket(), f"</script>{NASTY}"
+    path, facts = tmp_path / "socket.html", [(nasty, "1 < 2"), ("tiles", nasty)]
+    alone = dataclasses.replace(
+        geometry,
+        names=(nasty, *geometry.names[1:]),
+        clusters={nasty: 0},
+        neighbours=np.zeros((0, 2), dtype=np.int64),
+    )
+    mesh = sphere(3)
+    write_socket_page(mesh, alone, path, nasty, facts)
+    text = path.read_text(encoding="utf-8")
+    page = Page(text)
+    assert not page.attributes("src", "href", "srcset", "data") and nasty not in text
+    assert page.said["title"] == page.said["h1"] == [nasty]
+    assert page.tables["facts"][1:] == [[nasty, "1 < 2"], ["tiles", nasty]]
+    shown = json.loads(page.script("page-data"))
+    assert nasty in shown["socket"]["clusters"]
+    squares = np.array(shown["socket"]["squares"])[:, :4]
+    np.testing.assert_allclose(squares, 1e3 * unrolled_tiles(alone).squares, atol=0.051)
+    points = np.array(shown["socket"]["surface"]["points"])
+    np.testing.assert_allclose(points, 1e3 * mesh.vertices, atol=0.051)
+    np.testing.assert_allclose(shown["extras"]["area [mm^2]"]["values"], 1e6 * geometry.areas)
