@@ -25,9 +25,6 @@ def test_a_mistake_is_one_line_with_the_likely_word(capsys) -> None:
         error = capsys.readouterr().err
         assert ended.value.code == 2
         assert named in error and error.count("\n") == 1 and "usage:" not in error
-    with pytest.raises(SystemExit) as ended:
-        run(["-V"])
-    assert ended.value.code == 0 and capsys.readouterr().out.startswith("socket_testbed 0.")
 
 
 def parser_of(verb: str) -> Parser:

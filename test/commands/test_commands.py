@@ -69,26 +69,16 @@ def test_all_but_the_graph_works_without_ros(tmp_path: Path) -> None:
 
 
 WRONG = {
-    "info nowhere": ["nowhere", "no such trial"],
     "fit HOLD -o m --segment 900:999": ["900:999", "samples"],
-    "fit HOLD -o m --theta 1.5": ["theta", "from 0 to 1"],
     "fit HOLD -o m --leave-out distal.fx": ["distal.fx", "distal.Fx"],
-    "evaluate HOLD --model HOLD/socket.yaml": ["socket.yaml", "is not a model"],
     "simulate -o HOLD": ["exists already"],
-    "record new --mass 1000": ["--mass", "400"],
-    "replay HOLD --geometry s.yaml": ["--geometry", "add --estimate"],
     "run --simulated --record home/trials/s01": ["home", "no such folder"],
-    "run --fault mocap.drop=1": ["add --simulated"],
     "run --simulated --fault mocap.dorp=1": ["did you mean 'mocap.drop'?"],
     "run --simulated --leave-out distal.Fq": ["distal.F"],
-    "run --simulated --side left": ["--side is for a trial that is recorded"],
     "run --simulated --view --view-host 192.0.2.1": ["cannot listen on 192.0.2.1"],
     "run --duration 1": ["load_cell_node: "],
-    "pressure HOLD --over-time": ["--over-time has no output"],
     "pressure HOLD -o regions.foo": ["'.foo' is not a table format"],
     "compare HOLD": ["1 trials", "2 to 12"],
-    "compare a.json b.json": ["a.json: compare takes trials", "evaluate TRIAL --model"],
-    "view HOLD --namespace lab": ["--namespace is for the running testbed"],
     "view --tare none": ["--tare is for a trial"],
 }
 

@@ -65,7 +65,7 @@ def test_the_verb_prints_writes_and_draws_what_the_api_gives(hold, found, tmp_pa
     code, out, _ = call(capsys, *words)
     socket, title = found.regions.loc["socket"], "mean pressure [kPa]"
     low, high = socket[interval_end(title, "low")], socket[interval_end(title, "high")]
-    assert code == 0 and f"{socket[title]:.1f} ({low:.1f} to {high:.1f}) uncertain" in out
+    assert code == 0 and f"{socket[title]:.1f} ({low:.1f} to {high:.1f}, uncertain)" in out
     assert imread(figure).shape[1] == pytest.approx(88 / 25.4 * 300, abs=1.0)
 
 

@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 import pytest
 from support import HANGS
 from support.verbs import COMMAND
@@ -22,7 +21,6 @@ from support.verbs import COMMAND
 from socket_testbed.commands import terminal as module
 from socket_testbed.commands.terminal import StatusLine, fitted
 from socket_testbed.live.graph_status import GraphStatus
-from socket_testbed.trials.topics import ESTIMATED_WRENCH, WRENCH
 
 
 class Terminal:
@@ -119,38 +117,21 @@ def test_a_terminal_that_is_held_up_holds_nobody_up(terminal: Terminal) -> None:
     assert terminal.screen()[:lines] == [str(k + 1) for k in range(lines)]
 
 
-@pytest.mark.parametrize("term", ["dumb", "xterm"])
-def test_a_dumb_terminal_or_a_log_file_gets_plain_lines(term, terminal, monkeypatch, capsys):
-    monkeypatch.setenv("TERM", term)
-    with status_on(terminal) if term == "dumb" else StatusLine() as status:
+def test_a_log_file_gets_plain_lines(terminal, monkeypatch, capsys) -> None:
+    with StatusLine() as status:
         assert status.output is None  # the nodes print there themselves
         status.say("it starts")
-        status.renew()
         monkeypatch.setattr(module, "_LOGGED_PERIOD", 0.0)
         status._status.triggers = 7
         status.renew()
-    shown = terminal.screen() if term == "dumb" else capsys.readouterr().err.split("\n")
-    assert shown == ["it starts", "0:00:00 | 7 triggers, 0 complete", ""]
-    assert b"\x1b" not in terminal.seen
+    assert capsys.readouterr().err == "it starts\n0:00:00 | 7 triggers, 0 complete\n"
 
 
-def test_a_status_is_in_words(tmp_path: Path) -> None:
+def test_a_name_cannot_steer_the_terminal_and_no_number_is_cut_in_two() -> None:
     status = GraphStatus()
-    status.triggers, status.complete = 12, 11
-    status.trial, status.variant = "s01\x1b[2J", "rigid_bias"
-    status.heard = time.monotonic() - 30.5
-    status.add(WRENCH, 0, np.zeros(6))
-    status.add(ESTIMATED_WRENCH, 0, np.array([0.25, -0.25, 0.25, 4.0, 4.0, -4.0]))
-    status.wrench = np.array([0.12, 0.2, 0.3, 1.4, -2.0, -612.0])
-    line = " | ".join(module.status_parts(status, 3661.0, tmp_path))
-    assert re.fullmatch(
-        r"0:00:00 of 1:01:01 \| 12 triggers, 11 complete \| no trigger for \d\d s"
-        r" \| recording s01\?\[2J \| [\d.]+(e\+\d+)? GB free \| F 1 -2 -612 N"
-        r" \| M 0.1 0.2 0.3 N m \| rigid_bias off by 4.0 N, 0.25 N m",
-        line,
-    )
-    assert len(module.status_parts(status, disk=tmp_path / "gone")) == 7
-    assert fitted(["abc", "defgh", "ij"], 10) == "abc | ij"  # a number is never cut in two
+    status.trial = "s01\x1b[2J"
+    assert "recording s01?[2J" in module.status_parts(status)
+    assert fitted(["abc", "defgh", "ij"], 10) == "abc | ij"
 
 
 @pytest.mark.slow

@@ -45,18 +45,10 @@ def test_the_summary_has_the_numbers_of_every_model_and_its_weakness(results, ho
     for candidate in results.candidates:
         in_sample, _, held_out = found[candidate.label].partition("; held-out ")
         for text, errors in ((in_sample, candidate.errors), (held_out, candidate.held_out)):
-            quoted = summarise_errors(errors)
-            assert f"moments {quoted.moment_rmse:.3g} N m" in text
-            assert f"forces {quoted.force_rmse:.3g} N" in text
-        assert "in-sample" in in_sample
-    offset = np.linalg.norm(results.fitted[BIAS].model.wrench_bias[3:])
-    assert f"which no tile bears, {offset:.3g} N" in found[BIAS]
-    assert "no tile bears" not in found[PLAIN]
-    notes = [note for note in list_notes(results) if "springs bear" in note]
-    little = {c.label: c.shares[1].springs for c in results.candidates if c.shares[1].springs < 0.5}
-    assert BIAS in little  # a hold
-    for note, (label, share) in zip(notes, little.items(), strict=True):
-        assert note.startswith(f"{label}: ") and f"only {100 * share:.0f} %" in note
+            assert f"moments {summarise_errors(errors).moment_rmse:.3g} N m" in text
+    share = results.fitted[BIAS].shares[1].springs  # in a hold the offsets bear the load
+    only = f"only {100 * share:.0f} %"
+    assert any(n.startswith(BIAS) and only in n for n in list_notes(results))
 
 
 @pytest.mark.usefixtures("few_variants")
