@@ -45,9 +45,6 @@ def test_info_says_what_a_trial_holds(hold: Path, capsys) -> None:
     assert "/load_cell/wrench" in out and "240 samples at 4.00 Hz" in out
     assert "event placed (found): 10" in out
     assert "plateau" in out and "socket.yaml, calibration.yaml, testbed.yaml" in out
-    noise = {line.split("  ")[0]: line.split()[-1] for line in out.splitlines() if line}
-    assert float(noise["force [N]"]) == pytest.approx(0.15, rel=0.2)  # the simulated load cell's
-    assert 0.001 < float(noise["limb position [mm]"]) < 0.01  # 8 um a marker, averaged
 
 
 @pytest.mark.slow
@@ -100,11 +97,8 @@ def test_a_wrong_call_gets_one_line(hold, tmp_path, capsys, monkeypatch) -> None
 TAKEN = (
     "fit HOLD -o bench.json",
     "evaluate HOLD --model MODEL -o bench.csv",
-    "export HOLD -o bench.csv",
     "map HOLD -o new.csv --figure bench.png",
-    "pressure HOLD -o bench.csv",
     "pareto HOLD --figure bench.png",
-    "validate HOLD -o bench.csv",
     "compare HOLD HOLD -o bench.csv",
     "report HOLD -o bench.html",
     "tile scan.stl -o bench.yaml",  # beside it are a picture and a page

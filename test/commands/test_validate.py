@@ -12,7 +12,6 @@ from support.bags import edited
 from support.verbs import call, refused
 
 import socket_testbed as st
-from socket_testbed.identification.pareto import WRENCH_ONLY
 from socket_testbed.settings.identification import PAPER_VARIANTS
 
 
@@ -31,7 +30,6 @@ def test_one_trial_is_judged_on_its_other_half(folder: Path, capsys) -> None:
     assert out.startswith("s0: ") and "IN-SAMPLE" in out and "another trial" not in out
     found = st.validate(folder / "s0").summary()
     wrench = found.loc["wrench", "second half"]
-    assert {"best constant", "linear regression on the pose", "stiffness"} <= {*wrench.index}
     assert wrench["force skill [-]"]["best constant"] <= 0.0  # no constant beats the best one
     (tiles,) = (rows for _, rows in found.loc["tiles"].groupby(level=0))
     errors = tiles.droplevel(0)["error [-]"]
@@ -90,7 +88,6 @@ def test_the_figures_are_those_of_the_paper_s_variants_on_the_first_frames(
     trial = st.open_trial(hold)
     found = st.paper(trial, thetas=11, frames=50, **chosen)
     rows = found.to_dataframe()
-    same = st.pareto(trial, found.segment, thetas=11, weights="raw", **chosen)
     for title, variant in zip(titles, PAPER_VARIANTS, strict=True):
         fitted = st.fit(trial, variant=variant, weights="raw", frames=50, **chosen)
         rmse = {error.name: error.rmse for error in fitted.fit.errors}
@@ -101,14 +98,9 @@ def test_the_figures_are_those_of_the_paper_s_variants_on_the_first_frames(
         local = [v for name, v in rmse.items() if "." in name and name != "distal.Fy"]
         median = rows.loc["median RMSE of the clusters in the objective [N]", title]
         assert median == pytest.approx(np.median(local))
-        front = same.fronts[variant]
-        ends = rows.loc["theta, wrench-only [-]", title], front.theta[front.marks[WRENCH_ONLY]]
-        assert ends[0] == ends[1]
     name, remarks = "mean RMSE of the moments [N m]", rows["", "remark"]
     assert rows.loc[name, "the paper"].tolist() == [1.69, 0.44]
     assert "not comparable: 50 samples, 1000" in remarks[name]
-    assert "the number is not in this package" in remarks["RMSE of Fy [N]"]
-    assert "left out of the objective" in remarks["RMSE of distal.Fy [N]"]
 
     words = ["--thetas", 11, "--frames", 50, "--leave-out", "distal.Fy"]
     words += ["--initial-stiffness", "auto", "-o", tmp_path / "paper.csv"]
