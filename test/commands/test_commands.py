@@ -10,7 +10,7 @@ from support.verbs import call, program, refused
 
 import socket_testbed as st
 from socket_testbed.__main__ import EXAMPLES, VERBS, _parse, run
-from socket_testbed.commands.arguments import Parser, add_options
+from socket_testbed.commands.arguments import Parser, add_options, release_paths
 
 
 def test_every_verb_explains_itself_and_each_of_its_options(capsys) -> None:
@@ -25,18 +25,6 @@ def test_every_verb_explains_itself_and_each_of_its_options(capsys) -> None:
         assert all(options.values()), (verb, options)
         if options.keys() & {"output", "figure"} and verb not in {"simulate", "demo"}:
             assert "replace" in options, verb
-
-
-def test_importing_the_package_is_light_and_the_help_imports_no_library() -> None:
-    script = (
-        "import sys, socket_testbed as st; from socket_testbed.__main__ import run\n"
-        "try: run(['report', '--help'])\n"
-        "except SystemExit: assert not {'numpy', 'socket_testbed.api'} & set(sys.modules)\n"
-        "assert set(st.__all__) <= set(dir(st)) and st.fit\n"
-        "assert not {'rclpy', 'matplotlib', 'plotly', 'pandas'} & set(sys.modules)\n"
-    )
-    code, out, err = program(sys.executable, "-c", script)
-    assert code == 0 and "--thetas" in out, err
 
 
 def test_info_says_what_a_trial_holds(hold: Path, capsys) -> None:
@@ -148,3 +136,55 @@ def test_a_graph_stays_on_this_machine_unless_told_otherwise(hold: Path, monkeyp
         assert run(["info", str(hold)]) == 0
         assert os.environ[name] == (chosen or "LOCALHOST")
         assert (profiles in os.environ) is not bool(chosen)
+
+
+MISTAKES = {
+    "fitt": "unknown verb 'fitt': did you mean 'fit'?",
+    "fit": "required: TRIAL, -o/--output: see 'socket-testbed fit --help'",
+    "fit t -o m --varant rigid": "--varant: did you mean '--variant'?",
+    "fit t -o m --variant rigd": "did you mean 'rigid'?",
+    "fit t -o m --jobs 2 --dask a": "--dask: not allowed with",
+}
+
+
+def test_a_mistake_is_one_line_with_the_likely_word(capsys) -> None:
+    for line, named in MISTAKES.items():
+        with pytest.raises(SystemExit) as ended:
+            run(line.split())
+        error = capsys.readouterr().err
+        assert ended.value.code == 2
+        assert named in error and error.count("\n") == 1 and "usage:" not in error
+
+
+def parser_of(verb: str) -> Parser:
+    parser = Parser(prog=verb)
+    add_options(parser, f"commands.results.{verb}")
+    return parser
+
+
+def test_options_are_those_of_the_signature() -> None:
+    """Types, defaults and descriptions of the API, by hand for one verb."""
+    parser = parser_of("pareto")
+    options = {option.dest: option for option in parser._actions}
+    assert options["segment"].default == "plateau" and options["thetas"].default == 101
+    assert options["thetas"].type is int and options["smoothness"].type is float
+    assert options["weights"].choices == ("size", "noise", "raw")
+    assert options["params"].type is Path and options["trial"].option_strings == []
+    text = "weight of the smoothness over neighbouring tiles (default: 0.001)"  # of `fit`
+    assert text in " ".join(parser.format_help().split())
+    given = parser.parse_args(["t", "--initial-stiffness", "auto"])
+    assert given.initial_stiffness == "auto" and given.replace is False
+
+
+def test_a_list_takes_no_path_and_may_be_given_in_parts(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "hold").mkdir()
+    parser = parser_of("fit")
+    for line in (
+        "--leave-out Mz distal.Fx hold",
+        "--leave-out Mz,distal.Fx hold",
+        "--leave-out Mz --leave-out distal.Fx hold",
+        "hold --leave-out Mz distal.Fx",
+    ):
+        options = parser.parse_args(["-o", "m", *release_paths(line.split(), parser)])
+        assert options.leave_out == ["Mz", "distal.Fx"] and options.trial == Path("hold")

@@ -103,7 +103,6 @@ def test_a_trial_opens_at_its_peak_and_is_played_and_sought(browser: Browser, ho
         tab.page.get_by_role("button", name="Play").click()
         tab.page.wait_for_function(f"({place})() > {peak - 4}")
         tab.page.get_by_role("button", name="Pause").click()
-        assert all(url.startswith((served.url, "blob:", "data:")) for url in tab.asked)
         tab.close()
 
 

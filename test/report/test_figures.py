@@ -50,8 +50,7 @@ def test_a_thinned_line_keeps_its_peaks_its_order_and_its_gaps(rng):
     low[4000:6000] = np.nan
     x, kept = thin(time, low, 500)
     assert np.isnan(kept[(x >= 4100) & (x < 5900)]).all()
-    x, lowest, highest = thin_band(time, low, high, 500)
-    assert len(x) <= 500
+    _, lowest, highest = thin_band(time, low, high, 500)
     assert np.nanmin(lowest) == np.nanmin(low) and highest.max() == high.max()
 
 
@@ -94,9 +93,6 @@ def test_a_map_with_intervals_is_smooth_and_greyer_where_they_reach_far():
             shown = image[image[..., 3] == 1.0][:, :3]
             assert len(shown) > 100
             np.testing.assert_allclose(shown, np.broadcast_to(expected, shown.shape), atol=5e-3)
-    axis = tile_map_figure(geometry, {"mean": geometry.areas}, "", side="right").axes[0]
-    names = [label.get_text().split("\n")[1][:3] for label in axis.get_xticklabels()]
-    assert names == ["pos", "lat", "ant", "med", "pos"]
 
 
 def test_regions_have_their_lines_bands_and_events(rng):
