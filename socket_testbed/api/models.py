@@ -337,10 +337,9 @@ def note_implausible(
     trial: Trial, samples: Samples, segment: Segment, leave_out: tuple[str, ...]
 ) -> None:
     """Note the channels of a segment that look implausible."""
-    if trial.notify is not None:
-        start, chosen = int(samples.stamps[0]), samples[segment.rows]
-        for text in implausible_notes(chosen, trial.geometry, leave_out, start):
-            trial.notify(text)
+    start, chosen = int(samples.stamps[0]), samples[segment.rows]
+    for text in implausible_notes(chosen, trial.geometry, leave_out, start):
+        note(trial, text)
 
 
 def read_model(path: PathLike) -> StoredModel:

@@ -184,10 +184,6 @@ def force_map(
         params: A `testbed.yaml` to use instead of the trial's own; its group `force_map` is the
             prior.
 
-    Raises:
-        ConfigurationError: For a wrong setting.
-        TrialError: If the trial cannot be read or holds no such segment.
-
     >>> found = st.force_map(st.open_trial("trials/hold"), segment="10:20")
     >>> found
     TrialMap(hold, span 10.00 s to 20.00 s; 41 samples, highest mean pressure ... kPa on ...)
@@ -210,7 +206,6 @@ def _mapped(
     settings: EstimatorSettings,
     geometry: SocketGeometry | None = None,
 ) -> tuple[Segment, MappedTrial]:
-    """A segment, and the map of the trial."""
     check_channels(settings.identification.leave_out, trial.samples().channels)
     chosen = select(trial, segment, settings)
     with threadpool_limits(1):
@@ -360,9 +355,6 @@ class TrialPressure(SegmentPressure, Result):
         Args:
             path: `.csv`, `.parquet` or `.mat`; or `.json` for the document.
             over_time: Whether the table is that of `over_time`, rather than of `regions`.
-
-        Raises:
-            ConfigurationError: For another suffix, or if the file cannot be written.
         """
         if over_time:
             write_table(self.over_time(), Path(path))
@@ -409,10 +401,6 @@ def pressure(
         params: A `testbed.yaml` to use instead of the trial's own; its group `force_map` is the
             prior.
         leave_out: Channels that do not count, such as `distal.Fx` or `Mz`.
-
-    Raises:
-        ConfigurationError: For a wrong setting, or a region without tiles or with unknown ones.
-        TrialError: If the trial cannot be read or holds no such segment.
 
     >>> found = st.pressure(st.open_trial("trials/hold"))
     >>> found

@@ -8,11 +8,13 @@ from __future__ import annotations
 import base64
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from socket_testbed.arrays import FloatArray
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.axis import UNMEASURED, Region, Side, proximal_direction
 from socket_testbed.geometry.socket import HEIGHTS, PARTS_OF_SECTORS, SOCKET, SocketGeometry
 from socket_testbed.identification.data_check import Finding
@@ -43,6 +45,14 @@ GREYING: dict[str, Any] = {
 }
 
 Document = dict[str, Any]
+
+PAGES = (".html", ".htm")
+
+
+def check_page(path: Path, what: str) -> None:
+    """Refuse a file that is to hold a page and ends otherwise, before long work."""
+    if path.suffix.lower() not in PAGES:
+        raise ConfigurationError(f"{path}: a {what} is a page", "let it end in .html")
 
 
 def numbers(values: FloatArray, decimals: int = 2) -> list[Any]:

@@ -358,7 +358,6 @@ def _tile_map(
 
 
 def _by_axis(values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
-    """Columns of an array, shape (n, 3), with their axes."""
     return zip("xyz", values.T, strict=True)
 
 
@@ -411,7 +410,6 @@ def _engaged_tiles(results: Results) -> pd.DataFrame:
 
 
 def _offsets(results: Results) -> pd.DataFrame:
-    """The offsets of every channel, a column per model that has some."""
     samples, zero = results.samples, np.zeros(3)
     columns = {
         f"offset {label} [unit of the row]": np.concatenate(

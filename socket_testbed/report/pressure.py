@@ -173,7 +173,6 @@ def _overview(results: Results) -> ReportFigure:
 
 
 def _force_map(results: Results) -> ReportFigure:
-    """The mean force map over the segment with its uncertainty."""
     geometry, outputs = results.trial.geometry, results.pressure.outputs
     mean = outputs.force_map.mean(outputs.samples)
     columns = {

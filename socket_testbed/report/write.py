@@ -6,15 +6,14 @@ from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 
-from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import atomic_output, check_outputs, refuse_existing
+from socket_testbed.pages.document import check_page
 from socket_testbed.report import fronts, models, pressure, quality, validation
 from socket_testbed.report.page import Section, write_page
 from socket_testbed.report.results import Results
 from socket_testbed.report.style import FigureStyle
 from socket_testbed.tables import write_table
 
-_SUFFIXES = (".html", ".htm")
 _ERRORS = "errors.csv"  # in the folder of every report
 
 # In the order of the page, by the title under which they are folded; the origin, which needs the
@@ -43,8 +42,7 @@ def files_folder(page: Path) -> Path:
 
 def check_page_path(page: Path, replace: bool = False) -> None:
     """Refuse a page that cannot be written, before long work."""
-    if page.suffix.lower() not in _SUFFIXES:
-        raise ConfigurationError(f"{page}: a report is a page", "let it end in .html")
+    check_page(page, "report")
     check_outputs(page, replace=replace)
     folder = files_folder(page)
     if not replace or (folder.exists() and not (folder / _ERRORS).is_file()):
