@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import chi2, gamma, nct, norm, t, ttest_ind
 
-from socket_testbed.api.comparison import Conditions, values_table
+from socket_testbed.api.comparison import Comparison, Conditions, values_table
 
 RNG = np.random.default_rng(12)
 TRIALS = Conditions(("one", "two"), np.array([0, 1]))
@@ -35,6 +35,17 @@ def test_95_percent_intervals_of_skew_quantities_hold_the_true_difference() -> N
     lower, upper = (TRIALS.columns(means, low, high)[end][1] for end in ENDS)
     held = (lower <= true[1] - true[0]) & (true[1] - true[0] <= upper)
     assert 0.93 < held.mean() < 0.97
+
+
+def test_clear_differences_are_counted_and_said_with_their_sign() -> None:
+    values = np.array([[1.0, 1.0, 1.0], [1.2, 9.0, -4.0]])
+    table = table_of(TRIALS, "anterior medial distal", "shear [kPa]", values, [1.0] * 3)
+    first, *lines = Comparison(TRIALS.trials(TRIALS.names), "", (), table, None).differing()
+    assert first.startswith("2 of 3 intervals")
+    assert lines == [
+        "medial: shear 8.0 kPa higher in two than in one (6.6 to 9.4)",
+        "distal: shear 5.0 kPa lower in two than in one (3.6 to 6.4)",
+    ]
 
 
 def repeated(trials: int) -> Conditions:

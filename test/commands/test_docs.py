@@ -1,4 +1,4 @@
-"""Docs are true: the README's commands run, and tables and layouts name what there is."""
+"""Docs are true: the README's commands run, and its tables name what there is."""
 
 import itertools
 import re
@@ -11,7 +11,6 @@ from support.verbs import program
 
 from socket_testbed import __version__
 from socket_testbed.__main__ import VERBS
-from socket_testbed.files import packaged
 from socket_testbed.trials.topics import TOPICS
 
 PAGES = [CHECKOUT / "README.md", CHECKOUT / "CONTRIBUTING.md", *(CHECKOUT / "docs").glob("*.md")]
@@ -89,11 +88,3 @@ def test_programs_compile_and_one_version_stands_everywhere() -> None:
             compile(code, page.name, "exec")  # test_api.py runs the README's first
     for name in ("package.xml", "msg_defs/package.xml", "CITATION.cff", "CHANGELOG.md"):
         assert re.search(rf"[>:[] ?{__version__}[<\n\]]", (CHECKOUT / name).read_text()), name
-
-
-def test_layouts_show_topics_that_there_are() -> None:
-    known = {topic.name for topic in TOPICS}
-    for name in ("testbed.rviz", "plotjuggler_layout.xml", "foxglove_layout.json"):
-        text = packaged("config", name).read_text()
-        named = set(re.findall(r"/((?:estimate|load_cell|clusters|mocap)/[a-z_]+)", text))
-        assert named and not {n for n in named if not n.startswith(tuple(known))}, name
