@@ -5,7 +5,7 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = "socket_testbed"
-VERSION = re.search(r'__version__ = "(.+)"', Path(f"{NAME}/__init__.py").read_text())[1]
+VERSION = re.search(r'__version__ = "(.+)"', Path(f"{NAME}/version.py").read_text())[1]
 
 
 def requirements(name: str) -> list[str]:

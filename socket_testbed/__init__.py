@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.2.0"
+from socket_testbed.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from socket_testbed.api import *  # noqa: F403

@@ -8,10 +8,10 @@ import signal
 import sys
 from importlib import import_module
 
-from socket_testbed import __version__
 from socket_testbed.commands.arguments import Parser, add_options, read_function, release_paths
 from socket_testbed.errors import TestbedError, likely
 from socket_testbed.files import local_graph
+from socket_testbed.version import __version__
 
 # Each verb: the module that holds its function, whose docstring is its help, and an example.
 _GROUPS = {

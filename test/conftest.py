@@ -53,7 +53,7 @@ _SLOW_WITHIN = 400.0  # [s]; with a module's fixtures, on a machine that others 
 LONG = {
     *("commands", "test_api.py", "test_damaged_files.py"),
     *("test_trials.py", "test_export.py", "test_recording.py"),
-    *("test_registration.py", "test_tiling.py", "test_socket_view.py"),
+    *("test_registration.py", "test_tiling.py"),
     *("test_report.py", "test_server.py", "test_player.py", "test_natnet_client.py"),
 }
 

@@ -6,10 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 from support.bags import add_events
-from support.wording import refused
 
 import socket_testbed as st
-from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.trials.trial import Trial
 
 STEPS = np.array([5.0, 8.0, 11.5, 14.0, 17.0, 20.0, 40.0, 43.0])  # [s]; a pause of 20 s
@@ -65,24 +63,3 @@ def test_cycles_between_two_events_end_at_the_second(walk: Trial) -> None:
     expected = np.interp(STEPS[:6], samples.time, samples.wrench[:, 5])
     assert np.allclose(found.curves[:, 0, 0], expected)
     assert any("has 8 samples" in note and "higher rate" in note for note in notes)
-
-
-def test_what_is_no_cycle_is_named(walk: Trial) -> None:
-    for arguments, error, fact in (
-        ({"by": "stp"}, TrialError, "no event 'stp': did you mean 'step'?"),
-        ({"by": "step", "segment": "21:39"}, TrialError, "no cycle by 'step' lies within 21.00 s"),
-        ({"by": "step", "quantity": "Fw"}, ConfigurationError, "no channel 'Fw'"),
-        ({"quantity": pd.DataFrame({"a": [1.0]})}, ConfigurationError, "no column 'time [s]'"),
-    ):
-        with refused(error, fact):
-            st.cycles(walk, **arguments)
-
-
-def test_a_figure_shows_mean_band_and_cycles(walk: Trial) -> None:
-    found = st.cycles(walk, ["Fz", "Mx", "q_x"], by="step")
-    panels = found.figure().axes
-    assert [panel.get_ylabel() for panel in panels] == ["Fz [N]", "Mx [N m]", "q_x [m]"]
-    assert len(panels[0].lines) == len(found) + 1
-    np.testing.assert_array_equal(panels[0].lines[-1].get_ydata(), found.mean[:, 0])
-    with refused(ConfigurationError, "name 12 at most"):
-        st.cycles(walk, by="step").figure()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from socket_testbed.api.result import Result
-from socket_testbed.api.trials import PathLike, as_trial, select
+from socket_testbed.api.trials import PathLike, as_trial, note, select
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, TrialError, closest
 from socket_testbed.tables import split_unit
@@ -199,11 +199,9 @@ def cycles(
     moments = spans[:, :1] + shares * (spans[:, 1:] - spans[:, :1])
     curves = np.stack([np.interp(moments, time, column) for column in values.T], axis=-1)
     samples = np.median(np.diff(np.searchsorted(time, spans), axis=1))
-    if samples < _FEW and trial.notify is not None:
-        trial.notify(
-            f"a cycle by '{by}' has {samples:.0f} samples: its course between them is a guess,"
-            " record at a higher rate"
-        )
+    if samples < _FEW:
+        few = f"a cycle by '{by}' has {samples:.0f} samples"
+        note(trial, f"{few}: its course between them is a guess, record at a higher rate")
     return Cycles(trial, by, spans, int((~kept).sum()), titles, curves)
 
 

@@ -253,7 +253,6 @@ def calibrate(
 
 
 def _tile_area(geometry: Path, cluster: str) -> float:
-    """Area of the tile that a cluster is on [m^2]."""
     socket = read_socket(geometry)
     if cluster not in socket.clusters:
         raise ConfigurationError(
@@ -408,7 +407,6 @@ def _check_socket_output(output: Path, bodies: PathLike | None) -> None:
 
 
 def _write_design(design: SocketDesign, output: Path) -> None:
-    """Write the geometry, and a picture and a page beside it."""
     from socket_testbed.report.page import write_socket_page
     from socket_testbed.report.style import save_figure
     from socket_testbed.report.tiles import socket_figure

@@ -227,7 +227,7 @@ class Evaluation(Result):
             self._write_json(path)
 
     def _figure(self, style: FigureStyle) -> Figure:
-        from socket_testbed.report.channels import wrench_figure
+        from socket_testbed.report.models import wrench_figure
 
         predicted = _predictions(self.trial.samples(), self.model)
         shown = [(self.model.model.variant, predicted, self.errors)]
@@ -337,10 +337,9 @@ def note_implausible(
     trial: Trial, samples: Samples, segment: Segment, leave_out: tuple[str, ...]
 ) -> None:
     """Note the channels of a segment that look implausible."""
-    if trial.notify is not None:
-        start, chosen = int(samples.stamps[0]), samples[segment.rows]
-        for text in implausible_notes(chosen, trial.geometry, leave_out, start):
-            trial.notify(text)
+    start, chosen = int(samples.stamps[0]), samples[segment.rows]
+    for text in implausible_notes(chosen, trial.geometry, leave_out, start):
+        note(trial, text)
 
 
 def read_model(path: PathLike) -> StoredModel:

@@ -17,12 +17,13 @@ from socket_testbed.api.trials import (
     Progress,
     as_path,
     as_trial,
+    note,
     require_segment,
     started,
 )
-from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.socket import SOCKET
 from socket_testbed.identification.pressure import NORMAL_QUANTILE
+from socket_testbed.pages.document import check_page, moment, socket_document
 from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.tables import Table, pairs_table
 from socket_testbed.trials.trial import Trial
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from socket_testbed.pages.server import PageServer
     from socket_testbed.report.results import Results
 
-PAGES = (".html", ".htm")
 _HEADINGS = {
     "metadata": "Metadata of the trials",
     "trials": "Segments, sources and calibrations",
@@ -121,9 +121,8 @@ def write_report(
         )
     leave_out = settings.identification.leave_out
     note_implausible(trial, results.samples, results.segment, leave_out)
-    if trial.notify is not None:
-        for note in results.bag_notes:
-            trial.notify(note)
+    for text in results.bag_notes:
+        note(trial, text)
     drawing = started(progress, "drawing") if figures else None
     made, printed = datetime.now(UTC), style if figures else None
     write_page(results, page, command, made, drawing, replace, printed)
@@ -140,9 +139,6 @@ def write_comparison(
         page: The page, ending in `.html`.
         command: What made the page, for the record.
 
-    Raises:
-        ConfigurationError: If the page ends otherwise or cannot be written.
-
     >>> found = st.compare("trials/hold", "trials/walk", segment="15:20")
     >>> st.write_comparison(found, "liners.html")
     """
@@ -150,8 +146,7 @@ def write_comparison(
     from socket_testbed.report.page import Maps, Section, write_page
 
     path = Path(page)
-    if path.suffix.lower() not in PAGES:
-        raise ConfigurationError(f"{path}: a comparison is a page", "let it end in .html")
+    check_page(path, "comparison")
     made = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
     origin = [("page made", made), ("command", command)]
     count, *clearest = found.differing()
@@ -201,8 +196,6 @@ def _map_data(found: Comparison) -> tuple[dict[str, Any], dict[str, str]]:
     """Maps of the trials on one scale, and of the differences on another, with their titles."""
     if found.geometry is None:
         return {}, {}
-    from socket_testbed.pages.document import moment, socket_document
-
     (values, reaches), (differences, spreads) = map(found.tile_pressures, (VALUE, DIFFERENCE))
     names = [*found.items, *map(found.difference_title, found.items[1:])]
     both = zip([*values, *differences[1:]], [*reaches, *spreads[1:]], strict=True)
@@ -226,7 +219,6 @@ def _map_data(found: Comparison) -> tuple[dict[str, Any], dict[str, str]]:
 
 
 def _tables(found: Comparison, part: str) -> list[Table]:
-    """The tables of a part."""
     rows = found.table[found.table["part"] == part]
     if part in MAPPED:
         titles = rows[["quantity", "unit"]].drop_duplicates().itertuples(index=False)
@@ -264,11 +256,6 @@ def view(
 
     Returns:
         The page: a context manager with its `url`, served until `close`, or until the program ends.
-
-    Raises:
-        ConfigurationError: If the port is taken, or the model was fitted on another socket.
-        IdentificationError: If the limb positions are in another unit or frame.
-        TrialError: If the trial cannot be read.
 
     >>> with st.view(st.open_trial("trials/hold")) as page:
     ...     print(page.url)

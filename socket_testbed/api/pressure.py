@@ -17,9 +17,8 @@ from socket_testbed.api.trials import PathLike, as_path, as_trial, select
 from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.geometry.axis import all_regions
 from socket_testbed.geometry.socket import SocketGeometry, find_regions
-from socket_testbed.identification.force_map import ForceMap, MapEstimate, map_trial
+from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.pressure import (
     NORMAL_QUANTILE,
@@ -28,15 +27,14 @@ from socket_testbed.identification.pressure import (
     TITLES,
     columns_of,
     normal_quantity,
-    pressure_outputs,
     read_column,
     with_interval,
 )
 from socket_testbed.identification.problem import check_channels
-from socket_testbed.report.results import SegmentPressure, by_place
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
 from socket_testbed.tables import write_table
+from socket_testbed.trials.pressure import MappedTrial, SegmentPressure, by_place, mapped_trial
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 
@@ -186,10 +184,6 @@ def force_map(
         params: A `testbed.yaml` to use instead of the trial's own; its group `force_map` is the
             prior.
 
-    Raises:
-        ConfigurationError: For a wrong setting.
-        TrialError: If the trial cannot be read or holds no such segment.
-
     >>> found = st.force_map(st.open_trial("trials/hold"), segment="10:20")
     >>> found
     TrialMap(hold, span 10.00 s to 20.00 s; 41 samples, highest mean pressure ... kPa on ...)
@@ -201,20 +195,21 @@ def force_map(
     """
     trial = as_trial(trial)
     settings = estimator_settings(trial.estimator, as_path(params))
-    chosen, mapping, rows = _mapped(trial, segment, settings, trial.geometry)
-    return TrialMap(trial, chosen, np.asarray(trial.samples().time[chosen.rows]), rows, mapping)
+    chosen, mapped = _mapped(trial, segment, settings)
+    time, rows = np.asarray(trial.samples().time[chosen.rows]), mapped.samples[chosen.rows]
+    return TrialMap(trial, chosen, time, rows, mapped.force_map)
 
 
 def _mapped(
-    trial: Trial, segment: str | Segment, settings: EstimatorSettings, geometry: SocketGeometry
-) -> tuple[Segment, ForceMap, Samples]:
-    """A segment, the map of the trial on a socket, and the segment's samples that count."""
-    samples, left_out = trial.samples(), settings.identification.leave_out
-    check_channels(left_out, samples.channels)
+    trial: Trial,
+    segment: str | Segment,
+    settings: EstimatorSettings,
+    geometry: SocketGeometry | None = None,
+) -> tuple[Segment, MappedTrial]:
+    check_channels(settings.identification.leave_out, trial.samples().channels)
     chosen = select(trial, segment, settings)
     with threadpool_limits(1):
-        mapping, trusted = map_trial(samples, geometry, settings.force_map, left_out)
-    return chosen, mapping, trusted[chosen.rows]
+        return chosen, mapped_trial(trial, settings, geometry)
 
 
 @dataclass(frozen=True, repr=False)
@@ -360,9 +355,6 @@ class TrialPressure(SegmentPressure, Result):
         Args:
             path: `.csv`, `.parquet` or `.mat`; or `.json` for the document.
             over_time: Whether the table is that of `over_time`, rather than of `regions`.
-
-        Raises:
-            ConfigurationError: For another suffix, or if the file cannot be written.
         """
         if over_time:
             write_table(self.over_time(), Path(path))
@@ -410,10 +402,6 @@ def pressure(
             prior.
         leave_out: Channels that do not count, such as `distal.Fx` or `Mz`.
 
-    Raises:
-        ConfigurationError: For a wrong setting, or a region without tiles or with unknown ones.
-        TrialError: If the trial cannot be read or holds no such segment.
-
     >>> found = st.pressure(st.open_trial("trials/hold"))
     >>> found
     TrialPressure(hold, plateau ... s; 21 regions, peak pressure ... to ... kPa)
@@ -429,8 +417,7 @@ def pressure(
     if regions is not None:
         own = find_regions(regions, geometry.names, "regions")
         geometry = dataclasses.replace(geometry, regions=own)
-    places = all_regions(geometry, trial.metadata.side)
-    chosen, mapping, rows = _mapped(trial, segment, settings, geometry)
+    chosen, mapped = _mapped(trial, segment, settings, geometry)
     with threadpool_limits(1):
-        outputs = pressure_outputs(mapping, rows, geometry, places, 1e3 * threshold)
-    return TrialPressure(trial, chosen, places, outputs, threshold, share)
+        outputs = mapped.outputs(chosen.rows, 1e3 * threshold)
+    return TrialPressure(trial, chosen, mapped.places, outputs, threshold, share)

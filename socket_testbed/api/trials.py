@@ -17,7 +17,6 @@ from socket_testbed.files import check_new_folder, packaged
 from socket_testbed.geometry.axis import Side
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.data_check import DataFinding
-from socket_testbed.identification.data_check import check_data as find_faults
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
 from socket_testbed.settings.testbed import EstimatorSettings
@@ -203,8 +202,7 @@ def check_data(trial: Trial | PathLike) -> tuple[DataFinding, ...]:
     >>> st.check_data(st.open_trial("trials/hold"))
     ()
     """
-    trial = as_trial(trial)
-    return find_faults(trial.samples(), trial.geometry, trial.metadata.mass)
+    return as_trial(trial).findings
 
 
 def select_segment(samples: Samples, specification: str = "plateau") -> Segment:

@@ -94,7 +94,6 @@ def demo(*, output: Path = Path("demo"), seed: int = 0) -> None:
 
 
 def _program() -> str:
-    """How this program is called here."""
     called = sys.argv[0]
     if Path(called).name != "socket-testbed" or shutil.which("socket-testbed") == called:
         return "socket-testbed"
@@ -139,7 +138,6 @@ def _complete(trial: Trial) -> float:
 
 
 def _run_live(path: Path, seed: int, scale: float, log: Path) -> None:
-    """Record a trial of the simulated testbed at a time scale [-]."""
     protocol = Simulation("protocol", _DURATION, seed, pace=_PACE, time_scale=scale)
     testbed = simulated_testbed(record=path, rate=_TRIGGER_RATE, simulation=protocol)
     progress = Progress("   running")

@@ -259,7 +259,6 @@ def _assignments(words: Sequence[str], option: str) -> dict[str, str]:
 
 
 def _calibration(found: CalibratedCluster) -> str:
-    """The quality of a cluster's calibration."""
     calibrated = found.quality
     bench, cluster = calibrated.bench, calibrated.cluster
     parts = [

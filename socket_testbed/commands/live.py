@@ -296,7 +296,6 @@ def _testbed(
     rate: float | None,
     options: Mapping[str, Any],
 ) -> Testbed:
-    """The testbed of the options."""
     testbed = configured(simulation, **options)
     trigger = testbed.settings.trigger_node
     if rate is not None:
@@ -318,7 +317,7 @@ def _page(testbed: Testbed, view: bool, host: str | None, port: int | None) -> G
     if not view:
         refuse_given({"view_host": host, "view_port": port}, "a page", "add --view")
         return None
-    from socket_testbed.commands.pages import check_page
+    from socket_testbed.pages.server import listen
 
     usual = testbed.settings.view_node
     settings = dataclasses.replace(
@@ -327,7 +326,7 @@ def _page(testbed: Testbed, view: bool, host: str | None, port: int | None) -> G
         host=usual.host if host is None else host,
         port=usual.port if port is None else port,
     )
-    check_page(settings)
+    listen(settings.host, settings.port).close()  # refused before any node starts
     return GraphNode("view_node", settings, full_namespace(testbed.namespace), optional=True)
 
 

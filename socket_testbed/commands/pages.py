@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 from socket_testbed import api
 from socket_testbed.api.comparison import LEGEND, open_compared
-from socket_testbed.api.pages import PAGES
 from socket_testbed.api.tradeoff import theta_values
 from socket_testbed.batch import Row
 from socket_testbed.commands.arguments import takes
@@ -36,6 +35,7 @@ from socket_testbed.commands.terminal import Progress, say, table
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.live.processes import Graph
+from socket_testbed.pages.document import PAGES
 from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.trials.metadata import FIELDS
 from socket_testbed.trials.trial import Trial
@@ -78,8 +78,7 @@ def _report(trial: Trial, options: Mapping[str, Any]) -> Results:
 
 
 def _show_report(results: Results, options: Mapping[str, Any]) -> None:
-    from socket_testbed.report.summary import summarise
-    from socket_testbed.report.write import files_folder
+    from socket_testbed.report.write import files_folder, summarise
 
     page = options["output"]
     for line in summarise(results):
@@ -132,7 +131,6 @@ def compare(
 
 
 def _conditions(words: Iterable[str]) -> dict[str, list[Path]]:
-    """Paths by the names of conditions."""
     found: dict[str, list[Path]] = {}
     for word in words:
         name, _, paths = word.partition("=")
@@ -209,13 +207,6 @@ def view(
                 time.sleep(_LOOK)
 
 
-def check_page(settings: ViewSettings) -> None:
-    """Refuse a page that cannot be served, before any node starts."""
-    from socket_testbed.pages.server import listen
-
-    listen(settings.host, settings.port).close()
-
-
 def _follow(
     settings: ViewSettings, namespace: str | None, ends: float, options: Mapping[str, Any]
 ) -> None:
@@ -224,7 +215,9 @@ def _follow(
     refuse_given(of_trials, "a trial", "give the folder of the trial")
     if options["geometry"] is not None:
         settings = dataclasses.replace(settings, geometry=str(options["geometry"].resolve()))
-    check_page(settings)
+    from socket_testbed.pages.server import listen
+
+    listen(settings.host, settings.port).close()  # refused before any node starts
     with Graph() as graph:
         graph.start("view_node", settings, namespace=f"/{(namespace or '').strip('/')}")
         say("Ctrl-C ends it")

@@ -10,6 +10,7 @@ from typing import Any
 
 from socket_testbed import api
 from socket_testbed.api import Evaluation, PaperTable, TrialFit, TrialPressure
+from socket_testbed.api.pressure import OF_TILES
 from socket_testbed.batch import Row
 from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import (
@@ -25,7 +26,7 @@ from socket_testbed.commands.options import (
     say_data,
     segment_columns,
 )
-from socket_testbed.commands.terminal import Progress, number, table, text_of
+from socket_testbed.commands.terminal import Progress, number, text_of
 from socket_testbed.errors import ConfigurationError, IdentificationError
 from socket_testbed.geometry.socket import PARTS_OF_SECTORS
 from socket_testbed.identification.fit import (
@@ -39,6 +40,7 @@ from socket_testbed.identification.pareto import Front
 from socket_testbed.identification.pressure import TITLES, interval_end
 from socket_testbed.settings.identification import PAPER_VARIANTS
 from socket_testbed.tables import FORMATS, Table
+from socket_testbed.trials.pressure import cells, limb_cells
 from socket_testbed.trials.trial import Trial
 
 _ABREAST = 3  # outputs in a table
@@ -375,34 +377,33 @@ def _pressure_row(found: TrialPressure) -> Row:
 
 def pressure_tables(found: TrialPressure) -> str:
     """Outputs of the regions, and of the tiles under a cluster, in tables below each other."""
-    document, geometry = found.document(), found.trial.geometry
-    measured = {name: geometry.names[tile] for name, tile in geometry.clusters.items()}
-    clusters = {f"{tile}, {name}": document["tiles"][tile] for name, tile in measured.items()}
-    parts = []
-    for label, outputs in (("region", document["regions"]), ("tile under a cluster", clusters)):
-        known = [title for title in TITLES if title in next(iter(outputs.values()), ())]
-        for start in range(0, len(known), _ABREAST):
-            titles = known[start : start + _ABREAST]
-            rows = [[name, *(_cell(of[title]) for title in titles)] for name, of in outputs.items()]
-            parts.append(table([label, *titles], rows) + "\n")
-    limb = [[title, _cell(of)] for title, of in document["limb"].items()]
+    import pandas as pd
+
+    geometry, outputs = found.trial.geometry, found.outputs
+    names = [place.name for place in found.places]
+    regions = cells(names, outputs.regions, share=found.share).rename_axis("region")
+    tiles = cells(geometry.names, outputs.tiles, share=found.share)
+    clusters = tiles.iloc[[*geometry.clusters.values()]]
+    clusters.index = [
+        f"{tile}, {name}" for tile, name in zip(clusters.index, geometry.clusters, strict=True)
+    ]
+    clusters = clusters[list(OF_TILES)].rename_axis("tile under a cluster")
+    frames = [
+        frame.iloc[:, start : start + _ABREAST]
+        for frame in (regions, clusters)
+        for start in range(0, frame.shape[1], _ABREAST)
+    ]
+    if found.suspension is not None:
+        limb = pd.DataFrame({"value": limb_cells(found.suspension, found.share)})
+        frames.append(limb.rename_axis("limb in the socket"))
     return "\n".join(
         [
-            *parts,
-            table(["limb in the socket", "value"], limb) + "\n",
+            *(text_of(Table("outputs", "", frame)) + "\n" for frame in frames),
             "best estimate under the posterior (95 % interval); uncertain: the interval reaches"
             f" farther from the value than {found.share:g} of it\nin contact: above"
             f" {found.threshold:g} kPa; the integrals cover {found.outputs.integrated:.1f} s",
         ]
     )
-
-
-def _cell(quantity: Mapping[str, Any]) -> str:
-    """A value with its interval, and whether it is uncertain; a dash where it is not known."""
-    if quantity["value"] is None:
-        return "-"
-    value, low, high = (number(quantity[part], 1) for part in ("value", "low", "high"))
-    return f"{value} ({low} to {high})" + " uncertain" * quantity["uncertain"]
 
 
 def pressure_columns(found: TrialPressure) -> Row:

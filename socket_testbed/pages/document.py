@@ -8,15 +8,18 @@ from __future__ import annotations
 import base64
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from socket_testbed.arrays import FloatArray
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.axis import UNMEASURED, Region, Side, proximal_direction
 from socket_testbed.geometry.socket import HEIGHTS, PARTS_OF_SECTORS, SOCKET, SocketGeometry
 from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.identification.pressure import (
+    NORMAL_QUANTILE,
     PressureOutputs,
     Quantity,
     RegionOutputs,
@@ -30,8 +33,26 @@ _BARS = ("mean pressure [kPa]", "peak pressure [kPa]", "share of load [%]", "she
 _MOST_MARKS = 20
 _WEIGHT = 1.0 / 8192.0  # [-]; unit of the stored weights, integers of 16 bits
 _CLOSED = [0, 1, 2, 3, 0]  # corners of a square
+# Uncertain pressures turn grey: from full colour where the 95 % interval reaches `certain` times
+# as far as the value, to the greyest at `unknown`. Values below `least` [kPa] count as that.
+GREYING: dict[str, Any] = {
+    "certain": 1.0,
+    "unknown": 2.5,
+    "least": 5.0,
+    "colour": [150, 150, 150],
+    "greyest": 0.85,
+    "quantile": NORMAL_QUANTILE,
+}
 
 Document = dict[str, Any]
+
+PAGES = (".html", ".htm")
+
+
+def check_page(path: Path, what: str) -> None:
+    """Refuse a file that is to hold a page and ends otherwise, before long work."""
+    if path.suffix.lower() not in PAGES:
+        raise ConfigurationError(f"{path}: a {what} is a page", "let it end in .html")
 
 
 def numbers(values: FloatArray, decimals: int = 2) -> list[Any]:
@@ -39,6 +60,13 @@ def numbers(values: FloatArray, decimals: int = 2) -> list[Any]:
     rounded = np.round(np.asarray(values, dtype=np.float64), decimals).astype(object)
     rounded[~np.isfinite(np.asarray(values, dtype=np.float64))] = None
     return list(rounded.tolist())
+
+
+def greyness(value: FloatArray, reach: FloatArray) -> FloatArray:
+    """How grey pressures are by the reach of their 95 % intervals [kPa]: 0 none, 1 greyest."""
+    share = reach / np.maximum(np.abs(value), GREYING["least"])
+    certain, unknown = GREYING["certain"], GREYING["unknown"]
+    return np.asarray(np.clip((share - certain) / (unknown - certain), 0.0, 1.0))
 
 
 def socket_document(geometry: SocketGeometry, side: Side | None = None) -> Document:
@@ -55,6 +83,7 @@ def socket_document(geometry: SocketGeometry, side: Side | None = None) -> Docum
         "heights": list(reversed(HEIGHTS)),
         "proximal": numbers(tiles.around.proximal, 4),
         "regions": {name: list(map(int, tiles)) for name, tiles in geometry.regions.items()},
+        "greying": GREYING,
         "patches": [_patch(patch) for patch in patches(geometry)],
     }
 
@@ -105,7 +134,7 @@ def measured_pressure(samples: Samples, geometry: SocketGeometry) -> FloatArray:
 
 
 def trial_document(trial: Trial, outputs: PressureOutputs, time: FloatArray) -> Document:
-    """The socket of a trial, and its course from outputs at some times [s]."""
+    """The socket of a trial, and its course from outputs of the socket at some times [s]."""
     force = -outputs.samples.wrench[:, 3:] @ proximal_direction(trial.geometry)
     peak = outputs.series.peak.part((..., -1))
     events = [(event.time, event.label) for event in trial.events()]

@@ -8,17 +8,10 @@ import numpy as np
 
 from socket_testbed.arrays import evenly
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.geometry.axis import all_regions
-from socket_testbed.identification.force_map import map_trial
 from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.plausibility import require_position
-from socket_testbed.identification.pressure import (
-    THRESHOLD,
-    PressureOutputs,
-    measured_rows,
-    pressure_outputs,
-)
+from socket_testbed.identification.pressure import measured_rows
 from socket_testbed.pages.document import (
     Document,
     bars,
@@ -28,6 +21,7 @@ from socket_testbed.pages.document import (
     numbers,
     trial_document,
 )
+from socket_testbed.trials.pressure import mapped_trial
 from socket_testbed.trials.trial import Trial
 
 _INSTANTS = 400  # of the course
@@ -41,13 +35,8 @@ class Player:
     """
 
     def __init__(self, trial: Trial, model: StoredModel | None = None) -> None:
-        self._geometry = trial.geometry
         self._samples = samples = trial.samples()
-        settings = trial.estimator
-        self._map, self._trusted = map_trial(
-            samples, trial.geometry, settings.force_map, settings.identification.leave_out
-        )
-        self._places = all_regions(trial.geometry, trial.metadata.side)
+        self._mapped = mapped_trial(trial, trial.estimator)
         self._data = data_card(trial.findings)
         self._gap = _GAP * float(np.median(np.diff(samples.time))) if len(samples) > 1 else 0.0
         self._predicted = np.full((len(samples), 6), np.nan)
@@ -57,7 +46,7 @@ class Player:
             poses = smooth_poses(samples, model.settings.pose_smoothing).pose
             self._predicted = model.model.wrench(poses)
         rows = evenly(len(samples), _INSTANTS)
-        time, found = samples.time[rows], self._outputs(rows)
+        time, found = samples.time[rows], self._mapped.course(rows)
         self._start = trial_document(trial, found, time) | {
             "title": trial.name,
             "facts": trial.metadata.described(),
@@ -65,31 +54,25 @@ class Player:
             "end": float(samples.time[-1]),
         }
 
-    def _outputs(self, rows: Any) -> PressureOutputs:
-        return pressure_outputs(
-            self._map, self._trusted[rows], self._geometry, self._places, THRESHOLD
-        )
-
     def start(self) -> Document:
         """The socket, the course, and the time of the peak, at which the page opens."""
         return self._start
 
     def now(self, time: float | None) -> Document:
         """The newest sample at a time since the first one [s]."""
-        at, samples = time or 0.0, self._samples
+        at, samples, mapped = time or 0.0, self._samples, self._mapped
         row = max(int(np.searchsorted(samples.time, at + 1e-6, "right")) - 1, 0)
         one = slice(row, row + 1)
-        if at - samples.time[row] > self._gap or not measured_rows(self._trusted[one])[0]:
+        if at - samples.time[row] > self._gap or not measured_rows(mapped.samples[one])[0]:
             nothing = {"title": "Peak", "value": "none", "words": "no sample at this time"}
             return {"moment": {"time": at}, "cards": [nothing, self._data]}
-        found = self._outputs(one)
-        shown = cards(
-            self._geometry, self._places, found.regions, found.estimate.normal_pressure[0]
-        )
+        found = mapped.outputs(one)
+        pressure = found.estimate.normal_pressure[0]
+        shown = cards(mapped.geometry, mapped.places, found.regions, pressure)
         return {
-            "moment": moments(samples.time[one], found, self._geometry)[0],
+            "moment": moments(samples.time[one], found, mapped.geometry)[0],
             "cards": [*shown, self._data],
-            "bars": bars(self._places, found.regions),
+            "bars": bars(mapped.places, found.regions),
             "wrench": [numbers(samples.wrench[row]), numbers(self._predicted[row])],
         }
 

@@ -205,7 +205,6 @@ def listen(host: str, port: int) -> socket.socket:
 
 
 def _address(host: str) -> IPv4Address | IPv6Address | None:
-    """The address of a host; None for a name."""
     try:
         return ip_address("127.0.0.1" if host == "localhost" else host)
     except ValueError:

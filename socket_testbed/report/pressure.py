@@ -27,7 +27,6 @@ from socket_testbed.identification.pressure import (
     Quantity,
     columns_of,
     normal_quantity,
-    read_column,
     with_interval,
 )
 from socket_testbed.pages.document import (
@@ -39,8 +38,9 @@ from socket_testbed.pages.document import (
     moments,
     trial_document,
 )
+from socket_testbed.report.models import model_values
 from socket_testbed.report.page import Heading, Pictures, ReportFigure, Section
-from socket_testbed.report.results import Results, SegmentPressure, by_place
+from socket_testbed.report.results import Results
 from socket_testbed.report.style import (
     LINE_STYLES,
     THINNED,
@@ -50,22 +50,10 @@ from socket_testbed.report.style import (
     thin,
     thin_band,
 )
-from socket_testbed.report.surface import model_values
 from socket_testbed.report.tiles import add_key, tile_map_figure
-from socket_testbed.tables import NOTHING, UNCERTAIN, Table, split_unit
+from socket_testbed.tables import Table, split_unit
+from socket_testbed.trials.pressure import DECIMALS, SegmentPressure, by_place, cells, limb_cells
 
-_DECIMALS = {
-    "peak pressure [kPa]": 1,
-    "mean pressure [kPa]": 1,
-    "contact area [cm^2]": 0,
-    "pressure-time integral [kPa s]": 0,
-    "share of load [%]": 0,
-    "shear [kPa]": 1,
-    "shear direction [deg]": 0,
-    "centre of pressure x [mm]": 0,
-    "centre of pressure y [mm]": 0,
-    "centre of pressure z [mm]": 0,
-}
 _PRESSURES = 5  # columns of the first table by region
 _SPANS = ("plateau", "hold")
 _UNIT = "pressure [kPa]"
@@ -110,7 +98,7 @@ def section(results: Results) -> Section:
     """The section with the outputs in numbers."""
     found = results.pressure
     names = pd.Index([place.name for place in found.places], name="region")
-    outputs = pd.DataFrame(columns_of(found.outputs.regions, [*_DECIMALS]), index=names)
+    outputs = pd.DataFrame(columns_of(found.outputs.regions, [*DECIMALS]), index=names)
     mean = with_interval("mean pressure [kPa]", found.outputs.mean_pressure().part(..., 1e-3))
     over_time = pd.DataFrame({"time [s]": found.time} | by_place(names, mean))
     return Section(
@@ -138,31 +126,27 @@ def section(results: Results) -> Section:
 
 def _tables(found: SegmentPressure) -> list[Table]:
     """The outputs of the regions, of which the last is the socket, and how the limb sits in it."""
-    names = pd.Index([place.name for place in found.places], name="region")
-    words = {_printed(title): map("\n".join, _words(found, title)) for title in _DECIMALS}
-    cells = pd.DataFrame({title: [*column] for title, column in words.items()}, index=names)
+    shown = cells([place.name for place in found.places], found.outputs.regions, "{}\n{}")
+    shown = shown.rename(columns=_printed).rename_axis("region")
     below = "by region, the 95 % interval below each value"
-    first, second = cells.iloc[:, :_PRESSURES], cells.iloc[:, _PRESSURES:]
+    first, second = shown.iloc[:, :_PRESSURES], shown.iloc[:, _PRESSURES:]
     tables = [
         Table("pressure-regions", f"Pressure and load {below}", first),
         Table("pressure-shear", f"Shear and centre of pressure {below}", second),
     ]
     if found.suspension is not None:
-        outputs = found.suspension.outputs()
-        limb = {title: "{} ({})".format(*_in_words(of, 2)[0]) for title, of in outputs.items()}
-        column = pd.DataFrame({"over the segment": limb})
-        column = column.replace(f"{NOTHING} ({NOTHING})", NOTHING)
+        column = pd.DataFrame({"over the segment": limb_cells(found.suspension)})
         tables.append(Table("limb", "Limb in the socket, about the centre of the tiles", column))
     return tables
 
 
 def describe_pressure(found: SegmentPressure) -> str:
     """The pressure on the socket in a sentence."""
+    socket = cells([place.name for place in found.places], found.outputs.regions).iloc[-1]
     parts = []
-    for title in [*_DECIMALS][:3]:
-        value, interval = _words(found, title)[-1]
+    for title, said in socket.iloc[:3].items():
         name, unit = split_unit(_printed(title))
-        parts.append(f"{name} {value} ({interval}) {unit}")
+        parts.append(f"{name} {said} {unit}")
     peak = found.outputs.peak_map.normal_pressure[0].argmax()
     return (
         f"Pressure over the segment, with 95 % intervals: {'; '.join(parts)}. The peak is on"
@@ -172,25 +156,6 @@ def describe_pressure(found: SegmentPressure) -> str:
 
 def _printed(title: str) -> str:
     return title.replace("^2", "\N{SUPERSCRIPT TWO}")
-
-
-def _words(found: SegmentPressure, title: str) -> list[tuple[str, str]]:
-    """An output of every region, and its interval."""
-    return _in_words(read_column(found.outputs.regions, title), _DECIMALS[title])
-
-
-def _in_words(quantity: Quantity, decimals: int) -> list[tuple[str, str]]:
-    """Values, and their intervals; a dash for what is not known."""
-    of = (quantity.value, quantity.low, quantity.high, quantity.certain())
-    return [
-        (
-            f"{value:z.{decimals}f}",
-            f"{low:z.{decimals}f} to {high:z.{decimals}f}{UNCERTAIN * (not certain)}",
-        )
-        if np.isfinite([low, high]).all()
-        else (NOTHING, NOTHING)
-        for value, low, high, certain in zip(*map(np.atleast_1d, of), strict=True)
-    ]
 
 
 def _overview(results: Results) -> ReportFigure:
@@ -208,7 +173,6 @@ def _overview(results: Results) -> ReportFigure:
 
 
 def _force_map(results: Results) -> ReportFigure:
-    """The mean force map over the segment with its uncertainty."""
     geometry, outputs = results.trial.geometry, results.pressure.outputs
     mean = outputs.force_map.mean(outputs.samples)
     columns = {

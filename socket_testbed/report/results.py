@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +11,6 @@ from numpy.typing import ArrayLike
 
 from socket_testbed.arrays import BoolArray, FloatArray, evenly
 from socket_testbed.errors import IdentificationError
-from socket_testbed.geometry.axis import Region, all_regions
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.identification.fit import (
@@ -21,14 +19,11 @@ from socket_testbed.identification.fit import (
     evaluate_predictions,
     fit_contact_model,
 )
-from socket_testbed.identification.force_map import map_trial
 from socket_testbed.identification.information import (
     Engagement,
     LoadShare,
     Motion,
-    Suspension,
     engagement,
-    find_suspension,
     known_directions,
     load_shares,
     measure_motion,
@@ -43,16 +38,13 @@ from socket_testbed.identification.plausibility import (
     outlier_notes,
     sign_note,
 )
-from socket_testbed.identification.pressure import (
-    THRESHOLD,
-    PressureOutputs,
-    pressure_outputs,
-)
+from socket_testbed.identification.pressure import PressureOutputs
 from socket_testbed.identification.validation import Judgement, judge_samples
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS, Variant
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.simulation.trial import read_true_forces
+from socket_testbed.trials.pressure import SegmentPressure, mapped_trial
 from socket_testbed.trials.segment import Segment, find_plateaus, first_frames, select_segment
 from socket_testbed.trials.trial import Trial
 
@@ -63,40 +55,6 @@ GIVEN = "given"
 _LEAST_HELD_OUT = 10  # samples
 _STAGES = 5  # reading, fits, front, validation, pressure
 _INSTANTS = 150  # of the trial, at which the pressure is shown
-
-
-@dataclass(frozen=True, repr=False)
-class SegmentPressure:
-    """Pressure outputs over a segment of a trial, by region and tile, with 95 % intervals."""
-
-    trial: Trial
-    segment: Segment
-    places: tuple[Region, ...]  # the last one is the socket
-    outputs: PressureOutputs
-
-    @property
-    def time(self) -> FloatArray:
-        """Times of the N samples since the first sample of the trial, shape (N,) [s]."""
-        return np.asarray(self.trial.samples().time[self.segment.rows])
-
-    @property
-    def peak_time(self) -> float:
-        """When a tile has the highest pressure, since the first sample of the trial [s]."""
-        return float(self.time[self.outputs.peak_row])
-
-    @cached_property
-    def suspension(self) -> Suspension | None:
-        """How the limb sits in the socket; None without poses and a wrench."""
-        return find_suspension(self.trial.samples()[self.segment.rows], self.trial.geometry)
-
-
-def by_place(names: Iterable[str], found: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Columns of R places, from arrays (N, R) by their titles: `anterior.mean pressure [kPa]`."""
-    return {
-        f"{name}.{title}": values[:, column]
-        for column, name in enumerate(names)
-        for title, values in found.items()
-    }
 
 
 @dataclass(frozen=True)
@@ -142,7 +100,7 @@ class Results:
     validation: tuple[Judgement, ...]  # empty where the trial does not allow it,
     no_validation: str  # for this reason
     pressure: SegmentPressure
-    over_trial: PressureOutputs  # at instants spread over the trial, with that of the peak
+    over_trial: PressureOutputs  # of the socket at instants of the trial, with that of the peak
     data: tuple[DataFinding, ...]  # what to look at in the data
 
     @property
@@ -226,7 +184,10 @@ def compute_results(
     except IdentificationError as error:
         no_validation = str(error)
     reach(4)
-    pressure, over_trial = _read_pressure(trial, segment, settings)
+    mapped = mapped_trial(trial, settings)
+    outputs = mapped.outputs(segment.rows)
+    peak = segment.rows.start + outputs.peak_row
+    over_trial = mapped.course(np.union1d(evenly(len(samples), _INSTANTS), [peak]))
     reach(_STAGES)
     return Results(
         trial=trial,
@@ -244,7 +205,7 @@ def compute_results(
         motion=measure_motion(chosen, trial.geometry, identification.pose_smoothing),
         validation=tuple(validation),
         no_validation=no_validation,
-        pressure=pressure,
+        pressure=SegmentPressure(trial, segment, mapped.places, outputs),
         over_trial=over_trial,
     )
 
@@ -267,18 +228,3 @@ def _judge(samples: Samples, segment: Segment, label: str, source: Fit | StoredM
         known=known_directions(chosen, model, settings.stiffness_difference, window),
         engagement=engagement(samples, model, window, segment.rows),
     )
-
-
-def _read_pressure(
-    trial: Trial, segment: Segment, settings: EstimatorSettings
-) -> tuple[SegmentPressure, PressureOutputs]:
-    """Pressure over a segment and at instants of the trial, from the force map."""
-    samples, geometry = trial.samples(), trial.geometry
-    leave_out = settings.identification.leave_out
-    force_map, usable = map_trial(samples, geometry, settings.force_map, leave_out)
-    places = all_regions(geometry, trial.metadata.side)
-    outputs = pressure_outputs(force_map, usable[segment.rows], geometry, places, THRESHOLD)
-    peak = segment.rows.start + outputs.peak_row
-    rows = np.union1d(evenly(len(samples), _INSTANTS), [peak])
-    over_trial = pressure_outputs(force_map, usable[rows], geometry, places, THRESHOLD)
-    return SegmentPressure(trial, segment, places, outputs), over_trial

@@ -18,6 +18,7 @@ from matplotlib.patheffects import withStroke
 
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.pages.document import GREYING, greyness
 from socket_testbed.pages.wall import Patch, UnrolledTiles, patches, side_names, unrolled_tiles
 from socket_testbed.report.style import (
     DEFAULT_STYLE,
@@ -42,9 +43,6 @@ _SMALLEST = 3.0  # [pt]; of a name on a tile
 _LONGEST_LINE = 9  # characters
 _CHARACTER, _LINE = 0.62, 1.25  # [-]; width of a character, height of a line, by the font's size
 _IMAGE_STEP = 0.12  # [-]; between the points of an image, by the tiles' edge
-_GREY, _GREYEST = "#969696", 0.85  # of what is uncertain; its share
-_GREY_FROM = 2.5  # [-]; reach of an interval by the value, from which it is greyest
-_LEAST_SHARE = 0.1  # [-]; of the scale; to which the reach of smaller values is compared
 _ALIKE = 2.0  # [-]; ratio of ranges that are still seen on one scale
 _AXIS, _BAR = 12.0, 15.0  # [mm]; beside a map: its axis; the bar of colours
 _BAR_LABEL = 38.0  # [mm]; longest line beside a bar
@@ -89,8 +87,8 @@ def paint_tiles(
 ) -> TilePaint:
     """Paint tiles by their values, shape (n,); those without one are white and hatched.
 
-    With the reach of their intervals to each side, (n,), values on all tiles are smooth over the
-    surface, and turn grey as it exceeds the value, as on pages.
+    With the reach of their intervals to each side, (n,), pressures [kPa] on all tiles are smooth
+    over the surface, and grey as on pages.
     """
     tiles, unknown = unrolled_tiles(geometry), np.isnan(values)
     scale = ScalarMappable(Normalize(*(limits or value_range(values))), SCALE)
@@ -100,10 +98,9 @@ def paint_tiles(
     images = []
     for patch in patches(geometry, _IMAGE_STEP):
         value, doubt = patch.weights @ values, np.maximum(patch.weights @ reach, 0.0)
-        doubt = doubt / np.maximum(np.abs(value), _LEAST_SHARE * scale.get_clim()[1]) - 1.0
-        grey = _GREYEST * np.clip(doubt / (_GREY_FROM - 1.0), 0.0, 1.0)[..., None]
+        grey = GREYING["greyest"] * greyness(value, doubt)[..., None]
         image = np.asarray(scale.to_rgba(value))
-        image += grey * (np.array(to_rgba(_GREY)) - image)
+        image[..., :3] += grey * (np.array(GREYING["colour"]) / 255.0 - image[..., :3])
         image[..., 3] = np.isfinite(patch.points[..., 0])
         images.append((patch, image))
     return TilePaint(geometry, tiles, np.zeros_like(fills), unknown, scale, images)

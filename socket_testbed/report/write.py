@@ -6,23 +6,14 @@ from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 
-from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import atomic_output, check_outputs, refuse_existing
-from socket_testbed.report import (
-    channels,
-    fronts,
-    pressure,
-    quality,
-    summary,
-    surface,
-    validation,
-)
+from socket_testbed.pages.document import check_page
+from socket_testbed.report import fronts, models, pressure, quality, validation
 from socket_testbed.report.page import Section, write_page
 from socket_testbed.report.results import Results
 from socket_testbed.report.style import FigureStyle
 from socket_testbed.tables import write_table
 
-_SUFFIXES = (".html", ".htm")
 _ERRORS = "errors.csv"  # in the folder of every report
 
 # In the order of the page, by the title under which they are folded; the origin, which needs the
@@ -31,16 +22,16 @@ SECTIONS: dict[str, tuple[Callable[[Results], Section], ...]] = {
     "": (pressure.head_section,),
     "Numbers": (pressure.section,),
     "Model": (
-        summary.section,
-        channels.wrench_section,
-        channels.local_section,
-        channels.errors_section,
+        models.section,
+        models.wrench_section,
+        models.local_section,
+        models.errors_section,
         validation.section,
         fronts.section,
-        channels.paper_section,
-        surface.section,
+        models.paper_section,
+        models.surface_section,
     ),
-    "Data": (summary.notes_section, quality.section),
+    "Data": (quality.notes_section, quality.section),
 }
 
 
@@ -51,8 +42,7 @@ def files_folder(page: Path) -> Path:
 
 def check_page_path(page: Path, replace: bool = False) -> None:
     """Refuse a page that cannot be written, before long work."""
-    if page.suffix.lower() not in _SUFFIXES:
-        raise ConfigurationError(f"{page}: a report is a page", "let it end in .html")
+    check_page(page, "report")
     check_outputs(page, replace=replace)
     folder = files_folder(page)
     if not replace or (folder.exists() and not (folder / _ERRORS).is_file()):
@@ -72,7 +62,7 @@ def write_report(
     check_page_path(page, replace)
     folder = files_folder(page)
     groups = {group: [make(results) for make in makers] for group, makers in SECTIONS.items()}
-    groups["Data"].append(summary.origin_section(results, command, made))
+    groups["Data"].append(quality.origin_section(results, command, made))
     sections = [section for group in groups.values() for section in group]
     figures = [figure for section in sections for figure in section.figures]
     with atomic_output(page) as new_page, atomic_output(folder, replace) as new_folder:
@@ -94,3 +84,12 @@ def write_report(
             folder=folder.name,
             figures=style is not None,
         )
+
+
+def summarise(results: Results) -> list[str]:
+    """A statement each on the pressure, the data, the segment and every model."""
+    return [
+        pressure.describe_pressure(results.pressure),
+        "; ".join(map(str, results.data)).capitalize() or "Data: good.",
+        *models.describe_models(results),
+    ]

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 from distributed import LocalCluster
 from support import HANGS
-from support.verbs import COMMAND, call, program, refused
+from support.verbs import COMMAND, call, program
 
 import socket_testbed as st
 
@@ -55,38 +55,25 @@ def assert_models(folder: Path, expected: Path) -> None:
         assert (folder / name).read_bytes() == (expected / name).read_bytes(), name
 
 
-@pytest.fixture(scope="module")
-def models(study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same trials in parallel, by the command itself; the broken one fails."""
-    folder = tmp_path_factory.mktemp("batch") / "models"
-    code, out, err = program(*COMMAND, *FIT, study, "-o", folder, "--jobs", 2)
+def test_the_summary_holds_the_figures_of_single_calls(one_by_one, study, tmp_path) -> None:
+    """In parallel, by the command itself; failed and skipped trials: test_batch.py."""
+    models = tmp_path / "models"
+    code, out, err = program(*COMMAND, *FIT, study, "-o", models, "--jobs", 2)
     assert code == 1 and out.count(": ok, mean moment RMSE 0.") == 2 and "Warning" not in err
     *_, named, last = err.splitlines()
     assert named.startswith(f"{BROKEN}: ") and "hold.mcap" in named and "truncated" in named
     assert last.startswith("socket-testbed fit: error: 1 of 3 trials failed")
-    return folder
-
-
-def test_the_summary_holds_the_figures_of_single_calls(models, one_by_one, study) -> None:
-    """What becomes of failed and of skipped trials: test_batch.py."""
     assert_models(models, one_by_one)
-    table = pd.read_csv(models / "summary.csv").set_index("trial")
-    assert "truncated" in table["error"][BROKEN] and table["error"][list(GOOD)].isna().all()
-    row = table.loc["walk"]
+    row = pd.read_csv(models / "summary.csv").set_index("trial").loc["walk"]
     model = json.loads((models / "walk.json").read_text())
     quality = model["quality"]
     assert (row["samples"], row["theta [-]"]) == (quality["samples"], model["settings"]["theta"])
     assert f"{row['segment']} {row['segment_start [s]']:.2f} s" in model["segment"]
     for error in quality["errors"]:
         assert row[f"{error['name']}_rmse [{error['unit']}]"] == error["rmse"]
-    # Each fit is judged on a half of the segment that it has not seen, too.
-    trial = st.open_trial(study / "walk")
-    rows, time = st.fit(trial, variant=VARIANT).segment.rows, trial.samples().time
-    middle = (rows.start + rows.stop) // 2
-    fitted = st.fit(trial, f"{time[rows.start]}:{time[middle - 1]}", variant=VARIANT)
-    unseen = st.evaluate(trial, fitted, f"{time[middle]}:{time[rows.stop - 1]}").to_dataframe()
+    unseen = [e.skill for e in st.fit(study / "walk", variant=VARIANT).unseen_half()]
     found = row["median_wrench_skill_unseen_half [-]"]
-    assert found == pytest.approx(np.nanmedian(unseen["skill"][:6]))
+    assert found == pytest.approx(np.nanmedian(unseen[:6]))
     assert row["kkt_residual [-]"] < 1e-8
 
 
@@ -106,19 +93,6 @@ def test_trials_are_judged_by_their_own_models_or_all_by_one(
         row = pd.read_csv(tmp_path / name / "summary.csv").set_index("trial").loc["s01/hold"]
         assert row["model"] == model.rpartition("/")[2]
         assert row["in_sample"] == ("yes" if name == "own" else "no")
-
-
-def test_what_is_wrong_for_all_is_one_line(study, models, tmp_path, capsys) -> None:
-    """What is wrong for one trial too: test_commands.py."""
-    for words, named in (
-        ("fit -o OUT --jobs 0", ["--jobs", "0"]),
-        ("evaluate --model MODELS", ["3 trials", "-o"]),
-        ("evaluate --model MODELS -o MODELS", ["summary.csv exists already"]),
-    ):
-        places = {"OUT": tmp_path / "out", "MODELS": models}
-        verb, *rest = (places.get(word, word) for word in words.split())
-        refused(capsys, verb, study, *rest, named=named)
-        assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow

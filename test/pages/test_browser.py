@@ -78,14 +78,12 @@ def test_a_report_opens_with_its_answer_and_its_time_line_moves_the_map(
         tab = Tab(browser, page.as_uri(), width)
         tab.reads(rf"Peak\s+{peak:.1f} kPa\s*95 %: ")
         assert tab.pressure() == pytest.approx(peak, rel=0.15)
-        assert tab.page.evaluate("document.documentElement.scrollWidth") <= width
         at_peak = tab.pressure()
         tab.page.get_by_role("button", name="Mean over").click()
         tab.reads("mean over plateau")
         assert tab.pressure() < at_peak
         tab.page.locator("#cursor").fill("0")
         tab.reads(r"at 0\.00 s")
-        tab.page.locator("#kind").select_option(label="shear")
         tab.page.locator("#model > summary").click()
         tab.page.locator("#chart-wrench .main-svg").first.wait_for()
         assert all(url.startswith(("file:", "blob:", "data:")) for url in tab.asked)
@@ -105,7 +103,6 @@ def test_a_trial_opens_at_its_peak_and_is_played_and_sought(browser: Browser, ho
         tab.page.get_by_role("button", name="Play").click()
         tab.page.wait_for_function(f"({place})() > {peak - 4}")
         tab.page.get_by_role("button", name="Pause").click()
-        assert all(url.startswith((served.url, "blob:", "data:")) for url in tab.asked)
         tab.close()
 
 

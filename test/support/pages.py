@@ -1,6 +1,5 @@
 """Pages and tables as their readers open them."""
 
-import math
 from datetime import UTC, datetime
 from html.parser import HTMLParser
 
@@ -67,8 +66,3 @@ class Page(HTMLParser):
     def rows(self, table: str) -> dict[str, list[str]]:
         """Rows of a table by their first cell."""
         return {row[0]: row[1:] for row in self.tables[table]}
-
-
-def numbers(cells: list[str]) -> np.ndarray:
-    """Cells as numbers; NaN for an empty one."""
-    return np.array([float(cell) if cell else math.nan for cell in cells])

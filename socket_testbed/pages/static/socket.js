@@ -6,12 +6,8 @@
 const VIRIDIS = ["#440154", "#482475", "#414487", "#355f8d", "#2a788e", "#21918c", "#22a884",
   "#44bf70", "#7ad151", "#bddf26", "#fde725"].map((hex) => [1, 3, 5].map(
   (at) => parseInt(hex.slice(at, at + 2), 16)));
-const GREY = [150, 150, 150], GREYEST = 0.85;  // of what is uncertain
 const SCALES = [25, 50, 100, 200, 400];  // [kPa]
-const CERTAIN = 1.0, UNKNOWN = 2.5;  // reach of an interval by the value: full colour, greyest
-const LEAST = 5.0;  // [kPa]; to which the reach of smaller values is compared
 const SOLID_EVERY = 400;  // [ms]; at least between 3D pictures
-const QUANTILE = 1.96;
 const PLAIN = {displayModeBar: false, responsive: true};
 const byId = (name) => document.getElementById(name);
 const known = (value) => value !== null && value !== undefined && Number.isFinite(value);
@@ -32,11 +28,10 @@ function viridis(share) {  // more of the colours go to low pressures
 
 const COLOURS = VIRIDIS.map((rgb, i) => [(i / 10) ** 2, `rgb(${rgb})`]);
 const DIVERGING = [[0, "#2166ac"], [0.25, "#67a9cf"], [0.5, "#f7f7f7"], [0.75, "#f4a582"], [1, "#b2182b"]];
-const VEIL = [[0, `rgba(${GREY},0)`], [1, `rgba(${GREY},${GREYEST})`]];
 
-function doubt(value, reach) {  // 0 certain, 1 greyest
-  const share = reach / Math.max(Math.abs(value), LEAST);
-  return Math.min(Math.max((share - CERTAIN) / (UNKNOWN - CERTAIN), 0), 1);
+function greyness({certain, unknown, least}, value, reach) {  // as in document.py
+  const share = reach / Math.max(Math.abs(value), least);
+  return Math.min(Math.max((share - certain) / (unknown - certain), 0), 1);
 }
 
 function unpack(patch, tiles) {
@@ -81,7 +76,7 @@ class SocketMap {
     const extra = this.extras[this.kind];
     if (extra) { return {values: extra.values, reach: null, unit: extra.unit}; }
     const values = this.moment?.[this.kind] ?? null;
-    const reach = this.kind === "pressure" ? this.moment?.deviation?.map((sd) => QUANTILE * sd) : null;
+    const reach = this.kind === "pressure" ? this.moment?.deviation?.map((sd) => this.socket.greying.quantile * sd) : null;
     return {values, reach, unit: "kPa"};
   }
 
@@ -106,14 +101,16 @@ class SocketMap {
     const of = (patch) => {
       const z = patch.at(values.map((value) => value ?? 0));
       const r = reach ? patch.at(reach).map((v) => (v === null ? null : Math.max(v, 0))) : null;
-      const grey = this.diverging ? (v, reach) => Number(Math.abs(v) < reach) : doubt;
+      const grey = (v, reach) => (this.diverging ? Number(Math.abs(v) < reach)
+        : greyness(this.socket.greying, v, reach));
       return {z, r, veil: r && z.map((v, i) => (v === null ? null : grey(v, r[i])))};
     };
     return {low: this.diverging ? -high : low, high, patches: new Map(this.socket.patches.map((patch) => [patch, of(patch)]))};
   }
 
   drawMap(paint, values, unit, ink) {
-    const {socket, wall, end, narrow} = this, traces = [], notes = [];
+    const {socket, wall, end, narrow} = this, {colour, greyest} = socket.greying;
+    const veils = [[0, `rgba(${colour},0)`], [1, `rgba(${colour},${greyest})`]], traces = [], notes = [];
     const axes = (patch) => (patch === wall ? {xaxis: "x", yaxis: "y"} : {xaxis: "x2", yaxis: "y2"});
     for (const [patch, {z, r, veil}] of paint?.patches ?? []) {
       const place = {x: patch.x, y: patch.y, zsmooth: "best", ...axes(patch)};
@@ -129,7 +126,7 @@ class SocketMap {
       });
       if (veil) {
         traces.push({...place, type: "heatmap", z: patch.rows(veil), zmin: 0, zmax: 1,
-          colorscale: VEIL, showscale: false, hoverinfo: "skip"});
+          colorscale: veils, showscale: false, hoverinfo: "skip"});
       }
     }
     const label = (tile, text, shift, extra) => {
@@ -200,7 +197,7 @@ class SocketMap {
   }
 
   drawSolid(paint, ink) {
-    const {socket} = this;
+    const {socket} = this, {colour, greyest} = socket.greying;
     const traces = socket.patches.map((patch) => {
       const wide = patch.x.length, faces = [[], [], []];
       for (let row = 0; row + 1 < patch.y.length; row++) {
@@ -214,8 +211,8 @@ class SocketMap {
       const colours = patch.flat.map((_, i) => {
         if (!found || !known(found.z[i])) { return "rgb(200,200,200)"; }
         const share = (found.z[i] - paint.low) / (paint.high - paint.low);
-        const veil = GREYEST * (found.veil?.[i] ?? 0);
-        return `rgb(${viridis(share).map((c, k) => Math.round(c + veil * (GREY[k] - c)))})`;
+        const veil = greyest * (found.veil?.[i] ?? 0);
+        return `rgb(${viridis(share).map((c, k) => Math.round(c + veil * (colour[k] - c)))})`;
       });
       const [x, y, z] = [0, 1, 2].map((axis) => patch.flat.map((point) => point[axis] ?? 0));
       return {type: "mesh3d", x, y, z, i: faces[0], j: faces[1], k: faces[2], vertexcolor: colours,

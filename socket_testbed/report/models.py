@@ -1,0 +1,423 @@
+"""What the models of a trial say: their predictions and errors, and parameters on the tiles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure, SubFigure
+
+from socket_testbed.arrays import FloatArray
+from socket_testbed.identification.fit import (
+    ChannelErrors,
+    summarise_errors,
+)
+from socket_testbed.identification.pareto import THEIRS, beside_published
+from socket_testbed.pages.document import numbers
+from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart
+from socket_testbed.report.quality import mean_and_sigma
+from socket_testbed.report.results import Candidate, Results
+from socket_testbed.report.style import (
+    LINE_STYLES,
+    MEASURED_STYLE,
+    SEGMENT_STYLE,
+    THINNED,
+    FigureStyle,
+    add_legend,
+    in_style,
+    lay_out,
+    panels,
+    thin,
+    wrap,
+)
+from socket_testbed.report.tiles import tile_map_figure
+from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
+from socket_testbed.settings.identification import BIAS_VARIANTS, PAPER_VARIANTS
+from socket_testbed.tables import Table, number, split_unit
+from socket_testbed.trials.segment import Segment
+
+_PANEL, _KEY_LINE = 34.0, 3.1  # [mm]; height of a panel without its key; of a line of the key
+_WIDE = 80.0  # [mm]; of a panel that takes a model and its errors in two lines
+_NAME = 26.0  # [mm]; longest line of a name above a panel
+_LINES = 68.0  # [mm]; height of two panels over time with their key
+_QUANTITIES = {"N m": "moment", "N": "force"}
+_FORCES_FIRST = (3, 4, 5, 0, 1, 2)  # the forces above, the moments below
+_MEASURES = {"RMSE": "rmse", "MAE": "mae", "sigma": "sigma", "skill [-]": "skill"}
+_SUMMARIES = {
+    "mean of the moments in the objective": ("N m", "moment_rmse"),
+    "mean of the forces in the objective": ("N", "force_rmse"),
+    "median of the local forces in the objective": ("N", "local_rmse"),
+}
+
+
+def section(results: Results) -> Section:
+    """The section on the models that were fitted."""
+    return Section("models", "Fitted models", [describe_models(results)])
+
+
+def describe_models(results: Results) -> list[str]:
+    """A statement on the segment, and one on every model."""
+    wrench = results.samples.wrench[results.segment.rows]
+    (force, _), (moment, _) = mean_and_sigma(wrench[:, 3:]), mean_and_sigma(wrench[:, :3])
+    return [
+        f"Fitted to the segment, {results.segment}: {int(results.in_segment.sum())} of"
+        f" {len(results.samples)} samples, mean force {number(force)} N, mean moment"
+        f" {number(moment)} N m. Errors over it are in-sample, those over the rest held-out.",
+        *(_describe(candidate) for candidate in results.candidates),
+    ]
+
+
+def _describe(candidate: Candidate) -> str:
+    parts = []
+    for title, errors in (("in-sample", candidate.errors), ("held-out", candidate.held_out)):
+        if errors:
+            found = summarise_errors(errors)
+            parts.append(
+                f"{title} the mean RMSE of the moments {number(found.moment_rmse)} N m and of the"
+                f" forces {number(found.force_rmse)} N, the median RMSE of the local forces"
+                f" {number(found.local_rmse)} N, the median skill {number(found.skill, 'z.2f')}"
+            )
+    offset = float(np.linalg.norm(candidate.model.wrench_bias[3:]))
+    if offset > 0.0:
+        parts.append(f"its constant force, which no tile bears, {number(offset)} N")
+    return f"{candidate.label}: {'; '.join(parts)}."
+
+
+def wrench_section(results: Results) -> Section:
+    """The section on the wrench."""
+    figure = _channels(results, "wrench", "Measured and predicted wrench", _FORCES_FIRST)
+    return Section("wrench", "Wrench", [figure])
+
+
+def local_section(results: Results) -> Section:
+    """The section on the local forces."""
+    local = range(len(WRENCH_CHANNELS), len(results.samples.channels))
+    title = "Measured and predicted forces in the clusters' frames"
+    return Section("local", "Local forces", [_channels(results, "local_forces", title, local)])
+
+
+def paper_section(results: Results) -> Section:
+    """The section that lays the trial beside the paper."""
+    frame = beside_published(
+        {variant: results.fitted[variant].errors for variant in PAPER_VARIANTS},
+        results.fronts,
+        results.samples[results.segment.rows],
+        results.settings.identification,
+    )
+    caption = "The figures of the paper, for its variants; 'paper' computes them with its settings"
+    table = Table("paper", caption, frame, {THEIRS: ".2f"})
+    return Section("paper-section", "This trial and the paper", [table])
+
+
+def errors_section(results: Results) -> Section:
+    """The section on the errors of every model, over the segment and over the rest."""
+    parts = [
+        "In-sample: errors over the segment that the variants were fitted to. Sigma is the standard"
+        " deviation of the residual; skill is 1 - RMSE / RMSE of the best constant: 1 is perfect, 0"
+        " no better than the channel's mean over these samples.",
+        _errors(
+            results,
+            "errors",
+            "Errors over the segment (in-sample), in the unit of the channel",
+            [candidate.errors for candidate in results.candidates],
+        ),
+    ]
+    held_out = [candidate.held_out for candidate in results.candidates]
+    if all(held_out):
+        caption = "Errors over the rest of the trial (held-out), in the unit of the channel"
+        parts += [
+            Heading("Held-out: the rest of the trial"),
+            "Samples of the same trial outside the segment, which the variants have not seen: other"
+            " loads and the changes between them, but the same session, so no substitute for"
+            " another trial.",
+            _errors(results, "held-out", caption, held_out),
+        ]
+    every = pd.DataFrame(
+        {
+            "model": candidate.label,
+            "samples of": part,
+            "channel": error.name,
+            "unit of RMSE, MAE, sigma": error.unit,
+            "in objective": int(error.in_objective),
+            "samples [1]": error.samples,
+            **{title: getattr(error, field) for title, field in _MEASURES.items()},
+        }
+        for candidate in results.candidates
+        for part, errors in (("segment", candidate.errors), ("rest", candidate.held_out))
+        for error in errors
+    )
+    return Section("errors-section", "Errors", parts, {"errors.csv": every})
+
+
+def _errors(
+    results: Results, name: str, caption: str, errors: Sequence[Sequence[ChannelErrors]]
+) -> Table:
+    """Errors of every model, a row per channel, and below them what the paper quotes."""
+    rows = {
+        of_channel[0].name: [
+            of_channel[0].unit,
+            *(getattr(error, field) for error in of_channel for field in _MEASURES.values()),
+            _remark(results, of_channel),
+        ]
+        for of_channel in zip(*errors, strict=True)
+    }
+    summaries = [summarise_errors(of_model) for of_model in errors]
+    none = [np.nan] * 3
+    for title, (unit, field) in _SUMMARIES.items():
+        cells = [cell for summary in summaries for cell in (getattr(summary, field), *none)]
+        rows[title] = [unit, *cells, ""]
+    skills = [cell for summary in summaries for cell in (*none, summary.skill)]
+    rows["median of all in the objective"] = ["-", *skills, ""]
+    frame = pd.DataFrame.from_dict(rows, orient="index").rename_axis("channel")
+    labels = [(candidate.label, title) for candidate in results.candidates for title in _MEASURES]
+    frame.columns = pd.MultiIndex.from_tuples([("", "unit"), *labels, ("", "remark")])
+    return Table(name, caption, frame)
+
+
+def _remark(results: Results, errors: Sequence[ChannelErrors]) -> str:
+    """Which models' fits did not see a channel."""
+    pairs = zip(results.candidates, errors, strict=True)
+    left_out = [candidate.label for candidate, error in pairs if not error.in_objective]
+    if len(left_out) in (0, len(errors)):
+        return "not in objective" if left_out else ""
+    return f"not in objective of {', '.join(left_out)}"
+
+
+Shown: TypeAlias = tuple[str, FloatArray, Sequence[ChannelErrors]]
+"""A model's label, what it predicts for all samples, (N, 6 + 3c), and its errors."""
+
+
+def _channels(results: Results, name: str, title: str, channels: Sequence[int]) -> ReportFigure:
+    samples, measured = results.samples, results.samples.trusted_values
+    columns: dict[str, FloatArray] = {}
+    charts = []
+    for i in channels:
+        channel, unit = samples.channels[i], channel_unit(samples.channels[i])
+        predicted = {c.label: c.predicted[:, i] for c in results.candidates}
+        columns[f"{channel} measured [{unit}]"] = measured[:, i]
+        for label, values in predicted.items():
+            columns[f"{channel} predicted {label} [{unit}]"] = values
+        lines = {"measured": measured[:, i]} | predicted
+        charts.append({"title": f"{channel} [{unit}]", "lines": lines})
+    models = [(c.label, c.predicted, c.errors) for c in results.candidates]
+    heading = results.title(title)
+    return ReportFigure(
+        name,
+        f"{title}, {results.segment}; the errors in the panels are over the shaded segment, to"
+        f" which the variants were fitted (in-sample). {THINNED}",
+        lambda style: wrench_figure(samples, results.segment, models, heading, style, channels),
+        results.series(columns),
+        line_chart(samples.time, charts),
+    )
+
+
+@in_style
+def wrench_figure(
+    samples: Samples,
+    segment: Segment,
+    models: Sequence[Shown],
+    title: str,
+    style: FigureStyle,
+    channels: Sequence[int] = _FORCES_FIRST,
+) -> Figure:
+    """Measured against predicted channels, those of the wrench unless others are given.
+
+    Each has a panel, three in a row of a page, with its errors unless there are no titles.
+    """
+    across = 3 if not style.is_narrow else 1 if style.titles else 2
+    rows = -(-len(channels) // across)
+    lines = (2 if style.width / across >= _WIDE else 3) if style.titles else 0
+    key = _KEY_LINE * (2.5 + lines * len(models)) if style.titles else 0.0
+    figure = style.figure(rows * (_PANEL + key) + (12.0 if style.titles else 20.0))
+    style.add_title(figure, title)
+    axes, measured = panels(figure, len(channels), across), samples.trusted_values
+    for axis, channel in zip(axes, channels, strict=True):
+        first = models[0][2][channel]
+        axis.axvspan(segment.start, segment.end, **SEGMENT_STYLE)
+        axis.plot(*thin(samples.time, measured[:, channel]), label="measured", **MEASURED_STYLE)
+        for (label, predicted, errors), look in zip(models, LINE_STYLES, strict=False):
+            described = _key(label, errors[channel], lines)
+            axis.plot(*thin(samples.time, predicted[:, channel]), label=described, **look)
+        axis.set_ylabel(f"{_QUANTITIES[first.unit]} [{first.unit}]")
+        name = first.name + " (not in objective)" * (not first.in_objective)
+        if lines:
+            add_legend(axis, title=name, labelspacing=0.2, handlelength=1.8)
+        else:
+            axis.set_title(wrap(name, _NAME), loc="left", fontweight="bold", parse_math=False)
+    if not lines:
+        handles, labels = axes[0].get_legend_handles_labels()
+        add_legend(figure, handles, labels, loc="outside lower center", ncols=across + 1)
+    return lay_out(figure)
+
+
+def _key(label: str, e: ChannelErrors, lines: int) -> str:
+    if not lines:
+        return label
+    separator = ":\n" if lines == 3 else ": "
+    if e.samples == 0:
+        return f"{label}{separator}no errors,\nno value in the span"
+    digits = "z.2f" if abs(e.skill) < 10.0 else "z.0f"
+    return (
+        f"{label}{separator}RMSE {e.rmse:.2f}, MAE {e.mae:.2f},\n"
+        f"\N{GREEK SMALL LETTER SIGMA} {e.sigma:.2f} {e.unit}, skill {number(e.skill, digits)}"
+    )
+
+
+def surface_section(results: Results) -> Section:
+    """The section on what the models say of the tiles."""
+    text = (
+        "The map at the top of the page shows them, too. Values of a rigid variant are in the"
+        " tile's own frame (z along the inward normal), its rest positions from the"
+        " reference pose; those of the paper's"
+        " variants are in {S}, their rest positions from the mean limb position of the segment. The"
+        " offset of a cluster is in the cluster's own frame; the wrench's offset belongs to no"
+        " tile. A channel that is not in the objective has no offset."
+    )
+    offsets = _offsets(results)
+    shown = Table("offsets", "Constant offsets, added to what the springs predict", offsets)
+    return Section(
+        "surface",
+        "Parameters on the socket's surface",
+        [text, *_tile_maps(results), _engaged_springs(results), shown],
+        {"engaged_tiles.csv": _engaged_tiles(results), "offsets.csv": offsets},
+    )
+
+
+def model_values(results: Results, candidate: Candidate) -> dict[str, dict[str, Any]]:
+    """Parameters of a model on the tiles for the map, by their names."""
+    model, frame = candidate.model, _frame(candidate)
+    kinds = [
+        ("stiffness", "N/m", model.stiffness),
+        ("rest position", "mm", _rest_offsets(results, candidate)),
+    ]
+    return {
+        f"{kind} along {axis} of {frame} [{unit}]": {"values": numbers(of), "unit": unit}
+        for kind, unit, values in kinds
+        for axis, of in _by_axis(values)
+    }
+
+
+def _frame(candidate: Candidate) -> str:
+    """The frame of a model's stiffnesses and rest positions."""
+    return "the tile's frame" if candidate.model.is_rigid else "{S}"
+
+
+def _rest_offsets(results: Results, candidate: Candidate) -> FloatArray:
+    """Rest positions from the mean limb position, in `_frame`, shape (n, 3) [mm]."""
+    if candidate.model.is_rigid:
+        return 1e3 * candidate.model.rest_positions
+    mean = np.nanmean(results.samples.position[results.segment.rows], axis=0)
+    return 1e3 * (candidate.model.rest_positions - mean)
+
+
+def _tile_maps(results: Results) -> Iterator[ReportFigure]:
+    """The stiffnesses of every model, and its rest positions unless they are the last one's."""
+    shown: FloatArray | None = None
+    for candidate in results.candidates:
+        model, label = candidate.model, candidate.label
+        name, title = f"tile_stiffness_{label}", f"Stiffness of every tile, model {label}"
+        yield _tile_map(results, candidate, name, title, model.stiffness, "k", "stiffness [N/m]")
+        if shown is None or not np.array_equal(model.rest_positions, shown):
+            shown = model.rest_positions
+            shared = candidate.fit is not None and not model.is_rigid
+            name = "rest_positions" if shared else f"rest_positions_{label}"
+            whose = "the same for the paper's variants" if shared else f"model {label}"
+            values, title = _rest_offsets(results, candidate), f"Rest positions, {whose}"
+            origin = "reference pose" if model.is_rigid else "mean limb position"
+            quantity = f"rest position from the {origin} [mm]"
+            yield _tile_map(results, candidate, name, title, values, "q_r", quantity)
+
+
+def _tile_map(
+    results: Results,
+    candidate: Candidate,
+    name: str,
+    title: str,
+    values: FloatArray,
+    symbol: str,
+    quantity: str,
+) -> ReportFigure:
+    """Maps of values of the tiles along x, y, z, shape (n, 3), of a symbol and a quantity."""
+    geometry, frame = results.trial.geometry, _frame(candidate)
+    clusters = {tile: cluster for cluster, tile in geometry.clusters.items()}
+    described, unit = split_unit(quantity)
+    columns = {f"anchor {axis} in S [m]": of for axis, of in _by_axis(geometry.anchors)}
+    columns |= {f"{described} {axis} [{unit}]": of for axis, of in _by_axis(values)}
+    of_tiles = [clusters.get(tile, "") for tile in range(len(geometry))]
+    maps = {f"{symbol} along {axis} of {frame}": of for axis, of in _by_axis(values)}
+    heading = f"{results.trial.name}: {title}"
+    return ReportFigure(
+        name,
+        f"{title}, along the axes of {frame}; the wall is unrolled and seen from outside. Tiles"
+        " with a cluster are outlined.",
+        lambda style: tile_map_figure(geometry, maps, quantity, heading, style),
+        pd.DataFrame({"tile": geometry.names, "cluster": of_tiles, **columns}),
+    )
+
+
+def _by_axis(values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+    return zip("xyz", values.T, strict=True)
+
+
+def _engaged_springs(results: Results) -> ReportFigure:
+    """Which springs of every model are engaged, over time and over the socket."""
+    models = {candidate.label: candidate.engagement for candidate in results.candidates}
+    maps = {name: 100.0 * found.time_share.mean(axis=1) for name, found in models.items()}
+    columns = [found.columns(f"{label}.springs.") for label, found in models.items()]
+
+    def draw_lines(part: SubFigure) -> None:
+        for axis, kind in zip(panels(part, 2, 1), ("engaged", "uncertain"), strict=True):
+            for (name, found), line in zip(models.items(), LINE_STYLES, strict=False):
+                share = 100.0 * getattr(found, kind) / found.springs
+                axis.plot(*thin(results.samples.time, share), label=name, **line)
+            axis.axvspan(results.segment.start, results.segment.end, **SEGMENT_STYLE)
+            axis.set_ylabel(f"{kind}\nsprings [%]")
+            axis.set_ylim(bottom=0.0)
+        add_legend(part.axes[0], ncols=2)
+
+    def draw(style: FigureStyle) -> Figure:
+        return tile_map_figure(
+            results.trial.geometry,
+            maps,
+            "share of the time engaged [%]",
+            results.title("Engaged springs"),
+            style,
+            limits=(0.0, 100.0),
+            below=(_LINES, draw_lines),
+        )
+
+    return ReportFigure(
+        "engaged_springs",
+        "Springs that are engaged (compressed, with a stiffness above zero), and uncertain ones,"
+        " which one standard deviation of the pose's noise can switch. The maps show the share of"
+        " the time over the shaded segment in which the springs of a tile are engaged;"
+        f" engaged_tiles.csv holds it for each. {THINNED}",
+        draw,
+        results.series({name: of for found in columns for name, of in found.items()}),
+    )
+
+
+def _engaged_tiles(results: Results) -> pd.DataFrame:
+    """Share of the time on the segment in which each spring is engaged, a row per tile."""
+    columns: dict[str, Any] = {"tile": results.trial.geometry.names}
+    for candidate in results.candidates:
+        axes = ("normal",) if candidate.model.is_rigid else ("x", "y", "z")
+        names = [f"{candidate.label}.{axis} engaged [-]" for axis in axes]
+        columns |= dict(zip(names, candidate.engagement.time_share.T, strict=True))
+    return pd.DataFrame(columns)
+
+
+def _offsets(results: Results) -> pd.DataFrame:
+    samples, zero = results.samples, np.zeros(3)
+    columns = {
+        f"offset {label} [unit of the row]": np.concatenate(
+            [model.wrench_bias, *(model.force_bias.get(name, zero) for name in samples.clusters)]
+        )
+        for label, model in ((c.label, c.model) for c in results.candidates)
+        if model.variant in BIAS_VARIANTS
+    }
+    units = [channel_unit(name) for name in samples.channels]
+    index = pd.Index(samples.channels, name="channel")
+    return pd.DataFrame({"unit": units, **columns}, index=index)

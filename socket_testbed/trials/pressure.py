@@ -1,0 +1,151 @@
+"""A trial's force map, and the pressure outputs over its segments and at its instants."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from socket_testbed.arrays import FloatArray
+from socket_testbed.geometry.axis import Region, all_regions
+from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.identification.force_map import ForceMap, map_trial
+from socket_testbed.identification.information import Suspension, find_suspension
+from socket_testbed.identification.pressure import (
+    SHARE,
+    THRESHOLD,
+    PressureOutputs,
+    Quantity,
+    RegionOutputs,
+    pressure_outputs,
+    read_column,
+)
+from socket_testbed.samples import Samples
+from socket_testbed.settings.testbed import EstimatorSettings
+from socket_testbed.tables import NOTHING, UNCERTAIN
+from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.trial import Trial
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+# Decimals of the outputs that a reader sees, by their titles, in the order of the tables.
+DECIMALS = {
+    "peak pressure [kPa]": 1,
+    "mean pressure [kPa]": 1,
+    "contact area [cm^2]": 0,
+    "pressure-time integral [kPa s]": 0,
+    "share of load [%]": 0,
+    "shear [kPa]": 1,
+    "shear direction [deg]": 0,
+    "centre of pressure x [mm]": 0,
+    "centre of pressure y [mm]": 0,
+    "centre of pressure z [mm]": 0,
+}
+_OF_LIMB = 2
+INLINE = "{} ({})"  # a value, and its interval
+
+
+@dataclass(frozen=True)
+class MappedTrial:
+    """The force map of a trial."""
+
+    geometry: SocketGeometry
+    places: tuple[Region, ...]  # the last one is the socket
+    force_map: ForceMap
+    samples: Samples  # of the trial, with the channels that count
+
+    def outputs(self, rows: Any, threshold: float = THRESHOLD) -> PressureOutputs:
+        """Outputs over some rows of the samples; in contact above a threshold [Pa]."""
+        samples, places = self.samples[rows], self.places
+        return pressure_outputs(self.force_map, samples, self.geometry, places, threshold)
+
+    def course(self, rows: Any) -> PressureOutputs:
+        """The same of the whole socket alone: a series of its regions takes five times as long."""
+        samples, places = self.samples[rows], self.places[-1:]
+        return pressure_outputs(self.force_map, samples, self.geometry, places, THRESHOLD)
+
+
+def mapped_trial(
+    trial: Trial, settings: EstimatorSettings, geometry: SocketGeometry | None = None
+) -> MappedTrial:
+    """The force map of a trial, on its socket unless one with other regions is given."""
+    geometry = geometry or trial.geometry
+    places = all_regions(geometry, trial.metadata.side)
+    left_out = settings.identification.leave_out
+    found = map_trial(trial.samples(), geometry, settings.force_map, left_out)
+    return MappedTrial(geometry, places, *found)
+
+
+@dataclass(frozen=True, repr=False)
+class SegmentPressure:
+    """Pressure outputs over a segment of a trial, by region and tile, with 95 % intervals."""
+
+    trial: Trial
+    segment: Segment
+    places: tuple[Region, ...]  # the last one is the socket
+    outputs: PressureOutputs
+
+    @property
+    def time(self) -> FloatArray:
+        """Times of the N samples since the first sample of the trial, shape (N,) [s]."""
+        return np.asarray(self.trial.samples().time[self.segment.rows])
+
+    @property
+    def peak_time(self) -> float:
+        """When a tile has the highest pressure, since the first sample of the trial [s]."""
+        return float(self.time[self.outputs.peak_row])
+
+    @cached_property
+    def suspension(self) -> Suspension | None:
+        """How the limb sits in the socket; None without poses and a wrench."""
+        return find_suspension(self.trial.samples()[self.segment.rows], self.trial.geometry)
+
+
+def by_place(names: Iterable[str], found: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Columns of R places, from arrays (N, R) by their titles: `anterior.mean pressure [kPa]`."""
+    return {
+        f"{name}.{title}": values[:, column]
+        for column, name in enumerate(names)
+        for title, values in found.items()
+    }
+
+
+def cells(
+    names: Iterable[str], found: RegionOutputs, form: str = INLINE, share: float = SHARE
+) -> pd.DataFrame:
+    """Outputs of places as a reader sees them, a row each: values and intervals in a form.
+
+    An interval that reaches farther than a share of its value is called uncertain.
+    """
+    import pandas as pd
+
+    columns = {
+        title: _in_words(read_column(found, title), decimals, form, share)
+        for title, decimals in DECIMALS.items()
+    }
+    return pd.DataFrame(columns, index=[*names])
+
+
+def limb_cells(found: Suspension, share: float = SHARE) -> dict[str, str]:
+    """The same of how the limb sits in the socket, by title."""
+    outputs = found.outputs().items()
+    return {title: _in_words(of, _OF_LIMB, INLINE, share)[0] for title, of in outputs}
+
+
+def _in_words(quantity: Quantity, decimals: int, form: str, share: float) -> list[str]:
+    """Values with their intervals; a dash for what is not known."""
+    of = (quantity.value, quantity.low, quantity.high, quantity.certain(share))
+    number = f"{{:z.{decimals}f}}"
+    return [
+        form.format(
+            number.format(value),
+            f"{number} to {number}".format(low, high) + UNCERTAIN * (not certain),
+        )
+        if np.isfinite([low, high]).all()
+        else NOTHING
+        for value, low, high, certain in zip(*map(np.atleast_1d, of), strict=True)
+    ]
