@@ -71,6 +71,18 @@ def test_pages_name_verbs_targets_topics_and_functions_that_exist() -> None:
             assert re.search(rf"(def|class) {defined.rpartition('.')[2]}\b", file.read_text()), name
 
 
+def test_every_link_leads_to_a_file_and_its_heading() -> None:
+    for page in PAGES:
+        for target in re.findall(r"\]\(([^):]+)\)", page.read_text()):
+            path, _, anchor = target.partition("#")
+            found = page.parent / path if path else page
+            assert found.exists(), (page.name, target)
+            text = re.sub(r"```.*?```", "", found.read_text(), flags=re.DOTALL) if anchor else ""
+            headings = re.findall(r"^#+ (.+)$", text.lower(), flags=re.MULTILINE)
+            anchors = [re.sub(r"[^\w -]", "", each).replace(" ", "-") for each in headings]
+            assert not anchor or anchor in anchors, (page.name, target)
+
+
 def test_the_map_names_folders_and_files_that_exist() -> None:
     page = (CHECKOUT / "CONTRIBUTING.md").read_text()
     shown = [path for path in CHECKOUT.iterdir() if not path.name.startswith(".")]
