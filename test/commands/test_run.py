@@ -74,8 +74,8 @@ def test_run_records_a_trial_and_marked_events_until_ctrl_c(
     assert not recorded.notes and not any(recorded.lacking().values())
     (step,) = (event for event in trial.events() if event.source == "recorded")
     begin = int(samples.stamps[0])
-    # A message that a busy machine held up is late, never early.
-    assert 1e-9 * (before - begin) - 0.3 < step.time < 1e-9 * (after - begin)
+    # In slow time the speed of the testbed's clock is estimated, roughly on a busy machine.
+    assert 1e-9 * (before - begin) - 2.0 < step.time < 1e-9 * (after - begin)
     assert trial.metadata == TrialMetadata("S01", "left")
     assert trial.estimator.identification.variant == "stiffness"
     assert read_testbed(path / "testbed.yaml").trigger_node.rate == 20.0
