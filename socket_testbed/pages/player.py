@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from socket_testbed.arrays import evenly
+from socket_testbed.arrays import BREAK, evenly, usual_period
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.axis import all_regions
 from socket_testbed.identification.force_map import map_trial
@@ -31,7 +31,6 @@ from socket_testbed.pages.document import (
 from socket_testbed.trials.trial import Trial
 
 _INSTANTS = 400  # of the course
-_GAP = 3.0  # usual steps between samples; a longer one is a gap
 
 
 class Player:
@@ -49,7 +48,7 @@ class Player:
         )
         self._places = all_regions(trial.geometry, trial.metadata.side)
         self._data = data_card(trial.findings)
-        self._gap = _GAP * float(np.median(np.diff(samples.time))) if len(samples) > 1 else 0.0
+        self._holds = BREAK * usual_period(samples.time)  # [s]; a sample
         self._predicted = np.full((len(samples), 6), np.nan)
         if model is not None:
             model.require_socket(trial.geometry)
@@ -79,7 +78,7 @@ class Player:
         at, samples = time or 0.0, self._samples
         row = max(int(np.searchsorted(samples.time, at + 1e-6, "right")) - 1, 0)
         one = slice(row, row + 1)
-        if at - samples.time[row] > self._gap or not measured_rows(self._trusted[one])[0]:
+        if at - samples.time[row] > self._holds or not measured_rows(self._trusted[one])[0]:
             nothing = {"title": "Peak", "value": "none", "words": "no sample at this time"}
             return {"moment": {"time": at}, "cards": [nothing, self._data]}
         found = self._outputs(one)

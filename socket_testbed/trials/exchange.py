@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from mcap.writer import Writer
 
-from socket_testbed.arrays import FloatArray
+from socket_testbed.arrays import FloatArray, usual_period
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import atomic_output, write_text
 from socket_testbed.samples import WRENCH_CHANNELS, moments_about
@@ -129,7 +129,7 @@ def _markers(trial: Trial) -> tuple[list[str], FloatArray]:
 
 def _rate(table: pd.DataFrame) -> float:
     """Samples a second [Hz]."""
-    return float(1.0 / np.median(np.diff(table.index))) if len(table) > 1 else 1.0
+    return 1.0 / usual_period(table.index.to_numpy()) if len(table) > 1 else 1.0
 
 
 def _storage(table: pd.DataFrame) -> str:
