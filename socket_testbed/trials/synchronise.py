@@ -2,8 +2,8 @@
 
 `read_measurements` puts the recorded values in rows, one per trigger. `correct_measurements`
 removes the drift of the clusters, if spans without load are known. `make_samples` computes the
-stresses and forces, with a calibration, and the limb position. `sample_table` shows the values of
-every step. `Trial.samples` does it all with the trial's own configuration.
+stresses and forces, with a calibration, and the limb position. `Trial.samples` does
+it all with the trial's own configuration.
 """
 
 from __future__ import annotations
@@ -13,14 +13,13 @@ import math
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from socket_testbed.arrays import FloatArray, IntArray, StatusArray
-from socket_testbed.calibration.bench_data import STRESSES
 from socket_testbed.calibration.drift import (
     DRIFT_LIMIT,
     Drift,
@@ -33,10 +32,9 @@ from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.marker_bodies import MOST_MARKERS
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.samples import LOCAL_CHANNELS, Samples, Status, channel_unit
+from socket_testbed.samples import Samples, Status
 from socket_testbed.trials.bag import BagReader, required_topics
 from socket_testbed.trials.messages import Reader, VectorPacker, pose_packer, wrench_packer
-from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.topics import (
     CAPACITANCE,
     LOAD_CELL_RAW,
@@ -47,9 +45,6 @@ from socket_testbed.trials.topics import (
     WRENCH,
     Topic,
 )
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -369,44 +364,6 @@ def make_samples(
         local_forces=forces,
         status=status,
     )
-
-
-_SHARED = 1 + 6 + 6  # columns besides the clusters': time, wrench, the limb's pose
-
-
-def sample_table(
-    measured: Measurements,
-    samples: Samples,
-    calibration: Calibration,
-    segment: Segment,
-    predicted: FloatArray | None = None,
-) -> pd.DataFrame:
-    """The samples of a segment as a table, with what the clusters' forces were computed from.
-
-    It is made of all that was measured, corrected for drift, all samples, and what a model predicts
-    for all of them, (N, 6 + 3c), shown as `predicted.*`. A row per sample, with the units in the
-    titles: stamp [ns], time since the trial's first sample [s], wrench and the limb's pose in {S};
-    for each cluster its capacitances by the converter's input [pF], its status (0 ok, 1 saturated,
-    2 missing, 3 out of the calibrated range), its stress along its own axes [Pa] and force in {L}
-    [N]. NaN where there is none.
-    """
-    import pandas as pd
-
-    table = samples.to_dataframe().iloc[segment.rows].reset_index()
-    stamps = samples.stamps[segment.rows]
-    capacitance, status = measured.capacitance[segment.rows], measured.status[segment.rows]
-    columns: dict[str, Any] = {"stamp [ns]": stamps, **table.iloc[:, :_SHARED]}
-    for number, name in enumerate(samples.clusters):
-        readings = capacitance[:, number]
-        stress, _ = calibration.clusters[name].apply(readings, status[:, number])
-        columns |= {f"{name}.C{i} [pF]": readings[:, i] for i in range(4)}
-        columns[f"{name}.status [-]"] = table[f"{name}.status [-]"]
-        columns |= {f"{name}.{axis} [Pa]": stress[:, i] for i, axis in enumerate(STRESSES)}
-        columns |= {title: table[title] for title in (f"{name}.{f} [N]" for f in LOCAL_CHANNELS)}
-    if predicted is not None:
-        for channel, values in zip(samples.channels, predicted[segment.rows].T, strict=True):
-            columns[f"predicted.{channel} [{channel_unit(channel)}]"] = values
-    return pd.DataFrame(columns)
 
 
 def check_unloaded(spans: tuple[tuple[float, float], ...]) -> None:
