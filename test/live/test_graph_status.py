@@ -1,6 +1,6 @@
 """What the status line counts of serialised messages."""
 
-from collections.abc import Iterable
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -30,11 +30,16 @@ PERIOD = 250_000_000  # [ns]
 WRENCHES = np.arange(6.0)
 
 
-def fed(found: Iterable[tuple[Topic, bytes]]) -> GraphStatus:
+def fed(*batches: list[tuple[Topic, bytes]]) -> GraphStatus:
+    """A status after messages that came in batches, between two looks of the terminal each."""
     status = GraphStatus()
     listener = StatusListener(status)
-    for topic, data in found:
-        listener.add(topic, data)
+    inbox = listener._inbox
+    for batch in batches:
+        came = {topic: [data for own, data in batch if own is topic] for topic, _ in batch}
+        listener._inbox = SimpleNamespace(take=lambda topic, came=came: came.get(topic, []))
+        listener.take()
+    listener._inbox = inbox
     listener.close()
     return status
 
@@ -56,7 +61,7 @@ def test_complete_samples_are_counted_and_go_on_when_time_jumps_back() -> None:
     content = [(topic, Maker(1, 0).message(topic.type)) for topic in (PARAMETERS, RECORDED_TRIAL)]
     named = [(topic, encode(message, topic.type, little=True)) for topic, message in content]
     for times in (1, 2):
-        status = fed(messages * times + named)
+        status = fed(*([message] for message in messages * times), named)
         assert (status.triggers, status.complete) == (times * 40, times * 8)
         assert status.elapsed == pytest.approx(1e-9 * 39 * PERIOD)
         assert status.wrench is not None and (status.wrench == WRENCHES).all()
@@ -64,11 +69,14 @@ def test_complete_samples_are_counted_and_go_on_when_time_jumps_back() -> None:
 
 
 def test_predictions_are_judged_over_the_last_seconds() -> None:
-    """Predictions that are off by (3, 0, 0) N and (0, 0.2, 0) N m, and by far more long before."""
+    """Predictions that are off by (3, 0, 0) N and (0, 0.2, 0) N m, and by far more long before.
+
+    They come right after the wrench that they are of.
+    """
     found = []
     for k in range(100):
-        found.append((WRENCH, wrench_packer()(k * PERIOD, WRENCHES)))
         off = [0.0, -0.2, 0.0, 30.0 if k < 52 else 3.0, 0.0, 0.0]
-        found.append((ESTIMATED_WRENCH, wrench_packer()(k * PERIOD, WRENCHES + off)))
-    assert fed(found[:1]).errors() is None
-    assert fed(found).errors() == pytest.approx((np.sqrt(3.0), 0.2 / np.sqrt(3.0)))
+        wrenches = {WRENCH: WRENCHES, ESTIMATED_WRENCH: WRENCHES + off}
+        found.append([(t, wrench_packer()(k * PERIOD, own)) for t, own in wrenches.items()])
+    assert fed(found[0][:1]).errors() is None
+    assert fed(*found).errors() == pytest.approx((np.sqrt(3.0), 0.2 / np.sqrt(3.0)))
