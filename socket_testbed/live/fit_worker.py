@@ -55,7 +55,7 @@ class Steady:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Judgement:
     """Two models judged by the newest samples, which the fit of the new one left out."""
 
     samples: int  # number of these samples
@@ -76,14 +76,14 @@ class Refit:
     """A fit on a steady stretch or on all samples."""
 
     fit: Fit
-    comparison: Comparison | None = None  # of the fit with the model that it is to replace
+    judgement: Judgement | None = None  # of the fit beside the model that it is to replace
     # Why the stretch begins where it does, if a channel slipped or drifts, in words
     cause: str = ""
 
     @property
     def is_worse(self) -> bool:
         """Whether it predicts the newest samples worse than the model that it is to replace."""
-        return self.comparison is not None and self.comparison.new > self.comparison.old
+        return self.judgement is not None and self.judgement.new > self.judgement.old
 
 
 class FitWorker:
@@ -158,10 +158,10 @@ def fit_samples(
         if samples.stamps[used][-1] <= steady.after:
             return None  # and the other stretches are older
         fit = _plausible_fit(samples[used], geometry, settings)
-        comparison = None
+        judgement = None
         if steady.rival is not None:
-            comparison = _compare(steady.rival, fit.model, cleaned[newest], settings)
-        return Refit(fit, comparison, stretch.cause)
+            judgement = _judge(steady.rival, fit.model, cleaned[newest], settings)
+        return Refit(fit, judgement, stretch.cause)
     return None
 
 
@@ -176,10 +176,10 @@ def _plausible_fit(
     return fit
 
 
-def _compare(
+def _judge(
     old: ContactModel, new: ContactModel, samples: Samples, settings: IdentificationSettings
-) -> Comparison:
-    """Compare two models by their errors on samples, relative to the size of each group."""
+) -> Judgement:
+    """Judge two models by their errors on samples, relative to the size of each group."""
     measured = samples.trusted_values
     counts = np.array([name not in settings.leave_out for name in samples.channels])
     measured[:, ~counts] = np.nan
@@ -194,7 +194,7 @@ def _compare(
         wrench, clusters = rms(relative[:, :6], 0.0), rms(relative[:, 6:], 0.0)
         return float(np.sqrt(settings.theta * wrench**2 + (1.0 - settings.theta) * clusters**2))
 
-    return Comparison(len(samples), error(old), error(new))
+    return Judgement(len(samples), error(old), error(new))
 
 
 def check_samples(

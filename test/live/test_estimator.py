@@ -19,7 +19,7 @@ from socket_testbed.identification.fit import Fit, fit_contact_model
 from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.identification.model_file import StoredModel, read_model
 from socket_testbed.live.estimator import MEASURED, OnlineEstimator, OnlineMap, SampleWindow
-from socket_testbed.live.fit_worker import Comparison, Refit, Steady, fit_samples
+from socket_testbed.live.fit_worker import Judgement, Refit, Steady, fit_samples
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import ForceMapSettings, IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings, WindowSettings
@@ -315,7 +315,7 @@ def test_the_model_that_is_better_on_the_newest_samples_stays(trial: Trial, fit:
         bench.send(30, start=20)
         model = dataclasses.replace(fit.model, wrench_bias=fit.model.wrench_bias + 1.0)
         other = dataclasses.replace(fit, model=model, samples=7)
-        bench.answer(1, other, comparison=Comparison(24, 0.05, 0.06 if worse else 0.04))
+        bench.answer(1, other, judgement=Judgement(24, 0.05, 0.06 if worse else 0.04))
         for topic, value in bench.values(1e-4 * 49).items():
             bench.add(topic, 50, value)
         np.testing.assert_allclose(bench.predicted[50] - bench.predicted[49], 1.0 - worse)

@@ -54,7 +54,7 @@ def test_a_process_fits_without_averaging_poses_and_is_replaced_when_killed(
     refit = worker.run(*work).result(HANGS)
     steady = samples[find_plateaus(samples, PLATEAU)[0].rows]
     here = fit_contact_model(steady, trial.geometry, SETTINGS).model
-    assert refit is not None and refit.comparison is None and worker.ready
+    assert refit is not None and refit.judgement is None and worker.ready
     assert refit.fit.settings.pose_smoothing == 0.0
     np.testing.assert_allclose(refit.fit.model.stiffness, here.stiffness, rtol=1e-6, atol=1e-3)
     (process,) = worker._pool._processes
@@ -93,8 +93,8 @@ def test_the_newest_stretch_since_a_slip_is_fitted_and_judged_by_the_newest_samp
     def refit(window: Samples, rival: ContactModel) -> Refit:
         steady = dataclasses.replace(STEADY, rival=rival)
         found = fit_samples(window, trial.geometry, SETTINGS, steady)
-        assert found is not None and found.comparison is not None
-        newest = window.complete.sum() - found.comparison.samples
+        assert found is not None and found.judgement is not None
+        newest = window.complete.sum() - found.judgement.samples
         assert found.fit.last_stamp < window.stamps[window.complete][newest]
         return found
 
