@@ -1,9 +1,5 @@
 """A person at a testbed: the stamp of an event, each service, and what the nodes report."""
 
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -23,13 +19,13 @@ from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.nodes import controls as module
-from socket_testbed.nodes.controls import EventMarker, ServiceControls, stamp_by_triggers
+from socket_testbed.nodes.controls import ServiceControls, stamp_by_triggers
 from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.settings.testbed import RecorderSettings
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
 from socket_testbed.trials.layout import stamp_of
 from socket_testbed.trials.metadata import TrialMetadata
-from socket_testbed.trials.topics import EVENT, RECORDED_TRIAL
+from socket_testbed.trials.topics import RECORDED_TRIAL
 from socket_testbed.trials.trial import Trial
 
 EPOCH = 1_795_000_000_000_000_000  # [ns]
@@ -52,50 +48,6 @@ def test_the_stamp_is_when_it_was_called_in_the_time_of_triggers() -> None:
     assert stamp_by_triggers(99.0, [(100.0, EPOCH)]) == EPOCH - 10**9
     two = [(100.0, EPOCH), (100.0 + 1e-5, EPOCH + 250_000_000)]
     assert stamp_by_triggers(100.0, two) == pytest.approx(two[1][1], abs=1e5)
-
-
-STOPPED = """
-import rclpy
-from socket_testbed_msgs.msg import Event
-rclpy.init()
-node = rclpy.create_node("stopped")
-node.create_subscription(Event, "event", lambda event: None, 10)
-rclpy.spin(node)
-"""
-
-
-@pytest.mark.graph
-def test_a_subscriber_that_is_stopped_holds_up_nothing_else(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """An event waits for it to go on, while the node's other threads work."""
-    monkeypatch.setattr(module, "_TRIGGERED_WITHIN", 0.0)
-    monkeypatch.setattr(module, "_HEARD_WITHIN", HANGS)
-    polls: list[bool] = []
-    program = [sys.executable, "-c", STOPPED]
-    with Probe() as probe, subprocess.Popen(program, stdout=subprocess.PIPE) as stopped:
-        heard = probe.listen(EVENT)
-
-        def wait(condition: Callable[[], bool], duration: float) -> bool:
-            def poll() -> bool:
-                polls.append(condition())
-                if heard and not polls[-1]:
-                    stopped.send_signal(signal.SIGCONT)
-                return polls[-1]
-
-            return module._wait(poll, duration)
-
-        marker = EventMarker(probe.node, wait)
-        state = Path(f"/proc/{stopped.pid}/status")
-        try:
-            publisher = marker._publisher
-            probe.wait(lambda: publisher.get_subscription_count() == 2, "it is found")
-            stopped.send_signal(signal.SIGSTOP)
-            probe.wait(lambda: "T (stopped)" in state.read_text(), "it is stopped")
-            assert marker.mark("push", time.monotonic()).subscribers == 2
-        finally:
-            stopped.kill()
-    assert heard and False in polls[:-1]  # asked again and again, not waited for in one go
 
 
 @pytest.mark.graph

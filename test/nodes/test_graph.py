@@ -15,7 +15,6 @@ from rclpy.parameter import Parameter
 from socket_testbed_msgs.msg import ClusterCapacitance, ClusterCapacitanceArray
 from std_srvs.srv import Trigger as TriggerService
 from support import HANGS
-from support.bags import copying
 from support.graph import Probe
 from support.verbs import COMMAND, program
 
@@ -143,19 +142,6 @@ def test_a_killed_command_leaves_no_node(hold: Path) -> None:
         replay.kill()
         # The pipe closes when the last process that holds it has ended.
         replay.communicate(timeout=HANGS)
-
-
-def test_a_trial_that_ends_between_a_trigger_and_its_wrench_keeps_nobody_waiting(
-    hold: Path, tmp_path: Path
-) -> None:
-    """As 'ros2 bag record' leaves it."""
-    with copying(hold, tmp_path / "cut") as (old, new):
-        raws = list(old.messages())[: 7 * 60]
-        last = max(k for k, raw in enumerate(raws) if raw.topic == f"/{TRIGGER.name}")
-        for raw in raws[: last + 1]:
-            new.write(raw.topic, raw.time, raw.data)
-    code, _, err = program(*COMMAND, "replay", tmp_path / "cut", "--rate", 20, "--estimate")
-    assert code == 0 and "not processed" not in err
 
 
 # --- one graph for what follows: its nodes would answer beside those above

@@ -242,13 +242,3 @@ def test_the_next_trial_has_the_name_and_metadata_that_were_set_and_nothing_else
     assert Trial(trials / "stairs_2").metadata == TrialMetadata("S01", "left", liner="gel")
     package = {name: packaged("config", name).read_bytes() for name in CONFIGURATION_FILES}
     assert {name: (trials / "stairs" / name).read_bytes() for name in package} == package
-
-
-def test_a_recorder_that_cannot_begin_leaves_no_folder(tmp_path: Path) -> None:
-    """Nor does it write into a folder that is not a trial cut short."""
-    trial, folder = tmp_path / "trial", tmp_path / "folder"
-    folder.mkdir()
-    wrong = ("record:=true", f"directory:={trial}", f"geometry:={tmp_path / 'nowhere.yaml'}")
-    with recorder(*wrong) as one, recorder("record:=true", f"directory:={folder}") as other:
-        assert one.wait(timeout=HANGS) == other.wait(timeout=HANGS) == 1
-    assert list(tmp_path.iterdir()) == [folder] and not list(folder.iterdir())

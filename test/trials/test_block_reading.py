@@ -23,16 +23,12 @@ from socket_testbed.samples import Status
 from socket_testbed.trials import bag, messages
 from socket_testbed.trials.bag import BagReader, RawMessage
 from socket_testbed.trials.layout import Layout, decode, stamp_of
-from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.topics import (
     CAPACITANCE,
-    FORCE_MAP,
-    MARKERS,
     PYLON_POSE,
     SOCKET_POSE,
     TRIGGER,
     WRENCH,
-    Topic,
 )
 from socket_testbed.trials.trial import Trial
 
@@ -42,25 +38,6 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Blocks end often, and layouts are forgotten."""
     monkeypatch.setattr(bag, "_BLOCK", 7)
     monkeypatch.setattr(messages, "_LAYOUTS", 3)
-
-
-def test_messages_that_vary_are_read_as_the_library_decodes_them() -> None:
-    """They are of changing lengths and byte orders; some come again."""
-    lengths = np.random.default_rng(0).integers(6, size=60)
-    for kind in (CAPACITANCE.type, MARKERS.type, FORCE_MAP.type, "sensor_msgs/msg/PointCloud2"):
-        messages = [Maker(length, number).message(kind) for number, length in enumerate(lengths)]
-        block = [encode(m, kind, number % 3 > 0) for number, m in enumerate(messages)]
-        reader = Reader(Topic("/any", kind), values=lambda records, sample: (records, sample))
-        found = []
-        for own, stamps, (records, sample) in reader.parts(block):
-            assert (np.diff(own) > 0).all()
-            for place, stamp, record in zip(own.tolist(), stamps, records, strict=True):
-                message = messages[place]
-                assert stamp_of(message) == stamp
-                assert strings_of(message, kind) == strings_of(sample, kind)
-                np.testing.assert_array_equal(numbers_in(record), numbers_of(message, kind))
-            found += own.tolist()
-        assert sorted(found) == list(range(60))
 
 
 def plainly_read(path: Path) -> dict[str, dict[int, Any]]:

@@ -13,7 +13,7 @@ from support.bags import copy_configuration, move_to_namespace, rewrite, written
 from support.wording import refused
 
 from socket_testbed.errors import CalibrationError, TrialError
-from socket_testbed.simulation.trial import TRUTH_FILE, read_true_forces, read_truth
+from socket_testbed.simulation.trial import read_true_forces, read_truth
 from socket_testbed.trials import bag
 from socket_testbed.trials.bag import BagReader, BagWriter
 from socket_testbed.trials.layout import stamp_of
@@ -21,7 +21,7 @@ from socket_testbed.trials.topics import REQUIRED, match_topics
 from socket_testbed.trials.trial import Trial, recorded_namespace
 
 
-def test_samples_agree_with_the_truth_within_the_sensors_errors(hold: Path, tmp_path: Path) -> None:
+def test_samples_agree_with_the_truth_within_the_sensors_errors(hold: Path) -> None:
     samples, truth = Trial(hold).samples(), read_truth(hold)
     rows = samples.complete
     assert rows.mean() > 0.95
@@ -37,9 +37,6 @@ def test_samples_agree_with_the_truth_within_the_sensors_errors(hold: Path, tmp_
         assert np.abs(samples.local_forces[:, column] - actual).max() < 8.0
     # True forces are those of the simulated tiles alone.
     assert read_true_forces(hold, samples.stamps, [*geometry.names[:-1], "another"]) is None
-    np.savez(tmp_path / TRUTH_FILE, forces=forces)
-    with refused(TrialError, f"{TRUTH_FILE}: is damaged"):
-        read_true_forces(tmp_path, samples.stamps, geometry.names)
 
 
 def test_a_topic_that_is_missing_or_empty_is_named(hold: Path, tmp_path: Path) -> None:
@@ -131,10 +128,10 @@ def test_stamps_that_jump_back_are_counted_and_named(hold: Path, tmp_path: Path)
 # --- bags that were compressed by file, message or chunk
 
 
-def written(source: Path, path: Path, storage: StoragePlugin, mode: CompressionMode) -> Path:
+def written(source: Path, path: Path, *how: StoragePlugin | CompressionMode) -> Path:
     """A copy of a trial by another program, compressed."""
     with BagReader(source) as plain:
-        written_by_rosbags(plain.messages(), path, storage, mode)
+        written_by_rosbags(plain.messages(), path, *how)
     return copy_configuration(source, path)
 
 
@@ -159,10 +156,9 @@ def test_a_compressed_file_that_was_cut_or_is_too_large_names_itself(
     path = written(hold, tmp_path / "packed", StoragePlugin.MCAP, CompressionMode.FILE)
     file = path / "packed.mcap.zstd"
     whole = file.read_bytes()
-    for share in (0.0, 0.3, 0.9):
-        file.write_bytes(whole[: int(share * len(whole))])
-        with refused(TrialError, f"{file}: is truncated"):
-            Trial(path).samples()
+    file.write_bytes(whole[: len(whole) // 3])
+    with refused(TrialError, f"{file}: is truncated"):
+        Trial(path).samples()
     file.write_bytes(zstd.compress(bytes(2**25)))
     monkeypatch.setattr(bag, "_LARGEST", 2**20)
     with refused(TrialError, str(file), "too large once unpacked"):
