@@ -132,7 +132,5 @@ def test_outliers_are_named_by_channel_and_do_not_end_a_stretch(trial, samples) 
         found = "; ".join(check_samples(wrong, trial.geometry, left_out))
         assert "limb position" in found and ("Fx" in found) is not bool(left_out)
     assert check_samples(samples, trial.geometry, ()) == ()
-    clean, found = (
-        fit_samples(some, trial.geometry, SETTINGS, STEADY) for some in (samples, wrong)
-    )
+    clean, found = (fit_samples(s, trial.geometry, SETTINGS, STEADY) for s in (samples, wrong))
     assert found.fit.samples == clean.fit.samples - 3

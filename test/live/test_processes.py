@@ -1,14 +1,31 @@
-"""The graph as processes: what it needs, what it does without, and what it starts again."""
+"""The graph as processes: what it needs and starts again, scheduling, and what `doctor` finds."""
 
+import errno
+import json
+import os
+import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from support.verbs import program
+from support.wording import refused
 
-from socket_testbed.errors import TestbedError
-from socket_testbed.live.processes import Graph
-
-pytestmark = pytest.mark.graph
+from socket_testbed import clocks
+from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.live import doctor, hardware, processes
+from socket_testbed.live.bringup import Testbed, simulated_testbed
+from socket_testbed.live.processes import Graph, measure_lateness, schedule
+from socket_testbed.live.simulated_world import MachineSpeed
+from socket_testbed.settings.acquisition import (
+    ClusterSettings,
+    LoadCellSettings,
+    SchedulingSettings,
+    TriggerSettings,
+)
 
 NODE = """
 import os, signal, rclpy
@@ -25,6 +42,7 @@ signal.pause()
 """
 
 
+@pytest.mark.graph
 def test_a_graph_ends_with_what_it_needs_and_goes_on_without_what_is_optional(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -47,3 +65,107 @@ def test_a_graph_ends_with_what_it_needs_and_goes_on_without_what_is_optional(
         graph.start_program("needed", "socket_testbed.nodes", ["no_such_node"])
         with pytest.raises(TestbedError, match="needed ended with exit code 1"):
             graph.watch(lambda: False, restarts.append)
+
+
+# --- scheduling, and what `doctor` makes of lateness and kernels
+
+EVERY_THREAD = """
+import json, os, threading
+from pathlib import Path
+from socket_testbed.live.processes import schedule
+from socket_testbed.settings.acquisition import SchedulingSettings
+core = min(os.sched_getaffinity(0))
+done = threading.Event()
+threading.Thread(target=done.wait, daemon=True).start()
+refused = schedule(SchedulingSettings(priority=7, cores=(core,)))
+threading.Thread(target=done.wait, daemon=True).start()
+threads = [int(path.name) for path in Path("/proc/self/task").iterdir()]
+policies = [os.sched_getscheduler(thread) for thread in threads]
+print(json.dumps([refused, policies, [list(os.sched_getaffinity(t)) == [core] for t in threads]]))
+"""
+
+
+def test_all_threads_get_what_is_set_or_the_refusal_says_which_right_is_missing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    _, out, _ = program(sys.executable, "-c", EVERY_THREAD)
+    refused, policies, cores = json.loads(out)
+    assert len(policies) == 3 and all(cores)
+    assert set(policies) == {os.SCHED_OTHER if refused else os.SCHED_FIFO}
+    assert not refused or "scheduling.priority 7 is refused" in refused[0]
+
+    def refuse(*_: object) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    changed = []
+    library = SimpleNamespace(mlockall=lambda flags: -1)
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    monkeypatch.setattr(os, "sched_setaffinity", lambda thread, cores: changed.append(cores))
+    monkeypatch.setattr(processes.ctypes, "CDLL", lambda *_, **__: library)
+    monkeypatch.setattr(processes.ctypes, "get_errno", lambda: errno.EPERM)
+    priority, memory = schedule(SchedulingSettings(priority=20, cores=(1,), lock_memory=True))
+    assert priority.startswith("scheduling.priority 20 is refused (Operation not permitted): ")
+    assert memory.startswith("scheduling.lock_memory is refused (Operation not permitted): ")
+    assert "'USER - rtprio 20'" in priority and "'USER - memlock unlimited'" in memory
+    assert changed and len(measure_lateness(20, 0.01)) == 0
+
+
+def test_a_busier_machine_gets_a_slower_testbed_and_hardware_keeps_to_real_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for lateness, speed, scale in (
+        (0.0, 5.0, 1.0),
+        (1e-4, 0.1, 0.5),
+        (6e-3, 0.02, 0.125),
+        (0.1, 0.001, 0.0625),
+    ):
+        assert MachineSpeed(lateness, speed).time_scale() == scale
+    monkeypatch.setattr(clocks, "_scale", 0.5)
+    for make in (
+        lambda: hardware.make_trigger(TriggerSettings()),
+        lambda: hardware.i2c_opener(ClusterSettings()),
+        lambda: hardware.spi_opener(LoadCellSettings()),
+    ):
+        with refused(ConfigurationError, "TIME_SCALE=0.5 is for a simulated testbed"):
+            make()
+
+
+def test_doctor_says_whether_it_is_enough_for_the_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+    for ordinary, urgent, priority, rate, ok in (
+        (1e-3, 1e-4, 0, 100.0, True),
+        (2.6e-3, 1e-4, 0, 100.0, False),  # a quarter of the period is 2.5 ms
+        (4e-3, 1e-4, 0, 4.0, False),  # a converter's value is overwritten by then
+        (20e-3, 1e-4, 10, 100.0, True),
+        (20e-3, None, 10, 100.0, False),  # the priority is set, but there is no right to it
+    ):
+
+        def measured(asked: int = 0, of: tuple = (ordinary, urgent)) -> np.ndarray:
+            p99 = of[asked > 0]
+            return np.array([] if p99 is None else [*199 * [p99], 10.0 * p99])
+
+        monkeypatch.setattr(doctor, "measure_lateness", measured)
+        trigger = TriggerSettings(rate=rate, scheduling=SchedulingSettings(priority=priority))
+        settings = replace(simulated_testbed().settings, trigger_node=trigger)
+        (finding,) = doctor.check_scheduling(Testbed(settings=settings))
+        assert (finding.hint == "") == ok
+
+
+def test_doctor_reads_again_what_came_late_and_names_kernels_whose_bus_locks_up(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A cluster that is broken stays so; one that was read late is fine the next time."""
+    for late in (0, 12, 1000):
+        states = iter([{"distal": "read late: relieve the computer"}] * late + [{}] * 1000)
+        reader = SimpleNamespace(
+            identify=lambda: {"distal": "FDC1004"},
+            read=lambda moment, states=states: SimpleNamespace(faults=next(states)),
+            close=lambda: None,
+        )
+        monkeypatch.setattr(doctor, "make_clusters", lambda *_, reader=reader: reader)
+        (finding,) = doctor.check_clusters(simulated_testbed())
+        assert (finding.hint != "") == (late == 1000)
+    pi = "Raspberry Pi 5 Model B Rev 1.0"
+    found = doctor.kernel_finding(pi, "6.6.20+rpt-rpi-2712")
+    assert "5784" in found.found and found.hint == "update it to 6.6.28 or newer"
+    for model, release in ((pi, "6.8.0-1013-raspi"), (pi, "6.6.28"), ("a laptop", "5.15.0")):
+        assert not doctor.kernel_finding(model, release).hint
