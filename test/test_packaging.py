@@ -24,10 +24,6 @@ SOURCES = (
 
 _ACTIVE = "#!/usr/bin/env python3\n"  # nodes run in the active environment, not in colcon's
 
-needs_colcon = pytest.mark.skipif(
-    shutil.which("colcon") is None and not (BIN / "colcon").exists(), reason="colcon is missing"
-)
-
 
 @pytest.fixture(scope="module")
 def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -51,21 +47,11 @@ def call(workspace: Path, *words: str, **environment: str) -> str:
     return out
 
 
-@needs_colcon
-def test_colcon_finds_both_packages_as_what_they_are(workspace: Path) -> None:
-    lines = call(workspace, "colcon", "list").splitlines()
-    assert {line.split("\t")[0]: line.split("\t")[-1] for line in lines} == {
-        "socket_testbed": "(ros.ament_python)",
-        "socket_testbed_msgs": "(ros.ament_cmake)",
-    }
-    # On a ROS installation our stand-in for tf2_msgs would hide the distribution's package.
-    assert (workspace / "requirements" / "tf2_msgs" / "package.xml").is_file()
-    assert call(workspace, "colcon", "list", "--base-paths", "requirements", "*/*") == ""
-
-
-@needs_colcon
+@pytest.mark.skipif(not (BIN / "colcon").exists(), reason="colcon is missing")
 def test_a_plain_colcon_build_gives_a_package_that_works_anywhere(workspace, tmp_path) -> None:
     call(workspace, "colcon", "build")
+    # On a ROS installation our stand-in for tf2_msgs would hide the distribution's package.
+    assert {path.name for path in (workspace / "install").iterdir() if path.is_dir()} == {*PACKAGES}
     prefix = workspace / "install" / "socket_testbed"
     programs = {path.name for path in (prefix / "lib" / "socket_testbed").iterdir()}
     assert {"estimator_node", "calibration_node", "replay_node", "recorder_node"} <= programs

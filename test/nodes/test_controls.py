@@ -1,8 +1,9 @@
-"""A person at a testbed: the stamp of an event, each service, and what the nodes report."""
+"""A person at a testbed: the stamp of an event, each service, the status line."""
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,20 +13,33 @@ from std_srvs.srv import SetBool
 from std_srvs.srv import Trigger as TriggerService
 from support import HANGS
 from support.graph import Probe
+from support.messages import Maker, encode
 from support.testbeds import LiveTestbed
 from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.nodes import controls as module
-from socket_testbed.nodes.controls import ServiceControls, stamp_by_triggers
+from socket_testbed.nodes.controls import ServiceControls, StatusListener, stamp_by_triggers
 from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.settings.testbed import RecorderSettings
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
+from socket_testbed.trials import messages
 from socket_testbed.trials.layout import stamp_of
 from socket_testbed.trials.metadata import TrialMetadata
-from socket_testbed.trials.topics import RECORDED_TRIAL
+from socket_testbed.trials.topics import (
+    CAPACITANCE,
+    ESTIMATED_WRENCH,
+    PARAMETERS,
+    PYLON_POSE,
+    RECORDED_TRIAL,
+    SOCKET_POSE,
+    TRIGGER,
+    WRENCH,
+    Topic,
+)
 from socket_testbed.trials.trial import Trial
 
 EPOCH = 1_795_000_000_000_000_000  # [ns]
@@ -48,6 +62,70 @@ def test_the_stamp_is_when_it_was_called_in_the_time_of_triggers() -> None:
     assert stamp_by_triggers(99.0, [(100.0, EPOCH)]) == EPOCH - 10**9
     two = [(100.0, EPOCH), (100.0 + 1e-5, EPOCH + 250_000_000)]
     assert stamp_by_triggers(100.0, two) == pytest.approx(two[1][1], abs=1e5)
+
+
+# --- the status line
+
+PERIOD = 250_000_000  # [ns]
+WRENCHES = np.arange(6.0)
+
+
+def fed(*batches: list[tuple[Topic, bytes]]) -> GraphStatus:
+    """A status after messages that came in batches, between two looks of the terminal each."""
+    status = GraphStatus()
+    listener = StatusListener(status)
+    inbox = listener._inbox
+    for batch in batches:
+        came = {topic: [data for own, data in batch if own is topic] for topic, _ in batch}
+        listener._inbox = SimpleNamespace(take=lambda topic, came=came: came.get(topic, []))
+        listener.take()
+    listener._inbox = inbox
+    listener.close()
+    return status
+
+
+def test_complete_samples_are_counted_and_go_on_when_time_jumps_back() -> None:
+    capacitance, pose, ones = (
+        messages.capacitance_packer(("p", "q")),
+        messages.pose_packer(),
+        np.ones((2, 4)),
+    )
+    sent: list[tuple[Topic, bytes]] = []
+    for k in range(40):  # of five one is complete: a saturated input lacks nothing
+        stamp, lacking = k * PERIOD, [np.nan if k % 5 == n else 0.0 for n in range(3)]
+        status = np.array([[0, 1, 2 * (k % 5 == 0), 0], [0] * 4], np.uint8)
+        sent += [
+            (TRIGGER, messages.trigger_packer()(stamp, k)),
+            (CAPACITANCE, capacitance(stamp, ones, status)),
+            (WRENCH, messages.wrench_packer()(stamp, np.append(WRENCHES[:5], 5.0 + lacking[1]))),
+            (SOCKET_POSE, pose(stamp, np.array([0.0, lacking[2], 0.0, 0.0, 0.0, 0.0, 1.0]))),
+        ]
+        if k % 5 != 3:
+            sent.append((PYLON_POSE, pose(stamp, np.eye(7)[6])))
+    content = [(topic, Maker(1, 0).message(topic.type)) for topic in (PARAMETERS, RECORDED_TRIAL)]
+    named = [(topic, encode(message, topic.type, little=True)) for topic, message in content]
+    for times in (1, 2):
+        status = fed(*([message] for message in sent * times), named)
+        assert (status.triggers, status.complete) == (times * 40, times * 8)
+        assert status.elapsed == pytest.approx(1e-9 * 39 * PERIOD)
+        assert status.wrench is not None and (status.wrench == WRENCHES).all()
+        assert (status.variant, status.trial) == (content[0][1].variant, content[1][1].data)
+
+
+def test_predictions_are_judged_over_the_last_seconds() -> None:
+    """Predictions that are off by (3, 0, 0) N and (0, 0.2, 0) N m, and by far more long before.
+
+    They come right after the wrench that they are of.
+    """
+    found = []
+    for k in range(100):
+        off = [0.0, -0.2, 0.0, 30.0 if k < 52 else 3.0, 0.0, 0.0]
+        wrenches = {WRENCH: WRENCHES, ESTIMATED_WRENCH: WRENCHES + off}
+        found.append(
+            [(t, messages.wrench_packer()(k * PERIOD, own)) for t, own in wrenches.items()]
+        )
+    assert fed(found[0][:1]).errors() is None
+    assert fed(*found).errors() == pytest.approx((np.sqrt(3.0), 0.2 / np.sqrt(3.0)))
 
 
 @pytest.mark.graph

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from rclpy.parameter import Parameter
 from socket_testbed_msgs.msg import ClusterCapacitance, ClusterCapacitanceArray
 from std_srvs.srv import Trigger as TriggerService
 from support import HANGS
+from support.clocks import FakeClock
 from support.graph import Probe
 from support.verbs import COMMAND, program
 
@@ -24,6 +26,7 @@ from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.live.bringup import record_estimates
 from socket_testbed.live.processes import Graph
+from socket_testbed.nodes import replay_node
 from socket_testbed.settings.testbed import (
     CalibrationNodeSettings,
     EstimatorSettings,
@@ -142,6 +145,22 @@ def test_a_killed_command_leaves_no_node(hold: Path) -> None:
         replay.kill()
         # The pipe closes when the last process that holds it has ended.
         replay.communicate(timeout=HANGS)
+
+
+def test_the_clock_never_runs_back_and_ends_at_the_message(monkeypatch: pytest.MonkeyPatch) -> None:
+    # 10 ms pass with each look at the clock, however fast the machine is.
+    clock = FakeClock(look=0.01)
+    monkeypatch.setattr(replay_node, "time", SimpleNamespace(monotonic=clock))
+    ticks: list[int] = []
+    pacer = replay_node.Pacer(2.0, ticks.append)
+    pacer.begin(0)
+    start = clock.now
+    for stamp in (0, 90_000_000, 90_000_000, 300_000_000):
+        assert pacer.wait_for(stamp) and ticks[-1] == stamp
+        assert clock.now - start >= 1e-9 * stamp / 2.0  # never early, in the recording's time
+    assert ticks == sorted(ticks) and len(ticks) > 8
+    pacer.stop()
+    assert not pacer.wait_for(3_600_000_000_000)  # nobody waits for it any more
 
 
 # --- one graph for what follows: its nodes would answer beside those above
