@@ -15,7 +15,7 @@ from support.wording import refused
 from socket_testbed.errors import IdentificationError
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import fit_contact_model
-from socket_testbed.live.fit_worker import FitWorker, Refit, Steady, check_samples, fit_samples
+from socket_testbed.live.fit_worker import FitWorker, Refit, Steady, fit_samples
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
 from socket_testbed.trials.segment import find_plateaus
@@ -121,16 +121,3 @@ def test_without_enough_steady_data_that_is_newer_than_the_model_s_there_is_no_f
     ):
         with refused(IdentificationError, text):
             fit_samples(wrong, trial.geometry, SETTINGS, condition)
-
-
-def test_outliers_are_named_by_channel_and_do_not_end_a_stretch(trial, samples) -> None:
-    wrench, position = samples.wrench.copy(), samples.position.copy()
-    wrench[[20, 30], 3] = 1e9
-    position[40] = 5.0
-    wrong = dataclasses.replace(samples, wrench=wrench, position=position)
-    for left_out in ((), ("Fx",)):
-        found = "; ".join(check_samples(wrong, trial.geometry, left_out))
-        assert "limb position" in found and ("Fx" in found) is not bool(left_out)
-    assert check_samples(samples, trial.geometry, ()) == ()
-    clean, found = (fit_samples(s, trial.geometry, SETTINGS, STEADY) for s in (samples, wrong))
-    assert found.fit.samples == clean.fit.samples - 3

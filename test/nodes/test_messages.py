@@ -17,7 +17,6 @@ from socket_testbed_msgs import msg
 from support import CHECKOUT
 from support.bags import wrench_vector
 from support.messages import Maker, numbers_of
-from visualization_msgs.msg import Marker, MarkerArray
 
 from socket_testbed.files import packaged
 from socket_testbed.geometry.pose import Pose
@@ -25,7 +24,7 @@ from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.nodes.base import header_to_ros, message_type
-from socket_testbed.nodes.estimator_node import PressureMap, model_message
+from socket_testbed.nodes.estimator_node import model_message
 from socket_testbed.nodes.mocap_node import FrameBroadcaster, fixed_frames
 from socket_testbed.samples import Status
 from socket_testbed.trials import layout, messages, topics
@@ -188,30 +187,6 @@ def test_a_model_is_sent_as_it_is_stored(hold_model: Path) -> None:
     assert wrench_vector(sent.wrench_bias) == tuple(model.wrench_bias)
     assert wrench_vector(sent.wrench_rmse) == tuple(stored.wrench_rmse)
     assert (sent.samples, sent.solver_status) == (stored.samples, stored.status)
-
-
-def test_tiles_and_forces_are_drawn_where_they_are() -> None:
-    rng, count = np.random.default_rng(0), len(GEOMETRY)
-    scalars = rng.uniform(0.0, 4e4, (4, 1, count))
-    vectors = rng.normal(size=(2, 1, count, 3))
-    estimate = MapEstimate(vectors[0], abs(vectors[1]), *scalars, "made up")
-    sent = PressureMap(GEOMETRY).serialised(STAMP, estimate)
-    message = deserialize_message(sent, MarkerArray)
-    assert len(sent) == len(serialize_message(message)) and len(message.markers) == 2 * count
-    pairs = zip(message.markers[::2], message.markers[1::2], strict=True)
-    for i, (tile, arrow) in enumerate(pairs):
-        assert (tile.type, tile.ns, tile.id) == (Marker.TRIANGLE_LIST, "tiles", i)
-        assert (arrow.ns, arrow.id) == ("forces", i)
-        assert tile.header == arrow.header == header_to_ros(STAMP)
-        q = tile.pose.orientation
-        turn = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
-        sides = (xyz(tile.points) @ turn.T + xyz([tile.pose.position])).reshape(2, 3, 3)
-        normals = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0])
-        outwards = -GEOMETRY.rotations[i][:, 2]
-        np.testing.assert_allclose(normals, [GEOMETRY.areas[i] * outwards] * 2, atol=1e-9)
-        start, tip = xyz(arrow.points)
-        np.testing.assert_allclose(start, GEOMETRY.anchors[i])
-        np.testing.assert_allclose(tip - start, 0.002 * estimate.forces[0, i])
 
 
 # --- transforms, composed as RViz does it, against the geometry's own formula

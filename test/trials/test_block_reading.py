@@ -97,15 +97,6 @@ def test_measurements_of_mixed_messages(hold: Path, tmp_path: Path) -> None:
         np.testing.assert_array_equal(table, np.array(rows).reshape(table.shape), name)
 
 
-def test_a_part_of_a_recording_ends_at_its_duration(hold: Path) -> None:
-    with BagReader(hold) as reader:
-        raws = list(reader.messages())
-        for duration in (0.0, 3.1, 1e3):
-            expected = [raw.data for raw in raws if raw.time <= raws[0].time + 1e9 * duration]
-            blocks = reader.blocks(reader.types, duration)
-            assert sorted(data for _, block in blocks for data in block) == sorted(expected)
-
-
 def test_a_message_that_cannot_be_decoded_is_named(hold: Path, tmp_path: Path) -> None:
     with copying(hold, tmp_path / "torn") as (old, new):
         for number, raw in enumerate(old.messages()):

@@ -18,7 +18,6 @@ from support.wording import refused
 import socket_testbed as st
 from socket_testbed.errors import CalibrationError, ConfigurationError, TestbedError, TrialError
 from socket_testbed.geometry.marker_bodies import fit_body
-from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, read_socket, write_socket
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.settings.testbed import TestbedSettings, read_testbed, write_testbed
@@ -202,22 +201,6 @@ def test_a_marker_that_was_registered_wrong_is_repaired(hold, geometry, tmp_path
     # The recorded means have less noise than a frame's markers have.
     shift = trial.samples().position - Trial(hold).samples().position
     assert np.nanmax(np.abs(shift)) < 2e-4
-
-
-def test_another_frame_of_a_body_moves_its_poses_and_not_the_limb(
-    hold: Path, geometry: SocketGeometry, tmp_path: Path
-) -> None:
-    turn = Pose.from_quaternion(np.array([0.02, -0.03, 0.05]), np.array([0.2, -0.1, 0.3, 0.9]))
-    other = dataclasses.replace(
-        geometry,
-        socket_markers=turn.apply(geometry.socket_markers),
-        socket_body=geometry.socket_body @ turn.inverse(),
-    )
-    write_socket(other, tmp_path / "other.yaml")
-    samples, wanted = Trial(hold, tmp_path / "other.yaml").samples(), Trial(hold).samples()
-    both = np.isfinite(samples.position).all(axis=1)
-    assert both.mean() > 0.95
-    assert np.abs(samples.position - wanted.position)[both].max() < 2e-4
 
 
 def test_markers_that_cannot_be_fitted_are_noted_or_refused(

@@ -12,7 +12,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from support.bags import copy_configuration, move_to_namespace, rewrite, written_by_rosbags
 from support.wording import refused
 
-from socket_testbed.errors import CalibrationError, TrialError
+from socket_testbed.errors import TrialError
 from socket_testbed.simulation.trial import read_true_forces, read_truth
 from socket_testbed.trials import bag
 from socket_testbed.trials.bag import BagReader, BagWriter
@@ -88,20 +88,6 @@ def test_topics_are_found_in_the_namespace_they_were_recorded_in(
     np.testing.assert_array_equal(Trial(target).samples().values, Trial(hold).samples().values)
     with refused(TrialError, "two topics"):
         match_topics(["/a/trigger", "/b/trigger"], "bag")
-
-
-def test_a_trial_whose_configuration_does_not_suffice_says_what_to_give(
-    hold: Path, tmp_path: Path
-) -> None:
-    target = Path(shutil.copytree(hold, tmp_path / "hold"))
-    (target / "socket.yaml").unlink()
-    with refused(TrialError, "no socket.yaml", "--geometry"):
-        Trial(target).samples()
-    assert len(Trial(target, socket_file=hold / "socket.yaml").samples()) == 240
-    text = (hold / "calibration.yaml").read_text().replace("mid_anterior", "mid_posterior")
-    (target / "calibration.yaml").write_text(text)
-    with refused(CalibrationError, "no cluster mid_anterior"):
-        Trial(hold, calibration_file=target / "calibration.yaml").samples()
 
 
 def test_stamps_that_jump_back_are_counted_and_named(hold: Path, tmp_path: Path) -> None:
