@@ -9,7 +9,6 @@ it all with the trial's own configuration.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -96,23 +95,19 @@ _Columns: TypeAlias = list[NDArray[Any]]
 
 
 def read_measurements(
-    bag: BagReader,
-    notify: Callable[[str], None],
-    duration: float = math.inf,
-    more: Collection[Topic] = (),
+    bag: BagReader, notify: Callable[[str], None], more: Collection[Topic] = ()
 ) -> Measurements:
     """Read the measurements of a bag; a TrialError if it cannot be read or lacks a topic.
 
-    They are read for a duration from the first one [s]; `more` are which of LOAD_CELL_RAW and
-    MARKERS to read as well. Stamps that jump back, and stamps that a topic holds more than once,
-    are notified.
+    `more` are which of LOAD_CELL_RAW and MARKERS to read as well. Stamps that jump back, and stamps
+    that a topic holds more than once, are notified.
     """
     topics = required_topics(bag)
     for topic in more:
         if not bag.counts.get(topics.get(topic, "")):
             why, hint = _NEEDED_FOR[topic]
             raise TrialError(f"{bag.path}: holds no '{topic.name}', so {why}", hint)
-    series = _read_series(bag, {topics[t]: t for t in topics if t.required or t in more}, duration)
+    series = _read_series(bag, {topics[t]: t for t in topics if t.required or t in more})
     clusters = tuple(name for topic, name in series if topic is CAPACITANCE)
     for note in _stamp_notes(series):
         notify(note)
@@ -162,13 +157,11 @@ def marker_count(seen: FloatArray) -> int:
     return int(np.flatnonzero(np.isfinite(seen).any(axis=(0, 2))).max(initial=-1)) + 1
 
 
-def _read_series(
-    bag: BagReader, topics: dict[str, Topic], duration: float
-) -> dict[tuple[Topic, str], _Columns]:
+def _read_series(bag: BagReader, topics: dict[str, Topic]) -> dict[tuple[Topic, str], _Columns]:
     """What was recorded of each topic, and of each cluster or body by its name."""
     readers = {topic: Reader(topic, bag.path) for topic in topics.values()}
     parts: dict[tuple[Topic, str], list[_Columns]] = defaultdict(list)
-    for topic_name, messages in bag.blocks(topics, duration):
+    for topic_name, messages in bag.blocks(topics):
         topic = topics[topic_name]
         found: dict[str, list[_Columns]] = defaultdict(list)
         for places, stamps, values in readers[topic].parts(messages):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -123,11 +122,8 @@ class Trial:
             return ()
         return other_markers(recorded, self.geometry)
 
-    def measurements(self, duration: float = math.inf) -> Measurements:
+    def measurements(self) -> Measurements:
         """The measurements, with what is replaced made anew, corrected for drift; read anew.
-
-        Args:
-            duration: How much of the recording is read, from its start [s].
 
         Raises:
             TrialError: If the trial cannot be read or lacks a topic, the load cell measured a
@@ -137,7 +133,7 @@ class Trial:
                 load holds too few readings.
         """
         with self.open() as bag:
-            measured = read_measurements(bag, self._notify, duration, self.remade)
+            measured = read_measurements(bag, self._notify, self.remade)
         where = str(self.path)
         if LOAD_CELL_RAW in self.remade:
             given = read_load_cell(self.load_cell_file) if self.load_cell_file else None
@@ -242,10 +238,7 @@ class Trial:
 
     @cached_property
     def _events(self) -> list[Event]:
-        return self.events_of(self.samples())
-
-    def events_of(self, samples: Samples) -> list[Event]:
-        """The events, those in the load found in some samples from the trial's start on."""
+        samples = self.samples()
         with self.open() as bag:
             recorded = read_events(bag, samples)
         return join_events(recorded, find_events(samples, self.estimator.plateau))
