@@ -73,14 +73,3 @@ def test_only_nodes_import_ros() -> None:
         packages = {name.split(".")[0] for name in names}
         ros = [name for name in packages if name in ROS or name.endswith(("_msgs", "_srvs"))]
         assert not ros or top(own) == "nodes", (own, ros)
-
-
-def test_a_node_without_parameter_services_is_hidden() -> None:
-    """`ros2 param list` would wait for it: a name that begins with _ is not listed."""
-    calls = (n for tree in TREES.values() for n in ast.walk(tree) if isinstance(n, ast.Call))
-    names = [
-        ast.unparse(call.args[0]).lstrip("f").strip("'")
-        for call in calls
-        if "start_parameter_services=False" in map(ast.unparse, call.keywords)
-    ]
-    assert len(names) == 2 and all(name.startswith("_") for name in names), names

@@ -125,12 +125,8 @@ def test_a_node_that_cannot_start_says_why_in_one_line() -> None:
     """A program with a node's name runs that node, as `ros2 run socket_testbed NODE` does."""
     words = ["/bin/calibration_node", "--ros-args", "-p", "calibration:=nowhere.yaml"]
     script = f"import sys; sys.argv = {words}; from socket_testbed.nodes.__main__ import main"
-    for given, said in (
-        (["-c", f"{script}; main()"], "nowhere.yaml"),
-        (["-m", "socket_testbed.nodes", "recoder_node"], "did you mean 'recorder_node'?"),
-    ):
-        code, _, error = program(sys.executable, *given)
-        assert code == 1 and error.count("error: ") == 1 and said in error, error
+    code, _, error = program(sys.executable, "-c", f"{script}; main()")
+    assert code == 1 and error.count("error: ") == 1 and "nowhere.yaml" in error, error
 
 
 @pytest.mark.slow
