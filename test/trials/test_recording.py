@@ -227,8 +227,6 @@ def test_notes_name_what_was_saved_and_what_is_missing(recording, tmp_path: Path
     assert f"cut short (no end): {3 * MESSAGES} messages up to " in note
     assert "(0.3 s) were saved, the last second may be missing (5 bytes cannot be read)" in note
     assert read(folder / "bag.mcap") == recording.before(cut)  # a single file
-    with BagReader(write(tmp_path / "bag", recording.data[:-1])) as bag:
-        assert bag.notes[-1].endswith("were saved, none is missing")
     with pytest.raises(TrialError, match="cannot be read"):
         read(write(tmp_path / "bag", b"no MCAP at all, whatever its name says: " * 9))
 
