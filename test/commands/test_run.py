@@ -94,19 +94,6 @@ def test_an_event_that_nobody_hears_is_an_error(
     assert received[0].label == "push"
 
 
-@pytest.mark.timeout(300)  # 4 s of a testbed that may be 16 times slower
-def test_run_ends_by_itself_and_a_fault_is_seen(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "trial"
-    words = ["run", *SIMULATED, "--rate", "20", "--duration", "4", "--record", str(path)]
-    code, out, err = call(capfd, *words, "--fault", "clusters.nack=3", "--one-process")
-    assert code == 0, err
-    assert "no answer at 0x50 behind channel 2 of 0x70 on i2c-1: check" in err
-    assert "posterior_distal missing" in out
-    assert len(Trial(path).samples()) >= 40
-
-
 @pytest.fixture
 def manageable_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Testbed time as slow as this machine needs; `doctor` gives it to what it simulates."""

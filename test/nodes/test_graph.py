@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger as TriggerService
 from support import HANGS
 from support.graph import Probe
@@ -169,22 +167,6 @@ def test_the_calibration_node_says_which_cluster_it_does_not_know(estimating) ->
     known, unknown = stresses[0].clusters
     assert known.status == 0 and np.isfinite([known.normal, known.shear_x, known.shear_y]).all()
     assert unknown.status == 2 and np.isnan(unknown.normal)
-
-
-def test_parameters_are_checked_and_changed_at_run_time(estimating) -> None:
-    _, probe = estimating
-
-    def refusal(name: str, value: float | str | None) -> str:
-        parameter = Parameter(f"identification.{name}", value=value).to_parameter_msg()
-        request = SetParameters.Request(parameters=[parameter])
-        (result,) = probe.call(SetParameters, "estimator_node/set_parameters", request).results
-        assert result.successful or result.reason
-        return str(result.reason)
-
-    assert not refusal("theta", 0.25) and not refusal("theta", 1) and refusal("theta", 1.5)
-    assert "did you mean 'stiffness_bias'?" in refusal("variant", "stifness_bias")
-    assert refusal("leave_out", None) and refusal("theta", None)  # deleted
-    assert not refusal("theta", 0.5)
 
 
 def test_a_fit_when_asked_answers_and_predicts(hold: Path, estimating) -> None:

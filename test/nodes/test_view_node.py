@@ -7,9 +7,7 @@ import pytest
 import rclpy
 from support.graph import Probe
 from support.problems import ring_socket
-from support.wording import refused
 
-from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.nodes.base import TestbedNode
 from socket_testbed.nodes.view_node import LiveSource
@@ -44,8 +42,6 @@ def test_a_map_of_another_socket_is_named_and_not_drawn() -> None:
 
         probe.wait(lambda: shows(GEOMETRY, True), "the map")
         probe.wait(lambda: shows(other, False), "that it is of another socket")
-        with refused(ConfigurationError, "buttons are off"):
-            source.act("tare", {})
         source._asked_at -= 60.0  # no browser has asked for a while
         source.rest()
         assert source._inbox is None
