@@ -9,41 +9,32 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_srvs.srv import Trigger as TriggerService
 from support import HANGS
 from support.graph import Probe
+from support.problems import ring_socket
 from support.verbs import COMMAND, program
 
 from socket_testbed.geometry.axis import all_regions
 from socket_testbed.geometry.socket import write_socket
-from socket_testbed.identification.force_map import ForceMap
+from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.live.bringup import record_estimates
 from socket_testbed.live.processes import Graph
+from socket_testbed.nodes.base import TestbedNode
+from socket_testbed.nodes.view_node import LiveSource
+from socket_testbed.settings.fields import Settings
 from socket_testbed.settings.testbed import (
     CalibrationNodeSettings,
     EstimatorSettings,
     ReplaySettings,
 )
+from socket_testbed.trials import topics
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.layout import decode
-from socket_testbed.trials.messages import Reader, capacitance_packer
-from socket_testbed.trials.topics import (
-    CAPACITANCE,
-    ESTIMATED_WRENCH,
-    FORCE_MAP,
-    LOCAL_FORCES,
-    PARAMETERS,
-    PRESSURE_MAP,
-    PUBLISHER_DEPTH,
-    REGIONS,
-    REQUIRED,
-    SOCKET_POSE,
-    STRESS,
-    TRIGGER,
-    WRENCH,
-)
+from socket_testbed.trials.messages import Reader, capacitance_packer, force_map_packer
 from socket_testbed.trials.trial import Trial
 
 pytestmark = pytest.mark.graph
@@ -63,13 +54,20 @@ def test_every_sample_of_a_repaired_trial_is_predicted_as_offline(
     record_estimates(trial, ReplaySettings(trial=str(hold), rate=50.0), settings, path)
     found = {}
     with BagReader(path) as bag:
-        assert bag.counts[f"/{PARAMETERS.name}"] == 1
-        for topic in (ESTIMATED_WRENCH, LOCAL_FORCES, WRENCH, SOCKET_POSE, FORCE_MAP, REGIONS):
+        assert bag.counts[f"/{topics.PARAMETERS.name}"] == 1
+        for topic in (
+            topics.ESTIMATED_WRENCH,
+            topics.LOCAL_FORCES,
+            topics.WRENCH,
+            topics.SOCKET_POSE,
+            topics.FORCE_MAP,
+            topics.REGIONS,
+        ):
             reader = Reader(topic)
             found[topic] = dict(reader.read(r.data) for r in bag.messages([f"/{topic.name}"]))
-        (*_, picture) = bag.messages([f"/{PRESSURE_MAP.name}"])
+        (*_, picture) = bag.messages([f"/{topics.PRESSURE_MAP.name}"])
     assert len(decode(picture.data, picture.type).markers) == 2 * len(own)
-    names, outputs = list(found.pop(REGIONS).values())[-1]
+    names, outputs = list(found.pop(topics.REGIONS).values())[-1]
     assert names == tuple(place.name for place in all_regions(own))
     assert outputs["load_share"][-1] == pytest.approx(1.0) and 1e3 < outputs["peak"][-1] < 1e5
     for name in ("mean", "peak", "shear", "load_share"):
@@ -97,7 +95,7 @@ def test_a_replay_keeps_no_more_ahead_than_writers_send_again(hold: Path) -> Non
     stamps = Trial(hold).samples().stamps.tolist()
     replay = ReplaySettings(trial=str(hold), rate=1000.0, wait_for=("follower",))
     with Probe() as probe, Graph() as graph:
-        triggers = {topic: probe.listen(topic) for topic in REQUIRED}[TRIGGER]
+        triggers = {topic: probe.listen(topic) for topic in topics.REQUIRED}[topics.TRIGGER]
         publisher = probe.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
 
         def has_come(count: int, newest: int) -> bool:
@@ -110,7 +108,7 @@ def test_a_replay_keeps_no_more_ahead_than_writers_send_again(hold: Path) -> Non
 
         graph.start("replay_node", replay)
         for worked_off in (0, 1, 60):
-            ahead = worked_off + PUBLISHER_DEPTH // 2 + 1
+            ahead = worked_off + topics.PUBLISHER_DEPTH // 2 + 1
             newest = stamps[worked_off - 1] if worked_off else 0
             probe.wait(partial(has_come, ahead, newest), "what may be ahead")
             assert len(triggers) == ahead
@@ -137,6 +135,36 @@ def test_a_killed_command_leaves_no_node(hold: Path) -> None:
         replay.communicate(timeout=HANGS)
 
 
+def test_a_map_of_another_socket_is_named_and_not_drawn() -> None:
+    """Even if it has as many tiles."""
+    own = ring_socket()
+    other = dataclasses.replace(own, names=tuple(reversed(own.names)))
+    vectors, numbers = np.ones((1, len(own), 3)), np.full((1, len(own)), 5e3)
+    estimate = MapEstimate(vectors, vectors, *[numbers] * 4, "measured: wrench")
+    rclpy.init()
+    with Probe() as probe:
+        node = TestbedNode("page", Settings)
+        source = LiveSource(node, own, None)
+        source.now(None)  # it listens while a browser asks
+        publisher = probe.publisher(topics.FORCE_MAP)
+
+        def shows(geometry, drawn: bool) -> bool:
+            publisher.publish(force_map_packer(geometry.names)(1, estimate))
+            found = source.now(None)
+            words = found["cards"][-1]["words"]
+            return ("pressure" in found["moment"]) is drawn and (
+                ("another socket" in words) is not drawn
+            )
+
+        probe.wait(lambda: shows(own, True), "the map")
+        probe.wait(lambda: shows(other, False), "that it is of another socket")
+        source._asked_at -= 60.0  # no browser has asked for a while
+        source.rest()
+        assert source._inbox is None
+        node.destroy_node()
+    rclpy.shutdown()
+
+
 # --- one graph for what follows: its nodes would answer beside those above
 
 
@@ -151,8 +179,8 @@ def estimating() -> Iterator[tuple[Graph, Probe]]:
 
 def test_the_calibration_node_says_which_cluster_it_does_not_know(estimating) -> None:
     _, probe = estimating
-    stresses = probe.listen(STRESS)
-    publisher = probe.publisher(CAPACITANCE)
+    stresses = probe.listen(topics.STRESS)
+    publisher = probe.publisher(topics.CAPACITANCE)
     pack = capacitance_packer(("brim_lateral", "unknown"))
     data = pack(7 * 10**9, np.full((2, 4), 5.2), np.zeros((2, 4), np.uint8))
 
@@ -172,7 +200,9 @@ def test_the_calibration_node_says_which_cluster_it_does_not_know(estimating) ->
 def test_a_fit_when_asked_answers_and_predicts(hold: Path, estimating) -> None:
     """The map needs no model."""
     graph, probe = estimating
-    maps, models, wrenches = map(probe.listen, (FORCE_MAP, PARAMETERS, ESTIMATED_WRENCH))
+    maps, models, wrenches = map(
+        probe.listen, (topics.FORCE_MAP, topics.PARAMETERS, topics.ESTIMATED_WRENCH)
+    )
     answer = probe.call(TriggerService, "estimator/fit", TriggerService.Request())
     assert not answer.success and "only 0 of 0 samples" in answer.message
     # Each round starts the window anew: one lasts long enough for 60 samples and the fit.
@@ -188,6 +218,6 @@ def test_a_fit_when_asked_answers_and_predicts(hold: Path, estimating) -> None:
     assert answer.success, answer.message
     probe.wait(lambda: len(models) == 1 and len(wrenches) > 50, "predictions")
     assert models[0].samples > 50 and "KKT" in models[0].solver_status
-    probe.listen(PARAMETERS)
+    probe.listen(topics.PARAMETERS)
     probe.wait(lambda: len(models) == 2, "the model for a late subscriber")
     assert models[1] == models[0]
