@@ -15,7 +15,7 @@ from socket_testbed import __version__
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[1]
-BIN = Path(sys.executable).parent
+PATH = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
 PACKAGES = ("socket_testbed", "socket_testbed_msgs")
 SOURCES = (
     *("config", "launch", "msg_defs", "requirements", "resource", "socket_testbed", "test"),
@@ -41,13 +41,13 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def call(workspace: Path, *words: str, **environment: str) -> str:
     prefixes = ("AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH")
     variables = {name: os.environ.get(name, sys.prefix) for name in prefixes}
-    variables |= {"PATH": f"{BIN}:{os.environ['PATH']}", **environment}
+    variables |= {"PATH": PATH, **environment}
     code, out, err = program(*words, folder=workspace, **variables)
     assert code == 0, out + err
     return out
 
 
-@pytest.mark.skipif(not (BIN / "colcon").exists(), reason="colcon is missing")
+@pytest.mark.skipif(not shutil.which("colcon", path=PATH), reason="colcon is missing")
 def test_a_plain_colcon_build_gives_a_package_that_works_anywhere(workspace, tmp_path) -> None:
     call(workspace, "colcon", "build")
     # On a ROS installation our stand-in for tf2_msgs would hide the distribution's package.

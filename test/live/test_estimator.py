@@ -29,7 +29,7 @@ from socket_testbed.live.estimator import (
     SampleWindow,
     cluster_forces,
 )
-from socket_testbed.live.fit_worker import FitWorker, Judgement, Refit, Steady, fit_samples
+from socket_testbed.live.fit_worker import Contest, FitWorker, Refit, Steady, fit_samples
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import (
     ForceMapSettings,
@@ -305,7 +305,7 @@ def test_the_model_that_is_better_on_the_newest_samples_stays(trial: Trial, fit:
         bench.send(30, start=20)
         model = dataclasses.replace(fit.model, wrench_bias=fit.model.wrench_bias + 1.0)
         other = dataclasses.replace(fit, model=model, samples=7)
-        bench.answer(1, other, judgement=Judgement(24, 0.05, 0.06 if worse else 0.04))
+        bench.answer(1, other, contest=Contest(24, 0.05, 0.06 if worse else 0.04))
         for topic, value in bench.values(1e-4 * 49).items():
             bench.add(topic, 50, value)
         np.testing.assert_allclose(bench.predicted[50] - bench.predicted[49], 1.0 - worse)
@@ -366,7 +366,7 @@ def test_a_process_fits_without_averaging_poses_and_is_replaced_when_killed(
     refit = worker.run(*work).result(HANGS)
     steady = samples[find_plateaus(samples, PLATEAU)[0].rows]
     here = fit_contact_model(steady, trial.geometry, SETTINGS).model
-    assert refit is not None and refit.judgement is None and worker.ready
+    assert refit is not None and refit.contest is None and worker.ready
     assert refit.fit.settings.pose_smoothing == 0.0
     np.testing.assert_allclose(refit.fit.model.stiffness, here.stiffness, rtol=1e-6, atol=1e-3)
     (process,) = worker._pool._processes
@@ -405,8 +405,8 @@ def test_the_newest_stretch_since_a_slip_is_fitted_and_judged_by_the_newest_samp
     def refit(window: Samples, rival: ContactModel) -> Refit:
         steady = dataclasses.replace(STEADY, rival=rival)
         found = fit_samples(window, trial.geometry, SETTINGS, steady)
-        assert found is not None and found.judgement is not None
-        newest = window.complete.sum() - found.judgement.samples
+        assert found is not None and found.contest is not None
+        newest = window.complete.sum() - found.contest.samples
         assert found.fit.last_stamp < window.stamps[window.complete][newest]
         return found
 
