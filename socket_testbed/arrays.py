@@ -10,6 +10,10 @@ IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 StatusArray: TypeAlias = NDArray[np.uint8]
 
+# A step between samples that is longer than so many usual ones [-]
+GAP = 1.5  # lacks a sample, which counts as lost, and what differs across it is no noise;
+BREAK = 3.0  # lacks several: neither the last value nor a line holds across it.
+
 
 def rms(values: FloatArray, empty: float = float("nan")) -> float:
     """Root mean square of the finite values; `empty` without any."""
@@ -21,6 +25,16 @@ def runs(flags: BoolArray) -> IntArray:
     """Half-open index ranges in which the flags are set, shape (n, 2)."""
     edges = np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8))
     return np.flatnonzero(edges).reshape(-1, 2)
+
+
+def usual_period(time: FloatArray | IntArray) -> float:
+    """Median step between samples, in the unit of their times; NaN for fewer than two."""
+    return float(np.median(np.diff(time))) if len(time) > 1 else float("nan")
+
+
+def gaps(time: FloatArray | IntArray, longer: float = GAP) -> BoolArray:
+    """Steps between samples that are longer than so many usual ones, shape (max(N - 1, 0),)."""
+    return np.asarray(np.diff(time) > longer * usual_period(time))
 
 
 def evenly(count: int, most: int) -> IntArray:

@@ -66,7 +66,6 @@ READERS: dict[str, tuple[str, Callable[[Path], Any], bool, bool, bool]] = {
     "stl": ("scan.stl", read_scan, False, False, False),
     "text stl": ("text/scan.stl", read_scan, True, False, False),
     "ply": ("scan.ply", read_scan, False, False, False),
-    "text ply": ("text/scan.ply", read_scan, True, False, False),
     "obj": ("scan.obj", read_scan, True, False, False),
     "mcap": ("bag/hold.mcap", sampled_folder, False, True, True),
     "mcap alone": ("bag/hold.mcap", sampled, False, True, True),
@@ -91,7 +90,6 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "scan.ply").write_bytes(mesh.export(file_type="ply"))
     (folder / "scan.obj").write_text(mesh.export(file_type="obj"))
     (folder / "text/scan.stl").write_text(trimesh.exchange.stl.export_stl_ascii(mesh))
-    (folder / "text/scan.ply").write_bytes(mesh.export(file_type="ply", encoding="ascii"))
     st.simulate(folder / "hold", "static_hold", duration=2.0)
     for name, files in {"bag": ("hold.mcap", "metadata.yaml"), "truth": (TRUTH_FILE,)}.items():
         (folder / name).mkdir()

@@ -1,13 +1,12 @@
 """Outputs are complete or not there, even if several processes write them."""
 
-import os
 from pathlib import Path
 
 import pytest
 from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import TemporaryFolder, atomic_output, check_new_folder, check_outputs
+from socket_testbed.files import atomic_output, check_new_folder, check_outputs
 
 
 def test_two_writers_of_one_output_do_not_meet_and_an_error_leaves_the_older_file(tmp_path) -> None:
@@ -39,20 +38,6 @@ def test_the_first_of_two_writers_of_a_folder_keeps_it_until_it_is_to_be_replace
     assert [p.name for p in path.iterdir()] == ["newer"] and list(tmp_path.iterdir()) == [path]
 
 
-def test_what_a_killed_process_left_is_removed_and_what_is_in_use_stays(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    with TemporaryFolder() as used:
-        (tmp_path / "socket_testbed_left").mkdir()
-        for folder in (*tmp_path.iterdir(), used):
-            os.utime(folder, (0, 0))
-        (tmp_path / "socket_testbed_new").mkdir()
-        with TemporaryFolder() as own:
-            found = {p.name for p in tmp_path.iterdir()}
-    assert found == {Path(used).name, Path(own).name, "socket_testbed_new"}
-
-
 def test_an_output_replaces_nothing_and_makes_no_folder_unless_asked(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -70,7 +55,6 @@ def test_an_output_replaces_nothing_and_makes_no_folder_unless_asked(
         ("bench.csv", False, "--replace"),
         (".", True, "as a folder"),
         ("modles/m.json", True, "no such folder"),
-        ("bench.csv/m", True, "is not a folder"),
     ):
         with refused(ConfigurationError, fact):
             check_outputs(None, tmp_path / name, replace=replace)

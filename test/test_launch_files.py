@@ -98,9 +98,6 @@ def test_the_testbed_is_launched_as_run_starts_it(launch: Launch, tmp_path: Path
     assert "recorder_node" in parameters(launched["trigger_node"])["wait_for"]
     stored = Path(parameters(launched["recorder_node"])["parameters"])
     assert read_testbed(stored).trigger_node.rate == 20.0
-    # A respawn runs the same command: the tare's file is in it, in a folder that stays.
-    tare = Path(parameters(launched["load_cell_node"])["tare_file"])
-    assert tare.parent.is_dir() and not tare.exists()
 
 
 @pytest.mark.graph
@@ -120,18 +117,16 @@ def test_a_simulated_testbed_is_launched_with_its_world(launch, capsys) -> None:
 def test_a_trial_is_replayed_through_calibration_and_estimator_in_its_namespace(
     launch: Launch, hold: Path, tmp_path: Path
 ) -> None:
+    lab = move_to_namespace(hold, tmp_path / "lab", "/lab")
     own = packaged("config", "calibration.yaml")
-    actions = launch("replay", trial=hold, rate="2", loop="true", calibration=own)
+    actions = launch("replay", trial=lab, rate="2", loop="true", calibration=own)
     launched = nodes(actions)
     assert list(launched) == ["calibration_node", "estimator_node", "replay_node"]
+    assert launched["estimator_node"].given["namespace"] == "/lab"
     found = {name: parameters(action) for name, action in launched.items()}
     replay = found["replay_node"]
-    assert (replay["trial"], replay["rate"], replay["loop"]) == (str(hold), 2.0, True)
+    assert (replay["trial"], replay["rate"], replay["loop"]) == (str(lab), 2.0, True)
+    assert replay["wait_for"] == ["/lab/calibration_node", "/lab/estimator_node"]
     assert found["calibration_node"]["use_sim_time"] and found["estimator_node"]["use_sim_time"]
     assert found["calibration_node"]["calibration"] == str(own)
     assert handler(actions)["target_action"] is launched["replay_node"]  # its end ends the launch
-    lab = move_to_namespace(hold, tmp_path / "lab", "/lab")
-    launched = nodes(launch("replay", trial=lab))
-    assert launched["estimator_node"].given["namespace"] == "/lab"
-    waits = ["/lab/calibration_node", "/lab/estimator_node"]
-    assert parameters(launched["replay_node"])["wait_for"] == waits

@@ -1,12 +1,8 @@
 """The structure that CONTRIBUTING promises, read from the imports."""
 
 import ast
-import inspect
 from graphlib import TopologicalSorter
-from importlib import import_module
 from pathlib import Path
-
-from rclpy.node import Node
 
 PACKAGE = Path(__file__).resolve().parents[1] / "socket_testbed"
 FILES = sorted(PACKAGE.rglob("*.py"))
@@ -77,33 +73,3 @@ def test_only_nodes_import_ros() -> None:
         packages = {name.split(".")[0] for name in names}
         ros = [name for name in packages if name in ROS or name.endswith(("_msgs", "_srvs"))]
         assert not ros or top(own) == "nodes", (own, ros)
-
-
-def stored_attributes(kind: type) -> set[str]:
-    """Names that a class sets on itself."""
-    nodes = ast.walk(ast.parse(inspect.getsource(kind)))
-    stored = (n for n in nodes if isinstance(n, ast.Attribute) and isinstance(n.ctx, ast.Store))
-    return {n.attr for n in stored if ast.unparse(n.value) == "self"}
-
-
-def test_a_node_hides_nothing_of_ros() -> None:
-    """rclpy keeps names such as _parameters on the node: one of ours would break it."""
-    modules = (import_module(own) for own in IMPORTS if own.startswith("socket_testbed.nodes."))
-    things = [thing for module in modules for thing in vars(module).values()]
-    classes = {thing for thing in things if inspect.isclass(thing) and issubclass(thing, Node)}
-    assert len(classes) > 10
-    theirs = stored_attributes(Node) | set(dir(Node))
-    for kind in classes - {Node}:
-        own = stored_attributes(kind) | {name for name in vars(kind) if not name.startswith("__")}
-        assert not own & theirs, (kind, own & theirs)
-
-
-def test_a_node_without_parameter_services_is_hidden() -> None:
-    """`ros2 param list` would wait for it: a name that begins with _ is not listed."""
-    calls = (n for tree in TREES.values() for n in ast.walk(tree) if isinstance(n, ast.Call))
-    names = [
-        ast.unparse(call.args[0]).lstrip("f").strip("'")
-        for call in calls
-        if "start_parameter_services=False" in map(ast.unparse, call.keywords)
-    ]
-    assert len(names) == 2 and all(name.startswith("_") for name in names), names

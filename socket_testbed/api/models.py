@@ -54,9 +54,13 @@ from socket_testbed.samples import Samples, channel_unit, moments_about
 from socket_testbed.settings.identification import IdentificationSettings, Variant, Weights
 from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.tables import FORMATS, check_format, write_table
-from socket_testbed.trials.exchange import GAIT_FORMATS, write_gait_file, write_standard_bag
+from socket_testbed.trials.export import (
+    GAIT_FORMATS,
+    sample_table,
+    write_gait_file,
+    write_standard_bag,
+)
 from socket_testbed.trials.segment import Segment, first_frames
-from socket_testbed.trials.synchronise import sample_table
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -468,7 +472,7 @@ def export(
         path: The file; its suffix, `.csv`, `.parquet` or `.mat`, selects the format. OpenSim's
             external loads are `.mot` or `.sto`, its markers `.trc`, both together `.c3d`; `.mcap`
             holds standard ROS messages with the columns by their names: see
-            `socket_testbed.trials.exchange`.
+            `socket_testbed.trials.export`.
         segment: As `specification` in `st.select_segment`, or a `Segment`.
         model: A model whose predictions are added as `predicted.*`, and its engaged springs as
             `springs.*`, see `Evaluation.engagement`.

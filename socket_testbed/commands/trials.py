@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from socket_testbed import api
+from socket_testbed.arrays import gaps, usual_period
 from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import (
     check_metadata,
@@ -128,11 +129,10 @@ def _triggers(samples: Samples) -> str:
     periods = np.diff(samples.time)
     if len(periods) == 0:
         return "1 sample"
-    usual = float(np.median(periods))
-    gaps = periods > 1.5 * usual
     return (
-        f"{len(samples)} samples at {1.0 / usual:.2f} Hz, {int(samples.complete.sum())} complete;"
-        f" {int(gaps.sum())} gaps, the largest {float(periods.max()):.3f} s"
+        f"{len(samples)} samples at {1.0 / usual_period(samples.time):.2f} Hz,"
+        f" {samples.complete.sum()} complete; {gaps(samples.time).sum()} gaps, the largest"
+        f" {periods.max():.3f} s"
     )
 
 

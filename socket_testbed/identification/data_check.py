@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from socket_testbed.arrays import FloatArray
+from socket_testbed.arrays import FloatArray, usual_period
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
@@ -137,7 +137,7 @@ def _courses(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFinding
     proximal = proximal_direction(geometry)
     load = -samples.wrench[:, 3:] @ proximal
     pressing = -samples.trusted_forces[:, :, 2]
-    period = float(np.median(np.diff(samples.time))) if len(samples) > 1 else 0.0
+    period = usual_period(samples.time)
     together = np.nansum(pressing, axis=1)
     if not np.isfinite(load).any():
         return
@@ -230,7 +230,7 @@ def _disagreements(samples: Samples, geometry: SocketGeometry) -> Iterator[DataF
 
 def _channels(samples: Samples) -> Iterator[DataFinding]:
     """Sources and channels that are missing, stand still, are clipped or noisy."""
-    period = float(np.median(np.diff(samples.time)))
+    period = usual_period(samples.time)
     sources = {
         "the wrench": np.isfinite(samples.wrench).all(axis=1),
         "the limb pose": np.isfinite(samples.pose).all(axis=1),

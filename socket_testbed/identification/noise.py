@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray, gaps
 from socket_testbed.samples import Samples
 
 LEAST_DIFFERENCES = 12  # [1]; of a channel, to state its noise
@@ -33,7 +33,6 @@ _MEDIAN = 0.67449  # [-]; median size of a standard normal variable
 _TRUNCATED = 0.98658  # [-]; standard deviation of a standard normal variable within +-CUT
 _QUANTISED = math.sqrt(1.0 / 12.0)  # [-]; standard deviation of rounding, in steps
 _ROUNDING = 1e-12  # [-]; smallest step of a channel, relative to its largest value
-_REGULAR = 1.5  # [-]; longest interval between neighbours, relative to the usual one
 _WINDOW_END = 1e-6  # [s]; samples at the end of a window belong to it
 
 
@@ -62,7 +61,7 @@ def channel_noise(samples: Samples) -> ChannelNoise:
     `LEAST_DIFFERENCES` usable differences, or with a single value throughout.
     """
     clusters = len(samples.clusters)
-    usual = ~_gaps(samples)
+    usual = ~gaps(samples.stamps)
     regular = np.asarray(usual[:-2] & usual[1:-1] & usual[2:])  # (max(N - 3, 0),), without a gap
     sensors = np.array([_deviation(y, regular) for y in samples.trusted_values.T])
     pose = np.array([_deviation(y, regular) for y in samples.pose.T])
@@ -98,13 +97,6 @@ def noise_groups(noise: ChannelNoise, clusters: tuple[str, ...]) -> dict[str, Fl
         "limb rotation [mrad]": 1e3 * noise.pose[3:],
         **{f"{name} [N]": deviations for name, deviations in local},
     }
-
-
-def _gaps(samples: Samples) -> BoolArray:
-    """Intervals between samples that are longer than usual, shape (max(N - 1, 0),)."""
-    intervals = np.diff(samples.stamps)
-    usual = np.median(intervals) if len(intervals) else 0.0
-    return np.asarray(intervals > _REGULAR * usual)
 
 
 def _differences(values: FloatArray, regular: BoolArray) -> FloatArray:
@@ -184,7 +176,7 @@ def _known(samples: Samples) -> BoolArray:
 def _windows(samples: Samples, window: float) -> tuple[IntArray, IntArray]:
     """The first sample of the window around each sample, and the one after its last, (N,) each."""
     time = samples.time
-    run = np.concatenate([[0], np.cumsum(_gaps(samples))])  # of samples without a gap
+    run = np.concatenate([[0], np.cumsum(gaps(samples.stamps))])  # of samples without a gap
     start = time[np.searchsorted(run, run, "left")]
     stop = time[np.searchsorted(run, run, "right") - 1]
     reach = np.minimum(0.5 * window, np.minimum(time - start, stop - time)) + _WINDOW_END

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from socket_testbed.arrays import BoolArray, FloatArray, evenly
+from socket_testbed.arrays import BoolArray, FloatArray, evenly, usual_period
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
@@ -423,7 +423,7 @@ def _figures(errors: Sequence[ChannelErrors], front: Front | None) -> dict[str, 
 def differing_conditions(samples: Samples, settings: IdentificationSettings) -> list[str]:
     """What differs from the published experiment and fit: here, then there."""
     force = np.linalg.norm(samples.wrench[samples.complete, 3:], axis=1)
-    load, rate = float(np.median(force)), 1.0 / float(np.median(np.diff(samples.time)))
+    load, rate = float(np.median(force)), 1.0 / usual_period(samples.time)
     found = []
     if abs(load - PUBLISHED_LOAD) > _LOAD_SHARE * PUBLISHED_LOAD:
         found.append(f"load of {load:.0f} N, about {PUBLISHED_LOAD:.0f} N")

@@ -11,7 +11,7 @@ Over a region:
 - peak pressure: :math:`\max_i p_i`, the highest of all samples over a span;
 - contact area: the area of the tiles whose p_i exceeds the threshold, the mean over the samples;
 - pressure-time integral: the mean over the region's area of the integral of p_i while tile i is in
-  contact, by the trapezoidal rule; gaps between the samples are left out;
+  contact, by the trapezoidal rule; breaks of the recording are left out;
 - centre of pressure: the mean of the tiles' centres weighted by their compressive normal forces
   :math:`A_i \max(p_i, 0)`;
 - shear: the magnitude of the mean tangential stress over area and span, and its direction from x
@@ -33,7 +33,7 @@ from typing import Any
 
 import numpy as np
 
-from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.arrays import BREAK, BoolArray, FloatArray, IntArray, gaps
 from socket_testbed.errors import TrialError
 from socket_testbed.geometry.axis import Region
 from socket_testbed.geometry.socket import SocketGeometry
@@ -49,7 +49,6 @@ _CONVEX = ("peak", "integral", "shear")  # functions of the forces
 _NEVER_NEGATIVE = ("area", "integral", "shear")
 MOST_DRAWN = 2000  # samples of a span at which draws are expanded, evenly spread
 _EXPANDED = 32  # samples whose draws are expanded at a time
-_LONGEST_STEP = 3.0  # usual steps between samples; what is longer is a gap
 _RIGHT_ANGLE = 0.5 * np.pi  # [rad]
 NORMAL_QUANTILE = 1.96  # [-]; standard deviations to each end of a 95 % interval
 # Output, axis of a vector, and factor from SI, by the title of a column.
@@ -144,7 +143,7 @@ class PressureOutputs:
 
     regions: RegionOutputs  # over the span, shape (R,)
     tiles: RegionOutputs  # of every tile over the span, shape (n,)
-    integrated: float  # time that the integrals cover, without gaps [s]
+    integrated: float  # time that the integrals cover, without breaks [s]
     peak_row: int  # the sample with the highest pressure of a tile
     force_map: ForceMap
     samples: Samples
@@ -440,12 +439,12 @@ def measured_rows(samples: Samples) -> BoolArray:
 
 
 def integration_weights(time: FloatArray) -> FloatArray:
-    """Weights of the trapezoidal rule, without gaps, by ascending times, shape (N,) each [s].
+    """Weights of the trapezoidal rule, without breaks, by ascending times, shape (N,) each [s].
 
-    A step longer than three times the usual one is a gap: what happened in it is not known.
+    A step longer than three times the usual one is a break: what happened in it is not known.
     """
-    steps = np.diff(time)
-    if not len(steps):
-        return np.zeros(len(time))
-    steps = np.where(steps > _LONGEST_STEP * np.median(steps), 0.0, steps)
-    return np.asarray(0.5 * (np.append(steps, 0.0) + np.append(0.0, steps)))
+    steps = np.where(gaps(time, BREAK), 0.0, np.diff(time))
+    weights = np.zeros(len(time))
+    weights[1:] += 0.5 * steps
+    weights[:-1] += 0.5 * steps
+    return weights

@@ -53,7 +53,7 @@ _UNFELT = "press in its middle with the thumb; if it stays silent: its cable, it
 
 
 @dataclass(frozen=True)
-class Finding:
+class Outcome:
     """The outcome of a check."""
 
     what: str  # the device or sensor
@@ -61,43 +61,43 @@ class Finding:
     hint: str = ""  # empty if all is well
 
 
-def examine(testbed: Testbed) -> list[Finding]:
+def examine(testbed: Testbed) -> list[Outcome]:
     """Look at everything that is configured, one device after the other."""
-    findings: list[Finding] = []
+    outcomes: list[Outcome] = []
     for check in CHECKS:
         try:
-            findings.extend(check(testbed))
+            outcomes.extend(check(testbed))
         except TestbedError as error:
             what = check.__name__.removeprefix("check_").replace("_", " ")
-            findings.append(Finding(what, error.fact, error.hint))
-    return findings
+            outcomes.append(Outcome(what, error.fact, error.hint))
+    return outcomes
 
 
-def _failure(what: str, message: str) -> Finding:
-    """A failing finding from a fact and its hint in one line."""
+def _failure(what: str, message: str) -> Outcome:
+    """A failing outcome from a fact and its hint in one line."""
     fact, _, hint = message.rpartition(": ")
-    return Finding(what, fact or message, hint if fact else "see docs/faults.md")
+    return Outcome(what, fact or message, hint if fact else "see docs/faults.md")
 
 
-def check_kernel(testbed: Testbed) -> Iterator[Finding]:
+def check_kernel(testbed: Testbed) -> Iterator[Outcome]:
     """Name the kernel of a Raspberry Pi."""
     if testbed.simulation is None and _MODEL.is_file():
         yield kernel_finding(_MODEL.read_text().rstrip("\0"), platform.release())
 
 
-def kernel_finding(model: str, release: str) -> Finding:
+def kernel_finding(model: str, release: str) -> Outcome:
     """Whether a kernel is one whose buses are known to fail on its Raspberry Pi."""
     found, version = f"{release} on {model}", re.findall(r"\d+", release)[:3]
     if "Raspberry Pi 5" in model and [*map(int, version)] < _SOUND_I2C:
-        return Finding(
+        return Outcome(
             "kernel",
             f"{found}: its I2C bus can lock up (raspberrypi/linux#5784)",
             f"update it to {'.'.join(map(str, _SOUND_I2C))} or newer",
         )
-    return Finding("kernel", found)
+    return Outcome("kernel", found)
 
 
-def check_trigger(testbed: Testbed) -> Iterator[Finding]:
+def check_trigger(testbed: Testbed) -> Iterator[Outcome]:
     """Make pulses and see their edges."""
     settings, delays = testbed.settings.trigger_node, []
     with closing(make_trigger(settings)) as trigger:
@@ -111,10 +111,10 @@ def check_trigger(testbed: Testbed) -> Iterator[Finding]:
             f"{settings.chip}, line {settings.output_line} to {settings.input_line},"
             f" edge within {max(delays) * 1e6:.0f} us"
         )
-    yield Finding("trigger", found)
+    yield Outcome("trigger", found)
 
 
-def check_scheduling(testbed: Testbed) -> Iterator[Finding]:
+def check_scheduling(testbed: Testbed) -> Iterator[Outcome]:
     """Measure how late threads wake up, with a real-time priority too where there is the right."""
     settings = testbed.settings.trigger_node
     rate, wanted = settings.rate, settings.scheduling.priority
@@ -133,14 +133,14 @@ def check_scheduling(testbed: Testbed) -> Iterator[Finding]:
         hint += " (docs/hardware.md)"
     elif not enough:
         found += " in real time; a simulated testbed may run slower"
-    yield Finding("scheduling", found, hint)
+    yield Outcome("scheduling", found, hint)
 
 
 def _late(late: FloatArray) -> str:
     return f"{1e3 * np.percentile(late, 99):.2g} ms late (p99; {1e3 * late.max():.2g} ms at most)"
 
 
-def check_clusters(testbed: Testbed) -> Iterator[Finding]:
+def check_clusters(testbed: Testbed) -> Iterator[Outcome]:
     """See which chip answers at each cluster's place."""
     with closing(make_clusters(testbed.settings.cluster_node)) as reader:
         chips = reader.identify()
@@ -151,23 +151,23 @@ def check_clusters(testbed: Testbed) -> Iterator[Finding]:
                 break
         for name, found in chips.items():
             if isinstance(found, DeviceError):
-                yield Finding(f"cluster {name}", found.fact, found.hint)
+                yield Outcome(f"cluster {name}", found.fact, found.hint)
             elif name in faults:
                 yield _failure(f"cluster {name}", faults[name].partition("; ")[0])
             else:
-                yield Finding(f"cluster {name}", found)
+                yield Outcome(f"cluster {name}", found)
 
 
-def check_load_cell(testbed: Testbed) -> Iterator[Finding]:
+def check_load_cell(testbed: Testbed) -> Iterator[Outcome]:
     """See which converter answers, and whether its frames are intact."""
     settings = testbed.settings.load_cell_node
     cell = make_load_cell(settings)
     with closing(cell.converter) as converter:
         chip = converter.connect()
-        yield Finding("load cell", chip.description)
+        yield Outcome("load cell", chip.description)
         corrupted = chip.check_frames(_FRAMES)
         hint = CHECK_WIRING if corrupted else ""
-        yield Finding("load cell CRC", f"{corrupted} of {_FRAMES} frames corrupted", hint)
+        yield Outcome("load cell CRC", f"{corrupted} of {_FRAMES} frames corrupted", hint)
         ends = clocks.monotonic() + _WATCHED
         while clocks.monotonic() < ends:
             converter.poll()
@@ -177,11 +177,11 @@ def check_load_cell(testbed: Testbed) -> Iterator[Finding]:
             counts = converter.counts()
             found = f"{counts['conversions']} edges on line {line}"
             found += f", STATUS disagrees with {counts['status_disagrees']}"
-            yield Finding("load cell DRDY", found)
-        yield (_failure if level else Finding)("load cell bridges", message)
+            yield Outcome("load cell DRDY", found)
+        yield (_failure if level else Outcome)("load cell bridges", message)
 
 
-def check_motion_capture(testbed: Testbed) -> Iterator[Finding]:
+def check_motion_capture(testbed: Testbed) -> Iterator[Outcome]:
     """See which server answers, how well its clock is known, and whether it has the bodies."""
     settings = testbed.settings.mocap_node
     geometry = read_socket(testbed.geometry)
@@ -202,20 +202,20 @@ def check_motion_capture(testbed: Testbed) -> Iterator[Finding]:
         yield _failure("motion capture", message)
         return
     address = f"{settings.server}:{settings.command_port}"
-    yield Finding("motion capture", f"{server}, {link['rate']:.0f} Hz, at {address}")
+    yield Outcome("motion capture", f"{server}, {link['rate']:.0f} Hz, at {address}")
     if level:
         yield _failure("motion capture stream", message)
     known = 1e3 * link["clock_uncertainty"]
-    yield Finding("motion capture clock", f"known within {known:.2f} ms")
+    yield Outcome("motion capture clock", f"known within {known:.2f} ms")
     counts = (len(geometry.socket_markers), len(geometry.pylon_markers))
     names = (settings.socket_body, settings.pylon_body)
     for name, count, body in zip(names, counts, seen, strict=True):
         what, number = f"rigid body {name}", "three" if count == FEWEST_MARKERS else count
         found = f"its {number} markers are seen"
-        yield _failure(what, body.fault) if body.fault else Finding(what, found)
+        yield _failure(what, body.fault) if body.fault else Outcome(what, found)
 
 
-CHECKS: tuple[Callable[[Testbed], Iterator[Finding]], ...] = (
+CHECKS: tuple[Callable[[Testbed], Iterator[Outcome]], ...] = (
     check_kernel,
     check_trigger,
     check_scheduling,
@@ -231,7 +231,7 @@ CHECKS: tuple[Callable[[Testbed], Iterator[Finding]], ...] = (
 # cell [N], shape (c + 3,); NaN where there is none.
 
 
-def press_test(testbed: Testbed, ask: Callable[[str], None]) -> Iterator[Finding]:
+def press_test(testbed: Testbed, ask: Callable[[str], None]) -> Iterator[Outcome]:
     """Ask for a press on each cluster in turn, and tell what answered; no node runs meanwhile.
 
     `ask` is called with what the person shall do: `press on NAME` or `let go`. A DeviceError says
@@ -259,7 +259,7 @@ def press_test(testbed: Testbed, ask: Callable[[str], None]) -> Iterator[Finding
             pressed = _wait(read, lambda reading: bool((pushed(reading) > 1.0).any()))
             if pressed is None:
                 found = f"no cluster answered within {WITHIN:g} s"
-                yield Finding(f"press on {name}", found, _UNFELT)
+                yield Outcome(f"press on {name}", found, _UNFELT)
                 continue
             answered = int(pushed(pressed).argmax())
             yield _judge(names, number, answered, pressed - zero, outward[number])
@@ -274,7 +274,7 @@ def _mean(readings: list[FloatArray]) -> FloatArray:
 
 def _judge(
     names: Sequence[str], number: int, answered: int, change: FloatArray, outward: FloatArray
-) -> Finding:
+) -> Outcome:
     """What a press on a cluster says of its wiring, from the number of the one that answered.
 
     The change is the reading's, the outward normal that of the wall where it was pressed.
@@ -283,21 +283,21 @@ def _judge(
     found = f"{felt} felt {1e-3 * change[answered]:+.1f} kPa"
     if felt != name:
         hint = f"exchange the places of {name} and {felt} in cluster_node's"
-        return Finding(what, found, f"{hint} channels, or their cables; or press on {name} itself")
+        return Outcome(what, found, f"{hint} channels, or their cables; or press on {name} itself")
     if change[answered] < 0.0:
         hint = "its normal is the wrong way round: check its channels' order and its calibration"
-        return Finding(what, found, hint)
+        return Outcome(what, found, hint)
     size = float(np.linalg.norm(change[-3:]))
     if not size >= _LEAST_FORCE:
         hint = "check the load cell's wiring"
-        return Finding(what, f"{found}, the load cell felt nothing", hint)
+        return Outcome(what, f"{found}, the load cell felt nothing", hint)
     along, found = float(change[-3:] @ outward) / size, f"{found}, the load cell {size:.1f} N"
     if along <= -_ALONG:
-        return Finding(what, f"{found} the other way", "check the load cell's signs and matrix")
+        return Outcome(what, f"{found} the other way", "check the load cell's signs and matrix")
     if along < _ALONG:
         hint = "check how the load cell is turned, its matrix, and the cluster's place"
-        return Finding(what, f"{found} in another direction", hint)
-    return Finding(what, found)
+        return Outcome(what, f"{found} in another direction", hint)
+    return Outcome(what, found)
 
 
 @contextmanager

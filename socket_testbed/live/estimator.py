@@ -335,7 +335,7 @@ class OnlineEstimator:
             return
         if refit.is_worse:
             self._counts["refused"] += 1
-            self._state = (0, f"{self._origin}; it stays: {refit.comparison}")
+            self._state = (0, f"{self._origin}; it stays: {refit.contest}")
             return
         fit = refit.fit
         self._model, self._last_stamp = fit.model, fit.last_stamp
@@ -347,8 +347,8 @@ class OnlineEstimator:
         )
         if refit.cause:
             self._origin += f"; older samples left out: {refit.cause}"
-        compared = f"; it replaced another: {refit.comparison}" if refit.comparison else ""
-        self._state = (0, self._origin + compared)
+        judged = f"; it replaced another: {refit.contest}" if refit.contest else ""
+        self._state = (0, self._origin + judged)
         self._notify(fit)
 
     def _check(self, stamp: int) -> None:

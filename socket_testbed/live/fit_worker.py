@@ -54,7 +54,7 @@ class Steady:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Contest:
     """Two models judged by the newest samples, which the fit of the new one left out."""
 
     samples: int  # number of these samples
@@ -75,14 +75,14 @@ class Refit:
     """A fit on a steady stretch or on all samples."""
 
     fit: Fit
-    comparison: Comparison | None = None  # of the fit with the model that it is to replace
+    contest: Contest | None = None  # of the fit beside the model that it is to replace
     # Why the stretch begins where it does, if a channel slipped or drifts, in words
     cause: str = ""
 
     @property
     def is_worse(self) -> bool:
         """Whether it predicts the newest samples worse than the model that it is to replace."""
-        return self.comparison is not None and self.comparison.new > self.comparison.old
+        return self.contest is not None and self.contest.new > self.contest.old
 
 
 class FitWorker:
@@ -157,10 +157,10 @@ def fit_samples(
         if samples.stamps[used][-1] <= steady.after:
             return None  # and the other stretches are older
         fit = _plausible_fit(samples[used], geometry, settings)
-        comparison = None
+        contest = None
         if steady.rival is not None:
-            comparison = _compare(steady.rival, fit.model, cleaned[newest], settings)
-        return Refit(fit, comparison, stretch.cause)
+            contest = _judge(steady.rival, fit.model, cleaned[newest], settings)
+        return Refit(fit, contest, stretch.cause)
     return None
 
 
@@ -175,10 +175,10 @@ def _plausible_fit(
     return fit
 
 
-def _compare(
+def _judge(
     old: ContactModel, new: ContactModel, samples: Samples, settings: IdentificationSettings
-) -> Comparison:
-    """Compare two models by their errors on samples, relative to the size of each group."""
+) -> Contest:
+    """Judge two models by their errors on samples, relative to the size of each group."""
     measured = samples.trusted_values
     counts = np.array([name not in settings.leave_out for name in samples.channels])
     measured[:, ~counts] = np.nan
@@ -193,7 +193,7 @@ def _compare(
         wrench, clusters = rms(relative[:, :6], 0.0), rms(relative[:, 6:], 0.0)
         return float(np.sqrt(settings.theta * wrench**2 + (1.0 - settings.theta) * clusters**2))
 
-    return Comparison(len(samples), error(old), error(new))
+    return Contest(len(samples), error(old), error(new))
 
 
 def check_samples(

@@ -13,14 +13,11 @@ from socket_testbed.samples import Status
 from socket_testbed.trials.topics import (
     CAPACITANCE,
     ESTIMATED_WRENCH,
-    PYLON_POSE,
-    SOCKET_POSE,
+    REQUIRED,
     TRIGGER,
     WRENCH,
     Topic,
 )
-
-MEASURED = (CAPACITANCE, WRENCH, SOCKET_POSE, PYLON_POSE)
 
 _PENDING = 1000  # stamps kept while their measurements come in
 _JUDGED = 10.0  # [s]; over which predictions are compared with measurements
@@ -60,25 +57,25 @@ class GraphStatus:
 
     def add(self, topic: Topic, stamp: int, values: Any) -> None:
         """Take what was read of a message with a stamp [ns], see `Reader`."""
-        if topic is TRIGGER:
-            self._add_trigger(stamp)
-        elif topic is ESTIMATED_WRENCH:
+        if topic is ESTIMATED_WRENCH:
             error = values - self._measured.get(stamp, np.nan)
             if np.isfinite(error).all():
                 self._errors.append((stamp, error))
             while self._errors and self._errors[0][0] < stamp - _JUDGED * 1e9:
                 self._errors.popleft()
-        else:
-            if topic is WRENCH:
-                self.wrench = self._measured[stamp] = values
-                _keep_newest(self._measured)
-            missing = values.status == Status.MISSING if topic is CAPACITANCE else np.isnan(values)
-            if not missing.any():
-                self._pending.setdefault(stamp, set()).add(topic)
-                if len(self._pending[stamp]) == len(MEASURED):
-                    del self._pending[stamp]
-                    self.complete += 1
-                _keep_newest(self._pending)
+            return
+        if topic is TRIGGER:
+            self._add_trigger(stamp)
+        elif topic is WRENCH:
+            self.wrench = self._measured[stamp] = values
+            _keep_newest(self._measured)
+        missing = values.status == Status.MISSING if topic is CAPACITANCE else np.isnan(values)
+        if not missing.any():
+            self._pending.setdefault(stamp, set()).add(topic)
+            if len(self._pending[stamp]) == len(REQUIRED):
+                del self._pending[stamp]
+                self.complete += 1
+            _keep_newest(self._pending)
 
     def _add_trigger(self, stamp: int) -> None:
         if not self.triggers or stamp < self._last:  # a replay that starts over

@@ -24,7 +24,7 @@ from std_srvs.srv import SetBool, Trigger
 
 from socket_testbed import clocks
 from socket_testbed.errors import ConfigurationError, TestbedError
-from socket_testbed.live.graph_status import MEASURED, GraphStatus
+from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.nodes.base import (
     Inbox,
     header_to_ros,
@@ -42,6 +42,7 @@ from socket_testbed.trials.topics import (
     EVENT,
     PARAMETERS,
     RECORDED_TRIAL,
+    REQUIRED,
     TRIGGER,
     Topic,
     full_namespace,
@@ -50,7 +51,7 @@ from socket_testbed.trials.topics import (
 
 _POLL = 0.02  # [s]
 
-_WATCHED = (TRIGGER, ESTIMATED_WRENCH, *MEASURED)
+_WATCHED = (*REQUIRED, ESTIMATED_WRENCH)  # what is measured, and then what was predicted of it
 
 # Of an event, in real time:
 _LINKED_WITHIN = 6.0  # [s]; for a subscriber to be found on a busy machine

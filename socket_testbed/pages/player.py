@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from socket_testbed.arrays import evenly
+from socket_testbed.arrays import BREAK, evenly, usual_period
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.identification.noise import smooth_poses
@@ -25,7 +25,6 @@ from socket_testbed.trials.pressure import mapped_trial
 from socket_testbed.trials.trial import Trial
 
 _INSTANTS = 400  # of the course
-_GAP = 3.0  # usual steps between samples; a longer one is a gap
 
 
 class Player:
@@ -38,7 +37,7 @@ class Player:
         self._samples = samples = trial.samples()
         self._mapped = mapped_trial(trial, trial.estimator)
         self._data = data_card(trial.findings)
-        self._gap = _GAP * float(np.median(np.diff(samples.time))) if len(samples) > 1 else 0.0
+        self._holds = BREAK * usual_period(samples.time)  # [s]; a sample
         self._predicted = np.full((len(samples), 6), np.nan)
         if model is not None:
             model.require_socket(trial.geometry)
@@ -63,7 +62,7 @@ class Player:
         at, samples, mapped = time or 0.0, self._samples, self._mapped
         row = max(int(np.searchsorted(samples.time, at + 1e-6, "right")) - 1, 0)
         one = slice(row, row + 1)
-        if at - samples.time[row] > self._gap or not measured_rows(mapped.samples[one])[0]:
+        if at - samples.time[row] > self._holds or not measured_rows(mapped.samples[one])[0]:
             nothing = {"title": "Peak", "value": "none", "words": "no sample at this time"}
             return {"moment": {"time": at}, "cards": [nothing, self._data]}
         found = mapped.outputs(one)

@@ -14,7 +14,15 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from socket_testbed.arrays import BoolArray, FloatArray, StatusArray, runs
+from socket_testbed.arrays import (
+    GAP,
+    BoolArray,
+    FloatArray,
+    StatusArray,
+    gaps,
+    runs,
+    usual_period,
+)
 from socket_testbed.identification.fit import summarise_errors
 from socket_testbed.identification.information import share_warning
 from socket_testbed.identification.model_file import StoredModel
@@ -37,7 +45,6 @@ from socket_testbed.version import __version__
 
 _LIBRARIES = ("numpy", "scipy", "osqp", "qpsolvers", "matplotlib", "plotly")
 _DIGEST = 16  # hexadecimal digits: enough to tell files apart
-_GAP = 1.5  # [-]; of the usual period
 _MOST_GAPS = 5  # in the list
 _LOAD, _DROP_OUTS, _DROP_OUTS_AXIS = 36.0, 4.5, 16.0  # [mm]
 _BINS = 400  # of the trial's time
@@ -53,15 +60,15 @@ def section(results: Results) -> Section:
     ).rename_axis("measurement")
     drop_outs = find_drop_outs(samples, results.segment)
     counts = dict.fromkeys(drop_outs, ".0f") | {"missing [%]": ".2f", "longest [s]": ".2f"}
-    gaps = find_gaps(samples.time)
-    listed = [f"{length:.3f} s from {start:.2f} s" for start, length in gaps[:_MOST_GAPS]]
+    found = find_gaps(samples.time)
+    listed = [f"{length:.3f} s from {start:.2f} s" for start, length in found[:_MOST_GAPS]]
     return Section(
         "quality",
         "Data quality",
         [
             f"{len(samples)} samples in {samples.time[-1]:.2f} s at"
             f" {number(1.0 / usual_period(samples.time))} Hz, {int(samples.complete.sum())} with a"
-            f" wrench and a limb position; {len(gaps)} gaps longer than {_GAP:g} periods.",
+            f" wrench and a limb position; {len(found)} gaps longer than {GAP:g} periods.",
             listed,
             _overview(results),
             Table("drop-outs", "Samples of the trial without a measurement", drop_outs, counts),
@@ -83,16 +90,10 @@ def section(results: Results) -> Section:
     )
 
 
-def usual_period(time: FloatArray) -> float:
-    """Median time between triggers [s]; NaN for fewer than two."""
-    return float(np.median(np.diff(time))) if len(time) > 1 else float("nan")
-
-
 def find_gaps(time: FloatArray) -> list[tuple[float, float]]:
-    """Starts and durations [s] of more than one and a half usual periods, the longest first."""
-    periods = np.diff(time)
-    gaps = np.flatnonzero(periods > _GAP * usual_period(time))
-    longest_first = gaps[np.argsort(-periods[gaps], kind="stable")]
+    """Starts and durations [s] of the gaps, the longest first."""
+    periods, found = np.diff(time), np.flatnonzero(gaps(time))
+    longest_first = found[np.argsort(-periods[found], kind="stable")]
     return [(float(time[i]), float(periods[i])) for i in longest_first]
 
 

@@ -7,7 +7,6 @@ Their counts are compared instead.
 
 from __future__ import annotations
 
-import math
 import os
 import zlib
 from collections import defaultdict
@@ -117,19 +116,10 @@ class BagReader:
         for connection, time, data in self._entries(topics):
             yield RawMessage(connection.topic, connection.msgtype, time, data)
 
-    def blocks(
-        self, topics: Collection[str], duration: float = math.inf
-    ) -> Iterator[tuple[str, list[bytes]]]:
-        """The messages of some topics in blocks of a few thousand, each topic's in their order.
-
-        They are read for a duration from the first of these messages [s].
-        """
+    def blocks(self, topics: Collection[str]) -> Iterator[tuple[str, list[bytes]]]:
+        """The messages of some topics in blocks of a few thousand, each topic's in their order."""
         blocks: dict[str, list[bytes]] = defaultdict(list)
-        end = math.inf
-        for connection, time, data in self._entries(topics):
-            end = min(end, time + 1e9 * duration)
-            if time > end:
-                break
+        for connection, _, data in self._entries(topics):
             blocks[connection.topic].append(data)
             if len(blocks[connection.topic]) == _BLOCK:
                 yield connection.topic, blocks.pop(connection.topic)

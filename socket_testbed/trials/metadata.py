@@ -34,26 +34,16 @@ class TrialMetadata:
     """What a person states about a trial; None for what is not stated.
 
     Runs of white space in a text become one space.
-
-    Attributes:
-        subject: Code of the subject, such as `S01`; never a name.
-        side: Side of the residual limb, `left` or `right`.
-        socket: The socket, such as `PTB 3`.
-        liner: Liner or sock.
-        mass: Body mass of the subject [kg].
-        operator: Initials or a code of who recorded it.
-        protocol: The protocol that it follows.
-        notes: Anything else.
     """
 
-    subject: str | None = None
-    side: Side | None = None
-    socket: str | None = None
-    liner: str | None = None
-    mass: float | None = None
-    operator: str | None = None
-    protocol: str | None = None
-    notes: str | None = None
+    subject: str | None = None  # a code such as `S01`; never a name
+    side: Side | None = None  # of the residual limb
+    socket: str | None = None  # such as `PTB 3`
+    liner: str | None = None  # or sock
+    mass: float | None = None  # of the subject [kg]
+    operator: str | None = None  # initials or a code of who recorded it
+    protocol: str | None = None  # that it follows
+    notes: str | None = None  # anything else
 
     def __post_init__(self) -> None:
         for name, value in self.stated().items():

@@ -23,7 +23,7 @@ from typing import Literal, NamedTuple, NoReturn
 import numpy as np
 from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d, uniform_filter1d
 
-from socket_testbed.arrays import FloatArray, IntArray, runs
+from socket_testbed.arrays import FloatArray, IntArray, runs, usual_period
 from socket_testbed.errors import ConfigurationError, TrialError, likely
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
@@ -513,8 +513,7 @@ def _width(samples: Samples, duration: float) -> int:
     """Number of samples that last so long [s], three at least."""
     if len(samples) < 3:
         return 3
-    period = float(np.median(np.diff(samples.stamps))) * 1e-9
-    return max(3, round(duration / period))
+    return max(3, round(duration / (usual_period(samples.stamps) * 1e-9)))
 
 
 def _held(values: FloatArray) -> FloatArray:

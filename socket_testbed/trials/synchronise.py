@@ -2,25 +2,23 @@
 
 `read_measurements` puts the recorded values in rows, one per trigger. `correct_measurements`
 removes the drift of the clusters, if spans without load are known. `make_samples` computes the
-stresses and forces, with a calibration, and the limb position. `sample_table` shows the values of
-every step. `Trial.samples` does it all with the trial's own configuration.
+stresses and forces, with a calibration, and the limb position. `Trial.samples` does
+it all with the trial's own configuration.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from socket_testbed.arrays import FloatArray, IntArray, StatusArray
-from socket_testbed.calibration.bench_data import STRESSES
 from socket_testbed.calibration.drift import (
     DRIFT_LIMIT,
     Drift,
@@ -33,10 +31,9 @@ from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.marker_bodies import MOST_MARKERS
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.samples import LOCAL_CHANNELS, Samples, Status, channel_unit
+from socket_testbed.samples import Samples, Status
 from socket_testbed.trials.bag import BagReader, required_topics
 from socket_testbed.trials.messages import Reader, VectorPacker, pose_packer, wrench_packer
-from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.topics import (
     CAPACITANCE,
     LOAD_CELL_RAW,
@@ -47,9 +44,6 @@ from socket_testbed.trials.topics import (
     WRENCH,
     Topic,
 )
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -101,23 +95,19 @@ _Columns: TypeAlias = list[NDArray[Any]]
 
 
 def read_measurements(
-    bag: BagReader,
-    notify: Callable[[str], None],
-    duration: float = math.inf,
-    more: Collection[Topic] = (),
+    bag: BagReader, notify: Callable[[str], None], more: Collection[Topic] = ()
 ) -> Measurements:
     """Read the measurements of a bag; a TrialError if it cannot be read or lacks a topic.
 
-    They are read for a duration from the first one [s]; `more` are which of LOAD_CELL_RAW and
-    MARKERS to read as well. Stamps that jump back, and stamps that a topic holds more than once,
-    are notified.
+    `more` are which of LOAD_CELL_RAW and MARKERS to read as well. Stamps that jump back, and stamps
+    that a topic holds more than once, are notified.
     """
     topics = required_topics(bag)
     for topic in more:
         if not bag.counts.get(topics.get(topic, "")):
             why, hint = _NEEDED_FOR[topic]
             raise TrialError(f"{bag.path}: holds no '{topic.name}', so {why}", hint)
-    series = _read_series(bag, {topics[t]: t for t in topics if t.required or t in more}, duration)
+    series = _read_series(bag, {topics[t]: t for t in topics if t.required or t in more})
     clusters = tuple(name for topic, name in series if topic is CAPACITANCE)
     for note in _stamp_notes(series):
         notify(note)
@@ -167,13 +157,11 @@ def marker_count(seen: FloatArray) -> int:
     return int(np.flatnonzero(np.isfinite(seen).any(axis=(0, 2))).max(initial=-1)) + 1
 
 
-def _read_series(
-    bag: BagReader, topics: dict[str, Topic], duration: float
-) -> dict[tuple[Topic, str], _Columns]:
+def _read_series(bag: BagReader, topics: dict[str, Topic]) -> dict[tuple[Topic, str], _Columns]:
     """What was recorded of each topic, and of each cluster or body by its name."""
     readers = {topic: Reader(topic, bag.path) for topic in topics.values()}
     parts: dict[tuple[Topic, str], list[_Columns]] = defaultdict(list)
-    for topic_name, messages in bag.blocks(topics, duration):
+    for topic_name, messages in bag.blocks(topics):
         topic = topics[topic_name]
         found: dict[str, list[_Columns]] = defaultdict(list)
         for places, stamps, values in readers[topic].parts(messages):
@@ -369,44 +357,6 @@ def make_samples(
         local_forces=forces,
         status=status,
     )
-
-
-_SHARED = 1 + 6 + 6  # columns besides the clusters': time, wrench, the limb's pose
-
-
-def sample_table(
-    measured: Measurements,
-    samples: Samples,
-    calibration: Calibration,
-    segment: Segment,
-    predicted: FloatArray | None = None,
-) -> pd.DataFrame:
-    """The samples of a segment as a table, with what the clusters' forces were computed from.
-
-    It is made of all that was measured, corrected for drift, all samples, and what a model predicts
-    for all of them, (N, 6 + 3c), shown as `predicted.*`. A row per sample, with the units in the
-    titles: stamp [ns], time since the trial's first sample [s], wrench and the limb's pose in {S};
-    for each cluster its capacitances by the converter's input [pF], its status (0 ok, 1 saturated,
-    2 missing, 3 out of the calibrated range), its stress along its own axes [Pa] and force in {L}
-    [N]. NaN where there is none.
-    """
-    import pandas as pd
-
-    table = samples.to_dataframe().iloc[segment.rows].reset_index()
-    stamps = samples.stamps[segment.rows]
-    capacitance, status = measured.capacitance[segment.rows], measured.status[segment.rows]
-    columns: dict[str, Any] = {"stamp [ns]": stamps, **table.iloc[:, :_SHARED]}
-    for number, name in enumerate(samples.clusters):
-        readings = capacitance[:, number]
-        stress, _ = calibration.clusters[name].apply(readings, status[:, number])
-        columns |= {f"{name}.C{i} [pF]": readings[:, i] for i in range(4)}
-        columns[f"{name}.status [-]"] = table[f"{name}.status [-]"]
-        columns |= {f"{name}.{axis} [Pa]": stress[:, i] for i, axis in enumerate(STRESSES)}
-        columns |= {title: table[title] for title in (f"{name}.{f} [N]" for f in LOCAL_CHANNELS)}
-    if predicted is not None:
-        for channel, values in zip(samples.channels, predicted[segment.rows].T, strict=True):
-            columns[f"predicted.{channel} [{channel_unit(channel)}]"] = values
-    return pd.DataFrame(columns)
 
 
 def check_unloaded(spans: tuple[tuple[float, float], ...]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -60,29 +59,20 @@ CONFIGURATION_FILES = (SOCKET_FILE, CALIBRATION_FILE, PARAMETERS_FILE)
 class Trial:
     """A recorded trial.
 
-    Attributes:
-        path: Folder of the trial.
-        socket_file: A `socket.yaml` to use instead of the trial's own. Poses of a body whose
-            markers differ are fitted anew to its recorded markers.
-        calibration_file: A `calibration.yaml` to use instead of the trial's own.
-        notify: Called with each note on the trial: on its bag, whenever it is opened, and on drift.
-        unloaded: Spans without load, before and after, by which the clusters' drift is
-            corrected; seconds since the first sample.
-        load_cell_file: A `testbed.yaml` whose load cell is used instead of the trial's own.
-        tare: Tare of the wrenches: `recorded`, `none`, or `T0:T1`, seconds since the first sample
-            without load.
-
     Raises:
-        ConfigurationError: If the spans are wrong, see `check_unloaded` and `parse_tare`.
+        ConfigurationError: If the spans or the tare are wrong, see `check_unloaded`, `parse_tare`.
     """
 
-    path: Path
+    path: Path  # its folder
+    # A `socket.yaml` instead of the trial's own. Poses of a body whose markers differ are fitted
+    # anew to its recorded markers
     socket_file: Path | None = None
-    calibration_file: Path | None = None
-    notify: Callable[[str], None] | None = None
+    calibration_file: Path | None = None  # a `calibration.yaml` instead of the trial's own
+    notify: Callable[[str], None] | None = None  # called with each note on the bag and on drift
+    # Spans without load, before and after, by which the clusters' drift is corrected [s]
     unloaded: tuple[tuple[float, float], ...] = ()
-    load_cell_file: Path | None = None
-    tare: str = RECORDED
+    load_cell_file: Path | None = None  # a `testbed.yaml` whose load cell is used instead
+    tare: str = RECORDED  # or `none`, or `T0:T1`, a span without load [s]
     _noted: dict[str, None] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -123,11 +113,8 @@ class Trial:
             return ()
         return other_markers(recorded, self.geometry)
 
-    def measurements(self, duration: float = math.inf) -> Measurements:
+    def measurements(self) -> Measurements:
         """The measurements, with what is replaced made anew, corrected for drift; read anew.
-
-        Args:
-            duration: How much of the recording is read, from its start [s].
 
         Raises:
             TrialError: If the trial cannot be read or lacks a topic, the load cell measured a
@@ -137,7 +124,7 @@ class Trial:
                 load holds too few readings.
         """
         with self.open() as bag:
-            measured = read_measurements(bag, self._notify, duration, self.remade)
+            measured = read_measurements(bag, self._notify, self.remade)
         where = str(self.path)
         if LOAD_CELL_RAW in self.remade:
             given = read_load_cell(self.load_cell_file) if self.load_cell_file else None
@@ -242,10 +229,7 @@ class Trial:
 
     @cached_property
     def _events(self) -> list[Event]:
-        return self.events_of(self.samples())
-
-    def events_of(self, samples: Samples) -> list[Event]:
-        """The events, those in the load found in some samples from the trial's start on."""
+        samples = self.samples()
         with self.open() as bag:
             recorded = read_events(bag, samples)
         return join_events(recorded, find_events(samples, self.estimator.plateau))

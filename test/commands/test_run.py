@@ -1,11 +1,8 @@
 """`run` and `doctor` as a user calls them, on simulated hardware and on a machine without any."""
 
-import json
 import re
 import signal
-import socket
 import subprocess
-import urllib.request
 from pathlib import Path
 
 import numpy as np
@@ -95,38 +92,6 @@ def test_an_event_that_nobody_hears_is_an_error(
         assert "no trial is being recorded" in err and "no trigger came" in err
         probe.wait(lambda: len(received) == 1, "the event")
     assert received[0].label == "push"
-
-
-@pytest.mark.timeout(300)  # 4 s of a testbed that may be 16 times slower
-def test_run_ends_by_itself_and_a_fault_is_seen(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "trial"
-    words = ["run", *SIMULATED, "--rate", "20", "--duration", "4", "--record", str(path)]
-    code, out, err = call(capfd, *words, "--fault", "clusters.nack=3", "--one-process")
-    assert code == 0, err
-    assert "no answer at 0x50 behind channel 2 of 0x70 on i2c-1: check" in err
-    assert "posterior_distal missing" in out
-    assert len(Trial(path).samples()) >= 40
-
-
-@pytest.mark.slow
-def test_the_page_s_button_records_without_record_too(tmp_path: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as free:
-        port = free.getsockname()[1]
-    page, act = f"http://127.0.0.1:{port}", {"do": "record", "trial": "s07"}
-    request = urllib.request.Request(f"{page}/act", json.dumps(act).encode(), {"Origin": page})
-    with Probe() as probe, start("--view", "--view-port", port, folder=tmp_path) as process:
-        wrenches = probe.listen(WRENCH)
-        probe.wait(lambda: len(wrenches) > 2, "measurements")
-        probe.wait(lambda: bool(probe.said("view_node")), "the page")
-        with urllib.request.urlopen(request, timeout=HANGS) as answer:
-            assert "recording" in json.load(answer)["said"]
-        goal = len(wrenches) + 10
-        probe.wait(lambda: len(wrenches) > goal, "a trial")
-        assert interrupt(process).startswith("trials/s07: ")
-    assert len(Trial(tmp_path / "trials" / "s07").samples()) > 5
-    assert [path.name for path in (tmp_path / "trials").iterdir()] == ["s07"]
 
 
 @pytest.fixture

@@ -1,14 +1,24 @@
-"""The graph as processes: what it needs, what it does without, and what it starts again."""
+"""The graph as processes: what it needs and starts again, scheduling, and what `doctor` finds."""
 
+import json
+import os
+import sys
 import tempfile
 from pathlib import Path
 
 import pytest
+from support.verbs import program
+from support.wording import refused
 
-from socket_testbed.errors import TestbedError
+from socket_testbed import clocks
+from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.live import doctor, hardware
 from socket_testbed.live.processes import Graph
-
-pytestmark = pytest.mark.graph
+from socket_testbed.settings.acquisition import (
+    ClusterSettings,
+    LoadCellSettings,
+    TriggerSettings,
+)
 
 NODE = """
 import os, signal, rclpy
@@ -25,6 +35,7 @@ signal.pause()
 """
 
 
+@pytest.mark.graph
 def test_a_graph_ends_with_what_it_needs_and_goes_on_without_what_is_optional(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -47,3 +58,50 @@ def test_a_graph_ends_with_what_it_needs_and_goes_on_without_what_is_optional(
         graph.start_program("needed", "socket_testbed.nodes", ["no_such_node"])
         with pytest.raises(TestbedError, match="needed ended with exit code 1"):
             graph.watch(lambda: False, restarts.append)
+
+
+# --- scheduling, and what `doctor` makes of lateness and kernels
+
+EVERY_THREAD = """
+import json, os, threading
+from pathlib import Path
+from socket_testbed.live.processes import schedule
+from socket_testbed.settings.acquisition import SchedulingSettings
+core = min(os.sched_getaffinity(0))
+done = threading.Event()
+threading.Thread(target=done.wait, daemon=True).start()
+refused = schedule(SchedulingSettings(priority=7, cores=(core,)))
+threading.Thread(target=done.wait, daemon=True).start()
+threads = [int(path.name) for path in Path("/proc/self/task").iterdir()]
+policies = [os.sched_getscheduler(thread) for thread in threads]
+print(json.dumps([refused, policies, [list(os.sched_getaffinity(t)) == [core] for t in threads]]))
+"""
+
+
+def test_all_threads_get_what_is_set_or_a_refusal_says_so() -> None:
+    _, out, _ = program(sys.executable, "-c", EVERY_THREAD)
+    refused, policies, cores = json.loads(out)
+    assert len(policies) == 3 and all(cores)
+    assert set(policies) == {os.SCHED_OTHER if refused else os.SCHED_FIFO}
+    assert not refused or "scheduling.priority 7 is refused" in refused[0]
+
+
+def test_hardware_keeps_to_real_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(clocks, "_scale", 0.5)
+    for make in (
+        lambda: hardware.make_trigger(TriggerSettings()),
+        lambda: hardware.i2c_opener(ClusterSettings()),
+        lambda: hardware.spi_opener(LoadCellSettings()),
+    ):
+        with refused(ConfigurationError, "TIME_SCALE=0.5 is for a simulated testbed"):
+            make()
+
+
+def test_doctor_names_kernels_whose_bus_locks_up() -> None:
+    pi = "Raspberry Pi 5 Model B Rev 1.0"
+    found = doctor.kernel_finding(pi, "6.6.20+rpt-rpi-2712")
+    assert "5784" in found.found and found.hint == "update it to 6.6.28 or newer"
+    for model, release in ((pi, "6.8.0-1013-raspi"), (pi, "6.6.28"), ("a laptop", "5.15.0")):
+        assert not doctor.kernel_finding(model, release).hint

@@ -1,16 +1,12 @@
-"""A person at a testbed: the stamp of an event, each service, and what the nodes report."""
+"""A person at a testbed: the stamp of an event, each service, the status line."""
 
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import rclpy
 from std_msgs.msg import String
 from std_srvs.srv import SetBool
 from std_srvs.srv import Trigger as TriggerService
@@ -20,16 +16,17 @@ from support.testbeds import LiveTestbed
 from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.nodes import controls as module
-from socket_testbed.nodes.controls import EventMarker, ServiceControls, stamp_by_triggers
+from socket_testbed.nodes.controls import ServiceControls, StatusListener, stamp_by_triggers
 from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.settings.testbed import RecorderSettings
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
+from socket_testbed.trials import messages, topics
 from socket_testbed.trials.layout import stamp_of
 from socket_testbed.trials.metadata import TrialMetadata
-from socket_testbed.trials.topics import EVENT, RECORDED_TRIAL
 from socket_testbed.trials.trial import Trial
 
 EPOCH = 1_795_000_000_000_000_000  # [ns]
@@ -54,54 +51,65 @@ def test_the_stamp_is_when_it_was_called_in_the_time_of_triggers() -> None:
     assert stamp_by_triggers(100.0, two) == pytest.approx(two[1][1], abs=1e5)
 
 
-STOPPED = """
-import rclpy
-from socket_testbed_msgs.msg import Event
-rclpy.init()
-node = rclpy.create_node("stopped")
-node.create_subscription(Event, "event", lambda event: None, 10)
-rclpy.spin(node)
-"""
+# --- the status line
+
+PERIOD = 250_000_000  # [ns]
+WRENCHES = np.arange(6.0)
+
+
+def fed(*batches: list[tuple[topics.Topic, bytes]]) -> GraphStatus:
+    """A status after messages that came in batches, between two looks of the terminal each."""
+    status = GraphStatus()
+    listener = StatusListener(status)
+    inbox = listener._inbox
+    for batch in batches:
+        came = {topic: [data for own, data in batch if own is topic] for topic, _ in batch}
+        listener._inbox = SimpleNamespace(take=lambda topic, came=came: came.get(topic, []))
+        listener.take()
+    listener._inbox = inbox
+    listener.close()
+    return status
+
+
+def test_complete_samples_are_counted_and_go_on_when_time_jumps_back() -> None:
+    capacitance, pose = messages.capacitance_packer(("p", "q")), messages.pose_packer()
+    trigger, wrench = messages.trigger_packer(), messages.wrench_packer()
+    sent: list[tuple[topics.Topic, bytes]] = []
+    for k in range(40):  # of five one is complete: a saturated input lacks nothing
+        stamp, lacking = k * PERIOD, [np.nan if k % 5 == n else 0.0 for n in range(3)]
+        status = np.array([[0, 1, 2 * (k % 5 == 0), 0], [0] * 4], np.uint8)
+        sent += [
+            (topics.TRIGGER, trigger(stamp, k)),
+            (topics.CAPACITANCE, capacitance(stamp, np.ones((2, 4)), status)),
+            (topics.WRENCH, wrench(stamp, np.append(WRENCHES[:5], 5.0 + lacking[1]))),
+            (topics.SOCKET_POSE, pose(stamp, np.eye(7)[6] + lacking[2])),
+        ]
+        if k % 5 != 3:
+            sent.append((topics.PYLON_POSE, pose(stamp, np.eye(7)[6])))
+    for times in (1, 2):
+        status = fed(*([message] for message in sent * times))
+        assert (status.triggers, status.complete) == (times * 40, times * 8)
+        assert status.elapsed == pytest.approx(1e-9 * 39 * PERIOD)
+
+
+def test_predictions_are_judged_over_the_last_seconds() -> None:
+    """Predictions that are off by (3, 0, 0) N and (0, 0.2, 0) N m, and by far more long before.
+
+    They come right after the wrench that they are of.
+    """
+    found = []
+    for k in range(100):
+        off = [0.0, -0.2, 0.0, 30.0 if k < 52 else 3.0, 0.0, 0.0]
+        wrenches = {topics.WRENCH: WRENCHES, topics.ESTIMATED_WRENCH: WRENCHES + off}
+        found.append(
+            [(t, messages.wrench_packer()(k * PERIOD, own)) for t, own in wrenches.items()]
+        )
+    assert fed(found[0][:1]).errors() is None
+    assert fed(*found).errors() == pytest.approx((np.sqrt(3.0), 0.2 / np.sqrt(3.0)))
 
 
 @pytest.mark.graph
-def test_a_subscriber_that_is_stopped_holds_up_nothing_else(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """An event waits for it to go on, while the node's other threads work."""
-    monkeypatch.setattr(module, "_TRIGGERED_WITHIN", 0.0)
-    monkeypatch.setattr(module, "_HEARD_WITHIN", HANGS)
-    polls: list[bool] = []
-    program = [sys.executable, "-c", STOPPED]
-    with Probe() as probe, subprocess.Popen(program, stdout=subprocess.PIPE) as stopped:
-        heard = probe.listen(EVENT)
-
-        def wait(condition: Callable[[], bool], duration: float) -> bool:
-            def poll() -> bool:
-                polls.append(condition())
-                if heard and not polls[-1]:
-                    stopped.send_signal(signal.SIGCONT)
-                return polls[-1]
-
-            return module._wait(poll, duration)
-
-        marker = EventMarker(probe.node, wait)
-        state = Path(f"/proc/{stopped.pid}/status")
-        try:
-            publisher = marker._publisher
-            probe.wait(lambda: publisher.get_subscription_count() == 2, "it is found")
-            stopped.send_signal(signal.SIGSTOP)
-            probe.wait(lambda: "T (stopped)" in state.read_text(), "it is stopped")
-            assert marker.mark("push", time.monotonic()).subscribers == 2
-        finally:
-            stopped.kill()
-    assert heard and False in polls[:-1]  # asked again and again, not waited for in one go
-
-
-@pytest.mark.graph
-def test_motive_records_while_the_recorder_does_and_a_missing_service_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_motive_records_while_the_recorder_does(tmp_path: Path) -> None:
     server = NatNetServer(lambda _: [])
     settings = MocapSettings(server=server.address[0], command_port=server.address[1])
     try:
@@ -115,19 +123,10 @@ def test_motive_records_while_the_recorder_does_and_a_missing_service_is_named(
             probe.call(SetBool, "recorder/record", SetBool.Request(data=False))
             probe.wait(lambda: not server.recording, "the end of the take")
             # Any program of the network may name the trial that is recorded.
-            probe.publisher(RECORDED_TRIAL).publish(String(data="x,StopRecording\n../y"))
+            probe.publisher(topics.RECORDED_TRIAL).publish(String(data="x,StopRecording\n../y"))
             words = "cannot be that of a take"
             probe.wait(lambda: bool(probe.said("mocap_node", words)), "the refusal")
             assert server.takes == [name] and not server.recording
-
-            monkeypatch.setattr(module, "_FOUND_WITHIN", 0.1)
-            nowhere = rclpy.create_node("page", namespace="/nowhere", context=probe.context)
-            elsewhere = ServiceControls(nowhere)
-            with refused(TestbedError, "nobody offers load_cell/tare: check that load_cell_node"):
-                elsewhere.act("tare", {})
-            with refused(TestbedError, "start 'run' with --record DIR, or 'record DIR'"):
-                elsewhere.act("record", {})
-            nowhere.destroy_node()
     finally:
         server.close()
 
@@ -164,7 +163,7 @@ def force_tare(live: LiveTestbed) -> None:
 def test_a_trial_is_recorded_with_a_name_and_metadata_and_an_event(
     live: LiveTestbed, act: Callable[..., str]
 ) -> None:
-    announced = live.probe.listen(RECORDED_TRIAL)
+    announced = live.probe.listen(topics.RECORDED_TRIAL)
     live.probe.wait(lambda: [m.data for m in announced][-1:] == ["s01"], "the first trial")
     with refused(TestbedError, "cannot tare: the trial s01 is being recorded"):
         act("tare")

@@ -1,60 +1,33 @@
-"""The contract's messages: as ROS has them, and as the testbed reads, packs and draws them."""
+"""The contract's messages and transforms: as ROS has them, read, packed and drawn."""
 
+import dataclasses
 import re
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from rclpy.clock import Clock
 from rclpy.serialization import deserialize_message, serialize_message
 from scipy.spatial.transform import Rotation
 from socket_testbed_msgs import msg
 from support import CHECKOUT
 from support.bags import wrench_vector
 from support.messages import Maker, numbers_of
-from visualization_msgs.msg import Marker, MarkerArray
 
 from socket_testbed.files import packaged
+from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.nodes.base import header_to_ros, message_type
-from socket_testbed.nodes.estimator_node import PressureMap, model_message
+from socket_testbed.nodes.estimator_node import model_message
+from socket_testbed.nodes.mocap_node import FrameBroadcaster, fixed_frames
 from socket_testbed.samples import Status
-from socket_testbed.trials.layout import (
-    decode,
-    encode,
-    fields_of,
-    make_message,
-    nanoseconds,
-    stamp_of,
-    typestore,
-)
-from socket_testbed.trials.messages import (
-    Reader,
-    capacitance_packer,
-    force_map_packer,
-    load_cell_raw_packer,
-    local_forces_packer,
-    markers_packer,
-    pose_packer,
-    stress_packer,
-    trigger_packer,
-    wrench_packer,
-)
-from socket_testbed.trials.topics import (
-    CAPACITANCE,
-    FORCE_MAP,
-    LOAD_CELL_RAW,
-    LOCAL_FORCES,
-    MARKERS,
-    SOCKET_POSE,
-    STRESS,
-    TRIGGER,
-    WRENCH,
-    Topic,
-)
+from socket_testbed.trials import layout, messages, topics
 
 FOLDER = CHECKOUT / "msg_defs" / "msg"
 GEOMETRY = read_socket(packaged("config", "socket.yaml"))
@@ -106,43 +79,45 @@ def test_the_messages_are_the_contract_s_with_a_unit_a_field() -> None:
         assert fields == [tuple(field.split()) for field in content.split(";")]
         names = [field for _, field in fields]
         assert list(getattr(msg, name).get_fields_and_field_types()) == names
-        offline = typestore().types[f"socket_testbed_msgs/msg/{name}"].__dataclass_fields__
+        offline = layout.typestore().types[f"socket_testbed_msgs/msg/{name}"].__dataclass_fields__
         assert [f for f in offline if f.islower() and f != "__msgtype__"] == names
         for line in text:
             assert not line or line.startswith("#") or re.search(r"#.*\[[^\]]+\]", line), line
 
 
 # By topic: what packs the values that are read of a message m, with a stamp.
-PACK: dict[Topic, Callable[[int, Any, Any], bytes]] = {
-    TRIGGER: lambda t, v, m: trigger_packer()(t, v),
-    WRENCH: lambda t, v, m: wrench_packer()(t, v),
-    SOCKET_POSE: lambda t, v, m: pose_packer()(t, v),
-    LOAD_CELL_RAW: lambda t, v, m: load_cell_raw_packer()(
-        t, 1e3 * v[:6], v[6:], nanoseconds(m.tared), m.status
+PACK: dict[topics.Topic, Callable[[int, Any, Any], bytes]] = {
+    topics.TRIGGER: lambda t, v, m: messages.trigger_packer()(t, v),
+    topics.WRENCH: lambda t, v, m: messages.wrench_packer()(t, v),
+    topics.SOCKET_POSE: lambda t, v, m: messages.pose_packer()(t, v),
+    topics.LOAD_CELL_RAW: lambda t, v, m: messages.load_cell_raw_packer()(
+        t, 1e3 * v[:6], v[6:], layout.nanoseconds(m.tared), m.status
     ),
-    CAPACITANCE: lambda t, v, m: capacitance_packer(v.names)(t, v.capacitance, v.status),
-    STRESS: lambda t, v, m: stress_packer(list(v))(
+    topics.CAPACITANCE: lambda t, v, m: messages.capacitance_packer(v.names)(
+        t, v.capacitance, v.status
+    ),
+    topics.STRESS: lambda t, v, m: messages.stress_packer(list(v))(
         t, np.array([s for s, _ in v.values()]), np.array([s for _, s in v.values()], np.uint8)
     ),
-    MARKERS: lambda t, v, m: markers_packer({name: len(seen) for name, seen in v})(
+    topics.MARKERS: lambda t, v, m: messages.markers_packer({name: len(seen) for name, seen in v})(
         t, [seen for _, seen in v]
     ),
-    LOCAL_FORCES: lambda t, v, m: local_forces_packer(m.names)(t, v),
-    FORCE_MAP: lambda t, v, m: force_map_packer(v[0])(t, MapEstimate(**v[1])),
+    topics.LOCAL_FORCES: lambda t, v, m: messages.local_forces_packer(m.names)(t, v),
+    topics.FORCE_MAP: lambda t, v, m: messages.force_map_packer(v[0])(t, MapEstimate(**v[1])),
 }
 
 
-def ros_message(topic: Topic, seed: int) -> Any:
+def ros_message(topic: topics.Topic, seed: int) -> Any:
     """A message as ROS has it, with random content: tiles in all lists, bodies with markers."""
     maker = Maker(seed, seed)
     content = maker.message(topic.type)
-    if topic in (LOCAL_FORCES, FORCE_MAP):
-        for field in (field for field in fields_of(topic.type) if field.number == 0):
+    if topic in (topics.LOCAL_FORCES, topics.FORCE_MAP):
+        for field in (field for field in layout.fields_of(topic.type) if field.number == 0):
             own = [maker.one(field.type) for _ in range(1 + seed % 3)]
             setattr(content, field.name, np.array(own) if field.type == "float64" else own)
-    data = typestore().serialize_cdr(content, topic.type)
+    data = layout.typestore().serialize_cdr(content, topic.type)
     message = deserialize_message(bytes(data), message_type(topic))
-    if topic is MARKERS:
+    if topic is topics.MARKERS:
         message.bodies = [body for body in message.bodies if body.markers]
     for number, part in enumerate(getattr(message, "clusters", getattr(message, "bodies", ()))):
         part.name += f"{number}"
@@ -159,36 +134,40 @@ def flat(values: Any) -> Iterator[float]:
 
 
 @pytest.mark.parametrize("topic", PACK, ids=lambda topic: topic.name)
-def test_what_ros_sends_is_read_and_what_is_packed_is_what_ros_sends(topic: Topic) -> None:
+def test_what_ros_sends_is_read_and_what_is_packed_is_what_ros_sends(topic: topics.Topic) -> None:
     """Even after a message with other names, other counts, or in another frame."""
-    reader = Reader(topic)
+    reader = messages.Reader(topic)
     for seed in range(24):
         message = ros_message(topic, seed)
         data = serialize_message(message)
         stamp, values = reader.read(data)
-        assert stamp == stamp_of(message) and type(stamp) is int
-        if topic is WRENCH:
+        assert stamp == layout.stamp_of(message) and type(stamp) is int
+        if topic is topics.WRENCH:
             expected = [*wrench_vector(message.wrench)]
-        elif topic is LOAD_CELL_RAW:
+        elif topic is topics.LOAD_CELL_RAW:
             expected = [*message.ratios, *wrench_vector(message.tare)]
-        elif topic is CAPACITANCE:
+        elif topic is topics.CAPACITANCE:
             expected = [x for c in message.clusters for x in c.capacitance]
             expected += [x for c in message.clusters for x in c.status]
         else:
-            expected = numbers_of(decode(data, topic.type), topic.type)[2:]
+            expected = numbers_of(layout.decode(data, topic.type), topic.type)[2:]
         np.testing.assert_equal(list(flat(values)), expected)
-        message.header.frame_id = "world" if topic in (SOCKET_POSE, MARKERS) else "load_cell"
+        message.header.frame_id = (
+            "world" if topic in (topics.SOCKET_POSE, topics.MARKERS) else "load_cell"
+        )
         packed = PACK[topic](stamp, values, message)
         assert len(packed) == len(serialize_message(message))
-        if topic is LOAD_CELL_RAW:
+        if topic is topics.LOAD_CELL_RAW:
             message.ratios = 1e-3 * (1e3 * message.ratios)
         assert repr(deserialize_message(packed, type(message))) == repr(message)
 
 
 def test_two_clusters_of_one_name_are_missing() -> None:
     clusters = [{"name": name, "normal": 1.0} for name in ("distal", "distal", "other")]
-    data = encode(make_message(STRESS.type, clusters=clusters), STRESS.type)
-    found = Reader(STRESS).read(data)[1]
+    data = layout.encode(
+        layout.make_message(topics.STRESS.type, clusters=clusters), topics.STRESS.type
+    )
+    found = messages.Reader(topics.STRESS).read(data)[1]
     assert np.isnan(found["distal"][0]).all() and found["distal"][1] == Status.MISSING
     assert found["other"][1] == Status.OK
 
@@ -210,32 +189,67 @@ def test_a_model_is_sent_as_it_is_stored(hold_model: Path) -> None:
     assert (sent.samples, sent.solver_status) == (stored.samples, stored.status)
 
 
-def test_tiles_are_drawn_where_they_are_their_forces_as_arrows_what_is_uncertain_is_faint() -> None:
-    rng, count = np.random.default_rng(0), len(GEOMETRY)
-    scalars = [rng.uniform(0.0, 4e4, (1, count)) for _ in range(4)]
-    vectors = rng.normal(size=(2, 1, count, 3))
-    scalars[:2] = np.linspace(-1e4, 2.9e4, count)[None], np.linspace(0.0, 5e4, count)[None]
-    estimate = MapEstimate(vectors[0], abs(vectors[1]), *scalars, "made up")
-    sent = PressureMap(GEOMETRY).serialised(STAMP, estimate)
-    message = deserialize_message(sent, MarkerArray)
-    assert len(sent) == len(serialize_message(message)) and len(message.markers) == 2 * count
-    for marker in message.markers:  # it ends by itself
-        assert 0 < marker.lifetime.sec < 10 and marker.header == header_to_ros(STAMP)
-    for colours in (
-        [tile.color.g for tile in message.markers[::2]],
-        [tile.color.a for tile in message.markers[::2]],
-    ):
-        assert colours == sorted(colours, reverse=True) and colours[0] > colours[-1] > 0.0
-    for i in range(count):
-        tile, arrow = message.markers[2 * i : 2 * i + 2]
-        assert (tile.type, tile.ns, tile.id) == (Marker.TRIANGLE_LIST, "tiles", i)
-        assert (arrow.ns, arrow.id) == ("forces", i)
-        q = tile.pose.orientation
-        turn = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
-        sides = (xyz(tile.points) @ turn.T + xyz([tile.pose.position])).reshape(2, 3, 3)
-        normals = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0])
-        outwards = -GEOMETRY.rotations[i][:, 2]
-        np.testing.assert_allclose(normals, [GEOMETRY.areas[i] * outwards] * 2, atol=1e-9)
-        start, tip = xyz(arrow.points)
-        np.testing.assert_allclose(start, GEOMETRY.anchors[i])
-        np.testing.assert_allclose(tip - start, 0.002 * estimate.forces[0, i])
+# --- transforms, composed as RViz does it, against the geometry's own formula
+
+
+def pose_of(transform: Any) -> Pose:
+    """A transform's pose, from the message's own fields."""
+    t, q = transform.transform.translation, transform.transform.rotation
+    turn = Rotation.from_quat([q.x, q.y, q.z, q.w])
+    return Pose(turn.as_matrix(), np.array([t.x, t.y, t.z]))
+
+
+def test_a_cluster_s_frame_is_its_tile_s_turned_as_it_is_glued() -> None:
+    geometry = dataclasses.replace(GEOMETRY, turned={"distal": 0.6})
+    found = {name: (parent, pose) for parent, name, pose in fixed_frames(geometry)}
+    assert set(found) == {"load_cell", *GEOMETRY.clusters}
+    for name, tile in GEOMETRY.clusters.items():
+        parent, pose = found[name]
+        assert parent == "load_cell"
+        # {L}: z is the inward normal, the origin the tile's centre.
+        np.testing.assert_allclose(pose.apply(np.zeros(3)), GEOMETRY.anchors[tile])
+        inward = pose.apply(np.array([0.0, 0.0, 1.0])) - GEOMETRY.anchors[tile]
+        np.testing.assert_allclose(inward, GEOMETRY.rotations[tile][:, 2])
+        # A stress along the axes of the cluster's frame is the force that the fit reckons with.
+        normal, shear_x, shear_y = stress = np.array([2e4, 3e3, -1e3])
+        force = geometry.areas[tile] * pose.rotation @ (shear_x, shear_y, -normal)
+        expected = geometry.rotations[tile] @ geometry.cluster_force(name, stress)
+        np.testing.assert_allclose(force, expected)
+    parent, load_cell = found["load_cell"]
+    assert parent == "socket"
+    both: Pose = GEOMETRY.socket_body @ load_cell
+    np.testing.assert_allclose(both.rotation, np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(both.translation, 0.0, atol=1e-9)
+
+
+class Listened:
+    """Stands for a node that publishes: the messages by topic."""
+
+    def __init__(self) -> None:
+        self.sent: dict[str, list[Any]] = defaultdict(list)
+
+    def get_clock(self) -> Clock:
+        return Clock()
+
+    def create_publisher(self, kind: Any, name: str, qos: Any) -> SimpleNamespace:
+        return SimpleNamespace(publish=self.sent[name].append, get_subscription_count=lambda: 1)
+
+
+def test_the_transforms_compose_to_the_limb_in_the_socket() -> None:
+    rng, node = np.random.default_rng(0), Listened()
+    turns = Rotation.from_rotvec(rng.normal(size=(2, 3)))
+    vectors = np.hstack([rng.normal(size=(2, 3)), turns.as_quat()])
+    broadcaster = FrameBroadcaster(node, GEOMETRY, "/lab")
+    broadcaster.move(7, {topics.SOCKET_POSE: vectors[0], topics.PYLON_POSE: vectors[1]})
+    broadcaster.move(8, {topics.SOCKET_POSE: vectors[0], topics.PYLON_POSE: np.nan * vectors[1]})
+    seen, hidden = (message.transforms for message in node.sent["/lab/tf"])
+    assert [t.child_frame_id for t in seen] == ["socket", "limb"]
+    assert [t.child_frame_id for t in hidden] == ["socket"]
+    assert all(t.header.frame_id == "world" and layout.stamp_of(t) == 7 for t in seen)
+    (fixed,) = node.sent["/lab/tf_static"]
+    (load_cell,) = (t for t in fixed.transforms if t.header.frame_id == "socket")
+    limb = (pose_of(seen[0]) @ pose_of(load_cell)).inverse() @ pose_of(seen[1])
+    bodies = (Pose.from_quaternion(vector[:3], vector[3:]) for vector in vectors)
+    expected = GEOMETRY.limb_pose(*bodies)
+    np.testing.assert_allclose(limb.translation, expected.translation, atol=1e-9)
+    np.testing.assert_allclose(limb.rotation, expected.rotation, atol=1e-9)

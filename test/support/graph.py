@@ -29,6 +29,7 @@ class Probe:
         self.node = rclpy.create_node("probe", context=self.context)
         self.received: dict[str, list[Any]] = defaultdict(list)
         self._clients: dict[str, Any] = {}
+        self._answered: set[str] = set()
         self._news = threading.Condition()
         self._done = Future()
         self._executor = EventsExecutor(context=self.context)
@@ -104,7 +105,8 @@ class Probe:
     def call(self, kind: Any, name: str, request: Any) -> Any:
         """Call a service and return its answer.
 
-        The middleware can lose the answer to a new client: it is kept, and asks again.
+        The middleware can lose the answer to a new client: it is kept, and asks again; for a fit,
+        which takes its time, only until it has had an answer.
         """
         if name not in self._clients:
             self._clients[name] = self.node.create_client(kind, name)
@@ -112,11 +114,12 @@ class Probe:
         self.wait(client.service_is_ready, f"service {name}")
 
         def answered() -> bool:
-            again = not name.endswith("/fit") and time.monotonic() > began + _ASK_AGAIN * len(asked)
-            if not asked or again:
+            late = time.monotonic() > began + _ASK_AGAIN * len(asked)
+            if not asked or (late and not (name.endswith("/fit") and name in self._answered)):
                 asked.append(client.call_async(request))
             return any(future.done() for future in asked)
 
         began = time.monotonic()
         self.wait(answered, f"answer of {name}")
+        self._answered.add(name)
         return next(future for future in asked if future.done()).result()

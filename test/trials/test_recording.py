@@ -227,8 +227,6 @@ def test_notes_name_what_was_saved_and_what_is_missing(recording, tmp_path: Path
     assert f"cut short (no end): {3 * MESSAGES} messages up to " in note
     assert "(0.3 s) were saved, the last second may be missing (5 bytes cannot be read)" in note
     assert read(folder / "bag.mcap") == recording.before(cut)  # a single file
-    with BagReader(write(tmp_path / "bag", recording.data[:-1])) as bag:
-        assert bag.notes[-1].endswith("were saved, none is missing")
     with pytest.raises(TrialError, match="cannot be read"):
         read(write(tmp_path / "bag", b"no MCAP at all, whatever its name says: " * 9))
 
@@ -244,11 +242,6 @@ def test_a_file_without_chunks_or_an_index_is_read(tmp_path: Path) -> None:
         data = path.read_bytes()
         path.write_bytes(data[: len(data) // 2])
         assert 20 < len(read(path)) < 40
-        # A length that is wrong hides what follows it, and that is said.
-        last = data.rindex(b"\4\0\0\0zstd") - 28 if chunked else data.index(expected[30].data) - 22
-        path.write_bytes(data[: last - 1] + b"\xff" + data[last:])
-        with BagReader(path) as bag:
-            assert "what is missing is" in bag.notes[-1]
 
 
 def test_a_trial_cut_short_gives_the_samples_of_the_whole_one(hold, tmp_path, capsys) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.bags import add_events
-from support.loads import samples_of
+from support.problems import make_samples
 from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError, TrialError
@@ -30,6 +30,16 @@ RATE = 4.0
 SETTINGS = PlateauSettings()
 
 
+def samples_of(load: np.ndarray, rate: float = RATE, noise: float = 0.2) -> Samples:
+    """Samples at a rate [Hz] of a vertical load [N] with noise [N]; all else is steady."""
+    rng, count = np.random.default_rng(0), len(load)
+    wrench = rng.normal(0.0, [0.02] * 3 + [noise] * 3, (count, 6))
+    wrench[:, 5] -= load
+    pose = rng.normal(0.0, 1e-4, (count, 3))
+    samples = make_samples(pose, wrench, {"a": np.zeros((count, 3))})
+    return dataclasses.replace(samples, stamps=np.arange(count) * round(1e9 / rate))
+
+
 def seconds(*parts: tuple[float, float]) -> np.ndarray:
     """A force history from (duration [s], force [N]) parts."""
     return np.concatenate([np.full(round(d * RATE), f) for d, f in parts])
@@ -37,7 +47,7 @@ def seconds(*parts: tuple[float, float]) -> np.ndarray:
 
 def under(force: np.ndarray, cluster: np.ndarray | None = None) -> Samples:
     """Samples at 4 Hz under a vertical force with a little noise, and of a cluster a normal one."""
-    samples = samples_of(force, RATE)
+    samples = samples_of(force)
     if cluster is not None:
         local = np.zeros((len(samples), 1, 3))
         local[:, 0, 2] = -cluster
@@ -68,30 +78,22 @@ def test_plateaus_are_steady_stretches_under_load_the_longest_first() -> None:
     lengths = [segment.end - segment.start for segment in plateaus]
     assert lengths == sorted(lengths, reverse=True)
     assert all(np.ptp(steps[segment.rows]) == 0.0 for segment in plateaus)
-    held = [np.full(count, 280.0) for count in (0, 1, 2, 5)]
-    for force in (np.linspace(50, 400, 400), np.zeros(400), *held):
+    for force in (np.linspace(50, 400, 400), np.zeros(400), np.full(2, 280.0)):
         assert find_plateaus(under(force), SETTINGS) == []
     # A stretch with many missing channels is left out.
     samples = under(seconds((80, 280)))
     samples.local_forces[160:240] = samples.position[160:240] = np.nan
     for segment in find_plateaus(samples, SETTINGS):
         assert segment.end <= 42 or segment.start >= 58
-    lenient = dataclasses.replace(SETTINGS, missing_fraction=1.0)
-    whole = find_plateaus(samples, lenient)[0]
-    assert whole.end - whole.start > 70
 
 
 def test_a_span_of_seconds_is_taken_and_an_unknown_segment_refused_with_a_hint() -> None:
     held = under(np.full(50, 280.0))
     assert select_segment(held, "5:10.5", SETTINGS).rows == slice(20, 43)
-    for text in ("10", "a:b", "10:20:30"):
-        with refused(ConfigurationError, "T0:T1"):
-            select_segment(held, text, SETTINGS)
+    with refused(ConfigurationError, "T0:T1"):
+        select_segment(held, "a:b", SETTINGS)
     with refused(TrialError, "0 samples"):
         select_segment(held, "100:200", SETTINGS)
-    for text in ("plateau", "hold", "auto"):
-        with refused(TrialError, "give --segment all or --segment T0:T1"):
-            select_segment(under(np.zeros(120)), text, SETTINGS)
 
 
 def test_the_hold_is_the_longest_plateau_under_load_and_auto_takes_what_moves_without_one() -> None:
@@ -107,13 +109,6 @@ def test_the_hold_is_the_longest_plateau_under_load_and_auto_takes_what_moves_wi
     assert part.start == pytest.approx(10.8, abs=0.5) and part.end == pytest.approx(49.2, abs=0.5)
     with refused(TrialError, "no hold", "--segment auto"):
         select_segment(under(moving), "hold", SETTINGS)
-    # Without a plateau, the hint is a segment that does.
-    samples = history((0, 0), (5, 0), (60, 400), (65, 0), (70, 0))
-    with refused(TrialError, "no plateau") as caught:
-        select_segment(samples, "plateau", SETTINGS)
-    text = str(caught.value).split("--segment ")[1].split()[0]
-    part = select_segment(samples, text, SETTINGS)
-    assert part.start == pytest.approx(5 + 0.1 * 55, abs=0.5) and 64.0 < part.end < 65.0
 
 
 def test_a_step_of_a_cluster_ends_a_plateau_and_the_newest_names_it() -> None:
@@ -130,11 +125,6 @@ def test_a_step_of_a_cluster_ends_a_plateau_and_the_newest_names_it() -> None:
     assert longest.start >= 29.0 and other.end <= 31.0 + missing / RATE
     (left_out,) = find_plateaus(samples, settings, leave_out=("a.Fz",))
     assert left_out.end - left_out.start > 75.0
-    # Out of its range or dead, a cluster ends none.
-    samples.local_forces[:], samples.status[120:] = -50.0, 3
-    assert find_plateaus(samples, SETTINGS)[0].end > 75.0
-    samples.local_forces[:] = np.nan
-    assert find_plateaus(samples, settings)[0].end > 75.0
 
 
 def test_a_drift_is_cut_where_it_exceeds_the_limit_and_the_newest_part_names_it() -> None:
@@ -178,9 +168,8 @@ def test_noise_wrong_values_and_one_level_of_load_are_no_events() -> None:
     samples.wrench[1000, 5] = -900.0
     samples.wrench[220:240] = np.nan
     assert labels(find_events(samples, SETTINGS)) == ["placed", "removed"]
-    level = samples_of(np.full(600, 280.0), FINE, noise=2.0)
-    for few in (level, level[:1], level[:0]):
-        assert find_events(few, SETTINGS) == []
+    for count in (600, 1, 0):
+        assert find_events(samples_of(np.full(count, 280.0), FINE), SETTINGS) == []
 
 
 def test_steps_of_a_walk_are_as_many_events_and_cycles() -> None:
@@ -206,7 +195,6 @@ SPANS = {
     "event:placed:removed": (11.0, 41.0),
     "event:placed+.5:removed-2.25": (11.5, 38.75),
     "event:3:placed": (3.0, 11.0),
-    "event:push:60.5": (15.0, 60.5),
     "event:push#2-1:placed#2+1": (19.0, 51.0),
     "event:placed:placed": (11.0, 50.0),  # one cycle: the next after the start
     "event:push-off-1:push-off+1": (15.0, 17.0),
@@ -226,21 +214,11 @@ def test_a_span_or_cycles_between_events_or_what_there_is_instead() -> None:
     for text, says in NO_SPANS.items():
         with refused(ConfigurationError if "two ends" in says else TrialError, says):
             event_span(text, EVENTS)
-    with refused(TrialError, "no event 'push': it has none: mark events"):
-        event_span("event:push:9", [])
-    assert cycle_spans(EVENTS, "push:removed") == [(20.0, 41.0)]
-    assert cycle_spans(EVENTS) == [(11.0, 50.0)]
-    with refused(TrialError, "did you mean 'push'"):
-        cycle_spans(EVENTS, "puhs")
-
-
-def test_a_label_can_name_a_segment_or_is_refused() -> None:
-    for label in ("push", "heel-strike 2", "Übergang", "a" * 99, "step_1.b"):
-        events = [Event(check_label(label), 3.0, "recorded"), Event(label, 7.0, "recorded")]
-        assert event_span(f"event:{label}#1+1:{label}-0.5", events) == pytest.approx((4.0, 6.5))
-    for label in ("", " ", "2nd", "-a", "a:b", "a#2", "a+5", "push-2", "a-", "a\nb", "a" * 100):
+    for label in ("", "2nd", "a:b", "a#2", "a+5", "push-2", "a\nb", "a" * 100):
         with refused(ConfigurationError, "label"):
             check_label(label)
+    assert cycle_spans(EVENTS, "push:removed") == [(20.0, 41.0)]
+    assert cycle_spans(EVENTS) == [(11.0, 50.0)]
 
 
 # --- events recorded with a trial
@@ -255,6 +233,6 @@ def test_recorded_and_found_events_are_in_one_list(hold: Path, tmp_path: Path) -
     assert labels(events) == ["placed", "push", "step", "step", "unnamed", "removed"]
     assert [e.time for e in events if e.source == "recorded"] == pytest.approx([22, 30, 31, 32])
     assert [e for e in events if e.source == "found"] == found
-    trial = add_events(hold, tmp_path / "placed", [("placed", 15.0, 15.0)])
-    assert str(trial.events()[0]) == "placed at 15.00 s (recorded)"  # instead of the found one
-    assert labels(trial.events()) == ["placed", "removed"]
+    placed = add_events(hold, tmp_path / "placed", [("placed", 15.0, 15.0)]).events()
+    # Instead of the found one.
+    assert placed[0].time == pytest.approx(15.0) and labels(placed) == ["placed", "removed"]

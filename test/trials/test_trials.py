@@ -1,6 +1,9 @@
-"""A recorded trial as a whole: its samples, and errors that name what is wrong with it."""
+"""A recorded trial: what its messages say, its samples, errors that name what is wrong with it."""
 
 import shutil
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -9,19 +12,37 @@ import numpy as np
 import pytest
 from backports import zstd
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
-from support.bags import copy_configuration, move_to_namespace, rewrite, written_by_rosbags
+from support.bags import (
+    copy_configuration,
+    copying,
+    move_to_namespace,
+    pose_vector,
+    rewrite,
+    wrench_vector,
+    written_by_rosbags,
+)
+from support.messages import Maker, encode, numbers_in, numbers_of, strings_of
 from support.wording import refused
 
-from socket_testbed.errors import CalibrationError, TrialError
-from socket_testbed.simulation.trial import TRUTH_FILE, read_true_forces, read_truth
-from socket_testbed.trials import bag
-from socket_testbed.trials.bag import BagReader, BagWriter
-from socket_testbed.trials.layout import stamp_of
-from socket_testbed.trials.topics import REQUIRED, match_topics
+from socket_testbed.errors import TrialError
+from socket_testbed.samples import Status
+from socket_testbed.simulation.trial import read_true_forces, read_truth
+from socket_testbed.trials import bag, messages
+from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage
+from socket_testbed.trials.layout import Layout, decode, stamp_of
+from socket_testbed.trials.topics import (
+    CAPACITANCE,
+    PYLON_POSE,
+    REQUIRED,
+    SOCKET_POSE,
+    TRIGGER,
+    WRENCH,
+    match_topics,
+)
 from socket_testbed.trials.trial import Trial, recorded_namespace
 
 
-def test_samples_agree_with_the_truth_within_the_sensors_errors(hold: Path, tmp_path: Path) -> None:
+def test_samples_agree_with_the_truth_within_the_sensors_errors(hold: Path) -> None:
     samples, truth = Trial(hold).samples(), read_truth(hold)
     rows = samples.complete
     assert rows.mean() > 0.95
@@ -37,9 +58,6 @@ def test_samples_agree_with_the_truth_within_the_sensors_errors(hold: Path, tmp_
         assert np.abs(samples.local_forces[:, column] - actual).max() < 8.0
     # True forces are those of the simulated tiles alone.
     assert read_true_forces(hold, samples.stamps, [*geometry.names[:-1], "another"]) is None
-    np.savez(tmp_path / TRUTH_FILE, forces=forces)
-    with refused(TrialError, f"{TRUTH_FILE}: is damaged"):
-        read_true_forces(tmp_path, samples.stamps, geometry.names)
 
 
 def test_a_topic_that_is_missing_or_empty_is_named(hold: Path, tmp_path: Path) -> None:
@@ -93,20 +111,6 @@ def test_topics_are_found_in_the_namespace_they_were_recorded_in(
         match_topics(["/a/trigger", "/b/trigger"], "bag")
 
 
-def test_a_trial_whose_configuration_does_not_suffice_says_what_to_give(
-    hold: Path, tmp_path: Path
-) -> None:
-    target = Path(shutil.copytree(hold, tmp_path / "hold"))
-    (target / "socket.yaml").unlink()
-    with refused(TrialError, "no socket.yaml", "--geometry"):
-        Trial(target).samples()
-    assert len(Trial(target, socket_file=hold / "socket.yaml").samples()) == 240
-    text = (hold / "calibration.yaml").read_text().replace("mid_anterior", "mid_posterior")
-    (target / "calibration.yaml").write_text(text)
-    with refused(CalibrationError, "no cluster mid_anterior"):
-        Trial(hold, calibration_file=target / "calibration.yaml").samples()
-
-
 def test_stamps_that_jump_back_are_counted_and_named(hold: Path, tmp_path: Path) -> None:
     notes: list[str] = []
     Trial(hold, notify=notes.append).samples()
@@ -131,10 +135,10 @@ def test_stamps_that_jump_back_are_counted_and_named(hold: Path, tmp_path: Path)
 # --- bags that were compressed by file, message or chunk
 
 
-def written(source: Path, path: Path, storage: StoragePlugin, mode: CompressionMode) -> Path:
+def written(source: Path, path: Path, *how: StoragePlugin | CompressionMode) -> Path:
     """A copy of a trial by another program, compressed."""
     with BagReader(source) as plain:
-        written_by_rosbags(plain.messages(), path, storage, mode)
+        written_by_rosbags(plain.messages(), path, *how)
     return copy_configuration(source, path)
 
 
@@ -159,11 +163,110 @@ def test_a_compressed_file_that_was_cut_or_is_too_large_names_itself(
     path = written(hold, tmp_path / "packed", StoragePlugin.MCAP, CompressionMode.FILE)
     file = path / "packed.mcap.zstd"
     whole = file.read_bytes()
-    for share in (0.0, 0.3, 0.9):
-        file.write_bytes(whole[: int(share * len(whole))])
-        with refused(TrialError, f"{file}: is truncated"):
-            Trial(path).samples()
+    file.write_bytes(whole[: len(whole) // 3])
+    with refused(TrialError, f"{file}: is truncated"):
+        Trial(path).samples()
     file.write_bytes(zstd.compress(bytes(2**25)))
     monkeypatch.setattr(bag, "_LARGEST", 2**20)
     with refused(TrialError, str(file), "too large once unpacked"):
         Trial(path).samples()
+
+
+# --- messages in blocks are read as the library decodes them, one by one
+
+
+@pytest.fixture(autouse=True)
+def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blocks end often, and layouts are forgotten."""
+    monkeypatch.setattr(bag, "_BLOCK", 7)
+    monkeypatch.setattr(messages, "_LAYOUTS", 3)
+
+
+def plainly_read(path: Path) -> dict[str, dict[int, Any]]:
+    """By topic, or cluster, and stamp: the numbers of the last message, as a user would read it."""
+    found: dict[str, dict[int, Any]] = defaultdict(dict)
+    with BagReader(path) as bag:
+        for raw in bag.messages():
+            message = decode(raw.data, raw.type)
+            stamp = stamp_of(message)
+            if raw.topic.endswith(CAPACITANCE.name):
+                for cluster in message.clusters:
+                    found[cluster.name][stamp] = [*cluster.capacitance, *cluster.status]
+            elif raw.topic.endswith(WRENCH.name):
+                found[WRENCH.name][stamp] = wrench_vector(message.wrench)
+            elif raw.topic.endswith("/pose"):
+                found[raw.topic.removeprefix("/")][stamp] = pose_vector(message.pose)
+            elif raw.topic.endswith(TRIGGER.name):
+                found[TRIGGER.name][stamp] = ()
+    return found
+
+
+def mixed(messages: Iterable[RawMessage]) -> Iterator[RawMessage]:
+    """Other byte orders and frames; clusters lost and doubled; stamps lost and doubled."""
+    for number, raw in enumerate(messages):
+        rng = np.random.default_rng(number)
+        decoded = decode(raw.data, raw.type)
+        if raw.topic.endswith(CAPACITANCE.name):
+            order = rng.integers(4, size=rng.integers(1, 12))
+            decoded.clusters = [decoded.clusters[i] for i in order]
+        if rng.random() < 0.3:
+            decoded.header.frame_id += "_" * int(rng.integers(3))
+        if rng.random() < 0.9:
+            yield replace(raw, data=encode(decoded, raw.type, little=rng.random() < 0.5))
+        if rng.random() < 0.1:
+            if raw.topic.endswith(WRENCH.name):
+                decoded.wrench.force.x += 1.0
+            data = encode(decoded, raw.type, little=True)
+            yield replace(raw, time=raw.time + 1, data=data)
+
+
+def test_measurements_of_mixed_messages(hold: Path, tmp_path: Path) -> None:
+    with BagReader(hold) as bag:
+        path = written_by_rosbags(mixed(bag.messages()), tmp_path / "mixed", StoragePlugin.SQLITE3)
+    copy_configuration(hold, path)
+    expected, found = plainly_read(path), Trial(path).measurements()
+    tables = {WRENCH.name: found.wrench, SOCKET_POSE.name: found.socket}
+    tables |= {PYLON_POSE.name: found.pylon, TRIGGER.name: np.empty((len(found.stamps), 0))}
+    readings = np.concatenate([found.capacitance, found.status], axis=2)
+    tables |= dict(zip(found.clusters, readings.swapaxes(0, 1), strict=True))
+    assert expected.keys() == tables.keys()
+    assert found.stamps.tolist() == sorted({stamp for own in expected.values() for stamp in own})
+    for name, table in tables.items():
+        missing = [np.nan] * table.shape[1]
+        if name in found.clusters:
+            missing[4:] = [Status.MISSING] * 4
+        rows = [expected[name].get(stamp, missing) for stamp in found.stamps.tolist()]
+        np.testing.assert_array_equal(table, np.array(rows).reshape(table.shape), name)
+
+
+def test_a_message_that_cannot_be_decoded_is_named(hold: Path, tmp_path: Path) -> None:
+    with copying(hold, tmp_path / "torn") as (old, new):
+        for number, raw in enumerate(old.messages()):
+            new.write(raw.topic, raw.time, raw.data[:-9] if number == 500 else raw.data)
+    with pytest.raises(TrialError, match=r"torn: a message on \S+ cannot be decoded"):
+        Trial(tmp_path / "torn").samples()
+
+
+def test_any_other_byte_is_read_as_the_library_reads_it() -> None:
+    """A message with one byte changed fits if only numbers or what aligns them changed."""
+    kind = CAPACITANCE.type
+    message = Maker(7, 0).message(kind)
+    raw = encode(message, kind, True)
+    layout, before = Layout(raw, kind), strings_of(decode(raw, kind), kind)
+    records, fits = layout.records([raw[:-1], raw, b"", encode(message, kind, False), raw])
+    assert fits.tolist() == [False, True, False, False, True] and len(records) == 2
+    outcomes = set()
+    for at in range(len(raw)):
+        changed = bytearray(raw)
+        changed[at] ^= 0xA5
+        record = layout.record(changed)
+        try:
+            message = decode(bytes(changed), kind)
+            same = strings_of(message, kind) == before
+        except Exception:
+            same = False
+        assert (record is not None) == same
+        if record is not None:
+            np.testing.assert_array_equal(numbers_in(record), numbers_of(message, kind))
+        outcomes.add(same)
+    assert outcomes == {True, False}

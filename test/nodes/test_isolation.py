@@ -1,26 +1,32 @@
-"""Two testbeds in two namespaces of one graph, each with its own nodes, topics and devices."""
+"""Testbeds that leave each other and other hosts alone: in namespaces, and across a network."""
 
 import dataclasses
-import platform
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
-from rcl_interfaces.srv import ListParameters
 from std_srvs.srv import SetBool
+from support import HANGS
 from support.graph import Probe
 from support.testbeds import manageable
 
+from socket_testbed.files import RANGE
 from socket_testbed.live.bringup import end, simulated_testbed, start
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.trials.layout import stamp_of
 from socket_testbed.trials.topics import TF, TF_STATIC, TRIGGER, WRENCH
 
+pytestmark = [pytest.mark.graph, pytest.mark.slow]
+
 NAMESPACES = ("/left", "/right")
 NODES = ("trigger_node", "cluster_node", "load_cell_node", "mocap_node", "calibration_node")
 
 
-@pytest.mark.graph
-@pytest.mark.slow
 def test_testbeds_in_namespaces_leave_each_other_alone() -> None:
     simulation = manageable(Simulation("static_hold", 1800.0))
     both = simulated_testbed(rate=10.0, simulation=simulation)
@@ -57,21 +63,69 @@ def test_testbeds_in_namespaces_leave_each_other_alone() -> None:
             assert fixed[0].transforms[0].child_frame_id == "load_cell"
         assert probe.node.count_publishers("/tf") == 0
 
-        # Every node reports under its full name, with its hardware, and has parameter services:
-        # `ros2 param list` asks every node that is listed.
         expected = {f"{name[1:]}/{node}" for name in NAMESPACES for node in NODES}
         probe.wait(lambda: all(map(probe.said, expected)), "the diagnostics of all nodes")
-        found = probe.said("left/cluster_node")[-1].hardware_id
-        assert found.startswith(platform.node()) and "i2c-1" in found
         said = [s for name in NAMESPACES for s in probe.said(f"{name[1:]}/trigger_node")]
         assert said and not any("another trigger" in status.message for status in said)
-        listed = probe.node.get_node_names_and_namespaces()
-        own = {f"{of[1:]}/{name}" for name, of in listed if of in NAMESPACES}
-        assert own == expected | {f"{name[1:]}/estimator_node" for name in NAMESPACES}
-        for name in sorted(own):
-            answer = probe.call(
-                ListParameters, f"/{name}/list_parameters", ListParameters.Request()
-            )
-            assert "use_sim_time" in answer.result.names
         for graph, testbed in zip((left, right), testbeds, strict=True):
             end(graph, testbed)
+
+
+# --- a network namespace with a cable to this host
+
+HERE, THERE = "10.213.77.1", "10.213.77.2"
+LOOK = """
+import sys, time, rclpy
+rclpy.init()
+node = rclpy.create_node("stranger")
+end, found = time.monotonic() + float(sys.argv[1]), []
+while time.monotonic() < end and not found:
+    rclpy.spin_once(node, timeout_sec=0.1)
+    found = [name for name in node.get_node_names() if name.endswith("_node")]
+print(found)
+"""
+
+
+@pytest.fixture
+def cable() -> Iterator[str]:
+    """A network namespace that this machine reaches over a cable."""
+    name, end = f"there{os.getpid()}", f"veth{os.getpid() % 10**6}"
+    inside = f"ip netns exec {name}"
+    steps = (
+        f"ip netns add {name}",
+        f"ip link add {end} type veth peer name peer netns {name}",
+        f"ip addr add {HERE}/24 dev {end}",
+        f"ip link set {end} up",
+        f"{inside} ip addr add {THERE}/24 dev peer",
+        f"{inside} ip link set peer up",
+        f"{inside} ip link set lo up",
+    )
+    try:
+        if not shutil.which("ip") or not all(map(done, steps)):
+            pytest.skip("network namespaces are not allowed here")
+        yield inside
+    finally:
+        if shutil.which("ip"):
+            done(f"ip link del {end}")
+            done(f"ip netns del {name}")
+
+
+def done(words: str) -> bool:
+    return subprocess.run(words.split(), check=False, capture_output=True).returncode == 0
+
+
+def test_another_host_finds_a_graph_only_where_it_is_opened(cable: str, tmp_path: Path) -> None:
+    program = tmp_path / "look.py"
+    program.write_text(LOOK)
+    for reach, found in (("LOCALHOST", False), ("SUBNET", True)):
+        own = {name: of for name, of in os.environ.items() if "PROFILES_FILE" not in name}
+        run = [sys.executable, "-m", "socket_testbed", "run", "--simulated", "--duration", "30"]
+        outside = own | {RANGE: "SUBNET", "ROS_STATIC_PEERS": HERE}
+        with subprocess.Popen(run, env=own | {RANGE: reach}) as testbed:
+            try:
+                patience = str(HANGS if found else 16.0)  # it ends when it finds a node
+                look = [*cable.split(), sys.executable, str(program), patience]
+                said = subprocess.check_output(look, env=outside, text=True)
+                assert ("_node" in said) is found, (reach, said)
+            finally:
+                testbed.terminate()

@@ -1,4 +1,4 @@
-"""Files for other programs: OpenSim, C3D, and an MCAP of standard messages.
+"""What is exported of a trial: the table of its samples, and files for other programs.
 
 - `.mot`, `.sto`: the wrench of the limb on the socket as OpenSim's external load, in the frame of
   the load cell and about its origin, or a given point: `socket_force_v*` [N], the point
@@ -17,18 +17,27 @@ import re
 import struct
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mcap.writer import Writer
 
-from socket_testbed.arrays import FloatArray
+from socket_testbed.arrays import FloatArray, usual_period
+from socket_testbed.calibration.bench_data import STRESSES
+from socket_testbed.calibration.model import Calibration
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import atomic_output, write_text
-from socket_testbed.samples import WRENCH_CHANNELS, moments_about
+from socket_testbed.samples import (
+    LOCAL_CHANNELS,
+    WRENCH_CHANNELS,
+    Samples,
+    channel_unit,
+    moments_about,
+)
 from socket_testbed.tables import split_unit
 from socket_testbed.trials.bag import required_topics
 from socket_testbed.trials.layout import typestore
+from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.synchronise import Measurements, marker_count, read_measurements
 from socket_testbed.trials.topics import MARKERS
 from socket_testbed.trials.trial import Trial
@@ -39,6 +48,44 @@ if TYPE_CHECKING:
 _CDR = b"\x00\x01\x00\x00"  # before a message, least significant byte first
 GAIT_FORMATS = (".mot", ".sto", ".trc", ".c3d")
 _LOADS = [f"socket_{part}{axis}" for part in ("force_v", "force_p", "torque_") for axis in "xyz"]
+
+
+_SHARED = 1 + 6 + 6  # columns besides the clusters': time, wrench, the limb's pose
+
+
+def sample_table(
+    measured: Measurements,
+    samples: Samples,
+    calibration: Calibration,
+    segment: Segment,
+    predicted: FloatArray | None = None,
+) -> pd.DataFrame:
+    """The samples of a segment as a table, with what the clusters' forces were computed from.
+
+    It is made of all that was measured, corrected for drift, all samples, and what a model predicts
+    for all of them, (N, 6 + 3c), shown as `predicted.*`. A row per sample, with the units in the
+    titles: stamp [ns], time since the trial's first sample [s], wrench and the limb's pose in {S};
+    for each cluster its capacitances by the converter's input [pF], its status (0 ok, 1 saturated,
+    2 missing, 3 out of the calibrated range), its stress along its own axes [Pa] and force in {L}
+    [N]. NaN where there is none.
+    """
+    import pandas as pd
+
+    table = samples.to_dataframe().iloc[segment.rows].reset_index()
+    stamps = samples.stamps[segment.rows]
+    capacitance, status = measured.capacitance[segment.rows], measured.status[segment.rows]
+    columns: dict[str, Any] = {"stamp [ns]": stamps, **table.iloc[:, :_SHARED]}
+    for number, name in enumerate(samples.clusters):
+        readings = capacitance[:, number]
+        stress, _ = calibration.clusters[name].apply(readings, status[:, number])
+        columns |= {f"{name}.C{i} [pF]": readings[:, i] for i in range(4)}
+        columns[f"{name}.status [-]"] = table[f"{name}.status [-]"]
+        columns |= {f"{name}.{axis} [Pa]": stress[:, i] for i, axis in enumerate(STRESSES)}
+        columns |= {title: table[title] for title in (f"{name}.{f} [N]" for f in LOCAL_CHANNELS)}
+    if predicted is not None:
+        for channel, values in zip(samples.channels, predicted[segment.rows].T, strict=True):
+            columns[f"predicted.{channel} [{channel_unit(channel)}]"] = values
+    return pd.DataFrame(columns)
 
 
 def write_gait_file(
@@ -129,7 +176,7 @@ def _markers(trial: Trial) -> tuple[list[str], FloatArray]:
 
 def _rate(table: pd.DataFrame) -> float:
     """Samples a second [Hz]."""
-    return float(1.0 / np.median(np.diff(table.index))) if len(table) > 1 else 1.0
+    return 1.0 / usual_period(table.index.to_numpy()) if len(table) > 1 else 1.0
 
 
 def _storage(table: pd.DataFrame) -> str:
