@@ -1,13 +1,9 @@
 import math
-import sys
-import time
 
 import numpy as np
 import pytest
-from support.verbs import program
 
-from socket_testbed import clocks as clocks_module
-from socket_testbed.clocks import BEGINNING, TIME_SCALE, SteadyClock, TriggerPeriod, TriggerTime
+from socket_testbed.clocks import BEGINNING, SteadyClock, TriggerPeriod, TriggerTime
 
 START = 1_760_000_000_123_456_789  # [ns]
 
@@ -44,18 +40,6 @@ def test_it_keeps_its_pace_in_all_processes_and_measures_a_step(monkeypatch) -> 
     assert later.now() == clock.now() and later.step() == clock.step() == 3600.0
     for seconds in (0.0, 5.25, 86400.125, 1e6):
         assert later.to_steady(clock.to_epoch(seconds)) == pytest.approx(seconds, abs=1e-9)
-
-
-def test_all_processes_run_at_one_scale_and_a_wrong_one_is_refused(monkeypatch) -> None:
-    environment = clocks_module.shared_environment(0.25)
-    code = "from socket_testbed import clocks; print(clocks.time_scale(), clocks.real(3.0))"
-    assert program(sys.executable, "-c", code, **environment)[1].split() == ["0.25", "12.0"]
-    now = int(environment[BEGINNING]) + 0.25 * time.monotonic_ns()
-    assert now == pytest.approx(time.time_ns(), abs=60e9)
-    for scale in ("0", "1.5", "nan", "slow"):
-        monkeypatch.setenv(TIME_SCALE, scale)
-        with pytest.raises(SystemExit, match=f"^error: {TIME_SCALE}={scale}: set a number"):
-            clocks_module._inherited_scale()
 
 
 def test_a_stamp_finds_its_time_though_triggers_were_held_up_or_a_clock_was_set() -> None:

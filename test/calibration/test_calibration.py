@@ -8,12 +8,7 @@ import yaml
 from support.damage import changed
 from support.wording import refused
 
-from socket_testbed.calibration.model import (
-    Calibration,
-    ClusterCalibration,
-    read_calibration,
-    write_calibration,
-)
+from socket_testbed.calibration import model
 from socket_testbed.errors import CalibrationError, ConfigurationError
 from socket_testbed.samples import Status
 
@@ -22,7 +17,7 @@ ALL_OK = np.zeros(4, dtype=np.uint8)
 PLACES = np.array([[-1.0, 1.0], [1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 
 
-def make_cluster(**changes) -> ClusterCalibration:
+def make_cluster(**changes) -> model.ClusterCalibration:
     values = {
         "normal": np.array([-20_000.0, 4_000.0]),
         "shear": np.array(
@@ -32,7 +27,7 @@ def make_cluster(**changes) -> ClusterCalibration:
         "difference_range": np.array([-3.0, 3.0]),
         "wiring": np.arange(4),
     }
-    return ClusterCalibration(**(values | changes))
+    return model.ClusterCalibration(**(values | changes))
 
 
 def make_capacitance(mean: float, along_x: float, along_y: float) -> np.ndarray:
@@ -65,7 +60,7 @@ def test_stacked_clusters_give_the_results_of_single_readings():
     capacitance = rng.uniform(3.0, 13.0, (90, 3, 4))
     capacitance[::5, 1, 2] = np.inf
     status = rng.choice(np.array([0, 0, 0, 0, 1, 2], dtype=np.uint8), capacitance.shape)
-    stacked = Calibration(clusters, "2026-01-01", "made up").stacked("cab")
+    stacked = model.Calibration(clusters, "2026-01-01", "made up").stacked("cab")
     stress, result = stacked.apply(capacitance, status)
     assert set(result.ravel().tolist()) == {0, 1, 2, 3}
     for row, column in np.ndindex(90, 3):
@@ -96,10 +91,10 @@ def test_the_worst_status_wins_and_only_a_full_reading_gives_a_stress():
 def test_a_calibration_survives_its_file_and_coefficients_that_cannot_be_are_refused(tmp_path):
     path = tmp_path / "calibration.yaml"
     clusters = {"distal": make_cluster(), "brim": make_cluster(wiring=np.array([2, 0, 3, 1]))}
-    calibration = Calibration(clusters, "2026-05-04", "bench run 7")
-    write_calibration(calibration, path)
+    calibration = model.Calibration(clusters, "2026-05-04", "bench run 7")
+    model.write_calibration(calibration, path)
     path.write_text(path.read_text().replace("'2026-05-04'", "2026-05-04"))  # a date of YAML
-    found = read_calibration(path)
+    found = model.read_calibration(path)
     assert found.to_document() == calibration.to_document()
     for key, value, error in (
         ("normal", [0.0, 1.0], "the gain of normal is 1 Pa/pF: give [offset in Pa, gain"),
@@ -109,7 +104,7 @@ def test_a_calibration_survives_its_file_and_coefficients_that_cannot_be_are_ref
         document = changed(calibration.to_document(), ("clusters", "brim", key), value)
         path.write_text(yaml.safe_dump(document))
         with refused(ConfigurationError, f"{path}: clusters: brim", error):
-            read_calibration(path)
+            model.read_calibration(path)
     calibration.require(("brim", "distal"), "the trial")
     with refused(CalibrationError, "no cluster mid of the trial (it has distal, brim"):
         calibration.require(("brim", "mid"), "the trial")

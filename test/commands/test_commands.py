@@ -10,7 +10,7 @@ from support.verbs import call, program, refused
 
 import socket_testbed as st
 from socket_testbed.__main__ import EXAMPLES, VERBS, _parse, run
-from socket_testbed.commands.arguments import Parser, add_options, release_paths
+from socket_testbed.commands.arguments import Parser, add_options
 
 
 def test_every_verb_explains_itself_and_each_of_its_options(capsys) -> None:
@@ -169,17 +169,3 @@ def test_options_are_those_of_the_signature() -> None:
     assert text in " ".join(parser.format_help().split())
     given = parser.parse_args(["t", "--initial-stiffness", "auto"])
     assert given.initial_stiffness == "auto" and given.replace is False
-
-
-def test_a_list_takes_no_path_and_may_be_given_in_parts(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "hold").mkdir()
-    parser = parser_of("fit")
-    for line in (
-        "--leave-out Mz distal.Fx hold",
-        "--leave-out Mz,distal.Fx hold",
-        "--leave-out Mz --leave-out distal.Fx hold",
-        "hold --leave-out Mz distal.Fx",
-    ):
-        options = parser.parse_args(["-o", "m", *release_paths(line.split(), parser)])
-        assert options.leave_out == ["Mz", "distal.Fx"] and options.trial == Path("hold")

@@ -19,15 +19,9 @@ from socket_testbed.files import packaged
 from socket_testbed.live import doctor
 from socket_testbed.nodes import controls
 from socket_testbed.settings.testbed import read_testbed
+from socket_testbed.trials import topics
 from socket_testbed.trials.layout import stamp_of
 from socket_testbed.trials.metadata import TrialMetadata
-from socket_testbed.trials.topics import (
-    CAPACITANCE,
-    EVENT,
-    PYLON_POSE,
-    TRIGGER,
-    WRENCH,
-)
 from socket_testbed.trials.trial import Trial
 
 pytestmark = pytest.mark.graph
@@ -54,8 +48,10 @@ def test_run_records_a_trial_and_marked_events_until_ctrl_c(
     path = tmp_path / "trial"
     words = ["--record", path, "--variant", "stiffness", "--subject", "S01", "--side", "left"]
     with Probe() as probe, start(*words, folder=tmp_path) as process:
-        measured = [probe.listen(topic) for topic in (CAPACITANCE, PYLON_POSE, WRENCH)]
-        triggers = probe.listen(TRIGGER)
+        measured = [
+            probe.listen(topic) for topic in (topics.CAPACITANCE, topics.PYLON_POSE, topics.WRENCH)
+        ]
+        triggers = probe.listen(topics.TRIGGER)
         probe.wait(lambda: all(len(messages) > 2 for messages in measured), "measurements")
         before = stamp_of(triggers[-1])
         code, marked, _ = call(capfd, "mark", "step 2")
@@ -83,7 +79,7 @@ def test_an_event_that_nobody_hears_is_an_error(
 ) -> None:
     monkeypatch.setattr(controls, "_TRIGGERED_WITHIN", 0.0)
     with Probe() as probe:
-        received = probe.listen(EVENT, "/lab/event")
+        received = probe.listen(topics.EVENT, "/lab/event")
         with monkeypatch.context() as patch:
             patch.setattr(controls, "_LINKED_WITHIN", 2.0)
             refused(capfd, "mark", "push", named=["nobody subscribes", "give --namespace /lab"])

@@ -95,28 +95,6 @@ def test_lines_of_nodes_stand_above_the_status_though_they_were_killed(terminal:
     assert last == "0:00:00 | 300 triggers, 0 complete" and end == ""
 
 
-def test_a_terminal_that_is_held_up_holds_nobody_up(terminal: Terminal) -> None:
-    """As with Ctrl-S: nobody reads, and what a terminal keeps is soon full."""
-    with status_on(terminal) as status:
-        status._status.triggers = 1
-        lines = 20_000
-        subprocess.run(["seq", str(lines)], check=True, stdout=status.output, timeout=HANGS)
-        for _ in range(3):
-            status.renew()  # it would hang here
-        terminal.wait(lambda: status.renew() or f"{lines}\r\n".encode() in terminal.seen, "all")
-    assert terminal.screen()[:lines] == [str(k + 1) for k in range(lines)]
-
-
-def test_a_log_file_gets_plain_lines(terminal, monkeypatch, capsys) -> None:
-    with StatusLine() as status:
-        assert status.output is None  # the nodes print there themselves
-        status.say("it starts")
-        monkeypatch.setattr(module, "_LOGGED_PERIOD", 0.0)
-        status._status.triggers = 7
-        status.renew()
-    assert capsys.readouterr().err == "it starts\n0:00:00 | 7 triggers, 0 complete\n"
-
-
 def test_a_name_cannot_steer_the_terminal_and_no_number_is_cut_in_two() -> None:
     status = GraphStatus()
     status.trial = "s01\x1b[2J"

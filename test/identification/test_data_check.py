@@ -10,17 +10,9 @@ from support.wording import refused
 
 import socket_testbed as st
 from socket_testbed.errors import IdentificationError
+from socket_testbed.identification import plausibility
 from socket_testbed.identification.data_check import check_data
 from socket_testbed.identification.fit import fit_contact_model
-from socket_testbed.identification.plausibility import (
-    HANGING,
-    LEAST_LOAD,
-    LEAST_TENSION,
-    LEVER_FACTOR,
-    find_implausible,
-    implausible_notes,
-    sign_note,
-)
 from socket_testbed.samples import Status
 from socket_testbed.simulation.limb import SCENARIOS, TISSUES
 
@@ -139,7 +131,9 @@ def test_an_outlier_is_left_out_and_noted_with_channel_and_time_and_many_are_ref
     ):
         samples = make_case(4)[2]
         getattr(samples, array)[place] = value
-        (note,) = [n for n in implausible_notes(samples, geometry, ()) if "outlier" in n]
+        (note,) = [
+            n for n in plausibility.implausible_notes(samples, geometry, ()) if "outlier" in n
+        ]
         assert note.startswith(name) and "at 4.25 s" in note and note.endswith("left out")
         found = fit_contact_model(samples, geometry, settings)
         assert max(error.rmse for error in found.errors) < 100.0
@@ -170,42 +164,44 @@ def scaled(samples, column, axis, factor):
 
 
 def found(samples) -> list[str]:
-    return [proposal.channel for proposal in find_implausible(samples, GEOMETRY)]
+    return [proposal.channel for proposal in plausibility.find_implausible(samples, GEOMETRY)]
 
 
 def test_a_negated_wrench_is_noted_on_clear_evidence_alone():
     samples = loaded()
     negated = replace(samples, wrench=-samples.wrench)
-    (note,) = implausible_notes(negated, GEOMETRY, ())
+    (note,) = plausibility.implausible_notes(negated, GEOMETRY, ())
     assert "wrench looks negated" in note and "200 N" in note and "3 of 3 clusters" in note
-    hanging = replace(samples, wrench=samples.wrench * (-0.9 * HANGING / LOAD))
+    hanging = replace(samples, wrench=samples.wrench * (-0.9 * plausibility.HANGING / LOAD))
     pulled = replace(negated, local_forces=-samples.local_forces)
     shifted = samples.local_forces + np.array([0.0, 0.0, 150.0])
     offset = replace(samples, local_forces=shifted)
     unread = replace(negated, status=np.full_like(samples.status, 2))
     for doubtful in (hanging, pulled, offset, unread):
-        assert sign_note(doubtful, GEOMETRY) is None
+        assert plausibility.sign_note(doubtful, GEOMETRY) is None
 
 
 def test_what_exceeds_the_load_pulls_or_has_no_lever_is_proposed_with_its_numbers():
     samples = loaded()
-    assert implausible_notes(samples, GEOMETRY, ()) == []
+    assert plausibility.implausible_notes(samples, GEOMETRY, ()) == []
     load = np.median(np.linalg.norm(samples.wrench[:, 3:], axis=1))
     for axis in range(3):
         size = np.median(np.abs(samples.local_forces[:, 1, axis]))
         assert found(scaled(samples, 1, axis, 0.99 * load / size)) == []
-        (proposal,) = find_implausible(scaled(samples, 1, axis, 10.0 * load / size), GEOMETRY)
+        (proposal,) = plausibility.find_implausible(
+            scaled(samples, 1, axis, 10.0 * load / size), GEOMETRY
+        )
         assert proposal.channel == f"cluster_1.F{'xyz'[axis]}" and "10 times" in proposal.reason
-    unloaded = replace(samples, wrench=samples.wrench * (0.9 * LEAST_LOAD / LOAD))
+    unloaded = replace(samples, wrench=samples.wrench * (0.9 * plausibility.LEAST_LOAD / LOAD))
     assert found(scaled(unloaded, 1, 0, 1e4)) == []  # nothing is too large for no load
     for left_out, said in (((), "--leave-out cluster_1.Fx"), (("cluster_1.Fx",), "is left out")):
-        (note,) = implausible_notes(scaled(samples, 1, 0, 1e4), GEOMETRY, left_out)
+        (note,) = plausibility.implausible_notes(scaled(samples, 1, 0, 1e4), GEOMETRY, left_out)
         assert note.startswith("cluster_1.Fx") and said in note
 
     pulled = scaled(samples, 2, 2, -1.0)  # as much tension as there was compression
     assert found(pulled) == ["cluster_2.Fz"]
-    assert found(scaled(samples, 2, 2, -0.9 * LEAST_TENSION / (0.1 * LOAD))) == []
+    assert found(scaled(samples, 2, 2, -0.9 * plausibility.LEAST_TENSION / (0.1 * LOAD))) == []
     reach = np.linalg.norm(GEOMETRY.anchors, axis=1).max()
     for share, expected in ((0.99, []), (1.01, ["My"])):
-        samples.wrench[:, 1] = -share * LEVER_FACTOR * reach * load
+        samples.wrench[:, 1] = -share * plausibility.LEVER_FACTOR * reach * load
         assert found(samples) == expected

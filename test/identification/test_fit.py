@@ -9,24 +9,8 @@ import numpy as np
 import pytest
 import qpsolvers
 from scipy.spatial.transform import Rotation
+from support import problems, stacked
 from support.damage import changed
-from support.problems import (
-    make_case,
-    make_samples,
-    moving_limb,
-    naive_gated,
-    random_bed,
-    random_socket,
-    samples_of_bed,
-)
-from support.stacked import (
-    KILONEWTON_PER_METRE,
-    MILLIMETRE,
-    OPTIMUM,
-    relative,
-    stack_stage_one,
-    stack_stage_two,
-)
 from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError, TestbedError
@@ -67,7 +51,7 @@ LEFT_OUT = [
 @pytest.mark.parametrize("leave_out", LEFT_OUT)
 @pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_the_fit_is_both_stages_of_the_stacked_problem(variant, leave_out):
-    geometry, _, samples, settings = make_case(91, variant, gaps=True, leave_out=leave_out)
+    geometry, _, samples, settings = problems.make_case(91, variant, gaps=True, leave_out=leave_out)
     centre = samples.position.mean(axis=0)
     if len(leave_out) == 1:
         settings = replace(settings, weights="raw", theta=0.3)
@@ -76,14 +60,14 @@ def test_the_fit_is_both_stages_of_the_stacked_problem(variant, leave_out):
         settings = replace(
             settings, reference_position=tuple(centre.tolist()), rest_position_limit=8e-4
         )
-    u = stack_stage_one(samples, geometry, settings).solve()
+    u = stacked.stack_stage_one(samples, geometry, settings).solve()
     assert not leave_out[1:] or np.isclose(np.abs(u), 0.8).any()
-    rest = centre + MILLIMETRE * u.reshape(-1, 3)
-    expected = stack_stage_two(samples, geometry, settings, rest).solve()
+    rest = centre + stacked.MILLIMETRE * u.reshape(-1, 3)
+    expected = stacked.stack_stage_two(samples, geometry, settings, rest).solve()
     fit = fit_contact_model(samples, geometry, settings)
     np.testing.assert_allclose(fit.model.rest_positions, rest, atol=1e-8)
-    stiffness = fit.model.stiffness.reshape(-1) / KILONEWTON_PER_METRE
-    assert relative(stiffness, expected[: len(stiffness)]) < 10.0 * OPTIMUM
+    stiffness = fit.model.stiffness.reshape(-1) / stacked.KILONEWTON_PER_METRE
+    assert stacked.relative(stiffness, expected[: len(stiffness)]) < 10.0 * stacked.OPTIMUM
     assert (stiffness == 0.0).sum() >= 2  # otherwise the bounds were not tried
     local = [fit.model.force_bias.get(name, np.zeros(3)) for name in samples.clusters]
     offsets = np.concatenate([fit.model.wrench_bias, *local])
@@ -93,7 +77,7 @@ def test_the_fit_is_both_stages_of_the_stacked_problem(variant, leave_out):
 
 
 def test_k0_is_the_slope_of_the_wrench_over_the_position():
-    geometry, _, samples, settings = make_case(95, initial_stiffness=0.0)
+    geometry, _, samples, settings = problems.make_case(95, initial_stiffness=0.0)
     moved = np.tile(samples.position, len(geometry))  # every tile with the limb
     samples.wrench[:] = -300.0 + 4e3 * moved @ wrench_map(geometry.anchors).T
     fit = fit_contact_model(samples, geometry, settings)
@@ -104,7 +88,7 @@ def test_k0_is_the_slope_of_the_wrench_over_the_position():
 def test_the_chosen_solver_is_called_for_every_program_and_the_fit_repeats_exactly(solver):
     for variant, programs in (("stiffness_bias", 2), ("rigid_bias", 3)):
         # Without beds for the wrench, which are fitted as well.
-        geometry, _, samples, settings = make_case(31, solver=solver, wrench_sharpness=())
+        geometry, _, samples, settings = problems.make_case(31, solver=solver, wrench_sharpness=())
         settings = replace(settings, variant=variant)
         with patch("qpsolvers.solve_problem", wraps=qpsolvers.solve_problem) as solve:
             fit, again = (fit_contact_model(samples, geometry, settings) for _ in range(2))
@@ -114,12 +98,12 @@ def test_the_chosen_solver_is_called_for_every_program_and_the_fit_repeats_exact
 
 
 def test_weights_by_noise_follow_the_noise_above_the_models_error(rng):
-    geometry = random_socket(rng)
+    geometry = problems.random_socket(rng)
     noise = np.array([1.0, 2.0, 4.0, 10.0, 20.0, 40.0])  # [N m, N]; far above 1 % of the size
     local = np.array([0.5, 1.0, 2.0])  # [N]
     forces = {name: rng.normal(0.0, local, (1000, 3)) for name in geometry.clusters}
     wrench = rng.normal(0.0, noise, (1000, 6))
-    samples = make_samples(rng.normal(0.0, 1e-3, (1000, 3)), wrench, forces)
+    samples = problems.make_samples(rng.normal(0.0, 1e-3, (1000, 3)), wrench, forces)
     objective = build_objective(samples, geometry, IdentificationSettings(weights="noise"))
     weight = objective.wrench_shares * noise**2, objective.channel_shares * np.tile(local, 3) ** 2
     for of_group in weight:
@@ -128,7 +112,7 @@ def test_weights_by_noise_follow_the_noise_above_the_models_error(rng):
 
 @pytest.mark.parametrize("lost", [("Mz",), ("Mx", "My", "Mz", "Fx", "Fy", "Fz")])
 def test_what_is_left_out_does_not_matter_and_the_fit_says_what_it_rests_on(lost):
-    geometry, _, samples, settings = make_case(77, leave_out=(*lost, "cluster_1.Fz"))
+    geometry, _, samples, settings = problems.make_case(77, leave_out=(*lost, "cluster_1.Fz"))
     samples.local_forces[:, 1, 2] = np.nan  # a dead channel may be left out
     expected = fit_contact_model(samples[:-3], geometry, settings)
     samples.wrench[:, [samples.channels.index(name) for name in lost]] = np.nan
@@ -144,7 +128,7 @@ def test_what_is_left_out_does_not_matter_and_the_fit_says_what_it_rests_on(lost
 
 
 def test_what_cannot_be_fitted_is_refused_with_its_name():
-    geometry, _, samples, settings = make_case(71)
+    geometry, _, samples, settings = problems.make_case(71)
     forces, wrench = samples.local_forces.copy(), samples.wrench.copy()
     forces[:, 1, 2], wrench[:, 2] = np.nan, np.nan
     few = np.where(np.arange(40)[:, None] < LEAST_SAMPLES - 1, samples.position, np.nan)
@@ -169,21 +153,21 @@ def solve_stage_two(samples, geometry, settings, rest):
     """The problem, its moments at given rest positions, and the solution of Stage 2 there."""
     problem = Problem(build_objective(samples, geometry, settings))
     x = problem.start.copy()
-    x[3:] = (rest - problem.law.reference_pose[:3]).T / MILLIMETRE
+    x[3:] = (rest - problem.law.reference_pose[:3]).T / stacked.MILLIMETRE
     moments = problem.moments(x)
     x[:3] = solve_box_qp(problem.stage_two(moments), "osqp", 1e-6).x.reshape(3, -1)
     return problem, moments, x
 
 
 def test_determined_directions_are_those_that_the_data_decides_however_many_samples_repeat_it():
-    geometry, bed, samples, settings = make_case(64, smoothness=1e-12)
+    geometry, bed, samples, settings = problems.make_case(64, smoothness=1e-12)
     problem, moments, found = solve_stage_two(samples, geometry, settings, bed.rest_positions)
     free = (found[:3] > 0.0).sum()  # nearly no smoothness: the data decides all that is free
     assert problem.determined_directions(found, moments) == pytest.approx(free, abs=0.5)
     # Every sample 20 times is more than a block of the products, and changes nothing.
     many = samples[np.repeat(np.arange(len(samples)), 20)]
     again = solve_stage_two(many, geometry, settings, bed.rest_positions)[2]
-    assert relative(again, found) < 1e-6
+    assert stacked.relative(again, found) < 1e-6
 
 
 # --- The rigid variants: the joint refinement, and what it recovers
@@ -200,17 +184,17 @@ def rigid_motion(rng: np.random.Generator, count: int, bed: ContactModel) -> np.
 def rigid_case(seed: int, variant="rigid", count: int = 80, **changes):
     """A rigid bed that presses everywhere a little: a limb that settled."""
     rng = np.random.default_rng(seed)
-    geometry = random_socket(rng, rings=3, columns=5)
+    geometry = problems.random_socket(rng, rings=3, columns=5)
     size, inwards = (len(geometry), 3), geometry.rotations[:, 2]
     bed = replace(
-        random_bed(np.random.default_rng(0), geometry, variant),
+        problems.random_bed(np.random.default_rng(0), geometry, variant),
         rest_positions=rng.normal([0.0, 0.0, 0.003], 0.001, size) - 0.004 * inwards,
         stiffness=rng.uniform(0.5, 1.5, size) * [2000.0, 2000.0, 6000.0],
         sharpness=300.0,
         reference_pose=np.array([0.01, -0.02, 0.15, 0.02, 0.1, -0.05]),
     )
     pose = rigid_motion(rng, count, bed)
-    samples = make_samples(pose, bed.wrench(pose), bed.cluster_forces(pose))
+    samples = problems.make_samples(pose, bed.wrench(pose), bed.cluster_forces(pose))
     settings = IdentificationSettings(variant=variant, contact_sharpness=bed.sharpness, **changes)
     return geometry, bed, samples, settings
 
@@ -323,8 +307,8 @@ def test_errors_are_those_by_hand_of_the_samples_with_a_value_and_a_constant_has
 
 def test_each_error_belongs_to_its_own_channel_whatever_the_chunks(rng, monkeypatch):
     monkeypatch.setattr("socket_testbed.identification.contact._CHUNK", 7)
-    bed = random_bed(rng, random_socket(rng), "stiffness_bias")
-    samples = samples_of_bed(rng, bed, moving_limb(rng, 30))
+    bed = problems.random_bed(rng, problems.random_socket(rng), "stiffness_bias")
+    samples = problems.samples_of_bed(rng, bed, problems.moving_limb(rng, 30))
     shifts = np.arange(1.0, 1.0 + len(samples.channels))
     samples.wrench[:] += shifts[:6]
     samples.local_forces[:] += shifts[6:].reshape(-1, 3)
@@ -351,7 +335,7 @@ def test_the_quoted_figures_are_means_and_medians_of_the_channels_in_the_objecti
 
 
 def test_a_model_reads_back_as_it_was_written(tmp_path):
-    geometry, _, samples, settings = make_case(5, leave_out=("cluster_1.Fy",))
+    geometry, _, samples, settings = problems.make_case(5, leave_out=("cluster_1.Fy",))
     fit = fit_contact_model(samples, geometry, settings)
     path = tmp_path / "model.json"
     write_model(fit, geometry, {"name": "hold"}, "plateau", path)
@@ -399,10 +383,10 @@ def law_of(variant, geometry):
 
 @pytest.mark.parametrize("variant", PAPER_VARIANTS)
 def test_the_paper_s_model_is_its_springs_with_their_offsets(rng, variant):
-    geometry = random_socket(rng)
-    bed = random_bed(rng, geometry, variant)
-    q = moving_limb(rng, 15)
-    springs = bed.stiffness * naive_gated(q[:, None] - bed.rest_positions, bed.sharpness)
+    geometry = problems.random_socket(rng)
+    bed = problems.random_bed(rng, geometry, variant)
+    q = problems.moving_limb(rng, 15)
+    springs = bed.stiffness * problems.naive_gated(q[:, None] - bed.rest_positions, bed.sharpness)
     moment = np.cross(geometry.anchors, springs).sum(axis=1)
     wrench = np.hstack([moment, springs.sum(axis=1)]) + bed.wrench_bias
     np.testing.assert_allclose(bed.wrench(q), wrench, atol=1e-10)
@@ -420,7 +404,9 @@ def test_the_paper_s_model_is_its_springs_with_their_offsets(rng, variant):
 
 def test_a_rigid_model_gates_in_the_tile_s_frame_and_never_pulls(rng):
     """A rigid body about the reference, far from {S}."""
-    bed = replace(random_bed(rng, random_socket(rng), "rigid"), reference_pose=REFERENCE)
+    bed = replace(
+        problems.random_bed(rng, problems.random_socket(rng), "rigid"), reference_pose=REFERENCE
+    )
     shifts, turns = rng.normal(0.0, 0.004, (40, 3)), rng.normal(0.0, 0.02, (40, 3))
     turned = Rotation.from_rotvec(turns) * Rotation.from_rotvec(REFERENCE[3:])
     pose = np.hstack([REFERENCE[:3] + shifts, turned.as_rotvec()])

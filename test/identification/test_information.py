@@ -9,16 +9,8 @@ from support.problems import make_samples, moving_limb, random_bed, random_socke
 
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
+from socket_testbed.identification import information
 from socket_testbed.identification import information as module
-from socket_testbed.identification.information import (
-    LoadShare,
-    engagement,
-    find_suspension,
-    known_directions,
-    load_shares,
-    measure_motion,
-    share_warning,
-)
 from socket_testbed.identification.noise import (
     LEAST_DIFFERENCES,
     channel_noise,
@@ -38,7 +30,7 @@ def moving(rng, geometry, motion, noise, count=400):
 def test_the_shares_of_a_bed_are_its_own(rng):
     bed = random_bed(rng, random_socket(rng), "stiffness_bias")
     samples = samples_of_bed(rng, bed, moving_limb(rng, 30))
-    shares = {share.name: share for share in load_shares(samples, bed)}
+    shares = {share.name: share for share in information.load_shares(samples, bed)}
     assert set(shares) == {"Fz", "force", "moment"}
     for name, part in (("Fz", [5]), ("force", [3, 4, 5]), ("moment", [0, 1, 2])):
         share = shares[name]
@@ -47,19 +39,19 @@ def test_the_shares_of_a_bed_are_its_own(rng):
         measured = samples.wrench[:, part]
         by_hand = np.sum(bed.wrench_bias[part] * measured) / np.sum(measured**2)
         assert share.offsets == pytest.approx(by_hand)
-    force = LoadShare("force", 0.12, 0.3, 0.1)
-    assert "only 12 % of the measured" in share_warning((share, force, share))
+    force = information.LoadShare("force", 0.12, 0.3, 0.1)
+    assert "only 12 % of the measured" in information.share_warning((share, force, share))
     samples.wrench[:, 1] = np.nan  # My was never measured
     samples.position[3] = np.nan
-    assert np.isnan(load_shares(samples, bed)[2].springs)
-    assert load_shares(samples, bed)[0].residual == pytest.approx(0.0, abs=1e-9)
+    assert np.isnan(information.load_shares(samples, bed)[2].springs)
+    assert information.load_shares(samples, bed)[0].residual == pytest.approx(0.0, abs=1e-9)
 
 
 def test_motion_and_noise_are_told_apart(rng):
     geometry = random_socket(rng)  # along z
     motion = np.array([1e-4, 2e-3, 1e-3, 2e-3, 2e-2, 0.0])
     noise = np.array([2e-4, 2e-4, 1e-4, 1e-3, 1e-3, 1e-3])
-    found = measure_motion(moving(rng, geometry, motion, noise), geometry)
+    found = information.measure_motion(moving(rng, geometry, motion, noise), geometry)
     for excitation, moved, noisy in zip(found.excitations, motion, noise, strict=True):
         assert excitation.noise == pytest.approx(noisy, rel=0.15)
         assert excitation.motion == pytest.approx(moved, rel=0.15, abs=0.5 * noisy)
@@ -67,7 +59,7 @@ def test_motion_and_noise_are_told_apart(rng):
     assert enough == [False, True, True, False, True, False]
     assert found.directions == 3
     assert str(found.excitations[5]).endswith("twist the limb in the socket")
-    unknown = measure_motion(moving(rng, geometry, [1e-3] * 6, [0.0] * 6, 8), geometry)
+    unknown = information.measure_motion(moving(rng, geometry, [1e-3] * 6, [0.0] * 6, 8), geometry)
     assert unknown.directions == 0
     assert all("unknown noise" in str(excitation) for excitation in unknown.excitations)
 
@@ -76,18 +68,20 @@ def test_what_is_known_grows_with_motion_and_falls_with_noise_and_offsets(rng):
     geometry = random_socket(rng, rings=4, columns=8, clusters=4)
     bed = random_bed(rng, geometry, "stiffness_bias")
     steady = samples_of_bed(rng, bed, rng.normal(0.0, 1e-5, (200, 3)), noise=0.1)
-    few = known_directions(steady, bed, 1e3)
+    few = information.known_directions(steady, bed, 1e3)
     assert few == pytest.approx(0.0, abs=1e-6)  # the offsets take all that one pose says
     phase = np.linspace(0.0, 2.0 * np.pi, 200)[:, None] * [1.0, 2.0, 3.0]
     moving = samples_of_bed(rng, bed, 3e-3 * np.sin(phase), noise=0.1)
-    many = known_directions(moving, bed, 1e3)
+    many = information.known_directions(moving, bed, 1e3)
     noisy = samples_of_bed(rng, bed, 3e-3 * np.sin(phase), noise=10.0)
-    assert many > known_directions(noisy, bed, 1e3) > few
-    assert np.isnan(known_directions(moving[:8], bed, 1e3))
+    assert many > information.known_directions(noisy, bed, 1e3) > few
+    assert np.isnan(information.known_directions(moving[:8], bed, 1e3))
     # What is linear in the pose is no spring's, either.
     plain = replace(bed, variant="rigid_bias")
     sloped = replace(plain, wrench_slope=rng.normal(0.0, 1e4, (6, 6)))
-    assert known_directions(moving, sloped, 1e3) < known_directions(moving, plain, 1e3)
+    assert information.known_directions(moving, sloped, 1e3) < information.known_directions(
+        moving, plain, 1e3
+    )
 
 
 def test_springs_are_engaged_in_compression_and_uncertain_within_the_spread_of_drawn_poses(
@@ -106,7 +100,7 @@ def test_springs_are_engaged_in_compression_and_uncertain_within_the_spread_of_d
     pose = np.hstack([centre + shifts, turned.as_rotvec()])
     pose[5] = np.nan
     samples = make_samples(pose, np.zeros((count, 6)), {})
-    found = engagement(samples, bed, rows=slice(4, 2000))
+    found = information.engagement(samples, bed, rows=slice(4, 2000))
     # Along the normal of each tile, at its centre.
     arms = np.stack([Rotation.from_rotvec(turns).apply(a - centre) for a in bed.anchors], 1)
     moved = shifts[:, None] + arms - (bed.anchors - centre)
@@ -152,7 +146,7 @@ def test_a_linear_suspension_is_found_within_its_intervals_where_load_and_pose_s
     held = []
     for seed in range(6):
         known, samples = suspended(seed)
-        found = find_suspension(samples, GEOMETRY)
+        found = information.find_suspension(samples, GEOMETRY)
         assert found is not None
         stiffness = found.stiffness
         np.testing.assert_allclose(np.diag(stiffness.value), np.diag(known), rtol=0.1)
@@ -160,11 +154,11 @@ def test_a_linear_suspension_is_found_within_its_intervals_where_load_and_pose_s
         assert found.pistoning.low <= found.pistoning.value <= found.pistoning.high
     assert np.mean(held) > 0.88
     _, samples = suspended(0, moments=0.0)  # no load in every direction
-    found = find_suspension(samples, GEOMETRY)
+    found = information.find_suspension(samples, GEOMETRY)
     assert found is not None and not found.stiffness.certain().any()
     assert np.isfinite(found.pistoning.value)
     samples.position[:] = np.nan
-    assert find_suspension(samples, GEOMETRY) is None
+    assert information.find_suspension(samples, GEOMETRY) is None
 
 
 # --- The noise of every channel: what is known of it comes back

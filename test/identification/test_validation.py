@@ -10,32 +10,15 @@ from support.problems import make_samples, random_socket
 from support.wording import refused
 
 from socket_testbed.errors import IdentificationError
+from socket_testbed.identification import validation
 from socket_testbed.identification.contact import wrench_map
-from socket_testbed.identification.validation import (
-    CLOSED,
-    CONSTANT,
-    INVERSE_DISTANCE,
-    REGRESSION,
-    close_wrench,
-    field_estimators,
-    inverse_distance,
-    judge_clusters,
-    judge_tiles,
-    judge_wrench,
-    loaded_rows,
-    measurement_errors,
-    split,
-    summarise_judgements,
-    thinned,
-    wrench_predictors,
-)
 from socket_testbed.settings.identification import ForceMapSettings
 
 
 def rivals(geometry):
     """What needs no prior: the interpolations of the clusters."""
-    found = field_estimators(geometry, ForceMapSettings())
-    return {name: found[name] for name in (INVERSE_DISTANCE, CLOSED)}
+    found = validation.field_estimators(geometry, ForceMapSettings())
+    return {name: found[name] for name in (validation.INVERSE_DISTANCE, validation.CLOSED)}
 
 
 def moving_samples(rng, count=60, slope=None, noise=0.0):
@@ -51,7 +34,7 @@ def test_clusters_share_by_distance_and_the_wrench_is_met_by_the_smallest_change
     given = rng.normal(size=(4, 2, 3))
     given[2, 1, 0] = np.nan
     given[3] = np.nan
-    found = inverse_distance(geometry, tuple(geometry.clusters), given)
+    found = validation.inverse_distance(geometry, tuple(geometry.clusters), given)
     local = np.einsum("iba,kib->kia", geometry.rotations, found)
     a, b = geometry.clusters.values()
     for tile, anchor in enumerate(geometry.anchors):
@@ -65,7 +48,7 @@ def test_clusters_share_by_distance_and_the_wrench_is_met_by_the_smallest_change
     geometry = replace(geometry, areas=rng.uniform(5e-4, 2e-3, len(geometry)))
     forces, held = rng.normal(size=(2, len(geometry), 3)), [0, 3]
     wrench = rng.normal(0.0, [1.0] * 3 + [50.0] * 3, (2, 6))
-    found = close_wrench(geometry, forces, wrench, held)
+    found = validation.close_wrench(geometry, forces, wrench, held)
     mapping = wrench_map(geometry.anchors)
     assert np.allclose(found.reshape(2, -1) @ mapping.T, wrench)
     assert np.array_equal(found[:, held], forces[:, held])
@@ -82,7 +65,10 @@ def test_the_regression_finds_a_linear_law_and_ignores_a_pose_that_does_not_move
     samples.rotation[:, 1] = 0.3  # constant
     samples.rotation[:, 2] = 2.0 * samples.position[:, 0]  # another's multiple
     samples.wrench[:] = samples.pose[:, :4] @ slope[:4]
-    predict, moved = wrench_predictors(samples[:30], {})[REGRESSION], samples.pose
+    predict, moved = (
+        validation.wrench_predictors(samples[:30], {})[validation.REGRESSION],
+        samples.pose,
+    )
     assert np.allclose(predict(moved), samples.wrench)
     moved[:, 4] = 0.4
     assert np.allclose(predict(moved), samples.wrench)
@@ -90,19 +76,19 @@ def test_the_regression_finds_a_linear_law_and_ignores_a_pose_that_does_not_move
 
 def test_the_wrench_s_rivals_have_the_skill_that_they_must(rng):
     samples, slope = moving_samples(rng, 200, noise=0.5)
-    predictors = wrench_predictors(samples, {})
-    found = {j.predictor: j for j in judge_wrench(samples, predictors, "in-sample")}
-    constant = found[CONSTANT]
+    predictors = validation.wrench_predictors(samples, {})
+    found = {j.predictor: j for j in validation.judge_wrench(samples, predictors, "in-sample")}
+    constant = found[validation.CONSTANT]
     assert (constant.moment_skill, constant.force_skill) == pytest.approx((0.0, 0.0), abs=1e-12)
-    assert found[REGRESSION].force_rmse == pytest.approx(0.5, rel=0.1)
-    assert found[REGRESSION].moment_skill > 0.9
+    assert found[validation.REGRESSION].force_rmse == pytest.approx(0.5, rel=0.1)
+    assert found[validation.REGRESSION].moment_skill > 0.9
     other, _ = moving_samples(rng, slope=slope)
     rmse = np.sqrt(np.mean((other.wrench - samples.wrench.mean(axis=0)) ** 2, axis=0))
     other.wrench[:, 2] = np.nan  # Mz was never measured: the others count
     (found,) = (
         judged
-        for judged in judge_wrench(other, predictors, "other trial")
-        if judged.predictor == CONSTANT
+        for judged in validation.judge_wrench(other, predictors, "other trial")
+        if judged.predictor == validation.CONSTANT
     )
     assert found.moment_rmse == pytest.approx(rmse[:2].mean())
     skill = 1.0 - rmse[3:].mean() / other.wrench[:, 3:].std(axis=0).mean()
@@ -123,24 +109,26 @@ def test_a_left_out_cluster_is_judged_on_what_the_others_say(rng):
     uniform = np.tile(geometry.rotations @ [1.0, -2.0, -10.0], (6, 1, 1))
     samples = samples_of_forces(geometry, uniform)
     noise = np.zeros((3, 3))
-    found = judge_clusters(samples, geometry, rivals(geometry), noise, "here")
+    found = validation.judge_clusters(samples, geometry, rivals(geometry), noise, "here")
     assert len(found) == 2 * (3 + 1)
     assert all(j.error < 1e-9 and np.isnan(j.coverage).all() for j in found)
 
     settings = ForceMapSettings(cluster_error=0.5, cluster_gain_error=0.1)
-    errors = measurement_errors(samples, noise, settings)
+    errors = validation.measurement_errors(samples, noise, settings)
     assert np.allclose(errors, np.hypot(0.5, [0.1, 0.2, 1.0]))
 
     # One cluster has nothing in common with the others: by hand, its error and that of all.
     samples.local_forces[:, 0] = [5.0, 5.0, 5.0]
     samples.status[2:4, 1] = 3  # neither used nor judged
-    first, found = found, judge_clusters(samples, geometry, rivals(geometry), noise)
-    chosen = {j.cluster: j for j in found if j.predictor == INVERSE_DISTANCE}
+    first, found = found, validation.judge_clusters(samples, geometry, rivals(geometry), noise)
+    chosen = {j.cluster: j for j in found if j.predictor == validation.INVERSE_DISTANCE}
     size = np.sqrt(np.nanmean(samples.trusted_forces**2))
     wrong = np.sqrt(np.mean((np.array([1.0, -2.0, -10.0]) - 5.0) ** 2))
     assert chosen["cluster_0"].error == pytest.approx(wrong / size)
     assert chosen["cluster_1"].samples == 4 and chosen["cluster_0"].samples == 6
-    row = summarise_judgements([*first, *found]).loc[("cluster", "left out", INVERSE_DISTANCE)]
+    row = validation.summarise_judgements([*first, *found]).loc[
+        ("cluster", "left out", validation.INVERSE_DISTANCE)
+    ]
     assert row["judged [1]"] == 2 and row["worst error [-]"] == chosen[""].error
     assert row["error [-]"] == pytest.approx(0.5 * chosen[""].error)
 
@@ -155,17 +143,19 @@ def test_intervals_hold_what_they_say_and_tiles_with_a_sensor_do_not_count(rng):
         forces = truth + spread * rng.normal(size=truth.shape)
         return forces, np.full(truth.shape, spread)
 
-    tiles = judge_tiles(samples, geometry, truth, {"map": estimate}, "second half")[0]
+    tiles = validation.judge_tiles(samples, geometry, truth, {"map": estimate}, "second half")[0]
     assert tiles.coverage == pytest.approx((0.5, 0.8, 0.95), abs=0.01)
     assert tiles.error == pytest.approx(spread, rel=0.05)
     stated = np.full((3, 3), noise)
-    clusters = judge_clusters(samples, geometry, {"map": estimate}, stated)[-1]
+    clusters = validation.judge_clusters(samples, geometry, {"map": estimate}, stated)[-1]
     assert clusters.coverage == pytest.approx((0.5, 0.8, 0.95), abs=0.01)
-    too_sure = judge_clusters(samples, geometry, {"map": estimate}, 0.0 * stated)[-1]
+    too_sure = validation.judge_clusters(samples, geometry, {"map": estimate}, 0.0 * stated)[-1]
     assert too_sure.coverage[2] < 0.93
 
-    closed = rivals(geometry)[CLOSED]
-    (judged,) = judge_tiles(samples, geometry, truth, {CLOSED: closed}, "second half")
+    closed = rivals(geometry)[validation.CLOSED]
+    (judged,) = validation.judge_tiles(
+        samples, geometry, truth, {validation.CLOSED: closed}, "second half"
+    )
     bare = np.setdiff1d(np.arange(len(geometry)), [*geometry.clusters.values()])
     missed = (closed(samples)[0] - truth)[:, bare]
     expected = np.sqrt(np.mean(missed**2) / np.mean(truth[:, bare] ** 2))
@@ -177,11 +167,11 @@ def test_loaded_samples_are_complete_and_pressed_and_come_in_halves(rng):
     samples.wrench[:, 3:] = [[0, 0, -30], [0, 0, -5], [30, 0, 0], [0, np.nan, -40], [0, 0, -40]]
     samples.position[4, 0] = np.nan
     samples.wrench[:, 0] = np.nan  # a channel that is never measured is not asked for
-    assert loaded_rows(samples, 20.0).tolist() == [True, False, True, False, False]
+    assert validation.loaded_rows(samples, 20.0).tolist() == [True, False, True, False, False]
     samples, _ = moving_samples(rng, 60)
     samples.wrench[:, 3:] = np.outer(np.arange(60) >= 10, [0.0, 0.0, -100.0])
-    first, second = split(samples, 20.0)
+    first, second = validation.split(samples, 20.0)
     assert first.tolist() == [*range(10, 35)] and second.tolist() == [*range(35, 60)]
-    assert thinned(np.arange(60) >= 10, 3).tolist() == [10, 34, 59]
+    assert validation.thinned(np.arange(60) >= 10, 3).tolist() == [10, 34, 59]
     with refused(IdentificationError, "only 20 of 30 samples", "need 24"):
-        split(samples[:30], 20.0)
+        validation.split(samples[:30], 20.0)

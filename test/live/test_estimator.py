@@ -22,13 +22,7 @@ from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import Fit, fit_contact_model
 from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.identification.model_file import StoredModel, read_model
-from socket_testbed.live.estimator import (
-    MEASURED,
-    OnlineEstimator,
-    OnlineMap,
-    SampleWindow,
-    cluster_forces,
-)
+from socket_testbed.live import estimator
 from socket_testbed.live.fit_worker import Contest, FitWorker, Refit, Steady, fit_samples
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import (
@@ -83,7 +77,7 @@ class Bench:
         self.mapped: list[int] = []  # stamps in periods
         self.predicted: dict[int, np.ndarray] = {}  # wrenches by stamp in periods
         self.geometry = trial.geometry
-        self.estimator = OnlineEstimator(
+        self.estimator = estimator.OnlineEstimator(
             self.geometry, lambda: self.settings, self.fitter, self.models.append
         )
 
@@ -134,7 +128,7 @@ def fitted(bench: Bench, fit: Fit) -> Bench:
 
 
 def test_a_window_holds_the_newest_samples_in_the_order_of_their_stamps() -> None:
-    window, pose = SampleWindow(("p", "q"), duration=3.0), np.zeros((1, 3))
+    window, pose = estimator.SampleWindow(("p", "q"), duration=3.0), np.zeros((1, 3))
     stamps = [round(k * 1e7 * (1.0 + (k > 700))) for k in range(2000)]  # 100 Hz, then 50 Hz
     late = stamps[-1] - 1_500_000_001
     for stamp in [*stamps, late]:
@@ -153,7 +147,7 @@ def test_a_sample_is_mapped_and_predicted_whatever_the_order(fitted: Bench, fit:
         *(Pose.from_quaternion(v[None, :3], v[None, 3:]) for v in list(values.values())[2:])
     )
     pose = np.hstack([limb.translation, limb.rotation_vector()])
-    arrivals = [(k, topic) for k in range(100, 120) for topic in MEASURED]
+    arrivals = [(k, topic) for k in range(100, 120) for topic in estimator.MEASURED]
     np.random.default_rng(0).shuffle(arrivals)
     found = [fitted.add(topic, number, values[topic]) for number, topic in arrivals]
     last = {number: place for place, (number, _) in enumerate(arrivals)}
@@ -168,7 +162,7 @@ def test_a_sample_is_mapped_and_predicted_whatever_the_order(fitted: Bench, fit:
 
 
 def test_an_incomplete_sample_is_never_predicted_fitted_or_matched_by_nearest(trial: Trial) -> None:
-    for lacking in MEASURED:
+    for lacking in estimator.MEASURED:
         bench = Bench(trial, least_samples=10, pending=5)
         bench.send(30, lacking=lacking)
         for stamp in (0, 29 * PERIOD - 1):  # too late, and of no sample
@@ -182,7 +176,7 @@ def test_an_incomplete_sample_is_never_predicted_fitted_or_matched_by_nearest(tr
 def test_a_cluster_that_is_not_in_the_message_is_missing(bench: Bench) -> None:
     stresses, geometry = bench.values()[STRESS], bench.geometry
     absent, _ = stresses.popitem()
-    forces, status = cluster_forces(geometry, stresses)
+    forces, status = estimator.cluster_forces(geometry, stresses)
     column = tuple(geometry.clusters).index(absent)
     assert status[column] == 2 and np.isnan(forces[column]).all()
     known = [geometry.cluster_force(name, stress) for name, (stress, _) in stresses.items()]
@@ -209,7 +203,7 @@ def test_a_jump_back_in_time_clears_what_was_measured(fitted: Bench, fit: Fit) -
 def test_channels_that_are_left_out_or_that_no_limb_gives_are_not_mapped(trial: Trial) -> None:
     """And a changed prior counts from the next sample."""
     sample, settings = trial.samples()[100:101], EstimatorSettings(force_map=PRIOR)
-    live = OnlineMap(trial.geometry, lambda: settings)
+    live = estimator.OnlineMap(trial.geometry, lambda: settings)
 
     def check(found: MapEstimate, values: dict[str, Any], prior: ForceMapSettings = PRIOR) -> None:
         usual = ForceMap(trial.geometry, sample.clusters, prior)

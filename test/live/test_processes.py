@@ -14,11 +14,7 @@ from socket_testbed import clocks
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.live import doctor, hardware
 from socket_testbed.live.processes import Graph
-from socket_testbed.settings.acquisition import (
-    ClusterSettings,
-    LoadCellSettings,
-    TriggerSettings,
-)
+from socket_testbed.settings import acquisition
 
 NODE = """
 import os, signal, rclpy
@@ -91,9 +87,9 @@ def test_hardware_keeps_to_real_time(
 ) -> None:
     monkeypatch.setattr(clocks, "_scale", 0.5)
     for make in (
-        lambda: hardware.make_trigger(TriggerSettings()),
-        lambda: hardware.i2c_opener(ClusterSettings()),
-        lambda: hardware.spi_opener(LoadCellSettings()),
+        lambda: hardware.make_trigger(acquisition.TriggerSettings()),
+        lambda: hardware.i2c_opener(acquisition.ClusterSettings()),
+        lambda: hardware.spi_opener(acquisition.LoadCellSettings()),
     ):
         with refused(ConfigurationError, "TIME_SCALE=0.5 is for a simulated testbed"):
             make()

@@ -25,12 +25,8 @@ from socket_testbed.live.bringup import record_estimates
 from socket_testbed.live.processes import Graph
 from socket_testbed.nodes.base import TestbedNode
 from socket_testbed.nodes.view_node import LiveSource
+from socket_testbed.settings import testbed
 from socket_testbed.settings.fields import Settings
-from socket_testbed.settings.testbed import (
-    CalibrationNodeSettings,
-    EstimatorSettings,
-    ReplaySettings,
-)
 from socket_testbed.trials import topics
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.layout import decode
@@ -39,7 +35,7 @@ from socket_testbed.trials.trial import Trial
 
 pytestmark = pytest.mark.graph
 
-NO_FIT = EstimatorSettings(auto_fit=False)
+NO_FIT = testbed.EstimatorSettings(auto_fit=False)
 
 
 def test_every_sample_of_a_repaired_trial_is_predicted_as_offline(
@@ -51,7 +47,7 @@ def test_every_sample_of_a_repaired_trial_is_predicted_as_offline(
     write_socket(turned, tmp_path / "turned.yaml")
     trial, path = Trial(hold, tmp_path / "turned.yaml", tare="0:5"), tmp_path / "replayed"
     settings = dataclasses.replace(NO_FIT, model=str(hold_model))
-    record_estimates(trial, ReplaySettings(trial=str(hold), rate=50.0), settings, path)
+    record_estimates(trial, testbed.ReplaySettings(trial=str(hold), rate=50.0), settings, path)
     found = {}
     with BagReader(path) as bag:
         assert bag.counts[f"/{topics.PARAMETERS.name}"] == 1
@@ -93,7 +89,7 @@ def test_every_sample_of_a_repaired_trial_is_predicted_as_offline(
 def test_a_replay_keeps_no_more_ahead_than_writers_send_again(hold: Path) -> None:
     """So a follower that stands still for a moment misses nothing."""
     stamps = Trial(hold).samples().stamps.tolist()
-    replay = ReplaySettings(trial=str(hold), rate=1000.0, wait_for=("follower",))
+    replay = testbed.ReplaySettings(trial=str(hold), rate=1000.0, wait_for=("follower",))
     with Probe() as probe, Graph() as graph:
         triggers = {topic: probe.listen(topic) for topic in topics.REQUIRED}[topics.TRIGGER]
         publisher = probe.node.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -172,7 +168,7 @@ def test_a_map_of_another_socket_is_named_and_not_drawn() -> None:
 def estimating() -> Iterator[tuple[Graph, Probe]]:
     """A calibration and an estimator node in the time of a replay, and what another hears."""
     with Graph() as graph, Probe() as probe:
-        graph.start("calibration_node", CalibrationNodeSettings(), use_sim_time=True)
+        graph.start("calibration_node", testbed.CalibrationNodeSettings(), use_sim_time=True)
         graph.start("estimator_node", NO_FIT, use_sim_time=True)
         yield graph, probe
 
@@ -206,7 +202,7 @@ def test_a_fit_when_asked_answers_and_predicts(hold: Path, estimating) -> None:
     answer = probe.call(TriggerService, "estimator/fit", TriggerService.Request())
     assert not answer.success and "only 0 of 0 samples" in answer.message
     # Each round starts the window anew: one lasts long enough for 60 samples and the fit.
-    replay = ReplaySettings(
+    replay = testbed.ReplaySettings(
         trial=str(hold), rate=4.0, wait_for=("calibration_node", "estimator_node")
     )
     graph.start("replay_node", dataclasses.replace(replay, loop=True))

@@ -31,7 +31,6 @@ from socket_testbed.trials import layout, messages, topics
 
 FOLDER = CHECKOUT / "msg_defs" / "msg"
 GEOMETRY = read_socket(packaged("config", "socket.yaml"))
-STAMP = 1_700_000_000_250_000_000
 CONTRACT = {
     "Trigger": "std_msgs/Header header; uint64 sequence",
     "ClusterCapacitance": "string name; float64[4] capacitance; uint8[4] status",

@@ -25,24 +25,6 @@ def test_each_tile_is_at_its_angle_and_height_or_on_the_distal_end() -> None:
     np.testing.assert_allclose(tiles.places[~tiles.on_wall], np.column_stack([-y, x]), atol=1e-9)
 
 
-def test_the_surface_is_where_the_socket_is() -> None:
-    wall, end = patches(GEOMETRY)
-    assert (wall.name, end.name) == ("wall", "end")
-    x, y, z = np.moveaxis(wall.points, -1, 0)
-    known = np.isfinite(x)
-    assert known.mean() > 0.95
-    heights = np.broadcast_to(1e-3 * wall.y[:, None], x.shape)
-    np.testing.assert_allclose(z[known], 0.080 + heights[known], atol=1e-9)
-    np.testing.assert_allclose(np.hypot(x, y)[known], (BASE + TAPER * heights)[known], atol=4e-3)
-    angles = np.degrees(np.arctan2(y, x)) - wall.x
-    np.testing.assert_allclose((angles[known] + 180.0) % 360.0, 180.0, atol=1e-6)
-    right, up = np.broadcast_arrays(end.x, end.y[:, None])
-    middle = np.hypot(right, up) < 20.0
-    expected = 1e-3 * np.column_stack([up[middle], -right[middle]])
-    np.testing.assert_allclose(end.points[middle][:, :2], expected, atol=1e-9)
-    np.testing.assert_allclose(end.points[middle][:, 2], 0.080, atol=1e-2)
-
-
 def test_what_the_tiles_say_is_kept_and_smooth_between_them() -> None:
     even, sloped = np.ones(len(GEOMETRY)), GEOMETRY.anchors[:, 2]
     for patch in patches(GEOMETRY):

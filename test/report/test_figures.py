@@ -14,19 +14,9 @@ from matplotlib.text import Text
 from support.problems import random_socket, ring_socket
 
 from socket_testbed.identification.pressure import Quantity
+from socket_testbed.report import style
 from socket_testbed.report.pressure import draw_regions
 from socket_testbed.report.results import Results
-from socket_testbed.report.style import (
-    DEFAULT_STYLE,
-    MOST_POINTS,
-    SCALE,
-    WIDTHS,
-    FigureStyle,
-    in_style,
-    save_figure,
-    thin,
-    thin_band,
-)
 from socket_testbed.report.tiles import tile_map_figure
 from socket_testbed.report.write import SECTIONS
 
@@ -39,18 +29,23 @@ def rng():
 
 
 def test_a_thinned_line_keeps_its_peaks_its_order_and_its_gaps(rng):
-    for count, most in ((10, 100), (1001, MOST_POINTS), (12_345, 10), (12_345, MOST_POINTS)):
+    for count, most in (
+        (10, 100),
+        (1001, style.MOST_POINTS),
+        (12_345, 10),
+        (12_345, style.MOST_POINTS),
+    ):
         x, y = np.arange(count) / 4.0, rng.normal(size=count)
-        thin_x, thin_y = thin(x, y, most)
+        thin_x, thin_y = style.thin(x, y, most)
         assert len(thin_x) <= most
         assert (np.diff(thin_x) >= 0.0).all()
         assert (thin_y.min(), thin_y.max()) == (y.min(), y.max())
         np.testing.assert_array_equal(thin_y, y[np.round(thin_x * 4.0).astype(int)])
     time, (low, high) = np.arange(10_001.0), rng.normal(size=(2, 10_001))
     low[4000:6000] = np.nan
-    x, kept = thin(time, low, 500)
+    x, kept = style.thin(time, low, 500)
     assert np.isnan(kept[(x >= 4100) & (x < 5900)]).all()
-    _, lowest, highest = thin_band(time, low, high, 500)
+    _, lowest, highest = style.thin_band(time, low, high, 500)
     assert np.nanmin(lowest) == np.nanmin(low) and highest.max() == high.max()
 
 
@@ -69,7 +64,7 @@ def test_tiles_have_the_colours_of_their_values_on_one_scale_unless_their_ranges
         maps = [axis for axis in figure.axes if axis.get_xlim()[0] < -180.0]
         for axis, row, scale in zip(maps, values.values(), [*ends, *ends], strict=False):
             squares = next(c for c in axis.collections if isinstance(c, PolyCollection))
-            expected = colormaps[SCALE](Normalize(*scale)(row))
+            expected = colormaps[style.SCALE](Normalize(*scale)(row))
             np.testing.assert_allclose(squares.get_facecolors(), expected)
         assert figure.get_supxlabel() == f"1 {NASTY}"
     # What has no value is hatched.
@@ -85,7 +80,7 @@ def test_a_map_with_intervals_is_smooth_and_greyer_where_they_reach_far():
     geometry = ring_socket()
     values, known = np.full(len(geometry), 20.0), {"x": np.zeros(len(geometry))}
     unknown = {"x": np.full(len(geometry), 60.0)}
-    colour = colormaps[SCALE](Normalize(0.0, 40.0)(20.0))[:3]
+    colour = colormaps[style.SCALE](Normalize(0.0, 40.0)(20.0))[:3]
     for reach, expected in ((known, colour), (unknown, 0.15 * np.array(colour) + 0.85 * 150 / 255)):
         figure = tile_map_figure(geometry, {"x": values}, UNIT, limits=(0.0, 40.0), reach=reach)
         for panel in figure.axes[:2]:  # wall and end
@@ -99,8 +94,8 @@ def test_regions_have_their_lines_bands_and_events(rng):
     time, values = np.linspace(0.0, 60.0, 250), rng.normal(10.0, 1.0, (250, 2))
     mean = Quantity(1e3 * values, 1e3 * values - 2e3, 1e3 * values + 3e3, 0.0 * values)
     events = [(30.0, "removed"), (10.0, "placed"), (50.0, "placed")]
-    figure = DEFAULT_STYLE.figure(60.0)
-    draw_regions(figure, time, mean, {"a$_b": 1, "fibula head": 0}, events, DEFAULT_STYLE)
+    figure = style.DEFAULT_STYLE.figure(60.0)
+    draw_regions(figure, time, mean, {"a$_b": 1, "fibula head": 0}, events, style.DEFAULT_STYLE)
     (axis,) = figure.axes
     for line, shade, row in zip(axis.lines, axis.collections, values.T[::-1], strict=False):
         np.testing.assert_allclose(line.get_xydata(), np.stack([time, row], axis=1))
@@ -124,7 +119,7 @@ def figures(results: Results) -> dict:
     }
 
 
-@in_style  # as figures are saved
+@style.in_style  # as figures are saved
 def drawn_texts(figure):
     """What is drawn of text: its content, size [pt] and box [px]; and the boxes of the panels."""
     renderer = FigureCanvasAgg(figure).get_renderer()
@@ -170,12 +165,12 @@ def check_words(name: str, figure) -> None:
 @pytest.mark.slow
 def test_every_figure_is_as_wide_as_stated_and_every_word_legible(figures, tmp_path):
     alike = {"tile_stiffness_stiffness", "tile_stiffness_stiffness_bias", "tile_stiffness_given"}
-    for name, width, titles in product({*figures} - alike, WIDTHS, (True, False)):
-        figure = figures[name](FigureStyle(width, titles))
+    for name, width, titles in product({*figures} - alike, style.WIDTHS, (True, False)):
+        figure = figures[name](style.FigureStyle(width, titles))
         check_words(name, figure)
         assert titles or not figure.get_suptitle()  # then the caption says what is shown
         if titles:
-            save_figure(figure, tmp_path / "figure.pdf")
+            style.save_figure(figure, tmp_path / "figure.pdf")
             content = (tmp_path / "figure.pdf").read_bytes()
             box = re.search(rb"/MediaBox \[([\d. ]+)\]", content)[1].split()
             assert float(box[2]) / 72.0 * 25.4 == pytest.approx(width, abs=1.0)

@@ -18,7 +18,7 @@ from socket_testbed.identification.fit import summarise_errors
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.pages.wall import unrolled_tiles
 from socket_testbed.report import fronts, validation, write
-from socket_testbed.report.page import simplify, write_socket_page
+from socket_testbed.report.page import write_socket_page
 from socket_testbed.report.quality import find_drop_outs, find_gaps, list_notes
 from socket_testbed.report.results import Results, compute_results
 from socket_testbed.report.write import check_page_path, summarise, write_report
@@ -121,14 +121,6 @@ def test_gaps_and_drop_outs_are_counted():
     assert longest.tolist() == pytest.approx([11 / 4.0, 10 / 4.0, 0.0])
     lost_of_a = lost.loc["a (Fx, Fy, Fz)", ["missing [1]", "saturated [1]", "out of range [1]"]]
     assert tuple(lost_of_a) == (4, 3, 5)
-
-
-def test_a_simplified_surface_keeps_its_size_and_its_area() -> None:
-    mesh = trimesh.creation.icosphere(5, radius=0.05)
-    simplified = simplify(mesh, 4_000)
-    assert 1_000 < len(simplified.faces) <= 4_000
-    assert simplified.area == pytest.approx(mesh.area, rel=0.03)
-    np.testing.assert_allclose(simplified.bounds, mesh.bounds, atol=0.02 * mesh.extents.max())
 
 
 def test_a_page_shows_tiles_and_surface_loads_nothing_and_its_names_are_no_markup(tmp_path) -> None:

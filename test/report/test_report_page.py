@@ -115,22 +115,6 @@ def test_the_pressure_on_the_page_is_that_of_the_api(page, page_path, results):
     np.testing.assert_allclose(written[of_all], found[of_all], rtol=1e-9)
 
 
-def test_tables_hold_the_solutions_that_stand_out_the_paper_s_figures_and_the_origin(page, results):
-    own = [summarise_errors(results.fitted[v].errors).moment_rmse for v in PAPER_VARIANTS]
-    shown = page.rows("paper")["mean RMSE of the moments [N m]"]
-    np.testing.assert_allclose(np.array(shown[:2], dtype=float), own, rtol=0.0, atol=5.001e-4)
-    assert (*shown[2:4],) == ("1.69", "0.44") and "not comparable" in shown[4]
-    rows = [row for row in page.tables["marks"] if row[0] == PLAIN]
-    front = results.fronts[PLAIN]
-    for row in rows:
-        assert float(row[2]) == pytest.approx(front.theta[front.marks[row[1]]])
-    assert page.rows("provenance-table")["command"] == ["socket-testbed report <hold>"]
-    stages = [row for row in page.tables["kkt"] if row[0] == PLAIN and row[1][:2] in {"1,", "2,"}]
-    fit = results.fitted[PLAIN].fit
-    known = [stage.certificate.stationarity for stage in (fit.stage_one, fit.stage_two)]
-    assert [float(row[3]) for row in stages] == pytest.approx(known, rel=0.06)
-
-
 def test_every_figure_is_there_as_pdf_and_png_with_its_data(page, page_path):
     folder = files_folder(page_path)
     figures = {path.stem for path in folder.glob("*.pdf")}

@@ -8,23 +8,15 @@ from support.wording import refused
 
 from socket_testbed.drivers.natnet.connection import TakeKeeper
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.settings import testbed
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.settings.identification import IdentificationSettings
-from socket_testbed.settings.testbed import (
-    EstimatorSettings,
-    RecorderSettings,
-    TestbedSettings,
-    WindowSettings,
-    check_take_name,
-    read_testbed,
-    write_testbed,
-)
 
-NODES = {name: type(settings) for name, settings in TestbedSettings().nodes().items()}
+NODES = {name: type(settings) for name, settings in testbed.TestbedSettings().nodes().items()}
 
 
 def test_every_setting_has_a_unit_and_its_default_comes_back_from_its_flat_form():
-    for kind in {*NODES.values(), IdentificationSettings, TestbedSettings}:
+    for kind in {*NODES.values(), IdentificationSettings, testbed.TestbedSettings}:
         settings = kind()
         assert kind.from_flat(settings.to_flat(), "here") == kind.from_flat({}, "here") == settings
         assert set(settings.to_flat()) == set(kind.flat())
@@ -36,7 +28,7 @@ def test_whatever_means_a_number_is_one_and_a_wrong_value_is_refused_by_its_name
     for value in (1, 1.0, "1e0", "1.0", np.float32(1.0), np.array(1.0)):
         theta = IdentificationSettings(theta=value).theta
         assert type(theta) is float and theta == 1.0
-    least = WindowSettings(least_samples=50.0).least_samples
+    least = testbed.WindowSettings(least_samples=50.0).least_samples
     assert type(least) is int and least == 50
     assert IdentificationSettings(initial_stiffness="auto").initial_stiffness == 0.0
     assert IdentificationSettings(reference_position=np.ones(3)).reference_position == (1.0,) * 3
@@ -49,7 +41,7 @@ def test_whatever_means_a_number_is_one_and_a_wrong_value_is_refused_by_its_name
         with refused(ConfigurationError, error):
             IdentificationSettings(**{name: value})
     with refused(ConfigurationError, "here: identification.theta is 7: give a number from 0 to 1"):
-        EstimatorSettings.from_flat({"identification.theta": 7}, "here")
+        testbed.EstimatorSettings.from_flat({"identification.theta": 7}, "here")
 
 
 # --- testbed.yaml
@@ -60,9 +52,9 @@ def test_a_file_of_parameters_gives_the_settings_of_its_nodes_over_those_of_anot
 
     def read(content, *base):
         path.write_text(content)
-        return read_testbed(path, *base)
+        return testbed.read_testbed(path, *base)
 
-    assert read("") == TestbedSettings()
+    assert read("") == testbed.TestbedSettings()
     found = read(
         """
         estimator_node:
@@ -76,7 +68,10 @@ def test_a_file_of_parameters_gives_the_settings_of_its_nodes_over_those_of_anot
     )
     estimator = found.estimator_node
     assert (estimator.identification.theta, estimator.plateau.smoothing) == (1.0, 4.0)
-    assert estimator.identification.leave_out == ("Mz",) and estimator.window == WindowSettings()
+    assert (
+        estimator.identification.leave_out == ("Mz",)
+        and estimator.window == testbed.WindowSettings()
+    )
     first = read("trigger_node: {ros__parameters: {rate: 9, pulse: 1e-3}}")
     second = read("trigger_node: {ros__parameters: {rate: 7}}", first)
     assert second.trigger_node == TriggerSettings(rate=7.0)
@@ -91,12 +86,12 @@ def test_a_file_of_parameters_gives_the_settings_of_its_nodes_over_those_of_anot
 
 def test_what_is_written_comes_back_but_for_what_belongs_to_one_run(tmp_path):
     path = tmp_path / "testbed.yaml"
-    estimator = EstimatorSettings(
+    estimator = testbed.EstimatorSettings(
         geometry="socket.yaml", identification=IdentificationSettings(leave_out=("Mz",), theta=0.3)
     )
     trigger = TriggerSettings(rate=20.0, wait_for=("mocap_node",), simulation="world")
-    write_testbed({"estimator_node": estimator, "trigger_node": trigger}, path)
-    found = read_testbed(path)
+    testbed.write_testbed({"estimator_node": estimator, "trigger_node": trigger}, path)
+    found = testbed.read_testbed(path)
     assert found.estimator_node == dataclasses.replace(estimator, geometry="")
     assert found.trigger_node == TriggerSettings(rate=20.0)
 
@@ -106,14 +101,14 @@ def test_what_is_written_comes_back_but_for_what_belongs_to_one_run(tmp_path):
 
 def test_a_name_goes_to_motive_as_it_is_or_is_refused_when_it_is_given(tmp_path: Path):
     for name in ("trial_20261122_101500", "S01 left 2", "Übung-3.b", "歩行"):
-        assert check_take_name(name) == name
+        assert testbed.check_take_name(name) == name
     wrong = ("", "a,b", "StopRecording\nx", "a\0b", "..", "a/b", "a\\b", "C:x", "a ", "a\u2028b")
     for name in (*wrong, "\udcff", "x" * 70_000, "ü" * 101):
         with refused(ConfigurationError, "the trial's name ", ": give letters") as caught:
-            check_take_name(name)
+            testbed.check_take_name(name)
         assert len(str(caught.value).encode()) < 450
     with refused(ConfigurationError, "the trial's name"):
-        RecorderSettings(directory=str(tmp_path / "a,b"), record=True)
+        testbed.RecorderSettings(directory=str(tmp_path / "a,b"), record=True)
     # A refused take is not pursued, and the one before it ends.
     sent: list[str] = []
     keeper = TakeKeeper(lambda command, done: sent.append(command))

@@ -116,21 +116,6 @@ def test_of_two_bodies_one_must_be_chosen_by_its_number(cone, path):
         read_scan(path, body="2")
 
 
-def test_the_bodies_of_an_obj_go_by_the_names_of_objects_or_else_of_groups(cone, tmp_path):
-    path = tmp_path / "scan.obj"
-    for words in ("o {}\ng all\n", "g {}\n"):
-        text, count = "# two kinds of names\nvn 0 0 1\n", len(cone.vertices)
-        for k, name in enumerate(("limb", "plate 2", "pin")):
-            vertices, faces = 1e3 * shifted(cone, 0.2 * k).vertices, cone.faces + 1 + k * count
-            text += words.format(name) + "".join(f"v {x} {y} {z}\n" for x, y, z in vertices)
-            text += "".join(f"f {a}//1 {b}//1 {c}//1\n" for a, b, c in faces)
-        path.write_text(text)
-        for k, name in ((1, "plate 2"), (2, "pin")):
-            scan = read_scan(path, body=name)
-            assert_same_surface(scan.mesh, shifted(cone, 0.2 * k))
-            assert scan.body == name
-
-
 PLY = b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
 PLY += b"property float z\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n"
 

@@ -10,19 +10,12 @@ import trimesh
 import yaml
 from scipy.spatial.transform import Rotation
 from support import meshes
-from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError, RegistrationError
 from socket_testbed.files import packaged
 from socket_testbed.geometry.pose import Pose
-from socket_testbed.geometry.socket import ScanFrame, read_socket
-from socket_testbed.socket_design.clusters import (
-    ClusterPlace,
-    LaidCluster,
-    lay_clusters,
-    place_clusters,
-    read_cluster_places,
-)
+from socket_testbed.geometry.socket import read_socket
+from socket_testbed.socket_design import clusters
 from socket_testbed.socket_design.design import place_by_landmarks, place_by_points
 from socket_testbed.socket_design.squares import Squares, Surroundings, rim_points, spread_points
 from socket_testbed.socket_design.tiling import Tiling, TilingSettings, tile_interior
@@ -46,15 +39,15 @@ def frame_at(angle: float, turned: float = 0.0) -> np.ndarray:
     return Rotation.from_rotvec(turned * inward).as_matrix() @ tile
 
 
-def asked_at(centre, frame=None, name="distal") -> ClusterPlace:
-    return ClusterPlace(name, centre, frame, f"{name}'s")
+def asked_at(centre, frame=None, name="distal") -> clusters.ClusterPlace:
+    return clusters.ClusterPlace(name, centre, frame, f"{name}'s")
 
 
-def lay(*places: ClusterPlace) -> tuple[Squares, list[LaidCluster]]:
+def lay(*places: clusters.ClusterPlace) -> tuple[Squares, list[clusters.LaidCluster]]:
     rng = np.random.default_rng(2)
     centres, points = spread_points(WALL, 0.001, rng), spread_points(WALL, 0.0025, rng)
     surroundings = Surroundings(points, rim_points(WALL, 0.0005), Z, X)
-    return lay_clusters(WALL, places, centres, surroundings, 0.03, 0.008)
+    return clusters.lay_clusters(WALL, places, centres, surroundings, 0.03, 0.008)
 
 
 def test_a_cluster_stays_where_it_is_glued_and_as_it_is_turned() -> None:
@@ -88,18 +81,6 @@ def test_a_cluster_over_the_brim_is_laid_beside_it_and_one_that_cannot_be_laid_i
             lay(*places)
 
 
-def test_cluster_places_are_read(tmp_path: Path) -> None:
-    path = tmp_path / "clusters.yaml"
-    path.write_text("clusters:\n  a: {point: [0, 0, 0.1]}\n  b: {scan: [50.0, -10.0, 200.0]}\n")
-    scan = ScanFrame(0.001, Pose(np.eye(3), np.array([0.0, 0.02, 0.0])))
-    a, b = (place.in_load_cell(scan).centre for place in read_cluster_places(path))
-    assert a == pytest.approx([0.0, 0.0, 0.1]) and b == pytest.approx([0.05, 0.01, 0.2])
-    for place, words in (("point: [0, 0, 9]", "[2] is 9"), ("anchor: [0, 0, 0.1]", "has anchor")):
-        path.write_text(f"clusters: {{distal: {{{place}}}}}")
-        with refused(ConfigurationError, words):
-            read_cluster_places(path)
-
-
 def test_placement_by_landmarks_or_points(tmp_path: Path) -> None:
     turned, path = Rotation.random(random_state=8), tmp_path / "l.yaml"
     load_cell = 1e-3 * np.array([[0, 0, 0], [50, 0, 0], [10, 20, 0], [0, -60, 300], [0, 100, 200]])
@@ -123,7 +104,7 @@ GEOMETRY = read_socket(packaged("config", "socket.yaml"))
 def test_clusters_that_are_there_stay_and_each_further_one_lowers_the_error() -> None:
     stay = [GEOMETRY.clusters["distal"], 40]
     allowed = np.arange(len(GEOMETRY)) < 60
-    found = place_clusters(GEOMETRY, 6, stay, allowed)
+    found = clusters.place_clusters(GEOMETRY, 6, stay, allowed)
     tiles = found.tiles.tolist()
     assert tiles[:2] == stay and len(set(tiles)) == 6 and max(tiles[2:]) < 60
     errors = [found.errors[count] for count in range(2, 7)]
@@ -235,7 +216,9 @@ def test_tiles_are_laid_around_the_clusters() -> None:
         radius = 0.045 + rng.uniform(-0.003, 0.003, 3)  # beside the wall, as a sensor is thick
         asked = np.column_stack([radius * np.cos(angles), radius * np.sin(angles), heights])
         nearest = trimesh.proximity.closest_point(mesh, asked)[0]
-        places = [ClusterPlace(f"c{i}", point, None, f"c{i}") for i, point in enumerate(asked)]
+        places = [
+            clusters.ClusterPlace(f"c{i}", point, None, f"c{i}") for i, point in enumerate(asked)
+        ]
         tiling = tile_interior(mesh, Z, X, FEW, None, places)
         assert [laid.name for laid in tiling.clusters] == ["c0", "c1", "c2"]
         assert np.linalg.norm(tiling.squares.anchors[:3] - nearest, axis=1).max() < 1e-4

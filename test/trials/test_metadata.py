@@ -13,13 +13,7 @@ import socket_testbed as st
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.live.bringup import simulated_testbed
 from socket_testbed.settings.testbed import RecorderSettings
-from socket_testbed.trials.metadata import (
-    FIELDS,
-    METADATA_FILE,
-    TrialMetadata,
-    read_metadata,
-    write_metadata,
-)
+from socket_testbed.trials import metadata
 from socket_testbed.trials.trial import Trial
 
 
@@ -35,13 +29,13 @@ def folder(tmp_path: Path) -> Path:
 
 def test_all_fields_and_any_text_come_back_as_they_were(tmp_path: Path) -> None:
     values = ("S01", "right", "PTB 3", "sock", 82.5, "KL", "hold", "new foot")
-    stated = TrialMetadata(*values)
-    assert (*stated.columns().values(),) == values and len(FIELDS) == len(values)
+    stated = metadata.TrialMetadata(*values)
+    assert (*stated.columns().values(),) == values and len(metadata.FIELDS) == len(values)
     texts = ("007", "1e3", "yes", "null", "2026-01-01", "a: b # c", "\"'\\", "ü 日本 🦿", "-")
-    for given in (stated, *(TrialMetadata(socket=text, notes=text) for text in texts)):
-        write_metadata(given, tmp_path / METADATA_FILE)
-        assert read_metadata(tmp_path / METADATA_FILE) == given
-    assert TrialMetadata(notes=" on\ntwo\u00a0 lines ").notes == "on two lines"
+    for given in (stated, *(metadata.TrialMetadata(socket=text, notes=text) for text in texts)):
+        metadata.write_metadata(given, tmp_path / metadata.METADATA_FILE)
+        assert metadata.read_metadata(tmp_path / metadata.METADATA_FILE) == given
+    assert metadata.TrialMetadata(notes=" on\ntwo\u00a0 lines ").notes == "on two lines"
 
 
 WRONG = [
@@ -65,16 +59,16 @@ def test_a_wrong_value_is_refused_by_its_field(folder: Path) -> None:
 
 def test_a_broken_file_is_a_note_and_nothing_is_written_over_it(folder: Path) -> None:
     for text, says in (("sidee: left", "did you mean 'side'?"), ("]", "correct the YAML")):
-        (folder / METADATA_FILE).write_text(text, encoding="latin-1")
+        (folder / metadata.METADATA_FILE).write_text(text, encoding="latin-1")
         notes: list[str] = []
-        assert Trial(folder, notify=notes.append).metadata == TrialMetadata()
+        assert Trial(folder, notify=notes.append).metadata == metadata.TrialMetadata()
         (note,) = notes
-        check_line(note, says, METADATA_FILE)
-        with refused(ConfigurationError, METADATA_FILE):
+        check_line(note, says, metadata.METADATA_FILE)
+        with refused(ConfigurationError, metadata.METADATA_FILE):
             st.annotate(Trial(folder), subject="S02")
-        assert (folder / METADATA_FILE).read_text(encoding="latin-1") == text
-    (folder / METADATA_FILE).write_text("# to be filled in\nsubject:\nmass: 70\n")
-    assert Trial(folder).metadata == TrialMetadata(mass=70.0)
+        assert (folder / metadata.METADATA_FILE).read_text(encoding="latin-1") == text
+    (folder / metadata.METADATA_FILE).write_text("# to be filled in\nsubject:\nmass: 70\n")
+    assert Trial(folder).metadata == metadata.TrialMetadata(mass=70.0)
 
 
 def test_annotate_adds_changes_removes_and_leaves_the_bag_alone(folder: Path, capsys: Any) -> None:
@@ -85,25 +79,27 @@ def test_annotate_adds_changes_removes_and_leaves_the_bag_alone(folder: Path, ca
     shown = verb(capsys, "annotate", folder, "--remove", "mass", "--remove", "notes")[1]
     assert "S07" in shown and "kg" not in shown
     trial = Trial(folder)
-    assert st.annotate(trial, side="right", mass=70.0) == TrialMetadata("S07", "right", mass=70.0)
-    assert st.annotate(trial, remove=["subject", "mass"]) == TrialMetadata(side="right")
-    assert trial.metadata == TrialMetadata(side="right")
+    assert st.annotate(trial, side="right", mass=70.0) == metadata.TrialMetadata(
+        "S07", "right", mass=70.0
+    )
+    assert st.annotate(trial, remove=["subject", "mass"]) == metadata.TrialMetadata(side="right")
+    assert trial.metadata == metadata.TrialMetadata(side="right")
     call_refused(capsys, "annotate", folder, "--mass", "815", named=["--mass is 815.0"])
     after = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
-    assert after.keys() - before.keys() == {METADATA_FILE}
+    assert after.keys() - before.keys() == {metadata.METADATA_FILE}
     assert {name: after[name] for name in before} == before
 
 
 def test_metadata_of_a_call_goes_over_those_of_the_settings(tmp_path: Path) -> None:
     study = tmp_path / "study.yaml"
-    write_metadata(TrialMetadata(protocol="walk", side="left"), study)
+    metadata.write_metadata(metadata.TrialMetadata(protocol="walk", side="left"), study)
     testbed = simulated_testbed(record=tmp_path / "trial")
     recorder_node = RecorderSettings(metadata=str(study), everything=True)
     settings = dataclasses.replace(testbed.settings, recorder_node=recorder_node)
-    stated = TrialMetadata("S01", "right")
+    stated = metadata.TrialMetadata("S01", "right")
     testbed = dataclasses.replace(testbed, settings=settings, metadata=stated)
     recorder, *_ = testbed.nodes(tmp_path)
     assert recorder.settings.everything and recorder.settings.record
-    stored = read_metadata(Path(recorder.settings.metadata))
-    assert stored == TrialMetadata("S01", "right", protocol="walk")
-    assert read_metadata(study).side == "left"  # it is another trial's as well
+    stored = metadata.read_metadata(Path(recorder.settings.metadata))
+    assert stored == metadata.TrialMetadata("S01", "right", protocol="walk")
+    assert metadata.read_metadata(study).side == "left"  # it is another trial's as well

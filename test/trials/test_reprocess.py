@@ -20,24 +20,19 @@ from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.socket import SocketGeometry, read_socket, write_socket
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.settings.testbed import TestbedSettings, read_testbed, write_testbed
+from socket_testbed.trials import synchronise
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.layout import decode, stamp_of
 from socket_testbed.trials.messages import load_cell_raw_packer, pose_packer, wrench_packer
-from socket_testbed.trials.synchronise import (
-    Measurements,
-    correct_measurements,
-    parse_unloaded,
-    read_measurements,
-)
 from socket_testbed.trials.topics import LOAD_CELL_RAW, MARKERS
 from socket_testbed.trials.trial import Trial
 
 WRONG = {"sign": (1.0, -1.0, 1.0, 1.0, 1.0, 1.0), "excitation": 4.0, "inputs": (1, 0, 2, 3, 4, 5)}
 
 
-def measured_of(trial: Path) -> Measurements:
+def measured_of(trial: Path) -> synchronise.Measurements:
     with BagReader(trial) as bag:
-        return read_measurements(bag, lambda note: None, more=(LOAD_CELL_RAW, MARKERS))
+        return synchronise.read_measurements(bag, lambda note: None, more=(LOAD_CELL_RAW, MARKERS))
 
 
 def recorded_as(hold: Path, path: Path, packed: dict[str, Callable[[int, int], bytes]]) -> Path:
@@ -214,7 +209,7 @@ def test_poses_whose_markers_are_not_known_stay_as_recorded(
 
 
 @pytest.fixture
-def measured(hold: Path) -> Measurements:
+def measured(hold: Path) -> synchronise.Measurements:
     """The trial's measurements; its first and last 10 s made to be without load."""
     found = Trial(hold).measurements()
     rest = (found.time < 10.0) | (found.time > found.time[-1] - 10.0)
@@ -223,15 +218,17 @@ def measured(hold: Path) -> Measurements:
     return dataclasses.replace(found, capacitance=capacitance)
 
 
-def correct(trial: Trial, measured: Measurements) -> Measurements:
+def correct(trial: Trial, measured: synchronise.Measurements) -> synchronise.Measurements:
     """The correction of `Trial.measurements`, of any measurements."""
     least, notify = trial.estimator.plateau.least_force, trial.notify or (lambda note: None)
-    return correct_measurements(
+    return synchronise.correct_measurements(
         measured, trial.unloaded, trial.calibration, least, str(trial.path), notify
     )
 
 
-def test_drift_between_two_spans_is_taken_off(hold: Path, measured: Measurements) -> None:
+def test_drift_between_two_spans_is_taken_off(
+    hold: Path, measured: synchronise.Measurements
+) -> None:
     time, notes = measured.time, []
     end = time[-1]
     trial = Trial(hold, notify=notes.append, unloaded=((0.0, 8.0), (end - 8.0, end)))
@@ -255,7 +252,7 @@ def with_baselines(trial: Trial) -> Trial:
 
 
 def test_a_baseline_takes_off_earlier_drift_but_not_what_a_weight_presses(
-    hold: Path, measured: Measurements
+    hold: Path, measured: synchronise.Measurements
 ) -> None:
     """A baseline is of a cluster that bears nothing: not even the pylon's weight."""
     trial = with_baselines(Trial(hold, unloaded=((0.0, 8.0),)))
@@ -272,7 +269,7 @@ def test_a_baseline_takes_off_earlier_drift_but_not_what_a_weight_presses(
 
 
 def test_spans_that_cannot_correct_are_refused_or_reported(
-    hold: Path, measured: Measurements
+    hold: Path, measured: synchronise.Measurements
 ) -> None:
     for spans in (((25.0, 30.0),), ((0.0, 5.0), (25.0, 30.0))):
         with refused(TrialError, "25:30 is not without load", "279 N there: ", " 92 N"):
@@ -284,4 +281,4 @@ def test_spans_that_cannot_correct_are_refused_or_reported(
     assert len(notes) == 1 and "distal is not corrected: give a second span" in notes[0]
     for wrong in (["8:2"], ["nan:1"], ["0:1", "2:3", "4:5"], ["0:5", "3:8"]):
         with refused(ConfigurationError, "--unloaded"):
-            parse_unloaded(wrong)
+            synchronise.parse_unloaded(wrong)

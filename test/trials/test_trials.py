@@ -12,33 +12,16 @@ import numpy as np
 import pytest
 from backports import zstd
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
-from support.bags import (
-    copy_configuration,
-    copying,
-    move_to_namespace,
-    pose_vector,
-    rewrite,
-    wrench_vector,
-    written_by_rosbags,
-)
+from support import bags
 from support.messages import Maker, encode, numbers_in, numbers_of, strings_of
 from support.wording import refused
 
 from socket_testbed.errors import TrialError
 from socket_testbed.samples import Status
 from socket_testbed.simulation.trial import read_true_forces, read_truth
-from socket_testbed.trials import bag, messages
+from socket_testbed.trials import bag, messages, topics
 from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage
 from socket_testbed.trials.layout import Layout, decode, stamp_of
-from socket_testbed.trials.topics import (
-    CAPACITANCE,
-    PYLON_POSE,
-    REQUIRED,
-    SOCKET_POSE,
-    TRIGGER,
-    WRENCH,
-    match_topics,
-)
 from socket_testbed.trials.trial import Trial, recorded_namespace
 
 
@@ -62,8 +45,8 @@ def test_samples_agree_with_the_truth_within_the_sensors_errors(hold: Path) -> N
 
 def test_a_topic_that_is_missing_or_empty_is_named(hold: Path, tmp_path: Path) -> None:
     with BagReader(hold) as old:
-        names, raws = match_topics(old.counts, "hold"), list(old.messages())
-    for topic in REQUIRED:
+        names, raws = topics.match_topics(old.counts, "hold"), list(old.messages())
+    for topic in topics.REQUIRED:
         for declared, says in ((False, f"has no topic '{topic.name}'"), (True, "holds no message")):
             target = tmp_path / f"{topic.name.replace('/', '_')}_{declared}"
             with BagWriter(target) as new:
@@ -103,12 +86,12 @@ def test_metadata_that_is_missing_or_promises_other_counts(hold: Path, tmp_path:
 def test_topics_are_found_in_the_namespace_they_were_recorded_in(
     hold: Path, tmp_path: Path
 ) -> None:
-    target = move_to_namespace(hold, tmp_path / "lab", "/lab")
+    target = bags.move_to_namespace(hold, tmp_path / "lab", "/lab")
     assert recorded_namespace(Trial(target)) == "/lab"
     assert recorded_namespace(Trial(hold)) == "/"
     np.testing.assert_array_equal(Trial(target).samples().values, Trial(hold).samples().values)
     with refused(TrialError, "two topics"):
-        match_topics(["/a/trigger", "/b/trigger"], "bag")
+        topics.match_topics(["/a/trigger", "/b/trigger"], "bag")
 
 
 def test_stamps_that_jump_back_are_counted_and_named(hold: Path, tmp_path: Path) -> None:
@@ -124,7 +107,7 @@ def test_stamps_that_jump_back_are_counted_and_named(hold: Path, tmp_path: Path)
                 message.header.stamp.sec -= 5
         return message
 
-    target = rewrite(hold, tmp_path / "back", change)
+    target = bags.rewrite(hold, tmp_path / "back", change)
     Trial(target, notify=notes.append).samples()
     back, doubled = notes
     assert back.startswith("the stamps of load_cell/wrench jump back, once (from 9.75 s to 5.0")
@@ -138,8 +121,8 @@ def test_stamps_that_jump_back_are_counted_and_named(hold: Path, tmp_path: Path)
 def written(source: Path, path: Path, *how: StoragePlugin | CompressionMode) -> Path:
     """A copy of a trial by another program, compressed."""
     with BagReader(source) as plain:
-        written_by_rosbags(plain.messages(), path, *how)
-    return copy_configuration(source, path)
+        bags.written_by_rosbags(plain.messages(), path, *how)
+    return bags.copy_configuration(source, path)
 
 
 def test_a_compressed_trial_gives_the_samples_of_the_plain_one(hold: Path, tmp_path: Path) -> None:
@@ -189,15 +172,15 @@ def plainly_read(path: Path) -> dict[str, dict[int, Any]]:
         for raw in bag.messages():
             message = decode(raw.data, raw.type)
             stamp = stamp_of(message)
-            if raw.topic.endswith(CAPACITANCE.name):
+            if raw.topic.endswith(topics.CAPACITANCE.name):
                 for cluster in message.clusters:
                     found[cluster.name][stamp] = [*cluster.capacitance, *cluster.status]
-            elif raw.topic.endswith(WRENCH.name):
-                found[WRENCH.name][stamp] = wrench_vector(message.wrench)
+            elif raw.topic.endswith(topics.WRENCH.name):
+                found[topics.WRENCH.name][stamp] = bags.wrench_vector(message.wrench)
             elif raw.topic.endswith("/pose"):
-                found[raw.topic.removeprefix("/")][stamp] = pose_vector(message.pose)
-            elif raw.topic.endswith(TRIGGER.name):
-                found[TRIGGER.name][stamp] = ()
+                found[raw.topic.removeprefix("/")][stamp] = bags.pose_vector(message.pose)
+            elif raw.topic.endswith(topics.TRIGGER.name):
+                found[topics.TRIGGER.name][stamp] = ()
     return found
 
 
@@ -206,7 +189,7 @@ def mixed(messages: Iterable[RawMessage]) -> Iterator[RawMessage]:
     for number, raw in enumerate(messages):
         rng = np.random.default_rng(number)
         decoded = decode(raw.data, raw.type)
-        if raw.topic.endswith(CAPACITANCE.name):
+        if raw.topic.endswith(topics.CAPACITANCE.name):
             order = rng.integers(4, size=rng.integers(1, 12))
             decoded.clusters = [decoded.clusters[i] for i in order]
         if rng.random() < 0.3:
@@ -214,7 +197,7 @@ def mixed(messages: Iterable[RawMessage]) -> Iterator[RawMessage]:
         if rng.random() < 0.9:
             yield replace(raw, data=encode(decoded, raw.type, little=rng.random() < 0.5))
         if rng.random() < 0.1:
-            if raw.topic.endswith(WRENCH.name):
+            if raw.topic.endswith(topics.WRENCH.name):
                 decoded.wrench.force.x += 1.0
             data = encode(decoded, raw.type, little=True)
             yield replace(raw, time=raw.time + 1, data=data)
@@ -222,11 +205,16 @@ def mixed(messages: Iterable[RawMessage]) -> Iterator[RawMessage]:
 
 def test_measurements_of_mixed_messages(hold: Path, tmp_path: Path) -> None:
     with BagReader(hold) as bag:
-        path = written_by_rosbags(mixed(bag.messages()), tmp_path / "mixed", StoragePlugin.SQLITE3)
-    copy_configuration(hold, path)
+        path = bags.written_by_rosbags(
+            mixed(bag.messages()), tmp_path / "mixed", StoragePlugin.SQLITE3
+        )
+    bags.copy_configuration(hold, path)
     expected, found = plainly_read(path), Trial(path).measurements()
-    tables = {WRENCH.name: found.wrench, SOCKET_POSE.name: found.socket}
-    tables |= {PYLON_POSE.name: found.pylon, TRIGGER.name: np.empty((len(found.stamps), 0))}
+    tables = {topics.WRENCH.name: found.wrench, topics.SOCKET_POSE.name: found.socket}
+    tables |= {
+        topics.PYLON_POSE.name: found.pylon,
+        topics.TRIGGER.name: np.empty((len(found.stamps), 0)),
+    }
     readings = np.concatenate([found.capacitance, found.status], axis=2)
     tables |= dict(zip(found.clusters, readings.swapaxes(0, 1), strict=True))
     assert expected.keys() == tables.keys()
@@ -240,7 +228,7 @@ def test_measurements_of_mixed_messages(hold: Path, tmp_path: Path) -> None:
 
 
 def test_a_message_that_cannot_be_decoded_is_named(hold: Path, tmp_path: Path) -> None:
-    with copying(hold, tmp_path / "torn") as (old, new):
+    with bags.copying(hold, tmp_path / "torn") as (old, new):
         for number, raw in enumerate(old.messages()):
             new.write(raw.topic, raw.time, raw.data[:-9] if number == 500 else raw.data)
     with pytest.raises(TrialError, match=r"torn: a message on \S+ cannot be decoded"):
@@ -249,7 +237,7 @@ def test_a_message_that_cannot_be_decoded_is_named(hold: Path, tmp_path: Path) -
 
 def test_any_other_byte_is_read_as_the_library_reads_it() -> None:
     """A message with one byte changed fits if only numbers or what aligns them changed."""
-    kind = CAPACITANCE.type
+    kind = topics.CAPACITANCE.type
     message = Maker(7, 0).message(kind)
     raw = encode(message, kind, True)
     layout, before = Layout(raw, kind), strings_of(decode(raw, kind), kind)
