@@ -104,7 +104,7 @@ def check_trigger(testbed: Testbed) -> Iterator[Finding]:
         for _ in range(_PULSES):
             before = clocks.monotonic()
             delays.append(trigger.fire() - before)
-            trigger.rest()
+            trigger.end_pulse()
     found = "the steady clock; no wire"
     if settings.source == "gpio":
         found = (
