@@ -197,7 +197,7 @@ class _Column:
         if not _STEP_RANGE[0] <= median * self.scale <= _STEP_RANGE[1]:
             other = "ms" if self.unit == "s" else "s"
             raise self.error(
-                f"has a median step of {median:.3g} {self.unit}, implausible for a bench",
+                f"has steps of {median:.3g} {self.unit} in the median, implausible for a bench",
                 f"correct the header, or give --units time={other} if these are {other}",
             )
         return numbers * self.scale

@@ -17,7 +17,7 @@ from socket_testbed.arrays import BoolArray, FloatArray, IntArray, line_weights
 from socket_testbed.drivers.natnet.messages import BodiesByName, MocapFrame
 from socket_testbed.geometry.marker_bodies import (
     EDGE_TOLERANCE,
-    FEWEST_MARKERS,
+    MIN_MARKERS,
     distances,
     fit_body,
 )
@@ -232,9 +232,9 @@ class _TrackedBody:
         if hidden.any():
             members = ", ".join(str(slot + 1) for slot in np.flatnonzero(hidden))
             fault = f"marker {members} of rigid body '{self._name}' is occluded"
-            few = self._count == FEWEST_MARKERS or (~hidden).sum() < FEWEST_MARKERS
+            few = self._count == MIN_MARKERS or (~hidden).sum() < MIN_MARKERS
             return fault if few else f"{fault}, and the others do not make its pose certain"
-        kind = "triad" if self._count == FEWEST_MARKERS else "distances"
+        kind = "triad" if self._count == MIN_MARKERS else "distances"
         return (
             f"the markers of rigid body '{self._name}' do not fit its {kind}: check the geometry"
             " file, or that no other marker is taken for one of them"
