@@ -69,9 +69,9 @@ class SensorErrors:
         return np.repeat([self.moment_noise, self.force_noise], 3) * np.sqrt(MAX_MEAN_SPAN / span)
 
 
-# Errors as large as in the published experiment; their causes are unknown. Slow: the load cell creeps
-# by 4 N and 0.9 N m, clusters have offsets of up to 150 N on 9 cm^2. Without offsets, residuals were
-# 5 N on the load cell and 4 N on a cluster, more than the drift of a plateau: hence the vibration.
+# Errors as large as in the published experiment, of unknown cause. The load cell creeps by 4 N and
+# 0.9 N m, clusters have offsets of up to 150 N on 9 cm^2. Without offsets, residuals were 5 N on the
+# load cell and 4 N on a cluster, more than the drift of a plateau: hence the vibration.
 LIKE_PAPER = SensorErrors(
     stress_offset=150.0 / 9e-4,
     force_creep=4.0,
