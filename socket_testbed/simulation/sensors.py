@@ -70,7 +70,7 @@ class SensorErrors:
 
 
 # Errors as large as in the published experiment, of unknown cause. The load cell creeps by 4 N and
-# 0.9 N m, clusters have offsets of up to 150 N on 9 cm^2. Without offsets, residuals were 5 N on the
+# 0.9 N m, clusters have offsets of up to 150 N on 9 cm^2. Without offsets, 5 N was left on the
 # load cell and 4 N on a cluster, more than the drift of a plateau: hence the vibration.
 LIKE_PAPER = SensorErrors(
     stress_offset=150.0 / 9e-4,
