@@ -8,9 +8,9 @@ names. Another chip can replace the clusters' FDC1004 (`CapacitiveChip`).
 
 A reader (`clusters/reader.py`, `load_cell/load_cell.py`, `natnet/client.py`) decides when to read,
 recovers from failures, and returns the values for a trigger and the instrument's health. It never
-raises for a hardware fault. Each has one place that handles faults: `_Bus.note` (I2C, including a
-bus that hangs or is gone), `ConverterReader._fail` (SPI), `NatNetClient._lose` (network). A trigger
-without its edge raises a `DeviceError`.
+raises for a hardware fault. Each has one place that handles faults: `_Bus.handle_fault` (I2C,
+including a hanging or missing bus), `ConverterReader._fail` (SPI), `NatNetClient._lose` (network).
+A trigger without its edge raises a `DeviceError`.
 """
 
 from __future__ import annotations

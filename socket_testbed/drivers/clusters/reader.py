@@ -118,7 +118,7 @@ class _Bus:
     """A bus with its multiplexers (TI TCA9548A), if any, and its known state.
 
     It is opened when needed, and can be closed and reopened while chips refer to it. All chips have
-    the same address, so only one channel may be connected at a time. `note` handles faults.
+    the same address, so only one channel may be connected at a time.
     """
 
     def __init__(self, number: int, open_bus: Callable[[int], i2c.I2cBus]) -> None:
@@ -141,7 +141,7 @@ class _Bus:
         waits = not self.is_open and not self.backoff.due(now)
         return self.given_up or (self._closed_by if waits else "")
 
-    def note(self, error: DeviceError, chip: int, now: float) -> bool:
+    def handle_fault(self, error: DeviceError, chip: int, now: float) -> bool:
         """Handle a fault while accessing a chip at an address; returns whether only it is affected.
 
         Otherwise the bus is gone or its multiplexer fails: the bus is closed and reopened later.
@@ -248,7 +248,7 @@ class _Cluster:
         except DeviceError as error:
             self.bus.configured.discard(self.place)
             self.fault, now = str(error), clocks.monotonic()
-            if self.bus.note(error, self.chip.address, now):
+            if self.bus.handle_fault(error, self.chip.address, now):
                 self.backoff.failed(now)
             return False
         self.fault = ""

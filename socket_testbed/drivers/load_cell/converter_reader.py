@@ -33,7 +33,7 @@ RECENT = 0.8  # [s]; how long a fault is reported after it has ended
 _MAX_FRAMES = 8  # read in a row; two conversions can wait, and frames can be corrupted
 _MAX_READ_TIME = 0.25  # periods; normally a frame takes less
 _SILENCE_TIMEOUT = 0.1  # [s] without a conversion
-_KEPT = 61.0  # [s]; more than the longest tare
+_HISTORY = 61.0  # [s]; more than the longest tare
 _MAX_PAUSE = 1.95  # periods; the converter would lose a third conversion
 _FIFO_SIZE = 2  # conversions
 _MAX_ATTEMPTS = 5  # to empty the FIFO without an edge in between
@@ -86,7 +86,7 @@ class ConversionClock:
             # One period after the last; if some were lost, the number closest to the middle.
             steps = 1 if self._continuous else round((middle - self._last) / self._period)
             end = self._last + self._period * steps
-            if abs(end - middle) > self._period:  # conversions were restarted
+            if abs(end - middle) > self._period:  # conversions had paused
                 end = middle
         self._last = min(max(end, low), high)
         self._waiting += 1
@@ -127,7 +127,7 @@ class ConverterReader:
 
         self._lock = threading.Lock()  # for all fields below
         # The last conversions in order of time [s], with their codes.
-        self._kept = min(math.ceil(_KEPT / self.period), _MAX_ROWS)
+        self._capacity = min(math.ceil(_HISTORY / self.period), _MAX_ROWS)
         self._times: list[float] = []
         self._codes: list[IntArray] = []
         self._emptied = self._corrupted = self._failed = -np.inf  # [s]
@@ -142,7 +142,7 @@ class ConverterReader:
     def poll(self) -> None:
         """Read the waiting conversions, or reconnect to the converter when due.
 
-        It never raises; `trouble` reports failures. After a pause of two or more periods, the
+        It never raises; `fault_at` reports failures. After a pause of two or more periods, the
         conversions in between are lost, as their times are unknown.
         """
         try:
@@ -193,21 +193,21 @@ class ConverterReader:
     def _stacked(self, codes: list[IntArray]) -> IntArray:
         return np.array(codes, dtype=np.int64).reshape(-1, self._settings.channels)
 
-    def over(self, until: float) -> float:
+    def end_time(self, until: float) -> float:
         """When the conversions measured until a time will have ended [s]."""
         return until + self._delay
 
     def has_all(self, until: float) -> bool:
         """Whether all conversions measured until a time [s] were read."""
         with self._lock:
-            return self._emptied >= self.over(until)
+            return self._emptied >= self.end_time(until)
 
     def counts(self) -> dict[str, int]:
         """Numbers of conversions, corrupted frames and restarts."""
         with self._lock:
             return dict(self._counts)
 
-    def trouble(self, now: float) -> tuple[int, DeviceError | None]:
+    def fault_at(self, now: float) -> tuple[int, DeviceError | None]:
         """The converter's fault at a time [s]: 0 (none), 1 (warning) or 2 (error)."""
         found: tuple[int, DeviceError | None] = 0, None
         with self._lock:
@@ -303,8 +303,8 @@ class ConverterReader:
             self._counts["conversions"] += 1
             self._times.append(end - self._delay)
             self._codes.append(frame.codes)
-            if len(self._times) >= 2 * self._kept:
-                del self._times[: -self._kept], self._codes[: -self._kept]
+            if len(self._times) >= 2 * self._capacity:
+                del self._times[: -self._capacity], self._codes[: -self._capacity]
 
     def _expect_conversions(self) -> None:
         now = clocks.monotonic()

@@ -52,7 +52,7 @@ class Bridges:
         order = [3, 4, 5, 0, 1, 2]  # from the maker's Fx Fy Fz Mx My Mz to moments first
         # converter input of each bridge, shape (6,)
         self.inputs: IntArray = np.array(settings.inputs, dtype=np.int64)
-        # wrench [M; F] over the bridges' ratios, shape (6, 6) [N m, N per mV/V]
+        # wrench [M; F] from the bridges' ratios, shape (6, 6) [N m, N per mV/V]
         self.matrix: FloatArray = np.array(settings.matrix).reshape(6, 6)[order]
         # full scale of [M; F], shape (6,) [N m, N]
         self.full_scale: FloatArray = np.array(settings.full_scale)[order]
@@ -219,25 +219,25 @@ class LoadCell:
         tared = _iso_time(time) if time else "never"
         return {**self.converter.counts(), "tare": tare, "tared": tared}
 
-    def over(self, moment: float, span: float = 0.0) -> float:
+    def end_time(self, moment: float, span: float = 0.0) -> float:
         """When the last conversion for the wrench at a time of the steady clock ends [s].
 
         If the window is shorter than the span [s], the span centred on the time is averaged.
         """
-        return self.converter.over(moment + self._reach(span)[1])
+        return self.converter.end_time(moment + self._reach(span)[1])
 
     def ready(self, moment: float, span: float = 0.0) -> bool:
-        """Whether the wrench at a time needs no further waiting; arguments as in `over`.
+        """Whether the wrench at a time needs no further waiting; arguments as in `end_time`.
 
         Either all its conversions were read, or they have ended and the converter has failed.
         """
         if self.converter.has_all(moment + self._reach(span)[1]):
             return True
         now = clocks.monotonic()
-        return now >= self.over(moment, span) and self.converter.trouble(now)[0] > 1
+        return now >= self.end_time(moment, span) and self.converter.fault_at(now)[0] > 1
 
     def wrench_at(self, moment: float, span: float = 0.0) -> WrenchReading:
-        """The wrench at a time; arguments as in `over`.
+        """The wrench at a time; arguments as in `end_time`.
 
         It is the value at that time of a line fitted to the conversions in the window, three
         quarters of which lie before it. Its delay is that of a mean over half a window centred on
@@ -260,8 +260,8 @@ class LoadCell:
             status, fault = Status.SATURATED, self._saturated(rails)
         elif count < max(1.0, 0.5 * expected) or uncertain:
             fault = f"{count} of {expected:.0f} conversions around the trigger"
-            _, trouble = self.converter.trouble(clocks.monotonic())
-            fault = f"{fault}; {trouble}" if trouble else fault
+            _, cause = self.converter.fault_at(clocks.monotonic())
+            fault = f"{fault}; {cause}" if cause else fault
         else:
             value, status = weights @ ratios, Status.OK
         offsets, tared = self._tare.no_load
@@ -273,8 +273,8 @@ class LoadCell:
 
     def health(self, now: float) -> tuple[int, str]:
         """State at a time [s]: 0 (OK), 1 (warning) or 2 (error), with fact and hint."""
-        level, trouble = self.converter.trouble(now)
-        found = [(level, str(trouble))]
+        level, fault = self.converter.fault_at(now)
+        found = [(level, str(fault))]
         _, ratios, rails = self._between(now - RECENT, now)
         newest = ads131m0x.at_rail(self.converter.newest(_BROKEN_WIRE)[:, self._bridges.inputs])
         broken = newest.sum(axis=0) == _BROKEN_WIRE
@@ -297,9 +297,9 @@ class LoadCell:
         """
         settings = self.settings
         now = clocks.monotonic()
-        level, trouble = self.converter.trouble(now)
-        if trouble and level > 1:
-            raise DeviceError(f"cannot tare: {trouble.fact}", trouble.hint)
+        level, fault = self.converter.fault_at(now)
+        if fault and level > 1:
+            raise DeviceError(f"cannot tare: {fault.fact}", fault.hint)
         _, ratios, rails = self._between(now - settings.tare_duration, now)
         expected = settings.tare_duration / self.converter.period
         if len(ratios) < 0.5 * expected:

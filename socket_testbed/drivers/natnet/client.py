@@ -168,7 +168,7 @@ class NatNetClient:
 
     def set_recording(self, name: str | None) -> None:
         """Request a take of this name, or none; retried until the server complies."""
-        self._takes.want(name)
+        self._takes.request(name)
 
     @property
     def recording_fault(self) -> str:

@@ -207,7 +207,7 @@ class CommandQueue:
 class TakeKeeper:
     """Names, starts and stops the requested take, and restarts it after a server restart.
 
-    `want` is thread-safe; the other methods are for one thread.
+    `request` is thread-safe; the other methods are for one thread.
     """
 
     def __init__(self, submit: Callable[[str, Done], None]) -> None:
@@ -228,7 +228,7 @@ class TakeKeeper:
         wanted = self._wanted
         return not self._busy and self._started == wanted and (wanted is None or self._confirmed)
 
-    def want(self, name: str | None) -> None:
+    def request(self, name: str | None) -> None:
         """Request a take, or none."""
         self._wanted = None
         self._wanted = None if name is None else check_take_name(name)
