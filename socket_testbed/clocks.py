@@ -79,7 +79,7 @@ class SteadyClock:
         self.beginning = int(shared) if shared else wall() - steady()
 
     def now(self) -> int:
-        """Time since the epoch [ns]; it never goes back."""
+        """Time since the epoch [ns]; monotonic."""
         return self._steady() + self.beginning
 
     def to_epoch(self, steady_seconds: float) -> int:

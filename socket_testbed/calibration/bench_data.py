@@ -166,7 +166,7 @@ class _Column:
             row = int(np.argmin(np.isfinite(values)))
             raise self.error(
                 f"holds '{cells.iloc[row]}' in line {cells.index[row]}, which is not a number",
-                "give a number there; a unit belongs into the header",
+                "give a number there; units belong in the header",
             )
         return values
 
@@ -234,7 +234,7 @@ def _read_cells(path: Path) -> tuple[list[str], pd.DataFrame]:
     cells = cells[cells.ne("").any(axis=1)]
     if len(cells) < 2:
         raise CalibrationError(
-            f"{path}: holds no row of data", "give a header, and below it one row per reading"
+            f"{path}: has no data rows", "give a header, and below it one row per reading"
         )
     titles, cells = cells.iloc[0].tolist(), cells[1:]
     if separator != ",":

@@ -1,4 +1,4 @@
-"""GPIO lines through gpiod 2, and the trigger: a pulse on one, or the steady clock alone."""
+"""GPIO lines through gpiod 2, and the trigger: a pulse on a line, or the steady clock alone."""
 
 from __future__ import annotations
 

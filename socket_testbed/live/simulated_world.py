@@ -56,7 +56,7 @@ class Simulation:
     """The simulated load and tissue."""
 
     scenario: Scenario = "static_hold"  # the load history
-    period: float = 120.0  # its duration, after which it starts again [s]
+    period: float = 120.0  # of the load history, which then repeats [s]
     seed: int = 0  # for all random numbers
     pace: float = 1.0  # speed of the load relative to the scenario [-]
     sway: float = 0.0  # amplitude of the stand's sway in the world [m]

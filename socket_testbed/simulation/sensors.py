@@ -49,8 +49,8 @@ class SensorErrors:
     moment_offset: float = 0.05  # spread of the moments' offsets after taring [N m]
     force_creep: float = 0.0  # creep of each force under the largest load [N]
     moment_creep: float = 0.0  # creep of each moment under the largest load [N m]
-    force_vibration: float = 0.0  # amplitude of the load cell's forces as the stand vibrates [N]
-    # mean amplitude of a cluster's stresses as its cable moves with it [Pa]
+    force_vibration: float = 0.0  # amplitude of forces by the stand's vibration [N]
+    # mean amplitude of a cluster's stresses, caused by its vibrating cable [Pa]
     stress_vibration: float = 0.0
     # noise of a marker's coordinate [m]; white, measured on the resting body in
     # `sample_optitrack_take.csv` (120 Hz, a triad of 0.2 m; cmuphyscomp/hmv-s16 on GitHub). It is

@@ -25,7 +25,7 @@ FAULTS = {
     "clusters.timeout": "time after which every transfer times out (ETIMEDOUT) [s]",
     "clusters.stuck_done": "number of the cluster whose chip stops converting until it is reset",
     "clusters.rail": "number of the cluster whose chip reads full scale on all inputs",
-    "clusters.shifted": "number of the cluster whose chip shifts its inputs, until it is reset",
+    "clusters.shifted": "number of the cluster whose chip shifts its inputs until it is reset",
     "clusters.brown_out": "number of the cluster whose chip resets itself repeatedly",
     "load_cell.unplugged": "the chip is gone: every byte reads 0x00",
     "load_cell.flipped_bits": "probability that a frame has a flipped bit [-]",
@@ -38,7 +38,7 @@ FAULTS = {
     "mocap.duplicate": "probability that a datagram is duplicated [-]",
     "mocap.reorder": "probability that a datagram is sent after the next one [-]",
     "mocap.corrupt": "probability that a count in a datagram is wrong [-]",
-    "mocap.restart": "each new number restarts the server: clients forgotten, another clock",
+    "mocap.restart": "each new number restarts the server, with no clients and a new clock",
     "mocap.occlude": "1 + the marker occluded on both bodies",
     "mocap.swap": "probability that two labels of a body are swapped in a frame [-]",
     "limb.out": "-1: the limb is out of the socket; n: also, a thumb presses the n-th cluster",
@@ -96,7 +96,7 @@ class _Segment(NamedTuple):
 
 
 class World:
-    """A simulated world in a folder, seen from any process."""
+    """A simulated world in a folder, accessible from any process."""
 
     def __init__(self, folder: Path, create: bool = False) -> None:
         path = folder / _FILE

@@ -41,7 +41,7 @@ class BusTimeoutError(BusError):
 
 
 class BusGoneError(BusError):
-    """The bus itself is gone: it must be opened again."""
+    """The bus itself is gone and must be reopened."""
 
 
 def open_i2c(number: int, timeout: float) -> I2cBus:

@@ -214,12 +214,12 @@ class ConverterReader:
             if (fault := self._fault) is not None and self._failed >= self._stored:
                 found = 2, fault
             elif now - self._arrived > self._silence:
-                found = 2, self._error("converts no more", _CHECK_CLOCK)
+                found = 2, self._error("no longer converts", _CHECK_CLOCK)
             elif now - self._stored > self._silence:
                 hint = "relieve the computer, or raise load_cell_node's oversampling"
-                found = 2, self._error("conversions are read too late to know their times", hint)
+                found = 2, self._error("conversions are read too late to date them", hint)
             elif fault is not None and now - self._failed < RECENT:
-                found = 1, DeviceError(f"{fault.fact}, and is read again", fault.hint)
+                found = 1, DeviceError(f"{fault.fact}, but has recovered", fault.hint)
             elif now - self._corrupted < RECENT:
                 fact = "frames do not match their checksums and are left out"
                 found = 1, self._error(fact, CHECK_WIRING)
@@ -317,7 +317,7 @@ class ConverterReader:
             )
         if self._line is None and now - self._matched > self._silence:
             raise self._error("no frame matches its checksum", CHECK_WIRING)
-        raise self._error("converts no more", _CHECK_CLOCK)
+        raise self._error("no longer converts", _CHECK_CLOCK)
 
     def _fail(self, error: DeviceError) -> None:
         now = clocks.monotonic()

@@ -278,7 +278,7 @@ class NatNetClient:
         if self._server is not None and now - self._received > _SILENCE_TIMEOUT:
             self._lose()
         silent = now - self._last_frame > _SILENCE_TIMEOUT
-        # A server that answers but streams nothing may have forgotten this client.
+        # A server that answers without streaming may have forgotten this client.
         if (self._server is None or silent) and self._connecting.due(now):
             self._connect(now)
         if self._server is not None:
