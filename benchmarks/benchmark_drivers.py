@@ -141,7 +141,7 @@ def load_cell(bench: Bench, testbed: Testbed) -> None:
 
     def measure(moment: float) -> None:
         nonlocal missing
-        over = cell.over(moment, span)
+        over = cell.end_time(moment, span)
         clocks.sleep(max(0.0, over - clocks.monotonic()))
         while not cell.ready(moment, span) and clocks.monotonic() < over + 0.05:
             clocks.sleep(1e-3)

@@ -1,11 +1,11 @@
-"""The testbed's clock: its scale, its relation to the epoch, and when to try again.
+"""The testbed's clock: its scale, its relation to the epoch, and retry intervals.
 
-A simulated testbed may run slower than real time, so that a busy machine keeps up: everything
-that waits or reads the time in it (trigger, chips, bus transfers, NatNet, physics, nodes) uses
+A simulated testbed may run slower than real time, so that a busy machine keeps up. All code that
+waits or reads the time (trigger, chips, bus transfers, NatNet, physics, nodes) therefore uses
 `monotonic`, `sleep` and `real` of this module. On hardware the scale is 1.
 
-The processes of one graph share where it begins, in an environment variable: one that is started
-again later, when the system clock has been set, still reads the same time as the others.
+The processes of one graph share the origin of the clock in an environment variable. A process that
+is restarted after the system clock was set still agrees with the others.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ TIME_SCALE = "SOCKET_TESTBED_TIME_SCALE"  # testbed seconds per real second, in 
 
 
 def _inherited_scale() -> float:
-    """The scale that this process was started with; a wrong one ends it with an error."""
+    """The scale from the environment; exits with an error if it is invalid."""
     text = os.environ.get(TIME_SCALE, "1")
     try:
         if 0.0 < float(text) <= 1.0:
@@ -36,12 +36,12 @@ _scale = _inherited_scale()
 
 
 def time_scale() -> float:
-    """Testbed seconds per real second of this process [-]; 1 on hardware."""
+    """Testbed seconds per real second [-]; 1 on hardware."""
     return _scale
 
 
 def shared_environment(scale: float = 1.0) -> dict[str, str]:
-    """Environment of the processes of one testbed: its time scale [-] and where its time begins."""
+    """Environment for the processes of one testbed: its time scale [-] and clock origin."""
     beginning = time.time_ns() - round(time.monotonic_ns() * scale)
     return {TIME_SCALE: str(scale), BEGINNING: str(beginning)}
 
@@ -57,17 +57,17 @@ def monotonic_ns() -> int:
 
 
 def sleep(seconds: float) -> None:
-    """Sleep for testbed seconds [s]."""
+    """Sleep for some testbed seconds [s]."""
     time.sleep(seconds / _scale)
 
 
 def real(seconds: float) -> float:
-    """Real seconds [s] that testbed seconds take, as the timeout of an event or a socket."""
+    """Convert testbed seconds to real seconds [s], as for the timeout of an event or a socket."""
     return seconds / _scale
 
 
 class SteadyClock:
-    """The system clock as it was once, advanced by the steady clock; both in ns."""
+    """The system clock at startup, advanced by the steady clock; both in ns."""
 
     def __init__(
         self, wall: Callable[[], int] = time.time_ns, steady: Callable[[], int] = monotonic_ns
@@ -75,11 +75,11 @@ class SteadyClock:
         self._wall = wall
         self._steady = steady
         shared = os.environ.get(BEGINNING)
-        # Time since the epoch at which the steady clock was zero [ns].
+        # Time since the epoch at zero of the steady clock [ns].
         self.beginning = int(shared) if shared else wall() - steady()
 
     def now(self) -> int:
-        """Time since the epoch [ns]; it never goes back."""
+        """Time since the epoch [ns]; monotonic."""
         return self._steady() + self.beginning
 
     def to_epoch(self, steady_seconds: float) -> int:
@@ -91,69 +91,68 @@ class SteadyClock:
         return (stamp - self.beginning) * 1e-9
 
     def step(self) -> float:
-        """How far the system clock was set forward (negative: back) since this was made [s]."""
+        """Step of the system clock since creation [s]; positive if it was set forward."""
         return (self._wall() - self.now()) * 1e-9
 
 
-_EARLY = 0.002  # [s]; how much two processes may differ about the time
-_LATE = 0.5  # [s]; how late a trigger may arrive
-_ALIKE = 0.005  # [s]; spread of the differences of triggers that arrive as they are sent
-_ENOUGH = 5  # triggers
-_TRAVEL = 0.0005  # [s]; how long a trigger usually takes
+_MAX_SKEW = 0.002  # [s]; clock difference between two processes
+_MAX_DELAY = 0.5  # [s]; of a trigger's arrival
+_MAX_SPREAD = 0.005  # [s]; of the differences of triggers that are not delayed
+_MIN_TRIGGERS = 5
+_LATENCY = 0.0005  # [s]; typical, of a trigger
 
 
 class TriggerTime:
-    """Puts triggers on the steady clock.
+    """Converts trigger stamps to the steady clock.
 
-    Processes that were not started together take the system clock each at its own start. If that
-    clock was set in between, stamps seem to come from the future or from long ago, all by the same
-    difference: then their arrival shows it. Triggers that were held up come from long ago, too,
-    but each by another difference.
+    Processes that were not started together read the system clock at different times. If it was set
+    in between, all stamps are off by the same amount, which shows when triggers arrive. Delayed
+    triggers are off by varying amounts.
     """
 
     def __init__(self, clock: SteadyClock) -> None:
         self._clock = clock
-        self._differences: deque[float] = deque(maxlen=_ENOUGH)
-        self.shift = 0.0  # [s]; how far the trigger's clock is from this process's; 0 as a rule
+        self._differences: deque[float] = deque(maxlen=_MIN_TRIGGERS)
+        self.shift = 0.0  # [s]; of the trigger's clock from this process's; normally 0
 
     def steady(self, stamp: int, arrival: float) -> float:
-        """Time of a trigger on the steady clock [s]; minus infinity while it is unknown.
+        """Time of a trigger on the steady clock [s]; minus infinity while unknown.
 
-        Its stamp is since the epoch [ns], its arrival on the steady clock [s].
+        `stamp` is since the epoch [ns], `arrival` on the steady clock [s].
         """
         plain = self._clock.to_steady(stamp)
         for shift in (self.shift, 0.0):
-            if -_EARLY <= arrival - (plain + shift) <= _LATE:
+            if -_MAX_SKEW <= arrival - (plain + shift) <= _MAX_DELAY:
                 self.shift = shift
                 self._differences.clear()
                 return plain + shift
         self._differences.append(arrival - plain)
         spread = max(self._differences) - min(self._differences)
-        if len(self._differences) < _ENOUGH or spread > _ALIKE:
+        if len(self._differences) < _MIN_TRIGGERS or spread > _MAX_SPREAD:
             return -math.inf
-        self.shift = min(self._differences) - _TRAVEL
+        self.shift = min(self._differences) - _LATENCY
         return plain + self.shift
 
 
-_INTERVALS = 5
-_FEWEST = 3  # intervals; a late trigger makes one of them too long
+_MAX_INTERVALS = 5
+_MIN_INTERVALS = 3  # a late trigger makes one of them too long
 
 
 class TriggerPeriod:
-    """Time between triggers: the median of the last intervals, of three at least.
+    """Time between triggers: the median of the last three to five intervals.
 
-    A pulse that was not seen leaves a gap in the sequence and is allowed for; a pause, a late
-    trigger and a short interval after it do not count.
+    Gaps in the sequence account for missed pulses; the median ignores pauses, late triggers and
+    the short intervals after them.
     """
 
     def __init__(self) -> None:
         self._last: tuple[int, int] | None = None
-        self._intervals: deque[float] = deque(maxlen=_INTERVALS)
+        self._intervals: deque[float] = deque(maxlen=_MAX_INTERVALS)
 
     def add(self, stamp: int, sequence: int) -> float:
         """Add a trigger with its stamp [ns] and number; returns the period [s], 0 until known.
 
-        Numbers that do not rise are those of another trigger node.
+        Numbers that do not increase belong to another trigger node.
         """
         if self._last is not None:
             duration, pulses = stamp - self._last[0], sequence - self._last[1]
@@ -162,17 +161,17 @@ class TriggerPeriod:
             else:
                 self._intervals.clear()
         self._last = stamp, sequence
-        return median_low(self._intervals) if len(self._intervals) >= _FEWEST else 0.0
+        return median_low(self._intervals) if len(self._intervals) >= _MIN_INTERVALS else 0.0
 
 
-_FIRST = 0.05  # [s]
-_LONGEST = 0.4  # [s]; a recovery is seen within a second
+_MIN_WAIT = 0.05  # [s]
+_MAX_WAIT = 0.4  # [s]; a recovery is noticed within a second
 
 
 class Backoff:
-    """Spaces out attempts: a failure doubles the wait up to the longest [s], a success ends it."""
+    """Retry intervals: a failure doubles the wait up to the longest [s], a success resets it."""
 
-    def __init__(self, longest: float = _LONGEST) -> None:
+    def __init__(self, longest: float = _MAX_WAIT) -> None:
         self._longest = longest
         self._wait = 0.0
         self._next = 0.0
@@ -182,10 +181,10 @@ class Backoff:
         return now >= self._next
 
     def failed(self, now: float) -> None:
-        """An attempt failed."""
-        self._wait = min(2.0 * self._wait, self._longest) if self._wait else _FIRST
+        """Note a failed attempt at a time [s]."""
+        self._wait = min(2.0 * self._wait, self._longest) if self._wait else _MIN_WAIT
         self._next = now + self._wait
 
     def succeeded(self) -> None:
-        """An attempt succeeded."""
+        """Note a successful attempt."""
         self._wait = self._next = 0.0

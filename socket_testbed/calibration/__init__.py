@@ -1,1 +1,1 @@
-"""Capacitance to stress: applied to clusters, and identified from bench data."""
+"""Calibration of clusters, capacitance to stress, and its identification from bench data."""

@@ -1,4 +1,4 @@
-"""Bench data of a cluster, read from files whose columns and units are named, never guessed."""
+"""Bench data of a cluster. Files name their columns and units; nothing is guessed."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from socket_testbed.errors import CalibrationError
 if TYPE_CHECKING:
     import pandas as pd
 
-_FORCES = {"N": 1.0, "kN": 1e3}  # a stress may be given as the force on the cluster's area
-_COUNTS = 2.0**19  # [1/pF] of the converter, an FDC1004
+_FORCES = {"N": 1.0, "kN": 1e3}  # a stress may be given as a force on the cluster's area
+_COUNTS_PER_PF = 2.0**19  # of the FDC1004
 STRESSES = ("normal", "shear_x", "shear_y")
 INPUTS = ("c0", "c1", "c2", "c3")
 UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "sec": 1.0},
     "cycle": {},
     **{name: {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, **_FORCES} for name in STRESSES},
-    **{name: {"pF": 1.0, "fF": 1e-3, "nF": 1e3, "counts": 1.0 / _COUNTS} for name in INPUTS},
+    **{name: {"pF": 1.0, "fF": 1e-3, "nF": 1e3, "counts": 1.0 / _COUNTS_PER_PF} for name in INPUTS},
 }
-"""The units of each quantity, with their size in s, Pa (or N) and pF; a cycle has none."""
+"""Units of each quantity with their factors to s, Pa (or N) and pF; a cycle has no unit."""
 
-UNNAMED = -1  # the cycle of a row in a file that names none
-_SOUND = 99.0  # [%] of the rows, at least
+UNNAMED = -1  # cycle of a row if its file has no cycle column
+_SCALE_PERCENTILE = 99.0  # [%]; ignores a few wrong stresses
 
 
 @dataclass(frozen=True)
@@ -40,9 +40,9 @@ class BenchData:
 
     files: tuple[str, ...]
     file: IntArray  # (N,); index into `files`
-    line: IntArray  # (N,); of its file
-    time: FloatArray  # (N,) [s]; within its file, NaN where that has none
-    cycle: IntArray  # (N,); of its file, `UNNAMED` where that names none
+    line: IntArray  # (N,); in its file
+    time: FloatArray  # (N,) [s]; within its file; NaN if the file has no time
+    cycle: IntArray  # (N,); within its file; `UNNAMED` if the file names none
     capacitance: FloatArray  # (N, 4) [pF]; by input of the converter
     stress: FloatArray  # (N, 3) [Pa]; normal (positive in compression), shear x, shear y
 
@@ -50,16 +50,16 @@ class BenchData:
         return len(self.file)
 
     def __getitem__(self, rows: BoolArray | IntArray) -> BenchData:
-        """Some of the rows."""
+        """Select rows."""
         return replace(self, **{name: getattr(self, name)[rows] for name in _ARRAYS})
 
     @property
     def full_scale(self) -> FloatArray:
-        """Largest size of each known stress, shape (3,) [Pa]."""
+        """Largest magnitude of each known stress, shape (3,) [Pa]."""
         return np.abs(self.stress).max(axis=0)
 
     def place(self, row: int) -> str:
-        """File and line of a row, in words."""
+        """File and line of a row, for messages."""
         return f"{self.files[self.file[row]]} line {self.line[row]}"
 
 
@@ -67,31 +67,31 @@ _ARRAYS = ("file", "line", "time", "cycle", "capacitance", "stress")  # of a Ben
 
 
 def scaled_stress(stress: FloatArray) -> FloatArray:
-    """Stresses (N, 3) [Pa] as parts of the largest ones, however wrong one in a hundred is.
+    """Scale stresses (N, 3) [Pa] by their 99th percentiles and clip them to [-1, 1].
 
-    The parts are from -1 to 1; zero for a stress that is hardly ever applied.
+    Up to one row in a hundred may be wrong. A stress that is hardly ever applied gives zero.
     """
-    scale = np.percentile(np.abs(stress), _SOUND, axis=0, method="lower")
+    scale = np.percentile(np.abs(stress), _SCALE_PERCENTILE, axis=0, method="lower")
     return np.clip(stress / np.where(scale > 0.0, scale, np.inf), -1.0, 1.0)
 
 
 def join_benches(parts: Sequence[BenchData]) -> BenchData:
-    """Put the data of several files together, in their order."""
+    """Concatenate the data of several files, in order."""
     arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS}
     offsets = np.cumsum([0, *(len(part.files) for part in parts[:-1])])
     arrays["file"] += np.repeat(offsets, [len(part) for part in parts])
     return BenchData(tuple(name for part in parts for name in part.files), **arrays)
 
 
-# Readings outside these ranges have another unit than the one that is named.
+# Readings outside these ranges are not in the stated unit.
 _RANGES = {
-    "normal": (-1e3, 2e6),  # [Pa]; a load cell's zero may be a little off
+    "normal": (-1e3, 2e6),  # [Pa]; the load cell's zero may be slightly off
     "shear_x": (-1e6, 1e6),
     "shear_y": (-1e6, 1e6),
     **dict.fromkeys(INPUTS, (0.01, 100.0)),  # [pF]
 }
-_STEP_RANGE = (1e-3, 60.0)  # [s] between readings, in the median
-_LARGEST_FILE = 2**27  # [bytes]
+_STEP_RANGE = (1e-3, 60.0)  # [s]; median time between readings
+_MAX_FILE_SIZE = 2**27  # [bytes]
 
 
 def read_bench(
@@ -99,12 +99,12 @@ def read_bench(
 ) -> BenchData:
     """Read a bench file.
 
-    It has a header and a row per reading, with the columns `normal`, `shear_x`, `shear_y` and
-    `c0` to `c3` (the converter's inputs), and optionally `time` and `cycle`. Their units
-    stand in the header, such as `normal [kPa]`, or in a row of their own below it; commas,
-    semicolons or tabs separate the columns. Others are ignored. `columns` names quantities that
-    the header calls otherwise, `units` (see `UNITS`) count instead of the header's, and a stress in
-    N acts on an area [m^2].
+    The file has a header and one row per reading, with the columns `normal`, `shear_x`, `shear_y`
+    and `c0` to `c3` (the converter's inputs), and optionally `time` and `cycle`. Units are given in
+    the header, such as `normal [kPa]`, or in a separate row below it. Columns are separated by
+    commas, semicolons or tabs; other columns are ignored. `columns` maps quantities to other
+    column titles, `units` (see `UNITS`) overrides the header, and a stress in N acts on an
+    area [m^2].
     """
     required, optional = (*STRESSES, *INPUTS), ("time", "cycle")
     found = _find_columns(path, required, optional, columns, units, area)
@@ -117,7 +117,7 @@ def read_bench(
         if np.ptp(values[name]) == 0.0:
             raise found[name].error(
                 f"is {values[name][0] / found[name].scale:g} {found[name].unit} in every row",
-                "check this input's wire, or name the column that holds it",
+                "check the wire of this input, or name its column",
             )
     return BenchData(
         files=(path.name,),
@@ -131,14 +131,14 @@ def read_bench(
 
 
 def read_unloaded(path: Path, columns: Mapping[str, str], units: Mapping[str, str]) -> FloatArray:
-    """Read `c0` to `c3` of the unloaded cluster, shape (N, 4) [pF]: see `read_bench`."""
+    """Read `c0` to `c3` of the unloaded cluster, shape (N, 4) [pF]; format as in `read_bench`."""
     found = _find_columns(path, INPUTS, (), columns, units)
     return np.column_stack([found[name].values() for name in INPUTS])
 
 
 @dataclass(frozen=True)
 class _Column:
-    """A quantity's column: its cells as text by their lines, its unit and the unit's size."""
+    """A quantity's column: its cells as text, indexed by line, its unit and the unit's factor."""
 
     quantity: str
     file: str
@@ -166,12 +166,12 @@ class _Column:
             row = int(np.argmin(np.isfinite(values)))
             raise self.error(
                 f"holds '{cells.iloc[row]}' in line {cells.index[row]}, which is not a number",
-                "give a number there; a unit belongs into the header",
+                "give a number there; units belong in the header",
             )
         return values
 
     def values(self) -> FloatArray:
-        """Stresses [Pa] or capacitances [pF] that can be, shape (N,)."""
+        """Stresses [Pa] or capacitances [pF], checked for plausibility, shape (N,)."""
         numbers = self.numbers()
         low, high = (limit / self.scale for limit in _RANGES[self.quantity])
         outside = np.flatnonzero((numbers < low) | (numbers > high))
@@ -191,23 +191,23 @@ class _Column:
         if (steps <= 0.0).any():
             raise self.error(
                 f"does not increase at line {self.cells.index[1:][steps <= 0.0][0]}",
-                "give the readings in their order, and each run as a file of its own",
+                "give the readings in order, and each run in a separate file",
             )
-        usual = float(np.median(steps)) if len(steps) else _STEP_RANGE[0] / self.scale
-        if not _STEP_RANGE[0] <= usual * self.scale <= _STEP_RANGE[1]:
+        median = float(np.median(steps)) if len(steps) else _STEP_RANGE[0] / self.scale
+        if not _STEP_RANGE[0] <= median * self.scale <= _STEP_RANGE[1]:
             other = "ms" if self.unit == "s" else "s"
             raise self.error(
-                f"has steps of {usual:.3g} {self.unit} in the median, which no bench reads at",
+                f"has steps of {median:.3g} {self.unit} in the median, implausible for a bench",
                 f"correct the header, or give --units time={other} if these are {other}",
             )
         return numbers * self.scale
 
 
 def _read_cells(path: Path) -> tuple[list[str], pd.DataFrame]:
-    """The titles, with the units of a row below them, and the cells as text by their lines."""
-    import pandas as pd  # only to read; this module is imported by every verb
+    """Titles, including units from a row below them, and the cells as text, indexed by line."""
+    import pandas as pd  # imported late: every verb imports this module
 
-    text = read_text(path, largest=_LARGEST_FILE)
+    text = read_text(path, largest=_MAX_FILE_SIZE)
     above = len(text) - len(text.lstrip())
     first = text[above:].partition("\n")[0]
     separator = max("\t;,", key=first.count)
@@ -234,7 +234,7 @@ def _read_cells(path: Path) -> tuple[list[str], pd.DataFrame]:
     cells = cells[cells.ne("").any(axis=1)]
     if len(cells) < 2:
         raise CalibrationError(
-            f"{path}: holds no row of data", "give a header and below it a row per reading"
+            f"{path}: has no data rows", "give a header, and below it one row per reading"
         )
     titles, cells = cells.iloc[0].tolist(), cells[1:]
     if separator != ",":
@@ -266,7 +266,7 @@ def _find_columns(
     units: Mapping[str, str],
     area: float | None = None,
 ) -> dict[str, _Column]:
-    """The columns of the quantities that a file has."""
+    """Find the columns of the quantities in a file."""
     header, cells = _read_cells(path)
     found: dict[str, _Column] = {}
     missing = []
@@ -292,7 +292,7 @@ def _find_columns(
 
 
 def _matches(header: Sequence[str], name: str, wanted: str | None) -> list[int]:
-    """The columns that may be a quantity's, by its name or the title that is wanted."""
+    """Indices of the columns that match a quantity, by its name or the requested title."""
     if wanted is None:
         return [i for i, title in enumerate(header) if _split(title)[0].lower() == name]
     exact = [i for i, title in enumerate(header) if title == wanted.strip()]
@@ -300,7 +300,7 @@ def _matches(header: Sequence[str], name: str, wanted: str | None) -> list[int]:
 
 
 def _with_unit(column: _Column, units: Mapping[str, str], area: float | None) -> _Column:
-    """The column with the unit of its title, or the one that is named instead.
+    """The column with the unit from its title, or the one that overrides it.
 
     A stress may be given as a force on an area [m^2].
     """
@@ -314,7 +314,7 @@ def _with_unit(column: _Column, units: Mapping[str, str], area: float | None) ->
             f"write it into the header, such as '{column.title} [{next(iter(known))}]', or give"
             f" --units {name}={next(iter(known))}",
         )
-    # mPa is a thousandth, not a million: MPa has to be written as it is.
+    # mPa means millipascal, so MPa must match exactly.
     alike = [u for u in known if u == written or (u.lower() == written.lower() and u != "MPa")]
     if not alike:
         raise column.error(

@@ -1,8 +1,8 @@
 """From bench data to a cluster's calibration, its quality, and its section of the file.
 
-Errors are those against the known stresses, and those held out in groups. Throughout, stresses
-have the shape (N, 3) [Pa]: normal, shear x and shear y. A residual is the calibrated less the known
-stress, likewise; branches and cycles are those of `drift`.
+Errors are given on the data of the fit and on held-out groups. Stresses and residuals (calibrated
+minus known stress) have shape (N, 3) [Pa]: normal, shear x and shear y. Branches and cycles are
+defined in `drift`.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from scipy.special import stdtrit
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.calibration import drift, fit
 from socket_testbed.calibration.bench_data import STRESSES, BenchData
-from socket_testbed.calibration.model import SMALLEST_GAIN, ClusterCalibration
+from socket_testbed.calibration.model import MIN_GAIN, ClusterCalibration
 from socket_testbed.errors import CalibrationError
 
-_LEVEL = 0.1  # [-] of the full scale; stresses within one level count as equal
-_PURE = 0.02  # [-] of the full scale; a smaller stress counts as none
+_LEVEL = 0.1  # of full scale; stresses within one level count as equal
+_ZERO_TOLERANCE = 0.02  # of full scale; smaller stresses count as zero
 _UP_AND_DOWN = pd.MultiIndex.from_product([("mean", "size"), (drift.RISING, drift.FALLING)])
 
 
 def stress_errors(known: FloatArray, predicted: FloatArray, full_scale: FloatArray) -> pd.DataFrame:
     """Errors by stress: `rmse` and `mae` [Pa], `r2` [-], and the RMSE in `percent` of full scale.
 
-    R^2 is the part of the known stress's variance that is explained.
+    R^2 is the explained fraction of the known stress's variance.
     """
     residual = predicted - known
     rmse = np.sqrt(np.mean(residual**2, axis=0))
@@ -47,55 +47,55 @@ def stress_errors(known: FloatArray, predicted: FloatArray, full_scale: FloatArr
 def quality_figures(
     bench: BenchData, fitted: FloatArray, unseen: FloatArray, branches: IntArray, cycles: IntArray
 ) -> pd.DataFrame:
-    """Figures of each stress [% of the full scale], from residuals of the fit and held-out ones.
+    """Quality figures of each stress [% of full scale], from training and held-out residuals.
 
-    Rows are in one cell if all three stresses lie within the same tenth of their full scales.
+    Rows belong to the same cell if all three stresses lie within the same tenth of full scale.
 
-    - `hysteresis`: the gap between the mean residuals of rising and falling rows in a cell; the
-      cells of one level of the stress in question are averaged, and the widest level counts. NaN
-      for a stress that did not rise and fall between equal stresses.
-    - `repeatability`: the standard deviation over the cycles of their mean residuals in a cell on
-      the same branch, pooled over all cells that two cycles or more went through; NaN without any.
-    - `cross_talk`: the apparent normal stress under pure shear, and the apparent shear under pure
-      normal stress: the largest mean of the held-out residuals of a cell. A row is pure if the
-      stress that loads it is at least a tenth of its full scale and the others are at most 2 % of
-      theirs; of pure shear, x and y may come together. NaN without a pure row.
+    - `hysteresis`: difference of the mean residuals of rising and falling rows in a cell, averaged
+      over the cells at each level of the stress; the largest level counts. NaN if the stress never
+      rose and fell through the same cell.
+    - `repeatability`: standard deviation between cycles of their mean residuals in a cell, on the
+      same branch, pooled over all cells visited by at least two cycles; NaN without such a cell.
+    - `cross_talk`: apparent normal stress under pure shear, and apparent shear under pure normal
+      stress: the largest mean held-out residual of a cell. A row is pure if its loading stress is
+      at least 10 % of full scale and the others are at most 2 %; pure shear may combine x and y.
+      NaN without a pure row.
     """
     levels = np.round(bench.stress / (_LEVEL * bench.full_scale)).astype(np.int64)
     share = np.abs(bench.stress) / bench.full_scale
-    small, loaded = share <= _PURE, share >= _LEVEL
+    small, loaded = share <= _ZERO_TOLERANCE, share >= _LEVEL
     by_normal = loaded[:, 0] & small[:, 1:].all(axis=1)
     by_shear = small[:, 0] & loaded[:, 1:].any(axis=1)
     rows = []
     for axis, pure in enumerate((by_shear, by_normal, by_normal)):
-        cells = pd.DataFrame(levels, columns=STRESSES)  # the level of no stress is not cut in two
+        cells = pd.DataFrame(levels, columns=STRESSES)  # zero lies inside a level
         cells["branch"], cells["cycle"] = branches[:, axis], cycles
         cells["fitted"], cells["unseen"] = fitted[:, axis], unseen[:, axis]
         on_branch = [*STRESSES, "branch"]
-        of_branches = cells.groupby(on_branch)["fitted"].agg(["mean", "size"]).unstack("branch")
-        both = of_branches.reindex(columns=_UP_AND_DOWN).dropna()
+        by_branch = cells.groupby(on_branch)["fitted"].agg(["mean", "size"]).unstack("branch")
+        both = by_branch.reindex(columns=_UP_AND_DOWN).dropna()
         weight = both["size"].min(axis=1)
         gap = (both["mean", drift.RISING] - both["mean", drift.FALLING]) * weight
-        gaps = (of.groupby(STRESSES[axis]).sum() for of in (gap, weight))
+        gaps = (values.groupby(STRESSES[axis]).sum() for values in (gap, weight))
         means = cells.groupby([*on_branch, "cycle"])["fitted"].mean()
-        of_cell = means.groupby(on_branch)
-        freedom = (of_cell.size() - 1).sum() or np.nan
-        spread = np.sqrt(((means - of_cell.transform("mean")) ** 2).sum() / freedom)
+        by_cell = means.groupby(on_branch)
+        freedom = (by_cell.size() - 1).sum() or np.nan
+        spread = np.sqrt(((means - by_cell.transform("mean")) ** 2).sum() / freedom)
         apparent = cells[pure].groupby([*STRESSES])["unseen"].mean()
         rows.append((np.divide(*gaps).abs().max(), spread, apparent.abs().max()))
     figures = 100.0 * np.array(rows) / bench.full_scale[:, None]
     return pd.DataFrame(figures, STRESSES, ["hysteresis", "repeatability", "cross_talk"])
 
 
-_LEAST_GROUPS = 3
-_BLOCKS = 10
+_MIN_GROUPS = 3
+_BLOCK_COUNT = 10
 
 
 @dataclass(frozen=True)
 class Groups:
-    """Readings that are held out together, because neighbours are correlated."""
+    """Readings to hold out together, because neighbours are correlated."""
 
-    unit: str  # what a group is: file, cycle or block
+    unit: str  # kind of group: file, cycle or block
     ids: IntArray  # group of each row, 0 to G - 1; (N,)
 
     def __len__(self) -> int:
@@ -103,7 +103,7 @@ class Groups:
 
     @cached_property
     def rows(self) -> list[IntArray]:
-        """Rows of each group, in their order."""
+        """Rows of each group, in order."""
         order = np.argsort(self.ids, kind="stable")
         return np.split(order, np.cumsum(np.bincount(self.ids))[:-1])
 
@@ -113,7 +113,7 @@ class Groups:
 
 @dataclass(frozen=True)
 class CrossValidation:
-    """The fits without each group."""
+    """Leave-one-group-out fits."""
 
     groups: Groups
     predicted: FloatArray  # stress of each row by the fit without its group; (N, 3) [Pa]
@@ -122,24 +122,24 @@ class CrossValidation:
 
 
 def choose_groups(bench: BenchData) -> Groups:
-    """The largest groups without each of which the rest still determines the fit.
+    """Choose the largest groups that can each be left out with the fit still determined.
 
-    Three files or more, else three cycles or more (the file's own, or found from the load), else
-    ten blocks of successive rows. Cycles that cannot be left out are no reason to fall back to
-    blocks: these would share their cycles and flatter the fit.
+    Three or more files, else three or more cycles (named in the file, or found from the load),
+    else ten blocks of successive rows. If a cycle cannot be left out there is no fallback to
+    blocks: blocks split cycles, and the held-out errors would be optimistic.
     """
     files, others = Groups("file", bench.file), Groups("cycle", drift.cycle_ids(bench))
-    if len(others) < _LEAST_GROUPS:
-        others = Groups("block", np.arange(len(bench)) * _BLOCKS // len(bench))
+    if len(others) < _MIN_GROUPS:
+        others = Groups("block", np.arange(len(bench)) * _BLOCK_COUNT // len(bench))
     terms = fit.excitation_terms(bench.stress)
     products = terms.T @ terms
-    for groups in (files, others) if len(files) >= _LEAST_GROUPS else (others,):
+    for groups in (files, others) if len(files) >= _MIN_GROUPS else (others,):
         for rows in groups.rows:
-            rest = products - terms[rows].T @ terms[rows]
-            if lack := fit.find_lack(rest, len(bench) - len(rows)):
+            remaining = products - terms[rows].T @ terms[rows]
+            if lack := fit.find_lack(remaining, len(bench) - len(rows)):
                 refusal = CalibrationError(
                     f"without the {groups.unit} that starts at {bench.place(int(rows[0]))},"
-                    f" {lack[0]}, so the fit cannot be checked on data it has not seen",
+                    f" {lack[0]}, so the fit cannot be checked on unseen data",
                     "repeat the loading of this part at least once",
                 )
                 break
@@ -149,15 +149,15 @@ def choose_groups(bench: BenchData) -> Groups:
 
 
 def cross_validate(capacitance: FloatArray, stress: FloatArray, groups: Groups) -> CrossValidation:
-    """Fit without each group in turn, and predict it."""
-    of_mean, of_differences = fit.design_matrices(capacitance)
+    """Fit without each group in turn, and predict that group."""
+    normal_design, shear_design = fit.design_matrices(capacitance)
     predicted, fits = np.empty_like(stress), []
     for rows in groups.rows:
         normal, shear = fit.fit_polynomials(
             np.delete(capacitance, rows, axis=0), np.delete(stress, rows, axis=0)
         )
-        predicted[rows, 0] = of_mean[rows] @ normal
-        predicted[rows, 1:] = of_differences[rows] @ shear.T
+        predicted[rows, 0] = normal_design[rows] @ normal
+        predicted[rows, 1:] = shear_design[rows] @ shear.T
         fits.append((normal, shear))
     normals, shears = zip(*fits, strict=True)
     return CrossValidation(groups, predicted, np.array(normals), np.array(shears))
@@ -168,17 +168,17 @@ def half_widths(full: FloatArray, without: FloatArray) -> FloatArray:
 
     ``t(0.975, G - 1) sqrt((G - 1) / G sum_g (b_g - b)^2)``, the variance CV3 of MacKinnon,
     Nielsen and Webb (2023), "Fast and reliable jackknife and bootstrap methods for
-    cluster-robust inference", arXiv:2301.04527. The residuals within a group may be correlated
-    in any way; those of different groups are taken as independent. It states how well this bench
-    determines the coefficients, not whether the polynomial is the law of the sensor.
-    The coefficients b of the fit to all data have any shape, those without each group (G, ...).
+    cluster-robust inference", arXiv:2301.04527. Residuals may be correlated in any way within a
+    group; groups are assumed independent. The intervals state how well this bench determines the
+    coefficients, not whether the polynomial describes the sensor. The coefficients b of the fit to
+    all data have any shape, those without each group (G, ...).
     """
     count = len(without)
     variance = (count - 1) / count * ((without - full) ** 2).sum(axis=0)
     return np.asarray(stdtrit(count - 1, 0.975) * np.sqrt(variance))
 
 
-_MOST_DROPPED = 0.05  # [-]; more than that are no outliers but another law
+_MAX_DROPPED = 0.05  # [-]; beyond this they are not outliers but a different law
 
 
 @dataclass(frozen=True)
@@ -186,12 +186,12 @@ class BenchCalibration:
     """A cluster's calibration with its quality."""
 
     cluster: ClusterCalibration
-    bench: BenchData  # the data that it was fitted to
-    sound: BoolArray  # rows of it that are no outliers; (N,)
+    bench: BenchData  # the data of the fit
+    sound: BoolArray  # rows of it without the outliers; (N,)
     outliers: tuple[fit.Outlier, ...]  # readings far from the rest
-    dropped: bool  # whether they were left out of the fit and of `bench`
+    dropped: bool  # whether they were removed from the fit and from `bench`
     fitted: FloatArray  # stress by the calibration; (N, 3) [Pa]
-    cross_validation: CrossValidation  # the fits without each group
+    cross_validation: CrossValidation
     training: pd.DataFrame  # `stress_errors` on the data of the fit
     held_out: pd.DataFrame  # the same on held-out data
     normal_half_width: FloatArray  # half widths of the 95 % intervals of `normal`; (2,)
@@ -200,61 +200,61 @@ class BenchCalibration:
 
     @property
     def full_scale(self) -> FloatArray:
-        """Largest size of each known stress in the sound rows, shape (3,) [Pa]."""
+        """Largest magnitude of each known stress in the sound rows, shape (3,) [Pa]."""
         return self.bench[self.sound].full_scale
 
     @property
     def stress_range(self) -> FloatArray:
-        """Least and largest known stress in the sound rows, shape (3, 2) [Pa]."""
+        """Minimum and maximum of each known stress in the sound rows, shape (3, 2) [Pa]."""
         stress = self.bench.stress[self.sound]
         return np.column_stack([stress.min(axis=0), stress.max(axis=0)])
 
     def require_gain(self) -> None:
         """Refuse a normal stress that does not grow with the capacitance."""
         gain = self.cluster.normal[1]
-        if gain < SMALLEST_GAIN:
+        if gain < MIN_GAIN:
             raise CalibrationError(
                 f"the gain of the normal stress comes out as {gain:g} Pa/pF, where compression"
-                f" should give at least {SMALLEST_GAIN:g}",
+                f" should give at least {MIN_GAIN:g}",
                 "give compression as positive normal stress, and check units and outliers",
             )
 
     def above(self, limit: float) -> tuple[str, ...]:
-        """Stresses whose held-out RMSE is above a limit [% of the full scale]."""
+        """Stresses whose held-out RMSE exceeds a limit [% of full scale]."""
         return tuple(self.held_out.index[self.held_out["percent"] > limit])
 
     def require_accuracy(self, limit: float) -> None:
-        """Refuse a calibration that predicts unseen data badly."""
+        """Refuse a calibration that predicts unseen data poorly."""
         errors = self.held_out.loc[[*self.above(limit)]]
         bad = [f"{e.Index} {e.percent:.1f} % ({e.rmse:.0f} Pa)" for e in errors.itertuples()]
         if bad:
             raise CalibrationError(
                 f"the held-out RMSE exceeds {limit:g} % of the full scale: {', '.join(bad)}",
-                "see --figure; --drop-outliers may help, and --force writes it all the same",
+                "see --figure; --drop-outliers may help, and --force writes it anyway",
             )
 
 
 def calibrate_bench(
     bench: BenchData, wiring: IntArray, wiring_stated: bool, drop_outliers: bool
 ) -> BenchCalibration:
-    """Fit a cluster and judge the fit; outliers are left out only if they are to be dropped.
+    """Fit a cluster and assess the fit; outliers are left out only with `drop_outliers`.
 
-    The wiring is the input that holds each channel, shape (4,). One that was stated for this bench
-    is kept even if the data contradicts it.
+    The wiring is the converter input of each channel, shape (4,). A stated wiring is kept even if
+    the data contradicts it.
     """
     fit.check_excitation(bench.stress, ", ".join(bench.files))
     if not wiring_stated:
         fit.require_wiring(bench, wiring)
-    fit.fit_polynomials(bench.capacitance[:, wiring], bench.stress)  # refuses what is singular
+    fit.fit_polynomials(bench.capacitance[:, wiring], bench.stress)  # refuses singular data
     outliers = fit.find_outliers(bench, wiring)
     sound = np.ones(len(bench), dtype=bool)
     sound[[outlier.row for outlier in outliers]] = False
     if drop_outliers:
-        if len(outliers) > _MOST_DROPPED * len(bench):
+        if len(outliers) > _MAX_DROPPED * len(bench):
             raise CalibrationError(
                 f"{len(outliers)} of {len(bench)} readings would be dropped, more than"
-                f" {100 * _MOST_DROPPED:g} %: these are no outliers",
-                "look at them with --figure, and leave --drop-outliers away",
+                f" {100 * _MAX_DROPPED:g} %: these are not outliers",
+                "inspect them with --figure, and omit --drop-outliers",
             )
         bench, sound = bench[sound], sound[sound]
     cluster = fit.fit_cluster(bench.capacitance, bench.stress, wiring, sound)
@@ -262,7 +262,7 @@ def calibrate_bench(
     checked = cross_validate(bench.capacitance[:, wiring], bench.stress, choose_groups(bench))
     kept = bench[sound]
     full_scale = kept.full_scale
-    residual, unseen = ((of - bench.stress)[sound] for of in (fitted, checked.predicted))
+    residual, unseen = ((s - bench.stress)[sound] for s in (fitted, checked.predicted))
     cycles = drift.cycle_ids(bench)[sound]
     return BenchCalibration(
         cluster=cluster,
@@ -280,13 +280,13 @@ def calibrate_bench(
     )
 
 
-_DIGITS = 4  # of an error; a bench does not determine more
+_DIGITS = 4  # significant digits; a bench does not support more
 
 
 def bench_record(
     calibrated: BenchCalibration, date: str, limit: float, forced: bool, found: drift.Drift | None
 ) -> dict[str, Any]:
-    """The content of `bench` in a cluster's section of `calibration.yaml`."""
+    """The `bench` entry in a cluster's section of `calibration.yaml`."""
     record: dict[str, Any] = {
         "date": date,
         "source": ", ".join(calibrated.bench.files),
@@ -323,7 +323,7 @@ def _by_stress(values: Iterable[Any]) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """A value as YAML has it: numbers of a few digits, lists, dictionaries; None for NaN."""
+    """Convert to YAML types: rounded numbers, lists, dictionaries; NaN becomes None."""
     if isinstance(value, dict):
         return {key: _plain(entry) for key, entry in value.items()}
     if isinstance(value, list | np.ndarray):

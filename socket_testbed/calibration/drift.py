@@ -1,7 +1,7 @@
 """Load cycles, and the drift of a cluster between readings without load.
 
-A cluster's channels drift by additive capacitances (temperature, humidity, creep of the
-dielectric), so the capacitances without load give the correction.
+Temperature, humidity and creep of the dielectric add offsets to a cluster's capacitances, so
+unloaded readings give the correction.
 """
 
 from __future__ import annotations
@@ -18,30 +18,30 @@ from socket_testbed.calibration.fit import predict_stress
 from socket_testbed.calibration.model import ClusterCalibration
 from socket_testbed.errors import CalibrationError
 
-_CYCLE = 0.25  # [-] of the load's span; a smaller move is no cycle
-_BRANCH = 0.2  # [-] of the full scale; a smaller move is no branch
-_ENDS = 0.05  # [-] of a branch at either end, where the stress may dwell
+_MIN_CYCLE = 0.25  # of the load's span
+_MIN_BRANCH = 0.2  # of full scale
+_END_MARGIN = 0.05  # of a branch at either end, where the stress may dwell
 
-_LEAST_READINGS = 3  # of a baseline
+_MIN_READINGS = 3  # for a baseline
 
 RISING, FALLING, NEITHER = 1, -1, 0
 DRIFT_LIMIT = 1000.0  # [Pa]; a larger drift during a run is flagged
 
 
-def find_extremes(values: FloatArray, least: float) -> IntArray:
-    """Indices of the alternating extremes between which a signal moves by a least amount.
+def find_extremes(values: FloatArray, threshold: float) -> IntArray:
+    """Indices of alternating minima and maxima that differ by at least a threshold.
 
-    A single one if nothing moves so much.
+    A single index if the signal never moves that far.
     """
     extremes: list[int] = []
     lowest = highest = direction = 0
     for i, value in enumerate(values.tolist()):
         lowest = i if value < values[lowest] else lowest
         highest = i if value > values[highest] else highest
-        if direction <= 0 and value - values[lowest] >= least:
+        if direction <= 0 and value - values[lowest] >= threshold:
             extremes.append(lowest)
             direction, highest = 1, i
-        elif direction >= 0 and values[highest] - value >= least:
+        elif direction >= 0 and values[highest] - value >= threshold:
             extremes.append(highest)
             direction, lowest = -1, i
     extremes.append(highest if direction > 0 else lowest)
@@ -49,12 +49,12 @@ def find_extremes(values: FloatArray, least: float) -> IntArray:
 
 
 def _find_cycles(stress: FloatArray) -> IntArray:
-    """Load cycles of one file: from one low point of the load to the next.
+    """Load cycles of one file, from one minimum of the load to the next.
 
-    The load is the length of the stress in parts of each one's full scale.
+    The load is the norm of the stress vector, each component scaled by its full scale.
     """
-    load = median_filter(np.linalg.norm(scaled_stress(stress), axis=1), 3)  # a spike is no cycle
-    extremes = find_extremes(load, _CYCLE * float(np.ptp(load)))
+    load = median_filter(np.linalg.norm(scaled_stress(stress), axis=1), 3)  # removes spikes
+    extremes = find_extremes(load, _MIN_CYCLE * float(np.ptp(load)))
     low = [
         i
         for k, i in enumerate(extremes)
@@ -64,9 +64,9 @@ def _find_cycles(stress: FloatArray) -> IntArray:
 
 
 def cycle_ids(bench: BenchData) -> IntArray:
-    """Cycle of each row over all files, shape (N,): the file's own, or those that are found.
+    """Cycle of each row over all files, shape (N,): named in the file, or found from the load.
 
-    One name for all rows of a file names no cycle.
+    A single name for all rows of a file is ignored.
     """
     ids = np.empty(len(bench), dtype=np.int64)
     first = 0
@@ -85,12 +85,12 @@ def find_branches(bench: BenchData) -> IntArray:
     branches = np.full(bench.stress.shape, NEITHER)
     for file in range(len(bench.files)):
         rows = np.flatnonzero(bench.file == file)
-        for axis, least in enumerate((_BRANCH * bench.full_scale).tolist()):
+        for axis, threshold in enumerate((_MIN_BRANCH * bench.full_scale).tolist()):
             values = bench.stress[rows, axis]
-            for start, end in pairwise(find_extremes(values, least)):
+            for start, end in pairwise(find_extremes(values, threshold)):
                 travel = values[end] - values[start]
                 progress = (values[start:end] - values[start]) / travel
-                moving = (progress > _ENDS) & (progress < 1.0 - _ENDS)
+                moving = (progress > _END_MARGIN) & (progress < 1.0 - _END_MARGIN)
                 branches[rows[start:end][moving], axis] = RISING if travel > 0.0 else FALLING
     return branches
 
@@ -99,13 +99,13 @@ def find_branches(bench: BenchData) -> IntArray:
 class Baseline:
     """Capacitances of an unloaded cluster."""
 
-    time: float  # when they were read, on the clock of what is corrected [s]
+    time: float  # when they were read, on the clock of the readings to correct [s]
     capacitance: FloatArray  # capacitances by input; (4,) [pF]
 
 
 @dataclass(frozen=True)
 class Drift:
-    """What changed between two baselines."""
+    """Change between two baselines."""
 
     capacitance: FloatArray  # change by input; (4,) [pF]
     stress: FloatArray  # change of the calibrated stress of the unloaded cluster; (3,) [Pa]
@@ -117,18 +117,18 @@ class Drift:
 
 
 def average_baseline(time: float, capacitance: FloatArray, where: str) -> Baseline:
-    """The medians of unloaded readings, which a single spike does not move."""
+    """Median of unloaded readings, robust to single spikes."""
     complete = capacitance[np.isfinite(capacitance).all(axis=1)]
-    if len(complete) < _LEAST_READINGS:
+    if len(complete) < _MIN_READINGS:
         raise CalibrationError(
             f"{where}: {len(complete)} complete readings are too few for a baseline",
-            f"read the unloaded cluster {_LEAST_READINGS} times or more",
+            f"read the unloaded cluster {_MIN_READINGS} times or more",
         )
     return Baseline(time, np.median(complete, axis=0))
 
 
 def measure_drift(cluster: ClusterCalibration, before: Baseline, after: Baseline) -> Drift:
-    """What changed between two baselines, in pF and, through the calibration, in Pa."""
+    """Change between two baselines, in pF and, through the calibration, in Pa."""
     pair = predict_stress(cluster, np.stack([before.capacitance, after.capacitance]))
     return Drift(after.capacitance - before.capacitance, pair[1] - pair[0])
 
@@ -140,12 +140,12 @@ def correct_drift(
     after: Baseline | None = None,
     reference: FloatArray | None = None,
 ) -> FloatArray:
-    """Bring readings by input, shape (N, 4) [pF], to the baseline that a calibration was made at.
+    """Correct readings by input, shape (N, 4) [pF], to the baseline of a calibration.
 
-    ``c(t) - (b(t) - reference)``, with b the baseline: linear in time (N,) [s] from before to after
-    and constant outside of them; without a baseline after, it is the one before. The reference is
-    the baseline of the calibration by input, shape (4,) [pF]; without it, it is the one before, so
-    that only the drift since then is removed.
+    ``c(t) - (b(t) - reference)``: the baseline b is linear in time (N,) [s] between `before` and
+    `after` and constant outside; without `after` it equals `before`. The reference is the
+    calibration's baseline by input, shape (4,) [pF]; it defaults to `before`, which removes only
+    the drift since then.
     """
     if reference is None:
         reference = before.capacitance
@@ -157,13 +157,13 @@ def correct_drift(
             f" ({before.time:g} s)",
             "give the unloaded readings before first, those after second",
         )
-    part = np.clip((time - before.time) / (after.time - before.time), 0.0, 1.0)
-    baseline = before.capacitance + part[:, None] * (after.capacitance - before.capacitance)
+    fraction = np.clip((time - before.time) / (after.time - before.time), 0.0, 1.0)
+    baseline = before.capacitance + fraction[:, None] * (after.capacitance - before.capacitance)
     return capacitance - (baseline - reference)
 
 
 def correct_bench(bench: BenchData, before: Baseline, after: Baseline) -> BenchData:
-    """Correct the readings of a bench run for its drift, to the baseline before."""
+    """Correct the drift of a bench run back to the baseline before it."""
     if len(bench.files) > 1:
         raise CalibrationError(
             f"{len(bench.files)} bench files cannot share the drift between two baselines",
@@ -171,7 +171,7 @@ def correct_bench(bench: BenchData, before: Baseline, after: Baseline) -> BenchD
         )
     if np.isnan(bench.time).any():
         raise CalibrationError(
-            f"{bench.files[0]}: has no time, which the correction of the drift needs",
+            f"{bench.files[0]}: has no time, which the drift correction needs",
             "add a column 'time [s]', or give the baseline before only",
         )
     corrected = correct_drift(bench.capacitance, bench.time, before, after)

@@ -1,8 +1,7 @@
 """Calibration of the clusters: four capacitances to normal and shear stress.
 
-The mean of the four channels gives the normal stress by a first-degree polynomial; the
-differences between the channel pairs along x and along y give each shear stress by a
-surface of total degree 2.
+The normal stress is a first-degree polynomial of the mean of the four channels; each shear stress
+is a polynomial of total degree 2 in the differences of the channel pairs along x and along y.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from socket_testbed.errors import CalibrationError
 from socket_testbed.files import write_text
 from socket_testbed.samples import Status
 
-SMALLEST_GAIN = 100.0  # [Pa/pF]; a smaller one is in another unit
+MIN_GAIN = 100.0  # [Pa/pF]; a smaller gain has another unit
 
 _OK, _SATURATED, _MISSING, _OUT_OF_RANGE = (np.uint8(status) for status in Status)
 
@@ -59,20 +58,18 @@ class ClusterCalibration:
     shear: FloatArray
     mean_range: FloatArray  # calibrated range of the mean; (2,) [pF]
     difference_range: FloatArray  # calibrated range of both pair differences; (2,) [pF]
-    wiring: IntArray  # input of the converter that holds each channel; (4,)
-    # Capacitances by input of the unloaded cluster on the bench; (4,) [pF]; None if they were not
-    # recorded
+    wiring: IntArray  # converter input of each channel; (4,)
+    # Capacitances by input of the unloaded cluster on the bench; (4,) [pF]; None if not recorded
     baseline: FloatArray | None = None
-    # The bench record of these coefficients: date, source, errors. It is kept for people; nothing
-    # is computed from it. Empty if there is no such record
+    # Bench record of these coefficients (date, source, errors), for information only; may be empty
     bench: Mapping[str, Any] = field(default_factory=dict)
 
     def apply(self, capacitance: FloatArray, status: StatusArray) -> tuple[FloatArray, StatusArray]:
         """Stress on the cluster from the converter's four inputs [pF] and their `Status`, (..., 4).
 
         The stress is normal (positive in compression), shear x and shear y, shape (..., 3) [Pa],
-        with one `Status`, shape (...). It is NaN unless all four channels were read; out of the
-        calibrated range it is an extrapolation.
+        with one `Status`, shape (...). It is NaN unless all four channels were read. Outside the
+        calibrated range it is extrapolated.
         """
         capacitance = np.where(np.isfinite(capacitance), capacitance, np.nan)
         features = np.einsum("...ij,...j->...i", self._features, capacitance)
@@ -85,7 +82,7 @@ class ClusterCalibration:
         low, high = self._limits
         outside = ((features < low) | (features > high)).any(axis=-1)
         worst = status.max(axis=-1)
-        # A saturated input is reported as such even though its value is NaN, too.
+        # A saturated input is also NaN, but must be reported as saturated.
         causes = [worst >= _MISSING, worst == _SATURATED, np.isnan(mean), outside]
         result = np.select(causes, [_MISSING, _SATURATED, _MISSING, _OUT_OF_RANGE], _OK)
         stress[causes[0] | causes[1] | causes[2]] = np.nan
@@ -94,12 +91,12 @@ class ClusterCalibration:
     @cached_property
     def _features(self) -> FloatArray:
         """Matrix of `channel_features` from the inputs, shape (3, 4)."""
-        of_channels = np.array(channel_features(np.eye(4)))
-        return np.moveaxis(of_channels[:, np.argsort(self.wiring)], 0, -2)
+        by_channel = np.array(channel_features(np.eye(4)))
+        return np.moveaxis(by_channel[:, np.argsort(self.wiring)], 0, -2)
 
     @cached_property
     def _limits(self) -> tuple[FloatArray, FloatArray]:
-        """Lowest and highest features of the calibrated range, shape (3,) each [pF]."""
+        """Lower and upper limits of the features, shape (3,) each [pF]."""
         ranges = (self.mean_range, self.difference_range, self.difference_range)
         limits = np.stack(ranges, axis=-1)
         return limits[..., 0, :], limits[..., 1, :]
@@ -125,9 +122,9 @@ class ClusterCalibration:
 class Calibration:
     """Calibration of all clusters."""
 
-    clusters: dict[str, ClusterCalibration]  # coefficients by the cluster's name
-    date: str  # date of the coefficients; a cluster with a `bench` record has its own there
-    source: str  # where they come from; likewise
+    clusters: dict[str, ClusterCalibration]  # by the cluster's name
+    date: str  # of the coefficients; the `bench` record of a cluster has its own
+    source: str  # of the coefficients; likewise
 
     def require(self, clusters: Collection[str], of: str) -> None:
         """Refuse a calibration that lacks one of the clusters."""
@@ -140,10 +137,10 @@ class Calibration:
             )
 
     def stacked(self, clusters: Collection[str]) -> ClusterCalibration:
-        """Coefficients of c known clusters, one at least, to `apply` to shape (..., c, 4)."""
-        own = [self.clusters[name] for name in clusters]
+        """Coefficients of c >= 1 known clusters, to `apply` to shape (..., c, 4)."""
+        chosen = [self.clusters[name] for name in clusters]
         names = ("normal", "shear", "mean_range", "difference_range", "wiring")
-        arrays: dict[str, Any] = {n: np.stack([getattr(c, n) for c in own]) for n in names}
+        arrays: dict[str, Any] = {n: np.stack([getattr(c, n) for c in chosen]) for n in names}
         return ClusterCalibration(**arrays)
 
     def to_document(self) -> dict[str, Any]:
@@ -163,7 +160,7 @@ _HEADER = """\
 # mean_range, difference_range: the calibrated ranges [pF].
 # wiring: the converter's input of each channel (-x,+y), (+x,+y), (-x,-y), (+x,-y).
 # baseline: the inputs of the unloaded cluster on the bench [pF].
-# bench: where a cluster's coefficients come from, and how good they are.
+# bench: origin and quality of a cluster's coefficients.
 """
 
 
@@ -196,7 +193,7 @@ class _Cluster(Document):
             low, high = getattr(self, key)
             if low >= high:
                 raise FieldError(f"{key} is [{low:g}, {high:g}]", "give [low, high] in pF")
-        if self.normal[1] < SMALLEST_GAIN:
+        if self.normal[1] < MIN_GAIN:
             raise FieldError(
                 f"the gain of normal is {self.normal[1]:g} Pa/pF",
                 "give [offset in Pa, gain in Pa/pF], compression positive",

@@ -1,16 +1,16 @@
-"""The drivers, a folder per instrument, unchanged with a simulated bus behind them.
+"""Drivers, one folder per instrument; they run unchanged on simulated buses.
 
-A chip has a file of its own name (`clusters/fdc1004.py`, `load_cell/ads131m0x.py`,
-`natnet/messages.py` for a protocol): its registers and frames, every answer checked, a
-`DeviceError` with a hint for whatever is wrong. It is given its bus (`I2cBus`, `SpiDevice`,
-`Lines`), so that a simulated chip fits behind: `simulation/devices/` has the other side of each
-bus under the same names. The clusters' chip can be another one (`CapacitiveChip`).
+Each chip or protocol has its own file (`clusters/fdc1004.py`, `load_cell/ads131m0x.py`,
+`natnet/messages.py`) with its registers and frames. It checks every answer and raises a
+`DeviceError` with a hint. The bus (`I2cBus`, `SpiDevice`, `Lines`) is passed in, so a simulated
+chip can replace the hardware: `simulation/devices/` has the other side of each bus under the same
+names. Another chip can replace the clusters' FDC1004 (`CapacitiveChip`).
 
-A reader beside it (`clusters/reader.py`, `load_cell/load_cell.py`, `natnet/client.py`) decides
-when to read, starts again after a failure, and gives the values for a trigger and the instrument's
-health. It never raises for a fault of the hardware: what one costs is decided in one place each,
-`_Bus.note` (I2C, a bus that hangs or is gone included), `ConverterReader._fail` (SPI),
-`NatNetClient._lose` (the network); a trigger without its edge is a `DeviceError`.
+A reader (`clusters/reader.py`, `load_cell/load_cell.py`, `natnet/client.py`) decides when to read,
+recovers from failures, and returns the values for a trigger and the instrument's health. It never
+raises for a hardware fault. Each has one place that handles faults: `_Bus.handle_fault` (I2C,
+including a hanging or missing bus), `ConverterReader._fail` (SPI), `NatNetClient._lose` (network).
+A trigger without its edge raises a `DeviceError`.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from socket_testbed.errors import DeviceError
 def opening_failed(
     path: str, error: OSError, group: str, missing: str, otherwise: str
 ) -> DeviceError:
-    """The error of a device file that could not be opened, and that the members of a group may use.
+    """The error for a device file that could not be opened; `group` has access to it.
 
-    Its hint is `missing` if there is no such file.
+    The hint is `missing` if the file does not exist.
     """
     if error.errno in {errno.EACCES, errno.EPERM}:
         return DeviceError(

@@ -1,4 +1,4 @@
-"""GPIO lines through gpiod 2, and the trigger: a pulse on one, or the steady clock alone."""
+"""GPIO lines through gpiod 2, and the trigger: a pulse on a line, or the steady clock alone."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from socket_testbed import clocks
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import TriggerSettings
 
-Use: TypeAlias = Literal["output", "rising", "falling"]  # of a line: it is set, or its edges come
+Use: TypeAlias = Literal["output", "rising", "falling"]  # of a line
 
 
 class EdgeLine(Protocol):
-    """A line whose edges the kernel stamps."""
+    """A line whose edges are timestamped by the kernel."""
 
     def edges(self, within: float) -> list[float]:
-        """Edges by their times on the steady clock [s]; waits so long for the first [s]."""
+        """Times of edges on the steady clock [s]; waits up to `within` [s] for the first."""
         ...
 
     def close(self) -> None:
-        """Give the line back."""
+        """Release the line."""
 
 
 class Lines(EdgeLine, Protocol):
-    """Lines whose edges the kernel stamps, and others that are set."""
+    """Input lines with timestamped edges, and output lines."""
 
     def set(self, line: int, active: bool) -> None:
         """Set an output line."""
 
 
 class GpiodLines:
-    """Lines of the chip with a label, by their numbers and uses, held until they are closed.
+    """Lines of the chip with a label, by number and use, held until `close`.
 
-    Hints name the node whose `setting` is the chip, and that does without it with `without`.
+    Hints name the node, its `setting` for the chip, and the setting to work `without` it.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class GpiodLines:
         lines: dict[Any, Any] = {
             line: gpiod.LineSettings(direction=Direction.OUTPUT)
             if use == "output"
-            # Not the system's clock: that one may be set while a trial runs.
+            # Not the system clock, which may be set during a trial.
             else gpiod.LineSettings(
                 direction=Direction.INPUT, edge_detection=edges[use], event_clock=Clock.MONOTONIC
             )
@@ -68,26 +68,26 @@ class GpiodLines:
             raise _not_permitted(path) from None
         except (OSError, ValueError) as error:
             fact = f"{path}: {names} cannot be used ({error})"
-            raise DeviceError(fact, "check that no other program or overlay does") from None
+            raise DeviceError(fact, "check that no other program or overlay uses them") from None
 
     def set(self, line: int, active: bool) -> None:
         """Set an output line."""
         self._request.set_value(line, self._values[active])
 
     def edges(self, within: float) -> list[float]:
-        """Edges of all lines by their times on the steady clock [s]; waits for the first."""
+        """Times of edges on all lines on the steady clock [s]; waits up to `within` [s]."""
         if not self._request.wait_edge_events(timedelta(seconds=clocks.real(max(within, 0.0)))):
             return []
         # CLOCK_MONOTONIC is the testbed's steady clock: on hardware its scale is 1.
         return [event.timestamp_ns * 1e-9 for event in self._request.read_edge_events()]
 
     def close(self) -> None:
-        """Give the lines back."""
+        """Release the lines."""
         self._request.release()
 
 
 def _chip(gpiod: Any, label: str, hint: str) -> str:
-    """Path of the chip with a label; its number differs from kernel to kernel."""
+    """Path of the chip with a label; the chip's number depends on the kernel."""
     found: dict[str, str] = {}
     refused = ""
     for path in sorted(map(str, Path("/dev").glob("gpiochip*"))):
@@ -109,52 +109,52 @@ def _chip(gpiod: Any, label: str, hint: str) -> str:
 def _not_permitted(path: str) -> DeviceError:
     return DeviceError(
         f"{path}: permission denied",
-        "add the user to the group of that file (gpio or dialout), then log in again",
+        "add the user to the group of this file (gpio or dialout), then log in again",
     )
 
 
 class TimerTrigger:
-    """A trigger without a wire: it has no pulse, and its time is that of the call."""
+    """A trigger without a pulse; its time is that of the call."""
 
     def __init__(self) -> None:
         self.fire = clocks.monotonic
         self.stray = 0
 
-    def rest(self) -> None:
-        """There is no pulse."""
+    def end_pulse(self) -> None:
+        """Do nothing: there is no pulse."""
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: no lines are held."""
 
 
 class GpioTrigger:
-    """A pulse on a line, stamped by the kernel at its edge on another line wired to it."""
+    """A pulse on one line; the kernel timestamps its edge on another line wired to it."""
 
     def __init__(self, lines: Lines, settings: TriggerSettings) -> None:
         self._lines = lines
         self._settings = settings
-        self._begun = 0.0
-        self.stray = 0  # number of edges that belonged to no pulse
+        self._started = 0.0
+        self.stray = 0  # number of edges without a pulse
 
     def fire(self) -> float:
-        """Begin a pulse; returns the time of its edge on the steady clock [s]."""
+        """Start a pulse; returns the time of its edge on the steady clock [s]."""
         settings = self._settings
         try:
             self.stray += len(self._lines.edges(0.0))
-            self._begun = clocks.monotonic()
+            self._started = clocks.monotonic()
             self._lines.set(settings.output_line, True)
-            # The line rises while this process sets it, which a busy machine may hold up.
+            # A busy machine may delay this process while it sets the line.
             deadline = clocks.monotonic() + settings.edge_within
-            left = settings.edge_within
+            remaining = settings.edge_within
             while True:
-                for edge in self._lines.edges(left):
-                    if self._begun <= edge <= deadline:
+                for edge in self._lines.edges(remaining):
+                    if self._started <= edge <= deadline:
                         return edge
                     self.stray += 1
-                if left == 0.0:
+                if remaining == 0.0:
                     break
-                # Once more after the deadline: the kernel's stamp counts.
-                left = max(0.0, deadline - clocks.monotonic())
+                # Check once more after the deadline: only the kernel's timestamp matters.
+                remaining = max(0.0, deadline - clocks.monotonic())
         except OSError as error:
             raise DeviceError(
                 f"the GPIO lines cannot be used ({error.strerror or error})",
@@ -166,16 +166,16 @@ class GpioTrigger:
             "check the wire between the two lines",
         )
 
-    def rest(self) -> None:
-        """End the pulse when it has lasted long enough."""
-        clocks.sleep(max(0.0, self._begun + self._settings.pulse - clocks.monotonic()))
+    def end_pulse(self) -> None:
+        """End the pulse once it has lasted long enough."""
+        clocks.sleep(max(0.0, self._started + self._settings.pulse - clocks.monotonic()))
         try:
             self._lines.set(self._settings.output_line, False)
         except OSError:
             return  # the next pulse reports it
 
     def close(self) -> None:
-        """Give the lines back."""
+        """Release the lines."""
         self._lines.close()
 
 

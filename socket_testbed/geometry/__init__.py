@@ -1,1 +1,1 @@
-"""Where things are: the socket's tiles, the marker triads, and poses."""
+"""Geometry: the socket's tiles, the marker bodies, and poses."""

@@ -1,6 +1,6 @@
-"""The socket's axis, heights and angles about it, and the regions that these make.
+"""The socket's axis, heights and angles about it, and the regions they define.
 
-Heights count from the distal end, angles from anterior towards left.
+Heights are measured from the distal end, angles from anterior towards left.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import numpy as np
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.geometry.socket import HEIGHTS, SOCKET, SocketGeometry
 
-_AWAY = 0.5  # [-]; cosine of the angle at which a tile's x is no longer the proximal direction
-_UP = np.sqrt(0.5)  # [-]; z of the normals of what faces up at 45 degrees or more
-_NO_DIRECTION = 0.1  # [-]; length of a mean of unit vectors that cancel
+_MIN_ALIGNMENT = 0.5  # [-]; cosine between a tile's x axis and the proximal direction
+_FACES_UP = np.sqrt(0.5)  # [-]; z of normals that point up at 45 degrees or more
+_NO_DIRECTION = 0.1  # [-]; a shorter mean of unit vectors has no direction
 _X, _Z = np.eye(3)[[0, 2]]
 
 Side = Literal["left", "right"]
@@ -23,7 +23,7 @@ Side = Literal["left", "right"]
 UNMEASURED = "unmeasured wall"
 """The tiles without a cluster."""
 _TINY = 1e-9  # [m]
-# Quarter turns about the axis from anterior towards left, by the leg.
+# Quarter turns about the axis from anterior towards left, by leg.
 _SECTORS: dict[Side | None, dict[str, int]] = {
     "right": {"anterior": 0, "posterior": 2, "medial": 1, "lateral": 3},
     "left": {"anterior": 0, "posterior": 2, "medial": 3, "lateral": 1},
@@ -33,11 +33,11 @@ _SECTORS: dict[Side | None, dict[str, int]] = {
 
 @dataclass(frozen=True)
 class SocketAxis:
-    """The axis of a socket with the direction from which angles around it count."""
+    """The axis of a socket, with the zero direction of angles about it."""
 
-    end: FloatArray  # where the axis meets the distal end in {S}; (3,) [m]
+    end: FloatArray  # intersection with the distal end in {S}; (3,) [m]
     proximal: FloatArray  # unit vector along it towards the proximal end; (3,) [-]
-    anterior: FloatArray  # unit vector across it, from which angles count; (3,) [-]
+    anterior: FloatArray  # unit vector across it, at angle zero; (3,) [-]
 
     @property
     def left(self) -> FloatArray:
@@ -62,8 +62,8 @@ class SocketAxis:
 def axis_through(end: FloatArray, proximal: FloatArray, anterior: FloatArray = _X) -> SocketAxis:
     """The axis through the distal end (3,) [m] in {S}, in the proximal direction (3,).
 
-    The part of `anterior` across the axis is anterior, by default of x of {S} (REP 103). Along the
-    axis it says nothing: then -z of {S} is anterior.
+    `anterior`, by default x of {S} (REP 103), is projected across the axis. If it is parallel to
+    the axis, -z of {S} is anterior.
     """
     along = proximal / np.linalg.norm(proximal)
     across = anterior - (anterior @ along) * along
@@ -75,24 +75,24 @@ def axis_through(end: FloatArray, proximal: FloatArray, anterior: FloatArray = _
 def proximal_direction(geometry: SocketGeometry) -> FloatArray:
     """Unit vector (3,) in {S} towards the proximal end, the mean x axis of the tiles on the wall.
 
-    On the distal end no tangent is proximal, so tiles whose x axis is far from the mean of
-    all are left out. Where the x axes cancel or all tiles face up it is z of {S}.
+    On the distal end no tangent is proximal, so tiles whose x axis deviates from the mean of all
+    are left out. If the x axes cancel or all tiles face up, it is z of {S}.
     """
     x_axes = geometry.rotations[:, :, 0]
     mean = x_axes.mean(axis=0)
     length = np.linalg.norm(mean)
-    if length < _NO_DIRECTION or (geometry.rotations[:, 2, 2] > _UP).all():
+    if length < _NO_DIRECTION or (geometry.rotations[:, 2, 2] > _FACES_UP).all():
         return _Z.copy()
-    along = x_axes @ (mean / length) >= _AWAY
+    along = x_axes @ (mean / length) >= _MIN_ALIGNMENT
     if along.any():
         mean = x_axes[along].mean(axis=0)
     return np.asarray(mean / np.linalg.norm(mean))
 
 
 def socket_axis(geometry: SocketGeometry) -> SocketAxis:
-    """The axis of a socket from its tiles: in the middle of their anchors, from the lowest one.
+    """The axis of a socket, centred between the anchors of its tiles, from the lowest one up.
 
-    With it, `heights(geometry.anchors)` and `angles(geometry.anchors)` say where each tile is.
+    Its `heights(geometry.anchors)` and `angles(geometry.anchors)` locate each tile.
     """
     through_s = axis_through(np.zeros(3), proximal_direction(geometry))
     frame = np.stack([through_s.anterior, through_s.left, through_s.proximal])
@@ -103,8 +103,8 @@ def socket_axis(geometry: SocketGeometry) -> SocketAxis:
 
 
 def wall_tiles(geometry: SocketGeometry, around: SocketAxis) -> BoolArray:
-    """Which tiles are on the wall, shape (n,); those of the end and at the axis are not."""
-    steep = geometry.rotations[:, :, 2] @ around.proximal < _UP
+    """Which tiles are on the wall, not on the distal end or at the axis, shape (n,)."""
+    steep = geometry.rotations[:, :, 2] @ around.proximal < _FACES_UP
     return np.asarray(steep & (around.radii(geometry.anchors) >= np.sqrt(geometry.areas)))
 
 
@@ -117,19 +117,19 @@ class Region:
 
 
 def anatomical_regions(geometry: SocketGeometry, side: Side | None = None) -> tuple[Region, ...]:
-    """Four sectors, three heights, and the sectors by the heights.
+    """Four sectors, three heights, and their intersections.
 
-    The sectors are quarter turns about the socket's axis (`socket_axis`), centred on
-    anterior, left, posterior and right; the heights are thirds of the span of the tiles' centres
-    along the axis. Every tile is in exactly one sector, one height and one of their intersections,
-    such as `anterior proximal`; regions without a tile are left out. Medial is left of the axis on
-    a right leg, right of it on a left leg; without a side the sectors are `left` and `right`.
+    The sectors are quarter turns about the socket's axis (`socket_axis`), centred on anterior,
+    left, posterior and right. The heights are thirds of the span of the tiles' centres along the
+    axis. Every tile is in exactly one sector, one height and one intersection, such as `anterior
+    proximal`; empty regions are left out. Medial is left of the axis on a right leg, right of it on
+    a left leg; without a side the sectors are called `left` and `right`.
     """
     axis = socket_axis(geometry)
     turns = np.round(axis.angles(geometry.anchors) / (0.5 * np.pi)) % 4
     heights = axis.heights(geometry.anchors)
-    below = (heights.max() - heights) / max(np.ptp(heights), _TINY)
-    thirds = np.minimum(np.floor(3.0 * below), 2.0)
+    depth = (heights.max() - heights) / max(np.ptp(heights), _TINY)
+    thirds = np.minimum(np.floor(3.0 * depth), 2.0)
     sectors = {name: turns == turn for name, turn in _SECTORS[side].items()}
     levels = {name: thirds == third for third, name in enumerate(HEIGHTS)}
     fields = {
@@ -137,14 +137,14 @@ def anatomical_regions(geometry: SocketGeometry, side: Side | None = None) -> tu
         for sector, inside in sectors.items()
         for height, level in levels.items()
     }
-    every = {**sectors, **levels, **fields}
-    return tuple(Region(name, np.flatnonzero(of)) for name, of in every.items() if of.any())
+    masks = {**sectors, **levels, **fields}
+    return tuple(Region(name, np.flatnonzero(m)) for name, m in masks.items() if m.any())
 
 
 def all_regions(geometry: SocketGeometry, side: Side | None = None) -> tuple[Region, ...]:
-    """The anatomical regions, those of `socket.yaml`, the tiles without a cluster, and the socket.
+    """Anatomical regions, those of `socket.yaml`, tiles without a cluster, and the whole socket.
 
-    They come in this order; where every tile has a cluster, nothing is unmeasured.
+    In this order; the unmeasured region is left out if every tile has a cluster.
     """
     own = [Region(name, np.array(tiles)) for name, tiles in geometry.regions.items()]
     every = np.arange(len(geometry))

@@ -1,4 +1,4 @@
-"""Poses of rigid bodies from their markers, and how sure they are."""
+"""Poses of rigid bodies from their markers, and the uncertainty of the poses."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from socket_testbed.geometry.pose import Pose
 class PoseUncertainty:
     """First-order uncertainty of a pose that was fitted to points of a body.
 
-    The fitted pose puts a point p of the body off by ``d + w x (p - c)``, where the shift d and
-    the small rotation w are independent of each other. All of it is in the axes of the body.
+    The fitted pose misplaces a point p of the body by ``d + w x (p - c)``, with an independent
+    shift d and small rotation w, all in the axes of the body.
     """
 
     centroid: FloatArray  # centroid c of the points; (3,) [m]
@@ -25,7 +25,7 @@ class PoseUncertainty:
     rotation: FloatArray  # covariance of w; (3, 3) [rad^2]
 
     def at(self, point: FloatArray) -> FloatArray:
-        """Covariance of a point that moves with the body, shape (3, 3) [m^2]."""
+        """Covariance of a point fixed to the body, shape (3, 3) [m^2]."""
         x, y, z = point - self.centroid
         lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # lever @ w = w x r
         return self.shift + lever @ self.rotation @ lever.T
@@ -34,12 +34,12 @@ class PoseUncertainty:
 def pose_uncertainty(points: FloatArray, noise: float) -> PoseUncertainty:
     """Uncertainty of a least-squares pose from equal, independent noise of the coordinates.
 
-    With r the points from their centroid, the covariances are ``sigma^2 / k I`` of the shift
-    and ``sigma^2 (sum(|r|^2 I - r r^T))^-1`` of the rotation. Their sum at a point is the
-    target registration error of Fitzpatrick, West and Maurer 1998, doi:10.1109/42.736021,
-    whose squared localisation error is ``3 sigma^2``. The k points are in the body's frame, not on
-    one line, shape (k, 3) [m]; sigma is the noise of a coordinate [m], for the mean of N
-    independent frames that of a frame over sqrt(N).
+    With r the points relative to their centroid, the covariances are ``sigma^2 / k I`` of the shift
+    and ``sigma^2 (sum(|r|^2 I - r r^T))^-1`` of the rotation. Their sum at a point is the target
+    registration error of Fitzpatrick, West and Maurer 1998, doi:10.1109/42.736021, whose squared
+    localisation error is ``3 sigma^2``. The k points, not collinear, are in the body's frame, shape
+    (k, 3) [m]; sigma is the noise of a coordinate [m], divided by sqrt(N) for the mean of N
+    independent frames.
     """
     centroid = points.mean(axis=0)
     arms = points - centroid
@@ -51,8 +51,8 @@ def pose_uncertainty(points: FloatArray, noise: float) -> PoseUncertainty:
 def fit_rigid(points: FloatArray, observed: FloatArray) -> Pose:
     """Least-squares poses of a body from its points (Kabsch 1976, doi:10.1107/S0567739476001873).
 
-    The points are in the body's frame, shape (k, 3) [m], and observed M times in another one, shape
-    (M, k, 3) [m], in which the M poses are.
+    The points are in the body's frame, shape (k, 3) [m]. The M observations, shape (M, k, 3) [m],
+    and the M poses are in another frame.
     """
     centre_points = points.mean(axis=0)
     centre_observed = observed.mean(axis=1)
@@ -64,32 +64,32 @@ def fit_rigid(points: FloatArray, observed: FloatArray) -> Pose:
 def nearest_rotations(matrices: FloatArray) -> FloatArray:
     """The rotation nearest to each matrix (Frobenius norm), shape (M, 3, 3) [-]."""
     left, _, right = np.linalg.svd(matrices)
-    # Points in a plane leave the sign of its normal open: take the proper rotation.
+    # Coplanar points leave the sign of the normal open: choose the proper rotation.
     left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
     return np.asarray(left @ right)
 
 
 def misfit(points: FloatArray, observed: FloatArray, pose: Pose) -> FloatArray:
-    """Distances of observed points from where poses put them, shape (M, k) [m]."""
+    """Distances of observed points from those placed by the poses, shape (M, k) [m]."""
     return np.linalg.norm(observed - pose.place(points), axis=-1)
 
 
 EDGE_TOLERANCE = 0.002  # [m]; well above the noise of a marker
-_SMALLEST = 0.01  # [m]; distance of two markers, and of one from the line of the others
-_THINNEST = 0.002  # [m]; the latter for three markers, which are all needed for a pose
-_CLOSE = 0.25  # of the tolerance
-FEWEST_MARKERS, MOST_MARKERS = 3, 8  # of a body
+_MIN_DISTANCE = 0.01  # [m]; between two markers, and of one from the line of the others
+_MIN_TRIAD_WIDTH = 0.002  # [m]; the latter for three markers, which are all needed for a pose
+_TIGHT = 0.25  # of the tolerance
+MIN_MARKERS, MAX_MARKERS = 3, 8  # per body
 
 
 @dataclass(frozen=True)
 class BodyFit:
     """Rigid fits of a body's k markers to N frames."""
 
-    pose: Pose  # pose of the body in the frame of the observations; NaN where there is none
-    # Root-mean-square distance of the markers from the fit; (N,) [m]; NaN where there is no pose
+    pose: Pose  # of the body in the frame of the observations; NaN if not found
+    # RMS distance of the markers from the fit; (N,) [m]; NaN without a pose
     residual: FloatArray
-    # Which observed marker is the body's first, second and so on, shape (N, k); -1 where there is
-    # no pose, and for a marker that the pose is fitted without
+    # Index of the observed marker for each marker of the body, shape (N, k); -1 without a pose, and
+    # for markers not used in the fit
     order: IntArray
 
     @property
@@ -99,12 +99,11 @@ class BodyFit:
 
     @property
     def noise(self) -> float:
-        """1-sigma noise of a marker's coordinate, pooled over the frames [m]; NaN without any.
+        """1-sigma noise of a marker's coordinate, pooled over the frames [m]; NaN without poses.
 
-        The coordinates of m markers less the six of a pose leave 3 m - 6 degrees of freedom a
-        frame; the sum of squares over their number is sigma^2 on average. With it,
-        `pose_uncertainty(reference, noise)` is the uncertainty of the pose of one frame. An
-        error of the reference itself is in the residual and thus counts as noise.
+        With m markers, each frame has 3 m - 6 degrees of freedom; the expected sum of squares per
+        degree of freedom is sigma^2. `pose_uncertainty(reference, noise)` is then the uncertainty
+        of the pose of one frame. Errors of the reference itself also count as noise.
         """
         used = (self.order[self.found] >= 0).sum(axis=1)
         if not len(used):
@@ -114,21 +113,21 @@ class BodyFit:
 
 
 def distances(markers: FloatArray) -> FloatArray:
-    """Distances between k markers, shape (..., k, k) [m]; NaN where one is occluded."""
+    """Distances between k markers, shape (..., k, k) [m]; NaN if one is occluded."""
     return np.linalg.norm(markers[..., :, None, :] - markers[..., None, :, :], axis=-1)
 
 
 def body_fault(markers: FloatArray) -> tuple[str, str] | None:
-    """What makes a body's markers useless, and the hint; None for good ones."""
+    """Why a body's markers are unusable, and the hint; None if they are usable."""
     between = distances(markers)
     a, b = np.unravel_index((between + np.diag([np.inf] * len(markers))).argmin(), between.shape)
-    if between[a, b] < _SMALLEST:
+    if between[a, b] < _MIN_DISTANCE:
         return (
             f"markers {a + 1} and {b + 1} are {1e3 * between[a, b]:.1f} mm apart",
-            f"move them {1e3 * _SMALLEST:g} mm apart or more",
+            f"move them {1e3 * _MIN_DISTANCE:g} mm apart or more",
         )
-    width = _SMALLEST if len(markers) > FEWEST_MARKERS else _THINNEST
-    if _widths(markers) < width:
+    width = _MIN_DISTANCE if len(markers) > MIN_MARKERS else _MIN_TRIAD_WIDTH
+    if _width(markers) < width:
         return (
             "the markers are on one line",
             f"move a marker {1e3 * width:g} mm or more away from the line",
@@ -148,29 +147,29 @@ def body_fault(markers: FloatArray) -> tuple[str, str] | None:
 def fit_body(
     reference: FloatArray, observed: FloatArray, tolerance: float = EDGE_TOLERANCE
 ) -> BodyFit:
-    """Fit a body to its markers in each frame, whatever the order of their labels.
+    """Fit a body to its markers in each frame, for any order of their labels.
 
-    Three markers are all needed. Of more, the pose is fitted to all that are seen and whose
-    distances agree with the body's, three at least. The labels stand where their distances agree;
-    otherwise the markers are identified by their distances: the largest set that agrees, if there
-    is only one and it holds most of the markers seen; all of three or four markers at least, if
-    they change their labels. The rest of a body has no pose if it could as well be another part
-    of it, or is on one line. The rotation is the least-squares one (`fit_rigid`).
+    A triad needs all its markers. For larger bodies, the pose is fitted to at least three seen
+    markers whose distances agree with the body's. Labels are kept if their distances agree.
+    Otherwise the distances identify the markers: the largest agreeing set is used if it is unique
+    and holds most of the markers seen; relabelled sets need all markers of a triad, or at least
+    four. A subset has no pose if it is collinear or could be another part of the body. The rotation
+    is the least-squares one (`fit_rigid`).
 
-    The reference is the markers in the body's frame, shape (k, 3) [m]; they are observed in
-    another one, shape (N, k, 3) [m], NaN where occluded. Distances agree within the tolerance [m].
+    `reference` holds the markers in the body's frame, shape (k, 3) [m]; `observed` is in another
+    frame, shape (N, k, 3) [m], NaN if occluded. Distances agree within the tolerance [m].
     """
     own = distances(reference)
     count, size = observed.shape[:2]
     order = np.full((count, size), -1)
     seen = np.isfinite(observed).all(axis=2).sum(axis=1)
-    waiting = seen >= FEWEST_MARKERS
+    waiting = seen >= MIN_MARKERS
     trial: IntArray | None = np.arange(size)  # the labels' own order
     while trial is not None:
         markers = np.where((trial >= 0)[:, None], observed[:, trial], np.nan)
         there = np.isfinite(markers.sum(axis=2))
         off = np.nan_to_num(np.abs(distances(markers) - own)).max(axis=(1, 2))
-        agree = waiting & (off <= tolerance) & (there.sum(axis=1) >= FEWEST_MARKERS)
+        agree = waiting & (off <= tolerance) & (there.sum(axis=1) >= MIN_MARKERS)
         order[agree] = np.where(there[agree], trial, -1)
         waiting &= ~agree
         trial = None
@@ -187,7 +186,7 @@ def fit_body(
 def _fit_ordered(
     reference: FloatArray, observed: FloatArray, order: IntArray, tolerance: float
 ) -> BodyFit:
-    """Fit each frame to the markers that its order names, all frames with the same ones at once."""
+    """Fit each frame to the markers in its order; frames with equal markers at once."""
     count = len(observed)
     rotation, translation = np.full((count, 3, 3), np.nan), np.full((count, 3), np.nan)
     residual = np.full(count, np.nan)
@@ -200,9 +199,9 @@ def _fit_ordered(
         markers = np.take_along_axis(observed[rows], order[rows][:, used][:, :, None], axis=1)
         pose = fit_rigid(reference[used], markers)
         off = np.sqrt((misfit(reference[used], markers, pose) ** 2).mean(axis=1))
-        # Mirrored markers have all distances right; three of more agree easily by chance.
-        some = used.sum() == FEWEST_MARKERS < len(used)
-        fits = off <= (_CLOSE if some else 1.0) * tolerance
+        # Mirrored markers have correct distances; three of a larger set easily agree by chance.
+        is_subset = used.sum() == MIN_MARKERS < len(used)
+        fits = off <= (_TIGHT if is_subset else 1.0) * tolerance
         rows = rows[fits]
         rotation[rows], translation[rows] = pose.rotation[fits], pose.translation[fits]
         residual[rows] = off[fits]
@@ -211,22 +210,22 @@ def _fit_ordered(
 
 
 def _is_unique(reference: FloatArray, own: FloatArray, used: BoolArray, tolerance: float) -> bool:
-    """Whether some markers of a body have a pose, and could be no others of its markers."""
+    """Whether some markers of a body determine a pose and cannot be confused with others."""
     if used.all():
         return True
-    if used.sum() < FEWEST_MARKERS or _widths(reference[used]) < _SMALLEST:
+    if used.sum() < MIN_MARKERS or _width(reference[used]) < _MIN_DISTANCE:
         return False
     return len(_matches(own, own[np.ix_(used, used)], tolerance)) == 1
 
 
-def _widths(markers: FloatArray) -> float:
-    """Largest distance of a marker from the line through the two that are farthest apart [m]."""
+def _width(markers: FloatArray) -> float:
+    """Largest distance of a marker from the line through the two farthest apart [m]."""
     a, b = np.unravel_index(distances(markers).argmax(), (len(markers), len(markers)))
     along = (markers[b] - markers[a]) / np.linalg.norm(markers[b] - markers[a])
     return float(np.linalg.norm(np.cross(markers - markers[a], along), axis=1).max())
 
 
-_Match: TypeAlias = tuple[tuple[int, int], ...]  # pairs of a marker of the body and one seen
+_Match: TypeAlias = tuple[tuple[int, int], ...]  # pairs of (marker of the body, marker seen)
 
 
 def _swaps(match: _Match) -> bool:
@@ -234,35 +233,35 @@ def _swaps(match: _Match) -> bool:
 
 
 def _is_sure(match: _Match, seen: int, size: int) -> bool:
-    """Whether so many of the markers seen agree that it is no chance; labels count as one.
+    """Whether enough of the markers seen agree to exclude chance; matching labels count as one.
 
-    All markers of a body are enough, three of a larger one are not.
+    All markers of a body suffice; three of a larger body do not.
     """
-    most = 2 * len(match) > seen and len(match) + (not _swaps(match)) > FEWEST_MARKERS
-    return most or len(match) == size
+    majority = 2 * len(match) > seen and len(match) + (not _swaps(match)) > MIN_MARKERS
+    return majority or len(match) == size
 
 
 def _matches(own: FloatArray, seen: FloatArray, tolerance: float) -> list[_Match]:
-    """The largest sets of pairs whose distances, (k, k) and (m, m), agree, one or two of them."""
+    """One or two of the largest sets of pairs whose distances, (k, k) and (m, m), agree."""
     difference = np.abs(own[:, None, :, None] - seen[None, :, None, :])
     agree = np.nan_to_num(difference, nan=np.inf) <= tolerance  # of the pairs (i, a) and (j, b)
     count = len(seen)
     best: list[_Match] = [()]
 
     def extend(match: _Match, begin: int, allowed: BoolArray) -> None:
-        """Add pairs of the markers seen from one on; `allowed` are those that agree with all."""
+        """Add pairs of the markers seen from `begin` on; `allowed` pairs agree with the match."""
         if len(match) > len(best[0]):
             best[:] = [match]
         elif len(match) == len(best[0]) and len(best) < 2 and match not in best:
             best.append(match)
         for a in range(begin, count):
-            most = len(match) + int(allowed[:, a:].any(axis=0).sum())
-            if most < len(best[0]) or (most == len(best[0]) and len(best) > 1):
+            bound = len(match) + int(allowed[:, a:].any(axis=0).sum())
+            if bound < len(best[0]) or (bound == len(best[0]) and len(best) > 1):
                 return
             for i in np.flatnonzero(allowed[:, a]):
-                left = allowed & agree[i, a]
-                left[i], left[:, a] = False, False
-                extend((*match, (int(i), a)), a + 1, left)
+                remaining = allowed & agree[i, a]
+                remaining[i], remaining[:, a] = False, False
+                extend((*match, (int(i), a)), a + 1, remaining)
 
     extend((), 0, np.broadcast_to(np.isfinite(np.diagonal(seen)), (len(own), count)))
     return best

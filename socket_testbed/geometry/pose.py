@@ -1,4 +1,4 @@
-"""Rigid poses, singly or in batches, and their form in YAML documents."""
+"""Rigid poses, single or in batches, and their form in YAML documents."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Pose:
     def from_quaternion(cls, translation: FloatArray, quaternion: FloatArray) -> Pose:
         """Poses from positions (N, 3) [m] and quaternions (x, y, z, w) of any length, (N, 4) [-].
 
-        A quaternion that is NaN or zero gives NaN.
+        A NaN or zero quaternion gives NaN.
         """
         usable = np.isfinite(quaternion).all(axis=-1) & (quaternion != 0.0).any(axis=-1)
         rotation = np.full((*quaternion.shape[:-1], 3, 3), np.nan)
@@ -34,15 +34,15 @@ class Pose:
         return cls(rotation, translation)
 
     def quaternion(self) -> FloatArray:
-        """Quaternions (x, y, z, w), shape (4,) or (N, 4) [-]; NaN where the pose is NaN."""
-        return self._known(Rotation.as_quat, 4)
+        """Quaternions (x, y, z, w), shape (4,) or (N, 4) [-]; NaN if the pose is NaN."""
+        return self._converted(Rotation.as_quat, 4)
 
     def rotation_vector(self) -> FloatArray:
-        """Rotation vectors, shape (3,) or (N, 3) [rad]; NaN where the pose is NaN."""
-        return self._known(Rotation.as_rotvec, 3)
+        """Rotation vectors, shape (3,) or (N, 3) [rad]; NaN if the pose is NaN."""
+        return self._converted(Rotation.as_rotvec, 3)
 
-    def _known(self, convert: Callable[[Rotation], FloatArray], size: int) -> FloatArray:
-        """Rotations in another form of some size; NaN where the pose is NaN."""
+    def _converted(self, convert: Callable[[Rotation], FloatArray], size: int) -> FloatArray:
+        """Convert the rotations to a form of some size; NaN if the pose is NaN."""
         usable = np.isfinite(self.rotation).all(axis=(-2, -1))
         found = np.full((*self.rotation.shape[:-2], size), np.nan)
         if usable.any():
@@ -77,7 +77,7 @@ def about_z(angle: float) -> FloatArray:
     return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
 
-_ORTHONORMAL = 1e-6  # [-]; a file holds at least seven digits
+_TOLERANCE = 1e-6  # [-]; files have at least seven digits
 _Cosine = Annotated[float, Meta(ge=-2.0, le=2.0)]
 _Row = tuple[_Cosine, _Cosine, _Cosine]
 RotationRows = tuple[_Row, _Row, _Row]
@@ -103,7 +103,7 @@ def check_rotation(rows: RotationRows, field: str) -> None:
     """Refuse rows of R = [x y z] that are not a right-handed orthonormal frame."""
     rotation = np.array(rows)
     error = np.abs(rotation.T @ rotation - np.eye(3)).max()
-    if error > _ORTHONORMAL or np.linalg.det(rotation) < 0.0:
+    if error > _TOLERANCE or np.linalg.det(rotation) < 0.0:
         raise FieldError(
             f"{field} is not a right-handed orthonormal frame (off by {error:.1g})",
             "give columns x, y, z of unit length with y = z x x",
@@ -116,5 +116,5 @@ def pose_document(pose: Pose) -> dict[str, Any]:
 
 
 def plain(array: FloatArray) -> Any:
-    """Nested lists, with digits enough for 10 nm and 1e-9 rad."""
+    """Nested lists, rounded to nine digits: nm and nrad."""
     return (np.round(array, 9) + 0.0).tolist()

@@ -18,7 +18,7 @@ from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.documents import Document, FieldError, Text, convert, load_yaml
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import write_text
-from socket_testbed.geometry.marker_bodies import FEWEST_MARKERS, MOST_MARKERS, body_fault
+from socket_testbed.geometry.marker_bodies import MAX_MARKERS, MIN_MARKERS, body_fault
 from socket_testbed.geometry.pose import (
     Point,
     Pose,
@@ -37,20 +37,20 @@ SOCKET = "socket"  # the region of all tiles
 
 _STANDARD_REGIONS = {SOCKET, *SECTORS, *HEIGHTS, *PARTS_OF_SECTORS}
 _SAME_PLACE = 1e-4  # [m]
-_FAR, _LEAST_FAR = 4.0, 0.06  # times the usual distance of neighbours, and [m]: off the wall
-_FromScan = Annotated[float, Meta(ge=-100.0, le=100.0)]  # [m]; a scanner's origin may be anywhere
-_InBody = Annotated[float, Meta(ge=-1.0, le=1.0)]  # [m]; what is farther is in another unit
+_MAX_GAP_RATIO, _MAX_GAP = 4.0, 0.06  # over the median gap [-], and [m]; beyond both: off the wall
+_FromScan = Annotated[float, Meta(ge=-100.0, le=100.0)]  # [m]; the scanner's origin is arbitrary
+_InBody = Annotated[float, Meta(ge=-1.0, le=1.0)]  # [m]; larger values have another unit
 
 
 @dataclass(frozen=True)
 class ScanFrame:
-    """Where the scan is that the tiles were made from."""
+    """Unit and pose of the scan from which the tiles were made."""
 
     unit: float  # length of the scan's unit [m]
-    in_load_cell: Pose  # pose of the scan's frame (in metres) in {S}
+    in_load_cell: Pose  # of the scan's frame (in metres) in {S}
 
     def points(self, picked: FloatArray) -> FloatArray:
-        """Points in {S} [m] of points in the scan's coordinates and unit, (3,) or (N, 3)."""
+        """Map points from the scan's coordinates and unit to {S} [m], (3,) or (N, 3)."""
         return self.in_load_cell.apply(self.unit * picked)
 
 
@@ -65,25 +65,25 @@ class SocketGeometry:
     rotations: FloatArray
     areas: FloatArray  # areas of the tiles; (n,) [m^2]
     neighbours: IntArray  # pairs of neighbouring tiles; (e, 2)
-    clusters: dict[str, int]  # index of the tile that each cluster covers, by the cluster's name
+    clusters: dict[str, int]  # index of the tile under each cluster, by the cluster's name
     socket_markers: FloatArray  # markers of the socket in its body frame, 3 to 8; (k, 3) [m]
     pylon_markers: FloatArray  # markers of the pylon in its body frame, likewise
     socket_body: Pose  # pose of the socket's marker body in {S}
     limb: Pose  # pose of the limb in the pylon's marker body; its origin is the lumped mass
-    source: str = ""  # what the tiles were made from
-    registration: str = ""  # what the bodies were registered with; empty if they are only nominal
-    # Indices of the tiles of the user's own regions, ascending, by their names
+    source: str = ""  # origin of the tiles
+    registration: str = ""  # origin of the bodies' registration; empty if they are nominal
+    # Ascending tile indices of the user's own regions, by name
     regions: dict[str, tuple[int, ...]] = field(default_factory=dict)
-    # Angle of a cluster's x axis from that of its tile about the inward normal, by the cluster's
-    # name [rad]; a cluster that is not named is not turned
+    # Angle from the tile's x axis to the cluster's about the inward normal, by the cluster's name
+    # [rad]; zero for other clusters
     turned: dict[str, float] = field(default_factory=dict)
-    scan: ScanFrame | None = None  # where the scan is; None if it is not known
+    scan: ScanFrame | None = None  # None if unknown
 
     def __len__(self) -> int:
         return len(self.names)
 
     def same_tiles(self, other: SocketGeometry) -> bool:
-        """Whether another geometry has the same tiles at the same places."""
+        """Whether another geometry has the same tiles in the same places."""
         return (
             self.names == other.names
             and np.allclose(self.anchors, other.anchors, rtol=0.0, atol=_SAME_PLACE)
@@ -91,7 +91,7 @@ class SocketGeometry:
         )
 
     def limb_pose(self, socket_in_world: Pose, pylon_in_world: Pose) -> Pose:
-        """N poses of the limb in {S} from those of both marker bodies; NaN where one is NaN.
+        """N poses of the limb in {S} from those of both marker bodies; NaN if either is NaN.
 
         The origin of the limb is q.
         """
@@ -107,12 +107,12 @@ class SocketGeometry:
         return np.stack([x, y, -stress[..., 0]], axis=-1) * self.areas[self.clusters[cluster]]
 
     def cluster_stress(self, cluster: str, force: FloatArray) -> FloatArray:
-        """Undo `cluster_force`: stresses [Pa] from forces [N], shape (..., 3)."""
+        """Inverse of `cluster_force`: stresses [Pa] from forces [N], shape (..., 3)."""
         x, y = _turn(force[..., 0], force[..., 1], -self.turned.get(cluster, 0.0))
         return np.stack([-force[..., 2], x, y], axis=-1) / self.areas[self.clusters[cluster]]
 
     def square_frames(self) -> FloatArray:
-        """Frames, (n, 3, 3), with x and y along the tiles' edges; turned clusters turn theirs."""
+        """Frames, (n, 3, 3), with x and y along the tiles' edges, turned with their clusters."""
         frames = self.rotations.copy()
         for cluster, angle in self.turned.items():
             frames[self.clusters[cluster]] @= about_z(angle)
@@ -150,8 +150,8 @@ class SocketGeometry:
 
 
 def _turn(x: FloatArray, y: FloatArray, angle: float) -> tuple[FloatArray, FloatArray]:
-    """Components of vectors after they are turned about z by an angle [rad]."""
-    if not angle:  # what is missing of one is not missing of both
+    """Rotate vector components about z by an angle [rad]."""
+    if not angle:  # keeps a NaN in one component out of the other
         return x, y
     return np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y
 
@@ -160,12 +160,12 @@ _HEADER = """\
 # Geometry of the socket in the frame of the load cell, {S}. Lengths in m, areas in m^2.
 # frame: rows of R = [x y z], which maps the tile's frame to {S}; z is the inward normal of the
 # surface, x the tangent towards the proximal end, y = z x x.
-# source: what the tiles were made from; scan: its unit [m] and its frame's pose in {S}.
-# clusters: the tile that each covers; turned: from the tile's x to the cluster's, about z [deg].
+# source: origin of the tiles; scan: its unit [m] and the pose of its frame in {S}.
+# clusters: the tile under each; turned: from the tile's x to the cluster's, about z [deg].
 # regions: your own, each a list of tiles; they may overlap.
 # bodies: 3 to 8 markers each in their bodies' frames; in_load_cell: the socket body's pose in {S};
 # limb_in_body: the limb's pose in the pylon's body, its origin being the lumped mass;
-# registration: what they were registered with; without it they are nominal.
+# registration: origin of their registration; without it they are nominal.
 """
 
 
@@ -195,7 +195,7 @@ class _Scan(Document):
 class _Body(Document):
     markers: Annotated[
         list[tuple[_InBody, _InBody, _InBody]],
-        Meta(min_length=FEWEST_MARKERS, max_length=MOST_MARKERS),
+        Meta(min_length=MIN_MARKERS, max_length=MAX_MARKERS),
     ]
 
     def __post_init__(self) -> None:
@@ -242,7 +242,7 @@ def read_socket(path: Path) -> SocketGeometry:
 
 
 def socket_from_document(data: Any, where: str) -> SocketGeometry:
-    """Build the geometry from the content of `socket.yaml`, with every check; errors say where."""
+    """Build and check the geometry from the content of `socket.yaml`; errors start with `where`."""
     document: _Socket = convert({} if data is None else data, _Socket, where)
     tiles, bodies = document.tiles, document.bodies
     names = tuple(tiles)
@@ -257,7 +257,7 @@ def socket_from_document(data: Any, where: str) -> SocketGeometry:
             f"{where}: clusters: two clusters are on '{names[shared]}'", "give each its own tile"
         )
     anchors = np.array([tile.anchor for tile in tiles.values()])
-    _refuse_odd_places(anchors, names, where)
+    _check_anchors(anchors, names, where)
     scan = document.scan
     return SocketGeometry(
         names=names,
@@ -285,7 +285,7 @@ def _index(tile: Text, names: tuple[str, ...], where: str) -> int:
     return names.index(str(tile))
 
 
-def _refuse_odd_places(anchors: FloatArray, names: tuple[str, ...], where: str) -> None:
+def _check_anchors(anchors: FloatArray, names: tuple[str, ...], where: str) -> None:
     apart, nearest = cKDTree(anchors).query(anchors, k=2)
     if apart[:, 1].min() < _SAME_PLACE:
         a = int(apart[:, 1].argmin())
@@ -293,10 +293,10 @@ def _refuse_odd_places(anchors: FloatArray, names: tuple[str, ...], where: str) 
         raise ConfigurationError(
             f"{where}: tiles: {names[a]}: is at the same place as {names[b]}", "remove one of them"
         )
-    far = int(apart[:, 1].argmax())
-    if apart[far, 1] > max(_FAR * np.median(apart[:, 1]), _LEAST_FAR):
+    lone = int(apart[:, 1].argmax())
+    if apart[lone, 1] > max(_MAX_GAP_RATIO * np.median(apart[:, 1]), _MAX_GAP):
         raise ConfigurationError(
-            f"{where}: tiles: {names[far]}: is {1e3 * apart[far, 1]:.0f} mm from all others",
+            f"{where}: tiles: {names[lone]}: is {1e3 * apart[lone, 1]:.0f} mm from all others",
             "correct its anchor, in m",
         )
 
@@ -314,9 +314,9 @@ def _neighbours(pairs: list[list[Text]], names: tuple[str, ...], where: str) -> 
 def find_regions(
     regions: Mapping[str, Sequence[Text]], names: tuple[str, ...], where: str
 ) -> dict[str, tuple[int, ...]]:
-    """Indices of the tiles of a user's own regions, ascending, by the regions' names.
+    """Ascending tile indices of the user's own regions, by name.
 
-    The regions hold names of tiles, of those of the socket; an error says where.
+    The regions list tiles of the socket by name; errors start with `where`.
     """
     found = {}
     for name, tiles in regions.items():

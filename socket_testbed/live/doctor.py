@@ -19,7 +19,7 @@ from socket_testbed.drivers.load_cell.ads131m0x import CHECK_WIRING
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker
 from socket_testbed.errors import DeviceError, TestbedError
-from socket_testbed.geometry.marker_bodies import FEWEST_MARKERS
+from socket_testbed.geometry.marker_bodies import MIN_MARKERS
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.live.hardware import make_clusters, make_load_cell, make_trigger
@@ -104,7 +104,7 @@ def check_trigger(testbed: Testbed) -> Iterator[Outcome]:
         for _ in range(_PULSES):
             before = clocks.monotonic()
             delays.append(trigger.fire() - before)
-            trigger.rest()
+            trigger.end_pulse()
     found = "the steady clock; no wire"
     if settings.source == "gpio":
         found = (
@@ -210,7 +210,7 @@ def check_motion_capture(testbed: Testbed) -> Iterator[Outcome]:
     counts = (len(geometry.socket_markers), len(geometry.pylon_markers))
     names = (settings.socket_body, settings.pylon_body)
     for name, count, body in zip(names, counts, seen, strict=True):
-        what, number = f"rigid body {name}", "three" if count == FEWEST_MARKERS else count
+        what, number = f"rigid body {name}", "three" if count == MIN_MARKERS else count
         found = f"its {number} markers are seen"
         yield _failure(what, body.fault) if body.fault else Outcome(what, found)
 

@@ -1,4 +1,4 @@
-"""Drivers on the machine's own buses and lines, or on those of a simulated world."""
+"""Creates drivers on the machine's buses and lines, or on those of a simulated world."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from socket_testbed.simulation.devices.gpio import SimulatedLines
 from socket_testbed.simulation.devices.i2c import SimulatedChip, SimulatedClusterHardware
 from socket_testbed.simulation.world import World
 
-# The driver of each chip that clusters can have and its simulated counterpart, by the name that
-# cluster_node's setting `chip` gives it.
+# Driver and simulated counterpart of each chip for clusters, by the value of cluster_node's setting
+# `chip`.
 CAPACITIVE_CHIPS: dict[str, tuple[type[CapacitiveChip], type[SimulatedChip]]] = {
     "fdc1004": (Fdc1004, SimulatedFdc1004)
 }
 
 
 def _require_real_time() -> None:
-    """Refuse a time scale where there is hardware, which keeps to real time."""
+    """Refuse a time scale with hardware, which runs in real time."""
     if clocks.time_scale() != 1.0:
         raise ConfigurationError(
             f"{clocks.TIME_SCALE}={clocks.time_scale():g} is for a simulated testbed, not hardware",
@@ -44,7 +44,7 @@ def _require_real_time() -> None:
 
 
 def make_trigger(settings: TriggerSettings) -> gpio.Trigger:
-    """The trigger."""
+    """Create the trigger."""
     if settings.source == "timer":
         return gpio.TimerTrigger()
     if settings.simulation:
@@ -57,7 +57,7 @@ def make_trigger(settings: TriggerSettings) -> gpio.Trigger:
 
 
 def wall_clock(settings: TriggerSettings) -> Callable[[], int]:
-    """The system clock since the epoch [ns], or that of a simulated world."""
+    """A function for the time since the epoch [ns], by the system or a simulated world."""
     if settings.simulation:
         return World(Path(settings.simulation)).wall_clock
     return time.time_ns
@@ -73,12 +73,12 @@ def capacitive_chip(settings: ClusterSettings) -> tuple[type[CapacitiveChip], ty
 
 
 def make_clusters(settings: ClusterSettings) -> ClusterReader:
-    """The reader of the clusters."""
+    """Create the reader of the clusters."""
     return ClusterReader(settings, capacitive_chip(settings)[0], i2c_opener(settings))
 
 
 def i2c_opener(settings: ClusterSettings) -> Callable[[int], I2cBus]:
-    """A function that opens an I2C bus by its number."""
+    """A function that opens an I2C bus by number."""
     if not settings.simulation:
         _require_real_time()
         return lambda number: open_i2c(number, settings.bus_timeout)
@@ -94,7 +94,7 @@ def i2c_opener(settings: ClusterSettings) -> Callable[[int], I2cBus]:
 
 
 def make_load_cell(settings: LoadCellSettings) -> LoadCell:
-    """The load cell, with its converter's DRDY where that is wired."""
+    """Create the load cell, with its converter's DRDY if wired."""
     open_device = spi_opener(settings)
     open_line: Callable[[], gpio.EdgeLine] | None = None
     if settings.data_ready_line >= 0 and settings.simulation:
@@ -107,7 +107,7 @@ def make_load_cell(settings: LoadCellSettings) -> LoadCell:
 
 
 def spi_opener(settings: LoadCellSettings) -> Callable[[], Any]:
-    """A function that opens the load cell's converter, an `SpiDevice`; simulated, its line, too."""
+    """A function that opens the converter as an `SpiDevice`; if simulated, also as its line."""
     if not settings.simulation:
         _require_real_time()
         return lambda: open_spi(settings.device, settings.spi_clock)

@@ -1,6 +1,6 @@
-"""The simulated testbed live: the physics advances a world that the simulated chips sense.
+"""The live simulated testbed: the physics advances the world that the simulated chips sense.
 
-Run as a process, `python -m socket_testbed.live.simulated_world`, beside the nodes.
+Run as a process next to the nodes: `python -m socket_testbed.live.simulated_world`.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, loa
 from socket_testbed.simulation.trial import GroundTruth, random_streams, save_truth
 from socket_testbed.simulation.world import World
 
-_PERIOD = 0.04  # [s]; of the physics; between two states the world is linear
-_LEAD = 0.2  # [s]; of the physics ahead of the clock: a busy machine does not stop the world
-_SWITCH = 5e-4  # [s]; a frame that is due waits no longer for the physics
-_THUMB = 15e3  # [Pa]; pressure of a thumb on a cluster
+_PERIOD = 0.04  # [s]; time step of the physics, with linear interpolation
+_LEAD = 0.2  # [s]; of the physics over the clock, as a buffer on busy machines
+_SWITCH_INTERVAL = 5e-4  # [s]; longest wait of a due frame for the physics
+_THUMB_PRESSURE = 15e3  # [Pa]; on a cluster
 _BODIES = ("socket", "pylon")
 
 SCALES = {  # testbed seconds per real second [-]
@@ -43,12 +43,12 @@ SCALES = {  # testbed seconds per real second [-]
     0.0625: "a sixteenth of real time",
 }
 SLOWEST = min(SCALES)
-LATEST = 3e-3  # [s]; lateness that the drivers bridge in real time
-_WATCHED = 0.5  # [s]; for each of the two measurements of the speed
-_UNIT = 115e-6  # [s]; for the unit of work on an idle core of the machine that this was tried on
-# Measured: with 0.034 of such a core for a busy process and threads that wake up 10 ms late, half
-# of real time left 2 % of the samples incomplete, real time 30 %.
-_ENOUGH = 0.13  # [-]; part of such a core that suffices for real time
+LATEST = 3e-3  # [s]; lateness that the drivers tolerate in real time
+_MEASURE_TIME = 0.5  # [s]; for each of the two measurements of the speed
+_WORK_TIME = 115e-6  # [s]; for the unit of work on an idle core of the reference machine
+# Measured with 0.034 of such a core for a busy process and threads that wake up 10 ms late: at half
+# of real time 2 % of the samples were incomplete, in real time 30 %.
+_MIN_SPEED = 0.13  # [-]; fraction of such a core required for real time
 
 
 @dataclass(frozen=True)
@@ -56,58 +56,58 @@ class Simulation:
     """The simulated load and tissue."""
 
     scenario: Scenario = "static_hold"  # the load history
-    period: float = 120.0  # its duration, after which it starts again [s]
-    seed: int = 0  # of all random numbers
-    pace: float = 1.0  # how much faster the load changes than in the scenario [-]
-    sway: float = 0.0  # how far the stand sways in the world [m]
+    period: float = 120.0  # of the load history, which then repeats [s]
+    seed: int = 0  # for all random numbers
+    pace: float = 1.0  # speed of the load relative to the scenario [-]
+    sway: float = 0.0  # amplitude of the stand's sway in the world [m]
     time_scale: float = 1.0  # testbed seconds per real second, in (0, 1] [-]
     tissue: TissueKind = "soft"  # kind of the limb's tissue
-    noise: float = 1.0  # of the load cell, over the usual one [-]
+    noise: float = 1.0  # of the load cell, relative to the default [-]
 
 
 @dataclass(frozen=True)
 class MachineSpeed:
-    """The share of this machine that one more process gets at present."""
+    """The share of this machine currently available to one more process."""
 
-    lateness: float  # how late a thread wakes up from a short sleep, 90th percentile [s]
-    speed: float  # work that a thread gets done, relative to an idle core of the reference [-]
+    lateness: float  # of threads waking up from a short sleep, 90th percentile [s]
+    speed: float  # of a thread, relative to an idle core of the reference machine [-]
 
     def time_scale(self) -> float:
-        """The fastest scale at which a simulated testbed can be expected to keep up [-]."""
-        fastest = min(self.speed / _ENOUGH, LATEST / max(self.lateness, 1e-9))
+        """The fastest scale at which a simulated testbed should keep up [-]."""
+        fastest = min(self.speed / _MIN_SPEED, LATEST / max(self.lateness, 1e-9))
         return next((scale for scale in SCALES if scale <= fastest), SLOWEST)
 
 
 def measure_speed() -> MachineSpeed:
     """Measure this machine for about a second."""
-    lateness = measure_lateness(duration=_WATCHED)
+    lateness = measure_lateness(duration=_MEASURE_TIME)
     units = 0
     begin = now = time.perf_counter()
-    while now - begin < _WATCHED:
+    while now - begin < _MEASURE_TIME:
         total = 0
         for k in range(2000):  # the unit of work
             total += k * k % 7
         units += 1
         now = time.perf_counter()
-    return MachineSpeed(float(np.percentile(lateness, 90)), units * _UNIT / (now - begin))
+    return MachineSpeed(float(np.percentile(lateness, 90)), units * _WORK_TIME / (now - begin))
 
 
 def pace(scale: float) -> str:
-    """How fast a simulated testbed runs, in words: 'a quarter of real time'."""
+    """Speed of a simulated testbed as a text, such as 'a quarter of real time'."""
     return SCALES.get(scale, f"{scale:g} of real time")
 
 
 def busy_note(scale: float) -> str:
-    """A note on the scale that was chosen; empty for real time."""
+    """A note on the chosen scale; empty for real time."""
     if scale == 1.0:
         return ""
     return f"this machine is busy: the simulated testbed runs at {pace(scale)}"
 
 
 class LiveTestbed:
-    """The physics of a testbed, one state of its world after the other; it remembers all to `save`.
+    """The physics of a testbed, advanced state by state; keeps all states for `save`.
 
-    Geometry and calibration are those that the lab believes in.
+    Geometry and calibration are the nominal ones of the lab.
     """
 
     def __init__(
@@ -142,7 +142,7 @@ class LiveTestbed:
         self._history: list[dict[str, Any]] = []
 
     def advance(self, moment: float) -> None:
-        """Move the world on to a time of the steady clock [s]."""
+        """Advance the world to a time of the steady clock [s]."""
         elapsed = moment - self._start
         load = self._loads[int(elapsed / _PERIOD) % len(self._loads)]
         if out := int(self._world.faults["limb.out"]):
@@ -181,17 +181,17 @@ class LiveTestbed:
         )
 
     def _pressed(self, number: int) -> tuple[FloatArray, FloatArray]:
-        """Forces on the tiles (n, 3) [N] and the load (6,) under a thumb on the n-th cluster."""
+        """Forces on the tiles (n, 3) [N] and the load (6,) for a thumb on the n-th cluster."""
         forces = np.zeros((len(self._geometry), 3))
         if number > 0:
             tile = [*self._geometry.clusters.values()][number - 1]
             inward = self._geometry.rotations[tile, :, 2]
-            forces[tile] = -_THUMB * self._geometry.areas[tile] * inward
+            forces[tile] = -_THUMB_PRESSURE * self._geometry.areas[tile] * inward
         moments = np.cross(self._geometry.anchors, forces)
         return forces, np.concatenate([moments.sum(axis=0), forces.sum(axis=0)])
 
     def save(self, path: Path, clock: SteadyClock) -> None:
-        """Write the true states, and what the sensors felt of them but for their noise."""
+        """Write the true states and the noise-free sensor values."""
         columns = {
             name: np.array([state[name] for state in self._history], dtype=float)
             for name in self._history[0]
@@ -205,7 +205,7 @@ class LiveTestbed:
 def markers_at(geometry: SocketGeometry, poses: FloatArray) -> list[FloatArray]:
     """Markers of socket and pylon in the world, shape (k, 3) each [m].
 
-    Poses are positions [m] and unit quaternions (x, y, z, w) of the two bodies, shape (2, 7).
+    Poses hold positions [m] and unit quaternions (x, y, z, w) of the two bodies, shape (2, 7).
     """
     references = (geometry.socket_markers, geometry.pylon_markers)
     return [
@@ -215,7 +215,7 @@ def markers_at(geometry: SocketGeometry, poses: FloatArray) -> list[FloatArray]:
 
 
 def _padded(markers: list[FloatArray]) -> FloatArray:
-    """Markers of bodies, shape (2, k, 3) [m]; NaN beyond those of the body with fewer."""
+    """Markers of both bodies, shape (2, k, 3) [m]; padded with NaN."""
     padded = np.full((len(markers), max(map(len, markers)), 3), np.nan)
     for row, own in zip(padded, markers, strict=True):
         row[: len(own)] = own
@@ -223,7 +223,7 @@ def _padded(markers: list[FloatArray]) -> FloatArray:
 
 
 def main() -> None:
-    """Advance a world with the testbed's clock until this process is ended.
+    """Advance a world with the testbed's clock until the process is stopped.
 
     Arguments: the folder of the world, the `Simulation` as JSON, the paths of `socket.yaml` and
     `calibration.yaml`, and the file for the true states, empty for none.
@@ -234,7 +234,7 @@ def main() -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
     end_with_starter()
-    sys.setswitchinterval(_SWITCH)
+    sys.setswitchinterval(_SWITCH_INTERVAL)
     clock = SteadyClock()
     world = World(Path(folder))
     errors = sensors.SensorErrors()
@@ -254,7 +254,7 @@ def main() -> None:
     server = NatNetServer(
         bodies, rate=sensors.CAMERA_RATE, faults=world.faults, noise=errors.marker_noise,
         seed=simulation.seed,
-        address=("127.0.0.1", world.port),  # started again, it is where the clients look for it
+        address=("127.0.0.1", world.port),  # keeps its port after a restart
     )  # fmt: skip
     world.port = server.address[1]
     try:

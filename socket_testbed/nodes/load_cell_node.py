@@ -73,7 +73,7 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
     def measure(self, stamp: int, moment: float) -> None:
         """Wait for the conversions around the trigger and average them."""
         span = averaging_span(self.settings.average_over, self.period)
-        over = self._cell.over(moment, span)
+        over = self._cell.end_time(moment, span)
         clocks.sleep(max(0.0, over - clocks.monotonic()))
         left = over + _PATIENCE - clocks.monotonic()
         with self._polled:

@@ -124,7 +124,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
             self._own.append(stamp)
             self._send(stamp, self._sequence)
         if self._trigger is not None:
-            self._trigger.rest()
+            self._trigger.end_pulse()
 
     def check(self) -> None:
         """Report what the last pulses lacked, another trigger, or a clock that was set."""

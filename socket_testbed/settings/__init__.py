@@ -1,1 +1,1 @@
-"""Settings of the package: the only home of their defaults."""
+"""Settings of the package; their defaults are defined only here."""

@@ -1,4 +1,4 @@
-"""Settings as frozen records: every field is checked for type and range on construction."""
+"""Settings as frozen dataclasses; construction checks the type and range of every field."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from socket_testbed.errors import ConfigurationError
 
 S = TypeVar("S", bound="Settings")
 
-# Switches of older files that the package no longer has; switched off, they change nothing.
+# Switches in older files that were removed; accepted if they are off.
 _RETIRED = ("noise_correction",)
 
-_hints: Callable[[Any], dict[str, Any]] = cache(get_type_hints)  # a front makes hundreds
+_hints: Callable[[Any], dict[str, Any]] = cache(get_type_hints)  # cached: a front makes hundreds
 
 
 def setting(
     default: Any,
     description: str,
-    low: float = -FINITE,  # the smallest value allowed
-    high: float = FINITE,  # the largest one
-    choices: tuple[str, ...] = (),  # the values allowed, for a text
-    fixed: bool = False,  # whether a node takes it at its start only
-    auto: float | None = None,  # the number that the text `auto` stands for, if any
+    low: float = -FINITE,  # minimum
+    high: float = FINITE,  # maximum
+    choices: tuple[str, ...] = (),  # allowed texts
+    fixed: bool = False,  # whether a node reads it only at startup
+    auto: float | None = None,  # value of the text `auto`, if allowed
 ) -> Any:
-    """A field of a settings class; the description has the unit in brackets."""
+    """A field of a settings class; its description ends with the unit in brackets."""
     metadata = {"description": description, "low": low, "high": high}
     metadata |= {"choices": choices, "fixed": fixed, "auto": auto}
     return field(default=default, metadata=metadata)
@@ -42,14 +42,14 @@ fixed = partial(setting, fixed=True)
 
 @cache
 def _document(kind: Any) -> type[msgspec.Struct]:
-    """The fields of settings as those of a document, without the settings below."""
+    """A document type with the fields of settings, without nested settings."""
     items = (item for item in dataclasses.fields(kind) if item.metadata)
     declared = [(item.name, _checked(_hints(kind)[item.name], item.metadata)) for item in items]
     return msgspec.defstruct(kind.__name__, declared, bases=(Document,))
 
 
 def _checked(kind: Any, limits: Mapping[str, Any]) -> Any:
-    """A type with the limits of its field."""
+    """A type annotated with the limits of its field."""
     if get_origin(kind) is tuple:
         return tuple[_checked(get_args(kind)[0], limits), ...]  # type: ignore[misc]
     if limits["choices"]:
@@ -60,9 +60,9 @@ def _checked(kind: Any, limits: Mapping[str, Any]) -> Any:
 
 @dataclass(frozen=True)
 class Settings:
-    """Base of the settings: every field is checked for type and range on construction.
+    """Base class of all settings; construction checks the type and range of every field.
 
-    A text such as `1e-08` stands for the number: ROS may hand over one for the other.
+    Texts such as `1e-08` are accepted as numbers, since ROS may pass them.
     """
 
     def __post_init__(self) -> None:
@@ -71,14 +71,14 @@ class Settings:
             if item.metadata:
                 value, auto = getattr(self, item.name), item.metadata["auto"]
                 given[item.name] = auto if auto is not None and value == "auto" else plain(value)
-        kind: Any = type(self)  # a type is hashable, whatever its objects are
+        kind: Any = type(self)  # hashable, even if its instances are not
         checked = convert(given, _document(kind), strict=False)
         for name in given:
             object.__setattr__(self, name, getattr(checked, name))
 
     @classmethod
     def flat(cls, prefix: str = "") -> dict[str, dataclasses.Field[Any]]:
-        """All fields by their dotted names, those of the settings below included."""
+        """All fields by dotted name, including those of nested settings."""
         names: dict[str, dataclasses.Field[Any]] = {}
         hints = _hints(cls)
         for item in dataclasses.fields(cls):
@@ -90,9 +90,9 @@ class Settings:
 
     @classmethod
     def from_flat(cls: type[S], values: dict[str, Any], where: str, prefix: str = "") -> S:
-        """Build the settings from values by their dotted names; the others keep their defaults.
+        """Build the settings from values by dotted name; other fields keep their defaults.
 
-        An error names the source as `where`. The prefix is that of settings below others.
+        Errors start with `where`. `prefix` is the dotted prefix of nested settings.
         """
         if not prefix:
             kept = [n for n in values if not (values[n] is False and n.endswith(_RETIRED))]
@@ -111,7 +111,7 @@ class Settings:
             raise ConfigurationError(f"{where}: {prefix}{error.fact}", error.hint) from None
 
     def to_flat(self, prefix: str = "") -> dict[str, Any]:
-        """All values by their dotted names; a tuple becomes a list."""
+        """All values by dotted name; tuples become lists."""
         values: dict[str, Any] = {}
         for item in dataclasses.fields(self):
             value = getattr(self, item.name)
@@ -123,8 +123,8 @@ class Settings:
 
 
 def parameter_values(settings: Settings) -> dict[str, Any]:
-    """Values by their dotted names, as ROS parameters can hold them.
+    """Values by dotted name, in a form valid for ROS parameters.
 
-    An empty list has no type in ROS: a list of one empty text stands for it.
+    An empty list has no type in ROS, so it becomes a list of one empty text.
     """
     return {name: [""] if v == [] else v for name, v in settings.to_flat().items()}

@@ -1,4 +1,4 @@
-"""Settings of the identification, of steady stretches of a trial, and of the force map."""
+"""Settings of the identification, of the plateaus of a trial, and of the force map."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ WEIGHTS: tuple[Weights, ...] = get_args(Weights)
 
 
 def check_solver(solver: str) -> None:
-    """Check that qpsolvers finds a solver: a model may name one that is not installed here."""
-    import qpsolvers  # it imports every solver
+    """Check that a solver is installed; a model may name one that is not."""
+    import qpsolvers  # imported late: it imports every solver
 
     installed = qpsolvers.available_solvers
     if solver not in installed:
@@ -32,7 +32,7 @@ def check_solver(solver: str) -> None:
 
 @dataclass(frozen=True)
 class IdentificationSettings(Settings):
-    """How the contact model is identified (the two stages)."""
+    """Settings of the two-stage identification of the contact model."""
 
     variant: str = setting(
         "rigid_bias",
@@ -43,7 +43,7 @@ class IdentificationSettings(Settings):
         0.5, "weight of the wrench against the clusters, on normalised errors [-]", 0.0, 1.0
     )
     weights: str = setting(
-        "size", "what weighs the channels of a group: their size, their noise, or nothing, raw [-]",
+        "size", "weights of the channels within a group: by size, by noise, or equal (raw) [-]",
         choices=WEIGHTS,
     )  # fmt: skip
     gate_sharpness: float = setting(2000.0, "sharpness alpha of the gate [1/m]", 1.0, 1e6)
@@ -52,7 +52,7 @@ class IdentificationSettings(Settings):
         0.0, 1e7, auto=0.0,
     )  # fmt: skip
     reference_position: tuple[float, ...] = setting(
-        (), "q_ref, centre of the rest positions' box; none: the mean position [m]", -10.0, 10.0
+        (), "q_ref, centre of the box of rest positions; empty: the mean position [m]", -10.0, 10.0
     )
     rest_position_limit: float = setting(
         0.008, "largest distance of a rest position from q_ref, per axis [m]", 1e-5, 0.1
@@ -70,22 +70,22 @@ class IdentificationSettings(Settings):
         1000.0, "sharpness alpha of the rigid variants' contact [1/m]", 1.0, 1e6
     )
     wrench_sharpness: tuple[float, ...] = setting(
-        (100.0, 20.0), "those tried for the wrench of rigid_bias beside it and a linear regression,"
-        " by the error on the unseen half; none: its own [1/m]", 1.0, 1e6,
+        (100.0, 20.0), "tried for the wrench of rigid_bias, like contact_sharpness and a linear"
+        " regression, by the error on the unseen half; empty: contact_sharpness [1/m]", 1.0, 1e6,
     )  # fmt: skip
     prior: float = setting(
         1.0, "weight of the rigid variants' prior over the tiles against the errors [-]", 1e-9, 1e6
     )
-    leave_out: tuple[str, ...] = setting((), "channels left out, such as distal.Fx or Mz [-]")
+    leave_out: tuple[str, ...] = setting((), "channels to leave out, such as distal.Fx or Mz [-]")
     frames: int = setting(
         0, "samples from the segment's start that offline fits use; 0: all [1]", 0, 10_000_000
     )
     pose_smoothing: float = setting(
         0.0, "centred window of the mean pose in offline fits; 0: none [s]", 0.0, 60.0
     )
-    solver: str = setting("osqp", "what solves the programs: any solver that qpsolvers finds [-]")
+    solver: str = setting("osqp", "solver of the quadratic programs: any that qpsolvers finds [-]")
     solver_tolerance: float = setting(
-        1e-8, "largest KKT residual that a solution may have, in scaled units [-]", 1e-12, 1e-2
+        1e-8, "largest KKT residual of a solution, in scaled units [-]", 1e-12, 1e-2
     )
 
     def __post_init__(self) -> None:
@@ -99,11 +99,11 @@ class IdentificationSettings(Settings):
 
 @dataclass(frozen=True)
 class PlateauSettings(Settings):
-    """Bounds within which a stretch of a trial is steady."""
+    """Criteria for steady plateaus of a trial."""
 
     smoothing: float = setting(2.0, "window of the moving mean of the wrench [s]", 0.05, 60.0)
     force_change: float = setting(
-        8.0, "difference of the mean force that counts as an intended change of load [N]", 0.1, 1e4
+        8.0, "difference of the mean force that counts as a change of load [N]", 0.1, 1e4
     )
     moment_change: float = setting(
         0.8, "difference of the mean moment that counts as a change of load [N m]", 0.01, 1e3
@@ -121,10 +121,10 @@ class PlateauSettings(Settings):
         5.0, "largest spread of the mean force on a cluster within a plateau [N]", 0.01, 1e4
     )
     missing_fraction: float = setting(
-        0.2, "largest fraction of missing channels within the moving window [-]", 0.0, 1.0
+        0.2, "largest fraction of missing channels in the moving window [-]", 0.0, 1.0
     )
     least_force: float = setting(
-        20.0, "smallest mean force: an unloaded stretch says nothing about contact [N]", 0.0, 1e4
+        20.0, "smallest mean force; unloaded data gives no information on contact [N]", 0.0, 1e4
     )
     least_duration: float = setting(5.0, "shortest plateau [s]", 0.1, 1e5)
 
@@ -133,13 +133,13 @@ class PlateauSettings(Settings):
 class ForceMapSettings(Settings):
     """The prior of the force map: sizes of the forces on tiles and of the channels' errors.
 
-    Medians and means where the data chooses; sizes are standard deviations.
+    Values that the data adjusts are medians or means; sizes are standard deviations.
     """
 
     normal_deviation: float = setting(
-        4.5, "usual size of a tile's own normal force; the data scales it [N]", 1e-3, 1e4
+        4.5, "typical size of a tile's own normal force; scaled by the data [N]", 1e-3, 1e4
     )
-    length: float = setting(0.08, "distance over which forces are alike [m]", 1e-3, 1.0)
+    length: float = setting(0.08, "correlation length of the forces [m]", 1e-3, 1.0)
     shear: float = setting(
         0.2, "a tile's own tangential force, relative to its own normal force [-]", 1e-3, 1e2
     )
@@ -157,22 +157,22 @@ class ForceMapSettings(Settings):
         0.7, "variation of the bed's stiffness over the surface, relative to it [-]", 1e-3, 1e1
     )
     arm: float = setting(
-        0.06, "distance at which a rotation counts like a translation [m]", 1e-3, 1.0
+        0.06, "lever arm that makes a rotation comparable to a translation [m]", 1e-3, 1.0
     )
     drag: float = setting(
         0.1, "distal force on a tile by friction, relative to its normal force [-]", -1.0, 1.0
     )
     drag_spread: float = setting(0.1, "its standard deviation [-]", 0.0, 0.5)
-    share: float = setting(0.88, "share of the load that the tiles bear, mean [-]", 0.2, 1.0)
+    share: float = setting(0.88, "mean share of the load borne by the tiles [-]", 0.2, 1.0)
     share_spread: float = setting(0.07, "its standard deviation [-]", 0.0, 0.3)
     moment_error: float = setting(
-        0.7, "offset of a moment, with what the surface between tiles adds [N m]", 1e-6, 1e2
+        0.7, "offset of a moment, including the surface between tiles [N m]", 1e-6, 1e2
     )
-    force_error: float = setting(4.0, "the same of a force of the load cell [N]", 1e-6, 1e3)
+    force_error: float = setting(4.0, "the same for a force of the load cell [N]", 1e-6, 1e3)
     cluster_error: float = setting(0.3, "offset of a force on a cluster [N]", 1e-6, 1e3)
     cluster_gain_error: float = setting(0.05, "error of a cluster's gain [-]", 0.0, 1.0)
     cluster_error_spread: float = setting(1.0, "deviation of log(cluster_error) [-]", 0.0, 3.0)
     spread: float = setting(
-        1.0, "the same of bed_shear, bed_variation and the relative sizes [-]", 0.0, 2.0
+        1.0, "the same for bed_shear, bed_variation and the relative sizes [-]", 0.0, 2.0
     )
-    draws: int = setting(64, "hypotheses of these; 1: all are as given [1]", 1, 1024)
+    draws: int = setting(64, "number of draws of these; 1: the given values only [1]", 1, 1024)

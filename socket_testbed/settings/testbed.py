@@ -1,7 +1,7 @@
-"""Settings of all nodes as one tree, and the file `testbed.yaml` that holds them.
+"""Settings of all nodes as one tree, and their file `testbed.yaml`.
 
-A node declares its parameters from these classes under the same dotted names. The defaults live
-here and in `acquisition.py` and `identification.py`, nowhere else.
+Nodes declare their parameters from these classes under the same dotted names. The defaults are
+defined only here, in `acquisition.py` and in `identification.py`.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ from socket_testbed.settings.identification import (
 
 @dataclass(frozen=True)
 class WindowSettings(Settings):
-    """The samples from which the estimator fits while a trial runs."""
+    """The samples used for fits while a trial runs."""
 
-    duration: float = fixed(60.0, "length of the window of newest samples [s]", 1.0, 3600.0)
-    least_samples: int = setting(80, "steady samples before a fit by itself [1]", 10, 1000000)
-    refit_after: int = setting(80, "new samples before it fits again; 0: never [1]", 0, 1000000)
-    pending: int = fixed(200, "stamps kept while their measurements come in [1]", 2, 100000)
+    duration: float = fixed(60.0, "length of the window of recent samples [s]", 1.0, 3600.0)
+    least_samples: int = setting(80, "steady samples before an automatic fit [1]", 10, 1000000)
+    refit_after: int = setting(80, "new samples before the next fit; 0: never [1]", 0, 1000000)
+    pending: int = fixed(200, "stamps kept while waiting for their measurements [1]", 2, 100000)
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class EstimatorSettings(Settings):
 
     geometry: str = fixed("", "path of socket.yaml; empty: the package's own [-]")
     model: str = fixed("", "path of a fitted model to start from; empty: none [-]")
-    auto_fit: bool = setting(True, "fit when enough steady data is in [-]")
+    auto_fit: bool = setting(True, "fit once there is enough steady data [-]")
     identification: IdentificationSettings = IdentificationSettings()
     plateau: PlateauSettings = PlateauSettings()
     window: WindowSettings = WindowSettings()
@@ -60,13 +60,13 @@ class CalibrationNodeSettings(Settings):
     calibration: str = fixed("", "path of calibration.yaml; empty: the package's own [-]")
 
 
-_FORBIDDEN = ',<>:"/\\|?*'  # Motive's commands end at a comma, Windows refuses the rest in a name
-_LONGEST_NAME = 200  # [bytes]
+_FORBIDDEN = ',<>:"/\\|?*'  # a comma ends Motive's commands; Windows forbids the rest in names
+_MAX_NAME_LENGTH = 200  # [bytes]
 
 
 def check_take_name(name: str, what: str = "the trial's name") -> str:
-    """Refuse the name of a trial, which an error calls `what`, that no take in Motive may have."""
-    hint = f"give letters, digits, blanks, '-', '_' and '.', {_LONGEST_NAME} bytes at most"
+    """Refuse a trial's name, called `what` in errors, that is not valid for a take in Motive."""
+    hint = f"give letters, digits, blanks, '-', '_' and '.', {_MAX_NAME_LENGTH} bytes at most"
     shown = ascii(name if len(name) <= 40 else f"{name[:40]}...")
     if not name.isprintable() or set(name) & set(_FORBIDDEN):
         raise ConfigurationError(f"{what} {shown} cannot be that of a take", hint)
@@ -74,14 +74,14 @@ def check_take_name(name: str, what: str = "the trial's name") -> str:
         raise ConfigurationError(
             f"{what} {shown} begins or ends with a '.' or a blank, or is empty", hint
         )
-    if len(name.encode()) > _LONGEST_NAME:
+    if len(name.encode()) > _MAX_NAME_LENGTH:
         raise ConfigurationError(f"{what} {shown} has {len(name.encode())} bytes", hint)
     return name
 
 
 @dataclass(frozen=True)
 class NextTrialSettings(Settings):
-    """The trial that the recorder is asked for next; it forgets them when it starts that."""
+    """The next trial to record; the recorder clears these when it starts."""
 
     name: str = setting("", "name of the trial; empty: the date and time [-]")
     subject: str = setting("", "code of the subject, such as S01 [-]")
@@ -89,9 +89,9 @@ class NextTrialSettings(Settings):
     socket: str = setting("", "the socket, such as PTB 3 [-]")
     liner: str = setting("", "liner or sock [-]")
     mass: float = setting(0.0, "body mass of the subject; 0: not stated [kg]", 0.0, 400.0)
-    operator: str = setting("", "initials or a code of who records [-]")
-    protocol: str = setting("", "the protocol that it follows [-]")
-    notes: str = setting("", "anything else [-]")
+    operator: str = setting("", "initials or a code of the operator [-]")
+    protocol: str = setting("", "the protocol of the trial [-]")
+    notes: str = setting("", "further notes [-]")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -108,8 +108,8 @@ class RecorderSettings(Settings):
     geometry: str = fixed("", "path of socket.yaml to store; empty: the package's own [-]")
     calibration: str = fixed("", "path of calibration.yaml to store; empty: the package's own [-]")
     parameters: str = fixed("", "path of the testbed.yaml to store; empty: the package's own [-]")
-    metadata: str = fixed("", "path of a trial.yaml that every trial starts from; empty: none [-]")
-    everything: bool = fixed(False, "record the maps, too, which a replay computes again [-]")
+    metadata: str = fixed("", "path of a trial.yaml as template for every trial; empty: none [-]")
+    everything: bool = fixed(False, "also record the maps, which a replay recomputes [-]")
     next: NextTrialSettings = NextTrialSettings()
     flush_period: float = fixed(1.0, "longest time before data is on the disk [s]", 0.05, 60.0)
 
@@ -124,14 +124,14 @@ class ReplaySettings(Settings):
     """Parameters of the replay node."""
 
     trial: str = fixed("", "path of the trial [-]")
-    namespace: str = fixed("", "namespace to publish into, such as /left; empty: as recorded [-]")
+    namespace: str = fixed("", "namespace to publish in, such as /left; empty: as recorded [-]")
     geometry: str = fixed("", "path of socket.yaml, for all poses; empty: the trial's own [-]")
     load_cell: str = fixed("", "path of testbed.yaml for the wrenches; empty: the trial's own [-]")
     tare: str = fixed("recorded", "tare of the wrenches: recorded, none, or T0:T1 without load [s]")
-    rate: float = fixed(1.0, "speed of the replay against the recording [-]", 1e-3, 1e4)
+    rate: float = fixed(1.0, "speed of the replay relative to the recording [-]", 1e-3, 1e4)
     loop: bool = fixed(False, "start again at the end [-]")
     paused: bool = fixed(False, "start paused; see the service replay/pause [-]")
-    measured_only: bool = fixed(False, "leave out what other nodes compute anew [-]")
+    measured_only: bool = fixed(False, "leave out topics that other nodes recompute [-]")
     wait_for: tuple[str, ...] = fixed((), "nodes that must be ready before the first message [-]")
 
 
@@ -140,15 +140,15 @@ class ViewSettings(Settings):
     """Parameters of the view node."""
 
     geometry: str = fixed("", "path of socket.yaml; empty: the package's own [-]")
-    host: str = fixed("127.0.0.1", "address that the page is served on [-]")
-    port: int = fixed(8080, "port of the page; 0: one that is free [1]", 0, 65535)
-    names: tuple[str, ...] = fixed((), "further names by which the page may be called [-]")
-    buttons: bool = fixed(False, "allow the buttons where other machines see the page [-]")
+    host: str = fixed("127.0.0.1", "address to serve the page on [-]")
+    port: int = fixed(8080, "port of the page; 0: any free port [1]", 0, 65535)
+    names: tuple[str, ...] = fixed((), "further host names accepted for the page [-]")
+    buttons: bool = fixed(False, "allow the buttons if other machines can see the page [-]")
 
 
 @dataclass(frozen=True)
 class TestbedSettings(Settings):
-    """Settings of the testbed: one field per node, with the node's name."""
+    """Settings of the testbed, one field per node."""
 
     __test__ = False
 
@@ -163,12 +163,12 @@ class TestbedSettings(Settings):
     view_node: ViewSettings = field(default_factory=ViewSettings)
 
     def nodes(self) -> dict[str, Settings]:
-        """Settings by the name of their node."""
+        """Settings by node name."""
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
 
-# These belong to one run on one machine; a trial does not keep them.
-_OF_A_RUN = (
+# These belong to a single run on one machine and are not stored with a trial.
+_RUN_SPECIFIC = (
     *("geometry", "calibration", "parameters", "model", "simulation", "tare_file"),
     *("directory", "record", "wait_for", "metadata"),
 )
@@ -181,8 +181,8 @@ class _Node(Document):
 def read_testbed(path: Path, defaults: TestbedSettings | None = None) -> TestbedSettings:
     """Read `testbed.yaml`: node parameters in the ROS format, one section per node.
 
-    ROS itself ignores a key that no node declares; here it is an error. Nodes that the file does
-    not name have the settings of `defaults`, if given.
+    Unlike ROS, this refuses undeclared keys. Nodes that the file does not name keep the settings of
+    `defaults`, if given.
     """
     defaults = defaults or TestbedSettings()
     kinds = {name: type(settings) for name, settings in defaults.nodes().items()}
@@ -199,9 +199,9 @@ def read_testbed(path: Path, defaults: TestbedSettings | None = None) -> Testbed
 def estimator_settings(
     stored: EstimatorSettings, params: Path | None = None, **choices: Any
 ) -> EstimatorSettings:
-    """The settings stored with a trial, or those of a `testbed.yaml`, with single choices.
+    """Settings stored with a trial, or those of a `testbed.yaml`, with overrides.
 
-    Choices are fields of `IdentificationSettings`, such as `theta`; None for no choice.
+    `choices` override fields of `IdentificationSettings`, such as `theta`; None keeps the field.
     """
     settings = stored if params is None else read_testbed(params).estimator_node
     given = {name: value for name, value in choices.items() if value is not None}
@@ -212,13 +212,13 @@ def estimator_settings(
 
 
 def write_testbed(nodes: dict[str, Settings], path: Path) -> None:
-    """Write settings of nodes, by their names, as a `testbed.yaml` for other runs and machines."""
+    """Write settings by node name as a `testbed.yaml` for other runs and machines."""
     document = {
         node: {
             "ros__parameters": {
                 name: value
                 for name, value in settings.to_flat().items()
-                if name not in _OF_A_RUN and value != []
+                if name not in _RUN_SPECIFIC and value != []
             }
         }
         for node, settings in nodes.items()

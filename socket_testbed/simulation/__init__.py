@@ -1,1 +1,1 @@
-"""Simulated trials, from a physics that is not the estimator's law."""
+"""Simulated trials; their physics differs from the estimator's law."""

@@ -1,9 +1,9 @@
 """Motion of the limb in the socket under a load: load histories, tissue, equilibrium.
 
-Nothing here knows the estimator's law. The normal pressure grows exponentially with the
-compression along the surface's own normal, the shear sticks and slips after Coulomb, the
-compliance varies over the surface, and part of the compression relaxes with time. The surface is
-finer than the tiles and reaches between them.
+The physics is independent of the estimator's law. Normal pressure grows exponentially with the
+compression along the surface normal, shear follows Coulomb stick-slip, compliance varies over the
+surface, and part of the compression relaxes with time. The surface grid is finer than the tiles
+and includes points between them.
 """
 
 from __future__ import annotations
@@ -28,34 +28,34 @@ TISSUES: tuple[TissueKind, ...] = get_args(TissueKind)
 _PYLON_MASS = 9.3  # [kg]; as published
 _ADDED_MASS = 19.0  # [kg]; as published
 _PYLON_POINT = np.array([0.004, -0.003, 0.45])  # [m]; centre of mass of the pylon in {S}
-_ADDED_POINT = np.array([0.010, 0.007, 0.50])  # [m]; where the mass is placed
-_PLACING = 2.0  # [s]; to place or remove the mass
+_ADDED_POINT = np.array([0.010, 0.007, 0.50])  # [m]; position of the added mass in {S}
+_PLACING_TIME = 2.0  # [s]; to place or remove the mass
 _SWAY_FORCE = 0.4  # [N]
 _SWAY_TIME = 0.6  # [s]
-_PUSH = 35.0  # [N]; of the hands, largest
-_PUSH_HEIGHT, _PUSH_TRAVEL = 0.35, 0.15  # [m]; above the load cell, and up and down from there
-_LEAN = _ADDED_MASS * GRAVITY  # [N]; of the hands on the pylon, largest
-_LEAN_ARM = 0.03  # [m]; of the leaning about the axis
-_TWIST = 1.5  # [N m]; of the hands about the axis, largest
+_MAX_PUSH = 35.0  # [N]; of the hands
+_PUSH_HEIGHT, _PUSH_TRAVEL = 0.35, 0.15  # [m]; above the load cell, and amplitude
+_MAX_LEAN = _ADDED_MASS * GRAVITY  # [N]; of the hands on the pylon
+_LEAN_ARM = 0.03  # [m]; about the axis
+_MAX_TWIST = 1.5  # [N m]; of the hands about the axis
 _HAND_PERIODS = np.array([11.0, 23.0, 7.3, 17.0, 9.1, 13.0])  # [s]
 _GRID = 3  # points along the edge of a tile
 _GAP_AREA = 0.25  # [-]; area between the tiles, relative to that of the tiles
-_LENGTH = 0.1  # [m]; turns rotations into lengths for the solver
-_BALANCE = 1e-4  # [N]; largest imbalance of the forces
-_HELD = 0.05  # [N]; imbalance above which the limb is not held
+_LENGTH = 0.1  # [m]; scales rotations to lengths for the solver
+_FORCE_TOLERANCE = 1e-4  # [N]; imbalance accepted without a retry
+_MAX_IMBALANCE = 0.05  # [N]; above it the socket does not hold the limb
 
 
 def load_history(scenario: Scenario, time: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Wrench of the load on the limb about the origin of {S}, [M; F], shape (N, 6) [N m, N].
 
-    - `static_hold`: the pylon alone, the mass placed, held, removed, as published;
-    - `ramp`: the mass put on and taken off slowly, again and again;
-    - `multi_direction`: the mass on, and pushed around from all sides;
-    - `protocol`: pushed, leaned on and twisted for the first half, then the hold, then the pylon
-      alone: the protocol that `docs/protocol.md` recommends.
+    - `static_hold`: the pylon alone, then the mass placed, held and removed, as published;
+    - `ramp`: the mass is put on and taken off slowly and repeatedly;
+    - `multi_direction`: the mass is on and pushed from all sides;
+    - `protocol`: pushes, leaning and twists for the first half, then the hold, then the pylon
+      alone, as `docs/protocol.md` recommends.
 
-    The times are since the start, shape (N,) [s]; the sway of pylon and mass is random, and how
-    the hands move.
+    The times are since the start, shape (N,) [s]. The sway of pylon and mass and the motion of the
+    hands are random.
     """
     duration = float(time[-1]) if len(time) else 0.0
     added = np.zeros((len(time), 3))
@@ -85,32 +85,32 @@ def load_history(scenario: Scenario, time: FloatArray, rng: np.random.Generator)
 def _hands(time: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Wrench of hands that push, lean and twist, [M; F], shape (N, 6) [N m, N].
 
-    They push from all sides at a height that changes, lean on the pylon's top off its axis, and
-    twist. Each changes at its own pace, so that no two stay in step; the phases are random.
+    They push from all sides at varying height, lean on the pylon's top off its axis, and twist.
+    Each motion has its own period, so that no two stay in step; the phases are random.
     """
     phases = 2.0 * np.pi * (time[:, None] / _HAND_PERIODS + rng.uniform(0.0, 1.0, 6))
     around, strength, height, lean, side, twist = phases.T
     zero = np.zeros(len(time))
     sides = np.column_stack([np.cos(around), np.sin(around), zero])
-    push = _PUSH * (0.6 + 0.4 * np.sin(strength))[:, None] * sides
+    push = _MAX_PUSH * (0.6 + 0.4 * np.sin(strength))[:, None] * sides
     push_point = np.column_stack([zero, zero, _PUSH_HEIGHT + _PUSH_TRAVEL * np.sin(height)])
-    down = np.column_stack([zero, zero, -_LEAN * (0.5 + 0.5 * np.sin(lean))])
+    down = np.column_stack([zero, zero, -_MAX_LEAN * (0.5 + 0.5 * np.sin(lean))])
     down_point = _LEAN_ARM * np.column_stack([np.cos(side), np.sin(side), zero])
     moment = np.cross(push_point, push) + np.cross(down_point, down)
-    moment[:, 2] += _TWIST * np.sin(twist)
+    moment[:, 2] += _MAX_TWIST * np.sin(twist)
     return np.hstack([moment, push + down])
 
 
 def _trapezoid(time: FloatArray, on: float, off: float) -> FloatArray:
-    """From 0 to 1 at `on` and back at `off`, smoothly, shape (N,)."""
-    rising = np.clip((time - on) / _PLACING, 0.0, 1.0)
-    falling = np.clip((off - time) / _PLACING, 0.0, 1.0)
+    """Smooth rise from 0 to 1 at `on`, and fall back at `off`, shape (N,)."""
+    rising = np.clip((time - on) / _PLACING_TIME, 0.0, 1.0)
+    falling = np.clip((off - time) / _PLACING_TIME, 0.0, 1.0)
     share = np.minimum(rising, falling)
     return share * share * (3.0 - 2.0 * share)
 
 
 def _sway(time: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Horizontal forces of a person and a pylon that never stand quite still, (N, 2) [N]."""
+    """Random horizontal forces of a standing person and a pylon, (N, 2) [N]."""
     sway = np.zeros((len(time), 2))
     steps = np.diff(time, prepend=time[:1])
     kicks = rng.normal(0.0, _SWAY_FORCE, (len(time), 2))
@@ -127,13 +127,13 @@ class Tissue:
     points: FloatArray  # positions in {S}, shape (p, 3) [m]
     normals: FloatArray  # inward normals, shape (p, 3) [-]
     areas: FloatArray  # areas, shape (p,) [m^2]
-    tile: IntArray  # index of the tile that each point is on, -1 between the tiles, shape (p,)
+    tile: IntArray  # index of each point's tile, -1 between the tiles, shape (p,)
     modulus: FloatArray  # pressure per compression at first contact, shape (p,) [Pa/m]
-    stiffening: float  # compression over which the modulus grows by e [m]
-    shear_modulus: FloatArray  # shear stress per sliding while it sticks, shape (p,) [Pa/m]
+    stiffening: float  # compression over which the modulus grows by a factor e [m]
+    shear_modulus: FloatArray  # shear stress per displacement while sticking, shape (p,) [Pa/m]
     friction: float  # coefficient of friction [-]
-    fit: FloatArray  # compression when the limb is donned, negative for a gap, shape (p,) [m]
-    creep: float  # part of the compression that relaxes [-]
+    fit: FloatArray  # compression by donning, negative for a gap, shape (p,) [m]
+    creep: float  # fraction of the compression that relaxes [-]
     creep_time: float  # time constant of the relaxation [s]
 
 
@@ -148,31 +148,31 @@ _KINDS: dict[TissueKind, tuple[float, ...]] = {
 def make_tissue(
     geometry: SocketGeometry, rng: np.random.Generator, kind: TissueKind = "soft"
 ) -> Tissue:
-    """Tissue with properties that vary smoothly over a socket's surface.
+    """Tissue whose properties vary smoothly over a socket's surface.
 
-    The `soft` tissue is the published experiment's cast silicone around a rigid bone:
+    The `soft` tissue models the published experiment: silicone cast around a rigid bone.
 
     - Silicone of Shore 00-30 bears 69 kPa at 100 % elongation (data sheet of Ecoflex 00-30,
-      Smooth-On: 10 psi). A neo-Hookean solid bears G (l - 1 / l^2) at the stretch l, 1.75 G at 2,
-      so G is 39 kPa up to there; small strains show less, E = 3 G = 70 to 80 kPa. Here E = 75 kPa,
+      Smooth-On: 10 psi). A neo-Hookean solid bears G (l - 1 / l^2) at stretch l, or 1.75 G at 2, so
+      the secant G is 39 kPa. At small strains it is lower: E = 3 G = 70 to 80 kPa. Here E = 75 kPa,
       G = 25 kPa, incompressible.
     - The limb is a cylinder of radius b = 54 mm, the mean of the package's socket, around a bone
       of radius a = 10 mm.
-    - Axial load shears the silicone between bone and socket: per surface, G / (b ln(b / a))
+    - Axial load shears the silicone between bone and socket; per area, G / (b ln(b / a))
       = 0.27 MPa/m (Adkins and Gent, Br. J. Appl. Phys. 5 (1954) 354).
-    - Across the axis the silicone flows around the bone. In plane strain with a wall that it slides
-      on (a sock), the creeping-flow stream function (A r^3 + B r + C / r + D r ln r) sin(theta)
-      gives the stiffness K = 4 pi G D of a unit length, and a bed of springs of modulus m has
-      pi b m: m = 1.5 MPa/m. Bonded to both, it would be 2.4 (long) or 1.1 MPa/m (short) in all
+    - Across the axis the silicone flows around the bone. In plane strain with a sliding wall (a
+      sock), the creeping-flow stream function (A r^3 + B r + C / r + D r ln r) sin(theta) gives a
+      stiffness K = 4 pi G D per unit length. A bed of springs of modulus m has pi b m, so
+      m = 1.5 MPa/m. Bonded to both, the total would be 2.4 (long) or 1.1 MPa/m (short)
       (Horton, Gover and Tupholme, Rubber Chem. Technol. 73 (2000) 253).
-    - The true stress of the neo-Hookean layer of 44 mm has a tangent that grows by
-      (1 + 2 / l^3) / 3, to 1.9 times at 25 % compression: e times over 15 mm of compression.
-    - The layer is not equally thick, so the moduli vary by a quarter over the surface. Donning
-      compresses it by 2 mm, give or take 1 mm.
+    - The tangent of the true stress in a neo-Hookean layer of 44 mm grows by (1 + 2 / l^3) / 3, to
+      1.9 times at 25 % compression, or by e over 15 mm of compression.
+    - The layer's thickness varies, so the moduli vary by a quarter over the surface. Donning
+      compresses it by 2 mm, plus or minus 1 mm.
 
-    Under the published load it settles 7 mm (5 to 10 mm, by seed); measured were about 8 mm.
+    Under the published load the limb settles 7 mm (5 to 10 mm, by seed); about 8 mm was measured.
 
-    The `stiff` tissue is a thin, firm layer: four times the normal and ten times the shear modulus.
+    The `stiff` tissue is thin and firm, with 4 times the normal and 10 times the shear modulus.
     """
     modulus, shear_modulus, spread, stiffening, fit, fit_spread = _KINDS[kind]
     edges = np.sqrt(geometry.areas)
@@ -211,16 +211,16 @@ def make_tissue(
 
 
 def _smooth_field(points: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """A random field of about unit variance that varies over some 0.1 m, shape (p,)."""
+    """A random field of about unit variance that varies over about 0.1 m, shape (p,)."""
     waves = rng.normal(0.0, 1.0 / 0.06, (12, 3))
     phases = rng.uniform(0.0, 2.0 * np.pi, 12)
     return np.sqrt(2.0 / 12.0) * np.cos(points @ waves.T + phases).sum(axis=1)
 
 
 class LoadedLimb:
-    """A limb, a rigid bone in tissue, that is donned under a first load and follows it.
+    """A limb, a rigid bone in tissue, donned under a first load.
 
-    It moves from equilibrium to equilibrium. Loads are [M; F], shape (6,) [N m, N].
+    It moves quasi-statically between equilibria. Loads are [M; F], shape (6,) [N m, N].
     """
 
     def __init__(
@@ -232,39 +232,39 @@ class LoadedLimb:
     ) -> None:
         self.tissue = tissue = make_tissue(geometry, rng, kind)
         self._tiles = len(geometry)
-        self._centre = geometry.anchors.mean(axis=0)  # of the bone, about which it turns
+        self._centre = geometry.anchors.mean(axis=0)  # centre of rotation of the bone
         self._axes = _axes(tissue.normals)
         arms = np.cross(tissue.points - self._centre, self._axes)
-        # Displacements of the points along their axes, of that of the bone: they are linear.
-        self._moved = np.concatenate([self._axes, arms], axis=2).reshape(-1, 6)
-        self._tangent: FloatArray | None = None  # of the imbalance, at the last equilibrium
+        # Linear map from the bone's displacement to those of the points along their axes.
+        self._jacobian = np.concatenate([self._axes, arms], axis=2).reshape(-1, 6)
+        self._tangent: FloatArray | None = None  # Jacobian of the imbalance at the last equilibrium
         self._displacement = np.zeros(6)  # of the centre [m], and rotation vector [rad]
         self._crept = tissue.creep * np.maximum(tissue.fit, 0.0)
         self._traction = np.zeros((2, len(tissue.points)))
         self._tangential = np.zeros((2, len(tissue.points)))
-        for share in (0.25, 0.5, 0.75):  # donning: the first load comes in steps
+        for share in (0.25, 0.5, 0.75):  # donning: apply the first load in steps
             self.step(share * load, 1.0)
 
     def step(self, load: FloatArray, duration: float) -> FloatArray:
-        """Move to the equilibrium under a load about the origin of {S}, within a duration [s].
+        """Move to the equilibrium under a load about the origin of {S}, after a duration [s].
 
-        Returns the force of the limb on the socket at every tile, shape (n, 3) [N].
+        Returns the force of the limb on the socket at each tile, shape (n, 3) [N].
         """
         scale = 1e-3 * np.repeat([1.0, 1.0 / _LENGTH], 3)
         balance = np.concatenate([load[3:], load[:3] - np.cross(self._centre, load[3:])])
         lengths = np.repeat([1.0, _LENGTH], 3)
 
         def imbalance(x: FloatArray) -> FloatArray:
-            # By virtual work: about the limb's centre the moments do not repeat the forces.
+            # Virtual work; moments about the limb's centre decouple from the forces.
             forces = self._respond(x * scale, duration)[0]
-            return np.asarray((forces.ravel() @ self._moved - balance) / lengths)
+            return np.asarray((forces.ravel() @ self._jacobian - balance) / lengths)
 
         start = self._displacement / scale
         answer = self._solve(imbalance, start)
-        if np.abs(answer.fun).max() > _BALANCE:
-            # Where the surface begins to slip Powell's steps may stall: start from rest.
+        if np.abs(answer.fun).max() > _FORCE_TOLERANCE:
+            # Powell's steps may stall where the surface starts to slip: use another method.
             answer = root(imbalance, start, method="lm", options={"xtol": 1e-12, "ftol": 1e-14})
-        if np.abs(answer.fun).max() > _HELD:
+        if np.abs(answer.fun).max() > _MAX_IMBALANCE:
             raise TestbedError(
                 f"no equilibrium under the load {np.round(load, 2).tolist()} [N m, N]",
                 "give a smaller load or a socket that holds the limb",
@@ -284,11 +284,11 @@ class LoadedLimb:
         return on_tiles
 
     def _solve(self, imbalance: Callable[[FloatArray], FloatArray], start: FloatArray) -> Any:
-        """Solve by Powell's hybrid method, from the tangent of the step before at first."""
+        """Solve by Powell's hybrid method, starting with the tangent of the previous step."""
         options = {"xtol": 1e-10}
         if (tangent := self._tangent) is not None:
             answer = root(imbalance, start, jac=lambda x: tangent, method="hybr", options=options)
-        if tangent is None or np.abs(answer.fun).max() > _BALANCE:
+        if tangent is None or np.abs(answer.fun).max() > _FORCE_TOLERANCE:
             answer = root(imbalance, start, method="hybr", options=options)
         triangle = np.zeros((6, 6))
         triangle[np.triu_indices(6)] = answer.r
@@ -300,11 +300,11 @@ class LoadedLimb:
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Forces on the socket, crept compression, shear traction, tangential displacement.
 
-        The forces are along the axes of the points, shape (3, p), the tractions and tangential
-        displacements along the last two of them, shape (2, p).
+        Forces are along the axes of the points, shape (3, p), tractions and tangential
+        displacements along the last two axes, shape (2, p).
         """
         tissue = self.tissue
-        along_normal, *across = (self._moved @ displacement).reshape(3, -1)
+        along_normal, *across = (self._jacobian @ displacement).reshape(3, -1)
         compression = tissue.fit - along_normal
 
         rate = duration / tissue.creep_time
@@ -324,7 +324,7 @@ class LoadedLimb:
 
 
 def _axes(normals: FloatArray) -> FloatArray:
-    """The normals and two tangents of each point, shape (3, p, 3) [-]."""
+    """Normal and two tangents of each point, shape (3, p, 3) [-]."""
     least = np.eye(3)[np.abs(normals).argmin(axis=1)]
     first = np.cross(normals, least)
     first /= np.linalg.norm(first, axis=1, keepdims=True)

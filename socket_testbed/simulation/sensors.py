@@ -1,4 +1,4 @@
-"""Models of clusters, load cell and cameras: from the truth to measurements with errors."""
+"""Models of clusters, load cell and cameras, with their errors."""
 
 from __future__ import annotations
 
@@ -13,65 +13,65 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 
 CAMERA_RATE = 240.0  # [Hz]
-LONGEST_MEAN = 0.25  # [s]; of a wrench around a trigger; else the trigger's period
+MAX_MEAN_SPAN = 0.25  # [s]; of a wrench around a trigger, at most the trigger's period
 _CONVERTER_STEP = 2.0**-19  # [pF]; of the FDC1004
-_NEWTON_STEPS, _EXACT = 20, 1e-11  # [1], [pF]
+_MAX_NEWTON_STEPS, _TOLERANCE = 20, 1e-11  # [1], [pF]
 _CREEP_TIME = 40.0  # [s]; of the load cell
-_VIBRATION = 13.5  # [Hz]; of a stand; a trigger of 4 Hz sees 1.5 Hz
-# Wrench of a force along each axis as the stand vibrates, which is weakest about x [m, -].
-SHAKEN = np.array([0.167, 0.03, 0.015, 1.0, 1.0, 1.0])
-# Signs of a cluster's four channels in its two differences.
+_SHAKING_RATE = 13.5  # [Hz]; of a stand; a trigger of 4 Hz sees 1.5 Hz
+# Wrench [M; F] of a vibrating stand, per unit force along each axis; softest about x [m, -].
+VIBRATION_SHAPE = np.array([0.167, 0.03, 0.015, 1.0, 1.0, 1.0])
+# Signs of a cluster's four channels in its two pair differences.
 _SIGNS = np.array([[-1.0, 1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]])
 _SOCKET_IN_WORLD = Pose(
     Rotation.from_euler("zyx", [35.0, 4.0, -3.0], degrees=True).as_matrix(),
     np.array([0.42, -0.31, 0.74]),
 )
-_STAND_COMPLIANCE = 1e-6  # [m/N]; the stand gives a little under the load
+_STAND_COMPLIANCE = 1e-6  # [m/N]; the stand yields slightly under load
 _STAND_TREMOR = 2e-5  # [m]
 
 
 @dataclass(frozen=True)
 class SensorErrors:
-    """Sizes of the errors of all sensors."""
+    """Error sizes of all sensors."""
 
     gain_mismatch: float = 0.02  # spread of the gains of a cluster's channels [-]
     offset: float = 0.03  # spread of the offsets of a cluster's channels [pF]
-    cross_talk: float = 0.03  # part of a neighbouring channel's change that a channel picks up [-]
+    cross_talk: float = 0.03  # fraction of neighbouring channels' changes in a channel [-]
     capacitance_drift: float = 1.0e-4  # spread of the drift of a channel [pF/s]
     capacitance_noise: float = 0.002  # noise of a channel [pF]
-    # largest offset of a cluster's three stresses, as a cluster has that is built into a socket
-    # after its calibration; a fifth of it is the smallest [Pa]
+    # maximum offset of a cluster's stresses, as caused by building a calibrated cluster into a
+    # socket; the minimum is a fifth [Pa]
     stress_offset: float = 0.0
     placement: float = 0.05  # spread of a cluster's rotation about its normal [rad]
     force_noise: float = 0.15  # white noise of the load cell's forces, see `wrench_noise` [N]
     moment_noise: float = 0.01  # white noise of the load cell's moments, likewise [N m]
     force_offset: float = 0.8  # spread of the forces' offsets after taring [N]
     moment_offset: float = 0.05  # spread of the moments' offsets after taring [N m]
-    force_creep: float = 0.0  # by how much each force creeps under the largest load [N]
-    moment_creep: float = 0.0  # by how much each moment creeps under the largest load [N m]
-    force_vibration: float = 0.0  # amplitude of the load cell's forces as the stand vibrates [N]
-    # mean amplitude of a cluster's stresses as its cable moves with it [Pa]
+    force_creep: float = 0.0  # creep of each force under the largest load [N]
+    moment_creep: float = 0.0  # creep of each moment under the largest load [N m]
+    force_vibration: float = 0.0  # amplitude of forces by the stand's vibration [N]
+    # mean amplitude of a cluster's stresses, caused by its vibrating cable [Pa]
     stress_vibration: float = 0.0
-    # noise of a marker's coordinate [m]; white from frame to frame, measured on the body at rest of
-    # `sample_optitrack_take.csv` (120 Hz, a triad of 0.2 m; cmuphyscomp/hmv-s16 on GitHub). Long
-    # lenses and large rooms have more
+    # noise of a marker's coordinate [m]; white, measured on the resting body in
+    # `sample_optitrack_take.csv` (120 Hz, a triad of 0.2 m; cmuphyscomp/hmv-s16 on GitHub). It is
+    # higher with long lenses and in large rooms
     marker_noise: float = 8.0e-6
-    drop_out: float = 0.002  # chance that a marker is occluded in a frame [-]
-    label_swap: float = 0.002  # chance that two labels of a body are swapped in a frame [-]
+    drop_out: float = 0.002  # probability that a marker is occluded in a frame [-]
+    label_swap: float = 0.002  # probability of two swapped labels of a body in a frame [-]
     registration: float = 5.0e-4  # spread of the error of a body's registration [m]
     registration_angle: float = 0.003  # the same for its rotation [rad]
 
     def wrench_noise(self, span: float) -> FloatArray:
         """Noise of the load cell's mean over a span [s], [M; F], shape (6,) [N m, N].
 
-        The sizes are those over 0.25 s, as at a trigger of 4 Hz: white noise goes with the root.
+        The sizes refer to 0.25 s, as at 4 Hz; white noise scales with 1 / sqrt(span).
         """
-        return np.repeat([self.moment_noise, self.force_noise], 3) * np.sqrt(LONGEST_MEAN / span)
+        return np.repeat([self.moment_noise, self.force_noise], 3) * np.sqrt(MAX_MEAN_SPAN / span)
 
 
-# Errors as large as in the published experiment, whose causes are not known. Steady ones: the load
-# cell creeps by 4 N and 0.9 N m, clusters have offsets of up to 150 N on their 9 cm^2. Beside
-# offsets, 5 N was left there and 4 N on a cluster: more than the drift of a plateau, so faster.
+# Errors as large as in the published experiment, of unknown cause. The load cell creeps by 4 N and
+# 0.9 N m, clusters have offsets of up to 150 N on 9 cm^2. Without offsets, 5 N was left on the
+# load cell and 4 N on a cluster, more than the drift of a plateau: hence the vibration.
 LIKE_PAPER = SensorErrors(
     stress_offset=150.0 / 9e-4,
     force_creep=4.0,
@@ -82,24 +82,24 @@ LIKE_PAPER = SensorErrors(
 
 
 def invert_calibration(calibration: ClusterCalibration, stress: FloatArray) -> FloatArray:
-    """Capacitances by input, shape (N, 4) [pF], that a calibration turns into given stresses.
+    """Capacitances by input, shape (N, 4) [pF], for which a calibration gives the stresses.
 
-    These are normal stress, shear x, shear y, shape (N, 3) [Pa].
+    Stresses are normal, shear x, shear y, shape (N, 3) [Pa].
     """
     mean = (stress[:, 0] - calibration.normal[0]) / calibration.normal[1]
     x, y = np.zeros((2, len(stress)))
     _, cx, cy, cxx, cxy, cyy = calibration.shear.T[:, :, None]
-    for _ in range(_NEWTON_STEPS):
+    for _ in range(_MAX_NEWTON_STEPS):
         missing_x, missing_y = (stress[:, 1:] - shear_terms(x, y) @ calibration.shear.T).T
         (a, c), (b, d) = cx + 2.0 * cxx * x + cxy * y, cy + cxy * x + 2.0 * cyy * y  # derivatives
         determinant = a * d - b * c
         step_x = (d * missing_x - b * missing_y) / determinant
         step_y = (a * missing_y - c * missing_x) / determinant
         x, y = x + step_x, y + step_y
-        if max(np.abs(step_x).max(initial=0.0), np.abs(step_y).max(initial=0.0)) < _EXACT:
+        if max(np.abs(step_x).max(initial=0.0), np.abs(step_y).max(initial=0.0)) < _TOLERANCE:
             break
     differences = np.column_stack([x, y])
-    # mean and differences from four channels; the fourth combination, a twist, is zero.
+    # Channels from mean and differences; the fourth combination, a twist, is zero.
     channels = mean[:, None] + 0.5 * differences @ _SIGNS
     inputs = np.empty_like(channels)
     inputs[:, calibration.wiring] = channels
@@ -107,7 +107,7 @@ def invert_calibration(calibration: ClusterCalibration, stress: FloatArray) -> F
 
 
 class ClusterSensor:
-    """One cluster as it was made and placed, with its errors against the calibration."""
+    """One cluster as built and placed, with its errors relative to the calibration."""
 
     def __init__(
         self, calibration: ClusterCalibration, errors: SensorErrors, rng: np.random.Generator
@@ -128,9 +128,9 @@ class ClusterSensor:
             self._offsets += (invert_calibration(calibration, stress[None]) - self._rest)[0]
 
     def respond(self, stress: FloatArray, time: FloatArray) -> FloatArray:
-        """Capacitances by input under a stress at N times [s], shape (N, 4) [pF].
+        """Capacitances by input under stresses at N times [s], shape (N, 4) [pF].
 
-        It is normal stress, shear x, shear y in the cluster's nominal frame, shape (N, 3) [Pa].
+        Stresses are normal, shear x, shear y in the cluster's nominal frame, shape (N, 3) [Pa].
         """
         turned = stress.copy()
         turned[:, 1:] = stress[:, 1:] @ self._turn
@@ -139,7 +139,7 @@ class ClusterSensor:
         return self._rest + change @ self._mixing.T * self._gains + self._offsets + drift
 
     def read(self, stress: FloatArray, time: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """The same with the converter's noise and steps, shape (N, 4) [pF]."""
+        """`respond` with the converter's noise and quantisation, shape (N, 4) [pF]."""
         ideal = self.respond(stress, time)
         read = ideal + rng.normal(0.0, self._noise, ideal.shape)
         return np.round(read / _CONVERTER_STEP) * _CONVERTER_STEP
@@ -148,20 +148,20 @@ class ClusterSensor:
 def cluster_stress(geometry: SocketGeometry, cluster: str, forces: FloatArray) -> FloatArray:
     """Normal stress, shear x, shear y on a cluster along its own axes, shape (N, 3) [Pa].
 
-    The forces are those on the socket at all tiles in {S}, shape (N, n, 3) [N].
+    The forces on the socket at all tiles are in {S}, shape (N, n, 3) [N].
     """
     tile = geometry.clusters[cluster]
     return geometry.cluster_stress(cluster, forces[:, tile] @ geometry.rotations[tile])
 
 
 def vibration(amplitudes: FloatArray, time: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Vibrations of m channels in random phases at N times [s], in their unit, shape (N, m)."""
+    """Vibrations of m channels with random phases at N times [s], shape (N, m)."""
     phases = rng.uniform(0.0, 2.0 * np.pi, len(amplitudes))
-    return np.asarray(amplitudes * np.sin(2.0 * np.pi * _VIBRATION * time[:, None] + phases))
+    return np.asarray(amplitudes * np.sin(2.0 * np.pi * _SHAKING_RATE * time[:, None] + phases))
 
 
 def wrench_offset(errors: SensorErrors, rng: np.random.Generator) -> FloatArray:
-    """The rest of the load cell's offset after taring, [M; F], shape (6,) [N m, N]."""
+    """Residual offset of the load cell after taring, [M; F], shape (6,) [N m, N]."""
     return rng.normal(0.0, 1.0, 6) * np.repeat([errors.moment_offset, errors.force_offset], 3)
 
 
@@ -170,8 +170,8 @@ def wrench_creep(
 ) -> FloatArray:
     """Creep of the load cell under a load, [M; F], shape (N, 6) [N m, N].
 
-    Each channel follows the vertical force with a lag, up or down, and has crept by all of its
-    creep at most. The load is alike; the times are in seconds, shape (N,).
+    Each channel follows the vertical force with a lag, with either sign, up to its full creep.
+    The load has the same shape; times have shape (N,) [s].
     """
     size = np.abs(load[:, 5])
     share = (size - size.min()) / max(float(np.ptp(size)), 1e-9)
@@ -185,7 +185,7 @@ def wrench_creep(
 
 
 class MarkerBodies:
-    """The marker bodies of socket and pylon as they really are, on a stand that gives a little."""
+    """The true marker bodies of socket and pylon, on a slightly compliant stand."""
 
     def __init__(
         self, geometry: SocketGeometry, errors: SensorErrors, rng: np.random.Generator
@@ -202,10 +202,10 @@ class MarkerBodies:
         load: FloatArray,
         swayed: FloatArray | None = None,
     ) -> tuple[Pose, Pose]:
-        """True poses of the bodies of socket and pylon in the world, N of each.
+        """N true poses each of the bodies of socket and pylon in the world.
 
-        N are the limb's positions [m] and rotation vectors [rad] in {S}, shape (N, 3), and loads
-        [M; F], shape (N, 6) [N m, N]. The stand is displaced in the world by (3,) [m].
+        The limb's positions [m] and rotation vectors [rad] in {S} have shape (N, 3), the loads
+        [M; F] shape (N, 6) [N m, N]; `swayed` displaces the stand in the world, (3,) [m].
         """
         count = len(position)
         shift = self._rng.normal(0.0, _STAND_TREMOR, (count, 3)) - _STAND_COMPLIANCE * load[:, 3:]
@@ -219,7 +219,7 @@ class MarkerBodies:
         return world @ self._socket_body, world @ limb @ self._limb_in_body.inverse()
 
     def _misregister(self, pose: Pose) -> Pose:
-        """The pose that is true where another was registered."""
+        """The true pose for a registered one."""
         errors = self._errors
         turn = Rotation.from_rotvec(self._rng.normal(0.0, errors.registration_angle, 3))
         shift = self._rng.normal(0.0, errors.registration, 3)
@@ -229,9 +229,9 @@ class MarkerBodies:
 def observe_markers(
     pose: Pose, markers: FloatArray, errors: SensorErrors, rng: np.random.Generator
 ) -> FloatArray:
-    """A body's k markers, (k, 3) [m], as the cameras see them at N poses of the body.
+    """Observe a body's k markers, (k, 3) [m], at N poses of the body.
 
-    These are labelled positions in the world, shape (N, k, 3) [m]; NaN where occluded.
+    Returns labelled positions in the world, shape (N, k, 3) [m]; NaN if occluded.
     """
     seen = pose.place(markers)
     seen += rng.normal(0.0, errors.marker_noise, seen.shape)

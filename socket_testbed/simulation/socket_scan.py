@@ -1,10 +1,10 @@
-"""A made-up scan of a socket's interior, as a scanner would give it.
+"""A synthetic scan of a socket's interior.
 
     python -m socket_testbed.simulation.socket_scan SCAN.stl
 
-The shape is that of a transtibial socket for the left leg: narrower towards a domed end,
-flattened behind, with the shin's crest, the bar below the kneecap, and a brim that is cut lower
-behind the knee. Its axes are the scanner's, its unit is the millimetre, its vertices are noisy.
+The shape is a transtibial socket for the left leg: narrower towards a domed end, flattened behind,
+with the crest of the shin, the bar below the kneecap, and a brim cut lower behind the knee. It has
+the scanner's axes, millimetres as its unit, and noise on the vertices.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ _DOME = 38.0  # [mm]; height of the domed end
 _BRIM = 225.0  # [mm]; mean height of the brim
 _EDGE = 2.6  # [mm]; of a triangle
 _NOISE = 0.12  # [mm]; of a vertex
-# The scanner's y is up the socket, its z about anterior; the socket does not stand quite straight.
+# The scanner's y axis points up, its z axis roughly anterior; the socket is slightly tilted.
 _SCANNER = Rotation.from_matrix([[0, 1, 0], [0, 0, 1], [1, 0, 0]]) * Rotation.from_euler(
     "xy", [4.0, -3.0], degrees=True
 )
-_OFFSET = np.array([34.0, -18.0, 410.0])  # [mm]; where the scanner's origin was
+_OFFSET = np.array([34.0, -18.0, 410.0])  # [mm]; from the scanner's origin
 
 
 def make_socket_scan(edge: float = _EDGE, noise: float = _NOISE) -> trimesh.Trimesh:
-    """The interior of the socket as scanned, in mm, its normals outwards as many tools give them.
+    """The scanned interior of the socket in mm; normals point outwards, as from many tools.
 
-    Triangles have an edge [mm], vertices a noise [mm].
+    `edge` is the length of a triangle's edge [mm], `noise` that of the vertices [mm].
     """
     rng = np.random.default_rng(0)
-    # A flat disc of points, its radius the way from the end's middle up the wall, meshed and
-    # then shaped: the triangles are irregular and there is no seam.
+    # Mesh a flat disc of points, with radius = distance from the middle of the end up the wall,
+    # then shape it: the triangles are irregular and there is no seam.
     reach = _BRIM + _END
     rings = np.arange(0.0, reach, edge)
     disc = [np.zeros((1, 2))]
@@ -59,7 +59,7 @@ def make_socket_scan(edge: float = _EDGE, noise: float = _NOISE) -> trimesh.Trim
 
 
 def _shape(way: FloatArray, angle: FloatArray) -> FloatArray:
-    """Vertices from the way along the surface and the angle from anterior, shape (v, 3) [mm]."""
+    """Vertices from distance along the surface and angle from anterior, shape (v, 3) [mm]."""
     along = np.maximum(way - _END, 0.0) / _BRIM  # 0 at the end of the wall, 1 at the brim
     brim = _BRIM + 12.0 * np.cos(2.0 * angle) - 14.0 * np.cos(angle + np.pi) ** 4 * _behind(angle)
     in_dome = np.minimum(way / _END, 1.0)
@@ -78,7 +78,7 @@ def _shape(way: FloatArray, angle: FloatArray) -> FloatArray:
 
 
 def _behind(angle: FloatArray) -> FloatArray:
-    """1 straight behind, 0 from the sides on, shape (v,) [-]."""
+    """1 straight behind, falling to 0 at the sides, shape (v,) [-]."""
     return np.maximum(-np.cos(angle), 0.0) ** 2
 
 

@@ -1,6 +1,6 @@
-"""Simulated trials: a load history through the physics and the sensors, and their files.
+"""Simulated trials: a load history, the physics, the sensors, and the files.
 
-A simulated trial is a bag like a recorded one, with the ground truth beside it.
+A simulated trial is a bag like a recorded one, plus the ground truth.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from socket_testbed.trials.trial import read_configuration, store_configuration
 
 TRUTH_FILE = "ground_truth.npz"
 
-# When each measurement is recorded after its trigger [ns].
+# Delay of each measurement after its trigger [ns].
 _DELAYS = {
     topics.TRIGGER: 0,
     topics.WRENCH: 3_000_000,
@@ -40,7 +40,7 @@ _DELAYS = {
     topics.MARKERS: 8_200_000,
     topics.CAPACITANCE: 17_000_000,
 }
-_FRAMES_AT_ONCE = 50_000
+_MAX_FRAMES = 50_000  # at once
 _START = 1_767_258_000_000_000_000  # [ns]; 2026-01-01 09:00 UTC
 
 Progress = Callable[[int, int], None]
@@ -48,34 +48,34 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """The true motion and forces, in {S}."""
+    """True motion and forces in {S}."""
 
     tiles: tuple[str, ...]  # names of the n tiles
-    forces: FloatArray  # force of the limb on the socket at every tile, shape (N, n, 3) [N]
+    forces: FloatArray  # of the limb on the socket at each tile, shape (N, n, 3) [N]
     wrench: FloatArray  # wrench on the socket [M; F], shape (N, 6) [N m, N]
     position: FloatArray  # limb position q, shape (N, 3) [m]
-    rotation: FloatArray  # rotation vector of the limb since donning, shape (N, 3) [rad]
+    rotation: FloatArray  # rotation vector since donning, shape (N, 3) [rad]
 
 
 @dataclass(frozen=True)
 class SimulatedTrial:
     """The measurements and the truth, one row per trigger."""
 
-    stamps: IntArray  # times of the triggers since the epoch, shape (N,) [ns]
+    stamps: IntArray  # trigger times since the epoch, shape (N,) [ns]
     capacitance: dict[str, FloatArray]  # capacitances by cluster and input, shape (N, 4) each [pF]
     wrench: FloatArray  # measured wrench [M; F], shape (N, 6) [N m, N]
-    # observed markers of socket and pylon in the world, in the frame at the trigger, by the body's
-    # name, shape (N, k, 3) [m]
+    # observed markers of socket and pylon in the world at the trigger, by the body's name, shape
+    # (N, k, 3) [m]
     markers: dict[str, FloatArray]
-    # mean pose of each body in the frames around the trigger; NaN where none of them shows it
+    # mean pose of each body in the frames around the trigger; NaN if none shows it
     poses: dict[str, Pose]
     truth: GroundTruth
 
 
 def random_streams(seed: int) -> tuple[np.random.Generator, ...]:
-    """Streams of tissue, load, load cell, clusters, markers and vibration.
+    """Separate streams for tissue, load, load cell, clusters, markers and vibration.
 
-    One each: another duration or error size leaves the other parts as they are.
+    Changing the duration or one error size does not affect the other parts.
     """
     return tuple(np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(6))
 
@@ -100,12 +100,12 @@ def simulate(
         scenario: The load history, see `load_history`.
         duration: Duration [s].
         rate: Rate of the trigger [Hz].
-        seed: Seed of everything that is random.
-        errors: Sizes of the sensors' errors; None for the usual ones.
-        progress: Called with the steps done and their number.
+        seed: Seed of all random numbers.
+        errors: Sizes of the sensors' errors; None for the defaults.
+        progress: Called with the steps done and the total.
         tissue: Kind of the limb's tissue, see `make_tissue`.
-        mocap_window: Longest span around a trigger, at most its period, whose frames make a mean
-            pose; 0 for one frame [s].
+        mocap_window: Span of the frames averaged around a trigger, at most its period; 0 for a
+            single frame [s].
     """
     calibration.require(geometry.clusters, "the socket")
     errors = errors or sensors.SensorErrors()
@@ -131,10 +131,10 @@ def simulate(
         stress += sensors.vibration(size, time, shake_rng)
         capacitance[cluster] = sensor.read(stress, time, cluster_rng)
     felt = load + sensors.wrench_offset(errors, cell_rng)
-    noise = errors.wrench_noise(min(sensors.LONGEST_MEAN, 1.0 / rate))
+    noise = errors.wrench_noise(min(sensors.MAX_MEAN_SPAN, 1.0 / rate))
     felt += cell_rng.normal(0.0, 1.0, load.shape) * noise
     felt += sensors.wrench_creep(errors, load, time, cell_rng)
-    felt += sensors.vibration(errors.force_vibration * sensors.SHAKEN, time, shake_rng)
+    felt += sensors.vibration(errors.force_vibration * sensors.VIBRATION_SHAPE, time, shake_rng)
 
     window = min(mocap_window, 1.0 / rate)
     markers, poses = _motion_capture(geometry, truth, rate, window, errors, marker_rng)
@@ -152,7 +152,7 @@ def _motion_capture(
 ) -> tuple[dict[str, FloatArray], dict[str, Pose]]:
     """Markers of both bodies at each trigger and their mean poses in the window around it.
 
-    Between the triggers the limb moves linearly, and so on before the first and after the last.
+    The limb's motion is linear between triggers and extrapolated at either end.
     """
     bodies = sensors.MarkerBodies(geometry, errors, rng)
     references = {"socket": geometry.socket_markers, "pylon": geometry.pylon_markers}
@@ -161,12 +161,12 @@ def _motion_capture(
     count = len(truth.wrench)
     markers = {name: np.empty((count, *own.shape)) for name, own in references.items()}
     poses = {name: Pose(np.empty((count, 3, 3)), np.empty((count, 3))) for name in references}
-    pieces = 1 + count * len(offsets) // _FRAMES_AT_ONCE
-    for rows in np.array_split(np.arange(count), pieces):
+    chunks = 1 + count * len(offsets) // _MAX_FRAMES
+    for rows in np.array_split(np.arange(count), chunks):
         at = (rows[:, None] + offsets).ravel()
         after = np.clip(np.ceil(at).astype(int), 1, count - 1)
         moved = (truth.position, truth.rotation, truth.wrench)
-        true = bodies.poses(*(_between(values, after, at - after + 1.0) for values in moved))
+        true = bodies.poses(*(_interpolate(values, after, at - after + 1.0) for values in moved))
         for pose, (name, own) in zip(true, references.items(), strict=True):
             seen = sensors.observe_markers(pose, own, errors, rng)
             markers[name][rows] = seen[reach :: len(offsets)]
@@ -177,7 +177,7 @@ def _motion_capture(
 
 
 def _mean_poses(pose: Pose, count: int) -> Pose:
-    """Means of `count` groups of poses, without NaN: of positions, and chordal of rotations."""
+    """Means of `count` groups of poses, ignoring NaN; chordal means of the rotations."""
     translation = pose.translation.reshape(count, -1, 3)
     seen = np.isfinite(translation[:, :, 0]).sum(axis=1)
     rotation = nearest_rotations(np.nansum(pose.rotation.reshape(count, -1, 3, 3), axis=1))
@@ -194,7 +194,7 @@ def write_simulated_trial(
 ) -> None:
     """Write a simulated trial as a new rosbag2 folder with its ground truth.
 
-    Its `socket.yaml` and `calibration.yaml` are stored; None stands for the package's own.
+    It includes `socket.yaml` and `calibration.yaml`; None selects the package's own.
     """
     check_new_folder(path)
     parameters = packaged("config", "simulated.yaml")
@@ -212,7 +212,7 @@ def write_simulated_trial(
 
 
 def save_truth(path: Path, stamps: IntArray, truth: GroundTruth, **more: FloatArray) -> None:
-    """Write a ground truth with its times [ns], shape (N,), and more."""
+    """Write a ground truth with its times [ns], shape (N,), and further arrays."""
     arrays: dict[str, Any] = {**vars(truth), **more}
     np.savez_compressed(path, names=np.array(arrays.pop("tiles")), stamps=stamps, **arrays)
 
@@ -220,7 +220,7 @@ def save_truth(path: Path, stamps: IntArray, truth: GroundTruth, **more: FloatAr
 def read_truth(path: Path, stamps: IntArray | None = None) -> GroundTruth:
     """Read the ground truth in a simulated trial's folder at stamps, shape (N,) [ns].
 
-    Between the times of the simulation it is linear; None stands for these.
+    It is interpolated linearly; None selects the times of the simulation.
     """
     try:
         with np.load(path / TRUTH_FILE) as data:
@@ -228,7 +228,7 @@ def read_truth(path: Path, stamps: IntArray | None = None) -> GroundTruth:
             arrays = [data[field.name] for field in fields(GroundTruth)[1:]]
         if times.ndim != 1 or len(times) < 2 or any(len(times) != len(array) for array in arrays):
             raise ValueError("its arrays differ in length")
-    except Exception as error:  # it raises whatever its parsing meets
+    except Exception as error:  # parsing may raise any error
         raise TrialError(
             f"{path / TRUTH_FILE}: is damaged ({error})",
             "simulate the trial again, or remove the file",
@@ -237,13 +237,13 @@ def read_truth(path: Path, stamps: IntArray | None = None) -> GroundTruth:
     after = np.clip(np.searchsorted(times, stamps), 1, len(times) - 1)
     span = times[after] - times[after - 1]
     share = np.clip((stamps - times[after - 1]) / span, 0.0, 1.0)
-    return GroundTruth(tiles, *(_between(array, after, share) for array in arrays))
+    return GroundTruth(tiles, *(_interpolate(array, after, share) for array in arrays))
 
 
 def read_true_forces(path: Path, stamps: IntArray, tiles: Sequence[str]) -> FloatArray | None:
-    """Force of the limb on n tiles in {S} at stamps [ns], shape (N, n, 3) [N], as it truly was.
+    """True force of the limb on n tiles in {S} at stamps [ns], shape (N, n, 3) [N].
 
-    None where the trial in the folder was not simulated, or with other tiles.
+    None if the trial in the folder was not simulated, or simulated with other tiles.
     """
     if not (path / TRUTH_FILE).is_file():
         return None
@@ -251,7 +251,7 @@ def read_true_forces(path: Path, stamps: IntArray, tiles: Sequence[str]) -> Floa
     return truth.forces if truth.tiles == tuple(tiles) else None
 
 
-def _between(values: FloatArray, after: IntArray, share: FloatArray) -> FloatArray:
+def _interpolate(values: FloatArray, after: IntArray, share: FloatArray) -> FloatArray:
     share = share.reshape(-1, *[1] * (values.ndim - 1))
     return np.asarray((1.0 - share) * values[after - 1] + share * values[after])
 
@@ -259,7 +259,7 @@ def _between(values: FloatArray, after: IntArray, share: FloatArray) -> FloatArr
 def _messages(
     trial: SimulatedTrial, ratios: FloatArray
 ) -> Iterator[tuple[int, topics.Topic, bytes]]:
-    """Stamps [ns], topics and messages in order; ratios of the bridges, shape (N, 6) [mV/V]."""
+    """Stamps [ns], topics and messages; the bridges' ratios have shape (N, 6) [mV/V]."""
     pack_trigger, pack_wrench = messages.trigger_packer(), messages.wrench_packer()
     pack_pose, pack_raw = messages.pose_packer(), messages.load_cell_raw_packer()
     sizes = {name: seen.shape[1] for name, seen in trial.markers.items()}

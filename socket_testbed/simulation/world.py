@@ -1,8 +1,8 @@
-"""The world that simulated hardware is in, shared by processes through a file, with its faults.
+"""The world of the simulated hardware and its faults, shared between processes through a file.
 
-One process moves it on (`live.simulated_world`); the simulated chips in the nodes' processes look
-at it through `World`, at any time of the steady clock, and see the faults that are on. They need
-no more than this module: such a node starts without the physics.
+One process advances it (`live.simulated_world`). The simulated chips in the nodes' processes read
+states, at any time of the steady clock, and active faults through `World`. They need only this
+module, so a node starts without the physics.
 """
 
 from __future__ import annotations
@@ -18,46 +18,46 @@ from socket_testbed.clocks import SteadyClock
 from socket_testbed.errors import ConfigurationError
 
 FAULTS = {
-    "trigger.missing": "the pulse makes no edge",
-    "trigger.late": "the edge comes so much later [s]",
+    "trigger.missing": "no edge follows the pulse",
+    "trigger.late": "delay of the edge [s]",
     "clusters.unplugged": "the bus is gone: every transfer fails with ENODEV",
     "clusters.nack": "number of the cluster, from 1, whose chip does not answer (EREMOTEIO)",
-    "clusters.timeout": "every transfer times out (ETIMEDOUT) after so long [s]",
-    "clusters.stuck_done": "number of the cluster whose chip converts no more, until it is reset",
+    "clusters.timeout": "time after which every transfer times out (ETIMEDOUT) [s]",
+    "clusters.stuck_done": "number of the cluster whose chip stops converting until it is reset",
     "clusters.rail": "number of the cluster whose chip reads full scale on all inputs",
-    "clusters.shifted": "number of the cluster whose chip shifts its inputs, until it is reset",
-    "clusters.brown_out": "number of the cluster whose chip resets itself, again and again",
+    "clusters.shifted": "number of the cluster whose chip shifts its inputs until it is reset",
+    "clusters.brown_out": "number of the cluster whose chip resets itself repeatedly",
     "load_cell.unplugged": "the chip is gone: every byte reads 0x00",
     "load_cell.flipped_bits": "probability that a frame has a flipped bit [-]",
-    "load_cell.rail": "1 + the input that is at a rail: a broken wire",
-    "load_cell.brown_out": "the chip falls back to its reset state every so often [s]",
-    "load_cell.frozen": "the chip converts no more, DRDY stays high",
-    "mocap.unplugged": "the network is down: nothing goes out or comes in",
+    "load_cell.rail": "1 + the input at a rail: a broken wire",
+    "load_cell.brown_out": "interval at which the chip falls back to its reset state [s]",
+    "load_cell.frozen": "the chip stops converting, DRDY stays high",
+    "mocap.unplugged": "the network is down: nothing is sent or received",
     "mocap.drop": "probability that a datagram is dropped [-]",
-    "mocap.truncate": "probability that a datagram is cut somewhere [-]",
-    "mocap.duplicate": "probability that a datagram comes twice [-]",
-    "mocap.reorder": "probability that a datagram comes after the next one [-]",
+    "mocap.truncate": "probability that a datagram is truncated [-]",
+    "mocap.duplicate": "probability that a datagram is duplicated [-]",
+    "mocap.reorder": "probability that a datagram is sent after the next one [-]",
     "mocap.corrupt": "probability that a count in a datagram is wrong [-]",
-    "mocap.restart": "each new number restarts the server: clients forgotten, another clock",
-    "mocap.occlude": "1 + the marker that is occluded on both bodies",
+    "mocap.restart": "each new number restarts the server, with no clients and a new clock",
+    "mocap.occlude": "1 + the marker occluded on both bodies",
     "mocap.swap": "probability that two labels of a body are swapped in a frame [-]",
-    "limb.out": "-1: the limb is out of the socket; n: and a thumb presses on the n-th cluster",
-    "clock.step": "the system clock is off by so much [s]",
+    "limb.out": "-1: the limb is out of the socket; n: also, a thumb presses the n-th cluster",
+    "clock.step": "offset of the system clock [s]",
 }
 
 
 _FILE = "world"
-_KEPT = 32  # states; more than any chip looks back
-_MOST_CLUSTERS = 16
-_INPUTS = 4 * _MOST_CLUSTERS  # capacitances
-_WIDTH = _INPUTS + 6 + 14
+_STATES = 32  # more than any chip looks back
+_MAX_CLUSTERS = 16
+_CAPACITANCES = 4 * _MAX_CLUSTERS
+_STATE_SIZE = _CAPACITANCES + 6 + 14
 _LAYOUT = np.dtype(
     [
         ("changes", np.uint64),
         ("newest", np.int64),
         ("port", np.int64),
-        ("time", np.float64, (_KEPT,)),
-        ("state", np.float64, (_KEPT, _WIDTH)),
+        ("time", np.float64, (_STATES,)),
+        ("state", np.float64, (_STATES, _STATE_SIZE)),
         ("faults", np.float64, (len(FAULTS),)),
         ("capacitance_noise", np.float64),
         ("wrench_noise", np.float64, (6,)),
@@ -66,7 +66,7 @@ _LAYOUT = np.dtype(
 
 
 class FaultSwitches(Mapping[str, float]):
-    """The faults of a world by their names; 0 is off."""
+    """The faults of a world by name; 0 is off."""
 
     def __init__(self, values: FloatArray) -> None:
         self._values = values
@@ -82,12 +82,12 @@ class FaultSwitches(Mapping[str, float]):
         return len(FAULTS)
 
     def switch(self, name: str, value: float) -> None:
-        """Switch a fault on, or off with 0."""
+        """Set a fault; 0 switches it off."""
         self._values[self._index[name]] = value
 
 
 class _Segment(NamedTuple):
-    """Between two states the world is linear: it stays so, whatever comes later."""
+    """Two states with linear interpolation between them; later states do not change it."""
 
     start: float
     end: float
@@ -96,7 +96,7 @@ class _Segment(NamedTuple):
 
 
 class World:
-    """A simulated world in a folder, seen from any process."""
+    """A simulated world in a folder, accessible from any process."""
 
     def __init__(self, folder: Path, create: bool = False) -> None:
         path = folder / _FILE
@@ -112,16 +112,16 @@ class World:
         self._changes, self._newest = shared["changes"], shared["newest"]
         self._time, self._state = shared["time"][0], shared["state"][0]
         self._clock = SteadyClock()
-        self._segment = _Segment(0.0, 0.0, np.zeros(_WIDTH), np.zeros(_WIDTH))
+        self._segment = _Segment(0.0, 0.0, np.zeros(_STATE_SIZE), np.zeros(_STATE_SIZE))
         self.faults = FaultSwitches(shared["faults"][0])
-        # noise of the converters, white, to be set in place: of a conversion, shape (1,) [pF]; of
-        # a wrench [M; F] in a mean over one second, shape (6,) [N m, N]
+        # white noise of the converters, to be set in place: per conversion, shape (1,) [pF]; of a
+        # wrench [M; F] averaged over one second, shape (6,) [N m, N]
         self.capacitance_noise = shared["capacitance_noise"]
         self.wrench_noise = shared["wrench_noise"][0]
 
     @property
     def port(self) -> int:
-        """Command port of the simulated motion-capture server; 0 until it is up."""
+        """Command port of the simulated motion-capture server; 0 until it is running."""
         return int(self._shared["port"][0])
 
     @port.setter
@@ -131,23 +131,23 @@ class World:
     def push(
         self, moment: float, capacitance: FloatArray, wrench: FloatArray, poses: FloatArray
     ) -> None:
-        """Add the state at a time of the steady clock [s] later than all before.
+        """Add the state at a time of the steady clock [s], later than all before.
 
-        It is what the methods below return: capacitances by cluster and input, shape (c, 4) [pF],
-        c at most 16, wrench and poses.
+        Arguments as returned by the methods below; the capacitances of c <= 16 clusters by input
+        have shape (c, 4) [pF].
         """
-        state = np.zeros(_WIDTH)
+        state = np.zeros(_STATE_SIZE)
         state[: capacitance.size] = capacitance.ravel()
-        state[_INPUTS:] = np.concatenate([wrench, poses.ravel()])
-        # While the count of changes is odd, readers know that a change is under way.
+        state[_CAPACITANCES:] = np.concatenate([wrench, poses.ravel()])
+        # An odd count tells readers that a change is in progress.
         self._changes[0] += 1
-        if self._changes[0] == 1:  # before the first state it was as it is then
-            self._time[:] = moment - np.arange(_KEPT, 0, -1)
+        if self._changes[0] == 1:  # extend the first state into the past
+            self._time[:] = moment - np.arange(_STATES, 0, -1)
             self._state[:] = state
-        place = (int(self._newest[0]) + 1) % _KEPT
-        self._time[place] = moment
-        self._state[place] = state
-        self._newest[0] = place
+        slot = (int(self._newest[0]) + 1) % _STATES
+        self._time[slot] = moment
+        self._state[slot] = state
+        self._newest[0] = slot
         self._changes[0] += 1
 
     def capacitance(self, cluster: int, channel: int, moment: float) -> float:
@@ -156,11 +156,11 @@ class World:
 
     def wrench(self, moment: float) -> FloatArray:
         """Load on the load cell [M; F], shape (6,) [N m, N]."""
-        return self._at(moment)[_INPUTS : _INPUTS + 6]
+        return self._at(moment)[_CAPACITANCES : _CAPACITANCES + 6]
 
     def poses(self, moment: float) -> FloatArray:
         """Positions [m] and quaternions (x, y, z, w) of the two bodies, shape (2, 7)."""
-        poses = self._at(moment)[_INPUTS + 6 :].reshape(2, 7)
+        poses = self._at(moment)[_CAPACITANCES + 6 :].reshape(2, 7)
         poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
         return poses
 
@@ -169,22 +169,22 @@ class World:
         return self._clock.now() + round(self.faults["clock.step"] * 1e9)
 
     def _at(self, moment: float) -> FloatArray:
-        """The state at a time of the steady clock, linear between the two around it."""
+        """The state at a time of the steady clock, interpolated linearly."""
         segment = self._segment
         if not segment.start <= moment < segment.end:
             segment = self._segment = self._find(moment)
         return segment.state + (moment - segment.start) * segment.rate
 
     def _find(self, moment: float) -> _Segment:
-        """The states around a time; beyond the newest and the oldest nothing changes."""
+        """The segment around a time; constant beyond the newest and oldest states."""
         while True:
             before = self._changes[0]
             newest = int(self._newest[0])
             later, after = newest, newest
-            while self._time[after] > moment and (after - 1) % _KEPT != newest:
-                later, after = after, (after - 1) % _KEPT
+            while self._time[after] > moment and (after - 1) % _STATES != newest:
+                later, after = after, (after - 1) % _STATES
             start, end = float(self._time[after]), float(self._time[later])
-            state, rate = self._state[after].copy(), np.zeros(_WIDTH)
+            state, rate = self._state[after].copy(), np.zeros(_STATE_SIZE)
             if start <= moment < end:
                 rate = (self._state[later] - state) / (end - start)
             if before % 2 == 0 and before == self._changes[0]:

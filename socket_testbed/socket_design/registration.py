@@ -27,8 +27,8 @@ from socket_testbed.documents import Document, FieldError, Text, read_document
 from socket_testbed.errors import ConfigurationError, RegistrationError
 from socket_testbed.geometry.axis import socket_axis
 from socket_testbed.geometry.marker_bodies import (
-    FEWEST_MARKERS,
-    MOST_MARKERS,
+    MAX_MARKERS,
+    MIN_MARKERS,
     BodyFit,
     PoseUncertainty,
     body_fault,
@@ -66,7 +66,7 @@ _TOO_FEW = f"give {_FEWEST} or more that are not on one line"
 _FARTHEST = 2.0  # [m]; what is farther is in another unit
 _Metres = Annotated[float, Meta(ge=-_FARTHEST, le=_FARTHEST)]
 _Coordinates = dict[str, tuple[_Metres, _Metres, _Metres]]
-_Names = Annotated[list[Text], Meta(min_length=FEWEST_MARKERS, max_length=MOST_MARKERS)]
+_Names = Annotated[list[Text], Meta(min_length=MIN_MARKERS, max_length=MAX_MARKERS)]
 
 
 class _RigidBody(Document):
@@ -508,7 +508,7 @@ def _register_body(take: MotiveTake, side: Side, force: bool) -> RegisteredBody:
 def _markers_of(take: MotiveTake, body: str, where: str) -> tuple[str, ...]:
     """The names of the measured markers of a rigid body of Motive."""
     names = take.markers_of(body)
-    if not FEWEST_MARKERS <= len(names) <= MOST_MARKERS:
+    if not MIN_MARKERS <= len(names) <= MAX_MARKERS:
         raise RegistrationError(
             f"{where}: the rigid body '{body}' has {len(names)} measured markers in the take"
             f" ({', '.join(names) or 'none'})",

@@ -28,7 +28,7 @@ from socket_testbed.calibration.drift import (
 )
 from socket_testbed.calibration.model import Calibration
 from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.geometry.marker_bodies import MOST_MARKERS
+from socket_testbed.geometry.marker_bodies import MAX_MARKERS
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import Samples, Status
@@ -145,7 +145,7 @@ def read_measurements(
         ratios=raw[:, :6],
         tares=raw[:, 6:],
         markers={
-            name: _rows(own, stamps)[0].reshape(-1, MOST_MARKERS, 3)
+            name: _rows(own, stamps)[0].reshape(-1, MAX_MARKERS, 3)
             for (topic, name), own in series.items()
             if topic is MARKERS
         },
@@ -185,7 +185,7 @@ def _columns(topic: Topic, values: Any) -> Iterator[tuple[str, _Columns]]:
             yield name, [values.capacitance[:, number], values.status[:, number]]
     elif topic is MARKERS:
         for name, markers in values:
-            seen = np.full((len(markers), MOST_MARKERS, 3), np.nan)
+            seen = np.full((len(markers), MAX_MARKERS, 3), np.nan)
             seen[:, : markers.shape[1]] = markers
             yield name, [seen.reshape(len(markers), -1)]
     else:

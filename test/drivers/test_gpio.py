@@ -27,7 +27,7 @@ def test_a_trigger_s_time_is_that_of_its_edge_never_of_another_pulse_s(monkeypat
         for _ in range(times):
             before = clock.now
             assert before < trigger.fire() < before + 1e-4
-            trigger.rest()
+            trigger.end_pulse()
             assert clock.now - before >= SETTINGS.pulse
             clock.sleep(0.05)
 
@@ -36,14 +36,14 @@ def test_a_trigger_s_time_is_that_of_its_edge_never_of_another_pulse_s(monkeypat
     faults["trigger.missing"] = 1.0
     with refused(DeviceError, "no edge on line 27", "line 17", "check the wire"):
         trigger.fire()
-    trigger.rest()
+    trigger.end_pulse()
     faults["trigger.missing"] = 0.0
     for late in (0.0011, 0.01, 0.2):
         stray, faults["trigger.late"] = trigger.stray, late
         for _ in range(20):
             with pytest.raises(DeviceError):
                 trigger.fire()
-            trigger.rest()
+            trigger.end_pulse()
             clock.sleep(0.05)
         faults["trigger.late"] = 0.0
         fire(20)

@@ -143,7 +143,7 @@ class Bench:
 
 
 def test_a_wrench_is_that_of_its_time_with_all_settings(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(converter_reader, "_KEPT", 0.2)
+    monkeypatch.setattr(converter_reader, "_HISTORY", 0.2)
     bench = Bench()
     bench.run(1.0)
     assert all(bench.valid(start=BEGIN + 0.05)) and bench.worst() < 4e-3

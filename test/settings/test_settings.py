@@ -112,9 +112,9 @@ def test_a_name_goes_to_motive_as_it_is_or_is_refused_when_it_is_given(tmp_path:
     # A refused take is not pursued, and the one before it ends.
     sent: list[str] = []
     keeper = TakeKeeper(lambda command, done: sent.append(command))
-    keeper.want("first")
+    keeper.request("first")
     with refused(ConfigurationError, "the trial's name"):
-        keeper.want("a,b")
+        keeper.request("a,b")
     assert keeper.settled  # nothing was started, nothing is wanted
     keeper.step(1.0, connected=True)
     assert sent == [] and keeper.fault == ""

@@ -1,1 +1,1 @@
-"""The clusters: FDC1004 converters of capacitance on I2C, behind a multiplexer or not."""
+"""The clusters: FDC1004 capacitance converters on I2C, with or without a multiplexer."""

@@ -1,4 +1,4 @@
-"""TI FDC1004: four capacitances by one converter (datasheet SNOSCY5B)."""
+"""TI FDC1004 capacitance converter with four inputs (datasheet SNOSCY5B)."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ _IDENTITY = {0xFE: ("maker", 0x5449), 0xFF: ("device", 0x1004)}
 _RESET = 0x8000
 _REPEAT_ALL = 0x01F0
 _DONE = 0x000F
-_TO_CAPDAC = 4  # CHB; the offset acts with no other
-_LAST_CAPDAC = 31
+_TO_CAPDAC = 4  # CHB; the offset needs this setting
+_MAX_CAPDAC = 31
 _RAILS = (0x7FFFFF, -0x800000)
 _PER_PICOFARAD = 2**19  # [1/pF]
 _CAPDAC_UNIT = 3.125  # [pF]
-_CAPDAC_STEP = 8  # 25 pF: two neighbouring ranges of 30 pF overlap
-_RESET_POLLS = 10
-_RESET_POLL = 1e-3  # [s]
+_CAPDAC_STEP = 8  # 25 pF, so that neighbouring ranges of 30 pF overlap
+_MAX_RESET_POLLS = 10
+_RESET_POLL_INTERVAL = 1e-3  # [s]
 
 
 class Fdc1004:
-    """The converter in repeat mode, a `CapacitiveChip` of four single-ended inputs."""
+    """The converter in repeat mode: a `CapacitiveChip` with four single-ended inputs."""
 
     name = "FDC1004"
     address = 0x50  # fixed
@@ -32,7 +32,7 @@ class Fdc1004:
         self._port = port
         self._conf = self.sample_rates.index(sample_rate) + 1 << 10 | _REPEAT_ALL
         self.where = port.where  # where it is wired, for messages
-        # offset of each input in steps of 3.125 pF, 0..31 [1]; a reset keeps them
+        # offset of each input in steps of 3.125 pF, 0..31 [1]; kept across resets
         self.capdac = [0] * INPUTS
 
     def check_identity(self) -> None:
@@ -46,10 +46,10 @@ class Fdc1004:
                 )
 
     def reset_and_configure(self) -> None:
-        """Reset the chip, check its identity, and let it convert all inputs in turn."""
+        """Reset the chip, check its identity, and start converting all inputs in turn."""
         self._port.write(_FDC_CONF, _RESET)
-        for _ in range(_RESET_POLLS):
-            clocks.sleep(_RESET_POLL)
+        for _ in range(_MAX_RESET_POLLS):
+            clocks.sleep(_RESET_POLL_INTERVAL)
             if not self._port.read(_FDC_CONF) & _RESET:
                 break
         else:
@@ -69,7 +69,7 @@ class Fdc1004:
                 )
 
     def done(self) -> tuple[bool, ...]:
-        """Whether each input was converted since it was last read, shape (4,)."""
+        """Whether each input has a conversion that was not read, shape (4,)."""
         value = self._port.read(_FDC_CONF)
         if value & ~_DONE != self._conf:
             raise DeviceError(
@@ -81,19 +81,19 @@ class Fdc1004:
 
     def read(self, channel: int) -> int:
         """Last conversion of an input, a signed code of 24 bits [1]; clears its DONE."""
-        high = self._port.read(2 * channel + _MSB)  # first: it holds the other one still
+        high = self._port.read(2 * channel + _MSB)  # first: this latches the LSB register
         low = self._port.read(2 * channel + _LSB)
         code = high << 8 | low >> 8
         return code - (1 << 24) if code & 0x800000 else code
 
     def convert(self, channel: int, code: int) -> Conversion:
-        """C = code / 2^19 + 3.125 CAPDAC [pF]; a code at a rail steps CAPDAC towards it."""
-        former = self.capdac[channel]
+        """C = code / 2^19 + 3.125 CAPDAC [pF]; a code at a rail shifts CAPDAC towards it."""
+        previous = self.capdac[channel]
         if code not in _RAILS:
-            return Conversion(code / _PER_PICOFARAD + _CAPDAC_UNIT * former)
+            return Conversion(code / _PER_PICOFARAD + _CAPDAC_UNIT * previous)
         step = _CAPDAC_STEP if code > 0 else -_CAPDAC_STEP
-        self.capdac[channel] = capdac = min(max(former + step, 0), _LAST_CAPDAC)
-        if capdac == former:
+        self.capdac[channel] = capdac = min(max(previous + step, 0), _MAX_CAPDAC)
+        if capdac == previous:
             return Conversion(
                 float("nan"),
                 fault=f"input {channel + 1} is out of range at {self.where}, CAPDAC {capdac}:"

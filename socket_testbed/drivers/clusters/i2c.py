@@ -1,4 +1,4 @@
-"""The clusters' I2C: a bus, a chip's registers on it with named errors, and what a chip can do."""
+"""I2C for the clusters: the bus, register access with named errors, and the chip interface."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from smbus2 import SMBus, i2c_msg
 from socket_testbed import drivers
 from socket_testbed.errors import DeviceError
 
-INPUTS = 4  # of a chip
+INPUTS = 4  # per chip
 
 _I2C_TIMEOUT = 0x0702  # request of linux/i2c-dev.h
 _TIMEOUT_UNIT = 0.01  # [s]
 
 
 class I2cBus(Protocol):
-    """The part of `smbus2.SMBus` that is used, and that simulated buses have."""
+    """The part of `smbus2.SMBus` in use; simulated buses implement it."""
 
     def i2c_rdwr(self, *messages: i2c_msg) -> None:
         """Transfer messages with repeated starts between them."""
@@ -41,24 +41,24 @@ class BusTimeoutError(BusError):
 
 
 class BusGoneError(BusError):
-    """The bus itself is gone: it must be opened again."""
+    """The bus itself is gone and must be reopened."""
 
 
 def open_i2c(number: int, timeout: float) -> I2cBus:
-    """Open `/dev/i2c-N`; a transfer that hangs ends after a timeout [s], in steps of 10 ms."""
+    """Open `/dev/i2c-N`; hanging transfers end after a timeout [s], in steps of 10 ms."""
     bus = SMBus()
     try:
         bus.open(number)
         assert bus.fd is not None
         ioctl(bus.fd, _I2C_TIMEOUT, max(1, round(timeout / _TIMEOUT_UNIT)))
     except OSError as error:
-        bus.close()  # smbus2 leaves the file open if what follows its opening fails
+        bus.close()  # smbus2 leaves the file open if a later step fails
         raise opening_failed(number, error) from error
     return bus
 
 
 def opening_failed(number: int, error: OSError) -> DeviceError:
-    """The error of a bus that could not be opened."""
+    """The error for a bus that could not be opened."""
     return drivers.opening_failed(
         f"/dev/i2c-{number}",
         error,
@@ -69,10 +69,10 @@ def opening_failed(number: int, error: OSError) -> DeviceError:
 
 
 class I2cPort:
-    """One chip on a bus, its registers sent the most significant byte first.
+    """One chip on a bus, with big-endian registers.
 
-    Transfers that fail raise a `BusError`, which names the bus, such as i2c-1, the place on it,
-    such as "behind channel 2 of 0x70", and the part to check.
+    A failed transfer raises a `BusError` that names the bus, such as i2c-1, the place on it, such
+    as "behind channel 2 of 0x70", and the part to check.
     """
 
     def __init__(
@@ -103,9 +103,9 @@ class I2cPort:
         try:
             self._bus.i2c_rdwr(*messages)
         except OSError as error:
-            raise self._named(error) from error
+            raise self._bus_error(error) from error
 
-    def _named(self, error: OSError) -> BusError:
+    def _bus_error(self, error: OSError) -> BusError:
         said = error.strerror or error
         kind, fact = BusError, f"transfer failed at {self.where} ({said})"
         hint = f"check the {self._part}'s wiring"
@@ -117,18 +117,18 @@ class I2cPort:
             hint = "check SDA and SCL for a short, their pull-ups, and doctor's kernel row"
         elif error.errno in {errno.ENODEV, errno.ENOENT, errno.EBADF, errno.EIO}:
             kind, fact = BusGoneError, f"the bus is gone at {self.where} ({said})"
-            hint = f"check the adapter of {self._bus_name}; it is opened again by itself"
+            hint = f"check the adapter of {self._bus_name}; it will be reopened automatically"
         return kind(fact, hint, self._address)
 
 
 @dataclass(frozen=True)
 class Conversion:
-    """The meaning of a code."""
+    """A converted code."""
 
-    picofarads: float  # capacitance [pF]; NaN if it is out of range
-    # whether the chip shifted the input's range, which holds from the next conversion that begins
+    picofarads: float  # capacitance [pF]; NaN if out of range
+    # whether the input's range was shifted, starting with the next conversion
     shifted: bool = False
-    fault: str = ""  # why an input that is out of range cannot have another one, and the hint
+    fault: str = ""  # fact and hint if the range cannot be shifted further
 
 
 class CapacitiveChip(Protocol):
@@ -137,30 +137,30 @@ class CapacitiveChip(Protocol):
     Every method raises a `DeviceError` if the chip or its bus fails.
     """
 
-    name: str  # its name, for people
-    address: int  # its address on the bus [1]
-    sample_rates: tuple[int, ...]  # conversions, shared by the inputs, that it can make [1/s]
+    name: str  # for messages
+    address: int  # on the bus [1]
+    sample_rates: tuple[int, ...]  # possible rates, shared by the inputs [1/s]
     where: str  # where it is wired, for messages
 
     def __init__(self, port: I2cPort, sample_rate: int, /) -> None: ...
 
     def check_identity(self) -> None:
-        """Check that it is this chip."""
+        """Check that this is the expected chip."""
 
     def reset_and_configure(self) -> None:
-        """Reset it, check its identity, and let it convert all inputs in turn."""
+        """Reset the chip, check its identity, and start converting all inputs in turn."""
 
     def done(self) -> tuple[bool, ...]:
-        """Whether each input was converted since it was last read, shape (4,).
+        """Whether each input has a conversion that was not read, shape (4,).
 
-        A chip that has lost its settings is an error.
+        Raises an error if the chip has lost its settings.
         """
         ...
 
     def read(self, channel: int) -> int:
-        """Code of the last conversion of an input [1]; the input is not `done` any more."""
+        """Code of the last conversion of an input [1]; clears its `done`."""
         ...
 
     def convert(self, channel: int, code: int) -> Conversion:
-        """Capacitance of a code of an input; shifts the range of an input that left it."""
+        """Convert an input's code to capacitance; shifts the range if it is out of range."""
         ...

@@ -1,4 +1,4 @@
-"""The clusters, read for each trigger: one that fails is left out while the others go on."""
+"""Reads the clusters for each trigger; a failed cluster does not stop the others."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import ClusterSettings
 
-# In cycles, each the time that a chip takes for its four inputs.
-_PAUSE = 0.05  # between two polls of the chips that still convert
-_OLDEST = 2.0  # age at the trigger
-_SHARED = 0.5  # a value read so shortly before a trigger is nearer than the next conversion
-_UNFINISHED = 2.5
-_SETTLING = 0.5  # two conversions: the one under way has the former range
+# In cycles; a chip converts its four inputs in one cycle.
+_POLL_INTERVAL = 0.05  # while chips still convert
+_MAX_AGE = 2.0  # of a conversion at the trigger
+_REUSE_AGE = 0.5  # a value read this shortly before a trigger is closer than the next conversion
+_CONVERSION_TIMEOUT = 2.5
+_SETTLING = 0.5  # two conversions: the one in progress still has the old range
 
 
 @dataclass(frozen=True)
 class ClusterReading:
     """The clusters' values for one trigger."""
 
-    capacitance: FloatArray  # of c clusters by input, shape (c, 4) [pF]; NaN where there is none
+    capacitance: FloatArray  # of c clusters by input, shape (c, 4) [pF]; NaN if missing
     status: StatusArray  # OK, SATURATED or MISSING (`Status`) of each input, shape (c, 4)
     faults: dict[str, str]  # fault and hint in one line, by the cluster's name
 
 
 class ClusterReader:
-    """Reads all clusters, and never raises for a fault of the hardware.
+    """Reads all clusters and never raises for a hardware fault.
 
-    The first reading opens the buses by their numbers; what opens one may raise a `DeviceError`.
+    The first reading opens the buses by number; `open_bus` may raise a `DeviceError`.
     """
 
     def __init__(
@@ -69,23 +69,23 @@ class ClusterReader:
             cluster.begin(trigger)
         latest = trigger + self._settings.latest
         late = clocks.monotonic() > latest
-        # Those to be set up come last: they would hold up the others.
+        # Unconfigured clusters come last, as they would delay the others.
         waiting = [] if late else sorted(clusters, key=lambda cluster: not cluster.configured)
         while waiting := [cluster for cluster in waiting if cluster.advance()]:
-            clocks.sleep(_PAUSE * waiting[0].cycle)
+            clocks.sleep(_POLL_INTERVAL * waiting[0].cycle)
 
         shape = (len(clusters), i2c.INPUTS)
         capacitance = np.full(shape, np.nan)
         status = np.full(shape, Status.MISSING, dtype=np.uint8)
         faults = {}
         for row, (name, cluster) in enumerate(self._clusters.items()):
-            fault, whole = cluster.fault, not cluster.pending
-            if late or (whole and max(entry.read for entry in cluster.inputs) > latest):
+            fault, complete = cluster.fault, not cluster.pending
+            if late or (complete and max(entry.read for entry in cluster.inputs) > latest):
                 fault = (
                     f"read more than {self._settings.latest:g} s after the trigger:"
                     " lower the trigger's rate, or relieve the computer"
                 )
-            elif whole:
+            elif complete:
                 capacitance[row] = values = [entry.value for entry in cluster.inputs]
                 status[row] = np.where(np.isnan(values), Status.SATURATED, Status.OK)
                 fault = fault or "; ".join(entry.fault for entry in cluster.inputs if entry.fault)
@@ -94,7 +94,7 @@ class ClusterReader:
         return ClusterReading(capacitance, status, faults)
 
     def identify(self) -> dict[str, str | DeviceError]:
-        """The chip found at each cluster's place, or the error there, by the cluster's name."""
+        """Find the chip of each cluster, or the error, by the cluster's name."""
         found: dict[str, str | DeviceError] = {}
         for name, cluster in self._clusters.items():
             try:
@@ -115,20 +115,19 @@ class ClusterReader:
 
 
 class _Bus:
-    """A bus with its multiplexers (TI TCA9548A), if it has any, and its state as far as known.
+    """A bus with its multiplexers (TI TCA9548A), if any, and its known state.
 
-    It is opened when needed, and can be closed and opened under the chips on it. The chips share
-    one address: two channels at once would put them on the same wires. What a fault costs is
-    decided in `note`.
+    It is opened when needed, and can be closed and reopened while chips refer to it. All chips have
+    the same address, so only one channel may be connected at a time.
     """
 
     def __init__(self, number: int, open_bus: Callable[[int], i2c.I2cBus]) -> None:
         self.name = f"i2c-{number}"
-        self.configured: set[tuple[int, int]] = set()  # places of the chips, since it was opened
-        self.multiplexers: dict[int, i2c.I2cPort] = {}  # by their addresses
-        self.given_up = ""  # why nothing more is read from it for the present trigger
+        self.configured: set[tuple[int, int]] = set()  # places of configured chips
+        self.multiplexers: dict[int, i2c.I2cPort] = {}  # by address
+        self.given_up = ""  # why it is not read any more for the current trigger
         self.backoff = clocks.Backoff()
-        self._closed_by = ""  # the fault for which it was closed
+        self._closed_by = ""  # the fault that closed it
         self._number = number
         self._open_bus = open_bus
         self._bus: i2c.I2cBus | None = None
@@ -138,20 +137,20 @@ class _Bus:
         return self._bus is not None
 
     def unusable(self, now: float) -> str:
-        """Why nothing can be read from it at a time [s]; empty: it is open, or may be opened."""
+        """Why the bus cannot be used at a time [s]; empty if it is open or may be opened."""
         waits = not self.is_open and not self.backoff.due(now)
         return self.given_up or (self._closed_by if waits else "")
 
-    def note(self, error: DeviceError, chip: int, now: float) -> bool:
-        """Take a fault met on the way to a chip at an address; whether it is that chip's alone.
+    def handle_fault(self, error: DeviceError, chip: int, now: float) -> bool:
+        """Handle a fault while accessing a chip at an address; returns whether only it is affected.
 
-        Otherwise the bus is closed, to be opened again: it is gone, or its multiplexer fails.
-        Every transfer on a bus that hangs takes its whole time-out: one for a trigger is enough.
+        Otherwise the bus is gone or its multiplexer fails: the bus is closed and reopened later.
+        On a hanging bus every transfer takes its full timeout, so only one per trigger is tried.
         """
         if isinstance(error, i2c.BusTimeoutError):
             self.given_up = str(error)
-        of_chip = not isinstance(error, i2c.BusError) or error.address == chip
-        if self.is_open and of_chip and not isinstance(error, i2c.BusGoneError):
+        only_chip = not isinstance(error, i2c.BusError) or error.address == chip
+        if self.is_open and only_chip and not isinstance(error, i2c.BusGoneError):
             return True
         self.given_up = self._closed_by = str(error)
         self.backoff.failed(now)
@@ -163,28 +162,28 @@ class _Bus:
             self._bus = self._open_bus(self._number)
 
     def i2c_rdwr(self, *messages: i2c_msg) -> None:
-        """Transfer messages; raises OSError, as the bus itself does."""
+        """Transfer messages; raises OSError like the bus itself."""
         if self._bus is None:
             raise OSError(errno.ENODEV, "the bus is closed")
         self._bus.i2c_rdwr(*messages)
 
     def select(self, multiplexer: int, channel: int) -> None:
-        """Connect one channel, 0..7 [1], of one multiplexer, and it alone.
+        """Connect only one channel, 0..7 [1], of one multiplexer.
 
-        It is always written: after a brown-out a remembered selection would be wrong.
+        It is always written, since a brown-out may have reset the selection.
         """
         self.disconnect(but=multiplexer)
         if multiplexer:
             self.multiplexers[multiplexer].write_byte(1 << channel)
 
     def disconnect(self, but: int = 0) -> None:
-        """Connect no channel, of any multiplexer but one."""
+        """Disconnect all channels of all multiplexers except one."""
         for address, multiplexer in self.multiplexers.items():
             if address != but:
                 multiplexer.write_byte(0)
 
     def close(self) -> None:
-        """Close it; one that is gone is closed already."""
+        """Close the bus, unless it is closed already."""
         self.configured.clear()
         bus, self._bus = self._bus, None
         if bus is not None:
@@ -194,30 +193,30 @@ class _Bus:
 
 @dataclass
 class _Input:
-    low: float  # it was not done then [s]
-    settled: float = -math.inf  # a conversion that may have ended before has another range [s]
-    since: float = -math.inf  # the value's conversion ended after this [s]
-    read: float = -math.inf  # a conversion was last read then [s]
+    low: float  # last time it was known not to be done [s]
+    settled: float = -math.inf  # conversions that may have ended earlier have the old range [s]
+    since: float = -math.inf  # the value's conversion ended after this time [s]
+    read: float = -math.inf  # time of the last read of a conversion [s]
     value: float = math.nan  # [pF]; NaN if out of range
     fault: str = ""
 
 
 @dataclass
 class _Cluster:
-    """A chip at its place, and its four inputs, read for each trigger.
+    """A chip and its place; its four inputs are read for each trigger.
 
-    A conversion ended after the last time that its input was known not to be done. That bound,
-    not the time of the read, limits how old a value can be, even if the chip has hung meanwhile.
+    A conversion ended after the last time its input was known not to be done. This bound, not the
+    time of the read, limits the age of a value, even if the chip has hung in between.
     """
 
     bus: _Bus
-    place: tuple[int, int]  # its multiplexer's address, 0: none, and channel
+    place: tuple[int, int]  # address of its multiplexer (0: none) and channel
     chip: i2c.CapacitiveChip
     cycle: float  # [s]
     inputs: list[_Input] = field(default_factory=list)
-    pending: set[int] = field(default_factory=set)  # without a value for the present trigger
+    pending: set[int] = field(default_factory=set)  # inputs without a value for the current trigger
     trigger: float = -math.inf  # [s]
-    begun: float = -math.inf  # to read for it [s]
+    begun: float = -math.inf  # start of the reading for it [s]
     fault: str = ""
     backoff: clocks.Backoff = field(default_factory=clocks.Backoff)
 
@@ -226,13 +225,13 @@ class _Cluster:
         return self.place in self.bus.configured
 
     def begin(self, trigger: float) -> None:
-        """Begin to gather the inputs' values for a trigger at a time of the steady clock [s]."""
+        """Start reading the inputs for a trigger at a time of the steady clock [s]."""
         self.pending = set(range(i2c.INPUTS))
         self.trigger = trigger
         self.begun = clocks.monotonic()
 
     def advance(self) -> bool:
-        """Poll it once; returns whether to poll it again."""
+        """Poll the chip once; returns whether to poll it again."""
         now = clocks.monotonic()
         if unusable := self.bus.unusable(now):
             self.fault = unusable
@@ -249,7 +248,7 @@ class _Cluster:
         except DeviceError as error:
             self.bus.configured.discard(self.place)
             self.fault, now = str(error), clocks.monotonic()
-            if self.bus.note(error, self.chip.address, now):
+            if self.bus.handle_fault(error, self.chip.address, now):
                 self.backoff.failed(now)
             return False
         self.fault = ""
@@ -258,12 +257,12 @@ class _Cluster:
         return False
 
     def select(self) -> None:
-        """Connect the chip, and it alone."""
+        """Connect only this chip."""
         self.bus.open()
         self.bus.select(*self.place)
 
     def _configure(self) -> None:
-        """Reset and configure the chip; drops what came before."""
+        """Reset and configure the chip; drops all earlier values."""
         begun = clocks.monotonic()
         self.chip.reset_and_configure()
         self.inputs = [_Input(low=begun) for _ in range(i2c.INPUTS)]
@@ -271,14 +270,14 @@ class _Cluster:
         self.bus.configured.add(self.place)
 
     def _poll(self) -> bool:
-        """Read what is done; returns whether inputs are still pending."""
+        """Read finished conversions; returns whether inputs are still pending."""
         asked = clocks.monotonic()
         done = self.chip.done()
         codes = {n: self._read(n) for n in sorted(self.pending) if done[n]}
         for n in self.pending - codes.keys():
             self._await(n, asked)
         if codes:
-            # A chip that lost its supply while it was read gave zeros that look like values.
+            # A chip that loses its supply during the read returns zeros that look valid.
             self.chip.done()
         for n, code in codes.items():
             if code is not None:
@@ -290,12 +289,12 @@ class _Cluster:
         return bool(self.pending)
 
     def _read(self, n: int) -> int | None:
-        """The code of an input [1], or None if it may be too old; it is cleared either way."""
+        """The code of an input [1], or None if it may be too old; cleared in either case."""
         entry = self.inputs[n]
         entry.since, entry.low = entry.low, clocks.monotonic()
         code = self.chip.read(n)
         entry.read = clocks.monotonic()
-        if entry.since < max(self.trigger - _OLDEST * self.cycle, entry.settled):
+        if entry.since < max(self.trigger - _MAX_AGE * self.cycle, entry.settled):
             entry.since = -math.inf
             return None
         return code
@@ -303,21 +302,21 @@ class _Cluster:
     def _await(self, n: int, asked: float) -> None:
         entry = self.inputs[n]
         entry.low = asked
-        # At triggers as fast as the cycle, waiting for the next conversion each time would
-        # make the readings fall behind; the last one may be nearer to this trigger.
-        near = _SHARED * self.cycle
-        is_young = entry.since >= self.trigger - _OLDEST * self.cycle
-        if asked >= self.trigger + near and entry.read >= self.trigger - near and is_young:
+        # With triggers as fast as the cycle, waiting for the next conversion each time would make
+        # the readings lag; the last conversion may be closer to this trigger.
+        near = _REUSE_AGE * self.cycle
+        is_recent = entry.since >= self.trigger - _MAX_AGE * self.cycle
+        if asked >= self.trigger + near and entry.read >= self.trigger - near and is_recent:
             self.pending.discard(n)
-        elif asked - max(self.begun, entry.read) > _UNFINISHED * self.cycle:
+        elif asked - max(self.begun, entry.read) > _CONVERSION_TIMEOUT * self.cycle:
             raise DeviceError(
                 f"conversions of input {n + 1} do not finish at {self.chip.where}",
-                "the chip is reset; if this comes again, check its supply",
+                "the chip is reset; if this recurs, check its supply",
             )
 
 
 def _places(settings: ClusterSettings) -> Iterator[tuple[str, tuple[int, int, int]]]:
-    """The clusters' names with their bus, their multiplexer's address (0: none) and channel."""
+    """Name, bus, multiplexer address (0: none) and channel of each cluster."""
     places = zip(settings.buses, settings.each_multiplexer, settings.channels, strict=True)
     return zip(settings.names, places, strict=True)
 
@@ -330,12 +329,12 @@ def check_settings(settings: ClusterSettings, chip: type[i2c.CapacitiveChip]) ->
         raise ConfigurationError(
             f"{len(names)} names, {len(buses)} buses, {len(channels)} channels and"
             f" {len(multiplexers)} multiplexers of clusters",
-            "give each cluster one of each, or no multiplexers for one address for all",
+            "give one of each per cluster; multiplexers may be empty if all share one address",
         )
     if settings.sample_rate not in chip.sample_rates:
         raise ConfigurationError(
             f"sample_rate is {settings.sample_rate}",
-            f"give one of those of the {chip.name}: {', '.join(map(str, chip.sample_rates))}",
+            f"the {chip.name} supports {', '.join(map(str, chip.sample_rates))}",
         )
     at: dict[str, str] = {}
     for name, (bus, address, channel) in _places(settings):
@@ -346,6 +345,6 @@ def check_settings(settings: ClusterSettings, chip: type[i2c.CapacitiveChip]) ->
         if name in at.values() or place in at:
             raise ConfigurationError(
                 f"the clusters '{at.get(place, name)}' and '{name}' share a name or {place}",
-                "give each cluster a name and a place of its own",
+                "give each cluster its own name and place",
             )
         at[place] = name

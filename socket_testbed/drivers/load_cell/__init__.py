@@ -1,1 +1,1 @@
-"""The load cell: six bridges into a converter on SPI."""
+"""The load cell: six bridges on a converter on SPI."""

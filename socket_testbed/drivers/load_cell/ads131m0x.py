@@ -1,4 +1,4 @@
-"""TI ADS131M06 and ADS131M08 on SPI (datasheet SBAS950B), frame by frame."""
+"""TI ADS131M06 and ADS131M08 on SPI (datasheet SBAS950B)."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.drivers import opening_failed
 from socket_testbed.errors import ConfigurationError, DeviceError
 
-_SINC3_LONGEST = 1024  # a higher oversampling is reached by a sinc1 behind it
+_MAX_SINC3 = 1024  # a sinc1 filter follows for higher oversampling
 _REFERENCE = 1.2  # [V]
 _WORD = 3  # [bytes]
 _START_UP = 300  # modulator clocks from a reset to the first sample
-_RESET_TIME = 1e-3  # [s]; the registers have their values after 5 us
+_RESET_TIME = 1e-3  # [s]; the registers are ready after 5 us
 
 _NULL, _RESET, _UNLOCK = 0x0000, 0x0011, 0x0655
 _READ, _WRITE = 0xA000, 0x6000
@@ -34,18 +34,18 @@ CHECK_WIRING = (
 
 
 class SpiDevice(Protocol):
-    """The part of `spidev.SpiDev` that a driver uses."""
+    """The part of `spidev.SpiDev` in use."""
 
     def xfer2(self, data: list[int], /) -> list[int]:
-        """Exchange bytes, with the chip selected from the first to the last."""
+        """Exchange bytes; the chip stays selected throughout."""
         ...
 
     def close(self) -> None:
-        """Give the bus back."""
+        """Release the bus."""
 
 
 def check_device(device: str) -> tuple[int, int]:
-    """Bus and chip select of a device's name 'N.M'."""
+    """Bus and chip select from a device name 'N.M'."""
     match = re.fullmatch(r"(\d+)\.(\d+)", device)
     if match is None:
         raise ConfigurationError(
@@ -59,7 +59,7 @@ def open_spi(device: str, clock: float) -> SpiDevice:
     bus, select = check_device(device)
     path = f"/dev/spidev{bus}.{select}"
     try:
-        # Imported late: there is no wheel of it for aarch64, and simulations need none.
+        # Imported late: it has no wheel for aarch64, and simulations do not need it.
         library: Any = importlib.import_module("spidev")
     except ImportError:
         raise DeviceError(
@@ -69,7 +69,7 @@ def open_spi(device: str, clock: float) -> SpiDevice:
     spi = library.SpiDev()
     try:
         spi.open(bus, select)
-        spi.mode = 1  # the clock idles low, data are latched on its falling edge
+        spi.mode = 1  # clock idles low, data is latched on the falling edge
         spi.max_speed_hz = int(clock)
     except OSError as error:
         spi.close()
@@ -78,7 +78,7 @@ def open_spi(device: str, clock: float) -> SpiDevice:
             error,
             group="spi",
             missing="enable SPI (dtparam=spi=on in config.txt), or set load_cell_node's device",
-            otherwise="check that nothing else uses it, and load_cell_node's spi_clock",
+            otherwise="check that nothing else uses it, and check load_cell_node's spi_clock",
         ) from None
     opened: SpiDevice = spi
     return opened
@@ -97,53 +97,53 @@ def checksum(data: bytes, crc: str) -> int:
 
 
 class ChecksumError(DeviceError):
-    """A frame does not match its checksum: nothing in it can be used."""
+    """A frame does not match its checksum; its content is unusable."""
 
 
 @dataclass(frozen=True)
 class ConverterFrame:
     """The content of a frame."""
 
-    codes: IntArray  # by channel, shape (channels,); old where the frame is not new
-    new: bool  # whether all channels hold a conversion that was not read before
+    codes: IntArray  # by channel, shape (channels,); repeated unless the frame is new
+    new: bool  # whether all channels hold an unread conversion
 
 
 def conversion_period(clock_in: float, oversampling: int) -> float:
-    """Time from one conversion to the next [s], for a clock [Hz]."""
+    """Time between conversions [s], for a clock [Hz]."""
     return 2.0 * oversampling / clock_in
 
 
 def group_delay(clock_in: float, oversampling: int) -> float:
     """Time from the middle of a conversion's filter to its end [s], for a clock [Hz].
 
-    A sinc3 filter spans three of its periods, so its middle is 1.5 of them back. Above 1024
-    its oversampling stays 1024 and a mean of oversampling / 1024 of its outputs follows, whose
-    middle is further back by half its span (datasheet SBAS950B, table 8-3).
+    A sinc3 filter spans three periods, so its middle is 1.5 periods back. Above an oversampling
+    of 1024, the filter keeps 1024 and oversampling / 1024 of its outputs are averaged, which adds
+    half the span of that mean (datasheet SBAS950B, table 8-3).
     """
-    inner = min(oversampling, _SINC3_LONGEST)
+    inner = min(oversampling, _MAX_SINC3)
     return (1.5 * inner + 0.5 * (oversampling - inner)) * 2.0 / clock_in
 
 
 def volts(codes: IntArray, gain: int) -> FloatArray:
-    """Voltages at the converter's inputs [V], ahead of its own amplifier."""
+    """Voltages at the converter's inputs [V], before its internal amplifier."""
     return codes.astype(np.float64) * (_REFERENCE / (gain * 2.0**23))
 
 
 def at_rail(codes: IntArray) -> BoolArray:
-    """Whether codes are clipped: what was measured is beyond them."""
+    """Whether codes are clipped."""
     return (codes == 0x7FFFFF) | (codes == -0x800000)
 
 
 class Ads131m0x:
     """One converter of 6 (M06) or 8 (M08) channels, on a bus in SPI mode 1.
 
-    It shall use the checksum 'ccitt' or 'ansi'; errors have its name.
+    `crc` is its checksum, 'ccitt' or 'ansi'; errors contain its name.
     """
 
     def __init__(
         self, spi: SpiDevice, channels: int, crc: str = "ccitt", name: str = "spidev0.0"
     ) -> None:
-        self.identity = 0  # its ID register; 0 before it is configured
+        self.identity = 0  # ID register; 0 until configured
         self._spi = spi
         self._channels = channels
         self._wanted_crc = crc
@@ -152,23 +152,23 @@ class Ads131m0x:
 
     @property
     def description(self) -> str:
-        """Which converter this is, and where."""
+        """Type and place of the converter."""
         return f"ADS131M{self._channels:02d} on {self._name}, ID 0x{self.identity:04X}"
 
     def reset_and_configure(self, oversampling: int, gain: int, clock_in: float = 8.192e6) -> None:
-        """Reset it, write its registers, read them back and drop unsettled conversions.
+        """Reset the chip, write its registers, read them back and drop unsettled conversions.
 
-        Powers of two are the oversampling ratio, 128 to 16384, and the gain of all channels, 1 to
-        128. Its clock is in Hz.
+        The oversampling ratio, 128 to 16384, and the gain of all channels, 1 to 128, are powers of
+        two. The clock is in Hz.
         """
         self._crc = "ccitt"
-        # Before the reset its checksum may be of either kind.
+        # Before the reset, either checksum may be in use.
         self._transfer(_UNLOCK)
         self._transfer(_RESET)
         clocks.sleep(_RESET_TIME)
         acknowledged = _response(self._transfer(_READ | _ID << 7))
         answer = self._transfer(_NULL)
-        # Ahead of the checksum, whose place in the frame depends on the number of channels.
+        # Before the checksum, whose position depends on the number of channels.
         self.identity = _response(answer)
         if self.identity >> 8 != 0x20 | self._channels:
             raise DeviceError(
@@ -183,8 +183,8 @@ class Ads131m0x:
                 "check DIN and SCLK, or lower load_cell_node's spi_clock",
             )
         self._configure(oversampling, gain)
-        # The first two conversions come from a faster, noisier filter; they are the two that
-        # wait by now, or older than those.
+        # The first two conversions come from a faster, noisier filter; they are the two now
+        # waiting, or older.
         clocks.sleep(conversion_period(clock_in, 3 * oversampling + _START_UP))
         for _ in range(2):
             self._transfer(_NULL)
@@ -206,7 +206,7 @@ class Ads131m0x:
         return ConverterFrame(np.array(codes), status & ready == ready)
 
     def check_frames(self, count: int) -> int:
-        """Number of frames, out of so many, that do not match their checksum."""
+        """Read `count` frames; returns how many do not match their checksum."""
         errors = 0
         for _ in range(count):
             try:
@@ -218,18 +218,18 @@ class Ads131m0x:
     def _configure(self, oversampling: int, gain: int) -> None:
         enabled = ((1 << self._channels) - 1) << 8
         rate = (oversampling.bit_length() - 8) << 2
-        kind = _ANSI if self._wanted_crc == "ansi" else 0
+        crc_bit = _ANSI if self._wanted_crc == "ansi" else 0
         gains = 0x1111 * (gain.bit_length() - 1)
-        others = 0x7777 & (1 << 4 * (self._channels - 4)) - 1  # gains from the fifth on
-        # From MODE on. Reserved bits read differently from one edition of the datasheet to the
-        # next: with each value the bits that count.
+        upper_gains = 0x7777 & (1 << 4 * (self._channels - 4)) - 1  # of channels 4 onwards
+        # Values and masks from MODE onwards. Editions of the datasheet differ in the values of
+        # reserved bits, so these are masked.
         registers = (
-            (_WORDS_OF_24_BITS | _TIMEOUT | kind, 0xFFFF),  # and the reset bit, cleared
+            (_WORDS_OF_24_BITS | _TIMEOUT | crc_bit, 0xFFFF),  # clears the reset bit
             (enabled | rate | _HIGH_RESOLUTION, enabled | 0x1F),
             (gains, 0x7777),
-            (gains & others, others),
+            (gains & upper_gains, upper_gains),
         )
-        # The checksum may change its kind within the frame that sets it.
+        # The checksum type may change within the frame that sets it.
         values = [value for value, _ in registers]
         self._transfer(_WRITE | _MODE << 7 | len(values) - 1, *values)
         self._crc = self._wanted_crc
@@ -253,7 +253,7 @@ class Ads131m0x:
             raise ChecksumError(f"{self._name}: a frame does not match its checksum", CHECK_WIRING)
 
     def _transfer(self, *words: int) -> bytes:
-        """Send 16-bit words, each at the head of a word of the bus; the answer, unchecked."""
+        """Send 16-bit words, each left-aligned in a bus word; returns the unchecked answer."""
         frame = bytearray(_WORD * (self._channels + 2))
         for k, word in enumerate(words):
             frame[_WORD * k : _WORD * k + 2] = word.to_bytes(2, "big")

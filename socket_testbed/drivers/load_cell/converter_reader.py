@@ -1,7 +1,7 @@
-"""Reads the load cell's converter all the time, and keeps its conversions with their times.
+"""Reads the load cell's converter continuously and keeps its conversions with their times.
 
-The times are those of the edges of DRDY, where that line is wired; otherwise they are inferred from
-when frames brought something new, which the DRDY bits of STATUS say.
+If DRDY is wired, its edges give the times. Otherwise the DRDY bits of STATUS show which frames
+hold new conversions, and the times are inferred from those frames.
 """
 
 from __future__ import annotations
@@ -28,66 +28,65 @@ from socket_testbed.drivers.load_cell.ads131m0x import (
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import LoadCellSettings
 
-RECENT = 0.8  # [s]; how long a trouble that is over is reported
+RECENT = 0.8  # [s]; how long a fault is reported after it has ended
 
-_FRAMES = 8  # read in a row at most; two conversions can wait, and frames can be corrupted
-_HELD_UP = 0.25  # periods; a frame takes less
-_SILENCE = 0.1  # [s] without a conversion
-_KEPT = 61.0  # [s]; more than the longest tare
-_PAUSE = 1.95  # periods; two conversions wait, a third would be lost
-_WAITING = 2  # conversions that the converter keeps
-_ATTEMPTS = 5  # to empty it without an edge in between
-_ROWS = 200_000
+_MAX_FRAMES = 8  # read in a row; two conversions can wait, and frames can be corrupted
+_MAX_READ_TIME = 0.25  # periods; normally a frame takes less
+_SILENCE_TIMEOUT = 0.1  # [s] without a conversion
+_HISTORY = 61.0  # [s]; more than the longest tare
+_MAX_PAUSE = 1.95  # periods; the converter would lose a third conversion
+_FIFO_SIZE = 2  # conversions
+_MAX_ATTEMPTS = 5  # to empty the FIFO without an edge in between
+_MAX_ROWS = 200_000
 _CHECK_CLOCK = "check the converter's clock and its supply"
 
 
 class ConversionClock:
-    """Infers when conversions ended, from when frames were read.
+    """Infers the end times of conversions from the times when frames were read.
 
-    A frame without new data means that no conversion waits; the next conversion ends within a
-    period of it, and ahead of the frame that brings it. Conversions follow each other in equal
-    steps, a period [s] each, so the bounds of all of them together are much closer than a reader's
-    pace.
+    A frame without new data means that no conversion was waiting. The next conversion then ends
+    within one period, and before the frame that returns it. Conversions are equally spaced by a
+    period [s], so their combined bounds are much tighter than the polling interval.
     """
 
     def __init__(self, period: float) -> None:
         self._period = period
         self._empty: float | None = None
         self._last: float | None = None
-        self._waiting = 0  # conversions read since none waited
+        self._waiting = 0  # conversions read since the FIFO was empty
         self._continuous = False
 
     def lose(self) -> None:
-        """A frame was lost, or those that wait are of unknown age: wait until none does."""
+        """Lose track, after a lost frame or an unknown delay, until the FIFO is empty."""
         self._empty = None
         self._continuous = False
 
     def nothing_waits(self, begin: float, read: float) -> None:
-        """A frame that was begun and over at these times [s] brought nothing new."""
-        if read - begin >= _HELD_UP * self._period:  # nobody knows when nothing waited
+        """Note that a frame, read between these times [s], held no new data."""
+        if read - begin >= _MAX_READ_TIME * self._period:  # delayed: too uncertain
             self.lose()
         else:
             self._empty = begin
             self._waiting = 0
 
     def conversion_end(self, read: float) -> float | None:
-        """When a conversion ended that a frame brought, which was over at a time [s].
+        """End time of the conversion in a frame that was read at a time [s].
 
-        None if it is not known which conversion this is.
+        None if the conversion cannot be identified.
         """
         if self._empty is None:
             return None
-        if read - self._empty > (self._waiting + _PAUSE) * self._period:
+        if read - self._empty > (self._waiting + _MAX_PAUSE) * self._period:
             self.lose()
             return None
         low = self._empty + self._waiting * self._period
         high = min(read, low + self._period)
         end = middle = 0.5 * (low + high)
         if self._last is not None:
-            # A period after the last one; where some were lost, several, nearest to the middle.
+            # One period after the last; if some were lost, the number closest to the middle.
             steps = 1 if self._continuous else round((middle - self._last) / self._period)
             end = self._last + self._period * steps
-            if abs(end - middle) > self._period:  # conversions paused, and begin anew
+            if abs(end - middle) > self._period:  # conversions had paused
                 end = middle
         self._last = min(max(end, low), high)
         self._waiting += 1
@@ -96,10 +95,10 @@ class ConversionClock:
 
 
 class ConverterReader:
-    """The converter of a load cell, with the conversions that it made.
+    """The converter of a load cell and its recent conversions.
 
-    One thread polls it and closes it in the end; any other thread may ask for the rest. Its bus is
-    opened again after a failure, and so is the line of DRDY where that is wired.
+    One thread polls and finally closes it; the other methods are thread-safe. After a failure the
+    bus is reopened, and the DRDY line if it is wired.
     """
 
     def __init__(
@@ -108,43 +107,43 @@ class ConverterReader:
         open_device: Callable[[], SpiDevice],
         open_line: Callable[[], EdgeLine] | None = None,
     ) -> None:
-        # time from one conversion to the next [s]: how often to poll
+        # time between conversions [s]; poll as often
         self.period = conversion_period(settings.clock_in, settings.oversampling)
         self.open_line = open_line
-        self._silence = max(_SILENCE, 5.0 * self.period)  # without a conversion: an error [s]
+        self._silence = max(_SILENCE_TIMEOUT, 5.0 * self.period)  # error without a conversion [s]
         self._delay = group_delay(settings.clock_in, settings.oversampling)
         self._settings = settings
         self._open_device = open_device
         self._name = f"spidev{settings.device}"
 
         self._line: EdgeLine | None = None
-        self._synchronised = False  # with the line: no conversion waits that had its edge
+        self._synchronised = False  # with DRDY: every waiting conversion still has its edge
         self._spi: SpiDevice | None = None
         self._converter: Ads131m0x | None = None
         self._backoff = clocks.Backoff()
         self._ends = ConversionClock(self.period)
         self._connected = -np.inf  # [s]
-        self._matched = -np.inf  # last frame that matched its checksum [s]
+        self._matched = -np.inf  # time of the last valid frame [s]
 
-        self._lock = threading.Lock()  # of all below
-        # The last conversions, in the order of their times [s], with their codes.
-        self._kept = min(math.ceil(_KEPT / self.period), _ROWS)
+        self._lock = threading.Lock()  # for all fields below
+        # The last conversions in order of time [s], with their codes.
+        self._capacity = min(math.ceil(_HISTORY / self.period), _MAX_ROWS)
         self._times: list[float] = []
         self._codes: list[IntArray] = []
         self._emptied = self._corrupted = self._failed = -np.inf  # [s]
         self._arrived = self._stored = (
             clocks.monotonic()
-        )  # a conversion; one whose time is known [s]
+        )  # last conversion; last one with a known time [s]
         self._fault: DeviceError | None = None
         self._counts = {"conversions": 0, "checksum_errors": 0, "restarts": 0}
         if open_line is not None:
             self._counts["status_disagrees"] = 0
 
     def poll(self) -> None:
-        """Read the conversions that wait, or connect to the converter again when that is due.
+        """Read the waiting conversions, or reconnect to the converter when due.
 
-        `trouble` reports a device that fails; nothing is raised. A pause of two periods or
-        more costs the conversions since, whose times nobody knows.
+        It never raises; `fault_at` reports failures. After a pause of two or more periods, the
+        conversions in between are lost, as their times are unknown.
         """
         try:
             if self._converter is None:
@@ -158,7 +157,7 @@ class ConverterReader:
             self._fail(error)
 
     def connect(self) -> Ads131m0x:
-        """The converter, connected and configured; for a thread that does not poll meanwhile."""
+        """Connect and configure the converter; not for use while another thread polls."""
         if self._converter is None:
             settings = self._settings
             self.close()
@@ -167,13 +166,13 @@ class ConverterReader:
             converter.reset_and_configure(settings.oversampling, settings.gain, settings.clock_in)
             if self.open_line is not None:
                 self._line, self._synchronised = self.open_line(), False
-            self._ends = ConversionClock(self.period)  # a reset begins another train of them
+            self._ends = ConversionClock(self.period)  # a reset restarts the conversions
             self._connected = clocks.monotonic()
             self._converter = converter
         return self._converter
 
     def close(self) -> None:
-        """Give the bus and the line back."""
+        """Release the bus and the line."""
         self._converter = None
         for opened in (self._spi, self._line):
             if opened is not None:
@@ -187,40 +186,40 @@ class ConverterReader:
             return np.array(self._times[rows]), self._stacked(self._codes[rows])
 
     def newest(self, count: int) -> IntArray:
-        """Codes of so many conversions at the end, shape (n, channels); fewer at first."""
+        """Codes of the last `count` conversions, shape (n, channels); fewer at the start."""
         with self._lock:
             return self._stacked(self._codes[-count:])
 
     def _stacked(self, codes: list[IntArray]) -> IntArray:
         return np.array(codes, dtype=np.int64).reshape(-1, self._settings.channels)
 
-    def over(self, until: float) -> float:
-        """When the conversions measured until a time have ended [s]."""
+    def end_time(self, until: float) -> float:
+        """When the conversions measured until a time will have ended [s]."""
         return until + self._delay
 
     def has_all(self, until: float) -> bool:
-        """Whether no conversion measured until a time [s] is still to come."""
+        """Whether all conversions measured until a time [s] were read."""
         with self._lock:
-            return self._emptied >= self.over(until)
+            return self._emptied >= self.end_time(until)
 
     def counts(self) -> dict[str, int]:
-        """Numbers of conversions, of corrupted frames and of restarts."""
+        """Numbers of conversions, corrupted frames and restarts."""
         with self._lock:
             return dict(self._counts)
 
-    def trouble(self, now: float) -> tuple[int, DeviceError | None]:
-        """The converter's trouble at a time [s]: 0 (none), 1 (a warning) or 2 (an error)."""
+    def fault_at(self, now: float) -> tuple[int, DeviceError | None]:
+        """The converter's fault at a time [s]: 0 (none), 1 (warning) or 2 (error)."""
         found: tuple[int, DeviceError | None] = 0, None
         with self._lock:
             if (fault := self._fault) is not None and self._failed >= self._stored:
                 found = 2, fault
             elif now - self._arrived > self._silence:
-                found = 2, self._error("converts no more", _CHECK_CLOCK)
+                found = 2, self._error("no longer converts", _CHECK_CLOCK)
             elif now - self._stored > self._silence:
                 hint = "relieve the computer, or raise load_cell_node's oversampling"
-                found = 2, self._error("conversions are read too late to know their times", hint)
+                found = 2, self._error("conversions are read too late to date them", hint)
             elif fault is not None and now - self._failed < RECENT:
-                found = 1, DeviceError(f"{fault.fact}, and is read again", fault.hint)
+                found = 1, DeviceError(f"{fault.fact}, but has recovered", fault.hint)
             elif now - self._corrupted < RECENT:
                 fact = "frames do not match their checksums and are left out"
                 found = 1, self._error(fact, CHECK_WIRING)
@@ -232,10 +231,10 @@ class ConverterReader:
         return DeviceError(f"{self._name}: {fact}", hint)
 
     def _read_waiting(self, converter: Ads131m0x) -> None:
-        for _ in range(_FRAMES):
+        for _ in range(_MAX_FRAMES):
             begin = clocks.monotonic()
             if (frame := self._read(converter, begin)) is None:
-                # It may have held a conversion: those behind it cannot be told apart.
+                # It may have held a conversion, so the following ones are ambiguous.
                 self._ends.lose()
                 continue
             if not frame.new:
@@ -247,7 +246,7 @@ class ConverterReader:
         self._expect_conversions()
 
     def _read(self, converter: Ads131m0x, begin: float) -> ConverterFrame | None:
-        """A frame, begun at a time [s]; None if it is corrupted."""
+        """Read a frame, starting at a time [s]; None if it is corrupted."""
         try:
             frame = converter.read()
         except ChecksumError:
@@ -259,17 +258,17 @@ class ConverterReader:
         return frame
 
     def _read_edges(self, converter: Ads131m0x, line: EdgeLine) -> None:
-        """Read a frame for each edge; ambiguous ones are dropped."""
+        """Read a frame for each edge; drops ambiguous ones."""
         begin = clocks.monotonic()
         edges = self._edges(line)
-        if edges and not (self._synchronised and len(edges) <= _WAITING):
+        if edges and not (self._synchronised and len(edges) <= _FIFO_SIZE):
             self._synchronise(converter, line)
             edges = []
         for edge in edges:
             frame = self._read(converter, begin)
-            # Whether a corrupted one took a conversion along is unknown; late, a third conversion
-            # has pushed out the first.
-            if frame is None or self._matched > edges[0] + _PAUSE * self.period:
+            # A corrupted frame may have held a conversion; a late one may follow the loss of the
+            # first of three.
+            if frame is None or self._matched > edges[0] + _MAX_PAUSE * self.period:
                 self._synchronised = False
                 return
             self._take(frame, edge)
@@ -280,9 +279,9 @@ class ConverterReader:
         self._expect_conversions()
 
     def _synchronise(self, converter: Ads131m0x, line: EdgeLine) -> None:
-        """Drop all conversions that wait (datasheet SBAS950B, 8.5.1.9), between two edges."""
-        for _ in range(_ATTEMPTS):
-            converter.check_frames(_WAITING)
+        """Drop all waiting conversions (datasheet SBAS950B, 8.5.1.9) between two edges."""
+        for _ in range(_MAX_ATTEMPTS):
+            converter.check_frames(_FIFO_SIZE)
             if not self._edges(line):
                 self._synchronised = True
                 return
@@ -295,7 +294,7 @@ class ConverterReader:
             raise self._error(fact, "check that no other program holds it") from None
 
     def _take(self, frame: ConverterFrame, end: float | None) -> None:
-        """Keep a conversion, read just now, that ended at a time [s]; None: unknown."""
+        """Store the conversion just read, with its end time [s]; None: unknown."""
         with self._lock:
             self._arrived = self._matched
             if end is None:
@@ -304,8 +303,8 @@ class ConverterReader:
             self._counts["conversions"] += 1
             self._times.append(end - self._delay)
             self._codes.append(frame.codes)
-            if len(self._times) >= 2 * self._kept:
-                del self._times[: -self._kept], self._codes[: -self._kept]
+            if len(self._times) >= 2 * self._capacity:
+                del self._times[: -self._capacity], self._codes[: -self._capacity]
 
     def _expect_conversions(self) -> None:
         now = clocks.monotonic()
@@ -318,11 +317,11 @@ class ConverterReader:
             )
         if self._line is None and now - self._matched > self._silence:
             raise self._error("no frame matches its checksum", CHECK_WIRING)
-        raise self._error("converts no more", _CHECK_CLOCK)
+        raise self._error("no longer converts", _CHECK_CLOCK)
 
     def _fail(self, error: DeviceError) -> None:
         now = clocks.monotonic()
-        # A converter that worked until now is tried at once: after a dip its supply is back.
+        # A converter that worked until now is retried at once: its supply may be back.
         if self._converter is not None and self._arrived > self._connected:
             self._backoff.succeeded()
         else:

@@ -1,4 +1,4 @@
-"""The load cell: from the converter's codes to wrenches around given times; health and tare."""
+"""The load cell: wrenches at given times from the converter's codes; health and tare."""
 
 from __future__ import annotations
 
@@ -25,34 +25,34 @@ from socket_testbed.samples import WRENCH_CHANNELS, Status, channel_unit
 from socket_testbed.settings.acquisition import LoadCellSettings
 
 _UNITS = tuple(map(channel_unit, WRENCH_CHANNELS))
-_NUMBERS = {  # settings with several numbers: how many, and what to give
+_LENGTHS = {  # settings that are lists: length and hint
     "inputs": (6, "give the input of each of the six bridges"),
     "amplifier_gain": (6, "give the gain of each of the six bridges"),
     "sign": (6, "give the sign, 1 or -1, of each of the six bridges"),
     "full_scale": (6, "give the maker's full scale of each axis, 6 numbers"),
     "matrix": (36, "give the maker's 36 numbers, row by row"),
 }
-_WORST_CONDITION = 1e6  # [-]; of the maker's matrix with rows of length one
+_MAX_CONDITION = 1e6  # [-]; of the maker's matrix with normalised rows
 
 _BROKEN_WIRE = 5  # conversions in a row at a rail
-_AFTER = 0.25  # part of the window that is after the trigger
-_WORST = 3.0  # variance of a wrench from what is left of a window, against the complete one's
-_NEARLY_ALL = 0.9  # part of the conversions in a span that are averaged, at least
+_AFTER = 0.25  # fraction of the window after the trigger
+_MAX_VARIANCE = 3.0  # [-]; of a wrench from an incomplete window, relative to a complete one
+_MIN_COMPLETE = 0.9  # fraction of the conversions in a span required for its mean
 
 
 class Bridges:
-    """The bridges as the settings describe them, checked.
+    """The bridges according to the settings, which are checked.
 
-    `ratio = sign * mV / (excitation * amplifier_gain)`, `wrench = C @ ratio`, with the voltage
-    at the converter's input, so that the converter's own gain is out of it already.
+    `ratio = sign * mV / (excitation * amplifier_gain)`, `wrench = C @ ratio`. The voltage is that
+    at the converter's input, so the converter's own gain is already removed.
     """
 
     def __init__(self, settings: LoadCellSettings) -> None:
         check_settings(settings)
-        order = [3, 4, 5, 0, 1, 2]  # of the maker's Fx Fy Fz Mx My Mz, to have the moments first
-        # input of the converter that each bridge is on, shape (6,)
+        order = [3, 4, 5, 0, 1, 2]  # from the maker's Fx Fy Fz Mx My Mz to moments first
+        # converter input of each bridge, shape (6,)
         self.inputs: IntArray = np.array(settings.inputs, dtype=np.int64)
-        # wrench [M; F] over the bridges' ratios, shape (6, 6) [N m, N per mV/V]
+        # wrench [M; F] from the bridges' ratios, shape (6, 6) [N m, N per mV/V]
         self.matrix: FloatArray = np.array(settings.matrix).reshape(6, 6)[order]
         # full scale of [M; F], shape (6,) [N m, N]
         self.full_scale: FloatArray = np.array(settings.full_scale)[order]
@@ -74,9 +74,9 @@ class Bridges:
         return np.asarray(wrenches @ np.linalg.inv(self.matrix).T)
 
     def ratios_from(self, other: Bridges, ratios: FloatArray) -> FloatArray:
-        """Ratios, shape (..., 6) [mV/V], of the voltages that make given ones by other settings.
+        """Ratios, shape (..., 6) [mV/V], from those that other settings gave for the same voltages.
 
-        The converter's own gain was set in it, and is that of the other settings.
+        The converter's own gain was applied in hardware, so it is that of the other settings.
         """
         if lacking := sorted(set(self.inputs.tolist()) - set(other.inputs.tolist())):
             raise _wrong(
@@ -87,13 +87,13 @@ class Bridges:
         return np.asarray((ratios / other._scale)[..., bridges] * self._scale)
 
     def overload(self, peak: FloatArray) -> tuple[int, str]:
-        """How far absolute values of [M; F], shape (6,), go: fact and hint behind a level.
+        """Check absolute values of [M; F], shape (6,), for overload: level, and fact with hint.
 
-        That is 0, 1 above 80 % of a full scale, or 2 above all of it.
+        The level is 1 above 80 % of a full scale, 2 above the full scale, otherwise 0.
         """
         share = peak / self.full_scale
         worst = int(share.argmax())
-        # In steps, so that a message stands while the load moves about.
+        # In steps, so that the message is stable while the load varies.
         tenths = math.floor(10.0 * share[worst] + 1e-9)
         level = 2 if share[worst] > 1.0 else 1 if share[worst] > 0.8 else 0
         if level == 0:
@@ -118,7 +118,7 @@ def check_settings(settings: LoadCellSettings) -> None:
         value = getattr(settings, name)
         if value.bit_count() != 1 or not low <= value <= high:
             raise _wrong(f"{name} is {value}", f"give a power of two from {low} to {high}")
-    for name, (count, hint) in _NUMBERS.items():
+    for name, (count, hint) in _LENGTHS.items():
         if (given := len(getattr(settings, name))) != count:
             raise _wrong(f"{name} has {given} numbers" if given else f"{name} is empty", hint)
     if len(set(settings.inputs)) < len(settings.inputs):
@@ -129,11 +129,11 @@ def check_settings(settings: LoadCellSettings) -> None:
             f"give inputs from 0 to {settings.channels - 1}",
         )
     if any(abs(sign) != 1.0 for sign in settings.sign):
-        raise _wrong("sign holds a value other than 1 and -1", _NUMBERS["sign"][1])
+        raise _wrong("sign holds a value other than 1 and -1", _LENGTHS["sign"][1])
     matrix = np.array(settings.matrix).reshape(6, 6)
-    # Forces and moments differ in size by their units; that is no fault of a matrix.
-    lengths = np.linalg.norm(matrix, axis=1, keepdims=True)
-    if not lengths.all() or np.linalg.cond(matrix / lengths) > _WORST_CONDITION:
+    # Rows are normalised, since forces and moments have different units.
+    norms = np.linalg.norm(matrix, axis=1, keepdims=True)
+    if not norms.all() or np.linalg.cond(matrix / norms) > _MAX_CONDITION:
         raise _wrong("matrix cannot be inverted", "check the maker's 36 numbers, row by row")
     period = ads131m0x.conversion_period(settings.clock_in, settings.oversampling)
     if settings.window < period:
@@ -148,13 +148,13 @@ def _wrong(fact: str, hint: str) -> ConfigurationError:
 
 
 class Tare:
-    """The ratios of the bridges that stand for no load, kept in a file if a path is given."""
+    """The bridges' ratios at no load, stored in a file if a path is given."""
 
     def __init__(self, path: str) -> None:
         self._path = Path(path).expanduser() if path else None
         self._writing = threading.Lock()
-        # ratios at no load, shape (6,) [mV/V], and when they were taken, since the epoch [ns],
-        # to a microsecond; 0 if never
+        # ratios at no load, shape (6,) [mV/V], and their time since the epoch [ns], rounded down
+        # to a microsecond; 0 if never taken
         self.no_load: tuple[FloatArray, int] = np.zeros(6), 0
         if self._path is not None and self._path.exists():
             try:
@@ -165,21 +165,21 @@ class Tare:
             self.no_load = np.array(document.offsets_mV_per_V), 1000 * microseconds
 
     def set(self, offsets: FloatArray, time: int) -> None:
-        """Take other ratios, of a time since the epoch [ns], and write them to the file."""
+        """Set new ratios, taken at a time since the epoch [ns], and write them to the file."""
         with self._writing:
             if self._path is not None:
-                content = {"offsets_mV_per_V": offsets.tolist(), "time": _written(time)}
+                content = {"offsets_mV_per_V": offsets.tolist(), "time": _iso_time(time)}
                 make_folder(self._path.parent)
                 write_text(self._path, json.dumps(content, indent=2) + "\n")
             self.no_load = offsets.copy(), 1000 * (time // 1000)
 
 
-def _written(time: int) -> str:
-    """A time since the epoch [ns] in the form of ISO 8601, to a microsecond."""
+def _iso_time(time: int) -> str:
+    """A time since the epoch [ns] in ISO 8601 format, to a microsecond."""
     return datetime.fromtimestamp((time // 1000) / 1e6, UTC).isoformat()
 
 
-_Ratio = Annotated[float, Meta(ge=-1e3, le=1e3)]  # [mV/V]; no bridge comes near it
+_Ratio = Annotated[float, Meta(ge=-1e3, le=1e3)]  # [mV/V]; far beyond any bridge
 
 
 class _TareDocument(Document):
@@ -189,21 +189,21 @@ class _TareDocument(Document):
 
 @dataclass(frozen=True)
 class WrenchReading:
-    """The wrench around a time."""
+    """The wrench at a time."""
 
-    wrench: FloatArray  # wrench [M; F], shape (6,) [N m, N]; all NaN if it was not measured
-    ratios: FloatArray  # ratios of the bridges that it was made of, shape (6,) [mV/V]; NaN likewise
+    wrench: FloatArray  # wrench [M; F], shape (6,) [N m, N]; all NaN if not measured
+    ratios: FloatArray  # ratios of the bridges, shape (6,) [mV/V]; NaN likewise
     tare: FloatArray  # subtracted, [M; F], shape (6,) [N m, N]
-    tared: int  # when that was taken, since the epoch [ns]; 0 if never
+    tared: int  # time of the tare since the epoch [ns]; 0 if never
     status: Status  # OK, SATURATED or MISSING
     conversions: int  # number of conversions around the time
-    fault: str  # empty for none. An overload leaves the wrench as it is
+    fault: str  # empty for none; an overload does not invalidate the wrench
 
 
 class LoadCell:
-    """A load cell behind an ADS131M06 or ADS131M08; any thread may call its methods.
+    """A load cell on an ADS131M06 or ADS131M08; all methods are thread-safe.
 
-    Other settings may be assigned, of which the window and those of the tare are followed.
+    `settings` may be reassigned; changes of the window and the tare settings take effect.
     """
 
     def __init__(self, settings: LoadCellSettings, converter: ConverterReader) -> None:
@@ -213,55 +213,55 @@ class LoadCell:
         self._tare = Tare(settings.tare_file)
 
     def figures(self) -> dict[str, object]:
-        """Numbers of conversions, of corrupted frames and of restarts, and the tare."""
+        """Numbers of conversions, corrupted frames and restarts, and the tare."""
         offsets, time = self._tare.no_load
         tare = in_words(self._bridges.wrenches(offsets))
-        tared = _written(time) if time else "never"
+        tared = _iso_time(time) if time else "never"
         return {**self.converter.counts(), "tare": tare, "tared": tared}
 
-    def over(self, moment: float, span: float = 0.0) -> float:
-        """When the last conversion ends that makes the wrench at a time of the steady clock [s].
+    def end_time(self, moment: float, span: float = 0.0) -> float:
+        """When the last conversion for the wrench at a time of the steady clock ends [s].
 
-        A span [s] centred on it is averaged where the window is shorter.
+        If the window is shorter than the span [s], the span centred on the time is averaged.
         """
-        return self.converter.over(moment + self._reach(span)[1])
+        return self.converter.end_time(moment + self._reach(span)[1])
 
     def ready(self, moment: float, span: float = 0.0) -> bool:
-        """Whether waiting adds nothing to the wrench at a time; arguments as of `over`.
+        """Whether the wrench at a time needs no further waiting; arguments as in `end_time`.
 
-        Either all conversions around it are in, or they are over and the converter fails.
+        Either all its conversions were read, or they have ended and the converter has failed.
         """
         if self.converter.has_all(moment + self._reach(span)[1]):
             return True
         now = clocks.monotonic()
-        return now >= self.over(moment, span) and self.converter.trouble(now)[0] > 1
+        return now >= self.end_time(moment, span) and self.converter.fault_at(now)[0] > 1
 
     def wrench_at(self, moment: float, span: float = 0.0) -> WrenchReading:
-        """The wrench at a time; arguments as of `over`.
+        """The wrench at a time; arguments as in `end_time`.
 
-        It is the value there of the line through the conversions of the window, three quarters
-        of which are before it: that is as little late as a mean over half of the window around
-        it, and twice as many conversions may be missing. Less than half of them, too few near
-        the time, or one at a rail make it NaN.
+        It is the value at that time of a line fitted to the conversions in the window, three
+        quarters of which lie before it. Its delay is that of a mean over half a window centred on
+        the time, but twice as many conversions may be missing. It is NaN if fewer than half are
+        there, if too few are near the time, or if one is at a rail.
 
-        A span that reaches further than the window widens it, if nearly all of its conversions
-        are there: once it is centred on the time, the line's value is their mean.
+        A longer span widens the window if nearly all its conversions are there. If it is centred
+        on the time, the line's value is their mean.
         """
         before, after = self._reach(span)
         times, ratios, rails = self._between(moment - before, moment + after)
         count, expected = len(times), (before + after) / self.converter.period
-        if span > 0.0 and (rails.any() or count < _NEARLY_ALL * expected):
+        if span > 0.0 and (rails.any() or count < _MIN_COMPLETE * expected):
             return self.wrench_at(moment)
         weights = line_weights(times - moment)
-        # The line of all conversions has a variance of 1.75 / expected of theirs: see _AFTER.
-        uncertain = weights @ weights > _WORST * 1.75 / expected
+        # With all conversions the line's relative variance is 1.75 / expected: see _AFTER.
+        uncertain = weights @ weights > _MAX_VARIANCE * 1.75 / expected
         value, status, fault = np.full(6, np.nan), Status.MISSING, ""
         if rails.any():
             status, fault = Status.SATURATED, self._saturated(rails)
         elif count < max(1.0, 0.5 * expected) or uncertain:
             fault = f"{count} of {expected:.0f} conversions around the trigger"
-            _, trouble = self.converter.trouble(clocks.monotonic())
-            fault = f"{fault}; {trouble}" if trouble else fault
+            _, cause = self.converter.fault_at(clocks.monotonic())
+            fault = f"{fault}; {cause}" if cause else fault
         else:
             value, status = weights @ ratios, Status.OK
         offsets, tared = self._tare.no_load
@@ -272,9 +272,9 @@ class LoadCell:
         return WrenchReading(wrench, value, tare, tared, status, count, fault)
 
     def health(self, now: float) -> tuple[int, str]:
-        """How it is at a time [s]: 0 (well), 1 (a warning) or 2 (an error), fact and hint."""
-        level, trouble = self.converter.trouble(now)
-        found = [(level, str(trouble))]
+        """State at a time [s]: 0 (OK), 1 (warning) or 2 (error), with fact and hint."""
+        level, fault = self.converter.fault_at(now)
+        found = [(level, str(fault))]
         _, ratios, rails = self._between(now - RECENT, now)
         newest = ads131m0x.at_rail(self.converter.newest(_BROKEN_WIRE)[:, self._bridges.inputs])
         broken = newest.sum(axis=0) == _BROKEN_WIRE
@@ -293,13 +293,13 @@ class LoadCell:
     def tare(self, forced: bool = False) -> str:
         """Tare: take the mean over the last `tare_duration` as zero load.
 
-        A load above `tare_load` is removed only if that is forced; returns what was, in words.
+        A load above `tare_load` is removed only if forced; returns a text with the removed load.
         """
         settings = self.settings
         now = clocks.monotonic()
-        level, trouble = self.converter.trouble(now)
-        if trouble and level > 1:
-            raise DeviceError(f"cannot tare: {trouble.fact}", trouble.hint)
+        level, fault = self.converter.fault_at(now)
+        if fault and level > 1:
+            raise DeviceError(f"cannot tare: {fault.fact}", fault.hint)
         _, ratios, rails = self._between(now - settings.tare_duration, now)
         expected = settings.tare_duration / self.converter.period
         if len(ratios) < 0.5 * expected:
@@ -336,17 +336,17 @@ class LoadCell:
         return f"tared: removed {in_words(removed)}"
 
     def _between(self, start: float, end: float) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Times [s] of the conversions, ratios [mV/V] and which are clipped, shape (n, 6) each."""
+        """Times [s] of conversions; ratios [mV/V] and whether clipped, shape (n, 6) each."""
         times, codes = self.converter.between(start, end)
         return times, self._bridges.ratios(codes), ads131m0x.at_rail(codes[:, self._bridges.inputs])
 
     def _reach(self, span: float) -> tuple[float, float]:
-        """How far before and after a time the conversions are that make its wrench [s]."""
+        """Spans before and after a time that contribute to its wrench [s]."""
         window, half = self.settings.window, 0.5 * span
         return max((1.0 - _AFTER) * window, half), max(_AFTER * window, half)
 
     def _saturated(self, rails: BoolArray) -> str:
-        """Says which bridges are at a rail, shape (6,) or (n, 6)."""
+        """Fact naming the bridges at a rail, from shape (6,) or (n, 6)."""
         which = np.flatnonzero(np.atleast_2d(rails).any(axis=0))
         names = [f"bridge {k + 1} (input {self._bridges.inputs[k]})" for k in which]
         return ", ".join(names) + (" is at its rail" if len(names) == 1 else " are at their rails")

@@ -1,1 +1,1 @@
-"""Motion capture: a client of NatNet servers, and the bodies that it tracks."""
+"""Motion capture: a NatNet client, and the bodies it tracks."""

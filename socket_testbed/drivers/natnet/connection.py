@@ -1,4 +1,4 @@
-"""The UDP sockets towards a NatNet server, the commands sent over them, and its takes."""
+"""UDP sockets to a NatNet server, its commands and its takes."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.settings.testbed import check_take_name
 
-_BUFFER = 1 << 20  # [bytes]; the frames of a second
-_AT_ONCE = 64  # datagrams
-_ATTEMPTS = 10
-_INTERVAL = 0.02  # [s]; as the maker's own client
-_DUPLICATES = 0.01  # [s]; how long a second copy of an answer may take
-_STRAYS = 0.06  # [s]; how long answers to repetitions may take
+_BUFFER_SIZE = 1 << 20  # [bytes]; frames of one second
+_MAX_DATAGRAMS = 64  # per call
+_MAX_ATTEMPTS = 10
+_ATTEMPT_INTERVAL = 0.02  # [s]; as in the maker's client
+_DUPLICATE_WAIT = 0.01  # [s]; for a second copy of an answer
+_REPEAT_WAIT = 0.06  # [s]; for answers to repetitions
 
-_RETRY = 0.25  # [s]; from a command that failed to the next
-_IN_FLIGHT = 0.1  # [s]; after which no frame is from before a command
-_EVIDENCE = 0.3  # [s]; for the frames of a new session to show a recording
-_CONTRADICTED = 1.0  # [s]
+_RETRY_INTERVAL = 0.25  # [s]; after a failed command
+_FRAME_DELAY = 0.1  # [s]; later frames are from after a command
+_EVIDENCE_WAIT = 0.3  # [s]; for frames of a new session to show a recording
+_IDLE_TIMEOUT = 1.0  # [s]
 
 
 def server_address(settings: MocapSettings) -> tuple[str, int]:
@@ -73,22 +73,22 @@ def bitstream_version(settings: MocapSettings) -> Version:
 
 
 class NatNetSockets:
-    """One socket for commands and, in unicast, data; another for a group's data."""
+    """One socket for commands and unicast data, another for multicast data."""
 
     def __init__(self, settings: MocapSettings, server: tuple[str, int]) -> None:
         self._settings = settings
         self._server = server
-        self._sockets: list[socket.socket] = []  # that of the commands first
+        self._sockets: list[socket.socket] = []  # the command socket first
 
     def open(self) -> None:
-        """Open the sockets, unless they are."""
+        """Open the sockets if they are closed."""
         if self._sockets:
             return
         interface, group = self._settings.interface, self._settings.multicast
         try:
             self._add((interface, 0))
             if group:
-                data = self._add((group, self._settings.data_port))  # other groups stay out
+                data = self._add((group, self._settings.data_port))  # only this group
                 membership = socket.inet_aton(group) + socket.inet_aton(interface or "0.0.0.0")
                 data.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
         except OSError as error:
@@ -104,7 +104,7 @@ class NatNetSockets:
         udp = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._sockets.append(udp)
         udp.setblocking(False)
-        udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
+        udp.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_SIZE)
         if address[1]:
             udp.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         udp.bind(address)
@@ -118,14 +118,14 @@ class NatNetSockets:
             self._sockets[0].sendto(datagram, self._server)
 
     def receive(self, timeout: float) -> Iterator[tuple[bytes, str]]:
-        """Datagrams that came, waiting so long for the first [s], and the host each is from."""
+        """Received datagrams and their hosts; waits up to a timeout [s] for the first."""
         for udp in select.select(self._sockets, [], [], clocks.real(timeout))[0]:
-            for _ in range(_AT_ONCE):
+            for _ in range(_MAX_DATAGRAMS):
                 try:
                     datagram, sender = udp.recvfrom(LARGEST_DATAGRAM)
                 except BlockingIOError:
                     break
-                except OSError:  # a host on the way refused one
+                except OSError:  # a host on the way refused a datagram
                     continue
                 yield datagram, sender[0]
 
@@ -138,21 +138,21 @@ class NatNetSockets:
 
 @dataclass(frozen=True)
 class Answer:
-    """The reply to a command: four bytes of a number (0 is yes), or a text."""
+    """The reply to a command: a four-byte number (0: accepted) or a text."""
 
-    raw: bytes | None  # the reply as it came; None: none came
+    raw: bytes | None  # None: no reply
     recognized: bool = True  # whether the server knows the command
 
     @property
     def text(self) -> str:
-        """The reply for a person."""
+        """The reply as text."""
         raw = self.raw or b""
         if len(raw) == 4:
             return str(int.from_bytes(raw, "little", signed=True))
         return raw.partition(b"\0")[0].decode("utf-8", "replace")
 
     def fault(self, command: str) -> str:
-        """The reason of a failure; empty for none."""
+        """Reason of a failure; empty for none."""
         name = command.partition(",")[0]
         if self.raw is None:
             return f"no answer to {name}"
@@ -166,83 +166,83 @@ Done = Callable[[Answer], None]
 
 
 class CommandQueue:
-    """Sends commands one after the other, since replies do not name their command.
+    """Sends commands one at a time, since replies do not name their command.
 
-    A command is repeated until it is answered; before the next one, the answers to the
-    repetitions are awaited. `submit` may be called from any thread, all else from one.
+    A command is repeated until it is answered. Before the next one, the queue waits for answers to
+    the repetitions. `submit` is thread-safe; the other methods are for one thread.
     """
 
     def __init__(self) -> None:
-        self._waiting: deque[tuple[str, Done]] = deque()  # the one that is being sent first
-        self._sent = 0  # how often without an answer
+        self._waiting: deque[tuple[str, Done]] = deque()  # the current one first
+        self._sent = 0  # unanswered attempts
         self._next = 0.0  # [s]
 
     def submit(self, text: str, done: Done) -> None:
-        """Have a command sent; `done` is called with its answer."""
+        """Queue a command; `done` is called with its answer."""
         self._waiting.append((text, done))
 
     def step(self, now: float, send: Callable[[bytes], None]) -> None:
-        """Send the command that is due at a time of the steady clock [s], if any."""
+        """Send the command due at a time of the steady clock [s], if any."""
         if now < self._next or not self._waiting:
             return
-        if self._sent == _ATTEMPTS:
+        if self._sent == _MAX_ATTEMPTS:
             self._finish(Answer(None), now)
             return
         self._sent += 1
-        self._next = now + _INTERVAL
+        self._next = now + _ATTEMPT_INTERVAL
         send(encode_command(self._waiting[0][0]))
 
     def answer(self, answer: Answer, now: float) -> None:
-        """Take a reply."""
+        """Handle a reply."""
         if self._sent:
             self._finish(answer, now)
 
     def _finish(self, answer: Answer, now: float) -> None:
-        self._next = now + (_STRAYS if self._sent > 1 else _DUPLICATES)
+        self._next = now + (_REPEAT_WAIT if self._sent > 1 else _DUPLICATE_WAIT)
         self._sent = 0
         _, done = self._waiting.popleft()
         done(answer)
 
 
 class TakeKeeper:
-    """Pursues the wanted take: named and started, stopped, and started again after a restart.
+    """Names, starts and stops the requested take, and restarts it after a server restart.
 
-    `want` may be called from any thread, all else from one.
+    `request` is thread-safe; the other methods are for one thread.
     """
 
     def __init__(self, submit: Callable[[str, Done], None]) -> None:
         self._submit = submit
         self._wanted: str | None = None
-        self._started: str | None = None  # the take that may be on
+        self._started: str | None = None  # the take that may be running
         self._confirmed = False
         self._busy = False
-        self._next = 0.0  # [s]; of a command
-        self._moment = 0.0  # [s]; frames before it may be of an earlier take
+        self._next = 0.0  # [s]; next command
+        self._moment = 0.0  # [s]; earlier frames may be from a previous take
         self._idle_since: float | None = None
         self._session = 0
         self.fault = ""
 
     @property
     def settled(self) -> bool:
-        """Whether the server does what is wanted."""
+        """Whether the server is in the requested state."""
         wanted = self._wanted
         return not self._busy and self._started == wanted and (wanted is None or self._confirmed)
 
-    def want(self, name: str | None) -> None:
-        """Want a take recorded, or none."""
+    def request(self, name: str | None) -> None:
+        """Request a take, or none."""
         self._wanted = None
         self._wanted = None if name is None else check_take_name(name)
 
     def restarted(self, now: float) -> None:
-        """A session has begun: the server may have forgotten the take."""
+        """Note a new session: the server may have forgotten the take."""
         self._session += 1
         self._confirmed = False
         self._moment = now
-        self._next = now + (0.0 if self._started is None else _EVIDENCE)
+        self._next = now + (0.0 if self._started is None else _EVIDENCE_WAIT)
         self._idle_since = None
 
     def observe(self, recording: bool, now: float) -> None:
-        """Note whether a frame says that the server records."""
+        """Note whether a frame shows that the server records."""
         if recording:
             self._idle_since = None
             if self._started is not None and now > self._moment:
@@ -251,9 +251,9 @@ class TakeKeeper:
             self._idle_since = now
 
     def step(self, now: float, connected: bool) -> None:
-        """Issue the command that is due at a time of the steady clock [s], if any."""
+        """Submit the command due at a time of the steady clock [s], if any."""
         if self.settled:
-            idle = self._idle_since is not None and now - self._idle_since > _CONTRADICTED
+            idle = self._idle_since is not None and now - self._idle_since > _IDLE_TIMEOUT
             self._note("the frames say that the server does not record" if idle else "")
         elif not connected:
             self._note("no connection")
@@ -269,10 +269,10 @@ class TakeKeeper:
             fault = answer.fault(command)
             idle = self._idle_since is not None and answer.raw is not None
             if command == "StopRecording" and idle:
-                fault = ""  # a server that does not record may refuse to stop
+                fault = ""  # an idle server may refuse to stop
             self._note(fault)
             if fault:
-                self._next = now + _RETRY
+                self._next = now + _RETRY_INTERVAL
             elif session != self._session:
                 return
             elif command == "StopRecording":
@@ -280,7 +280,7 @@ class TakeKeeper:
             elif command == "StartRecording":
                 self._confirmed, self._idle_since = True, None
             elif wanted == self._wanted:
-                self._started, self._moment = wanted, now + _IN_FLIGHT
+                self._started, self._moment = wanted, now + _FRAME_DELAY
                 self._issue("StartRecording", now)
 
         self._busy = True

@@ -1,6 +1,6 @@
-"""NatNet 3.0 to 4.4: requests, replies, rigid bodies and frames, within the datagram's bounds.
+"""NatNet 3.0 to 4.4: requests, replies, rigid bodies and frames.
 
-A datagram whose counts contradict its size is a `MalformedDatagram`, whoever reads it.
+Every read is checked: a datagram whose counts contradict its size raises `MalformedDatagram`.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ LARGEST_DATAGRAM = 65535  # [bytes]
 Version: TypeAlias = tuple[int, int]  # of NatNet: major, minor
 Position: TypeAlias = tuple[float, float, float]
 
-OLDEST = (3, 0)  # of Motive 2.0; before it, frames do not say when they were exposed
-_NEWEST = (4, 4)  # whose layout is known
+OLDEST = (3, 0)  # of Motive 2.0; older frames have no exposure time
+_NEWEST = (4, 4)  # last known layout
 
 _HEADER = Struct("<HH")
 _I32 = Struct("<i")
 _ECHO = Struct("<QQ")
-_NAME = 256  # [bytes]
-_LARGEST_CLOCK = 10**11  # [Hz]
+_NAME_SIZE = 256  # [bytes]
+_MAX_CLOCK = 10**11  # [Hz]
 _BODY = Struct("<i8fh")  # id, position, quaternion, error, flags
 _MARKER = Struct("<i4fhf")  # id, position, size, flags, residual
 _SUFFIX_3 = Struct("<IIdQQQhi")
@@ -47,8 +47,7 @@ _SUFFIX_4_1 = Struct("<IIdQQQIIhi")
 _OCCLUDED, _MODEL_FILLED = 1, 4
 _RECORDING, _MODELS_CHANGED = 1, 2
 
-
-# In a layout: a text, beside numbers of bytes and tuples of what each counted element has.
+# A layout holds texts, numbers of bytes, and tuples: the layout of each counted element.
 _TEXT = str
 _Layout: TypeAlias = tuple[Any, ...]
 
@@ -56,7 +55,7 @@ _MARKER_SET: _Layout = (_TEXT, (12,))
 _BODIES: _Layout = (4, (_BODY.size,))  # a skeleton, an asset: id, bodies
 _CHANNELS: _Layout = (4, ((4,),))  # a force plate, a device: id, values by channel
 _RIGID_BODY, _SKELETON = 1, 2
-_DEFINITIONS: dict[int, _Layout] = {  # all others, by their types
+_DEFINITIONS: dict[int, _Layout] = {  # all others, by type
     0: (_TEXT, (_TEXT,)),  # marker set: name, markers
     _SKELETON: (_TEXT, 4),  # name, id; its bones follow
     # force plate: id, serial number; size, origin, calibration, corners; two types; channels
@@ -67,8 +66,8 @@ _DEFINITIONS: dict[int, _Layout] = {  # all others, by their types
 
 
 @cache
-def _smallest(layout: _Layout) -> int:
-    """Fewest bytes that a layout takes."""
+def _min_size(layout: _Layout) -> int:
+    """Minimum size of a layout [bytes]."""
     return sum(part if isinstance(part, int) else 1 if part is _TEXT else 4 for part in layout)
 
 
@@ -77,7 +76,7 @@ class MalformedDatagram(DeviceError):  # noqa: N818  (the datagram's name, not t
 
 
 class Reader:
-    """Reads a payload of a kind from its begin on, never past its end."""
+    """Reads a payload from its start, never past its end."""
 
     def __init__(self, payload: bytes, kind: str) -> None:
         self.payload = payload
@@ -86,14 +85,14 @@ class Reader:
         self._kind = kind
 
     def bad(self, fact: str) -> MalformedDatagram:
-        """The error of this payload."""
+        """An error for this payload."""
         return MalformedDatagram(
             f"{self._kind} of {self.end} bytes: {fact} at byte {self.offset}",
-            "it was dropped; if this goes on, check the Wi-Fi and the version",
+            "it was dropped; if this continues, check the Wi-Fi and the version",
         )
 
     def skip(self, size: int) -> int:
-        """Go on by some bytes; the offset before them."""
+        """Skip some bytes; returns the offset before them."""
         begin = self.offset
         if size < 0 or size > self.end - begin:
             raise self.bad(f"{size} bytes wanted, {self.end - begin} left")
@@ -109,21 +108,21 @@ class Reader:
         return int(_I32.unpack_from(self.payload, self.skip(4))[0])
 
     def count(self, smallest: int) -> int:
-        """The next i32 as a number of elements, each of so many bytes at least."""
+        """The next i32 as a number of elements of at least `smallest` bytes each."""
         number = self.integer()
         if number < 0 or number * smallest > self.end - self.offset:
             raise self.bad(f"a count of {number} before")
         return number
 
     def pass_over(self, *layout: Any) -> None:
-        """Go on over texts, numbers of bytes, and lists of what each counted element has."""
+        """Skip a layout."""
         for part in layout:
             if part is _TEXT:
                 self.text()
             elif isinstance(part, int):
                 self.skip(part)
             else:
-                for _ in range(self.count(_smallest(part))):
+                for _ in range(self.count(_min_size(part))):
                     self.pass_over(*part)
 
     def text(self) -> str:
@@ -142,7 +141,7 @@ class ServerInfo:
     name: str
     app_version: tuple[int, ...]
     version: Version  # its NatNet version
-    clock: int = 0  # frequency of its clock; 0: it stamps no exposures [Hz]
+    clock: int = 0  # frequency of its clock [Hz]; 0: no exposure times
     data_port: int = 0
     multicast: bool = False
     group: str = ""
@@ -153,23 +152,24 @@ class ServerInfo:
 
 
 def encode_message(message: int, payload: bytes = b"") -> bytes:
-    """A datagram of an id and a payload."""
+    """A datagram with an id and a payload."""
     return _HEADER.pack(message, len(payload)) + payload
 
 
 def encode_connect(name: str, bitstream: Version) -> bytes:
-    """CONNECT, for all data, in a version if the server can."""
-    sender = name.encode()[: _NAME - 1].ljust(_NAME, b"\0") + bytes(4) + bytes((*bitstream, 0, 0))
+    """CONNECT for all data, in a version if the server supports it."""
+    sender = name.encode()[: _NAME_SIZE - 1].ljust(_NAME_SIZE, b"\0")
+    sender += bytes((0, 0, 0, 0, *bitstream, 0, 0))
     return encode_message(CONNECT, sender + bytes((0, *bitstream, 0, 0)))
 
 
 def encode_command(text: str) -> bytes:
-    """REQUEST of a command."""
+    """REQUEST with a command."""
     return encode_message(REQUEST, text.encode() + b"\0")
 
 
 def encode_echo(stamp: int) -> bytes:
-    """ECHOREQUEST with a stamp of the client's own, such as [ns]."""
+    """ECHOREQUEST with a stamp chosen by the client, such as a time [ns]."""
     return encode_message(ECHOREQUEST, stamp.to_bytes(8, "little"))
 
 
@@ -182,16 +182,16 @@ def split_datagram(datagram: bytes) -> tuple[int, bytes]:
 
 
 def parse_server_info(payload: bytes) -> ServerInfo:
-    """Parse SERVERINFO; before NatNet 3.0 it ends after the versions, and gives no clock."""
+    """Parse SERVERINFO; before NatNet 3.0 it ends after the versions, without a clock."""
     reader = Reader(payload, "server info")
-    begin = reader.skip(_NAME)
-    name = payload[begin : begin + _NAME].partition(b"\0")[0].decode("utf-8", "replace")
+    begin = reader.skip(_NAME_SIZE)
+    name = payload[begin : begin + _NAME_SIZE].partition(b"\0")[0].decode("utf-8", "replace")
     versions = reader.unpack(Struct("<8B"))
     app, natnet = versions[:4], (versions[4], versions[5])
     if natnet < OLDEST:
         return ServerInfo(name, app, natnet)
     clock, port, multicast, *group = reader.unpack(Struct("<QHB4B"))
-    if not 1 <= clock <= _LARGEST_CLOCK:
+    if not 1 <= clock <= _MAX_CLOCK:
         raise reader.bad(f"a clock of {clock} Hz")
     return ServerInfo(
         name, app, natnet, clock, port, bool(multicast), ".".join(str(part) for part in group)
@@ -209,15 +209,15 @@ class RigidBodyDefinition:
     """A rigid body as the server defines it."""
 
     name: str
-    id: int  # its streaming id; labelled markers carry it as their model
-    markers: tuple[Position, ...]  # its markers in its own frame [m]
+    id: int  # streaming id, the `model` of labelled markers
+    markers: tuple[Position, ...]  # in its own frame [m]
 
 
 BodiesByName: TypeAlias = dict[str, RigidBodyDefinition]
 
 
 def parse_model_definitions(payload: bytes, version: Version) -> BodiesByName:
-    """Parse MODELDEF; of all that is defined, the rigid bodies are kept, by name."""
+    """Parse MODELDEF; keeps only the rigid bodies, by name."""
     reader = Reader(bytes(payload), "model definitions")
     bodies: BodiesByName = {}
     for _ in range(reader.count(8)):
@@ -257,22 +257,22 @@ def _rigid_body(reader: Reader, version: Version) -> RigidBodyDefinition:
 class LabelledMarker(NamedTuple):
     """A labelled marker in a frame."""
 
-    model: int  # streaming id of the body that it belongs to; 0: none
-    member: int  # its number in the body, from 1
-    position: Position  # its position [m]; where it is not seen, the last or an assumed one
-    seen: bool  # whether a camera sees it, and the position is its own, not the body's model's
+    model: int  # streaming id of its body; 0: none
+    member: int  # number in the body, from 1
+    position: Position  # [m]; the last or an assumed one if not seen
+    seen: bool  # whether cameras measured the position; otherwise it is occluded or model-filled
 
 
 @dataclass(frozen=True, slots=True)
 class MocapFrame:
     """A frame of the cameras."""
 
-    number: int  # its number; it counts up within a session
+    number: int  # increases within a session
     bodies: tuple[int, ...]  # streaming ids of the rigid bodies
     markers: tuple[LabelledMarker, ...]
-    mid_exposure: int  # middle of the exposure by the server's clock [ticks]
+    mid_exposure: int  # on the server's clock [ticks]
     recording: bool
-    models_changed: bool  # whether its rigid bodies have changed
+    models_changed: bool  # whether the rigid bodies have changed
 
 
 def parse_frame(payload: bytes | memoryview, version: Version) -> MocapFrame:
@@ -300,7 +300,7 @@ def parse_frame(payload: bytes | memoryview, version: Version) -> MocapFrame:
     for _ in range(2):  # force plates, devices
         _skip_section(reader, sized, _CHANNELS)
     _, _, _, ticks, *_, flags, end = reader.unpack(_SUFFIX_4_1 if sized else _SUFFIX_3)
-    # A count that lies leads elsewhere than to the end tag. A newer version may hold more.
+    # A wrong count misses the end tag. A newer version may hold more.
     if end != 0 or (version <= _NEWEST and reader.offset != reader.end):
         raise reader.bad(f"end tag {end} and {reader.end - reader.offset} bytes left")
     changed = bool(flags & _MODELS_CHANGED)
@@ -308,11 +308,11 @@ def parse_frame(payload: bytes | memoryview, version: Version) -> MocapFrame:
 
 
 def _skip_section(reader: Reader, sized: bool, elements: _Layout) -> None:
-    """Pass over a section: by its size from 4.1 on, element by element before."""
+    """Skip a section: by its size from 4.1 on, element by element before."""
     if not sized:
         reader.pass_over(elements)
         return
-    count = reader.count(smallest := _smallest(elements))
+    count = reader.count(smallest := _min_size(elements))
     size = reader.count(1)
     if size < count * smallest:
         raise reader.bad(f"a section of {size} bytes for {count}")
@@ -320,7 +320,7 @@ def _skip_section(reader: Reader, sized: bool, elements: _Layout) -> None:
 
 
 def _elements(reader: Reader, sized: bool, layout: Struct) -> Iterator[tuple[Any, ...]]:
-    """Elements of a section that all have one layout."""
+    """Elements of a section with a fixed layout."""
     count = reader.count(layout.size)
     if sized and (size := reader.integer()) != count * layout.size:
         raise reader.bad(f"a section of {size} bytes for {count} of {layout.size}")

@@ -1,4 +1,4 @@
-"""Markers and poses of the two bodies at a trigger's time, from the frames around it."""
+"""Markers and poses of the two bodies at a trigger, from the frames around it."""
 
 from __future__ import annotations
 
@@ -17,36 +17,36 @@ from socket_testbed.arrays import BoolArray, FloatArray, IntArray, line_weights
 from socket_testbed.drivers.natnet.messages import BodiesByName, MocapFrame
 from socket_testbed.geometry.marker_bodies import (
     EDGE_TOLERANCE,
-    FEWEST_MARKERS,
+    MIN_MARKERS,
     distances,
     fit_body,
 )
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.settings.acquisition import MocapSettings
 
-_KEPT = 1.0  # [s]
-_VOTES, _FEWEST = 20, 3  # fits that decide on the usual order of the labels
-_LARGEST_STEP = 0.01  # [m]; of a marker between two frames, without a fit of its body
+_HISTORY = 1.0  # [s]
+_MAX_VOTES, _MIN_VOTES = 20, 3  # fits that determine the usual order of the labels
+_MAX_STEP = 0.01  # [m]; of a marker between two frames, if its body was not fitted
 
 
 class SeenBody(NamedTuple):
     """A body at the time of a trigger."""
 
-    # its k markers in its own order, as labelled where they do not fit, shape (k, 3) [m]; NaN
-    # where one is not seen
+    # its k markers in the body's order, or as labelled if they do not fit, shape (k, 3) [m]; NaN
+    # if not seen
     markers: FloatArray
-    position: FloatArray  # of its origin in the world, shape (3,) [m]; NaN where it has no pose
-    quaternion: FloatArray  # its orientation (x, y, z, w), shape (4,) [-]; likewise
-    frames: int = 0  # number of frames that make the pose [1]
-    fault: str = ""  # why it has no pose; empty if it has one
+    position: FloatArray  # of its origin in the world, shape (3,) [m]; NaN without a pose
+    quaternion: FloatArray  # orientation (x, y, z, w), shape (4,) [-]; likewise
+    frames: int = 0  # number of frames used for the pose [1]
+    fault: str = ""  # why there is no pose; empty if there is one
 
 
 class BodyTracker:
-    """Keeps the frames of the last second, and interpolates between them or averages them.
+    """Keeps the frames of the last second, and interpolates or averages them.
 
-    A window [s] is the span around a trigger whose frames are averaged; with 0 a pose is
-    interpolated between two frames. Any thread may call any method. Each body has 3 to 8 markers
-    in its own frame, shape (k, 3) [m].
+    The window [s] is the span around a trigger whose frames are averaged; with 0 poses are
+    interpolated between two frames. All methods are thread-safe. Each body has 3 to 8 markers in
+    its own frame, shape (k, 3) [m].
     """
 
     def __init__(
@@ -56,23 +56,23 @@ class BodyTracker:
             _TrackedBody(settings.socket_body, "socket_body", socket_markers, settings.stale),
             _TrackedBody(settings.pylon_body, "pylon_body", pylon_markers, settings.stale),
         )
-        self._changed = threading.Condition()  # its lock may be taken again by its holder
+        self._changed = threading.Condition()  # its lock is reentrant
 
     def add(self, frame: MocapFrame, time: float, models: BodiesByName | None) -> None:
-        """Add a frame of a time [s] after all before, with the bodies that its ids stand for."""
+        """Add a frame, later than all before, with its time [s] and the bodies of its ids."""
         with self._changed:
             for body in self._bodies:
                 body.add(frame, time, models)
             self._changed.notify_all()
 
     def ready(self, trigger: float, window: float = 0.0) -> bool:
-        """Whether no later frame will make the sample of a trigger [s] better."""
+        """Whether later frames cannot improve the sample at a trigger [s]."""
         with self._changed:
             return all(body.ready(trigger, window) for body in self._bodies)
 
     def wait(self, trigger: float, deadline: float, window: float = 0.0) -> bool:
-        """Wait until `ready`, or until a time of the steady clock [s]; whether it is ready."""
-        # No frame before the window's end can be the last one.
+        """Wait until `ready` or a deadline on the steady clock [s]; returns whether ready."""
+        # The last frame cannot arrive before the end of the window.
         clocks.sleep(max(0.0, min(trigger + 0.5 * window, deadline) - clocks.monotonic()))
         with self._changed:
             while not self.ready(trigger, window):
@@ -83,14 +83,13 @@ class BodyTracker:
             return True
 
     def sample(self, trigger: float, window: float = 0.0) -> tuple[SeenBody, SeenBody]:
-        """Socket and pylon at a time of the steady clock [s], from the frames there are.
+        """Socket and pylon at a time of the steady clock [s], from the available frames.
 
-        A pose is the mean on SE(3) of the frames in the window: positions by their mean,
-        rotations by the mean of their matrices (chordal). Frames are not even about the trigger,
-        less so where some are missing; therefore the mean is carried to the trigger's time with
-        the window's mean velocity, and does not lag. A body has a pose whenever it can be
-        interpolated; the interpolated one stays if the frames would make a noisier mean.
-        Markers are always interpolated.
+        A pose is the mean on SE(3) of the frames in the window: the mean of the positions and the
+        chordal mean of the rotations. Frames are not symmetric about the trigger, especially if
+        some are missing, so the mean velocity in the window carries the mean to the trigger's
+        time without lag. A body has a pose whenever it can be interpolated; the interpolated pose
+        is kept if the mean would be noisier. Markers are always interpolated.
         """
         with self._changed:
             socket, pylon = (body.at(trigger, window) for body in self._bodies)
@@ -99,12 +98,12 @@ class BodyTracker:
 
 class _Frame(NamedTuple):
     time: float  # [s]
-    markers: FloatArray  # of the body by their labels, shape (k, 3) [m]; NaN where one is not seen
-    unknown: str  # why none of the server's rigid bodies is this one; empty: one is
+    markers: FloatArray  # of the body by label, shape (k, 3) [m]; NaN if not seen
+    unknown: str  # why the body is not among the server's; empty if it is
 
 
 class _TrackedBody:
-    """One of the two bodies: where its markers are in the frames of the last second."""
+    """One of the two bodies: its markers in the frames of the last second."""
 
     def __init__(self, name: str, setting: str, reference: FloatArray, stale: float) -> None:
         self._name = name
@@ -114,10 +113,10 @@ class _TrackedBody:
         self._count = len(self._reference)
         self._distances = distances(self._reference)
         self._frames: deque[_Frame] = deque()
-        self._orders: deque[tuple[int, ...]] = deque(maxlen=_VOTES)  # of the labels, lately
+        self._orders: deque[tuple[int, ...]] = deque(maxlen=_MAX_VOTES)  # recent label orders
 
     def add(self, frame: MocapFrame, time: float, models: BodiesByName | None) -> None:
-        """Add a frame, unless it is not after all before."""
+        """Add a frame if it is later than all before."""
         if self._frames and time <= self._frames[-1].time:
             return
         markers = [(np.nan, np.nan, np.nan)] * self._count
@@ -129,13 +128,13 @@ class _TrackedBody:
                 if marker.seen and 0 <= slot < self._count:
                     markers[slot] = marker.position
         self._frames.append(_Frame(time, np.array(markers), self._unknown(models)))
-        while self._frames[0].time < time - _KEPT:
+        while self._frames[0].time < time - _HISTORY:
             self._frames.popleft()
 
     def ready(self, trigger: float, window: float) -> bool:
-        """Whether no later frame will make it better at a trigger [s]."""
+        """Whether later frames cannot improve the body at a trigger [s]."""
         if window > 0.0:
-            # As frames follow each other at present, the next one comes after the window's end.
+            # At the current frame rate, the next frame must lie beyond the window.
             times = [frame.time for frame in islice(reversed(self._frames), 2)]
             if not times or 2.0 * times[0] - times[-1] <= trigger + 0.5 * window:
                 return False
@@ -143,7 +142,7 @@ class _TrackedBody:
         after = frames[before:]
         if not after or len(after) == 2 or after[-1].time >= trigger + self._stale:
             return bool(after)
-        # One more frame is worth the wait where a marker is not seen in this one, but may be.
+        # Wait for one more frame if a marker is not seen in this one.
         return bool(after[0].unknown or np.isfinite(after[0].markers).all())
 
     def at(self, trigger: float, window: float) -> SeenBody:
@@ -178,12 +177,12 @@ class _TrackedBody:
             noise = weight**2 + (1.0 - weight) ** 2
             mean = _mean(fit.pose, offsets, inside & fit.found, noise)
             return SeenBody(markers, *(mean or _interpolate(fit.pose, pair, weight)))
-        near = np.linalg.norm(end - start, axis=1) < _LARGEST_STEP
+        near = np.linalg.norm(end - start, axis=1) < _MAX_STEP
         markers = np.where(near[:, None], markers, np.nan)
         return SeenBody(markers, *nowhere, fault=self._fault(seen[list(pair)]))
 
     def _around(self, trigger: float, half: float) -> tuple[list[_Frame], int]:
-        """The frames at most half a window from a time, and two on either side of it."""
+        """Frames within half a window of a time, at least two on either side if there are."""
         frames, time = self._frames, attrgetter("time")
         middle = bisect_left(frames, trigger, key=time)
         first = max(0, min(middle - 2, bisect_left(frames, trigger - half, key=time)))
@@ -191,7 +190,7 @@ class _TrackedBody:
         return list(islice(frames, first, last)), middle - first
 
     def _unknown(self, models: BodiesByName | None) -> str:
-        """Why none of the server's rigid bodies is this one; empty: one is."""
+        """Why the body is not among the server's rigid bodies; empty if it is."""
         if models is None:
             return "Motive has not sent its rigid bodies yet"
         definition = models.get(self._name)
@@ -209,19 +208,19 @@ class _TrackedBody:
         return ""
 
     def _in_order(self, markers: FloatArray, order: IntArray) -> FloatArray:
-        """A frame's markers in the body's order, shape (k, 3) [m]; NaN where that is not known.
+        """A frame's markers in the body's order, shape (k, 3) [m]; NaN if the order is unknown.
 
-        All of a body whose markers are not where the geometry has them are kept as labelled: its
-        poses can be fitted later, with the right geometry. Those that are left of a body without
-        a fit are in the usual order of the labels, if their distances do not contradict it.
+        Complete markers that do not fit the geometry are kept as labelled, so that poses can be
+        fitted later with the right geometry. Incomplete markers without a fit are put in the usual
+        order of the labels, unless their distances contradict it.
         """
         if (order >= 0).any():
             return np.where((order >= 0)[:, None], markers[order], np.nan)
         if np.isfinite(markers).all():
             return markers
-        # A swap of labels that lasts must not be learnt.
+        # Require a large majority, so that lasting label swaps are not learnt.
         usual, votes = Counter(self._orders).most_common(1)[0] if self._orders else ((), 0)
-        if votes >= max(_FEWEST, 0.75 * len(self._orders)):
+        if votes >= max(_MIN_VOTES, 0.75 * len(self._orders)):
             markers = markers[list(usual)]
             mismatch = np.abs(distances(markers) - self._distances)
             if not (mismatch > EDGE_TOLERANCE).any():
@@ -233,9 +232,9 @@ class _TrackedBody:
         if hidden.any():
             members = ", ".join(str(slot + 1) for slot in np.flatnonzero(hidden))
             fault = f"marker {members} of rigid body '{self._name}' is occluded"
-            few = self._count == FEWEST_MARKERS or (~hidden).sum() < FEWEST_MARKERS
+            few = self._count == MIN_MARKERS or (~hidden).sum() < MIN_MARKERS
             return fault if few else f"{fault}, and the others do not make its pose certain"
-        kind = "triad" if self._count == FEWEST_MARKERS else "distances"
+        kind = "triad" if self._count == MIN_MARKERS else "distances"
         return (
             f"the markers of rigid body '{self._name}' do not fit its {kind}: check the geometry"
             " file, or that no other marker is taken for one of them"
@@ -245,7 +244,7 @@ class _TrackedBody:
 def _interpolate(
     poses: Pose, pair: tuple[int, int], weight: float
 ) -> tuple[FloatArray, FloatArray, int]:
-    """Position [m] and quaternion between two of N poses, and 2, their number."""
+    """Position [m] and quaternion between two of N poses, and their number (2)."""
     start, end = poses.translation[list(pair)]
     before, after = Rotation.from_matrix(poses.rotation[list(pair)])
     # Slerp (Shoemake 1985, doi:10.1145/325165.325242).
@@ -254,14 +253,14 @@ def _interpolate(
 
 
 def _mean(
-    poses: Pose, offsets: FloatArray, usable: BoolArray, largest: float
+    poses: Pose, offsets: FloatArray, usable: BoolArray, max_variance: float
 ) -> tuple[FloatArray, FloatArray, int] | None:
-    """Mean of some of N poses, at offset 0."""
+    """Mean of the usable poses, carried to offset 0, and their number; None if too noisy."""
     weights = line_weights(offsets[usable])
-    if len(weights) < 2 or weights @ weights > largest:
+    if len(weights) < 2 or weights @ weights > max_variance:
         return None
     rotations = Rotation.from_matrix(poses.rotation[usable])
-    # The rotation nearest to all: the chordal mean (Hartley 2013, doi:10.1007/s11263-012-0601-0).
+    # The chordal mean (Hartley 2013, doi:10.1007/s11263-012-0601-0).
     mean = rotations.mean()
     turn = Rotation.from_rotvec(weights @ (mean.inv() * rotations).as_rotvec())
     return weights @ poses.translation[usable], (mean * turn).as_quat(), len(weights)

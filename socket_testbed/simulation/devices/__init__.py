@@ -1,1 +1,1 @@
-"""The other side of the drivers: simulated chips, lines and servers, with faults."""
+"""Counterparts of the drivers: simulated chips, lines and servers, with faults."""

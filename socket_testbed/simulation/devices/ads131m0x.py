@@ -1,4 +1,4 @@
-"""The converter ADS131M06 or ADS131M08, register by register, with a load cell on it."""
+"""Register-level simulation of the ADS131M06 and ADS131M08 with a load cell."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from socket_testbed.drivers.load_cell.ads131m0x import checksum
 from socket_testbed.drivers.load_cell.load_cell import check_settings
 from socket_testbed.settings.acquisition import LoadCellSettings
 
-_ID, _STATUS, _MODE, _CLOCK, _GAIN1, _GAIN2 = range(6)  # those that have an effect
+_ID, _STATUS, _MODE, _CLOCK, _GAIN1, _GAIN2 = range(6)  # those with an effect
 _RESET_BIT, _ANSI_BIT, _WORD_LENGTH = 0x0400, 0x0800, 0x0300
 _RESET, _LOCK, _UNLOCK = 0x0011, 0x0555, 0x0655
 _RREG, _WREG = 0xA000, 0x6000
 _WORD = 3  # [bytes]
 _START_UP = 300  # modulator clocks
-_FAST = 2  # conversions after a start that come from the fast filter
-_FAST_ERROR = 0.01  # [V]; far more than the real one, so that nobody can take them for good
-_WAITING = 2  # conversions that the FIFO holds
+_FAST = 2  # conversions from the fast filter after a start
+_FAST_ERROR = 0.01  # [V]; exaggerated, so that using them is noticed
+_FIFO_SIZE = 2  # conversions
 
 
 class SimulatedAds131m0x:
-    """One converter: an `SpiDevice`, and an `EdgeLine` where its DRDY is wired.
+    """One converter: an `SpiDevice`, and an `EdgeLine` if its DRDY is wired.
 
-    It has 6 (M06) or 8 (M08) channels, whose voltages, shape (channels,) [V], are asked for by
-    times of the steady clock [s]; `noise` is that of one conversion, alike. Its own clock is in Hz.
+    It has 6 (M06) or 8 (M08) channels. `volts` gives their voltages, shape (channels,) [V], at a
+    time of the steady clock [s], `noise` the noise of one conversion. Its clock is in Hz.
     """
 
     def __init__(
@@ -48,15 +48,15 @@ class SimulatedAds131m0x:
         self._modulator = clock_in / 2.0  # [Hz]
         self._rng = np.random.default_rng(seed)
         self._unplugged = False
-        self._next_dip: float | None = None  # of the supply [s]
+        self._next_brown_out: float | None = None  # of the supply [s]
         self._edges_until = now = clocks.monotonic()
-        self.is_wired = True  # DRDY to its line
+        self.is_wired = True  # whether DRDY is connected
         self._power_on(now)
 
     def _power_on(self, now: float) -> None:
-        """Fall into the reset state."""
+        """Enter the reset state."""
         self._locked = False
-        self._response: list[int] = []  # empty: STATUS, as it is when it is sent
+        self._response: list[int] = []  # empty: STATUS at the time of sending
         self._latest = [0] * self._channels  # codes
         self._registers = [0] * (_GAIN2 + 1)
         self._registers[_ID] = 0x2002 | self._channels << 8
@@ -65,13 +65,13 @@ class SimulatedAds131m0x:
         self._start(now)
 
     def _start(self, now: float) -> None:
-        """Restart the conversions at the rate and gain that are set."""
+        """Restart the conversions with the current rate and gain."""
         self._count = 0
         self._fifo: list[list[int]] = []
         oversampling = 128 << (self._registers[_CLOCK] >> 2 & 7)
         self._period = oversampling / self._modulator  # [s]
-        self._first = now + _START_UP / self._modulator  # begin of the first conversion [s]
-        # The filter's impulse response, three boxes and then a mean of several [s].
+        self._first = now + _START_UP / self._modulator  # start of the first conversion [s]
+        # Impulse response of the filter: three boxes, then a mean of several outputs [s].
         inner = min(oversampling, 1024)
         several = oversampling // inner
         samples = 3.0 * (inner - 1) / 2.0 + inner * (several - 1) / 2.0
@@ -80,19 +80,19 @@ class SimulatedAds131m0x:
         self._deviation = math.sqrt(variance) / self._modulator
 
     def close(self) -> None:
-        """The chip keeps running."""
+        """Do nothing: the chip keeps running."""
 
     def edges(self, within: float) -> list[float]:
-        """Falling edges of DRDY since the last call [s]; the reader never waits for one."""
+        """Falling edges of DRDY since the last call [s], without waiting."""
         until = clocks.monotonic()
         silent = self._fault("unplugged") or self._fault("frozen") or not self.is_wired
-        over = 0 if silent else self._over(until)
-        found = [self._first + k * self._period for k in range(1, over + 1)]
+        ended = 0 if silent else self._finished(until)
+        found = [self._first + k * self._period for k in range(1, ended + 1)]
         since, self._edges_until = self._edges_until, until
         return [edge for edge in found if since < edge <= until]
 
     def xfer2(self, data: list[int], /) -> list[int]:
-        """Exchange one frame, of a word for the command, one for each channel and the checksum."""
+        """Exchange one frame: command word, one word per channel, checksum."""
         now = clocks.monotonic()
         if self._fault("unplugged"):
             self._unplugged = True
@@ -100,7 +100,7 @@ class SimulatedAds131m0x:
         if self._unplugged:
             self._unplugged = False
             self._power_on(now)
-        self._dip(now)
+        self._brown_out(now)
         self._convert(now)
         answer = self._answer(len(data))
         self._execute(unpack(">" + "Hx" * (len(data) // _WORD), bytes(data)), now)
@@ -112,35 +112,35 @@ class SimulatedAds131m0x:
     def _fault(self, name: str) -> float:
         return self._faults.get(f"load_cell.{name}", 0.0)
 
-    def _dip(self, now: float) -> None:
+    def _brown_out(self, now: float) -> None:
         every = self._fault("brown_out")
         if every <= 0.0:
-            self._next_dip = None
-        elif self._next_dip is None:
-            self._next_dip = now + every
-        elif now >= self._next_dip:
-            self._next_dip = now + every
+            self._next_brown_out = None
+        elif self._next_brown_out is None:
+            self._next_brown_out = now + every
+        elif now >= self._next_brown_out:
+            self._next_brown_out = now + every
             self._power_on(now)
 
-    def _over(self, now: float) -> int:
-        """How many conversions are over since the start."""
+    def _finished(self, now: float) -> int:
+        """Number of conversions finished since the start."""
         return math.floor((now - self._first) / self._period + 1e-9)
 
     def _convert(self, now: float) -> None:
-        over = self._over(now)
+        ended = self._finished(now)
         if not self._fault("frozen"):
-            while self._count < over and len(self._fifo) < _WAITING:
+            while self._count < ended and len(self._fifo) < _FIFO_SIZE:
                 self._count += 1
                 self._fifo.append(self._conversion(self._first + self._count * self._period))
-        self._count = max(self._count, over)  # the others are lost
+        self._count = max(self._count, ended)  # further conversions are lost
 
     def _conversion(self, end: float) -> list[int]:
         """Codes of the conversion that ends at a time [s]."""
         if self._count <= _FAST:
             volts = self._volts(end - 0.5 * self._period) + _FAST_ERROR
         else:
-            # Two points with the mean and the variance of the filter's impulse response: that
-            # is exact for whatever bends no more than a cubic.
+            # Two points with the mean and variance of the filter's impulse response: exact up to
+            # cubic signals.
             middle, deviation = end - self._mean, self._deviation
             volts = 0.5 * (self._volts(middle - deviation) + self._volts(middle + deviation))
         volts = volts + self._noise()
@@ -154,7 +154,7 @@ class SimulatedAds131m0x:
 
     @property
     def _enabled(self) -> int:
-        """The channels that are enabled, a bit each."""
+        """Enabled channels, one bit each."""
         return self._registers[_CLOCK] >> 8 & (1 << self._channels) - 1
 
     def _answer(self, length: int) -> list[int]:
@@ -191,26 +191,26 @@ class SimulatedAds131m0x:
             self._locked, self._response = True, [command]
 
     def _read(self, address: int) -> int:
-        """A register; 0 where there is none."""
+        """A register; 0 if it does not exist."""
         if address == _STATUS:
             mode = self._registers[_MODE] & (_ANSI_BIT | _RESET_BIT | _WORD_LENGTH)
             return self._locked << 15 | mode | (self._enabled if self._fifo else 0)
         return self._registers[address] if address <= _GAIN2 else 0
 
     def _write(self, address: int, values: Sequence[int], now: float) -> int:
-        """Write registers from an address on, but read-only ones; how many were written."""
+        """Write registers from an address on, except read-only ones; returns their number."""
         before = self._registers[_CLOCK:]
         places = range(max(address, _MODE), min(address + len(values), _GAIN2 + 1))
         for place in places:
-            self._registers[place] = self._kept(place, values[place - address])
+            self._registers[place] = self._written(place, values[place - address])
         if self._registers[_CLOCK:] != before:
             self._start(now)
         return len(places)
 
-    def _kept(self, place: int, value: int) -> int:
-        """The content of a register after a value was written to it."""
+    def _written(self, place: int, value: int) -> int:
+        """Content of a register after writing a value to it."""
         old = self._registers[place]
-        if place == _MODE:  # the reset bit can only be cleared; words stay of 24 bits
+        if place == _MODE:  # the reset bit can only be cleared; words stay at 24 bits
             changeable = 0xFFFF & ~(_RESET_BIT | _WORD_LENGTH)
             return value & changeable | old & _WORD_LENGTH | old & value & _RESET_BIT
         if place == _CLOCK and self._channels == 6:
@@ -225,10 +225,10 @@ def simulated_load_cell(
     seed: int | None = None,
     noise: Callable[[], FloatArray] = lambda: np.zeros(6),
 ) -> SimulatedAds131m0x:
-    """The converter of a load cell, its bridges under a load [M; F], shape (6,) [N m, N].
+    """The converter of a load cell under a load [M; F], shape (6,) [N m, N].
 
-    That is asked for by times of the steady clock [s], its noise once for each conversion; faults
-    are those of `simulation.world`, looked up at each frame.
+    `wrench` gives the load at a time of the steady clock [s], `noise` its noise per conversion.
+    Faults are those of `simulation.world`, read at each frame.
     """
     check_settings(settings)
     to_ratio = np.linalg.inv(np.array(settings.matrix).reshape(6, 6))

@@ -1,4 +1,4 @@
-"""The FDC1004, register by register."""
+"""Register-level simulation of the FDC1004."""
 
 from __future__ import annotations
 
@@ -11,40 +11,40 @@ _CONF_MEAS, _FDC_CONF = 0x08, 0x0C
 _IDENTITY = {0xFE: 0x5449, 0xFF: 0x1004}
 _RESET, _REPEAT_ALL, _SETTABLE = 0x8000, 0x01F0, 0x0DF0
 _RATES = (0.0, 100.0, 200.0, 400.0)  # [1/s]
-_CAPDAC = 4  # CHB; with any other, the inputs are single-ended
+_CAPDAC = 4  # CHB; other values mean single-ended without offset
 _CAPDAC_UNIT = 3.125  # [pF]
-_HIGHEST, _LOWEST = 0x7FFFFF, -0x800000
+_MAX_CODE, _MIN_CODE = 0x7FFFFF, -0x800000
 
 
 class SimulatedFdc1004(SimulatedChip):
-    """The chip in repeat mode: it converts as time passes, whether or not anyone reads it.
+    """The chip in repeat mode; it converts continuously, whether or not it is read.
 
-    It has no offset and gain registers, and converts in no other mode.
+    Offset and gain registers and other modes are not simulated.
     """
 
     address = 0x50
 
     def power_up(self) -> None:
-        """Fall into the reset state, as a RST does."""
+        """Enter the reset state, as after RST."""
         super().power_up()
         self._pointer = 0
-        self._kept = {_CONF_MEAS + n: 0x1C00 for n in range(4)}
+        self._conf_meas = {_CONF_MEAS + n: 0x1C00 for n in range(4)}
         self._conf = 0  # FDC_CONF without DONE
         self._done = [False] * 4
         self._codes = [0] * 4
-        self._low = [0] * 4  # the LSB registers, held since the MSB was read
-        self._high_was_read = [False] * 4
-        self._next = 0  # input of the conversion under way
-        self._settings = 0  # CONF_MEAS as it was when that one began
-        self._end = math.inf  # when that one ends [s]
+        self._lsb = [0] * 4  # LSB registers, latched when the MSB was read
+        self._msb_was_read = [False] * 4
+        self._next = 0  # input of the current conversion
+        self._settings = 0  # CONF_MEAS at its start
+        self._end = math.inf  # its end [s]
 
     def stop(self) -> None:
-        """Convert no more, until it is reset; finished conversions stay."""
+        """Stop converting until reset; finished conversions stay."""
         self._convert(clocks.monotonic())
         self._end = math.inf
 
     def write(self, data: bytes) -> None:
-        """Take the bytes of a write."""
+        """Handle a write."""
         self._convert(clocks.monotonic())
         register = data[0]
         known = register <= _FDC_CONF or register in _IDENTITY
@@ -56,13 +56,13 @@ class SimulatedFdc1004(SimulatedChip):
         value = int.from_bytes(data[1:], "big")
         if register == _FDC_CONF:
             self._configure(value)
-        elif register in self._kept:
-            self._kept[register] = value
+        elif register in self._conf_meas:
+            self._conf_meas[register] = value
         else:
             raise no_answer()  # read-only
 
     def read(self, length: int) -> bytes:
-        """Answer with the register that the pointer is at, over and over."""
+        """Answer with the register at the pointer, repeated."""
         self._convert(clocks.monotonic())
         value = self._value(self._pointer).to_bytes(2, "big")
         return (value * length)[:length]
@@ -72,16 +72,16 @@ class SimulatedFdc1004(SimulatedChip):
             return _IDENTITY[register]
         if register == _FDC_CONF:
             return self._conf | sum(8 >> n for n in range(4) if self._done[n])
-        if register in self._kept:
-            return self._kept[register]
+        if register in self._conf_meas:
+            return self._conf_meas[register]
         n = register // 2
         if register % 2 == 0:
-            self._low[n] = (self._codes[n] & 0xFF) << 8
-            self._high_was_read[n] = True
+            self._lsb[n] = (self._codes[n] & 0xFF) << 8
+            self._msb_was_read[n] = True
             return self._codes[n] >> 8 & 0xFFFF
-        if self._high_was_read[n]:
-            self._done[n] = self._high_was_read[n] = False
-        return self._low[n]
+        if self._msb_was_read[n]:
+            self._done[n] = self._msb_was_read[n] = False
+        return self._lsb[n]
 
     def _configure(self, value: int) -> None:
         if value & _RESET:
@@ -104,7 +104,7 @@ class SimulatedFdc1004(SimulatedChip):
     def _convert(self, now: float) -> None:
         if now < self._end:
             return
-        # Rounds that nobody read leave no trace: only the last one is computed.
+        # Earlier conversions would be overwritten: compute only the last round.
         behind = math.floor((now - self._end) / self._period) + 1
         skipped = max(0, behind - 4)
         if skipped:
@@ -117,12 +117,12 @@ class SimulatedFdc1004(SimulatedChip):
             self._start(1)
 
     def _start(self, further: int) -> None:
-        """Begin a conversion so many inputs further."""
+        """Start the conversion of the input `further` inputs on."""
         self._next = (self._next + further) % 4
-        self._settings = self._kept[_CONF_MEAS + self._next]
+        self._settings = self._conf_meas[_CONF_MEAS + self._next]
 
     def _code(self, moment: float) -> int:
         difference = self.input(self._settings >> 13 & 7, moment)
         if self._settings >> 10 & 7 == _CAPDAC:
             difference -= _CAPDAC_UNIT * (self._settings >> 5 & 0x1F)
-        return min(max(round(difference * 2**19), _LOWEST), _HIGHEST)
+        return min(max(round(difference * 2**19), _MIN_CODE), _MAX_CODE)

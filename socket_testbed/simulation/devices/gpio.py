@@ -6,11 +6,11 @@ from collections.abc import Mapping
 
 from socket_testbed import clocks
 
-_DELAY = 2e-6  # [s]; from the trigger's output to the stamped edge
+_DELAY = 2e-6  # [s]; from the trigger's output to the timestamped edge
 
 
 class SimulatedLines:
-    """The `Lines` of `drivers.gpio.GpioTrigger`, with a wire between them: the edge comes by it."""
+    """The `Lines` of `drivers.gpio.GpioTrigger`, with a wire that carries the edge."""
 
     def __init__(self, faults: Mapping[str, float]) -> None:
         self._faults = faults
@@ -24,16 +24,16 @@ class SimulatedLines:
             self._edges.append(clocks.monotonic() + _DELAY + self._faults["trigger.late"])
 
     def edges(self, within: float) -> list[float]:
-        """Rising edges that have come, or come within a time [s]."""
+        """Rising edges so far; waits up to `within` [s] for the first."""
         deadline = clocks.monotonic() + within
         if self._edges and (due := min(self._edges)) <= deadline:
             clocks.sleep(max(0.0, due - clocks.monotonic()))
         elif within > 0.0:
             clocks.sleep(within)
         now = clocks.monotonic()
-        come = [edge for edge in self._edges if edge <= now]
+        past = [edge for edge in self._edges if edge <= now]
         self._edges = [edge for edge in self._edges if edge > now]
-        return come
+        return past
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: no lines are held."""

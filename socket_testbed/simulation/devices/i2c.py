@@ -1,4 +1,4 @@
-"""The clusters' I2C bus with its multiplexer and its chips, and all that befalls them."""
+"""The clusters' I2C bus with its multiplexers, chips and faults."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from socket_testbed.drivers.clusters.i2c import I2cBus, opening_failed
 from socket_testbed.settings.acquisition import ClusterSettings
 
 _BROWN_OUT_PERIOD = 0.3  # [s]
-_BEYOND = 1e3  # [pF]; out of every range
+_BEYOND = 1e3  # [pF]; out of range of every chip
 _BITS_PER_BYTE = 9
 _FREQUENCY = 400e3  # [Hz]; of the bus
-_SHORTEST_SLEEP = 5e-4  # [s]; a transfer owes less than that to the next ones
-_LONGEST_CREDIT = 1e-3  # [s]
+_MIN_SLEEP = 5e-4  # [s]; shorter times are carried over to later transfers
+_MAX_CREDIT = 1e-3  # [s]
 _READ = 0x0001  # flag of linux/i2c.h
 
 
 def no_answer() -> OSError:
-    """The error of a transfer that nobody acknowledges."""
+    """The error for a transfer without acknowledgement."""
     return OSError(errno.EREMOTEIO, "no acknowledgement (simulated)")
 
 
 class SimulatedChip:
-    """A cluster's chip behind a channel of the multiplexer, with the faults that name it.
+    """A cluster's chip, possibly behind a multiplexer, with the faults that apply to it.
 
-    Subclasses are chips without a fault: they take `address`, `write` and `read`, which raise
-    `no_answer` where the chip does not acknowledge, `power_up` and `stop`.
+    Subclasses simulate a chip without faults: they define `address`, `write` and `read`, which
+    raise `no_answer` if the chip does not acknowledge, `power_up` and `stop`.
 
-    It is made with the capacitance of an input, 0..3, at a time [pF], the faults of
-    `simulation.world`, by which number they name its cluster, from 1, and how fast its oscillator
-    is over the nominal one.
+    Arguments are the capacitance [pF] of an input, 0..3, at a time, the faults of
+    `simulation.world`, the number of the cluster in them, from 1, and the speed of the oscillator
+    relative to the nominal one.
     """
 
     address = 0
@@ -51,7 +51,7 @@ class SimulatedChip:
         number: int = 1,
         speed: float = 1.0,
     ) -> None:
-        self._felt = capacitance
+        self._capacitance = capacitance
         self._faults = faults
         self._number = number
         self._speed = speed
@@ -61,30 +61,30 @@ class SimulatedChip:
         self.power_up()
 
     def power_up(self) -> None:
-        """Fall into the reset state, as a reset by command does."""
+        """Enter the reset state, as after a reset command."""
         self._shift = 0
 
     def stop(self) -> None:
-        """Convert no more, until it is reset; finished conversions stay."""
+        """Stop converting until reset; finished conversions stay."""
 
     def write(self, data: bytes) -> None:
-        """Take the bytes of a write."""
+        """Handle a write."""
 
     def read(self, length: int) -> bytes:
-        """Answer a read of so many bytes."""
+        """Answer a read of some bytes."""
         return bytes(length)
 
     def input(self, n: int, moment: float) -> float:
-        """Capacitance that an input measures at a time [pF]."""
-        return _BEYOND if self._has("rail") else self._felt((n + self._shift) % 4, moment)
+        """Capacitance at an input at a time [pF]."""
+        return _BEYOND if self._has("rail") else self._capacitance((n + self._shift) % 4, moment)
 
     def host_restarted(self) -> None:
-        """The host opened its bus again, which can shift the chip's inputs by one."""
+        """Handle a reopened bus, which can shift the chip's inputs by one."""
         if self._has("shifted"):
             self._shift = 1
 
     def parts_at(self, address: int) -> list[Part]:
-        """The chip itself if the address is its own; the faults that are on strike it then."""
+        """The chip itself if the address matches; applies the active faults."""
         if address != self.address:
             return []
         was_stuck, self._stuck = self._stuck, self._has("stuck_done")
@@ -108,27 +108,27 @@ class SimulatedTca9548a:
     def __init__(self, address: int = 0x70) -> None:
         self.address = address
         self.mask = 0  # bit n connects channel n [1]
-        self.chips: dict[int, SimulatedChip] = {}  # by their channels
+        self.chips: dict[int, SimulatedChip] = {}  # by channel
 
     def power_up(self) -> None:
-        """Disconnect all channels, whose chips lost their power as well."""
+        """Disconnect all channels; the chips lose power as well."""
         self.mask = 0
         for chip in self.chips.values():
             chip.power_up()
 
     def host_restarted(self) -> None:
-        """The host opened its bus again, as the chips see it, too."""
+        """Pass a reopened bus on to the chips."""
         for chip in self.chips.values():
             chip.host_restarted()
 
     def parts_at(self, address: int) -> list[Part]:
-        """The chips behind connected channels that an address reaches, and the multiplexer."""
+        """Chips behind connected channels that match an address, and the multiplexer."""
         connected = [chip for channel, chip in self.chips.items() if self.mask >> channel & 1]
         reached = [part for chip in connected for part in chip.parts_at(address)]
         return [*reached, self] if address == self.address else reached
 
     def write(self, data: bytes) -> None:
-        """Take the mask, the last byte of a write."""
+        """Set the mask to the last byte of a write."""
         self.mask = data[-1]
 
     def read(self, length: int) -> bytes:
@@ -140,9 +140,9 @@ Part: TypeAlias = SimulatedTca9548a | SimulatedChip
 
 
 class SimulatedI2cBus:
-    """The bus as a host has it open, with the multiplexers and chips that are on its wires.
+    """An open bus with its multiplexers and chips.
 
-    Opening it restarts the host, as the chips see it. Faults are looked up at each transfer.
+    Opening it looks like a restart of the host to the chips. Faults are read at each transfer.
     """
 
     def __init__(
@@ -150,7 +150,7 @@ class SimulatedI2cBus:
     ) -> None:
         self._parts = parts
         self._faults = faults
-        self._owed = 0.0  # time of the transfers that was not slept yet [s]
+        self._owed = 0.0  # transfer time not yet slept [s]
         self._is_gone = False
         for part in parts:
             part.host_restarted()
@@ -173,7 +173,7 @@ class SimulatedI2cBus:
             if not parts:
                 raise no_answer()
             if message.flags & _READ:
-                # On open-drain wires whoever sends a zero wins.
+                # On open-drain wires, zeros win.
                 answers = [part.read(message.len) for part in parts]
                 for index, sent in enumerate(zip(*answers, strict=True)):
                     message.buf[index] = bytes([reduce(and_, sent)])
@@ -182,23 +182,23 @@ class SimulatedI2cBus:
                     part.write(bytes(message.buf[: message.len]))
 
     def close(self) -> None:
-        """Close the bus: nothing goes over it any more."""
+        """Close the bus: further transfers fail."""
         self._is_gone = True
 
     def _take_time(self, transferred: int) -> None:
         self._owed += transferred * _BITS_PER_BYTE / _FREQUENCY
-        if self._owed >= _SHORTEST_SLEEP:
-            # A sleep is always too long: the next ones are shorter, so that the rate is right.
+        if self._owed >= _MIN_SLEEP:
+            # Sleeps are always too long: shorten the next ones to keep the average rate.
             before = clocks.monotonic()
             clocks.sleep(self._owed)
-            self._owed = max(self._owed - (clocks.monotonic() - before), -_LONGEST_CREDIT)
+            self._owed = max(self._owed - (clocks.monotonic() - before), -_MAX_CREDIT)
 
 
 class SimulatedClusterHardware:
-    """The chips of all clusters where the settings say that they are.
+    """The chips of all clusters in the places given by the settings.
 
-    They feel a capacitance [pF] by the cluster's place in the settings, its input, 0..3, and a time
-    of the steady clock [s]. Of speeds there is one for each, or none: they are nominal.
+    `capacitance` [pF] depends on the cluster's index in the settings, its input, 0..3, and a time
+    of the steady clock [s]. `speeds` has one entry per cluster; empty for nominal speed.
     """
 
     def __init__(
@@ -225,7 +225,7 @@ class SimulatedClusterHardware:
         self._faults = faults
 
     def open_bus(self, number: int) -> I2cBus:
-        """Open a bus by its number [1]; chips that were unplugged come back reset."""
+        """Open a bus by its number [1]; unplugged chips come back reset."""
         parts = self._buses.get(number, [])
         if unplugged := self._faults.get("clusters.unplugged", 0.0):
             for part in parts:

@@ -1,4 +1,4 @@
-"""A NatNet server, 3.0 to 4.4, on real sockets: messages, cameras, faulty network, commands."""
+"""A NatNet server, 3.0 to 4.4, on real sockets, with simulated cameras and network faults."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ OCCLUDED, SOLVED, MODEL_FILLED, HAS_MODEL = 1, 2, 4, 8  # flags of a marker
 # Name, markers in the world (m, 3) [m], position (3,) [m], quaternion (4,) of each body.
 Bodies: TypeAlias = Callable[[float], Sequence[tuple[str, FloatArray, FloatArray, FloatArray]]]
 Address: TypeAlias = tuple[str, int]
-Parts: TypeAlias = list[bytes | int]  # of a message in their order; an int is a count
+Parts: TypeAlias = list[bytes | int]  # of a message, in order; an int is a count
 
 _WRONG_COUNTS = (-1, 0, 1, 2, 7, 1000, 0x7FFFFFFF, -0x80000000)
 _CLOCK = 10_000_000  # [Hz]
 _LATENCY = 0.004  # [s]; from mid-exposure to transmission
-_BEHIND = 0.25  # [s]; frames that are later than this are left out
-_SILENCE = 10.0  # [s]; after which a client is forgotten
-_CHANGED = 24  # frames that say that the rigid bodies have changed
-_VERSIONS = {  # a stream can be asked for
+_MAX_DELAY = 0.25  # [s]; later frames are dropped
+_TIMEOUT = 10.0  # [s]; of a silent client
+_CHANGE_FRAMES = 24  # frames that flag changed rigid bodies
+_VERSIONS = {  # of the stream on request
     f"{major}.{minor}": (major, minor)
     for major, minor in ((3, 0), (3, 1), (4, 0), (4, 1), (4, 2), (4, 3), (4, 4))
 }
@@ -60,7 +60,7 @@ class Marker:
 
 @dataclass(frozen=True)
 class Content:
-    """A frame: all sections but those of rigid bodies and labelled markers are empty."""
+    """A frame; all sections except rigid bodies and labelled markers are empty."""
 
     number: int
     # server's clock at mid-exposure, at data received and at transmission [ticks]
@@ -73,19 +73,19 @@ class Content:
 
 @dataclass(frozen=True)
 class Message:
-    """A message as it is sent, and where in it counts stand."""
+    """A message, and the offsets of the counts in it."""
 
     data: bytes
     counts: Sequence[int]
 
     @classmethod
     def of(cls, kind: int, *parts: bytes | int) -> Message:
-        """A message of a kind with its parts, see `Parts`."""
+        """Build a message from its parts, see `Parts`."""
         payload, counts = _join(parts)
         return cls(pack("<HH", kind, len(payload)) + payload, [4 + at for at in counts])
 
     def corrupted(self, rng: np.random.Generator) -> bytes:
-        """Its bytes with one count changed; its header's size if there is no other."""
+        """Its bytes with one count changed, or the header's size if there are no counts."""
         data = bytearray(self.data)
         if not self.counts:
             pack_into("<H", data, 2, (len(data) - 4 + int(rng.integers(1, 60000))) % 65536)
@@ -139,7 +139,7 @@ def encode_frame(content: Content, version: Version) -> Message:
 def encode_model_definitions(
     definitions: Iterable[RigidBodyDefinition], version: Version
 ) -> Message:
-    """MODELDEF of rigid bodies, with the marker set that Motive makes of each."""
+    """MODELDEF of rigid bodies, each with its marker set as in Motive."""
     parts: Parts = []
     number = 0
     for definition in definitions:
@@ -157,7 +157,7 @@ def encode_model_definitions(
 
 
 def _join(parts: Iterable[bytes | int]) -> tuple[bytes, list[int]]:
-    """The bytes of parts, and where among them counts stand."""
+    """The bytes of parts, and the offsets of the counts."""
     data, counts = bytearray(), []
     for part in parts:
         if isinstance(part, int):
@@ -167,7 +167,7 @@ def _join(parts: Iterable[bytes | int]) -> tuple[bytes, list[int]]:
 
 
 def _sized(parts: Parts, sized: bool) -> Parts:
-    """Parts behind their size, where the version has it."""
+    """Parts, preceded by their size if the version has it."""
     return [len(_join(parts)[0]), *parts] if sized else parts
 
 
@@ -180,7 +180,7 @@ def _floats(values: ArrayLike) -> bytes:
 
 
 class Scene:
-    """Makes frames of bodies with noise [m] and the faults `mocap.occlude` and `mocap.swap`."""
+    """Generates frames with noise [m] and the faults `mocap.occlude` and `mocap.swap`."""
 
     def __init__(
         self, bodies: Bodies, faults: Mapping[str, float], noise: float, rng: np.random.Generator
@@ -195,12 +195,12 @@ class Scene:
         self._changed = 0
 
     def restart(self) -> None:
-        """Forget all that was seen, as a server that restarts."""
+        """Forget all earlier frames, as after a restart of the server."""
         self._seen.clear()
         self._names = ()
 
     def definitions(self, moment: float) -> list[RigidBodyDefinition]:
-        """The rigid bodies as they are defined at a time of the steady clock [s]."""
+        """Definitions of the rigid bodies at a time of the steady clock [s]."""
         found = []
         for name, markers, position, quaternion in self._bodies(moment):
             in_body = Rotation.from_quat(quaternion).inv().apply(markers - position)
@@ -211,13 +211,13 @@ class Scene:
     def content(
         self, moment: float, number: int, ticks: tuple[int, int, int], recording: bool
     ) -> Content:
-        """The frame that is exposed at a time of the steady clock [s]."""
+        """The frame exposed at a time of the steady clock [s]."""
         bodies: list[Body] = []
         labelled: list[Marker] = []
         scene = self._bodies(moment)
         names = tuple(name for name, *_ in scene)
         if names != self._names:
-            self._changed = _CHANGED if self._names else 0
+            self._changed = _CHANGE_FRAMES if self._names else 0
             self._names = names
         self._changed = max(0, self._changed - 1)
         for name, true, position, quaternion in scene:
@@ -240,11 +240,11 @@ class Scene:
         return self._ids.setdefault(name, len(self._ids) + 1)
 
     def _observe(self, name: str, true: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Markers by their labels, and which of them are hidden."""
+        """Markers by label, and which of them are hidden."""
         markers = true + (self._rng.normal(0.0, self._noise, true.shape) if self._noise else 0.0)
         hidden = np.zeros(len(markers), dtype=bool)
         occluded = round(self._faults.get("mocap.occlude", 0.0)) - 1
-        if 0 <= occluded < len(markers):  # its last position goes out, as from Motive
+        if 0 <= occluded < len(markers):  # send its last position, like Motive
             hidden[occluded] = True
             markers[occluded] = self._seen.get((name, len(markers)), markers)[occluded]
         self._seen[name, len(markers)] = markers.copy()
@@ -255,8 +255,8 @@ class Scene:
         return markers, hidden
 
 
-# By fault, the bytes of a message that are sent, and how often.
-_STRIKES: dict[str, Callable[[Message, bytes, np.random.Generator], tuple[bytes, int]]] = {
+# By fault: the bytes to send for a message, and the number of copies.
+_EFFECTS: dict[str, Callable[[Message, bytes, np.random.Generator], tuple[bytes, int]]] = {
     "corrupt": lambda message, data, rng: (message.corrupted(rng), 1),
     "truncate": lambda message, data, rng: (data[: int(rng.integers(len(data)))], 1),
     "duplicate": lambda message, data, rng: (data, 2),
@@ -265,7 +265,7 @@ _STRIKES: dict[str, Callable[[Message, bytes, np.random.Generator], tuple[bytes,
 
 
 class FaultyNetwork:
-    """Sends datagrams of a socket, with the faults that are on."""
+    """Sends datagrams on a socket, with the active faults."""
 
     def __init__(
         self, udp: socket.socket, faults: Mapping[str, float], rng: np.random.Generator
@@ -276,20 +276,20 @@ class FaultyNetwork:
         self._held: list[tuple[bytes, Address]] = []
 
     def send(self, message: Message, address: Address) -> None:
-        """Send a message as the faults leave it."""
+        """Send a message, subject to the faults."""
         if self._faults.get("mocap.unplugged", 0.0):
             self._held.clear()
             return
         data, copies = message.data, 1
-        for fault, strike in _STRIKES.items():
+        for fault, effect in _EFFECTS.items():
             if self._happens(fault):
-                data, copies = strike(message, data, self._rng)
+                data, copies = effect(message, data, self._rng)
         if copies and not self._held and self._happens("reorder"):
             self._held.append((data, address))
             return
         due, self._held = [*[(data, address)] * copies, *self._held], []
         for datagram in due:
-            with suppress(OSError):  # a client that is gone, a buffer that is full
+            with suppress(OSError):  # client gone or buffer full
                 self._socket.sendto(*datagram)
 
     def _happens(self, fault: str) -> bool:
@@ -299,16 +299,16 @@ class FaultyNetwork:
 
 @dataclass
 class _Client:
-    heard: float
+    last: float  # time of its last message [s]
     version: Version
 
 
 class NatNetServer:
     """Streams bodies to its clients, from its construction until it is closed.
 
-    They are asked for by times of the steady clock [s], and come at a rate [Hz] with a noise of
-    each coordinate of a marker [m], in unicast or to a group and its data port. Faults are those of
-    `simulation.world`, looked up live. Port 0 of its address takes a free one.
+    `bodies` gives them at a time of the steady clock [s]; frames have a rate [Hz] and a noise of
+    each marker coordinate [m], and are sent by unicast or to a group and its data port. Faults are
+    those of `simulation.world`, read live. Port 0 selects a free one.
     """
 
     def __init__(
@@ -322,9 +322,9 @@ class NatNetServer:
         noise: float = 0.0,
         seed: int = 0,
     ) -> None:
-        self.takes: list[str] = []  # names of the takes recorded, the one that is on included
+        self.takes: list[str] = []  # names of recorded takes, including the current one
         self.recording = False
-        self.commands: list[str] = []  # all commands that came, as they came
+        self.commands: list[str] = []  # all received commands, in order
         self._take = ""
         self._rate = rate
         self._version = version
@@ -355,7 +355,7 @@ class NatNetServer:
         return host, port
 
     def close(self) -> None:
-        """End without notice to the clients."""
+        """Stop without notifying the clients."""
         self._closing.set()
         self._thread.join()
         self._socket.close()
@@ -384,7 +384,7 @@ class NatNetServer:
             if readable:
                 self._listen()
             if now >= due:
-                if now < due + _BEHIND:
+                if now < due + _MAX_DELAY:
                     self._stream(now)
                 self._number += 1
 
@@ -394,7 +394,7 @@ class NatNetServer:
                 datagram, client = self._socket.recvfrom(messages.LARGEST_DATAGRAM)
             except BlockingIOError:
                 return
-            except OSError:  # a client that is gone
+            except OSError:  # client gone
                 continue
             if self._faults.get("mocap.unplugged", 0.0):
                 continue
@@ -405,10 +405,10 @@ class NatNetServer:
                     self._network.send(answer, client)
 
     def _answer(self, kind: int, payload: bytes, address: Address, now: float) -> Message | None:
-        """The answer to a message of a client; None for none."""
+        """The answer to a client's message, if any."""
         client = self._clients.get(address)
         if client is not None:
-            client.heard = now
+            client.last = now
         answer: Message | None = Message.of(messages.UNRECOGNIZED)
         match kind:
             case messages.CONNECT:  # in any of the three forms that clients send
@@ -440,7 +440,7 @@ class NatNetServer:
     def _obey(self, name: str, argument: str, client: _Client | None) -> bytes | None:
         """The reply to a command; None for an unknown one."""
         if self._version < (4, 0):
-            client = None  # nothing can be set for it
+            client = None  # it has no settings
         match name:
             case "StartRecording":
                 if not self.recording:
@@ -456,14 +456,14 @@ class NatNetServer:
                     return pack("<i", 1)
                 client.version = wanted
             case "SubscribeToData" if client is not None:
-                pass  # every client gets everything
+                pass  # every client receives everything
             case _:
                 return None
         return bytes(4)
 
     def _stream(self, now: float) -> None:
         moment = self._origin + self._number / self._rate
-        self._clients = {a: c for a, c in self._clients.items() if now - c.heard <= _SILENCE}
+        self._clients = {a: c for a, c in self._clients.items() if now - c.last <= _TIMEOUT}
         targets = self._clients
         if self._multicast is not None:
             targets = {self._multicast: _Client(now, self._version)}
