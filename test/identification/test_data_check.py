@@ -13,10 +13,10 @@ from socket_testbed.errors import IdentificationError
 from socket_testbed.identification.data_check import check_data
 from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.identification.plausibility import (
-    HANGING,
-    LEAST_LOAD,
-    LEAST_TENSION,
+    HANGING_WEIGHT,
     LEVER_FACTOR,
+    MIN_LOAD,
+    MIN_TENSION,
     find_implausible,
     implausible_notes,
     sign_note,
@@ -178,7 +178,7 @@ def test_a_negated_wrench_is_noted_on_clear_evidence_alone():
     negated = replace(samples, wrench=-samples.wrench)
     (note,) = implausible_notes(negated, GEOMETRY, ())
     assert "wrench looks negated" in note and "200 N" in note and "3 of 3 clusters" in note
-    hanging = replace(samples, wrench=samples.wrench * (-0.9 * HANGING / LOAD))
+    hanging = replace(samples, wrench=samples.wrench * (-0.9 * HANGING_WEIGHT / LOAD))
     pulled = replace(negated, local_forces=-samples.local_forces)
     shifted = samples.local_forces + np.array([0.0, 0.0, 150.0])
     offset = replace(samples, local_forces=shifted)
@@ -196,7 +196,7 @@ def test_what_exceeds_the_load_pulls_or_has_no_lever_is_proposed_with_its_number
         assert found(scaled(samples, 1, axis, 0.99 * load / size)) == []
         (proposal,) = find_implausible(scaled(samples, 1, axis, 10.0 * load / size), GEOMETRY)
         assert proposal.channel == f"cluster_1.F{'xyz'[axis]}" and "10 times" in proposal.reason
-    unloaded = replace(samples, wrench=samples.wrench * (0.9 * LEAST_LOAD / LOAD))
+    unloaded = replace(samples, wrench=samples.wrench * (0.9 * MIN_LOAD / LOAD))
     assert found(scaled(unloaded, 1, 0, 1e4)) == []  # nothing is too large for no load
     for left_out, said in (((), "--leave-out cluster_1.Fx"), (("cluster_1.Fx",), "is left out")):
         (note,) = implausible_notes(scaled(samples, 1, 0, 1e4), GEOMETRY, left_out)
@@ -204,7 +204,7 @@ def test_what_exceeds_the_load_pulls_or_has_no_lever_is_proposed_with_its_number
 
     pulled = scaled(samples, 2, 2, -1.0)  # as much tension as there was compression
     assert found(pulled) == ["cluster_2.Fz"]
-    assert found(scaled(samples, 2, 2, -0.9 * LEAST_TENSION / (0.1 * LOAD))) == []
+    assert found(scaled(samples, 2, 2, -0.9 * MIN_TENSION / (0.1 * LOAD))) == []
     reach = np.linalg.norm(GEOMETRY.anchors, axis=1).max()
     for share, expected in ((0.99, []), (1.01, ["My"])):
         samples.wrench[:, 1] = -share * LEVER_FACTOR * reach * load
