@@ -91,7 +91,7 @@ def check_data(
     not compared over time.
     """
     if len(samples) < MIN_SAMPLES:
-        fact = f"{len(samples)} samples are too few to judge it by"
+        fact = f"{len(samples)} samples are too few to judge it"
         return (DataFinding("the trial", fact, f"record {MIN_SAMPLES} or more"),)
     found = [*_units(samples, geometry, mass)]
     if whole:
@@ -158,7 +158,7 @@ def _time_series(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFin
     follows = [_correlation(column, load) for column in pressing.T]
     opposite = sum(value < REVERSED for value in follows)
     if note or (opposite > 1 and 2 * opposite > len(follows)):
-        fact = "the clusters are pressed less the more the load cell is"
+        fact = "the force on the clusters falls as the load rises"
         yield DataFinding("the wrench", note or fact, "check the sign of the load cell's channels")
         return
     if 0.0 < changes[0] < LOCAL_SHARE[0] * changes[1]:
@@ -238,11 +238,11 @@ def _channels(samples: Samples) -> Iterator[DataFinding]:
         **{name: samples.status[:, k] == Status.OK for k, name in enumerate(samples.clusters)},
     }
     for name, present in sources.items():
-        lacking = float(np.mean(~present))
-        if lacking > MAX_MISSING:
+        share = float(np.mean(~present))
+        if share > MAX_MISSING:
             yield DataFinding(
                 name,
-                f"{100.0 * lacking:.0f} % of its samples are missing or out of range",
+                f"{100.0 * share:.0f} % of its samples are missing or out of range",
                 "see 'info' for the gaps, and 'doctor' for the wiring",
             )
     # An averaged or extrapolated pose still varies in its last digits.
@@ -318,11 +318,11 @@ def _lag(reference: FloatArray, course: FloatArray, period: float) -> float:
     """Delay of a series behind another, 0 unless a lag is clearly better [s]."""
     step = max(1, round(LAG_STEP / period))
     reference, course, period = reference[::step], course[::step], step * period
-    most = min(round(SEARCHED_LAG / period), len(course) // 3)
+    limit = min(round(SEARCHED_LAG / period), len(course) // 3)
     found = {
         lag: _correlation(course[max(lag, 0) : len(course) + min(lag, 0)],
                           reference[max(-lag, 0) : len(course) - max(lag, 0)])
-        for lag in range(-most, most + 1)
+        for lag in range(-limit, limit + 1)
     }  # fmt: skip
     best = max(found, key=lambda lag: (found[lag], -abs(lag)))
     clear = found[best] > max(found[0] + MIN_LAG_GAIN, 0.5)

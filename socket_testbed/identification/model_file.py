@@ -141,7 +141,7 @@ def finite_or_null(value: Any) -> Any:
 
 
 _Parameter = Annotated[float, Meta(ge=-1e9, le=1e9)]  # [N/m, N, N m]; far beyond any real one
-_Stiffness = Annotated[float, Meta(ge=-1.0, le=1e9)]  # [N/m]; solvers stay above -1
+_Stiffness = Annotated[float, Meta(ge=-1.0, le=1e9)]  # [N/m]; solvers may undershoot zero slightly
 _Place = Annotated[float, Meta(ge=-10.0, le=10.0)]  # [m, rad]
 _Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 _Figure = Annotated[float, Meta(ge=-FINITE, le=FINITE)] | None  # JSON has no NaN

@@ -253,7 +253,7 @@ def _flawed(objective: Objective, theta: float, error: UncertifiedSolutionError)
 
 def _undetermined(program: BoxQP, solution: BoxSolution) -> str:
     """The flaw of a solution that is not unique; empty otherwise."""
-    open_flaw = f"{program.name}: neither the data nor the smoothness determine all of them"
+    open_flaw = f"{program.name}: neither the data nor the smoothness determines all of them"
     return "" if solution.determined else open_flaw
 
 

@@ -163,11 +163,11 @@ class Implausible:
 def find_implausible(samples: Samples, geometry: SocketGeometry) -> tuple[Implausible, ...]:
     """Propose channels to leave out, by the rule of the module, one per channel and reason."""
     force = np.linalg.norm(samples.wrench[:, 3:], axis=1)
-    load, most = finite_quantile(force, 0.5), _peak(force)
+    load, peak = finite_quantile(force, 0.5), _peak(force)
     found: list[Implausible] = []
     for name, values in zip(samples.channels, samples.values.T, strict=True):
         if load >= MIN_LOAD and name not in WRENCH_CHANNELS[3:]:
-            reasons = _too_large(name, values, load, most, _reach(geometry))
+            reasons = _too_large(name, values, load, peak, _reach(geometry))
             found += [Implausible(name, reason) for reason in reasons]
     for cluster, status in zip(samples.clusters, samples.status.T, strict=True):
         read = int((status != Status.MISSING).sum())
@@ -179,7 +179,7 @@ def find_implausible(samples: Samples, geometry: SocketGeometry) -> tuple[Implau
 
 
 def _too_large(
-    name: str, values: FloatArray, load: float, most: float, reach: float
+    name: str, values: FloatArray, load: float, peak: float, reach: float
 ) -> Iterator[str]:
     """Why a moment or a local force is too large for the load, its peak and the farthest tile."""
     size, pull = finite_quantile(np.abs(values), 0.5), finite_quantile(values, 0.5)
@@ -195,10 +195,10 @@ def _too_large(
             f"the median magnitude of {size:.3g} N on one tile is {size / load:.2g} times the"
             f" total load of {load:.3g} N"
         )
-    elif _peak(values) > PEAK_RATIO * most:
+    elif _peak(values) > PEAK_RATIO * peak:
         yield (
-            f"its peaks of {_peak(values):.3g} N on one tile are {_peak(values) / most:.2g} times"
-            f" the largest load of {most:.3g} N"
+            f"its peaks of {_peak(values):.3g} N on one tile are {_peak(values) / peak:.2g} times"
+            f" the largest load of {peak:.3g} N"
         )
     # In a cluster's frame z points inwards: compression is along -z.
     limit = max(MIN_TENSION, TENSION_SHARE * load)
@@ -271,8 +271,8 @@ def require_units(
             unit = channel_unit(name)
             likely = {"N": "millinewtons", "N m": "newton millimetres"}[unit]
             raise IdentificationError(
-                f"{name} is {size:.3g} {unit} in size in a quarter of the samples or more, where"
-                f" no person applies more than {limit:.3g} {unit}",
+                f"{name} reaches {size:.3g} {unit} in a quarter of the samples, but no person"
+                f" applies more than {limit:.3g} {unit}",
                 f"it is likely in {likely}: divide it by 1000 (or leave it out with --leave-out"
                 f" {name})",
             )

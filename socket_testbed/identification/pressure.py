@@ -184,9 +184,9 @@ class PressureOutputs:
         found = _unknown((len(self.samples), mapping.shape[1]))
         kept = np.flatnonzero(measured_rows(self.samples))
         for draws in self.force_map.sample(self.samples[kept], _DRAWS):
-            of_regions = draws.mapped(mapping)
+            regional = draws.mapped(mapping)
             for start in range(0, len(draws.rows), _EXPANDED_BATCH):
-                some = of_regions[start : start + _EXPANDED_BATCH]
+                some = regional[start : start + _EXPANDED_BATCH]
                 part = self.reader.interval("mean", some.mean(), some.values())
                 _store(found, part, kept[some.rows])
         return found
@@ -359,9 +359,9 @@ def pressure_outputs(
     # Each tile may have its peak at any sample, so the draws there are added.
     groups = np.arange(0, len(kept), -(-len(kept) // MAX_DRAWN))
     thinned = (groups + np.append(groups[1:], len(kept)) - 1) // 2
-    of_groups = np.add.reduceat(weights, groups)
+    group_weights = np.add.reduceat(weights, groups)
     for rows, _, instants in _expanded(force_map, measured[thinned], areas, threshold):
-        drawn.add(instants, of_groups[rows])
+        drawn.add(instants, group_weights[rows])
     if len(thinned) < len(kept):
         for _, _, instants in _expanded(force_map, measured[np.unique(peaks)], areas, threshold):
             drawn.raise_peaks(instants)

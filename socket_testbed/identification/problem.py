@@ -365,11 +365,11 @@ class Problem:
         wrench = Moments(
             pivot + shift, gram / count - np.outer(shift, shift), target_mean, cross / count
         )
-        of_channels = (
+        local = (
             _moments(own[channel.rows], channel.force[:, None])
             for own, channel in zip(channels, self.channels, strict=True)
         )
-        return [wrench, *of_channels]
+        return [wrench, *local]
 
     def stage_two(self, moments: list[Moments]) -> BoxQP:
         """Stage 2: scaled stiffnesses, shape (3n,), at the rest displacements of the moments."""
@@ -388,8 +388,8 @@ class Problem:
         gram, cross = moments[0].products(centred)
         P = (onto.T @ weighted) * gram
         q = -np.einsum("jc,cj->j", cross, weighted)
-        for channel, of_channel in zip(self.channels, moments[1:], strict=True):
-            gram, cross = of_channel.products(self._with_offsets)
+        for channel, channel_moments in zip(self.channels, moments[1:], strict=True):
+            gram, cross = channel_moments.products(self._with_offsets)
             own = channel.point + points * np.arange(3)
             outer = np.outer(channel.direction, channel.direction)
             P[np.ix_(own, own)] += channel.weight * outer * gram

@@ -125,8 +125,8 @@ def close_wrench(
     areas = geometry.areas.copy()
     areas[list(held)] = 0.0
     gain = np.repeat(areas, 3)[:, None] * mapping.T
-    lacking = wrench - forces.reshape(len(forces), -1) @ mapping.T
-    change = lacking @ np.linalg.pinv(mapping @ gain, hermitian=True) @ gain.T
+    misfit = wrench - forces.reshape(len(forces), -1) @ mapping.T
+    change = misfit @ np.linalg.pinv(mapping @ gain, hermitian=True) @ gain.T
     return forces + change.reshape(forces.shape)
 
 

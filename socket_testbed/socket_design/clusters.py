@@ -144,8 +144,8 @@ def lay_clusters(
     squares, laid = Squares(np.zeros((0, 3)), np.zeros((0, 3, 3)), edge), list[LaidCluster]()
     for place in places:
         spot = _on_surface(mesh, place)
-        turned = _turned(place, squares_at(spot, surroundings, edge))
-        tried = _around(spot, centres, _MAX_SHIFT * edge)
+        turned = _turn_angle(place, squares_at(spot, surroundings, edge))
+        tried = _nearest_first(spot, centres, _MAX_SHIFT * edge)
         candidates = squares_at(tried, surroundings, edge)
         candidates = replace(candidates, rotations=candidates.rotations @ about_z(turned))
         likely = roughly_fit(candidates, surroundings, flatness)
@@ -190,7 +190,7 @@ def _on_surface(mesh: trimesh.Trimesh, place: ClusterPlace) -> SurfacePoints:
     return SurfacePoints(points[[nearest]], normals[[nearest]], np.zeros(1))
 
 
-def _turned(place: ClusterPlace, square: Squares) -> float:
+def _turn_angle(place: ClusterPlace, square: Squares) -> float:
     """Angle of a cluster's x from its tile's x, about the tile's normal [rad]."""
     if place.frame is None:
         return 0.0
@@ -208,7 +208,7 @@ def _turned(place: ClusterPlace, square: Squares) -> float:
 _MIN_TURN = np.radians(0.1)
 
 
-def _around(spot: SurfacePoints, centres: SurfacePoints, farthest: float) -> SurfacePoints:
+def _nearest_first(spot: SurfacePoints, centres: SurfacePoints, farthest: float) -> SurfacePoints:
     """A point and the centres within a distance of it, the nearest first."""
     distance = np.linalg.norm(centres.positions - spot.positions, axis=1)
     order = np.argsort(distance)
@@ -251,7 +251,7 @@ class _ExpectedError:
 
     def error(self, tiles: Sequence[int]) -> float:
         """Expected error on the tiles without a cluster, over their RMS [-]."""
-        left = self._given(tiles)
+        left = self._posterior(tiles)
         free = np.setdiff1d(np.arange(len(left[0]) // 3), tiles)
         rows = (3 * free[:, None] + np.arange(3)).ravel()
         ratios = [
@@ -262,10 +262,10 @@ class _ExpectedError:
 
     def best(self, tiles: Sequence[int], free: IntArray) -> int:
         """The free tile on which another cluster lowers the error most."""
-        gains = np.sum([self._gains(each) for each in self._given(tiles)], axis=0)
+        gains = np.sum([self._gains(each) for each in self._posterior(tiles)], axis=0)
         return int(free[gains[free].argmax()])
 
-    def _given(self, tiles: Sequence[int]) -> list[FloatArray]:
+    def _posterior(self, tiles: Sequence[int]) -> list[FloatArray]:
         found = self._with_wrench
         for tile in tiles:
             found = [self._conditioned(covariance, 3 * tile + np.arange(3)) for covariance in found]

@@ -107,7 +107,7 @@ def place_by_points(points: FloatArray) -> Placement:
     if size == 0.0 or np.linalg.norm(normal) < _MIN_SINE * size:
         raise RegistrationError(
             "the three --points are on one line or at one place",
-            "pick the origin of {S}, a point on its +x axis, and one beside it towards +y",
+            "pick the origin of {S}, a point on its +x axis, and a third one towards +y",
         )
     x, z = along / np.linalg.norm(along), normal / np.linalg.norm(normal)
     rotation = np.array([x, np.cross(z, x), z])
@@ -144,7 +144,7 @@ def place_by_landmarks(path: Path, scale: float) -> Placement:
     if fit.rms > _MAX_RESIDUAL:
         worst = fit.names[int(fit.residual.argmax())]
         raise RegistrationError(
-            f"{path}: the landmarks fit by {1e3 * fit.rms:.1f} mm only",
+            f"{path}: the landmarks only fit to {1e3 * fit.rms:.1f} mm",
             f"check the scan's unit and the coordinates, first of '{worst}'",
         )
     return Placement(fit.pose, f"{len(landmarks)} landmarks, rms {1e3 * fit.rms:.2f} mm")
@@ -185,7 +185,7 @@ class SocketDesign:
             "{S}": self.placement.source,
             "tiles": f"{tiles} of {edge:g} x {edge:g} mm",
             "covered": f"{covered:.0f} of {area:.0f} cm^2 of the interior"
-            f" ({100 * covered / area:.0f} %); {100 * tiling.cover_inside:.0f} % of what is more"
+            f" ({100 * covered / area:.0f} %); {100 * tiling.cover_inside:.0f} % of the area more"
             f" than {edge / 2:g} mm from its rim",
             "upper bound": f"{tiling.upper_bound:.1f} tiles by area:"
             f" {100 * tiles / tiling.upper_bound:.0f} % reached",
@@ -198,7 +198,7 @@ class SocketDesign:
         laid = {cluster.name: str(cluster) for cluster in tiling.clusters}
         for name, tile in self.geometry.clusters.items():
             anchor = ", ".join(f"{1e3 * value:.1f}" for value in self.geometry.anchors[tile])
-            facts[f"cluster {name}"] = laid.get(name, f"put at ({anchor}) mm of {{S}}")
+            facts[f"cluster {name}"] = laid.get(name, f"placed at ({anchor}) mm of {{S}}")
         if not self.geometry.clusters:
             facts["clusters"] = "none"
         return [*facts.items()]
@@ -233,7 +233,7 @@ def design_socket(
     tiling = tile_interior(mesh, upwards, _ANTERIOR, settings, progress, known)
     axis = _axis_of(mesh, upwards)
     notes = [
-        f"no tile fits where cluster {laid.name} was asked: it is {1e3 * laid.moved:.1f} mm beside"
+        f"no tile fits at cluster {laid.name}: the nearest one is {1e3 * laid.moved:.1f} mm off"
         for laid in tiling.clusters
         if laid.moved > _NOTED_SHIFT
     ]
@@ -242,7 +242,7 @@ def design_socket(
     nominal: dict[str, int] = {}
     if clusters is None:
         nominal = nominal_places(tiling.squares, axis)
-        notes.append("the clusters are put where they usually are: look, or give --clusters")
+        notes.append("the clusters are at their usual places: check them, or give --clusters")
     source = f"{name} [{scan.unit}], {placement.source}"
     geometry = _tiled_socket(tiling, axis, nominal, bodies, source, frame)
     notes = [*scan.notes, *interior.notes, *notes]
@@ -280,7 +280,7 @@ def tile_names(anchors: FloatArray, axis: SocketAxis) -> tuple[str, ...]:
 _USUAL = {"brim_lateral": (90.0, 1.0), "mid_anterior": (0.0, 0.6), "posterior_distal": (180.0, 0.2)}
 _MAX_TURN = 45.0  # [deg]; from the usual place
 _MAX_RAISE = 1.5  # [edges]; likewise
-_GIVE_PLACES = "give with --clusters FILE where yours are"
+_GIVE_PLACES = "give the places of yours with --clusters FILE"
 
 
 def nominal_places(squares: Squares, axis: SocketAxis) -> dict[str, int]:

@@ -59,8 +59,8 @@ class AxisFit:
         """The principal axis near a direction, or that direction if many fit equally well."""
         best = int(np.abs(self.directions @ direction).argmax())
         ratio = np.fmax(self.misfits, _MIN_MISFIT) / max(float(self.misfits[best]), _MIN_MISFIT)
-        alike = self.directions[np.abs(np.log(ratio)) < np.log(_MAX_ALIKE_RATIO)]
-        towards = alike.T @ (alike @ direction)
+        equivalent = self.directions[np.abs(np.log(ratio)) < np.log(_MAX_ALIKE_RATIO)]
+        towards = equivalent.T @ (equivalent @ direction)
         return self._along(towards / np.linalg.norm(towards))
 
     @property
@@ -391,7 +391,7 @@ def find_interior(mesh: trimesh.Trimesh, proximal: FloatArray | None = None) -> 
     if given is not None:
         notes += _notes_on_direction(given, axis, decided)
     elif not _fit_axis(interior).is_sharp:
-        notes.append("no axis of the cavity stands out: check the proximal direction or give it")
+        notes.append("no axis of the cavity is clear: check the proximal direction or give it")
     upwards = axis.direction if given is None else given
     _, distance = axis.cylindrical(interior)
     return Interior(
@@ -414,7 +414,7 @@ def _notes_on_area(cavity: Cavity, kept: BoolArray) -> list[str]:
     ]
     if lost >= _NOTED_AREA * area:
         notes.append(
-            f"left out {1e4 * lost:.0f} cm2 that are seen from the cavity but are no part of it"
+            f"left out {1e4 * lost:.0f} cm2 that are seen from the cavity but do not belong to it"
         )
     return notes
 

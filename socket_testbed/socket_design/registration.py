@@ -45,7 +45,7 @@ from socket_testbed.socket_design.motive import MotiveTake
 
 LANDMARK_FILE_HELP = """LANDMARKS.yaml names the markers and gives the landmarks' coordinates.
 
-    bodies:                # the markers that stay on the bodies (3 to 8), as the take names them
+    bodies:                # permanent markers of the bodies (3 to 8), named as in the take
       socket: [Socket:Marker1, Socket:Marker2, Socket:Marker3]
       pylon:               # or a rigid body of Motive, 3 to 8 markers; its frame is kept
         rigid_body: Pylon
@@ -58,8 +58,8 @@ LANDMARK_FILE_HELP = """LANDMARKS.yaml names the markers and gives the landmarks
       Limb:Marker2: [0.05, -0.030, 0.12]
       Limb:Marker3: [-0.06, -0.020, 0.09]
 
-All keys are required; load_cell and limb name three landmarks or more, as the take names them.
-Of three, or of more in one plane, a wrong sign has no residual: better give a fourth off the plane.
+All keys are required; load_cell and limb name three landmarks or more, as in the take.
+With three, or with more in one plane, a wrong sign has no residual: add another off the plane.
 """
 
 _MIN_LANDMARKS = 3
@@ -184,19 +184,19 @@ def register_landmarks(
         noise=sigma,
         degrees=degrees,
         uncertainty=pose_uncertainty(known, sigma),
-        flat=float(_stretch(known)[2]) < _MIN_THICKNESS,
+        flat=float(_extents(known)[2]) < _MIN_THICKNESS,
     )
 
 
 def _require_spread(points: FloatArray, names: Sequence[str], how: str) -> None:
-    for (name, point), (other, beside) in combinations(zip(names, points, strict=True), 2):
-        apart = float(np.linalg.norm(point - beside))
+    for (name, point), (other, neighbour) in combinations(zip(names, points, strict=True), 2):
+        apart = float(np.linalg.norm(point - neighbour))
         if apart < _MIN_SPREAD:
             raise RegistrationError(
                 f"landmarks {name} and {other} {how} {1e3 * apart:.1f} mm apart",
                 "give landmarks far from each other",
             )
-    off_line = float(np.hypot(*_stretch(points)[1:]))
+    off_line = float(np.hypot(*_extents(points)[1:]))
     if off_line < _MIN_SPREAD:
         raise RegistrationError(
             f"landmarks {', '.join(names)} {how} on one line (within {1e3 * off_line:.1f} mm)",
@@ -204,7 +204,7 @@ def _require_spread(points: FloatArray, names: Sequence[str], how: str) -> None:
         )
 
 
-def _stretch(points: FloatArray) -> FloatArray:
+def _extents(points: FloatArray) -> FloatArray:
     """Root-mean-square extents along the principal axes, the longest first, shape (3,) [m]."""
     stretch = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return np.asarray(stretch / np.sqrt(len(points)))
@@ -366,7 +366,7 @@ NOTED_RESIDUAL = 0.002  # [m]
 MAX_RESIDUAL = 0.010  # [m]
 
 
-def _in_axes(covariance: FloatArray, rotation: FloatArray) -> FloatArray:
+def _rotated(covariance: FloatArray, rotation: FloatArray) -> FloatArray:
     """A covariance, shape (3, 3), transformed by a rotation."""
     return rotation @ covariance @ rotation.T
 
@@ -388,12 +388,12 @@ class RegisteredBody:
 
     def rotation_covariance(self) -> FloatArray:
         """Covariance of the rotation between body and frame, in the frame's axes [rad^2]."""
-        own = _in_axes(self.reference.rotation, self.in_frame.rotation)
+        own = _rotated(self.reference.rotation, self.in_frame.rotation)
         return self.landmarks.uncertainty.rotation + own
 
     def in_axes(self, body: PoseUncertainty, point: FloatArray) -> FloatArray:
         """Covariance of a point of the frame due to the body's uncertainty, (3, 3) [m^2]."""
-        return _in_axes(body.at(self.in_frame.inverse().apply(point)), self.in_frame.rotation)
+        return _rotated(body.at(self.in_frame.inverse().apply(point)), self.in_frame.rotation)
 
 
 @dataclass(frozen=True)
@@ -425,7 +425,7 @@ class Registration:
         """Covariances of `limb`: position [m^2] and rotation [rad^2], in the pylon's body."""
         to_body = self.geometry.limb.rotation
         position = self.pylon.covariance_at(np.zeros(3))
-        return _in_axes(position, to_body), _in_axes(self.pylon.rotation_covariance(), to_body)
+        return _rotated(position, to_body), _rotated(self.pylon.rotation_covariance(), to_body)
 
 
 def register_take(
@@ -460,9 +460,9 @@ def register_take(
         socket=socket,
         pylon=pylon,
         limb_position=q,
-        covariance=socket.covariance_at(q) + _in_axes(pylon.covariance_at(origin), turn),
+        covariance=socket.covariance_at(q) + _rotated(pylon.covariance_at(origin), turn),
         single=socket.in_axes(socket.single, q)
-        + _in_axes(pylon.in_axes(pylon.single, origin), turn),
+        + _rotated(pylon.in_axes(pylon.single, origin), turn),
         notes=(*take.notes, *notes),
     )
 

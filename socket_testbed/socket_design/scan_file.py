@@ -198,7 +198,7 @@ def read_scan(path: Path, unit: str | None = None, body: str | None = None) -> S
         found, source = _infer_unit(f"{path}: body {label}", size), "inferred"
     notes.append(f"{source} unit {found}: the body is {size * METRES[found]:.3g} m long")
     if stated and stated != found:
-        notes.append(f"the file states the unit {stated}, which is passed over")
+        notes.append(f"the file states the unit {stated}, which is ignored")
     vertices = np.asarray(mesh.vertices) * METRES[found]
     repaired = _repair(vertices, np.asarray(mesh.faces)[faces], notes)
     repaired.metadata["file_name"] = str(path)
@@ -415,8 +415,8 @@ def refuse_implausible(name: str, length: float, girth: float, unit: str) -> Non
     if likely:
         hint = f"its unit is likely {' or '.join(likely)}: give --unit {likely[0]}"
     raise ScanError(
-        f"{name}: in {unit} its cavity is {length:.3g} m long and {girth:.3g} m around, which no"
-        f" socket is ({_LENGTH[0]:g} to {_LENGTH[1]:g} m and {_GIRTH[0]:g} to {_GIRTH[1]:g} m)",
+        f"{name}: in {unit} its cavity is {length:.3g} m long and {girth:.3g} m around, which fits"
+        f" no socket ({_LENGTH[0]:g} to {_LENGTH[1]:g} m and {_GIRTH[0]:g} to {_GIRTH[1]:g} m)",
         hint,
     )
 
