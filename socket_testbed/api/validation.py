@@ -28,7 +28,7 @@ from socket_testbed.errors import ConfigurationError, IdentificationError, Trial
 from socket_testbed.identification.model_file import record
 from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.plausibility import find_outliers, require_position
-from socket_testbed.identification.problem import LEAST_SAMPLES
+from socket_testbed.identification.problem import MIN_SAMPLES
 from socket_testbed.identification.validation import (
     LEVELS,
     Judgement,
@@ -212,7 +212,7 @@ class _Recording:
         found = (
             judge_wrench(other.smooth, predictors, "other trial", self.name, other.name)
             for other in others
-            if len(other.loaded) >= LEAST_SAMPLES
+            if len(other.loaded) >= MIN_SAMPLES
         )
         return [*chain.from_iterable(found)]
 

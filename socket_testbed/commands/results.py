@@ -34,7 +34,7 @@ from socket_testbed.identification.fit import (
     errors_to_dataframe,
     summarise_errors,
 )
-from socket_testbed.identification.information import LEAST_RATIO, share_warning
+from socket_testbed.identification.information import MIN_RATIO, share_warning
 from socket_testbed.identification.model_file import finite_or_null, quoted_figures
 from socket_testbed.identification.pareto import Front
 from socket_testbed.identification.pressure import TITLES, interval_end
@@ -95,7 +95,7 @@ def _show_fit(found: TrialFit, options: Mapping[str, Any]) -> None:
         f" are known to {settings.stiffness_difference:g} N/m or better"
     )
     print(
-        f"the pose moves by {LEAST_RATIO:g} times its noise or more in {motion.directions} of 6"
+        f"the pose moves by {MIN_RATIO:g} times its noise or more in {motion.directions} of 6"
         " independent directions"
     )
     for excitation in motion.excitations:

@@ -1,15 +1,15 @@
-r"""Contact of limb and socket: laws by which a motion makes forces, and models that hold one.
+r"""Contact of limb and socket: laws that map motion to forces, and models built on them.
 
-Every force is the one that the limb applies to the socket. All quantities are in the frame of the
-load cell, {S}, unless a name says otherwise. A wrench is ordered [M; F]. By a contact law
+Forces are those of the limb on the socket. All quantities are in the frame of the load cell, {S},
+unless stated otherwise. A wrench is ordered [M; F]. A contact law reads
 
 .. math:: F_i = B_i \, \bigl(k_i \circ s(v_i - r_i)\bigr), \qquad v = J u
 
 with the limb's motion u since a reference pose, the displacement v_i of tile i in the law's own
-frame B_i, its rest displacement r_i and stiffnesses k_i. A law defines u, B, J and s, and the sizes
-of its parameters; everything else is the same for every law (`problem`). Arrays have the axis of
-the frame before the tile. To add a law, derive from `ContactLaw`, and list its variants in `LAWS`
-and in `settings.identification`.
+frame B_i, its rest displacement r_i and stiffnesses k_i. A law defines u, B, J and s, and the
+scales of its parameters; `problem` does the rest for any law. In arrays the frame's axis precedes
+the tile. To add a law, derive from `ContactLaw`, and list its variants in `LAWS` and in
+`settings.identification`.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.settings.identification import IdentificationSettings, Variant
 
-_CHUNK = 4096  # samples; predicting takes memory by the samples times the tiles
-_LARGEST_SETTLING = 0.02  # [m]; of a limb under its load; a bed is at least that stiff
+_CHUNK = 4096  # samples; a prediction's memory grows with samples times tiles
+_MAX_SETTLING = 0.02  # [m]; limit for a loaded limb, which bounds the bed's stiffness below
 
 
 def gate(displacement: FloatArray, sharpness: float) -> FloatArray:
@@ -69,13 +69,13 @@ def neighbour_differences(points: int, neighbours: IntArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Loading:
-    """The samples from which a law takes the sizes of its parameters."""
+    """The samples from which a law derives the scales of its parameters."""
 
     motion: FloatArray  # motions u of the limb, shape (N, m)
     wrench: FloatArray  # measured wrenches, shape (N, 6) [N m, N]
     shares: FloatArray  # weight of each squared wrench error, shape (6,) [1/(N m)^2, 1/N^2]
     neighbours: IntArray  # pairs of neighbouring tiles, shape (e, 2)
-    zero: float  # what predicting zero costs in the objective [-]
+    zero: float  # objective of predicting zero [-]
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Sizes:
     :math:`(x - x_0)^T Q (x - x_0)` in the scaled parameters x, with the same Q for each axis.
     """
 
-    scale: FloatArray  # what the parameters are divided by, shape (6, n) [N/m, m]
+    scale: FloatArray  # divisors of the parameters, shape (6, n) [N/m, m]
     start: FloatArray  # centre x_0 of the prior, shape (6, n) [-]
     springs: FloatArray  # stiffnesses of the linear springs of Stage 1, shape (3, n) [N/m]
     limit: float  # largest rest displacement along an axis [m]
@@ -95,22 +95,22 @@ class Sizes:
 
 @dataclass
 class ContactLaw(ABC):
-    """Springs between the limb and the tiles: see this module."""
+    """Springs between the limb and the tiles: see the module."""
 
     anchors: FloatArray  # points of application a_i, shape (n, 3) [m]
     rotations: FloatArray  # frames {L_i} of the points, R_i maps {L_i} to {S}, (n, 3, 3) [-]
     sharpness: float  # sharpness alpha of the gate [1/m]
-    reference_pose: FloatArray  # pose that the motion counts from, shape (6,) [m, rad]
+    reference_pose: FloatArray  # pose where the motion is zero, shape (6,) [m, rad]
 
-    # Whether both stages are refined jointly; it takes `slopes` and `bends`.
+    # Whether both stages are refined jointly, which requires `slopes` and `bends`.
     REFINED: ClassVar[bool] = False
-    # Whether a variant with offsets has those of the clusters in both stages, and gives the wrench
-    # what the springs leave of it; otherwise both have constants, in Stage 2 alone.
+    # Whether a variant with offsets has those of the clusters in both stages, and fits the wrench's
+    # offset to the residual of the springs; otherwise both are constants of Stage 2.
     OFFSETS_THROUGHOUT: ClassVar[bool] = False
-    # Samples of a fit; of more, means over equal blocks are fitted.
-    MOST_ROWS: ClassVar[int | None] = None
-    GATES: ClassVar[tuple[int, ...]]  # axes of the frames whose displacement a gate reads
-    SHARPNESS: ClassVar[str]  # the setting that gives the sharpness of the gate in a fit
+    # Max. samples of a fit; longer data is averaged over equal blocks.
+    MAX_ROWS: ClassVar[int | None] = None
+    GATES: ClassVar[tuple[int, ...]]  # axes of the frames along which displacements are gated
+    SHARPNESS: ClassVar[str]  # name of the setting for the gate's sharpness
 
     @property
     @abstractmethod
@@ -134,23 +134,23 @@ class ContactLaw(ABC):
         return np.einsum("cni,nia->can", in_socket, self.frames)
 
     def displacements(self, motion: FloatArray) -> FloatArray:
-        """Displacements v of the tiles by N motions of the limb, shape (N, 3, n) [m]."""
+        """Displacements v of the tiles for N motions of the limb, shape (N, 3, n) [m]."""
         return np.asarray((motion @ self.jacobian.T).reshape(len(motion), 3, -1))
 
     @abstractmethod
     def motion(self, pose: FloatArray) -> FloatArray:
-        """Motions u since the reference pose, shape (N, m), by poses (N, 6) [m, rad]."""
+        """Motions u since the reference pose, shape (N, m), from poses (N, 6) [m, rad]."""
 
     @abstractmethod
     def columns(self, moved: FloatArray) -> FloatArray:
         """Columns s at displacements from rest v - r, both of shape (N, 3, n) [m]."""
 
     def slopes(self, moved: FloatArray) -> dict[tuple[int, int], FloatArray]:
-        """Derivatives of s, shape (N, n) [-], by its axis and that of v; zeros are left out."""
+        """Nonzero derivatives of s, shape (N, n) [-], by its axis and that of v."""
         raise NotImplementedError
 
     def bends(self, moved: FloatArray) -> dict[tuple[int, int, int], FloatArray]:
-        """Second derivatives of s, by its axis and two axes of v in order [1/m]."""
+        """Second derivatives of s, by its axis and two ascending axes of v [1/m]."""
         raise NotImplementedError
 
     @classmethod
@@ -165,8 +165,8 @@ class ContactLaw(ABC):
     def bed_stiffness(self, loading: Loading, along: FloatArray) -> tuple[float, float]:
         """Stiffness of the uniform bed that best explains how the wrench changes with the motion.
 
-        It is zero at least [N/m]; the stiffnesses along the axes have the ratios `along` to it,
-        shape (3,) [-]. The second number is the weighted squares that it leaves [-].
+        It is nonnegative [N/m]; `along` holds the ratios of the stiffnesses along the axes to it,
+        shape (3,) [-]. The second number is the weighted sum of squared residuals [-].
         """
         slope = np.einsum(
             "can,a,anm->cm", self.onto, along, self.jacobian.reshape(*self.onto.shape[1:], -1)
@@ -179,19 +179,19 @@ class ContactLaw(ABC):
         stiffness /= power or 1.0
         return stiffness, float(((target - stiffness * changes) ** 2).sum(axis=0) @ loading.shares)
 
-    def least_stiffness(self, loading: Loading) -> tuple[float, float]:
-        """Mean load [N], and the least stiffness [N/m] of n springs that bear it on 20 mm."""
+    def min_stiffness(self, loading: Loading) -> tuple[float, float]:
+        """Mean load [N], and the stiffness [N/m] at which n springs carry it within 20 mm."""
         load = max(float(np.linalg.norm(loading.wrench[:, 3:].mean(axis=0))), 1.0)
-        return load, load / (len(self.anchors) * _LARGEST_SETTLING)
+        return load, load / (len(self.anchors) * _MAX_SETTLING)
 
     def stored(self, rest: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Rest positions (n, 3) [m] and reference pose (6,) that a model keeps, by r (3, n)."""
+        """Rest positions (n, 3) [m] and reference pose (6,) of a model, from r (3, n)."""
         return rest.T.copy(), self.reference_pose
 
     def wrench_offsets(
         self, motion: FloatArray, residual: FloatArray, wrench: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Constant (6,) and slope (6, 6) over the motion of the wrench's residuals, (N, 6)."""
+        """Constant (6,) and slope over the motion (6, 6) of the wrench's residuals, (N, 6)."""
         return residual.mean(axis=0), np.zeros((6, 6))
 
 
@@ -199,12 +199,12 @@ _STIFFNESS, _DISTANCE = 1e3, 1e-3  # [N/m, m]; scales of the parameters
 
 
 class PaperLaw(ContactLaw):
-    r"""The published law: springs along the axes of {S}, moved by the limb's position.
+    r"""The published law: springs along the axes of {S}, driven by the limb's position.
 
     .. math:: F_i = k_i \circ g(\delta_i) \circ \delta_i, \qquad \delta_i = q - q_{r,i}
 
-    The gate acts on each axis of {S}. Rest positions are in {S}; a fit counts them from the mean
-    limb position, about which Stage 1 has a box. The prior is the mean square difference of
+    The gate acts on each axis of {S}. Rest positions are in {S}; a fit measures them from the mean
+    limb position, the centre of the box of Stage 1. The prior is the mean square difference of
     neighbours.
     """
 
@@ -213,7 +213,7 @@ class PaperLaw(ContactLaw):
 
     @property
     def frames(self) -> FloatArray:
-        """Those of {S}, for every tile."""
+        """The axes of {S}, for every tile."""
         return np.broadcast_to(np.eye(3), (len(self.anchors), 3, 3))
 
     def motion_map(self) -> FloatArray:
@@ -230,17 +230,17 @@ class PaperLaw(ContactLaw):
 
     @classmethod
     def reference_of(cls, pose: FloatArray, settings: IdentificationSettings) -> FloatArray:
-        """The middle q_ref of the box of rest positions: the mean position, unless it is given."""
+        """Centre q_ref of the box of rest positions: the mean position unless given."""
         middle = settings.reference_position or pose[:, :3].mean(axis=0)
         return np.concatenate([middle, np.zeros(3)])
 
     def sizes(self, settings: IdentificationSettings, loading: Loading) -> Sizes:
-        """Sizes as the settings give them; the smoothness has no centre.
+        """Sizes from the settings; the smoothness has no centre.
 
-        Where k0 is to follow from the samples, it is by the slope of the wrench.
+        If k0 is not given, it follows from the slope of the wrench.
         """
         stiffness = settings.initial_stiffness or max(
-            self.bed_stiffness(loading, np.ones(3))[0], self.least_stiffness(loading)[1]
+            self.bed_stiffness(loading, np.ones(3))[0], self.min_stiffness(loading)[1]
         )
         points, pairs = len(self.anchors), max(len(loading.neighbours), 1)
         scale = np.repeat([_STIFFNESS, _DISTANCE], 3)[:, None] * np.ones(points)
@@ -261,18 +261,18 @@ class PaperLaw(ContactLaw):
         return rest.T + self.reference_pose[:3], np.zeros(6)
 
 
-OWN = 0.3  # [-]; epsilon: how far a tile may be from the common mean, against its neighbours
-_RATIOS = (0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0)  # [-]; of tangential to normal stiffness
-_LEAST_SETTLING = 1e-4  # [m]
-_SLOPE_RIDGE = 0.003  # [-]; against the variance of the pose
-_LEAST_CHANGE = 0.01  # [-]; of the force, against its size, that a slope needs
-_LEAST_MOTION = 1e-9  # [m, rad]; less is rounding of a pose that stands still
+MEAN_WEIGHT = 0.3  # [-]; epsilon: weight of the common mean, relative to the neighbours
+_SHEAR_RATIOS = (0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0)  # [-]; of tangential to normal stiffness
+_MIN_SETTLING = 1e-4  # [m]
+_SLOPE_RIDGE = 0.003  # [-]; relative to the variance of the pose
+_MIN_CHANGE = 0.01  # [-]; of the force, relative to its RMS, for a slope
+_MIN_MOTION = 1e-9  # [m, rad]; less is rounding of a constant pose
 
 
 def relative_pose(pose: FloatArray, reference: FloatArray) -> FloatArray:
     """Displacement and rotation vector since a reference pose (6,), both in {S}.
 
-    A pose holds position and rotation vector, shape (N, 6) [m, rad]; what is found is
+    A pose holds position and rotation vector, shape (N, 6) [m, rad]; the result is
     ``[q - c, phi]`` with ``R = exp(phi) R_ref``, of the same shape, NaN where the pose is.
     """
     relative = pose - reference
@@ -285,47 +285,46 @@ def relative_pose(pose: FloatArray, reference: FloatArray) -> FloatArray:
 
 
 class RigidLaw(ContactLaw):
-    r"""The law of the `rigid` variants: tiles that a rigid limb presses on.
+    r"""The law of the `rigid` variants: a rigid limb presses on the tiles.
 
-    With the pose of the limb relative to a reference pose (position c, rotation R_ref), that is
-    its displacement q - c and its rotation vector phi, the tile at a_i is displaced by
+    With the limb's displacement q - c and rotation vector phi since a reference pose (position c,
+    rotation R_ref), the tile at a_i is displaced by
 
     .. math:: u_i = q - c + \phi \times (a_i - c), \qquad v_i = R_i^T u_i, \qquad
               \delta_i = v_i - r_i
 
-    with v_i in the tile's own frame {L_i} (z along the inward normal) and r_i its rest
-    displacement, at which the tile bears nothing. Compression along the normal gates normal and
-    shear alike:
+    with v_i in the tile's frame {L_i} (z along the inward normal) and the rest displacement r_i,
+    at which the tile is unloaded. Compression along the normal gates normal and shear alike:
 
     .. math:: F_i = \left( k_x g \delta_x,\; k_y g \delta_y,\; -k_z p \right), \qquad
               p = \frac{\ln(1 + e^{-2 \alpha \delta_z})}{2 \alpha}, \qquad
               g = -\frac{dp}{d\delta_z} = \frac{1}{1 + e^{2 \alpha \delta_z}}
 
-    g is the paper's gate; p is its integral, so that a tile never pulls, and its stiffness grows
-    over the first 1 / alpha of compression as that of a layer that comes into contact bit by bit.
+    g is the paper's gate. As p is its integral, a tile never pulls, and its stiffness rises over
+    the first 1 / alpha of compression, like that of a layer that comes into contact gradually.
 
-    The expected stiffnesses, normal and tangential, are those of the uniform bed that best
-    explains how the wrench changes with the pose; the expected rest displacement is the mean load
-    over that bed's stiffness. So no stiffness is assumed. With Q = epsilon I + D'D, D the
-    differences of neighbours, the prior is
-    :math:`\lambda/(3n) \sum_a (x_a - \bar x_a)^T Q (x_a - \bar x_a)` against an objective that is
-    1 where zero is predicted; x_a are the stiffnesses along an axis over their expected value,
-    with mean 1, and the rest displacements over theirs, with mean 0.
+    No stiffness is assumed: the expected normal and tangential stiffnesses are those of the uniform
+    bed that best explains how the wrench changes with the pose; the expected rest displacement is
+    the mean load over that bed's stiffness. With Q = epsilon I + D'D, D the differences of
+    neighbours, the prior is
+    :math:`\lambda/(3n) \sum_a (x_a - \bar x_a)^T Q (x_a - \bar x_a)`, in an objective that is 1
+    for a prediction of zero; x_a are the stiffnesses along an axis, divided by their expected
+    value, with mean 1, and the rest displacements likewise, with mean 0.
     """
 
     REFINED = True
     OFFSETS_THROUGHOUT = True
-    MOST_ROWS = 500
+    MAX_ROWS = 500
     GATES = (2,)
     SHARPNESS = "contact_sharpness"
 
     @property
     def frames(self) -> FloatArray:
-        """Those of the tiles."""
+        """The tiles' frames."""
         return self.rotations
 
     def motion_map(self) -> FloatArray:
-        """Displacements of the tiles' centres on a rigid limb."""
+        """Displacements of the tiles' centres, moved with the limb."""
         return rigid_motions(self.anchors - self.reference_pose[:3])
 
     def motion(self, pose: FloatArray) -> FloatArray:
@@ -366,10 +365,10 @@ class RigidLaw(ContactLaw):
         return np.concatenate([pose[:, :3].mean(axis=0), rotation])
 
     def sizes(self, settings: IdentificationSettings, loading: Loading) -> Sizes:
-        """Sizes as the data show them: see this class."""
+        """Sizes from the data: see the class."""
         stiffness, rest = self._expect(loading)
         points = len(self.anchors)
-        prior = OWN * np.eye(points) + neighbour_differences(points, loading.neighbours)
+        prior = MEAN_WEIGHT * np.eye(points) + neighbour_differences(points, loading.neighbours)
         weight = loading.zero * settings.prior / (3.0 * points)
         ones = np.ones((6, points))
         return Sizes(
@@ -381,31 +380,31 @@ class RigidLaw(ContactLaw):
         )
 
     def _expect(self, loading: Loading) -> tuple[FloatArray, float]:
-        """Expected stiffness along x, y, z [N/m] and rest displacement [m]: see this class."""
-        beds = [np.array([ratio, ratio, 1.0]) for ratio in _RATIOS]
+        """Expected stiffness along x, y, z [N/m] and rest displacement [m]: see the class."""
+        beds = [np.array([ratio, ratio, 1.0]) for ratio in _SHEAR_RATIOS]
         found = [self.bed_stiffness(loading, along) for along in beds]
         best = int(np.argmin([miss for _, miss in found]))
         stiffness = found[best][0] * beds[best]
-        load, least = self.least_stiffness(loading)
+        load, least = self.min_stiffness(loading)
         if stiffness.mean() < least:  # the limb hardly moved
             stiffness = stiffness if stiffness.any() else np.ones(3)
             stiffness *= least / stiffness.mean()
-        return stiffness, max(load / (len(self.anchors) * float(stiffness.mean())), _LEAST_SETTLING)
+        return stiffness, max(load / (len(self.anchors) * float(stiffness.mean())), _MIN_SETTLING)
 
     def wrench_offsets(
         self, motion: FloatArray, residual: FloatArray, wrench: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Constant and slope over the pose by ridge regression on the standardised pose.
 
-        No slope along what did not move, and hardly any where the force hardly changed. On a hold
-        the limb creeps under one load, and a slope that fits this would cancel the springs.
+        The slope is zero along components that did not move, and small if the force hardly changed:
+        in a hold the limb creeps under constant load, and fitting that would cancel the springs.
         """
         mean, spread = motion.mean(axis=0), motion.std(axis=0)
-        inverse = 1.0 / np.where(spread > _LEAST_MOTION, spread, np.inf)
+        inverse = 1.0 / np.where(spread > _MIN_MOTION, spread, np.inf)
         scaled, left = (motion - mean) * inverse, residual - residual.mean(axis=0)
         force = wrench[:, 3:]
         change, size = np.sqrt(force.var(axis=0).sum()), np.sqrt((force**2).sum(axis=1).mean())
-        ridge = _SLOPE_RIDGE + (_LEAST_CHANGE * size / max(change, 1e-9)) ** 2
+        ridge = _SLOPE_RIDGE + (_MIN_CHANGE * size / max(change, 1e-9)) ** 2
         gram = scaled.T @ scaled / len(scaled) + ridge * np.eye(6)
         slope = np.linalg.solve(gram, scaled.T @ left / len(scaled)).T * inverse
         return residual.mean(axis=0) - slope @ mean, slope
@@ -433,30 +432,30 @@ class ContactModel:
     # rest positions q_r,i in {S} (rigid: rest displacements r_i in {L_i} since the reference pose),
     # shape (n, 3) [m]
     rest_positions: FloatArray
-    sharpness: float  # sharpness alpha of the gate [1/m]
+    sharpness: float  # alpha of the gate [1/m]
     wrench_bias: FloatArray  # offset b_w of the wrench, shape (6,) [N m, N]
     # offset b_f of each cluster's force in the cluster's frame, by the name of the cluster, shape
     # (3,) each [N]
     force_bias: dict[str, FloatArray]
     cluster_points: dict[str, int]  # index of the point of interest under each cluster, by its name
-    # pose that the rigid variants count displacements from, shape (6,) [m, rad]
+    # pose from which the rigid variants measure displacements, shape (6,) [m, rad]
     reference_pose: FloatArray = field(default_factory=lambda: np.zeros(6))
-    # what `rigid_bias` adds to the wrench per relative pose, shape (6, 6) [N m, N per m, rad]
+    # slope of the wrench over the relative pose with `rigid_bias`, shape (6, 6) [N m, N per m, rad]
     wrench_slope: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
-    # the model that the wrench is taken from where this bed's springs predict unseen samples worse:
-    # one of another sharpness, or a linear regression, which has no springs
+    # separate model for the wrench if it predicts unseen samples better than this bed: a bed of
+    # another sharpness, or a linear regression without springs
     of_wrench: ContactModel | None = None
 
     @property
     def is_rigid(self) -> bool:
-        """Whether the model reads the limb's rotation and works in the tiles' frames."""
+        """Whether the model uses the limb's rotation and works in the tiles' frames."""
         return isinstance(self.law, RigidLaw)
 
     def forces(self, pose: FloatArray) -> FloatArray:
         """Forces F_i + b_i on the socket at the n points of interest, in {S}, shape (N, n, 3) [N].
 
         A pose of the limb holds its position q and rotation vector, shape (N, 6) [m, rad]; the
-        paper's variants read the position alone. NaN where a pose is NaN.
+        paper's variants use the position only. NaN where a pose is NaN.
         """
         forces = self._spring_forces(pose)
         for name, bias in self.force_bias.items():
@@ -467,8 +466,8 @@ class ContactModel:
     def wrench(self, pose: FloatArray) -> FloatArray:
         """Wrenches ``C F + b_w`` [M; F] at the load cell in {S}, shape (N, 6) [N m, N].
 
-        Poses are as in `forces`; `rigid_bias` adds a slope over the pose. The offsets of the
-        clusters belong to the clusters' sensors: they are no part of it.
+        Poses are as in `forces`; `rigid_bias` adds a slope over the pose. The clusters' offsets are
+        those of their sensors and do not enter the wrench.
         """
         if self.of_wrench is not None:
             return self.of_wrench.wrench(pose)
@@ -492,13 +491,13 @@ class ContactModel:
     def predict(self, pose: FloatArray, clusters: Sequence[str]) -> FloatArray:
         """Every channel in the order of `channel_names`, shape (N, 6 + 3c) [N m, N].
 
-        The wrench comes first, then the force on each of the c clusters in its frame, by poses as
-        in `forces`.
+        The wrench precedes the force on each of the c clusters in its frame. Poses are as in
+        `forces`.
         """
-        lacking = [name for name in clusters if name not in self.cluster_points]
-        if lacking:
+        missing = [name for name in clusters if name not in self.cluster_points]
+        if missing:
             raise ConfigurationError(
-                f"the model has no cluster {', '.join(lacking)}",
+                f"the model has no cluster {', '.join(missing)}",
                 "fit a model on a trial that has it",
             )
         predicted = np.empty((len(pose), 6 + 3 * len(clusters)))
@@ -512,11 +511,12 @@ class ContactModel:
     def gate_displacements(
         self, pose: FloatArray, noise: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Displacements delta that the gates of the springs read, with their standard deviations.
+        """Displacements delta at the springs' gates, with their standard deviations.
 
-        By poses (N, 6) [m, rad] and the covariance of their noise (6, 6), they are along x, y, z of
-        {S}, shape (N, n, 3), in the rigid variants along each tile's inward normal, (N, n, 1) [m]:
-        negative in compression, infinite without stiffness. The deviations are (n, 3) or (n, 1).
+        From poses (N, 6) [m, rad] and the covariance of their noise (6, 6). Displacements are along
+        x, y, z of {S}, shape (N, n, 3), or in the rigid variants along each tile's inward normal,
+        (N, n, 1) [m]: negative in compression, infinite without stiffness. The deviations have the
+        shape (n, 3) or (n, 1).
         """
         law, axes = self.law, list(self.law.GATES)
         motion, stiff = law.motion(pose), self.stiffness > 0.0
@@ -542,6 +542,6 @@ class ContactModel:
     def _spring_forces(
         self, pose: FloatArray, points: list[int] | slice = slice(None)
     ) -> FloatArray:
-        """Those at poses in {S}, shape (N, points, 3) [N]."""
+        """Forces of the springs at poses in {S}, shape (N, points, 3) [N]."""
         springs = self._springs(self.law.motion(pose), points)
         return np.einsum("nab,tbn->tna", self.law.frames[points], springs)

@@ -1,6 +1,6 @@
-"""Fits, and the errors of any model per channel, with the figures that the paper quotes of them.
+"""Fits, and the errors of any model per channel, with the summary figures of the paper.
 
-From samples to a model: both stages, and the joint minimum of a law that is refined.
+A fit runs both stages, and for some laws refines both jointly.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.problem import (
-    LEAST_SAMPLES,
+    MIN_SAMPLES,
     Problem,
     build_objective,
     check_channels,
@@ -35,31 +35,31 @@ if TYPE_CHECKING:
     import pandas as pd
 
 REGRESSION = "linear regression on the pose"
-CLEARLY = 0.95  # [-]; of the error of the bed's own springs, from which another is better
-_LEAST_CHANGE = 0.1  # [-]; of the force, relative to its size
+MAX_ERROR_RATIO = 0.95  # [-]; to the error of the bed's own springs, to replace them
+_MIN_CHANGE = 0.1  # [-]; of the force, relative to its RMS
 _RANK = 1e-10  # [-]; smallest singular value of the standardised poses, relative to the largest
-_STILL = 1e-12  # [-]; spread of a pose's component that is constant, against its size
-_STEPS = 100
-_DAMPING = 1e-2  # [-]; of the first step, against the mean curvature
-_CONSTANT = 1e-12  # [-]; spread of a channel that is constant, against its size
+_MIN_SPREAD = 1e-12  # [-]; spread of a constant component of the pose, relative to its magnitude
+_MAX_STEPS = 100
+_DAMPING = 1e-2  # [-]; of the first step, relative to the mean curvature
+_CONSTANT = 1e-12  # [-]; spread of a constant channel, relative to its magnitude
 _ROUNDING = 1e-13  # [-]; of the objective's value
-_FLAT = 1e-10  # [-]; least pivot of a step's program
+_MIN_PIVOT = 1e-10  # [-]; for the Hessian in a step's program
 
 
 @dataclass(frozen=True)
 class ChannelErrors:
     """Errors of one channel, in the channel's unit."""
 
-    name: str  # name of the channel, such as Mx or distal.Fz
+    name: str  # such as Mx or distal.Fz
     unit: str  # N m or N
     rmse: float  # root-mean-square error
     mae: float  # mean absolute error
     sigma: float  # standard deviation of the residual
-    # ``1 - RMSE / RMSE of the best constant`` [-]: a constant explains a static hold, so an RMSE
-    # without its skill flatters. NaN where the channel is constant.
+    # ``1 - RMSE / RMSE of the best constant`` [-]: as a constant explains a static hold, an RMSE
+    # alone is flattering. NaN for a constant channel.
     skill: float
     samples: int  # number of samples with a value
-    in_objective: bool  # whether the fit saw the channel
+    in_objective: bool  # whether the channel was fitted
 
 
 def channel_errors(
@@ -79,7 +79,7 @@ def channel_errors(
 
 
 def errors_to_dataframe(errors: Iterable[ChannelErrors]) -> pd.DataFrame:
-    """Errors as a pandas table, a row per channel, indexed by its name: see `ChannelErrors`."""
+    """Errors as a pandas table, one row per channel, indexed by its name: see `ChannelErrors`."""
     import pandas as pd
 
     titles = {"name": "channel", "rmse": "RMSE", "mae": "MAE", "in_objective": "in objective"}
@@ -89,7 +89,7 @@ def errors_to_dataframe(errors: Iterable[ChannelErrors]) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class ErrorSummary:
-    """What the paper quotes of the errors of the channels in the objective; NaN without any."""
+    """The paper's summary figures over the channels in the objective; NaN without any."""
 
     moment_rmse: float  # mean RMSE of the moments [N m]
     force_rmse: float  # mean RMSE of the forces [N]
@@ -97,12 +97,12 @@ class ErrorSummary:
     skill: float  # median skill of these channels [-]
     wrench_skill: float  # median skill of the wrench's channels [-]
     local_skill: float  # median skill of the clusters' channels [-]
-    # channels that no sample has both measured and predicted; no figure includes them
+    # channels without a sample that is both measured and predicted, in none of the figures
     without_value: tuple[str, ...]
 
 
 def summarise_errors(errors: Sequence[ChannelErrors]) -> ErrorSummary:
-    """Means and medians over the channels in the objective, as the paper quotes them."""
+    """Means and medians over the channels in the objective, as in the paper."""
     known = [error for error in errors if error.samples > 0 and error.in_objective]
     wrench = [error for error in known if error.name in WRENCH_CHANNELS]
     local = [error for error in known if error.name not in WRENCH_CHANNELS]
@@ -120,7 +120,7 @@ def summarise_errors(errors: Sequence[ChannelErrors]) -> ErrorSummary:
 def evaluate(
     samples: Samples, model: ContactModel, leave_out: tuple[str, ...] = ()
 ) -> tuple[ChannelErrors, ...]:
-    """Errors of a model on every channel of the samples; those left out were not in its fit."""
+    """Errors of a model on every channel of the samples; `leave_out` were not in its fit."""
     predicted = model.predict(samples.pose, samples.clusters)
     return evaluate_predictions(samples, predicted, leave_out)
 
@@ -128,7 +128,7 @@ def evaluate(
 def evaluate_predictions(
     samples: Samples, predicted: FloatArray, leave_out: tuple[str, ...] = ()
 ) -> tuple[ChannelErrors, ...]:
-    """Errors of predictions of these samples by `ContactModel.predict`: see `evaluate`."""
+    """Errors of predictions made by `ContactModel.predict`: see `evaluate`."""
     measured = samples.trusted_values
     return tuple(
         channel_errors(name, measured[:, i], predicted[:, i], name not in leave_out)
@@ -144,14 +144,14 @@ def finite_mean(values: Iterable[float], mean: Callable[[list[float]], Any] = np
 
 @dataclass(frozen=True)
 class Fit:
-    """A fitted model with what is needed to judge it."""
+    """A fitted model with its errors and certificates."""
 
     model: ContactModel
-    # settings of the identification, `initial_stiffness` as it was used
+    # settings of the identification, with the `initial_stiffness` used
     settings: IdentificationSettings
     samples: int  # number of samples in the objective
-    last_stamp: int  # stamp of the newest of them [ns]
-    # effective number of stiffness directions that the data determine, of 3n; the smoothness
+    last_stamp: int  # timestamp of the newest of them [ns]
+    # effective number of stiffness directions determined by the data, of 3n; the smoothness
     # determines the others [-]
     determined: float
     errors: tuple[ChannelErrors, ...]  # errors of every channel on the samples of the fit
@@ -159,11 +159,11 @@ class Fit:
     stage_two: BoxSolution  # certified solution of Stage 2
     # certified joint refinement of both in the rigid variants, otherwise None
     joint: BoxSolution | None = None
-    wrench: str = ""  # where the wrench is taken from, if not from the model's own springs
+    wrench: str = ""  # what predicts the wrench, if not the model's own springs
 
     @property
     def status(self) -> str:
-        """The solver and the certificate of both stages, and of their refinement, in words."""
+        """Solver and certificate of both stages and of their refinement, in words."""
         stages = f"stage 1 {self.stage_one.status}; stage 2 {self.stage_two.status}"
         return stages if self.joint is None else f"{stages}; {self.joint.status}"
 
@@ -179,7 +179,7 @@ def fit_contact_model(
 ) -> Fit:
     """Identify the contact model: rest positions, then stiffnesses and offsets.
 
-    Outliers among the samples and those without a wrench or a limb position are skipped.
+    Skips outliers and samples without a wrench or a limb position.
     """
     problem = Problem(build_objective(samples, geometry, settings))
     solver, tolerance = settings.solver, settings.solver_tolerance
@@ -216,21 +216,21 @@ def _with_wrench_model(
     geometry: SocketGeometry,
     settings: IdentificationSettings,
 ) -> tuple[ContactModel, str]:
-    """The model with what predicts the wrench best, and that in words; empty for its own springs.
+    """The model with the best predictor of the wrench, and its name; empty for its own springs.
 
-    The bed of `contact_sharpness`, beds of other sharpness and a linear regression on the pose are
-    fitted on the first half of the samples that a fit uses, and judged on the second, which none of
-    them has seen. Another one is taken if it is clearly better, and fitted on all samples.
+    Candidates are the bed of `contact_sharpness`, beds of other sharpness and a linear regression
+    on the pose. They are fitted on the first half of the samples in the fit and tested on the
+    second. One that is clearly better than the bed is refitted on all samples and replaces it.
     """
     middle = used.stamps[len(used) // 2]
     first, unseen = used[used.stamps < middle], used[used.stamps >= middle]
-    complete = np.isfinite(used.wrench).all()  # else a channel is left out
+    complete = np.isfinite(used.wrench).all()  # no channel is left out
     if settings.variant != "rigid_bias" or not settings.wrench_sharpness or not complete:
         return model, ""
     force = used.wrench[:, 3:]
     change, size = np.sqrt(force.var(axis=0).sum()), np.sqrt(3.0 * np.mean(force**2))
-    # Under one load the unseen half does not show how a prediction goes on under another.
-    if min(len(first), len(unseen)) < LEAST_SAMPLES or not change > _LEAST_CHANGE * size:
+    # At constant load the unseen half does not show how a prediction extrapolates.
+    if min(len(first), len(unseen)) < MIN_SAMPLES or not change > _MIN_CHANGE * size:
         return model, ""
     alone, early = replace(settings, wrench_sharpness=()), samples[samples.stamps < middle]
 
@@ -244,7 +244,7 @@ def _with_wrench_model(
     tried[REGRESSION] = _regression(tried[base], first)
     errors = {name: _wrench_error(each, unseen) for name, each in tried.items()}
     best = min(errors, key=errors.__getitem__)
-    if not errors[best] < CLEARLY * errors[base]:
+    if not errors[best] < MAX_ERROR_RATIO * errors[base]:
         return model, ""
     known = sharpness.get(best)
     chosen = _regression(model, used) if known is None else fitted(known, samples)
@@ -255,26 +255,26 @@ def _with_wrench_model(
 def regress_wrench(samples: Samples, motion: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Slope (6, 6) and constant (6,) of the wrench over the limb's motion (N, 6), by least squares.
 
-    Where the motions lack rank, it is the regression of least norm in standardised motions. A
-    channel of the wrench without values has a constant of NaN.
+    If the motions lack rank, the solution has minimum norm in standardised motions. A channel of
+    the wrench without values has a constant of NaN.
     """
     mean, constant = motion.mean(axis=0), samples.wrench.mean(axis=0)
     spread = motion.std(axis=0)
-    spread = np.where(spread > _STILL * np.abs(samples.pose).max(axis=0), spread, np.inf)
+    spread = np.where(spread > _MIN_SPREAD * np.abs(samples.pose).max(axis=0), spread, np.inf)
     known = np.nan_to_num(samples.wrench - constant)
     slope = np.linalg.lstsq((motion - mean) / spread, known, rcond=_RANK)[0].T / spread
     return slope, constant - slope @ mean
 
 
 def _regression(model: ContactModel, samples: Samples) -> ContactModel:
-    """A model without springs, whose wrench is linear in the pose."""
+    """A model without springs; its wrench is linear in the pose."""
     slope, constant = regress_wrench(samples, model.law.motion(samples.pose))
     none = np.zeros_like(model.stiffness)
     return replace(model, stiffness=none, force_bias={}, wrench_slope=slope, wrench_bias=constant)
 
 
 def _wrench_error(model: ContactModel, samples: Samples) -> float:
-    """Mean error of the moments and of the forces, each over its change [-]."""
+    """Relative error of the moments plus that of the forces, over their standard deviations [-]."""
     missed = np.sqrt(np.mean((model.wrench(samples.pose) - samples.wrench) ** 2, axis=0))
     change = samples.wrench.std(axis=0)
     parts = ((missed[part].sum(), change[part].sum()) for part in (slice(0, 3), slice(3, 6)))
@@ -284,16 +284,16 @@ def _wrench_error(model: ContactModel, samples: Samples) -> float:
 def _refine(
     problem: Problem, x: FloatArray, solver: str, tolerance: float
 ) -> tuple[FloatArray, BoxSolution]:
-    """Minimise the joint objective over all parameters, from a start x on, shape (6, n) [-].
+    """Minimise the joint objective over all parameters, starting from x of shape (6, n) [-].
 
-    Each step minimises a quadratic model of the objective in the bounds: its gradient with the
-    Hessian where that is definite, else with the Gauss-Newton matrix, damped after Levenberg and
-    Marquardt (Nielsen's rule: Madsen, Nielsen & Tingleff, Methods for Non-Linear Least Squares
-    Problems, 3.2). A step that does not lower the objective is taken back and damped more. The
-    solver gives the first step; the next ones start from the active set of the last.
+    Each step minimises a quadratic model of the objective within the bounds: its gradient with the
+    Hessian if that is definite, else with the Gauss-Newton matrix, with Levenberg-Marquardt damping
+    (Nielsen's rule: Madsen, Nielsen & Tingleff, Methods for Non-Linear Least Squares Problems,
+    3.2). A step that does not lower the objective is rejected and the damping raised. The solver
+    computes the first step; each later one starts from the previous active set.
 
-    The minimum comes with its certificate. Where the noise of the poses leaves a long flat valley,
-    it is the last and best point after `_STEPS` steps, which says so.
+    The minimum comes with its certificate. In a long flat valley, caused by noise of the poses,
+    the refinement stops after `_MAX_STEPS` steps and says so.
     """
     shape, prior = x.shape, problem.prior
     lower, upper = problem.lower.reshape(-1), problem.upper.reshape(-1)
@@ -306,19 +306,19 @@ def _refine(
         q = factor * (gradient - hessian @ at)
         return BoxQP(factor * hessian, q, lower, upper, "joint refinement")
 
-    for done in range(_STEPS + 1):
+    for done in range(_MAX_STEPS + 1):
         here = x.reshape(-1)
         hessian = terms.gauss_newton + prior
         factor = len(hessian) / float(np.trace(hessian))
         local = quadratic(hessian, terms.gradient, here)
         certificate = local.certificate(here)
-        if certificate.worst <= tolerance or done == _STEPS:
+        if certificate.worst <= tolerance or done == _MAX_STEPS:
             break
         ridge = damping / factor * np.eye(len(hessian))
-        # A stiffness that is held at its bound does not move: its curvature does not count.
+        # The curvature along stiffnesses at an active bound does not matter.
         free = (here > lower) | (terms.gradient <= 0.0)
         exact = hessian + np.where(np.outer(free, free), terms.curvature, 0.0)
-        if is_definite(factor * (exact + ridge), _FLAT):
+        if is_definite(factor * (exact + ridge), _MIN_PIVOT):
             hessian = exact
         program = quadratic(hessian + ridge, terms.gradient, here)
         found = pivot(program, here) if first else solve_cold(program, solver)

@@ -6,25 +6,25 @@ prior has the mean zero and the covariance
 
 .. math:: K = T \bigl(K_{field} + K_{preload} + (U U^T) \circ (1 + \kappa^2 M)\bigr) T^T
 
-- M is the Matern correlation :math:`(1 + \sqrt{3} d/\ell) e^{-\sqrt{3} d/\ell}` of the tiles'
-  distance d: forces are alike in the neighbourhood;
+- M is the Matern correlation :math:`(1 + \sqrt{3} d/\ell) e^{-\sqrt{3} d/\ell}` over the tiles'
+  distance d: neighbouring forces are similar;
 - the field has this correlation, with one amplitude for the normal and one for both tangents; the
-  preload is a normal force that all tiles have in common;
+  preload is a normal force common to all tiles;
 - the six columns of U are the forces of a bed of springs under a small motion of the rigid limb,
   with weak tangential springs; the bed's stiffness varies by kappa;
-- T adds a tangential force along the socket's axis, by which a sinking limb drags the socket: it is
-  a share of the normal force.
+- T adds a tangential force along the socket's axis, the drag of a sinking limb, as a share of the
+  normal force.
 
 Every term is positive semidefinite, and the field is definite. H maps the forces F to the channels
-y: the wrench [M; F], which the surface between the tiles bears as well, and each cluster's force
-in its frame. With the noise R of the channels
+y: the wrench [M; F], partly carried by the surface between the tiles, and each cluster's force in
+its frame. With the noise R of the channels
 
 .. math:: F = K H^T (H K H^T + R)^{-1} y
 
-(Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, section 2.2). The sizes of
-the parts are uncertain. The common amplitude has an inverse-gamma prior and is integrated out. The
-others follow wide distributions (`ForceMapSettings`), of which a quasi-random sequence takes M
-hypotheses. A hypothesis counts by its mean evidence: over the trial, or live over the last samples.
+(Rasmussen & Williams, Gaussian Processes for Machine Learning, 2006, section 2.2). These
+hyperparameters are uncertain. The common amplitude has an inverse-gamma prior and is integrated
+out. The others follow wide distributions (`ForceMapSettings`), from which a quasi-random sequence
+draws M hypotheses, weighted by their mean evidence: over the trial, or live over recent samples.
 """
 
 from __future__ import annotations
@@ -45,15 +45,15 @@ from socket_testbed.identification.plausibility import Outliers, find_outliers
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
 from socket_testbed.settings.identification import ForceMapSettings
 
-_NUGGET = 1e-9  # [-]; of the correlation: tiles that almost coincide leave it definite
+_NUGGET = 1e-9  # [-]; keeps the correlation definite when tiles almost coincide
 _AMPLITUDE_FREEDOM = 2.0  # [1]; degrees of freedom of the prior of the amplitude
-_MEMORY = 1000  # live samples over which the evidence is averaged
-_LEAST_WEIGHT = 2e-3  # of a hypothesis that counts, relative to the likeliest
-_LEARNT_FROM = 500  # samples of a trial at most, evenly spread
+_EVIDENCE_MEMORY = 1000  # live samples over which the evidence is averaged
+_MIN_WEIGHT = 2e-3  # of a hypothesis, relative to the likeliest
+_MAX_SAMPLES = 500  # samples of a trial, evenly spread
 _CHUNK = 256  # samples
-_DRAWN = 2048  # samples whose joint draws come at a time
+_DRAW_BATCH = 2048  # samples per batch of joint draws
 _TINY = 1e-12  # [N]
-_MOST_PATTERNS = 64  # of present channels that are kept
+_MAX_PATTERNS = 64  # cached patterns of present channels
 
 
 @dataclass(frozen=True)
@@ -61,20 +61,19 @@ class MapEstimate:
     """Forces of the limb on all n tiles with their standard deviations, for N samples."""
 
     forces: FloatArray  # forces on the socket in {S}, shape (N, n, 3) [N]
-    standard_deviations: FloatArray  # theirs, by axis of {S}, shape (N, n, 3) [N]
+    standard_deviations: FloatArray  # of the forces, by axis of {S}, shape (N, n, 3) [N]
     normal_pressure: FloatArray  # positive in compression, shape (N, n) [Pa]
     normal_pressure_standard_deviation: FloatArray  # shape (N, n) [Pa]
     shear: FloatArray  # magnitude of the tangential force over the area, shape (N, n) [Pa]
-    # root mean square difference of the magnitude, which has a Rice distribution, to `shear`, shape
-    # (N, n) [Pa]
+    # root mean square difference of the Rice-distributed magnitude from `shear`, shape (N, n) [Pa]
     shear_standard_deviation: FloatArray
     source: str  # what the estimate was conditioned on, in words
 
     def columns(self, names: tuple[str, ...], prefix: str = "") -> dict[str, FloatArray]:
-        """Columns of a table, a row per sample, by titles with the units.
+        """Columns of a table with one row per sample, by titles with units.
 
-        Of each tile the force in {S} with its standard deviations, such as `tile_012.Fz [N]` and
-        `tile_012.Fz.sd [N]`, then `pressure` and `shear` [Pa] with theirs.
+        For each tile the force in {S} and its standard deviation, such as `tile_012.Fz [N]` and
+        `tile_012.Fz.sd [N]`, then likewise `pressure` and `shear` [Pa].
         """
         stresses = {
             "pressure": self.normal_pressure,
@@ -98,7 +97,7 @@ class MapEstimate:
 
 
 def _averaged(parts: Iterable[MapEstimate], source: str) -> MapEstimate:
-    """The mean over the samples of all parts; of standard deviations the root mean square."""
+    """The mean over the samples of all parts; the root mean square of standard deviations."""
     count, sums = 0, dict[str, FloatArray]()
     for part in parts:
         count += len(part.forces)
@@ -113,12 +112,12 @@ def _averaged(parts: Iterable[MapEstimate], source: str) -> MapEstimate:
 
 @dataclass(frozen=True)
 class _Conditioned:
-    """The M hypotheses of the prior, conditioned on the channels that are present.
+    """The M hypotheses of the prior, conditioned on the present channels.
 
     A tile's force has four components here: along x, y, z of {S} and along the tile's normal.
     """
 
-    present: IntArray  # indices of the d channels that are present
+    present: IntArray  # indices of the d present channels
     # K H' S^-1 of the hypotheses, from the channels to the forces, shape (M, n, 4, d)
     gain: FloatArray
     precision: FloatArray  # S^-1, shape (M, d, d)
@@ -132,9 +131,9 @@ class _Conditioned:
     def average(self, measured: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and variances of the forces over the hypotheses, shape (N, n, 4) each [N, N^2].
 
-        They follow from the channels that are present, shape (N, d), and the probabilities of the
-        hypotheses, shape (M,). With the amplitude's prior, the square of the amplitude has under
-        each hypothesis the posterior mean (f + y' S^-1 y) / (f + d - 2).
+        They follow from the present channels, shape (N, d), and the probabilities of the
+        hypotheses, shape (M,). Under each hypothesis the squared amplitude has the posterior mean
+        (f + y' S^-1 y) / (f + d - 2).
         """
         count, channels = measured.shape
         hypotheses, tiles = self.variances.shape[:2]
@@ -149,17 +148,17 @@ class _Conditioned:
         return mean.reshape(count, -1, 4), variances.reshape(count, -1, 4)
 
     def distance(self, measured: FloatArray) -> FloatArray:
-        """Squared sizes y' S^-1 y of the channels (N, d) by hypothesis, shape (N, M) [-]."""
+        """Squared distances y' S^-1 y of the channels (N, d) by hypothesis, shape (N, M) [-]."""
         hypotheses, channels = self.precision.shape[:2]
-        # One product over all of them: a batch of small ones takes several times as long.
+        # One large product is several times faster than a batch of small ones.
         whitened = measured @ self.precision.reshape(hypotheses * channels, channels).T
         whitened = whitened.reshape(len(measured), hypotheses, channels)
         return np.asarray((whitened * measured[:, None]).sum(axis=2))
 
     def log_evidence(self, measured: FloatArray) -> FloatArray:
-        """That of the hypotheses in the channels (N, d), up to a constant, shape (N, M) [-].
+        """Of the hypotheses for the channels (N, d), up to a constant, shape (N, M) [-].
 
-        With the amplitude's prior, the channels have a multivariate t distribution.
+        Given the amplitude's prior, the channels have a multivariate t distribution.
         """
         freedom = _AMPLITUDE_FREEDOM
         exponent = freedom + len(self.present)
@@ -169,19 +168,18 @@ class _Conditioned:
 
 @dataclass(frozen=True)
 class JointDraws:
-    """D joint draws of the forces on all n tiles at k samples, as the factors that vary.
+    """D joint draws of the forces on all n tiles at k samples, in factored form.
 
-    Each of the M hypotheses is a guess of the prior's sizes. A draw of the forces in the tiles'
-    frames is :math:`G_m y + b_m E_d` with its hypothesis m; of the first D/2 draws, the others have
-    the opposite errors.
+    A draw of the forces in the tiles' frames is :math:`G_m y + b_m E_d` with its hypothesis m. The
+    second half of the draws has the errors of the first with opposite sign.
     """
 
     rows: IntArray  # indices of the samples, shape (k,)
     channels: FloatArray  # their channels y, shape (k, d) [N m, N]
     gain: FloatArray  # G of the hypotheses, shape (M, 3n, d)
     weights: FloatArray  # probabilities of the hypotheses, shape (M,) [-]
-    sizes: FloatArray  # sizes b of the errors under each hypothesis, shape (k, M) [-]
-    hypotheses: IntArray  # those of the draws, shape (D/2,)
+    sizes: FloatArray  # scales b of the errors under each hypothesis, shape (k, M) [-]
+    hypotheses: IntArray  # hypothesis of each draw, shape (D/2,)
     errors: FloatArray  # E, shape (D/2, 3n) [N]
 
     def __getitem__(self, part: slice) -> JointDraws:
@@ -189,7 +187,7 @@ class JointDraws:
         return replace(self, rows=self.rows[part], channels=channels, sizes=sizes)
 
     def values(self) -> FloatArray:
-        """The forces in the tiles' frames, in a row, shape (k, D, 3n) [N]."""
+        """The forces in the tiles' frames, flattened, shape (k, D, 3n) [N]."""
         errors = self.sizes[:, self.hypotheses, None] * self.errors
         hypotheses, forces, channels = self.gain.shape
         means = self.channels @ self.gain.reshape(-1, channels).T
@@ -197,12 +195,12 @@ class JointDraws:
         return np.concatenate([means + errors, means - errors], axis=1)
 
     def mean(self) -> FloatArray:
-        """The estimate: mean of the values over the hypotheses, shape (k, 3n) [N]."""
+        """The estimate: the mean over the hypotheses, shape (k, 3n) [N]."""
         gain = np.tensordot(self.weights, self.gain, axes=1)
         return np.asarray(self.channels @ gain.T)
 
     def mapped(self, mapping: FloatArray) -> JointDraws:
-        """The same draws of r linear functions of the forces, by their matrix, shape (3n, r)."""
+        """The same draws of r linear functions of the forces, a matrix of shape (3n, r)."""
         gain = np.einsum("mfd,fr->mrd", self.gain, mapping, optimize=True)
         return replace(self, gain=np.ascontiguousarray(gain), errors=self.errors @ mapping)
 
@@ -214,8 +212,8 @@ class ForceMap:
         geometry: Geometry of the socket.
         clusters: Names of the clusters, in the order of the samples.
         settings: The prior.
-        trial: Samples in whose evidence the hypotheses count; without them each call of `estimate`
-            and `sample` has that of its own samples, and `update` that of the last ones.
+        trial: Samples whose evidence weighs the hypotheses. Without them `estimate` and `sample`
+            use that of their own samples, and `update` that of recent samples.
     """
 
     def __init__(
@@ -231,7 +229,7 @@ class ForceMap:
         self._normals = geometry.rotations[:, :, 2]
         guesses = hypotheses(settings or ForceMapSettings())
         self._priors = [Prior(geometry, clusters, sizes) for sizes in guesses]
-        # Of the M hypotheses: covariances of the channels, (M, c, c), of the forces with the
+        # Per hypothesis: covariances of the channels, (M, c, c), and of the forces with the
         # channels, (M, n, 4, c), and variances of the forces, (M, n, 4).
         along_normal = np.broadcast_to([[0.0, 0.0, 1.0]], (len(geometry), 1, 3))
         turned = np.concatenate([geometry.rotations, along_normal], axis=1)
@@ -239,38 +237,38 @@ class ForceMap:
         self._cross = np.array([turned @ prior.with_channels for prior in self._priors])
         blocks = [(turned @ prior.blocks * turned).sum(axis=2) for prior in self._priors]
         self._variances = np.array(blocks)
-        # By the bytes of a pattern, and of the chosen hypotheses: mostly the same ones.
-        self._conditioned = lru_cache(_MOST_PATTERNS)(self._condition)
+        # Keyed by the bytes of a pattern, and of the chosen hypotheses: both rarely change.
+        self._conditioned = lru_cache(_MAX_PATTERNS)(self._condition)
         self._prior_draws = lru_cache(1)(self._draw)
-        self._learnt_from = 0  # samples
+        self._evidence_count = 0  # samples
         self._evidence = np.zeros(len(self._priors))
         if trial is not None:
             self._evidence = self._mean_evidence(trial)
-            self._learnt_from = len(trial)
+            self._evidence_count = len(trial)
 
     def estimate(self, samples: Samples) -> MapEstimate:
-        """The map at every sample; that of the prior where a sample has no channel at all."""
+        """The map at every sample; the prior's if a sample has no channel at all."""
         values, present = _channels(samples)
         return self._estimate(values, present, self._weights(samples))
 
     def update(self, sample: Samples) -> MapEstimate:
-        """The map at one live sample, with N = 1, in whose evidence the hypotheses count from now.
+        """The map at one live sample, with N = 1, whose evidence updates the hypotheses' weights.
 
-        Channels without a value do not count, nor clusters whose status is not OK.
+        Ignores channels without a value and clusters whose status is not OK.
         """
         values, present = _channels(sample)
         if present.any():
             conditioned = self._conditioned(present[0].tobytes())
             found = conditioned.log_evidence(values[:, conditioned.present])[0]
-            self._learnt_from = min(self._learnt_from + 1, _MEMORY)
-            self._evidence += (found - self._evidence) / self._learnt_from
+            self._evidence_count = min(self._evidence_count + 1, _EVIDENCE_MEMORY)
+            self._evidence += (found - self._evidence) / self._evidence_count
         return self._estimate(values, present, _probabilities(self._evidence))
 
     def _mean_evidence(self, samples: Samples) -> FloatArray:
-        """Logarithm of the evidence of the hypotheses, mean over the samples, shape (M,) [-]."""
+        """Log evidence of the hypotheses, averaged over the samples, shape (M,) [-]."""
         values, present = _channels(samples)
         rows = np.flatnonzero(present.any(axis=1))
-        rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), _LEARNT_FROM)).astype(int)]
+        rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), _MAX_SAMPLES)).astype(int)]
         total = np.zeros(len(self._priors))
         for pattern, some in _by_pattern(present[rows]):
             conditioned = self._conditioned(pattern)
@@ -279,8 +277,9 @@ class ForceMap:
         return total / max(len(rows), 1)
 
     def _weights(self, samples: Samples) -> FloatArray:
-        """Probabilities of the hypotheses at the samples, shape (M,) [-]; 0 for unlikely ones."""
-        return _probabilities(self._evidence if self._learnt_from else self._mean_evidence(samples))
+        """Probabilities of the hypotheses, shape (M,) [-]; 0 for unlikely ones."""
+        known = self._evidence_count
+        return _probabilities(self._evidence if known else self._mean_evidence(samples))
 
     def _estimate(self, values: FloatArray, present: BoolArray, weights: FloatArray) -> MapEstimate:
         kept = np.flatnonzero(weights)
@@ -307,10 +306,10 @@ class ForceMap:
         )
 
     def mean(self, samples: Samples) -> MapEstimate:
-        """The mean of the map over N samples, with N = 1, in bounded memory.
+        """The mean of the map over the samples, with N = 1, in bounded memory.
 
-        The channels leave nearly the same open in every sample, so the mean is as uncertain as a
-        usual sample: its standard deviations are root mean squares.
+        Nearly the same directions are unobserved in every sample, so the mean is as uncertain as a
+        typical sample: its standard deviations are root mean squares.
         """
         values, present = _channels(samples)
         weights = self._weights(samples)
@@ -319,25 +318,25 @@ class ForceMap:
         return _averaged(parts, self._source(present))
 
     def source(self, samples: Samples) -> str:
-        """What the map at some samples is conditioned on, in words."""
+        """The channels that the map of these samples is conditioned on, in words."""
         return self._source(_channels(samples)[1])
 
     def sample(self, samples: Samples, count: int = 200) -> Iterator[JointDraws]:
         r"""Joint draws of the forces on all tiles, given the channels of each sample.
 
-        A hypothesis is chosen by its evidence, and the amplitude s from its posterior, an
-        inverse-gamma distribution. Then with F' and e drawn from the prior of the forces and from
-        the noise of the channels, the forces
+        A hypothesis is drawn by its evidence, and the amplitude s from its posterior, an
+        inverse-gamma distribution. With F' and e drawn from the prior of the forces and from the
+        noise of the channels, the forces
 
         .. math:: F = G y + s \, (F' - G (H F' + e))
 
         have the posterior distribution (Matheron's rule: Journel & Huijbregts, Mining
-        Geostatistics, 1978, section VII.A). The random numbers are the same in all samples: what
-        the channels leave open stays the same over a trial, so a mean over time is no more certain
-        than its samples. They are seeded, and come in pairs of opposite errors: `count` is even.
+        Geostatistics, 1978, section VII.A). All samples share the random numbers: the unobserved
+        directions stay the same over a trial, so averaging over time does not reduce uncertainty.
+        They are seeded, and come in pairs of opposite errors: `count` is even.
 
         Yields:
-            The draws of some of the samples, until every sample has come once, in whatever order.
+            The draws of a batch of samples; each sample occurs once, in any order.
         """
         weights = self._weights(samples)
         kept = np.flatnonzero(weights)
@@ -356,8 +355,8 @@ class ForceMap:
             known = gain[hypotheses] @ errors[:, conditioned.present, None]
             freedom = _AMPLITUDE_FREEDOM + len(conditioned.present)
             left = (priors - known[..., 0]) / np.sqrt(chdtri(freedom, levels[1]))[:, None]
-            for start in range(0, len(rows), _DRAWN):
-                some = rows[start : start + _DRAWN]
+            for start in range(0, len(rows), _DRAW_BATCH):
+                some = rows[start : start + _DRAW_BATCH]
                 measured = values[some][:, conditioned.present]
                 yield JointDraws(
                     rows=some,
@@ -372,7 +371,7 @@ class ForceMap:
     def _draw(self, hypotheses: bytes) -> tuple[FloatArray, FloatArray]:
         """Draws of the prior: forces, (D, 3n) [N], and channels with noise, shape (D, c).
 
-        Forces are in the tiles' frames; each draw has its hypothesis, by its number.
+        Forces are in the tiles' frames; `hypotheses` holds the index of each draw's hypothesis.
         """
         chosen = np.frombuffer(hypotheses, np.int64)
         tiles, rng = len(self._geometry), np.random.default_rng(0)
@@ -408,13 +407,13 @@ class ForceMap:
 
 
 def _channels(samples: Samples) -> tuple[FloatArray, BoolArray]:
-    """Values of all channels, shape (N, 6 + 3c), and which of them count."""
+    """Values of all channels, shape (N, 6 + 3c), and which of them are present."""
     values = samples.trusted_values
     return values, np.isfinite(values)
 
 
 def _by_pattern(present: BoolArray) -> Iterator[tuple[bytes, IntArray]]:
-    """Each pattern of present channels with the samples that have it."""
+    """Each pattern of present channels with the indices of its samples."""
     rows: dict[bytes, list[int]] = {}
     for row, channels in enumerate(present):
         rows.setdefault(channels.tobytes(), []).append(row)
@@ -422,10 +421,10 @@ def _by_pattern(present: BoolArray) -> Iterator[tuple[bytes, IntArray]]:
 
 
 def _rice_deviation(size: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Root mean square difference of a Rice-distributed magnitude to `size`.
+    """Root mean square difference of a Rice-distributed magnitude from `size`.
 
-    The magnitude of a vector of two components, of standard deviation sigma each, whose mean has
-    the magnitude `size`, has the mean sigma sqrt(pi/2) L_1/2(-x), x = size^2 / (2 sigma^2), and
+    Take a vector of two components, of standard deviation sigma each, with a mean of magnitude
+    `size`. Its magnitude has the mean sigma sqrt(pi/2) L_1/2(-x), x = size^2 / (2 sigma^2), and
     the mean square size^2 + 2 sigma^2 (Rice, Bell System Technical Journal 24, 1945).
     """
     half = 0.25 * (size / np.maximum(sigma, _TINY)) ** 2  # x / 2
@@ -441,7 +440,7 @@ def map_trial(
     settings: ForceMapSettings,
     leave_out: tuple[str, ...] = (),
 ) -> tuple[ForceMap, Samples]:
-    """The map of a trial, and its samples without single outliers and channels left out."""
+    """The map of a trial, and its samples without outliers and `leave_out`."""
     ignored = find_outliers(samples, geometry, leave_out).values
     ignored[:, [name in leave_out for name in samples.channels]] = True
     trusted = Outliers(np.zeros(len(samples), bool), ignored).taken_from(samples)
@@ -451,14 +450,14 @@ def map_trial(
 def wall_correlation(geometry: SocketGeometry, length: float) -> FloatArray:
     """Matern correlation of the tiles, smoothness 3/2, definite, shape (n, n) [-].
 
-    Forces are alike over the length l [m], by the distance of the tiles' centres.
+    The length l [m] is the correlation length over the distance of the tiles' centres.
     """
     apart = np.linalg.norm(geometry.anchors[:, None] - geometry.anchors, axis=2)
     return matern(apart, length) + _NUGGET * np.eye(len(geometry))
 
 
 def matern(apart: FloatArray, length: float) -> FloatArray:
-    """Matern correlation, smoothness 3/2, over distances [m] by a length [m], of their shape."""
+    """Matern correlation, smoothness 3/2, for distances [m] and a length [m], of their shape."""
     scaled = np.sqrt(3.0) * apart / length
     return np.asarray((1.0 + scaled) * np.exp(-scaled))
 
@@ -466,8 +465,8 @@ def matern(apart: FloatArray, length: float) -> FloatArray:
 def _rigid_motions(geometry: SocketGeometry, arm: float) -> FloatArray:
     """Displacements of the tiles in their frames under six motions of the limb, (n, 3, 6) [-].
 
-    Translations along two directions across the socket and the proximal one, and rotations about
-    them and the mean anchor, whose displacement at the distance `arm` [m] is 1.
+    Translations along two transverse directions and the proximal one, and rotations about these
+    axes through the mean anchor, scaled to a displacement of 1 at the distance `arm` [m].
     """
     axes = np.linalg.svd(proximal_direction(geometry)[None])[2][[1, 2, 0]]
     in_socket = rigid_motions((geometry.anchors - geometry.anchors.mean(axis=0)) / arm)
@@ -481,13 +480,13 @@ _LOG_NORMAL = {
     "cluster_error": "cluster_error_spread",
 }
 _NORMAL = {"drag": "drag_spread", "share": "share_spread"}
-_LEAST_SHARE = 0.2  # [-]
+_MIN_SHARE = 0.2  # [-]
 
 
 def hypotheses(settings: ForceMapSettings) -> list[SimpleNamespace]:
-    """The prior's uncertain sizes, spread evenly over their distributions; one has the medians.
+    """The prior's hyperparameters, spread evenly over their distributions; one has the medians.
 
-    The points are the additive recurrence of the generalised golden ratio, of low discrepancy
+    The points are the low-discrepancy additive recurrence of the generalised golden ratio
     (Niederreiter, Random Number Generation and Quasi-Monte Carlo Methods, 1992, section 3.2).
     """
     spreads = _LOG_NORMAL | _NORMAL
@@ -502,20 +501,20 @@ def hypotheses(settings: ForceMapSettings) -> list[SimpleNamespace]:
         for (name, spread), value in zip(spreads.items(), point, strict=True):
             median, change = getattr(settings, name), getattr(settings, spread) * value
             sizes[name] = median + change if name in _NORMAL else median * np.exp(change)
-        sizes["share"] = min(max(sizes["share"], _LEAST_SHARE), 1.0)
-        found.append(SimpleNamespace(**(vars(settings) | sizes)))  # not bounded as settings are
+        sizes["share"] = min(max(sizes["share"], _MIN_SHARE), 1.0)
+        found.append(SimpleNamespace(**(vars(settings) | sizes)))  # may exceed the settings' bounds
     return found
 
 
 def _probabilities(log_evidence: FloatArray) -> FloatArray:
-    """Of the hypotheses, from their evidence, shape (M,) [-]; 0 for those that hardly count."""
+    """Probabilities of the hypotheses from their evidence, shape (M,) [-]; 0 for unlikely ones."""
     weights = np.exp(log_evidence - log_evidence.max())
-    weights[weights < _LEAST_WEIGHT] = 0.0
+    weights[weights < _MIN_WEIGHT] = 0.0
     return np.asarray(weights / weights.sum())
 
 
 class Prior:
-    """The forces in the tiles' frames under one hypothesis: their covariance K, by its parts.
+    """The forces in the tiles' frames under one hypothesis: their covariance K and its parts.
 
     Attributes:
         mapping: H from the forces to the channels, shape (c, 3n).
@@ -555,7 +554,7 @@ class Prior:
         self.noise = np.repeat(errors, (3, 3, channels)) ** 2 + gains**2 * np.diag(self.signal)
 
     def covariance(self) -> FloatArray:
-        """K, shape (3n, 3n) [N^2]: see this module."""
+        """K, shape (3n, 3n) [N^2]: see the module."""
         count = len(self._correlation)
         alike = np.kron(self._correlation, np.ones((3, 3)))  # M, for each component of a force
         normal, bed = np.tile([0.0, 0.0, 1.0], count), self._bed.reshape(3 * count, -1)

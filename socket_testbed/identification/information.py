@@ -1,19 +1,18 @@
-r"""What the limb's motion in a trial determines of the contact, and how the limb sits in it.
+r"""How well the limb's motion in a trial determines the contact, and the limb's suspension.
 
-A stiffness is the change of a force with the pose. The noise of the pose shrinks it: with the
-standard deviations :math:`\sigma_m` of the motion and :math:`\sigma_n` of the noise,
+A stiffness is the change of a force with the pose. Noise of the pose biases it towards zero: with
+the standard deviations :math:`\sigma_m` of the motion and :math:`\sigma_n` of the noise,
 
 .. math:: \hat k / k \approx \frac{\sigma_m^2}{\sigma_m^2 + \sigma_n^2}
 
-(errors in variables: Fuller, Measurement Error Models, 1987, section 1.1). What hardly moves cannot
-be told from a constant either: then the offsets bear the load instead of the springs.
+(errors in variables: Fuller, Measurement Error Models, 1987, section 1.1). Without motion, a spring
+also cannot be told from a constant, so the offsets carry the load instead.
 
-A spring is engaged at a sample if its gate exceeds 1/2, so that :math:`\delta < 0`, and its
-stiffness is above zero. The paper's law has a spring along each axis of {S} for every tile, the
-rigid variants one per tile, gated along its inward normal. Noise of the pose moves :math:`\delta`
-by the standard deviation :math:`\sigma`: a spring with :math:`|\delta| < \sigma` is uncertain. The
-rest positions are taken as they were fitted; their own error does not count. `find_suspension`
-needs no model.
+A spring is engaged at a sample if its gate exceeds 1/2, i.e. :math:`\delta < 0`, and its
+stiffness is positive. The paper's law has a spring along each axis of {S} for every tile, the
+rigid variants one per tile, gated along its inward normal. Noise of the pose spreads
+:math:`\delta` by the standard deviation :math:`\sigma`: a spring with :math:`|\delta| < \sigma` is
+uncertain. Errors of the fitted rest positions are ignored. `find_suspension` needs no model.
 """
 
 from __future__ import annotations
@@ -40,25 +39,25 @@ from socket_testbed.identification.pressure import Quantity
 from socket_testbed.samples import Samples, moments_about
 from socket_testbed.settings.identification import BIAS_VARIANTS
 
-LEAST_SHARE = 0.5  # [-]; of the load, which the springs should bear
-LEAST_RATIO = 3.0  # [-]; of motion to noise: noise then shrinks a stiffness by a tenth
-_LEAST_NOISE = 1e-9  # [m, rad]; of a pose without any
-_UNKNOWN_NOISE = 1.0  # [m, rad]; so large that what may be noise counts as no motion
-_MOST_RESAMPLED = 4000  # samples
-_MOST_SAMPLES = 300  # of a segment, whose derivatives are taken
-_RANK = 1e-9  # [-]; smallest singular value of poses that move
+MIN_SHARE = 0.5  # [-]; of the load, carried by the springs
+MIN_RATIO = 3.0  # [-]; of motion to noise: noise then lowers a stiffness by a tenth
+_MIN_NOISE = 1e-9  # [m, rad]; of a noise-free pose
+_UNKNOWN_NOISE = 1.0  # [m, rad]; large, so that possible noise does not count as motion
+_MAX_RESAMPLED = 4000  # samples
+_MAX_SAMPLES = 300  # of a segment, for derivatives
+_RANK = 1e-9  # [-]; smallest singular value of moving poses
 _DRAWS = 200  # of the pose's noise
-# Position and rotation: name, unit, and what moves it more, along the socket and across.
-_NUMBERS = (
+# Position and rotation: name, unit, and how to move it more, along the socket and across.
+_COMPONENTS = (
     ("position", "mm", "load and unload the limb", "push from the sides"),
     ("rotation about", "mrad", "twist the limb in the socket", "push from the sides, high and low"),
 )
-_BLOCK = 4096  # samples at once, which bounds the memory
+_BLOCK = 4096  # samples at once, to bound the memory
 
 
 @dataclass(frozen=True)
 class LoadShare:
-    r"""How a part of the measured wrench divides between springs, offsets and what is left.
+    r"""How a part of the measured wrench divides between springs, offsets and residual.
 
     With the measured m and a part v of the prediction, the share of v is the projection
     :math:`\sum_k v_k \cdot m_k / \sum_k m_k \cdot m_k` over the samples; the three add up to 1.
@@ -67,13 +66,13 @@ class LoadShare:
     name: str  # Fz, force or moment
     springs: float  # share of the springs [-]
     offsets: float  # share of the offsets: constant, and with `rigid_bias` linear in the pose [-]
-    residual: float  # share that the model leaves [-]
+    residual: float  # share not explained by the model [-]
 
 
 def load_shares(samples: Samples, model: ContactModel) -> tuple[LoadShare, ...]:
-    """Shares of Fz, of the force and of the moment that the springs of a model bear.
+    """Shares of Fz, of the force and of the moment carried by the springs of a model.
 
-    Samples without a pose or a channel of the part do not count; a share without any is NaN.
+    Samples without a pose or a channel of the part are ignored; a share without samples is NaN.
     """
     bed = replace(model, of_wrench=None)
     alone = replace(bed, wrench_bias=np.zeros(6), wrench_slope=np.zeros((6, 6)))
@@ -93,9 +92,9 @@ def load_shares(samples: Samples, model: ContactModel) -> tuple[LoadShare, ...]:
 
 
 def share_warning(shares: tuple[LoadShare, ...]) -> str:
-    """A warning where the springs bear less than half of the force; else empty."""
+    """A warning if the springs carry less than half of the force; else empty."""
     fz, force, _ = shares
-    if not force.springs < LEAST_SHARE:
+    if not force.springs < MIN_SHARE:
         return ""
     return (
         f"the springs bear only {100 * force.springs:.0f} % of the measured force"
@@ -107,24 +106,24 @@ def share_warning(shares: tuple[LoadShare, ...]) -> str:
 def known_directions(
     samples: Samples, model: ContactModel, accuracy: float, window: float = 0.0
 ) -> float:
-    r"""Effective number of stiffness directions that the data show despite all noise, of 3n [-].
+    r"""Effective number of stiffness directions observable despite all noise, of 3n [-].
 
     With the derivatives J_k of all channels of sample k by the stiffnesses, and the noise
-    :math:`\Sigma` of the channels, to which the model adds what it makes of the pose's noise,
+    :math:`\Sigma` of the channels, including the pose's noise propagated through the model,
 
     .. math:: \mathrm{tr}\bigl((H + \kappa^{-2} I)^{-1} H\bigr), \qquad
               H = \sum_k J_k^T \Sigma^{-1} J_k
 
-    counts a direction as known whose standard deviation is below the accuracy kappa [N/m]. J_k is
-    taken without what the model's offsets could explain of it (`LoadShare`), and at the poses,
-    averaged over a window [s], without the directions in which their motion is not `LEAST_RATIO`
-    times their noise. NaN where the samples do not show the noise of the wrench.
+    counts the directions with a standard deviation below the accuracy kappa [N/m]. From J_k the
+    part that the model's offsets could explain is removed (`LoadShare`). The poses are averaged
+    over a window [s] and projected on the directions in which they move `MIN_RATIO` times their
+    noise. NaN if the samples do not determine the noise of the wrench.
     """
     noise, spread = _noise(samples, window)
     rows = np.flatnonzero(samples.complete)
     if not len(rows) or not np.isfinite(noise.wrench).all():
         return math.nan
-    chosen = rows[evenly(len(rows), _MOST_SAMPLES)]
+    chosen = rows[evenly(len(rows), _MAX_SAMPLES)]
     pose = smooth_poses(samples, window).pose[chosen]
     middle = pose.mean(axis=0)
     drawn = np.random.default_rng(0).multivariate_normal(np.zeros(6), spread, _DRAWS)
@@ -141,18 +140,18 @@ def _noise(samples: Samples, window: float) -> tuple[ChannelNoise, FloatArray]:
     """Noise of the channels, and the covariance of the averaged poses' noise, shape (6, 6)."""
     noise = channel_noise(samples)
     gain = smoothing_gain(samples, window)
-    spread = np.maximum(np.nan_to_num(noise.pose, nan=_UNKNOWN_NOISE), _LEAST_NOISE)
+    spread = np.maximum(np.nan_to_num(noise.pose, nan=_UNKNOWN_NOISE), _MIN_NOISE)
     return noise, gain * noise.pose_correlation * np.outer(spread, spread)
 
 
 def _moving_directions(deviation: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Map of poses to the motion along d directions, (6, d), and its inverse, (d, 6).
 
-    In these, poses (N, 6) move `LEAST_RATIO` times their noise about their mean.
+    Along these, poses (N, 6) move `MIN_RATIO` times their noise about their mean.
     """
     covariance = deviation.T @ deviation / max(len(deviation), 1)
     ratios, vectors = eigh(covariance, noise)
-    chosen = ratios - 1.0 >= LEAST_RATIO**2
+    chosen = ratios - 1.0 >= MIN_RATIO**2
     return vectors[:, chosen], np.linalg.inv(vectors)[chosen]
 
 
@@ -183,18 +182,18 @@ def _information(
 
 @dataclass(frozen=True)
 class Excitation:
-    """How far one number of the pose moves, against its noise."""
+    """How far one component of the pose moves, compared with its noise."""
 
     name: str  # such as position z or rotation about x, along the axes of {S}
     unit: str  # mm or mrad
-    motion: float  # standard deviation of the motion, without the noise's share [m, rad]
-    noise: float  # standard deviation of its noise [m, rad]; NaN where the samples do not show it
-    advice: str  # what would move it more
+    motion: float  # standard deviation of the motion, noise removed [m, rad]
+    noise: float  # standard deviation of its noise [m, rad]; NaN if the samples do not show it
+    advice: str  # how to move it more
 
     @property
     def sufficient(self) -> bool:
-        """Whether the motion is `LEAST_RATIO` times the noise."""
-        return self.motion >= LEAST_RATIO * self.noise
+        """Whether the motion is at least `MIN_RATIO` times the noise."""
+        return self.motion >= MIN_RATIO * self.noise
 
     def __str__(self) -> str:
         noise = "unknown noise" if math.isnan(self.noise) else f"{1e3 * self.noise:.2g} of noise"
@@ -206,8 +205,8 @@ class Excitation:
 class Motion:
     """How the pose moves in some samples."""
 
-    excitations: tuple[Excitation, ...]  # its six numbers, positions first
-    directions: int  # independent ones of the pose with a motion of `LEAST_RATIO` times the noise
+    excitations: tuple[Excitation, ...]  # of its six components, positions first
+    directions: int  # independent directions that move `MIN_RATIO` times the noise
 
 
 def measure_motion(samples: Samples, geometry: SocketGeometry, window: float = 0.0) -> Motion:
@@ -222,7 +221,7 @@ def measure_motion(samples: Samples, geometry: SocketGeometry, window: float = 0
     axis = int(np.abs(geometry.rotations[:, :, 0].mean(axis=0)).argmax())  # of the socket
     excitations = tuple(
         Excitation(f"{kind} {x}", unit, float(motion[i]), float(spread[i]), advice[i % 3 != axis])
-        for i, ((kind, unit, *advice), x) in enumerate(product(_NUMBERS, "xyz"))
+        for i, ((kind, unit, *advice), x) in enumerate(product(_COMPONENTS, "xyz"))
     )
     return Motion(excitations, _moving_directions(deviation, covariance)[0].shape[1])
 
@@ -233,7 +232,7 @@ class Engagement:
 
     springs: int  # number of springs of the bed, those without stiffness included
     engaged: FloatArray  # number of engaged springs, shape (N,) [1]
-    uncertain: FloatArray  # of uncertain ones, (N,) [1]; NaN where the pose's noise is not known
+    uncertain: FloatArray  # number of uncertain ones, (N,) [1]; NaN if the pose's noise is unknown
     time_share: FloatArray  # of each spring's engagement, (n, 3), in the rigid variants (n, 1) [-]
 
     def columns(self, prefix: str) -> dict[str, FloatArray]:
@@ -248,9 +247,9 @@ class Engagement:
 def engagement(
     samples: Samples, model: ContactModel, window: float = 0.0, rows: slice = slice(None)
 ) -> Engagement:
-    """Which springs of a model are engaged, sample by sample, and over the rows how long each is.
+    """Springs of a model that are engaged at each sample, and each spring's share of the rows.
 
-    The N samples are as measured. Their poses are averaged over the window of the fit [s].
+    The N samples are raw; their poses are averaged over the window of the fit [s].
     """
     relative = relative_pose(samples.pose, model.reference_pose)
     motion = replace(samples, position=relative[:, :3], rotation=relative[:, 3:])
@@ -279,26 +278,26 @@ AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
 """Rows and columns of the stiffness: along, then about x, y and z of {S}."""
 _BLOCKS = 16
 _RESAMPLES = 400
-_LEAST = 64  # samples
-_WIDENING = 1.5  # [-]; so few blocks are too much alike
-_ENDS = (2.5, 97.5)  # [%]; of a range, and of an interval
-_SINGULAR = 1e-9  # [-]; of the standardised load's covariance
+_MIN_SAMPLES = 64  # samples
+_WIDENING = 1.5  # [-]; so few blocks underestimate the spread
+_PERCENTILES = (2.5, 97.5)  # [%]; of a range, and of an interval
+_MIN_EIGENVALUE = 1e-9  # [-]; of the standardised load's covariance
 
 
 @dataclass(frozen=True)
 class Suspension:
     r"""Stiffness between limb and socket, and how far the limb moved, with 95 % intervals.
 
-    About the centre of the tiles, with the limb's displacement u = [translation; rotation] and the
-    load w = [F; M] that it puts on the socket, both from their means,
+    About the centre of the tiles, with the limb's displacement u = [translation; rotation] and its
+    load w = [F; M] on the socket, both less their means,
 
     .. math:: u = C w, \qquad K = C^{-1}
 
-    C is a linear regression of the pose on the load, less the noise of the load: the load is
-    measured far better than the pose. It is a secant over the motion of the samples. Where these
-    do not move in a direction, K is not known there and its interval is wide. Intervals come from
-    a bootstrap of blocks in time (Kuensch, Annals of Statistics 17, 1989), as neighbouring samples
-    err alike.
+    C is a linear regression of the pose on the load, corrected for the noise of the load, which is
+    measured far better than the pose. K is a secant stiffness over the motion of the samples. In a
+    direction without motion it is unknown and its interval wide. Intervals come from a bootstrap of
+    blocks in time (Kuensch, Annals of Statistics 17, 1989), as errors of neighbouring samples are
+    correlated.
     """
 
     # by AXES, shape (6, 6) [N/m, N/rad; N m/m, N m/rad]: load by displacement
@@ -307,7 +306,7 @@ class Suspension:
     rotation: Quantity  # range of the rotation about x, y, z of {S}, shape (3,) [rad]
 
     def outputs(self) -> dict[str, Quantity]:
-        """What a lab reads, in the unit of its title, such as `stiffness Fz [N/mm]`; shapes ()."""
+        """Scalar results in the unit of their title, such as `stiffness Fz [N/mm]`."""
         found = {"pistoning [mm]": self.pistoning.part((), 1e3)}
         degree = np.pi / 180.0
         for axis, name in enumerate("xyz"):
@@ -322,7 +321,7 @@ def find_suspension(samples: Samples, geometry: SocketGeometry) -> Suspension | 
     """The suspension over some samples; None if too few have a pose and a wrench."""
     noise = channel_noise(samples).wrench
     known = np.isfinite(samples.pose).all(axis=1) & np.isfinite(samples.wrench).all(axis=1)
-    if known.sum() < _LEAST:
+    if known.sum() < _MIN_SAMPLES:
         return None
     centre, pose = geometry.anchors.mean(axis=0), samples.pose[known]
     load = np.roll(moments_about(samples.wrench[known], centre), 3, axis=1)
@@ -333,11 +332,11 @@ def find_suspension(samples: Samples, geometry: SocketGeometry) -> Suspension | 
     along = moved[:, :3] @ proximal_direction(geometry)
 
     def found(rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        low, high = np.percentile(moved[rows], _ENDS, axis=0)
-        ends = np.percentile(along[rows], _ENDS)
+        low, high = np.percentile(moved[rows], _PERCENTILES, axis=0)
+        ends = np.percentile(along[rows], _PERCENTILES)
         return _stiffness(moved[rows], load[rows], variance), np.diff(ends)[0], (high - low)[3:]
 
-    blocks = np.array_split(evenly(len(moved), _MOST_RESAMPLED), _BLOCKS)
+    blocks = np.array_split(evenly(len(moved), _MAX_RESAMPLED), _BLOCKS)
     chosen = np.random.default_rng(0).integers(0, _BLOCKS, (_RESAMPLES, _BLOCKS))
     drawn = [found(np.concatenate([blocks[block] for block in row])) for row in chosen]
     value = found(np.arange(len(moved)))
@@ -351,23 +350,23 @@ def find_suspension(samples: Samples, geometry: SocketGeometry) -> Suspension | 
 
 
 def _stiffness(moved: FloatArray, load: FloatArray, variance: FloatArray) -> FloatArray:
-    """K of displacements and loads, shape (N, 6) each; NaN where the load lacks a direction."""
+    """K from displacements and loads, shape (N, 6) each; NaN if the load lacks a direction."""
     load = load - load.mean(axis=0)
     size = load.std(axis=0)
     gram = load.T @ load / len(load) - np.diag(variance)
     standard = gram / np.outer(size, size) if size.all() else np.zeros((6, 6))
-    if np.linalg.eigvalsh(standard)[0] <= _SINGULAR:
+    if np.linalg.eigvalsh(standard)[0] <= _MIN_EIGENVALUE:
         return np.full((6, 6), np.nan)
     compliance = np.linalg.solve(gram, load.T @ (moved - moved.mean(axis=0)) / len(load)).T
     return np.asarray(np.linalg.pinv(compliance))
 
 
 def _quantity(value: FloatArray, drawn: FloatArray) -> Quantity:
-    """A value with its interval; a draw that is not known reaches to either side."""
+    """A value with its interval; an unknown draw counts as infinite on either side."""
     below = np.where(np.isnan(drawn), -np.inf, drawn)
     above = np.where(np.isnan(drawn), np.inf, drawn)
-    low = np.percentile(below, _ENDS[0], axis=0, method="lower")
-    high = np.percentile(above, _ENDS[1], axis=0, method="higher")
+    low = np.percentile(below, _PERCENTILES[0], axis=0, method="lower")
+    high = np.percentile(above, _PERCENTILES[1], axis=0, method="higher")
     value = np.asarray(value)
     low = value - _WIDENING * np.maximum(value - low, 0.0)
     high = value + _WIDENING * np.maximum(high - value, 0.0)

@@ -1,4 +1,4 @@
-"""Models on the disk: parameters, geometry, settings, certificates and the trial's identity."""
+"""Model files: parameters, geometry, settings, certificates and the trial's identity."""
 
 from __future__ import annotations
 
@@ -42,21 +42,21 @@ class StoredModel:
 
     model: ContactModel
     geometry: SocketGeometry  # geometry of the socket it was fitted on
-    settings: IdentificationSettings  # settings of its identification
+    settings: IdentificationSettings
     samples: int  # number of samples of its fit
-    last_stamp: int  # stamp of the newest of them [ns]
+    last_stamp: int  # timestamp of the newest of them [ns]
     wrench_rmse: FloatArray  # errors of its fit, shape (6,) [N m, N]
-    # errors of its fit on every channel; none in a model of an older version
+    # errors of its fit on every channel; empty in a model of an older version
     errors: tuple[ChannelErrors, ...]
-    status: str  # the solver and the certificate of both stages, in words
+    status: str  # solver and certificate of both stages, in words
     trial: str  # name of the trial it was fitted on
-    # spans of it by which the clusters' drift was corrected [s]
+    # spans of the trial used to correct the clusters' drift [s]
     unloaded: tuple[tuple[float, float], ...]
     segment: str  # of the trial, such as `plateau 12.00 s to 31.50 s`
 
     @property
     def span(self) -> tuple[float, float]:
-        """Start and end of the segment since the trial's first sample [s]; all if unknown."""
+        """Start and end of the segment since the trial's first sample [s]; the whole if unknown."""
         found = re.search(r"([\d.]+) s to ([\d.]+) s$", self.segment)
         return (float(found[1]), float(found[2])) if found else (0.0, math.inf)
 
@@ -67,7 +67,7 @@ class StoredModel:
         )
 
     def require_socket(self, geometry: SocketGeometry) -> None:
-        """Check that the model was fitted on the socket that it is used on."""
+        """Check that the model was fitted on this socket."""
         if not self.geometry.same_tiles(geometry):
             raise ConfigurationError(
                 f"the model of {self.trial} was fitted on another socket ({len(self.geometry)}"
@@ -79,9 +79,9 @@ class StoredModel:
 def write_model(
     fit: Fit, geometry: SocketGeometry, trial: dict[str, Any], segment: str, path: Path
 ) -> None:
-    """Write a model that was fitted on a segment as JSON; an older file is replaced.
+    """Write a model fitted on a segment as JSON, replacing an older file.
 
-    The identity of the trial holds at least its `name`.
+    The trial's identity contains at least its `name`.
     """
     document = {
         "format": _FORMAT,
@@ -123,7 +123,7 @@ def record(of: Any) -> dict[str, Any]:
 
 
 def quoted_figures(errors: Sequence[ChannelErrors]) -> dict[str, Any]:
-    """The figures that the paper quotes, over the channels in the objective, by name and unit."""
+    """The paper's summary figures over the channels in the objective, by name and unit."""
     summary = summarise_errors(errors)
     figures = {
         "mean_moment_rmse [N m]": summary.moment_rmse,
@@ -134,14 +134,14 @@ def quoted_figures(errors: Sequence[ChannelErrors]) -> dict[str, Any]:
 
 
 def finite_or_null(value: Any) -> Any:
-    """A value for JSON, which has no NaN: None stands for it, in a tuple, too."""
+    """A value for JSON, with None in place of NaN, also in a tuple."""
     if isinstance(value, tuple):
         return [*map(finite_or_null, value)]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-_Parameter = Annotated[float, Meta(ge=-1e9, le=1e9)]  # [N/m, N, N m]; none comes near it
-_Stiffness = Annotated[float, Meta(ge=-1.0, le=1e9)]  # [N/m]; solvers stay above -1
+_Parameter = Annotated[float, Meta(ge=-1e9, le=1e9)]  # [N/m, N, N m]; far beyond any real one
+_Stiffness = Annotated[float, Meta(ge=-1.0, le=1e9)]  # [N/m]; solvers may undershoot zero slightly
 _Place = Annotated[float, Meta(ge=-10.0, le=10.0)]  # [m, rad]
 _Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 _Figure = Annotated[float, Meta(ge=-FINITE, le=FINITE)] | None  # JSON has no NaN
@@ -158,10 +158,10 @@ class _Parameters(Document):
     wrench_bias: _Six
     force_bias: dict[str, _Three]
     clusters: list[Text]
-    # Older files lack these, and their variants need neither:
+    # Missing in older files, whose variants need neither:
     reference_pose: tuple[_Place, _Place, _Place, _Place, _Place, _Place] | None = None
     wrench_slope: tuple[_Six, _Six, _Six, _Six, _Six, _Six] | None = None
-    parameter_factor: Any = None  # of older files, which nothing reads any more
+    parameter_factor: Any = None  # in older files, unused
     of_wrench: _Parameters | None = None
 
     def model(self, geometry: SocketGeometry, where: str) -> ContactModel:
@@ -193,7 +193,7 @@ class _Parameters(Document):
         )
 
 
-class _Quality(Struct):  # the certificates are for people
+class _Quality(Struct):  # the certificates are for human readers
     samples: _Count
     last_stamp: _Count
     wrench_rmse: tuple[_Figure, _Figure, _Figure, _Figure, _Figure, _Figure]
@@ -201,7 +201,7 @@ class _Quality(Struct):  # the certificates are for people
     errors: list[dict[str, Any]] = []
 
 
-class _Trial(Struct):  # whatever else identifies it
+class _Trial(Struct):  # ignores any further identity
     name: Text
     unloaded: list[tuple[_Second, _Second]] = []
 
@@ -217,7 +217,7 @@ class _Model(Document):
 
 
 def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredModel:
-    """Read a model; a geometry is that of the socket that it is used on, to check that it fits."""
+    """Read a model; given a geometry, check that the model was fitted on that socket."""
     try:
         data = load_json(path, "a model")
     except ConfigurationError as error:
@@ -229,7 +229,7 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredMode
     document = convert(data, _Model, str(path))
     quality = document.quality
     fitted_on = socket_from_document(document.geometry, f"{path}: geometry")
-    # JSON has no NaN, null stands for it.
+    # JSON has null in place of NaN.
     errors = [{k: math.nan if v is None else v for k, v in e.items()} for e in quality.errors]
     stored = StoredModel(
         model=document.parameters.model(fitted_on, f"{path}: parameters"),

@@ -1,18 +1,18 @@
-r"""The noise of every channel, estimated from a trial itself, and poses averaged against it.
+r"""The noise of every channel, estimated from a trial itself, and smoothing of poses.
 
-The estimate takes the fast content of a channel alone. With samples at equal intervals, the third
+The estimate uses only the fast content of a channel. With samples at equal intervals, the third
 difference
 
 .. math:: d_k = y_{k+3} - 3 y_{k+2} + 3 y_{k+1} - y_k
 
-removes motion that is locally quadratic in time, and white noise of standard deviation
-:math:`\sigma` leaves :math:`\sqrt{20}\,\sigma` in it (Rice, Annals of Statistics 12, 1984, for the
-principle). A motion with period T at the sampling interval h keeps :math:`(2 \pi h / T)^3` of its
-amplitude: 0.3 % for 11 s at 4 Hz. What moves from sample to sample, such as the sway of a person at
-4 Hz, cannot be told from noise, and is counted as noise.
+removes motion that is locally quadratic in time, and turns white noise of standard deviation
+:math:`\sigma` into :math:`\sqrt{20}\,\sigma` (for the principle: Rice, Annals of Statistics 12,
+1984). A motion with period T at the sampling interval h keeps :math:`(2 \pi h / T)^3` of its
+amplitude: 0.3 % for 11 s at 4 Hz. Motion from sample to sample, such as a person's sway at 4 Hz,
+cannot be told from noise and counts as noise.
 
-Differences beyond `CUT` times the spread that their median gives are left out: steps, single
-outliers and swapped markers. Differences across a gap or a missing value do not count.
+Differences beyond `CUT` times the spread estimated from their median are discarded: steps, single
+outliers and swapped markers. So are differences across a gap or a missing value.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from scipy.spatial.transform import Rotation
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, gaps
 from socket_testbed.samples import Samples
 
-LEAST_DIFFERENCES = 12  # [1]; of a channel, to state its noise
-CUT = 3.0  # [-]; largest size of a difference, in standard deviations
-_GAIN = math.sqrt(20.0)  # [-]; root of the sum of the squares of a third difference's weights
-_MEDIAN = 0.67449  # [-]; median size of a standard normal variable
+MIN_DIFFERENCES = 12  # [1]; of a channel, for an estimate
+CUT = 3.0  # [-]; largest magnitude of a difference, in standard deviations
+_GAIN = math.sqrt(20.0)  # [-]; root sum of squares of a third difference's weights
+_MEDIAN = 0.67449  # [-]; median magnitude of a standard normal variable
 _TRUNCATED = 0.98658  # [-]; standard deviation of a standard normal variable within +-CUT
 _QUANTISED = math.sqrt(1.0 / 12.0)  # [-]; standard deviation of rounding, in steps
 _ROUNDING = 1e-12  # [-]; smallest step of a channel, relative to its largest value
@@ -38,14 +38,13 @@ _WINDOW_END = 1e-6  # [s]; samples at the end of a window belong to it
 
 @dataclass(frozen=True)
 class ChannelNoise:
-    """Standard deviation of the noise of one sample; NaN where the samples do not show it."""
+    """Standard deviation of the noise of one sample; NaN where it cannot be estimated."""
 
     wrench: FloatArray  # noise of the wrench [M; F] in {S}, shape (6,) [N m, N]
     # noise of the force on each of the c clusters in its frame, shape (c, 3) [N]
     local_forces: FloatArray
     pose: FloatArray  # noise of the limb's position and rotation vector in {S}, shape (6,) [m, rad]
-    # correlation of the noise of the pose's components, shape (6, 6) [-]: both come from the same
-    # markers
+    # correlation of the noise of the pose's components, which share markers, shape (6, 6) [-]
     pose_correlation: FloatArray
 
     @property
@@ -55,14 +54,14 @@ class ChannelNoise:
 
 
 def channel_noise(samples: Samples) -> ChannelNoise:
-    """Estimate the noise of every channel from its third differences: see this module.
+    """Estimate the noise of every channel from its third differences: see the module.
 
-    Forces whose status is not OK do not count. The noise is NaN for a channel with fewer than
-    `LEAST_DIFFERENCES` usable differences, or with a single value throughout.
+    Forces whose status is not OK are ignored. The noise is NaN for a constant channel or one with
+    fewer than `MIN_DIFFERENCES` usable differences.
     """
     clusters = len(samples.clusters)
     usual = ~gaps(samples.stamps)
-    regular = np.asarray(usual[:-2] & usual[1:-1] & usual[2:])  # (max(N - 3, 0),), without a gap
+    regular = np.asarray(usual[:-2] & usual[1:-1] & usual[2:])  # (max(N - 3, 0),), no gap inside
     sensors = np.array([_deviation(y, regular) for y in samples.trusted_values.T])
     pose = np.array([_deviation(y, regular) for y in samples.pose.T])
     return ChannelNoise(
@@ -74,10 +73,10 @@ def channel_noise(samples: Samples) -> ChannelNoise:
 
 
 def pose_covariance(samples: Samples, window: float) -> FloatArray:
-    """Covariance of the noise of a pose that is averaged over a window [s], see `smooth_poses`.
+    """Covariance of the noise of a pose averaged over a window [s], see `smooth_poses`.
 
-    Its shape is (6, 6) [m^2, m rad, rad^2]. It is NaN for a position whose noise the samples do not
-    show; a rotation that never changes has none.
+    Its shape is (6, 6) [m^2, m rad, rad^2]. It is NaN for a position of unknown noise, and zero for
+    a constant rotation.
     """
     noise = channel_noise(samples)
     covariance = noise.pose_correlation * np.outer(noise.pose, noise.pose)
@@ -88,7 +87,7 @@ def pose_covariance(samples: Samples, window: float) -> FloatArray:
 
 
 def noise_groups(noise: ChannelNoise, clusters: tuple[str, ...]) -> dict[str, FloatArray]:
-    """The noise along x, y and z of each group of channels, with the unit in the group's name."""
+    """Noise along x, y and z of each group of channels, with the unit in the group's name."""
     local = zip(clusters, noise.local_forces, strict=True)
     return {
         "moment [N m]": noise.wrench[:3],
@@ -100,7 +99,7 @@ def noise_groups(noise: ChannelNoise, clusters: tuple[str, ...]) -> dict[str, Fl
 
 
 def _differences(values: FloatArray, regular: BoolArray) -> FloatArray:
-    """Third differences over their gain, NaN across a gap, shape (max(N - 3, 0), ...)."""
+    """Normalised third differences, NaN across a gap, shape (max(N - 3, 0), ...)."""
     found = np.diff(values, 3, axis=0) / _GAIN
     found[~regular] = np.nan
     return np.asarray(found)
@@ -111,7 +110,7 @@ def _deviation(values: FloatArray, regular: BoolArray) -> float:
     sizes = np.abs(_differences(values, regular))
     sizes = sizes[np.isfinite(sizes)]
     step = _step(values)
-    if len(sizes) < LEAST_DIFFERENCES or step == 0.0:
+    if len(sizes) < MIN_DIFFERENCES or step == 0.0:
         return float("nan")
     rounding = _QUANTISED * step
     rough = max(float(np.median(sizes)) / _MEDIAN, rounding)
@@ -120,7 +119,7 @@ def _deviation(values: FloatArray, regular: BoolArray) -> float:
 
 
 def _step(values: FloatArray) -> float:
-    """Smallest distance of two different values of a channel; 0 where all are the same."""
+    """Smallest difference between distinct values of a channel; 0 if it is constant."""
     finite = np.unique(values[np.isfinite(values)])
     gaps = np.diff(finite)
     gaps = gaps[gaps > _ROUNDING * np.abs(finite).max(initial=0.0)]
@@ -131,7 +130,7 @@ def _correlation(pose: FloatArray, regular: BoolArray, deviation: FloatArray) ->
     """Correlation of the noise of the pose's components, shape (6, 6) [-]."""
     scaled = _differences(pose, regular) / deviation
     scaled = scaled[(np.abs(scaled) <= CUT).all(axis=1)]  # none where a component is NaN
-    if len(scaled) < LEAST_DIFFERENCES:
+    if len(scaled) < MIN_DIFFERENCES:
         return np.eye(6)
     products = scaled.T @ scaled
     size = np.sqrt(np.diag(products))
@@ -141,9 +140,9 @@ def _correlation(pose: FloatArray, regular: BoolArray, deviation: FloatArray) ->
 def smooth_poses(samples: Samples, window: float) -> Samples:
     """The samples with each pose replaced by the mean of the poses in a window around it [s].
 
-    The window is centred, so that the mean does not lag: near a gap, and near the first and the
-    last sample, it is shorter on both sides. A pose that is missing stays missing. The mean
-    rotation is taken about that of all samples, so that it holds for any orientation of the frames.
+    The window is centred, so the mean does not lag: near a gap, and near the first and last sample,
+    it is shorter on both sides. Missing poses stay missing. Rotations are averaged about the mean
+    of all samples, so the frames may have any orientation.
     """
     known = _known(samples)
     if window == 0.0 or not known.any():
@@ -161,7 +160,7 @@ def smooth_poses(samples: Samples, window: float) -> Samples:
 
 
 def smoothing_gain(samples: Samples, window: float) -> float:
-    """Mean share of the variance of white noise that `smooth_poses` leaves, over a window [s]."""
+    """Mean share of white noise's variance left by `smooth_poses` with a window [s]."""
     known = _known(samples)
     if window == 0.0 or not known.any():
         return 1.0
@@ -176,7 +175,7 @@ def _known(samples: Samples) -> BoolArray:
 def _windows(samples: Samples, window: float) -> tuple[IntArray, IntArray]:
     """The first sample of the window around each sample, and the one after its last, (N,) each."""
     time = samples.time
-    run = np.concatenate([[0], np.cumsum(gaps(samples.stamps))])  # of samples without a gap
+    run = np.concatenate([[0], np.cumsum(gaps(samples.stamps))])  # of samples between gaps
     start = time[np.searchsorted(run, run, "left")]
     stop = time[np.searchsorted(run, run, "right") - 1]
     reach = np.minimum(0.5 * window, np.minimum(time - start, stop - time)) + _WINDOW_END

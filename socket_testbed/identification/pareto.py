@@ -1,23 +1,23 @@
-r"""The trade-off between the wrench and the clusters: both stages, for one theta after another.
+r"""The trade-off between the wrench and the clusters: both stages, for a sequence of thetas.
 
-Stage 1 depends on theta, and so do the gates: each theta has its own rest positions, which both of
-the paper's variants share. The solver is called for the first theta; every later one starts from
-the solution of the theta before.
+Stage 1 and the gates depend on theta: each theta has its own rest positions, shared by both of
+the paper's variants. The solver runs for the first theta only; every later one starts from the
+previous solution.
 
-The two errors of a front are normalised by the sizes that the objective is normalised by, so
-that they are the same for every theta and both variants:
+The two errors of a front have the normalisation of the objective, the same for every theta and
+both variants:
 
 .. math:: e_w = \sqrt{\frac{1}{|W|} \sum_{c \in W} (RMSE_c / r_c)^2}, \qquad
           e_f = \sqrt{\frac{1}{|L|} \sum_{c \in L} (RMSE_c / r_f)^2}
 
 with W the channels of the wrench and L those of the clusters in the objective; r_c is the
 root mean square of all measured moments of the segment for a moment, of all measured forces
-for a force, and r_f that of all measured cluster forces. Predicting zero makes both errors 1.
+for a force, and r_f that of all measured cluster forces. Predicting zero gives errors of 1.
 They are the square roots of J_w and J_f of docs/identification.md.
 
-`PUBLISHED` holds the printed numbers that are known here, `beside_published` puts those of a trial
-beside them. Whoever has the paper completes it: every name that `paper` prints in its column
-`figure` is a key.
+`PUBLISHED` holds the printed numbers that are known here, `beside_published` compares a trial with
+them. To complete it from the paper, use the names in the column `figure` of the verb `paper` as
+keys.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ from socket_testbed.settings.identification import PAPER_VARIANTS, Identificatio
 if TYPE_CHECKING:
     import pandas as pd
 
-RESOLUTION = 1e-3  # [-]; a thousandth of what was measured is nothing to trade off
-LEAST_DEPTH = 0.05  # [-]; a front that bends less has no knee
+RESOLUTION = 1e-3  # [-]; a smaller span of an error is no trade-off
+MIN_DEPTH = 0.05  # [-]; a shallower front has no knee
 
 SENSOR_ONLY, KNEE, WRENCH_ONLY = "sensor-only", "knee", "wrench-only"
 
@@ -58,12 +58,12 @@ class FrontPoint:
     """The solution of both stages at one theta."""
 
     theta: float  # weight of the wrench against the clusters [-]
-    model: ContactModel | None  # the contact model; None where a stage was not certified
+    model: ContactModel | None  # None if a stage was not certified
     rmse: FloatArray  # RMSE of the m channels in the objective [N m, N]; NaN without a model
     wrench_error: float  # normalised error e_w of the wrench [-]
     local_error: float  # normalised error e_f of the clusters [-]
     residual: float  # largest KKT residual or gap of both stages, in scaled units [-]
-    flaw: str = ""  # why the solution is not to be used; empty where it is sound
+    flaw: str = ""  # why the solution must not be used; empty if it is sound
 
 
 @dataclass(frozen=True)
@@ -71,11 +71,11 @@ class Knee:
     """Where a front bends most, or why it has no knee."""
 
     index: int | None  # index of the solution; None without a knee
-    # distance below the chord between the front's ends, in units of the ends' own differences [-]:
-    # 0 on the chord, 1 where both errors are at their best at once
+    # distance below the chord between the front's ends, relative to the span [-]: 0 on the chord,
+    # 1 if both errors reach their minima at once
     depth: float
     span: tuple[float, float]  # differences of e_w and e_f between the ends [-]
-    verdict: str  # the same in words
+    verdict: str  # the result in words
 
 
 class Front:
@@ -84,11 +84,11 @@ class Front:
     def __init__(
         self, variant: Variant, channels: tuple[str, ...], points: Sequence[FrontPoint]
     ) -> None:
-        self.variant = variant  # which offsets the models have
+        self.variant = variant
         self.channels = channels  # names of the m channels in the objective, the wrench's first
         self.points = points
-        # Weights of the wrench against the clusters, its normalised errors e_w, theirs e_f, and
-        # the largest KKT residuals or gaps of both stages, shape (T,) [-].
+        # Weights of the wrench against the clusters, normalised errors e_w and e_f, and the largest
+        # KKT residuals or gaps of both stages, shape (T,) [-].
         self.theta = np.array([point.theta for point in points])
         self.wrench_error = np.array([point.wrench_error for point in points])
         self.local_error = np.array([point.local_error for point in points])
@@ -96,8 +96,7 @@ class Front:
         # Root-mean-square errors of the channels, shape (T, m) [N m, N].
         self.rmse = np.array([point.rmse for point in points]).reshape(len(points), len(channels))
         self.flaws = tuple(point.flaw for point in points)
-        # Solutions without flaw, those of them that no other one surpasses, shape (T,) each, and
-        # where these bend most.
+        # Sound solutions, the non-dominated among them, shape (T,) each, and the knee.
         self.sound = np.array([not flaw for flaw in self.flaws], dtype=bool)
         self.non_dominated = find_non_dominated(self.wrench_error, self.local_error, self.sound)
         self.knee = find_knee(self.wrench_error, self.local_error, self.non_dominated)
@@ -114,7 +113,7 @@ class Front:
 
     @property
     def marks(self) -> dict[str, int]:
-        """The solutions that stand out, by name; without those that do not exist."""
+        """Indices of the notable solutions that exist, by name."""
         marks = {SENSOR_ONLY: np.flatnonzero(self.sound & (self.theta == 0.0))}
         if self.knee.index is not None:
             marks[KNEE] = np.array([self.knee.index])
@@ -129,8 +128,8 @@ class Front:
     def to_dataframe(self) -> pd.DataFrame:
         """The solutions as a pandas table, one row per theta, with the units in the names.
 
-        Errors are NaN where there is no solution; `mark` names the solutions that stand out and
-        `flaw` is why a solution is not to be used.
+        Errors are NaN without a solution; `mark` names the notable solutions, `flaw` says why a
+        solution must not be used.
         """
         import pandas as pd
 
@@ -168,15 +167,15 @@ def pareto_front(
 ) -> dict[Variant, Front]:
     """Identify the contact model for every theta, for both of the paper's variants.
 
-    At theta 0 the wrench has no weight, at theta 1 the clusters have none: the smoothness
-    alone then determines what the other group leaves open. A solution that is not certified,
-    or not determined, carries its flaw and is not on the front. Of more than 4000 samples, as many
-    are used, evenly spread; theta and variant of the settings do not matter. The thetas are in
-    [0, 1] and rise; `progress` is called with the number of those done and of all.
+    At theta 0 the wrench has no weight, at theta 1 the clusters have none: directions that the
+    other group does not determine then depend on the smoothness alone. Solutions that are not
+    certified or not unique carry a flaw and are not on the front. Longer data is thinned to 4000
+    samples; theta and variant of the settings are ignored. The thetas are ascending in [0, 1];
+    `progress` is called with the number done and the total.
     """
     settings = replace(settings, variant=PAPER_VARIANTS[0])
     objective = build_objective(samples, geometry, settings)
-    objective = objective.part(evenly(len(objective.samples), _MOST_SAMPLES))
+    objective = objective.part(evenly(len(objective.samples), _MAX_SAMPLES))
     if not objective.wrench_counts.any() or not objective.channels:
         group = "clusters" if objective.wrench_counts.any() else "wrench"
         raise IdentificationError(
@@ -203,7 +202,7 @@ def pareto_front(
 def _solve_at(
     objective: Objective, theta: float, last: dict[str, FloatArray]
 ) -> dict[Variant, FrontPoint]:
-    """The solution of each variant at a theta; each program starts from its `last` solution."""
+    """The solution of each variant at a theta; each program starts from its last solution."""
     settings = objective.settings
 
     def solve(program: BoxQP, kind: str) -> BoxSolution:
@@ -247,14 +246,14 @@ def _solve_at(
 
 
 def _flawed(objective: Objective, theta: float, error: UncertifiedSolutionError) -> FrontPoint:
-    """The point of a theta at which a stage was not certified."""
+    """The point at a theta for which a stage was not certified."""
     rmse = np.full(len(objective.names), np.nan)
     return FrontPoint(theta, None, rmse, np.nan, np.nan, error.residual, error.fact)
 
 
 def _undetermined(program: BoxQP, solution: BoxSolution) -> str:
-    """The flaw of a solution that is one of many; empty where it is the only one."""
-    open_flaw = f"{program.name}: neither the data nor the smoothness determine all of them"
+    """The flaw of a solution that is not unique; empty otherwise."""
+    open_flaw = f"{program.name}: neither the data nor the smoothness determines all of them"
     return "" if solution.determined else open_flaw
 
 
@@ -263,11 +262,11 @@ def find_non_dominated(
 ) -> BoolArray:
     """Solutions for which no other is as good in both errors and better in one, shape (T,).
 
-    Those that are not sound neither dominate nor are kept.
+    Solutions that are not sound neither dominate nor are kept.
     """
     kept = np.zeros(len(sound), dtype=bool)
     order = np.lexsort((local_error, wrench_error))
-    best = (np.inf, np.inf)  # the last one kept: (local, wrench)
+    best = (np.inf, np.inf)  # of the last one kept: (local, wrench)
     for index in order[sound[order]]:
         errors = (local_error[index], wrench_error[index])
         if errors[0] < best[0] or errors == best:
@@ -276,9 +275,9 @@ def find_non_dominated(
 
 
 def find_knee(wrench_error: FloatArray, local_error: FloatArray, kept: BoolArray) -> Knee:
-    """The solution of those kept that lies farthest below the chord between the front's ends.
+    """The kept solution farthest below the chord between the front's ends.
 
-    Scaling the axes does not change which one that is.
+    The choice is invariant to scaling of the axes.
     """
     front = np.flatnonzero(kept)
     if len(front) == 0:
@@ -292,7 +291,7 @@ def find_knee(wrench_error: FloatArray, local_error: FloatArray, kept: BoolArray
     depths = 1.0 - ((errors.T - errors.min(axis=1)) / span).sum(axis=1)
     deepest = int(depths.argmax())
     depth = float(depths[deepest])
-    if depth < LEAST_DEPTH:
+    if depth < MIN_DEPTH:
         return Knee(None, depth, ends, f"no knee: {extent} and is straight")
     return Knee(int(front[deepest]), depth, ends, f"knee of depth {depth:.2f}: {extent}")
 
@@ -305,7 +304,7 @@ def front_table(fronts: Iterable[Front]) -> pd.DataFrame:
 
 
 def front_document(front: Front) -> dict[str, Any]:
-    """A front for JSON: what stands out on it, and every solution."""
+    """A front for JSON: its knee and marks, and every solution."""
     return {
         "variant": front.variant,
         "knee": {
@@ -341,14 +340,14 @@ def _solution(front: Front, index: int) -> dict[str, Any]:
 
 
 MEDIAN = "median RMSE of the clusters in the objective [N]"
-# Without and with offsets; means and median first, as `_figures` quotes them.
+# Without and with offsets; means and median first, in the order of `_figures`.
 PUBLISHED: dict[str, tuple[float, float]] = {
     "mean RMSE of the moments [N m]": (1.69, 0.44),
     "mean RMSE of the forces [N]": (5.94, 5.25),
     MEDIAN: (90.07, 3.76),
     "RMSE of Mx [N m]": (3.99, 0.95),
 }
-# Under what: a mass of 19 kg on the pylon, held, 1000 samples at 4 Hz, three channels left out.
+# Conditions: a mass of 19 kg on the pylon, held, 1000 samples at 4 Hz, three channels left out.
 PUBLISHED_LOAD = 300.0  # [N]
 PUBLISHED_FRAMES = 1000
 PUBLISHED_RATE = 4.0  # [Hz]
@@ -359,10 +358,10 @@ OURS, THEIRS = "this trial", "the paper"
 WITHOUT, WITH = "without offsets", "with offsets"
 NOT_HERE = "the number is not in this package"
 
-_MOST_SAMPLES = 4000  # of a front
-_LOAD_SHARE = 0.2  # [-]; by which another load is still comparable
-_RATE_SHARE = 0.05  # [-]
-_UNSTEADY = 10.0  # [N]; standard deviation of the force that is no hold
+_MAX_SAMPLES = 4000  # of a front
+_LOAD_TOLERANCE = 0.2  # [-]; for a comparable load
+_RATE_TOLERANCE = 0.05  # [-]
+_MAX_HOLD_DEVIATION = 10.0  # [N]; of the force
 
 
 def beside_published(
@@ -371,13 +370,12 @@ def beside_published(
     samples: Samples,
     settings: IdentificationSettings,
 ) -> pd.DataFrame:
-    """The figures of the paper for a trial, beside the printed ones.
+    """The figures of the paper for a trial, next to the printed ones.
 
-    The errors are those of the paper's two variants on every channel, the fronts theirs over theta
-    (none where there are no thetas to state), samples and settings those of the fits. A row per
-    figure, indexed by its name and unit, has for this trial and for the paper the values without
-    and with offsets, NaN where unknown, and a remark: why the two are not comparable, or that the
-    printed number is not known here.
+    The errors are those of the paper's two variants on every channel; the fronts are theirs (empty
+    to omit thetas), samples and settings those of the fits. There is one row per figure, indexed
+    by its name and unit: the values without and with offsets for this trial and for the paper, NaN
+    if unknown, and a remark: why the two are not comparable, or that the printed number is unknown.
     """
     import pandas as pd
 
@@ -407,7 +405,7 @@ def beside_published(
 
 
 def _figures(errors: Sequence[ChannelErrors], front: Front | None) -> dict[str, float]:
-    """Quoted means and median, RMSE of every channel, sigma of the wrench, thetas of the marks."""
+    """Summary figures, RMSE of every channel, sigma of the wrench, thetas of the marks."""
     summary = summarise_errors(errors)
     quoted = (summary.moment_rmse, summary.force_rmse, summary.local_rmse)
     figures = dict(zip(PUBLISHED, quoted, strict=False))
@@ -421,17 +419,17 @@ def _figures(errors: Sequence[ChannelErrors], front: Front | None) -> dict[str, 
 
 
 def differing_conditions(samples: Samples, settings: IdentificationSettings) -> list[str]:
-    """What differs from the published experiment and fit: here, then there."""
+    """Differences from the published experiment and fit: this trial's value, then the paper's."""
     force = np.linalg.norm(samples.wrench[samples.complete, 3:], axis=1)
     load, rate = float(np.median(force)), 1.0 / usual_period(samples.time)
     found = []
-    if abs(load - PUBLISHED_LOAD) > _LOAD_SHARE * PUBLISHED_LOAD:
+    if abs(load - PUBLISHED_LOAD) > _LOAD_TOLERANCE * PUBLISHED_LOAD:
         found.append(f"load of {load:.0f} N, about {PUBLISHED_LOAD:.0f} N")
-    if float(np.std(force)) > _UNSTEADY:
+    if float(np.std(force)) > _MAX_HOLD_DEVIATION:
         found.append(f"load that varies by {np.std(force):.0f} N, a hold")
     if len(samples) != PUBLISHED_FRAMES:
         found.append(f"{len(samples)} samples, {PUBLISHED_FRAMES}")
-    if abs(rate - PUBLISHED_RATE) > _RATE_SHARE * PUBLISHED_RATE:
+    if abs(rate - PUBLISHED_RATE) > _RATE_TOLERANCE * PUBLISHED_RATE:
         found.append(f"{rate:.3g} Hz, {PUBLISHED_RATE:g} Hz")
     for name, theirs in PUBLISHED_SETTINGS.items():
         if getattr(settings, name) != theirs:

@@ -1,31 +1,31 @@
-"""Whether samples have a size and a sign that a limb in a socket allows.
+"""Checks that samples are plausible in magnitude and sign for a limb in a socket.
 
-- Units: where a quarter of the samples exceeds what a person applies to a socket, or where the limb
-  lies outside it, the samples are in another unit or frame, and a fit is refused.
+- Units: if a quarter of the samples exceeds the load that a person can apply, or the limb lies
+  outside the socket, the samples are in another unit or frame, and a fit is refused.
 - Load: a wrench that is zero throughout says nothing about contact, and a fit is refused.
 - Outliers: a single value beyond the same limits, or far above the root mean square of its group
-  of channels (moments, forces, cluster forces: `OUTLIER_RATIO`, `OUTLIER_SHARE`), would take the
-  group out of the normalised objective. It is left out with a note; many of them are refused.
-- Sign: a wall pushes and a socket opens at its proximal end, so that the force of the limb on the
-  socket points to the distal end. Where it points the other way and is larger than the weight of
-  a prosthesis that hangs on the limb, while the clusters are pressed, the wrench is negated.
+  of channels (moments, forces, cluster forces: `OUTLIER_RATIO`, `OUTLIER_SHARE`), would dominate
+  the normalisation of its group. It is left out with a note; too many outliers are refused.
+- Sign: a wall pushes and a socket opens at its proximal end, so the force of the limb on the
+  socket points to the distal end. If it points the other way and exceeds the weight of a
+  prosthesis hanging on the limb, while the clusters are in compression, the wrench is negated.
 
-The paper leaves channels out whose reconstructed magnitudes lie far above the applied load.
-`find_implausible` proposes channels to leave out, over the samples of a segment. With the
-load L the median magnitude of the measured force, it proposes
+The paper leaves out channels whose reconstructed magnitudes are far above the applied load.
+`find_implausible` proposes channels to leave out, over the samples of a segment. With the load L
+as the median magnitude of the measured force, it proposes
 
 - a moment whose median magnitude exceeds L at twice the distance of the farthest tile from
-  the load cell: no force between limb and socket has such a lever;
-- a local force whose median magnitude exceeds L: one tile would carry more than all that is
-  applied; or whose peak exceeds `PEAK_RATIO` times the peak of the measured force. The paper left
-  out shear channels with peaks of more than 1000 N under about 300 N. A peak is the largest
-  magnitude but for the highest hundredth of the samples, one at least: no spike makes it;
-- a local normal force (Fz) in tension by more than `TENSION_SHARE` of L and `LEAST_TENSION` in
-  the median: a wall pushes, it does not pull;
+  the load cell: no force between limb and socket has such a lever arm;
+- a local force whose median magnitude exceeds L, as one tile would carry more than the whole
+  load, or whose peak exceeds `PEAK_RATIO` times the peak of the measured force. The paper left
+  out shear channels with peaks of more than 1000 N under about 300 N. To ignore spikes, a peak is
+  the largest magnitude without the highest hundredth of the samples, at least one;
+- a local normal force (Fz) in tension by more than `TENSION_SHARE` of L and `MIN_TENSION` in
+  the median: a wall cannot pull;
 - all three channels of a cluster that is saturated or out of its calibrated range in more
   than `OUTSIDE_SHARE` of the samples in which it was read.
 
-The first three need a load of at least `LEAST_LOAD`. Nothing is left out automatically: the
+The first three need a load of at least `MIN_LOAD`. Nothing is left out automatically: the
 user decides with `--leave-out`.
 """
 
@@ -42,35 +42,35 @@ from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status, channel_unit
 
-LARGEST_FORCE = 5000.0  # [N]; three times the weight of a person of 170 kg
-LARGEST_MOMENT = 500.0  # [N m]; more than a leg transmits below the knee
-LARGEST_STRESS = 2e6  # [Pa]; several times the highest pressures reported in sockets
-LARGEST_DISTANCE = 2.0  # [-]; of the limb from the load cell, in distances of the farthest tile
-UNIT_QUANTILE = 0.75  # [-]; of the sizes, which has to be within the limits
+MAX_FORCE = 5000.0  # [N]; three times the weight of a person of 170 kg
+MAX_MOMENT = 500.0  # [N m]; more than a leg transmits below the knee
+MAX_STRESS = 2e6  # [Pa]; several times the highest pressures reported in sockets
+MAX_DISTANCE = 2.0  # [-]; of the limb from the load cell, relative to the farthest tile's
+UNIT_QUANTILE = 0.75  # [-]; of the magnitudes, compared with the limits
 OUTLIER_RATIO = 200.0  # [-]; of a value's square to the mean square of its group of channels,
-OUTLIER_SHARE = 1.0 / 3.0  # [-]; or of it to the sum of squares, whichever is less
-LEAST_VALUES = 30  # [1]; in a group, to judge one by the others
-MOST_OUTLIERS = 0.1  # [-]; of the samples
-LEAST_MOMENT = 0.1  # [N m]; a channel group smaller than this is normalised by it
-LEAST_FORCE = 1.0  # [N]
-HANGING = 50.0  # [N]; weight of a prosthesis below the load cell
-LEAST_LOAD = 20.0  # [N]
+OUTLIER_SHARE = 1.0 / 3.0  # [-]; or to the sum of squares, whichever gives the lower limit
+MIN_VALUES = 30  # [1]; in a group, to find outliers
+MAX_OUTLIERS = 0.1  # [-]; of the samples
+MIN_MOMENT = 0.1  # [N m]; lower limit when a channel group is normalised
+MIN_FORCE = 1.0  # [N]
+HANGING_WEIGHT = 50.0  # [N]; weight of a prosthesis below the load cell
+MIN_LOAD = 20.0  # [N]
 PEAK_RATIO = 3.0  # [-]; of the load's own peak; 3.3 in the paper
 PEAK_QUANTILE = 0.99  # [-]
 LEVER_FACTOR = 2.0  # [-]; of the farthest tile's distance
 TENSION_SHARE = 0.05  # [-]; of the load
-LEAST_TENSION = 10.0  # [N]; 11 kPa on a cluster of 9 cm^2, more than a sensor's usual offset
+MIN_TENSION = 10.0  # [N]; 11 kPa on a cluster of 9 cm^2, more than a sensor's usual offset
 OUTSIDE_SHARE = 0.5  # [-]; of the samples
 _WRENCH_GROUPS = (slice(0, 3), slice(3, 6))  # moments, forces
-_NAMED = 3  # how many outliers of a channel a note names
+_MAX_NAMED = 3  # outliers of a channel in a note
 
 
 @dataclass(frozen=True)
 class Outliers:
-    """Single values that no limb in a socket gives."""
+    """Single implausible values."""
 
-    position: BoolArray  # samples with such a limb position, shape (N,)
-    values: BoolArray  # such values of the channels, shape (N, 6 + 3c)
+    position: BoolArray  # samples with an outlying limb position, shape (N,)
+    values: BoolArray  # outlying values of the channels, shape (N, 6 + 3c)
 
     @property
     def rows(self) -> BoolArray:
@@ -91,19 +91,19 @@ class Outliers:
 def find_outliers(
     samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...] = ()
 ) -> Outliers:
-    """Find single outliers by the rule of this module; channels that are left out do not count."""
+    """Find single outliers by the rule of the module, ignoring `leave_out`."""
     values = _counted(samples, leave_out)
     limits = channel_limits(geometry, samples.clusters)
     single = [
         finite_quantile(np.abs(column), UNIT_QUANTILE) <= limit
         for column, limit in zip(values.T, limits, strict=True)
     ]
-    found = (np.abs(values) > limits) & single  # else it is the channel: see `require_units`
+    found = (np.abs(values) > limits) & single  # else the unit is wrong: see `require_units`
     for group in (*_WRENCH_GROUPS, slice(6, None)):
         squares = np.where(found[:, group], 0.0, np.nan_to_num(values[:, group])) ** 2
         count = int(np.count_nonzero(squares))
         share = min(OUTLIER_SHARE, OUTLIER_RATIO / max(count, 1))
-        while count >= LEAST_VALUES and squares.max() > share * squares.sum():
+        while count >= MIN_VALUES and squares.max() > share * squares.sum():
             place = np.unravel_index(squares.argmax(), squares.shape)
             squares[place] = 0.0
             found[:, group][place] = True
@@ -111,7 +111,7 @@ def find_outliers(
 
 
 def outlier_notes(samples: Samples, outliers: Outliers, start: int | None = None) -> list[str]:
-    """A note per channel with outliers, with their values and times since `start` [ns]."""
+    """A note per channel with outliers: their values and times since `start` [ns]."""
     time = (samples.stamps - (samples.stamps[0] if start is None else start)) * 1e-9
     values = [np.linalg.norm(samples.position, axis=1), *samples.values.T]
     found = [outliers.position, *outliers.values.T]
@@ -121,15 +121,15 @@ def outlier_notes(samples: Samples, outliers: Outliers, start: int | None = None
     ):
         if len(rows):
             unit = channel_unit(name) if name in samples.channels else "m"
-            parts = [f"{column[i]:.3g} {unit} at {time[i]:.2f} s" for i in rows[:_NAMED]]
-            more = f" and {len(rows) - _NAMED} more" if len(rows) > _NAMED else ""
+            parts = [f"{column[i]:.3g} {unit} at {time[i]:.2f} s" for i in rows[:_MAX_NAMED]]
+            more = f" and {len(rows) - _MAX_NAMED} more" if len(rows) > _MAX_NAMED else ""
             number = "an outlier" if len(rows) == 1 else f"{len(rows)} outliers"
             notes.append(f"{name} has {number} ({', '.join(parts)}{more}): left out")
     return notes
 
 
 def sign_note(samples: Samples, geometry: SocketGeometry) -> str | None:
-    """A note where the wrench looks negated; None without clear evidence.
+    """A note if the wrench looks negated; None without clear evidence.
 
     The x axes of the socket's tiles point to the proximal end.
     """
@@ -143,7 +143,7 @@ def sign_note(samples: Samples, geometry: SocketGeometry) -> str | None:
         return None
     pull = float(np.median(force @ proximal / np.linalg.norm(proximal)))
     pressing = sum(p > 0.0 for p in pressed)
-    if pull <= HANGING or 2 * pressing <= len(pressed) or sum(pressed) <= 0.0:
+    if pull <= HANGING_WEIGHT or 2 * pressing <= len(pressed) or sum(pressed) <= 0.0:
         return None
     return (
         f"the wrench looks negated: its force would pull the socket towards the proximal end with"
@@ -161,13 +161,13 @@ class Implausible:
 
 
 def find_implausible(samples: Samples, geometry: SocketGeometry) -> tuple[Implausible, ...]:
-    """Propose channels to leave out, by the rule of this module, one per channel and reason."""
+    """Propose channels to leave out, by the rule of the module, one per channel and reason."""
     force = np.linalg.norm(samples.wrench[:, 3:], axis=1)
-    load, most = finite_quantile(force, 0.5), _peak(force)
+    load, peak = finite_quantile(force, 0.5), _peak(force)
     found: list[Implausible] = []
     for name, values in zip(samples.channels, samples.values.T, strict=True):
-        if load >= LEAST_LOAD and name not in WRENCH_CHANNELS[3:]:
-            reasons = _too_large(name, values, load, most, _reach(geometry))
+        if load >= MIN_LOAD and name not in WRENCH_CHANNELS[3:]:
+            reasons = _too_large(name, values, load, peak, _reach(geometry))
             found += [Implausible(name, reason) for reason in reasons]
     for cluster, status in zip(samples.clusters, samples.status.T, strict=True):
         read = int((status != Status.MISSING).sum())
@@ -179,7 +179,7 @@ def find_implausible(samples: Samples, geometry: SocketGeometry) -> tuple[Implau
 
 
 def _too_large(
-    name: str, values: FloatArray, load: float, most: float, reach: float
+    name: str, values: FloatArray, load: float, peak: float, reach: float
 ) -> Iterator[str]:
     """Why a moment or a local force is too large for the load, its peak and the farthest tile."""
     size, pull = finite_quantile(np.abs(values), 0.5), finite_quantile(values, 0.5)
@@ -195,13 +195,13 @@ def _too_large(
             f"the median magnitude of {size:.3g} N on one tile is {size / load:.2g} times the"
             f" total load of {load:.3g} N"
         )
-    elif _peak(values) > PEAK_RATIO * most:
+    elif _peak(values) > PEAK_RATIO * peak:
         yield (
-            f"its peaks of {_peak(values):.3g} N on one tile are {_peak(values) / most:.2g} times"
-            f" the largest load of {most:.3g} N"
+            f"its peaks of {_peak(values):.3g} N on one tile are {_peak(values) / peak:.2g} times"
+            f" the largest load of {peak:.3g} N"
         )
-    # In a cluster's frame z points inwards, so that compression is along -z.
-    limit = max(LEAST_TENSION, TENSION_SHARE * load)
+    # In a cluster's frame z points inwards: compression is along -z.
+    limit = max(MIN_TENSION, TENSION_SHARE * load)
     if name.endswith(".Fz") and pull > limit:
         yield (
             f"the wall would pull at the limb with {pull:.3g} N in the median, more than"
@@ -212,9 +212,9 @@ def _too_large(
 def implausible_notes(
     samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...], start: int | None = None
 ) -> list[str]:
-    """Outliers, a negated wrench, and the proposals even for channels that are left out already.
+    """Notes on outliers, a negated wrench, and implausible channels, even if already left out.
 
-    Times count from `start`, the stamp of the trial's first sample [ns]; None for the segment's.
+    Times are since `start`, the timestamp of the trial's first sample [ns]; None: the segment's.
     """
     outliers = find_outliers(samples, geometry, leave_out)
     notes = outlier_notes(samples, outliers, start)
@@ -234,7 +234,7 @@ def finite_quantile(values: FloatArray, share: float) -> float:
 
 
 def _peak(values: FloatArray) -> float:
-    """The `PEAK_QUANTILE` of the magnitudes, below the largest; 0 without a value."""
+    """The `PEAK_QUANTILE` of the magnitudes, rounded down to one of them; 0 without a value."""
     finite = np.abs(values[np.isfinite(values)])
     return float(np.quantile(finite, PEAK_QUANTILE, method="lower")) if len(finite) else 0.0
 
@@ -247,7 +247,7 @@ def require_position(samples: Samples, geometry: SocketGeometry) -> None:
     centre, reach = np.median(position, axis=0), _reach(geometry)
     distance = float(np.linalg.norm(centre))
     spread = finite_quantile(np.linalg.norm(position - centre, axis=1), UNIT_QUANTILE)
-    excess = max(distance / LARGEST_DISTANCE, spread) / reach
+    excess = max(distance / MAX_DISTANCE, spread) / reach
     if excess > 1.0:
         likely = "it is likely in millimetres: divide it by 1000, or " if excess <= 1e3 else ""
         raise IdentificationError(
@@ -271,24 +271,24 @@ def require_units(
             unit = channel_unit(name)
             likely = {"N": "millinewtons", "N m": "newton millimetres"}[unit]
             raise IdentificationError(
-                f"{name} is {size:.3g} {unit} in size in a quarter of the samples or more, where"
-                f" no person applies more than {limit:.3g} {unit}",
+                f"{name} reaches {size:.3g} {unit} in a quarter of the samples, but no person"
+                f" applies more than {limit:.3g} {unit}",
                 f"it is likely in {likely}: divide it by 1000 (or leave it out with --leave-out"
                 f" {name})",
             )
 
 
 def require_load(samples: Samples, wrench_counts: BoolArray) -> None:
-    """Refuse a wrench that is no larger than a load cell's noise, or without any force or moment.
+    """Refuse a wrench within a load cell's noise, or without any force or moment.
 
-    Only channels of the wrench that count, shape (6,), are looked at.
+    Checks only the wrench's channels in the objective, `wrench_counts` of shape (6,).
     """
     if not wrench_counts.any():
         return
     sizes = np.where(wrench_counts, np.abs(samples.wrench).max(axis=0), 0.0)
     moment, force = (float(sizes[group].max()) for group in _WRENCH_GROUPS)
     dead = [wrench_counts[group].any() and not sizes[group].any() for group in _WRENCH_GROUPS]
-    if any(dead) or (moment < LEAST_MOMENT and force < LEAST_FORCE):
+    if any(dead) or (moment < MIN_MOMENT and force < MIN_FORCE):
         raise IdentificationError(
             f"the wrench never exceeds {force:.3g} N and {moment:.3g} N m in {len(samples)} samples"
             " and so holds no load",
@@ -303,9 +303,9 @@ def _beyond(position: FloatArray, geometry: SocketGeometry) -> BoolArray:
     reach = _reach(geometry)
     centre = np.median(position[known], axis=0) if known.any() else np.full(3, np.nan)
     shift = np.linalg.norm(position - centre, axis=1)
-    far = np.linalg.norm(position, axis=1) > LARGEST_DISTANCE * reach
+    far = np.linalg.norm(position, axis=1) > MAX_DISTANCE * reach
     found = known & ((shift > reach) | far)
-    single = 2 * found.sum() < known.sum()  # else it is all of them: see `require_position`
+    single = 2 * found.sum() < known.sum()  # else the unit is wrong: see `require_position`
     return np.asarray(found & single)
 
 
@@ -316,16 +316,16 @@ def _reach(geometry: SocketGeometry) -> float:
 
 def channel_limits(geometry: SocketGeometry, clusters: tuple[str, ...]) -> FloatArray:
     """Largest size of each channel that a person can apply, shape (6 + 3c,) [N m, N]."""
-    wrench = np.repeat([LARGEST_MOMENT, LARGEST_FORCE], 3)
+    wrench = np.repeat([MAX_MOMENT, MAX_FORCE], 3)
     tiles = [geometry.clusters[name] for name in clusters if name in geometry.clusters]
-    if len(tiles) < len(clusters):  # another socket's, which is an error of its own
+    if len(tiles) < len(clusters):  # another socket's: reported elsewhere
         return np.full(6 + 3 * len(clusters), np.inf)
     areas = geometry.areas[np.array(tiles, dtype=np.int64)]
-    return np.concatenate([wrench, np.repeat(LARGEST_STRESS * areas, 3)])
+    return np.concatenate([wrench, np.repeat(MAX_STRESS * areas, 3)])
 
 
 def _counted(samples: Samples, leave_out: tuple[str, ...]) -> FloatArray:
-    """Values of the channels that count, NaN elsewhere, shape (N, 6 + 3c) [N m, N]."""
+    """Values of the channels not in `leave_out`, NaN elsewhere, shape (N, 6 + 3c) [N m, N]."""
     values = samples.trusted_values
     counts = np.array([name not in leave_out for name in samples.channels])
     return np.where(counts & np.isfinite(values), values, np.nan)

@@ -1,15 +1,15 @@
-r"""Outputs of a socket's pressure that a lab reads, by region, with 95 % intervals.
+r"""Clinical outputs of a socket's pressure, by region, with 95 % intervals.
 
 Every output is computed from many joint draws of the forces on all tiles
-(`force_map.ForceMap.sample`), so its interval covers everything that the channels leave open, even
-where the output is not linear in the forces. In the tile's frame the stress of tile i with the area
+(`force_map.ForceMap.sample`), so its interval covers all uncertainty left by the channels, even for
+outputs that are nonlinear in the forces. In the tile's frame the stress of tile i with the area
 A_i is :math:`(\tau_x, \tau_y, -p) = F_i / A_i`; x is proximal and p is positive in compression.
 Over a region:
 
-- mean pressure: :math:`\sum_i A_i p_i / \sum_i A_i`, the mean over the samples. A negative pressure
-  of the estimate counts as it is, so that the means meet the measured wrench;
+- mean pressure: :math:`\sum_i A_i p_i / \sum_i A_i`, averaged over the samples. Negative estimates
+  are kept, so that the means agree with the measured wrench;
 - peak pressure: :math:`\max_i p_i`, the highest of all samples over a span;
-- contact area: the area of the tiles whose p_i exceeds the threshold, the mean over the samples;
+- contact area: the area of the tiles whose p_i exceeds the threshold, averaged over the samples;
 - pressure-time integral: the mean over the region's area of the integral of p_i while tile i is in
   contact, by the trapezoidal rule; breaks of the recording are left out;
 - centre of pressure: the mean of the tiles' centres weighted by their compressive normal forces
@@ -18,10 +18,10 @@ Over a region:
   (proximal) towards y;
 - share of load: the axial force (along z of {S}) of the region over that of all tiles.
 
-Values are taken from the force map. Contact area is the exception: it is biased near the threshold,
-so the mean of the draws is reported. Peak, integral and shear are convex functions of the forces:
-on average their draws exceed the value. Their interval covers both that of the draws and the same
-interval moved to the value. For the peak the errors of the draws are widened.
+Values come from the force map, except the contact area, which is biased near the threshold: its
+value is the mean of the draws. Peak, integral and shear are convex functions of the forces, so
+their draws exceed the value on average. Their interval covers both that of the draws and the same
+interval shifted to the value. For the peak the errors of the draws are widened.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.samples import Samples
 
-THRESHOLD = 5e3  # [Pa]; a tile above it is in contact, unless another is given
+THRESHOLD = 5e3  # [Pa]; default for a tile in contact
 SHARE = 0.5  # [-]; a value is uncertain if its interval reaches farther than this share of it
 _DRAWS = 200
-_PEAK_WIDENING = 1.25  # [-]; of the errors: the tails of true fields are longer than the draws'
+_PEAK_WIDENING = 1.25  # [-]; of the errors, as true fields have longer tails than the draws
 _QUANTILES = (0.025, 0.5, 0.975)  # [-]
 _CONVEX = ("peak", "integral", "shear")  # functions of the forces
 _NEVER_NEGATIVE = ("area", "integral", "shear")
-MOST_DRAWN = 2000  # samples of a span at which draws are expanded, evenly spread
-_EXPANDED = 32  # samples whose draws are expanded at a time
+MAX_DRAWN = 2000  # samples of a span with expanded draws, evenly spread
+_EXPANDED_BATCH = 32  # samples whose draws are expanded at a time
 _RIGHT_ANGLE = 0.5 * np.pi  # [rad]
 NORMAL_QUANTILE = 1.96  # [-]; standard deviations to each end of a 95 % interval
 # Output, axis of a vector, and factor from SI, by the title of a column.
@@ -70,27 +70,27 @@ TITLES = tuple(_COLUMNS)
 
 @dataclass(frozen=True)
 class Quantity:
-    """Values with their 95 % intervals, arrays of one shape."""
+    """Values with their 95 % intervals, as arrays of one shape."""
 
     value: FloatArray  # the estimates
     low: FloatArray  # lower ends of the intervals
     high: FloatArray  # upper ends of the intervals
-    # what the reach of an interval is compared with: the size of the value, the extent of the
-    # region for a coordinate, a right angle for a direction
+    # reference for the reach of an interval: the magnitude of the value, the extent of the region
+    # for a coordinate, a right angle for a direction
     scale: FloatArray
 
     def certain(self, share: float = SHARE) -> BoolArray:
         """Where the interval reaches no farther from the value than a share of the scale [-]."""
         reach = np.maximum(self.high - self.value, self.value - self.low)
-        return np.asarray(reach <= share * self.scale)  # never where one is NaN
+        return np.asarray(reach <= share * self.scale)  # false for NaN
 
     def part(self, place: Any, factor: float = 1.0) -> Quantity:
-        """Those at a place of the arrays, such as `(..., 2)`, in another unit."""
+        """Elements at an index of the arrays, such as `(..., 2)`, in another unit."""
         return Quantity(*(np.asarray(factor * values[place]) for values in vars(self).values()))
 
 
 def normal_quantity(value: FloatArray, deviation: FloatArray) -> Quantity:
-    """Values whose 95 % intervals are given by their standard deviations."""
+    """Values with 95 % intervals from their standard deviations."""
     reach = NORMAL_QUANTILE * deviation
     return Quantity(value, value - reach, value + reach, np.abs(value))
 
@@ -117,13 +117,13 @@ def read_column(found: RegionOutputs, title: str) -> Quantity:
 
 
 def columns_of(found: RegionOutputs, titles: Sequence[str]) -> dict[str, FloatArray]:
-    """Columns by their titles, each with the ends of its interval."""
+    """Columns with the ends of their intervals, by title."""
     columns = (with_interval(title, read_column(found, title)) for title in titles)
     return {title: values for column in columns for title, values in column.items()}
 
 
 def with_interval(title: str, quantity: Quantity) -> dict[str, FloatArray]:
-    """A column and the ends of its interval, by their titles."""
+    """A column and the ends of its interval, by title."""
     return {
         title: quantity.value,
         interval_end(title, "low"): quantity.low,
@@ -144,15 +144,15 @@ class PressureOutputs:
     regions: RegionOutputs  # over the span, shape (R,)
     tiles: RegionOutputs  # of every tile over the span, shape (n,)
     integrated: float  # time that the integrals cover, without breaks [s]
-    peak_row: int  # the sample with the highest pressure of a tile
+    peak_row: int  # index of the sample with the highest pressure of a tile
     force_map: ForceMap
     samples: Samples
-    reader: _Reader  # reads the outputs of the regions
+    reader: _Reader  # of the regions
     threshold: float  # pressure above which a tile is in contact [Pa]
 
     @property
     def source(self) -> str:
-        """What the outputs are computed from, in words."""
+        """The channels that the outputs are computed from, in words."""
         return self.force_map.source(self.samples)
 
     @cached_property
@@ -167,7 +167,7 @@ class PressureOutputs:
 
     @cached_property
     def series(self) -> RegionOutputs:
-        """Of the regions at every sample, shape (N, R); NaN where nothing was measured."""
+        """Outputs of the regions at every sample, shape (N, R); NaN where nothing was measured."""
         kept = np.flatnonzero(measured_rows(self.samples))
         series: dict[str, Quantity] = {}
         drawn = _expanded(self.force_map, self.samples[kept], self.reader.areas, self.threshold)
@@ -183,9 +183,9 @@ class PressureOutputs:
         found = _unknown((len(self.samples), mapping.shape[1]))
         kept = np.flatnonzero(measured_rows(self.samples))
         for draws in self.force_map.sample(self.samples[kept], _DRAWS):
-            of_regions = draws.mapped(mapping)
-            for start in range(0, len(draws.rows), _EXPANDED):
-                some = of_regions[start : start + _EXPANDED]
+            regional = draws.mapped(mapping)
+            for start in range(0, len(draws.rows), _EXPANDED_BATCH):
+                some = regional[start : start + _EXPANDED_BATCH]
                 part = self.reader.interval("mean", some.mean(), some.values())
                 _store(found, part, kept[some.rows])
         return found
@@ -193,7 +193,7 @@ class PressureOutputs:
 
 @dataclass(frozen=True)
 class _Fields:
-    """What the outputs are computed from, on n tiles, with any leading axes."""
+    """Inputs of the outputs, on n tiles, with any leading axes."""
 
     force: FloatArray  # mean force in the tiles' frames, shape (..., n, 3) [N]
     peak: FloatArray  # highest pressure, shape (..., n) [Pa]
@@ -204,7 +204,7 @@ class _Fields:
 
 
 class _Reader:
-    """Reads the outputs of regions from fields."""
+    """Computes the outputs of regions from fields."""
 
     def __init__(self, geometry: SocketGeometry, regions: Sequence[Region]) -> None:
         count, anchors, areas = len(geometry), geometry.anchors, geometry.areas
@@ -252,7 +252,7 @@ class _Reader:
         return found
 
     def outputs(self, estimate: _Fields, draws: _Fields) -> RegionOutputs:
-        """The outputs with intervals, of an estimate (..., 1, n) and of draws (..., D, n)."""
+        """The outputs with intervals, from an estimate (..., 1, n) and draws (..., D, n)."""
         axis = estimate.peak.ndim - 2
         values = {name: np.take(found, 0, axis) for name, found in self.read(estimate).items()}
         drawn = self.read(draws)
@@ -262,7 +262,7 @@ class _Reader:
         return RegionOutputs(**found)
 
     def interval(self, name: str, value: FloatArray, drawn: FloatArray) -> Quantity:
-        """A quantity, by its name, from the estimate and the draws."""
+        """A named quantity from the estimate and the draws."""
         axis = value.ndim - (2 if name == "centre" else 1)
         difference = drawn - np.expand_dims(value, axis)
         if name == "direction":
@@ -281,7 +281,7 @@ class _Reader:
 
 
 class _Span:
-    """Fields of D draws, gathered over the samples of a span."""
+    """Fields of D draws, accumulated over the samples of a span."""
 
     def __init__(self, draws: int, areas: FloatArray) -> None:
         tiles = len(areas)
@@ -291,7 +291,7 @@ class _Span:
         self._contact, self._compression, self._integral = np.zeros((3, draws, tiles))
 
     def add(self, instants: _Fields, weights: FloatArray) -> None:
-        """Add fields (k, D, n) of k samples, with their weights in integrals over time (k,) [s]."""
+        """Add fields (k, D, n) of k samples, with their weights in time integrals (k,) [s]."""
         self._samples += len(weights)
         self._force += instants.force.sum(axis=0)
         self.raise_peaks(instants)
@@ -302,7 +302,7 @@ class _Span:
         )
 
     def raise_peaks(self, instants: _Fields) -> None:
-        """Take k samples into the peaks alone."""
+        """Add k samples to the peaks only."""
         self.peak = np.maximum(self.peak, instants.peak.max(axis=0))
 
     def fields(self) -> _Fields:
@@ -319,10 +319,10 @@ class _Span:
 def _expanded(
     force_map: ForceMap, samples: Samples, areas: FloatArray, threshold: float
 ) -> Iterator[tuple[IntArray, _Fields, _Fields]]:
-    """Indices of some samples, their fields (k, 1) and those of draws (k, D), until all came."""
+    """Batches of samples: their indices, fields (k, 1) and fields of draws (k, D)."""
     for draws in force_map.sample(samples, _DRAWS):
-        for start in range(0, len(draws.rows), _EXPANDED):
-            some = draws[start : start + _EXPANDED]
+        for start in range(0, len(draws.rows), _EXPANDED_BATCH):
+            some = draws[start : start + _EXPANDED_BATCH]
             alone = _instants(some.mean()[:, None], areas, threshold)
             instants = _instants(some.values(), areas, threshold)
             spread = _PEAK_WIDENING * (instants.peak - alone.peak)
@@ -336,7 +336,7 @@ def pressure_outputs(
     regions: Sequence[Region],
     threshold: float,
 ) -> PressureOutputs:
-    """The outputs of regions and tiles over a span with 95 % intervals.
+    """Outputs of regions and tiles over a span with 95 % intervals.
 
     A tile is in contact above the threshold [Pa].
     """
@@ -354,13 +354,13 @@ def pressure_outputs(
         top = instants.peak[:, 0].argmax(axis=0)
         peaks = np.where(instants.peak.max(axis=0)[0] > alone.peak[0], draws.rows[top], peaks)
         alone.add(instants, weights[draws.rows])
-    # What the channels leave open is the same in neighbouring samples: draws at some of them tell
-    # how far the means may be off. The peaks of the tiles are of any sample, and are drawn as well.
-    groups = np.arange(0, len(kept), -(-len(kept) // MOST_DRAWN))
+    # Neighbouring samples share their uncertainty: draws at some of them suffice for the means.
+    # Each tile may have its peak at any sample, so the draws there are added.
+    groups = np.arange(0, len(kept), -(-len(kept) // MAX_DRAWN))
     thinned = (groups + np.append(groups[1:], len(kept)) - 1) // 2
-    of_groups = np.add.reduceat(weights, groups)
+    group_weights = np.add.reduceat(weights, groups)
     for rows, _, instants in _expanded(force_map, measured[thinned], areas, threshold):
-        drawn.add(instants, of_groups[rows])
+        drawn.add(instants, group_weights[rows])
     if len(thinned) < len(kept):
         for _, _, instants in _expanded(force_map, measured[np.unique(peaks)], areas, threshold):
             drawn.raise_peaks(instants)
@@ -386,10 +386,10 @@ def outputs_of(
     regions: Sequence[Region],
     threshold: float,
 ) -> dict[str, FloatArray]:
-    """The outputs of forces that are known, such as those of a simulation or of a model.
+    """Outputs for known forces, such as those of a simulation or a model.
 
     The forces act on the tiles in {S}, shape (N, n, 3) [N], at times (N,) [s]; a tile is in contact
-    above the threshold [Pa]. The outputs over the span have the names of `RegionOutputs` and the
+    above the threshold [Pa]. The outputs over the span are named as in `RegionOutputs`, with the
     shape (R,), the centre (R, 3).
     """
     local = np.einsum("nij,kni->knj", geometry.rotations, forces)
@@ -400,7 +400,7 @@ def outputs_of(
 
 
 def _instants(forces: FloatArray, areas: FloatArray, threshold: float) -> _Fields:
-    """The fields of forces in the tiles' frames, which may be in a row, shape (k, D, 3n) [N]."""
+    """Fields of forces in the tiles' frames, which may be flattened, shape (k, D, 3n) [N]."""
     forces = forces.reshape(*forces.shape[:2], -1, 3)
     compression = -forces[..., 2]
     pressure = compression / areas
@@ -413,7 +413,7 @@ def _instants(forces: FloatArray, areas: FloatArray, threshold: float) -> _Field
 
 
 def _quantiles(drawn: FloatArray) -> FloatArray:
-    """Ends and middle of 95 % of the draws along the last axis, without NaN, shape (3, ...)."""
+    """`_QUANTILES` of the draws along the last axis, without NaN, shape (3, ...)."""
     ordered = np.sort(drawn, axis=-1)  # NaN comes last
     last = np.maximum(np.isfinite(drawn).sum(axis=-1, keepdims=True) - 1, 0)
     place = last * np.array(_QUANTILES)
@@ -428,20 +428,20 @@ def _unknown(shape: tuple[int, ...]) -> Quantity:
 
 
 def _store(stored: Quantity, found: Quantity, rows: IntArray) -> None:
-    """Put a quantity at some samples into that of all samples."""
+    """Write a quantity at some samples into that of all samples."""
     for name, values in vars(found).items():
         getattr(stored, name)[rows] = values
 
 
 def measured_rows(samples: Samples) -> BoolArray:
-    """Samples with a channel that counts: of the wrench, or of a trusted cluster, shape (N,)."""
+    """Samples with a channel of the wrench or of a trusted cluster, shape (N,)."""
     return np.asarray(np.isfinite(samples.trusted_values).any(axis=1))
 
 
 def integration_weights(time: FloatArray) -> FloatArray:
-    """Weights of the trapezoidal rule, without breaks, by ascending times, shape (N,) each [s].
+    """Weights of the trapezoidal rule, without breaks, for ascending times, shape (N,) each [s].
 
-    A step longer than three times the usual one is a break: what happened in it is not known.
+    A step longer than three times the usual one is a break, in which the data is unknown.
     """
     steps = np.where(gaps(time, BREAK), 0.0, np.diff(time))
     weights = np.zeros(len(time))

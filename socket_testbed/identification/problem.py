@@ -1,32 +1,32 @@
-r"""The objective of a fit: its channels with their weights, and programs in a law's parameters.
+r"""The objective of a fit: weighted channels, and programs in a law's parameters.
 
 With the scaled parameters x of a contact law (stiffnesses, rest displacements), six per tile, the
-objective
+objective is
 
 .. math:: \theta J_w + (1 - \theta) J_f + (x - x_0)^T Q (x - x_0)
 
-holds J_w and J_f, the weighted squares of the wrench's and the clusters' errors, and the prior of
-the law (`contact.Sizes`). The setting `weights` names what weighs the channels:
+with J_w and J_f, the weighted squared errors of the wrench and the clusters, and the prior of the
+law (`contact.Sizes`). The setting `weights` selects the weighting of the channels:
 
 - `size`: J_w and J_f are means over their channels of the mean square error, divided by the mean
-  square of its group of channels (moments, forces, cluster forces): newton metres and newtons
-  count alike;
-- `noise`: every channel is weighed by 1 / (noise^2 + e^2) with its `channel_noise` and an error e
-  for what no spring bed explains: `MODEL_ERROR` of the RMS force, for a moment at the root mean
-  square distance of the tiles. A common factor of each group makes predicting zero cost 1, as
+  square of the group of channels (moments, forces, cluster forces), so that newton metres and
+  newtons have equal weight;
+- `noise`: each channel has the weight 1 / (noise^2 + e^2) with its `channel_noise` and a model
+  error e that no spring bed explains: `MODEL_ERROR` of the RMS force, for a moment at the root mean
+  square distance of the tiles. A common factor per group makes the cost of predicting zero 1, as
   with `size`;
-- `raw`: sums of squares in N^2 and (N m)^2 as the paper prints them, with one common factor that
-  makes predicting zero cost 2 in J_w + J_f, as with `size`.
+- `raw`: sums of squares in N^2 and (N m)^2 as printed in the paper, with one common factor that
+  makes the cost of predicting zero 2 in J_w + J_f, as with `size`.
 
-Forces are linear in the stiffnesses, so that
+Forces are linear in the stiffnesses, so
 
 - Stage 1, with linear springs of the expected stiffnesses, is a quadratic program in the rest
-  displacements; only the means of the samples enter;
+  displacements that depends on the samples' means only;
 - Stage 2, at these rest displacements, is one in the stiffnesses. With S the N x 3n matrix of the
   columns, the wrench's quadratic term is :math:`(C^T W C) \circ (S^T S)`, with C the map of the
-  forces onto the wrench: nothing of size 6N x 3n is ever built. Offsets are free constants; they
+  forces onto the wrench, so no array of size 6N x 3n is needed. Offsets are free constants; they
   drop out by centring and are recovered from the residuals;
-- a law may then refine both jointly (`refinement`).
+- some laws then refine both jointly (`ContactLaw.REFINED`).
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import LAWS, ContactModel, Loading
 from socket_testbed.identification.noise import ChannelNoise, channel_noise, smooth_poses
 from socket_testbed.identification.plausibility import (
-    LEAST_FORCE,
-    LEAST_MOMENT,
-    MOST_OUTLIERS,
+    MAX_OUTLIERS,
+    MIN_FORCE,
+    MIN_MOMENT,
     find_outliers,
     outlier_notes,
     require_load,
@@ -58,21 +58,21 @@ from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
 from socket_testbed.settings.identification import BIAS_VARIANTS, IdentificationSettings, Variant
 
 MODEL_ERROR = 0.01  # [-]; of the RMS of the forces
-LEAST_SAMPLES = 12  # [1]; 3 s at the trigger's default rate
+MIN_SAMPLES = 12  # [1]; 3 s at the trigger's default rate
 _GROUPS = (slice(0, 3), slice(3, 6))  # moments, forces
-_BLOCK = 512  # samples; keeps the products within the cache at any N
-_JITTER = 1e-12  # [-]; keeps a factorisation of a flat problem defined
+_BLOCK = 512  # samples; keeps products within the cache for any N
+_JITTER = 1e-12  # [-]; regularises flat problems
 
 
 @dataclass(frozen=True)
 class ClusterChannel:
-    """One channel of a cluster's force that is in the objective."""
+    """One channel of a cluster's force in the objective."""
 
     cluster: str
     point: int  # index of its point of interest
     axis: int  # axis of the cluster's frame: 0, 1, 2
     direction: FloatArray  # that axis in {S}, shape (3,) [-]
-    measured: FloatArray  # the measured force, NaN where there is none, shape (N,) [N]
+    measured: FloatArray  # the measured force, NaN if missing, shape (N,) [N]
     weight: float = 0.0  # weight of its mean square error in a `Problem` [1/N^2]
 
     @cached_property
@@ -88,14 +88,14 @@ class ClusterChannel:
 
 @dataclass(frozen=True)
 class Objective:
-    """The samples of a fit with the weight of each channel, on a socket, by its settings."""
+    """The samples of a fit with the weight of each channel."""
 
     geometry: SocketGeometry
     settings: IdentificationSettings
-    samples: Samples  # the N samples that are used, without outliers, their poses averaged if asked
-    # measured wrenches, zero where a channel does not count, shape (N, 6) [N m, N]
+    samples: Samples  # the N samples in use, without outliers, poses smoothed by the settings
+    # measured wrenches, zero for channels not in the objective, shape (N, 6) [N m, N]
     wrench: FloatArray
-    wrench_counts: BoolArray  # channels of the wrench that are in the objective, shape (6,)
+    wrench_counts: BoolArray  # channels of the wrench in the objective, shape (6,)
     wrench_shares: FloatArray  # weight of squared errors in J_w, or 0, (6,) [1/(N m)^2, 1/N^2]
     channels: tuple[ClusterChannel, ...]  # channels of the clusters in the objective
     channel_shares: FloatArray  # weight of each channel's squared error in J_f, shape (m,) [1/N^2]
@@ -111,7 +111,7 @@ class Objective:
         return replace(self, settings=replace(self.settings, **changes))
 
     def part(self, rows: IntArray) -> Objective:
-        """The same objective by some of the samples, whose indices are given."""
+        """The same objective on the samples of the given indices."""
         channels = tuple(replace(c, measured=c.measured[rows]) for c in self.channels)
         samples, wrench = self.samples[rows], self.wrench[rows]
         return replace(self, samples=samples, wrench=wrench, channels=channels)
@@ -125,7 +125,7 @@ def check_channels(leave_out: tuple[str, ...], names: tuple[str, ...]) -> None:
 
 
 def _usable_rows(samples: Samples, wrench_counts: BoolArray) -> BoolArray:
-    """Samples with a limb position and every wrench channel that counts, shape (N,)."""
+    """Samples with a limb position and every wrench channel of the objective, shape (N,)."""
     position = np.isfinite(samples.position).all(axis=1)
     measured = np.isfinite(samples.wrench)
     dead = wrench_counts & ~measured.any(axis=0) & (len(samples) > 0)
@@ -136,10 +136,10 @@ def _usable_rows(samples: Samples, wrench_counts: BoolArray) -> BoolArray:
             f"leave it out of the objective (--leave-out {name}) or check the load cell",
         )
     rows = np.asarray(position & (measured | ~wrench_counts).all(axis=1))
-    if rows.sum() < LEAST_SAMPLES:
+    if rows.sum() < MIN_SAMPLES:
         raise IdentificationError(
             f"only {int(rows.sum())} of {len(samples)} samples have a limb position"
-            f" ({int(position.sum())}) and a wrench, and a fit needs {LEAST_SAMPLES}",
+            f" ({int(position.sum())}) and a wrench, and a fit needs {MIN_SAMPLES}",
             "check the markers and the load cell with 'info', or give another segment",
         )
     return rows
@@ -148,9 +148,9 @@ def _usable_rows(samples: Samples, wrench_counts: BoolArray) -> BoolArray:
 def build_objective(
     samples: Samples, geometry: SocketGeometry, settings: IdentificationSettings
 ) -> Objective:
-    """Choose, check and normalise the channels of a fit.
+    """Select, check and normalise the channels of a fit.
 
-    Outliers (see `plausibility`) and samples without a wrench or a limb position are skipped.
+    Skips outliers (see `plausibility`) and samples without a wrench or a limb position.
     """
     check_channels(settings.leave_out, samples.channels)
     counts = np.array([name not in settings.leave_out for name in samples.channels])
@@ -159,7 +159,7 @@ def build_objective(
     require_units(samples, geometry, settings.leave_out)
     outliers = find_outliers(samples, geometry, settings.leave_out)
     count = int(outliers.rows.sum())
-    if count > MOST_OUTLIERS * len(samples):
+    if count > MAX_OUTLIERS * len(samples):
         raise IdentificationError(
             f"{count} of {len(samples)} samples are outliers:"
             f" {'; '.join(outlier_notes(samples, outliers))}",
@@ -208,21 +208,21 @@ def _cluster_channels(
 def _shares(objective: Objective, noise: ChannelNoise | None) -> tuple[FloatArray, FloatArray]:
     """Weights of squared errors of the wrench (6,) and of m channels of clusters: see the module.
 
-    The noise is given for the weights `noise` alone.
+    The noise is given only for the weights `noise`.
     """
     channels, wrench_counts = objective.channels, objective.wrench_counts
-    least = np.repeat([LEAST_MOMENT, LEAST_FORCE], 3)
+    least = np.repeat([MIN_MOMENT, MIN_FORCE], 3)
     power = (objective.wrench**2).mean(axis=0)
     local_power = np.array([np.mean(channel.force**2) for channel in channels])
     if objective.settings.weights == "raw":
-        factor = 2.0 / max(power.sum() + local_power.sum(), LEAST_FORCE**2)
+        factor = 2.0 / max(power.sum() + local_power.sum(), MIN_FORCE**2)
         return factor * wrench_counts, np.full(len(channels), factor)
 
-    # The mean square of each channel's group, which is at least that of the smallest group.
+    # The mean square of each channel's group, with a lower limit.
     moment, force = (
         max(power[g].sum() / max(wrench_counts[g].sum(), 1), least[g][0] ** 2) for g in _GROUPS
     )
-    local = max(rms(np.concatenate([c.force for c in channels] or [np.zeros(1)])), LEAST_FORCE)
+    local = max(rms(np.concatenate([c.force for c in channels] or [np.zeros(1)])), MIN_FORCE)
     if noise is None:
         shares = wrench_counts / np.repeat([moment, force], 3)
         local_shares = np.full(len(channels), 1.0 / local**2)
@@ -235,7 +235,7 @@ def _shares(objective: Objective, noise: ChannelNoise | None) -> tuple[FloatArra
     deviations = np.array([noise.local_forces[clusters.index(c.cluster), c.axis] for c in channels])
     local_shares = 1.0 / (np.nan_to_num(deviations) ** 2 + (MODEL_ERROR * local) ** 2)
     zero = max(shares @ power, shares @ least**2, _JITTER)
-    local_zero = max(local_shares @ local_power, local_shares.sum() * LEAST_FORCE**2, _JITTER)
+    local_zero = max(local_shares @ local_power, local_shares.sum() * MIN_FORCE**2, _JITTER)
     return shares / zero, local_shares / local_zero
 
 
@@ -249,7 +249,7 @@ class Moments:
     cross: FloatArray  # of S with Y, shape (p, m)
 
     def products(self, centred: bool) -> tuple[FloatArray, FloatArray]:
-        """`gram` and `cross`, centred or about zero, as a model with or without offset needs."""
+        """`gram` and `cross`, centred (for a model with offset) or about zero."""
         if centred:
             return self.gram, self.cross
         gram = self.gram + np.outer(self.mean, self.mean)
@@ -258,18 +258,18 @@ class Moments:
 
 @dataclass(frozen=True)
 class Terms:
-    """Derivatives of the objective at a point by the scaled parameters (6, n), flattened."""
+    """Derivatives of the objective by the scaled parameters (6, n), flattened."""
 
     gradient: FloatArray  # shape (6n,) [-]
     gauss_newton: FloatArray  # Gauss-Newton matrix of the data, shape (6n, 6n) [-]
-    curvature: FloatArray  # second derivatives of the law against the errors, shape (6n, 6n) [-]
+    curvature: FloatArray  # errors times second derivatives of the law, shape (6n, 6n) [-]
 
 
 class Problem:
     """The objective as a function of the scaled parameters, shape (6, n) [-].
 
     Attributes:
-        settings: The settings, with numbers in place of what follows from the samples.
+        settings: The settings, with the numbers that follow from the samples.
         law: The contact law at the reference pose of the samples.
         start, lower, upper: Centre of the law's prior and bounds, shape (6, n) [-].
     """
@@ -281,12 +281,12 @@ class Problem:
         sharpness, reference = getattr(settings, kind.SHARPNESS), kind.reference_of(pose, settings)
         self.law = law = kind(geometry.anchors, geometry.rotations, sharpness, reference)
         self._with_offsets = settings.variant in BIAS_VARIANTS
-        size = -(-len(pose) // law.MOST_ROWS) if law.MOST_ROWS else 1
+        size = -(-len(pose) // law.MAX_ROWS) if law.MAX_ROWS else 1
         self._motion = _block_means(law.motion(pose), size)
         self._wrench = _block_means(objective.wrench, size)
         self._weights = settings.theta * objective.wrench_shares
         shares = (1.0 - settings.theta) * objective.channel_shares
-        self.channels = [  # of means over blocks of samples, in the law's frames
+        self.channels = [  # averaged over blocks of samples, in the law's frames
             replace(
                 channel,
                 direction=channel.direction @ law.frames[channel.point],
@@ -341,12 +341,12 @@ class Problem:
     def moments(self, x: FloatArray) -> list[Moments]:
         """Moments of the data at the rest displacements of x, shape (6, n).
 
-        First of all columns and the wrench (p = 3n, m = 6), then for each channel of the clusters
-        of its tile's columns and force (p = 3, m = 1).
+        First those of all columns with the wrench (p = 3n, m = 6), then for each channel of the
+        clusters those of its tile's columns with its force (p = 3, m = 1).
         """
         rest = (x * self._scale)[3:]
-        # About the columns of the mean motion, which are close to their means, and then moved to
-        # the means: a hold would lose digits otherwise.
+        # First about the columns of the mean motion, which are close to their means, then shifted
+        # to the means: otherwise a hold would lose precision.
         pivot = self._columns(self._motion.mean(axis=0, keepdims=True), rest)[0]
         target_mean = self._wrench.mean(axis=0)
         size = rest.size
@@ -365,11 +365,11 @@ class Problem:
         wrench = Moments(
             pivot + shift, gram / count - np.outer(shift, shift), target_mean, cross / count
         )
-        of_channels = (
+        local = (
             _moments(own[channel.rows], channel.force[:, None])
             for own, channel in zip(channels, self.channels, strict=True)
         )
-        return [wrench, *of_channels]
+        return [wrench, *local]
 
     def stage_two(self, moments: list[Moments]) -> BoxQP:
         """Stage 2: scaled stiffnesses, shape (3n,), at the rest displacements of the moments."""
@@ -388,8 +388,8 @@ class Problem:
         gram, cross = moments[0].products(centred)
         P = (onto.T @ weighted) * gram
         q = -np.einsum("jc,cj->j", cross, weighted)
-        for channel, of_channel in zip(self.channels, moments[1:], strict=True):
-            gram, cross = of_channel.products(self._with_offsets)
+        for channel, channel_moments in zip(self.channels, moments[1:], strict=True):
+            gram, cross = channel_moments.products(self._with_offsets)
             own = channel.point + points * np.arange(3)
             outer = np.outer(channel.direction, channel.direction)
             P[np.ix_(own, own)] += channel.weight * outer * gram
@@ -397,7 +397,7 @@ class Problem:
         return P * np.outer(scale, scale), q * scale
 
     def determined_directions(self, x: FloatArray, moments: list[Moments]) -> float:
-        r"""Effective number of stiffnesses that the data determine, of 3n [-].
+        r"""Effective number of stiffnesses determined by the data, of 3n [-].
 
         :math:`\mathrm{tr}(P^{-1} P_{data})` over the stiffnesses off their bound (Hastie,
         Tibshirani & Friedman, The Elements of Statistical Learning, 7.6).
@@ -411,7 +411,7 @@ class Problem:
         return float(np.trace(np.linalg.solve(P, data)))
 
     def _blocks(self) -> Iterator[slice]:
-        """The rows in blocks, so that memory stays bounded."""
+        """Blocks of rows, to bound the memory."""
         return (slice(start, start + _BLOCK) for start in range(0, len(self._motion), _BLOCK))
 
     def _columns(self, motion: FloatArray, rest: FloatArray) -> FloatArray:
@@ -420,7 +420,7 @@ class Problem:
         return self.law.columns(moved).reshape(len(motion), -1)
 
     def residuals(self, x: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
-        """What the springs leave of the wrench, shape (N, 6), and of the channels, (rows,) each."""
+        """Residuals of the springs: of the wrench, shape (N, 6), and the channels, (rows,) each."""
         stiffness, rest = (x * self._scale).reshape(2, 3, -1)
         points = [channel.point for channel in self.channels]
         onto = self.law.onto.reshape(6, -1).T
@@ -437,7 +437,7 @@ class Problem:
         return wrench, local
 
     def value(self, x: FloatArray) -> float:
-        """The objective of a law that is refined, halved as in a quadratic program [-]."""
+        """Half the objective of a refined law, as in a quadratic program [-]."""
         wrench, local = self.residuals(x)
         data = float(self._weights @ (wrench**2).mean(axis=0))
         for channel, residual in zip(self.channels, local, strict=True):
@@ -449,11 +449,11 @@ class Problem:
         return values - values.mean(axis=0) if self._with_offsets else values
 
     def evaluate(self, x: FloatArray) -> Terms:
-        """Derivatives of the objective of a law that is refined, at x of shape (6, n)."""
+        """Derivatives of the objective of a refined law at x, shape (6, n)."""
         stiffness, rest = (x * self._scale).reshape(2, 3, -1)
         moved = self.law.displacements(self._motion) - rest
-        # Derivatives of the forces, by their axis and the parameter: 0 to 2 a stiffness, 3 to 5 a
-        # rest displacement.
+        # Derivatives of the forces, by axis and parameter: stiffnesses are 0 to 2, rest
+        # displacements 3 to 5.
         forces = self.law.columns(moved)
         derivatives = {(axis, axis): forces[:, axis] for axis in range(3)}
         for (axis, along), slope in self.law.slopes(moved).items():
@@ -472,12 +472,12 @@ class Problem:
         for a, (axis, parameter) in enumerate(places):
             for b, (other_axis, other) in enumerate(places):
                 normal[parameter, :, other] += products[a, :, b] * metric[axis, :, other_axis]
-        # Forces that would make up for the errors, against which the law's derivatives count.
-        lacking = -np.tensordot(wrench, weighted, axes=1) / rows
+        # Weighted errors, mapped to the tiles' forces.
+        mapped = -np.tensordot(wrench, weighted, axes=1) / rows
         for channel, residual in zip(self.channels, local, strict=True):
             point, share = channel.point, channel.weight / len(residual)
             missed = share * self._centred(residual)
-            lacking[channel.rows, :, point] -= missed[:, None] * channel.direction
+            mapped[channel.rows, :, point] -= missed[:, None] * channel.direction
             own = np.zeros((len(residual), 6))
             for k, (axis, parameter) in enumerate(places):
                 own[:, parameter] += channel.direction[axis] * columns[channel.rows, k, point]
@@ -485,23 +485,23 @@ class Problem:
             normal[:, point, :, point] += share * (own.T @ own)
         gradient = (self.prior @ (x - self.start).reshape(-1)).reshape(x.shape)
         for k, (axis, parameter) in enumerate(places):
-            gradient[parameter] += np.einsum("tn,tn->n", columns[:, k], lacking[:, axis])
+            gradient[parameter] += np.einsum("tn,tn->n", columns[:, k], mapped[:, axis])
         return Terms(
             gradient=gradient.reshape(-1),
             gauss_newton=normal.reshape(6 * points, 6 * points),
-            curvature=self._curvature(stiffness, moved, lacking),
+            curvature=self._curvature(stiffness, moved, mapped),
         )
 
     def _curvature(
-        self, stiffness: FloatArray, moved: FloatArray, lacking: FloatArray
+        self, stiffness: FloatArray, moved: FloatArray, mapped: FloatArray
     ) -> FloatArray:
-        """Second derivatives of the law times the lacking forces, (6n, 6n): a block per tile."""
+        """Second derivatives of the law times the mapped errors, (6n, 6n), a block per tile."""
         points = stiffness.shape[1]
         block = np.zeros((6, 6, points))
         for (axis, along), slope in self.law.slopes(moved).items():
-            block[axis, 3 + along] -= (lacking[:, axis] * slope).sum(axis=0)
+            block[axis, 3 + along] -= (mapped[:, axis] * slope).sum(axis=0)
         for (axis, along, other), bend in self.law.bends(moved).items():
-            block[3 + along, 3 + other] += stiffness[axis] * (lacking[:, axis] * bend).sum(axis=0)
+            block[3 + along, 3 + other] += stiffness[axis] * (mapped[:, axis] * bend).sum(axis=0)
         block += np.triu(np.ones((6, 6)), 1).T[:, :, None] * block.transpose(1, 0, 2)
         block *= self._scale[:, None] * self._scale[None]
         full = np.zeros((6, points, 6, points))
@@ -509,7 +509,7 @@ class Problem:
         return full.reshape(6 * points, 6 * points)
 
     def model(self, x: FloatArray) -> ContactModel:
-        """The contact model that parameters stand for."""
+        """The contact model with the parameters x, shape (6, n)."""
         objective, law = self.objective, self.law
         geometry = objective.geometry
         stiffness, rest = (x * self._scale).reshape(2, 3, -1)
@@ -540,7 +540,7 @@ class Problem:
 
 
 def _block_means(values: FloatArray, size: int) -> FloatArray:
-    """Means over blocks of rows, of the values that are there; NaN where none is."""
+    """Means of the finite values over blocks of rows; NaN without any."""
     if size <= 1:
         return values
     starts = np.arange(0, len(values), size)
@@ -564,6 +564,6 @@ def _normalised(
 
 
 def _normalisation(P: FloatArray) -> float:
-    """Factor that makes the mean curvature 1, so that KKT residuals mean the same anywhere."""
+    """Factor that makes the mean curvature 1, so that KKT residuals are comparable."""
     curvature = float(np.trace(P)) / len(P)
     return 1.0 / curvature if curvature > 0.0 else 1.0

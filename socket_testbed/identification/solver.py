@@ -4,9 +4,9 @@ Both stages and every step of a refinement are quadratic programs with bounds:
 
 .. math:: \min_x \tfrac12 x^T P x + q^T x \quad \text{s.t.} \quad l \le x \le u
 
-OSQP through qpsolvers, or another solver by name, solves every program that has no solution of a
-similar one to start from. Pivoting moves its answer, or that solution, to the exact optimum. The
-certificate, computed from the definition of an optimum, decides whether the answer is accepted.
+A program without a warm start is first solved by OSQP through qpsolvers, or another solver by name.
+Pivoting moves this answer, or the warm start, to the exact optimum. The certificate, computed from
+the optimality conditions, decides whether the result is accepted.
 """
 
 from __future__ import annotations
@@ -25,36 +25,36 @@ from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import IdentificationError
 from socket_testbed.settings.identification import check_solver
 
-# OSQP's answer need only be near the optimum: pivoting takes it there exactly, so that its own
-# polishing would be in vain. Other solvers have their own defaults.
+# OSQP's answer need only be near the optimum: pivoting makes it exact, so OSQP's own polishing is
+# off. Other solvers keep their defaults.
 OSQP_SETTINGS: dict[str, Any] = {
     "eps_abs": 1e-6,  # [-]; largest residual, in scaled units
     "eps_rel": 0.0,
     "max_iter": 4000,
     "polishing": False,
-    # The same trial is to give the same answer: OSQP's own rule adapts rho after a time that it
-    # measures, a fixed interval of iterations does not.
+    # A fixed interval of iterations is reproducible; by default OSQP adapts rho after a measured
+    # time.
     "adaptive_rho": True,
     "adaptive_rho_interval": 25,
 }
-WARM_START = "warm start"  # what a solution says that no solver was called for
-_EXCHANGES = 300
-_PATIENCE = 5  # block exchanges that may fail to help before single ones
-_RIDGES = 10.0 ** -np.arange(2.0, 14.0)  # [-]; of regularised pivoting, one after the other
-_ROUNDING = 1e-11  # [-]; of a value that counts as zero
-_REFINED = 1e-13  # [-]; gradient that a factor's solution is left with
-_FLAT = 1e-12  # [-]; curvature that counts as none, against the mean of a scaled problem
+WARM_START = "warm start"  # in place of a solver's name if none was called
+_MAX_EXCHANGES = 300
+_PATIENCE = 5  # block exchanges without progress before single ones
+_RIDGES = 10.0 ** -np.arange(2.0, 14.0)  # [-]; successive ridges of regularised pivoting
+_ROUNDING = 1e-11  # [-]; smaller values count as zero
+_MAX_GRADIENT = 1e-13  # [-]; larger ones call for iterative refinement
+_MIN_CURVATURE = 1e-12  # [-]; relative to the mean of a scaled problem
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """How well a point solves a box QP, all in the problem's scaled units [-]."""
+    """How well a point solves a box QP, in the problem's scaled units [-]."""
 
     primal: float  # largest violation of a bound
     # largest component of ``x - clip(x - (P x + q))``, the natural residual: zero if and only if
     # the point is optimal
     stationarity: float
-    gap: float  # duality gap against ``1 + |objective|``
+    gap: float  # duality gap over ``1 + |objective|``
 
     @property
     def worst(self) -> float:
@@ -69,8 +69,8 @@ class BoxQP:
     P: FloatArray  # symmetric positive semidefinite matrix, shape (p, p) [-]
     q: FloatArray  # linear term, shape (p,) [-]
     lower: FloatArray  # lower bounds, shape (p,) [-]
-    upper: FloatArray  # upper bounds, shape (p,) [-]; infinite where there is none
-    name: str  # what is solved, for errors
+    upper: FloatArray  # upper bounds, shape (p,) [-]; infinite for none
+    name: str  # for error messages
 
     def objective(self, x: FloatArray) -> float:
         """Value of the objective at x [-]."""
@@ -87,7 +87,7 @@ class BoxQP:
         natural = x - np.clip(x - gradient, self.lower, self.upper)
         violation = np.maximum(self.lower - x, x - self.upper)
         towards = np.where(gradient > 0.0, self.lower, self.upper)
-        # A gradient towards an open side is no multiplier: it counts by the step it leaves.
+        # A gradient towards an infinite bound is not a multiplier: it counts times x.
         bounded = np.isfinite(towards)
         gap = np.abs(gradient[bounded] * (x - towards)[bounded]).sum()
         gap += np.abs(gradient[~bounded] * x[~bounded]).sum()
@@ -104,15 +104,15 @@ class BoxSolution:
 
     x: FloatArray  # the solution, shape (p,) [-]
     certificate: Certificate  # its residuals
-    determined: bool = True  # whether no other point is optimal, as `solve_box_qp` finds it
+    determined: bool = True  # whether the optimum is unique, set by `solve_box_qp`
     solver: str = WARM_START  # the solver that was called, or `WARM_START`
-    iterations: int | None = None  # iterations of the solver; None where it does not say
-    exchanges: int = 0  # exchanges of the active set by which pivoting then reached the optimum
-    course: str = ""  # of a joint refinement its steps, in words: the solver gave the first of them
+    iterations: int | None = None  # iterations of the solver; None if not reported
+    exchanges: int = 0  # exchanges of the active set while pivoting
+    course: str = ""  # number of steps of a joint refinement, in words
 
     @property
     def status(self) -> str:
-        """What found the solution, with the certificate, in words."""
+        """How the solution was found, with its certificate, in words."""
         course = f"{self.course}, " if self.course else ""
         iterations = "" if self.iterations is None else f" {self.iterations} iterations"
         found_by = f"{course}{self.solver}{iterations}, pivoting {self.exchanges} exchanges"
@@ -121,7 +121,7 @@ class BoxSolution:
 
 
 class UncertifiedSolutionError(IdentificationError):
-    """A solver's answer misses the KKT tolerance by its residual [-]; NaN without an answer."""
+    """A solver's answer exceeds the KKT tolerance with its residual [-]; NaN without an answer."""
 
     def __init__(self, fact: str, hint: str, residual: float = math.nan) -> None:
         super().__init__(fact, hint)
@@ -131,11 +131,11 @@ class UncertifiedSolutionError(IdentificationError):
 def solve_box_qp(
     problem: BoxQP, solver: str, tolerance: float, near: FloatArray | None = None
 ) -> BoxSolution:
-    """Solve a box QP and certify the answer; a solver's own verdict does not count.
+    """Solve a box QP and certify the answer, regardless of the solver's own status.
 
     The solver is any that qpsolvers finds, the tolerance the largest residual of the certificate
-    [-]. From the active set of `near`, the solution of a similar problem, shape (p,) [-], pivoting
-    starts, and the solver is called only where that leads nowhere.
+    [-]. Pivoting starts from the active set of `near`, the solution of a similar problem, shape
+    (p,) [-]; the solver is called only if that fails.
     """
     check_solver(solver)
     if not (np.isfinite(problem.P).all() and np.isfinite(problem.q).all()):
@@ -155,18 +155,18 @@ def solve_box_qp(
             "try more smoothness, another solver or a longer segment",
             worst,
         )
-    # An optimum is the only one if P is definite over what is off its bounds.
+    # The optimum is unique if P is definite over the free variables.
     free = np.flatnonzero((found.x > problem.lower) & (found.x < problem.upper))
-    return replace(found, determined=is_definite(problem.P[np.ix_(free, free)], _FLAT))
+    return replace(found, determined=is_definite(problem.P[np.ix_(free, free)], _MIN_CURVATURE))
 
 
 def solve_cold(problem: BoxQP, solver: str) -> BoxSolution:
-    """Solve a box QP from nothing: the solver, then pivoting from its answer."""
+    """Solve a box QP without a warm start: the solver, then pivoting from its answer."""
     P = problem.P if solver in qpsolvers.dense_solvers else csc_matrix(problem.P)
     program = qpsolvers.Problem(P, problem.q, lb=problem.lower, ub=problem.upper)
     try:
         with warnings.catch_warnings():
-            # The certificate judges the answer: the solver's warnings say nothing new.
+            # The certificate makes the solver's warnings redundant.
             warnings.simplefilter("ignore")
             options = OSQP_SETTINGS if solver == "osqp" else {}
             answer = qpsolvers.solve_problem(program, solver, **options)
@@ -184,14 +184,14 @@ def solve_cold(problem: BoxQP, solver: str) -> BoxSolution:
 
 
 def pivot_regularised(problem: BoxQP, start: FloatArray) -> BoxSolution:
-    r"""Pivot; where P is singular, or nearly so, with a ridge that falls tenfold each time.
+    r"""Pivot; if P is singular, or nearly so, with a ridge that falls tenfold each time.
 
-    Each regularised program adds :math:`\tfrac12 \rho |x - x'|^2` with x' the optimum of the
-    one before (the proximal point method: Rockafellar 1976, doi:10.1137/0314056), which makes
-    P definite; its active set is near that of the next. Once the active set is the problem's
-    own and leaves P definite over the free variables, pivoting is exact; otherwise the ridge
-    vanishes. The first x' is the point of the box nearest to zero: of all optima one near zero
-    is found.
+    Each regularised program adds :math:`\tfrac12 \rho |x - x'|^2` with x' the previous optimum
+    (the proximal point method: Rockafellar 1976, doi:10.1137/0314056), which makes P definite;
+    its active set is near that of the next. Pivoting becomes exact once the active set is that of
+    the original problem and leaves P definite over the free variables; otherwise the ridge
+    vanishes. The first x' is the point of the box nearest to zero, so that a small optimum is
+    found if there are many.
     """
     best = pivot(problem, start)
     x, centre = best.x, np.clip(np.zeros_like(start), problem.lower, problem.upper)
@@ -213,17 +213,17 @@ def pivot(problem: BoxQP, start: FloatArray) -> BoxSolution:
     """Move a point inside the box to the exact optimum near it, by its active set.
 
     Block principal pivoting (Judice & Pires 1994, doi:10.1016/0305-0548(94)90106-6): all
-    variables on the wrong side change sides at once, or, when that stops helping, one at a
-    time, which cannot cycle. From a solver's answer a few steps reach the optimum to
-    rounding. It needs P to be definite over the free variables. What is found is the point with the
-    smallest residuals on the way, at worst the start.
+    variables on the wrong side change sides at once, or, without further progress, one at a time,
+    which cannot cycle. From a solver's answer a few steps reach the optimum to rounding. P must be
+    definite over the free variables. The result is the visited point with the smallest residuals,
+    at worst the start.
     """
     x, certificate = start, problem.certificate(start)
     trial = start - (problem.P @ start + problem.q)
     side = np.where(trial <= problem.lower, -1, np.where(trial >= problem.upper, 1, 0))
     fewest, patience = len(x) + 1, _PATIENCE
     exchanges = 0
-    while exchanges < _EXCHANGES:
+    while exchanges < _MAX_EXCHANGES:
         try:
             candidate, gradient = _solve_on_sides(problem, side)
         except np.linalg.LinAlgError:
@@ -248,7 +248,7 @@ def pivot(problem: BoxQP, start: FloatArray) -> BoxSolution:
 
 
 def _solve_on_sides(problem: BoxQP, side: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Optimum over the free variables with the others at bounds, and the gradient there."""
+    """Optimum over the free variables with the others at their bounds, and its gradient."""
     x = np.where(side < 0, problem.lower, np.where(side > 0, problem.upper, 0.0))
     free = np.flatnonzero(side == 0)
     if len(free) == 0:
@@ -257,7 +257,7 @@ def _solve_on_sides(problem: BoxQP, side: IntArray) -> tuple[FloatArray, FloatAr
     factor = cho_factor(problem.P[np.ix_(free, free)], lower=True, check_finite=False)
     x[free] = -cho_solve(factor, rest, check_finite=False)
     gradient = problem.P @ x + problem.q
-    if np.abs(gradient[free]).max() > _REFINED:  # of an ill-conditioned matrix
+    if np.abs(gradient[free]).max() > _MAX_GRADIENT:  # ill-conditioned
         x[free] -= cho_solve(factor, gradient[free], check_finite=False)
         gradient = problem.P @ x + problem.q
     return x, gradient
@@ -269,10 +269,10 @@ def _wrong_side(problem: BoxQP, side: IntArray, x: FloatArray, gradient: FloatAr
     return np.where(side == 0, beyond, np.where(side * gradient > _ROUNDING, 0, side))
 
 
-def is_definite(matrix: FloatArray, least: float) -> bool:
-    """Whether a symmetric matrix, shape (p, p), is positive definite with pivots above `least`."""
+def is_definite(matrix: FloatArray, min_pivot: float) -> bool:
+    """Whether a symmetric matrix, shape (p, p), is definite with all pivots above `min_pivot`."""
     try:
         factor = np.linalg.cholesky(matrix)
     except np.linalg.LinAlgError:
         return False
-    return float(factor.diagonal().min(initial=np.inf)) ** 2 > least
+    return float(factor.diagonal().min(initial=np.inf)) ** 2 > min_pivot

@@ -1,13 +1,13 @@
-r"""How far estimates hold on data that they have not seen, beside simple rivals.
+r"""Accuracy of estimates on unseen data, compared with simple baselines.
 
-Three questions, each answered for an estimate and for its rivals on the same samples:
+Three questions, each answered for an estimate and for its baselines on the same samples:
 
-- `cluster`: the force on a cluster that was left out, from the other clusters and the wrench;
-- `wrench`: the wrench from the limb's pose alone, on samples that no fit has seen;
-- `tiles`: the force on the tiles without a sensor, where a simulation knows it.
+- `cluster`: the force on a left-out cluster, from the other clusters and the wrench;
+- `wrench`: the wrench from the limb's pose alone, on samples not used in the fit;
+- `tiles`: the force on tiles without a sensor, if known from a simulation.
 
-The rivals are what needs no model: inverse-distance interpolation of the clusters, the same with
-the smallest change that meets the wrench, the best constant, and linear regression on the pose.
+The baselines need no model: inverse-distance interpolation of the clusters, the same with the
+smallest change that matches the wrench, the best constant, and linear regression on the pose.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from socket_testbed.identification.fit import (
 )
 from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.noise import channel_noise, smooth_poses
-from socket_testbed.identification.problem import LEAST_SAMPLES
+from socket_testbed.identification.problem import MIN_SAMPLES
 from socket_testbed.samples import Samples, Status
 from socket_testbed.settings.identification import (
     VARIANTS,
@@ -47,34 +47,34 @@ from socket_testbed.settings.testbed import EstimatorSettings
 if TYPE_CHECKING:
     import pandas as pd
 
-LEVELS = (0.5, 0.8, 0.95)  # [-]; of the intervals whose coverage is judged
+LEVELS = (0.5, 0.8, 0.95)  # [-]; of the intervals tested for coverage
 INVERSE_DISTANCE = "inverse distance"
 CLOSED = "inverse distance, wrench met"
 FORCE_MAP = "force map"
 CONSTANT = "best constant"
-MOST_SAMPLES = 1000  # of a trial, on which forces on tiles are judged
-_MOST_WRENCHES = 4000  # of a half of a trial
+MAX_SAMPLES = 1000  # of a trial, to judge forces on tiles
+_MAX_WRENCHES = 4000  # of half a trial
 
 _EXPONENT = 2.0  # [-]; Shepard's
-_NEAR = 1e-6  # [m]; a tile nearer than this to a cluster's is that tile
+_MIN_DISTANCE = 1e-6  # [m]; of a cluster's own tile
 _UNKNOWN = (float("nan"),) * len(LEVELS)
 
 Question = Literal["cluster", "wrench", "tiles"]
 Test = Literal["left out", "in-sample", "second half", "other trial"]
-"""How samples stand to those that a predictor was fitted on: it has not seen the cluster that was
-left out, the second half or the other trial; it has seen what is in-sample."""
+"""Relation of the test samples to those of the fit: the left-out cluster, the second half and the
+other trial are unseen; in-sample data is not."""
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """Errors of one predictor on one question; NaN where the question has no such figure."""
+    """Errors of one predictor on one question; NaN for figures that do not apply."""
 
-    question: Question  # `cluster`, `wrench` or `tiles`: see this module
-    predictor: str  # an estimate or a rival
-    test: Test  # how the samples stand to those of the fit
-    fitted_on: str  # name of the trial that it was fitted on; empty for what needs no fit
-    tested_on: str  # name of the trial that it was judged on
-    cluster: str = ""  # the cluster that was left out; empty for all of them
+    question: Question  # `cluster`, `wrench` or `tiles`: see the module
+    predictor: str  # an estimate or a baseline
+    test: Test  # relation of the samples to those of the fit
+    fitted_on: str  # name of the trial of the fit; empty without a fit
+    tested_on: str  # name of the test trial
+    cluster: str = ""  # the left-out cluster; empty for all of them
     samples: int = 0
     error: float = float("nan")  # RMSE of the forces over their RMS [-]; 1 if zero is predicted
     moment_rmse: float = float("nan")  # mean RMSE of the moments [N m]
@@ -87,19 +87,19 @@ class Judgement:
 def inverse_distance(
     geometry: SocketGeometry, clusters: Sequence[str], local_forces: FloatArray
 ) -> FloatArray:
-    r"""Interpolate the clusters' forces over the socket by the inverse square of the distance.
+    r"""Interpolate the clusters' forces over the socket by inverse squared distance.
 
     .. math:: F_i = R_i \frac{\sum_c w_{ic} f_c}{\sum_c w_{ic}}, \qquad
               w_{ic} = \lVert a_i - a_c \rVert^{-2}
 
-    with f_c in the cluster's frame, so that a pressure stays a pressure around the socket
-    (Shepard, Proc. 23rd ACM National Conference, 1968). A cluster's own tile has its force. The
-    given forces are in the clusters' frames, shape (N, c, 3) [N], NaN if missing; those found are
-    in {S}, shape (N, n, 3) [N], NaN in samples without any cluster.
+    with f_c in the cluster's frame, so that pressure stays pressure around the socket (Shepard,
+    Proc. 23rd ACM National Conference, 1968). A cluster's own tile has its force. The inputs are in
+    the clusters' frames, shape (N, c, 3) [N], NaN if missing; the results are in {S}, shape
+    (N, n, 3) [N], NaN in samples without any cluster.
     """
     tiles = [geometry.clusters[name] for name in clusters]
     apart = np.linalg.norm(geometry.anchors[:, None] - geometry.anchors[tiles], axis=2)
-    weights = np.maximum(apart, _NEAR) ** -_EXPONENT
+    weights = np.maximum(apart, _MIN_DISTANCE) ** -_EXPONENT
     known = np.asarray(np.isfinite(local_forces).all(axis=2))
     total = known @ weights.T
     summed = np.einsum("ic,kcj->kij", weights, np.where(known[:, :, None], local_forces, 0.0))
@@ -111,22 +111,22 @@ def inverse_distance(
 def close_wrench(
     geometry: SocketGeometry, forces: FloatArray, wrench: FloatArray, held: Sequence[int] = ()
 ) -> FloatArray:
-    r"""The smallest change of the forces on the tiles with which they add up to the wrench.
+    r"""Change the forces on the tiles as little as possible so that they match the wrench.
 
     .. math:: \min \sum_i \lVert \Delta F_i \rVert^2 / A_i \quad \text{with} \quad
               C (F + \Delta F) = w
 
-    so that a large tile changes more than a small one, as under an added stress:
-    :math:`\Delta F = A C^T (C A C^T)^{-1} (w - C F)`. The force on `held` tiles stays, such as on
-    those with a sensor. Forces are in {S}, shape (N, n, 3) [N], wrenches [M; F], shape (N, 6)
-    [N m, N]; if the other tiles are too few to meet every wrench, the forces come nearest.
+    so that large tiles change more than small ones, as under an added stress:
+    :math:`\Delta F = A C^T (C A C^T)^{-1} (w - C F)`. The force on `held` tiles, such as those with
+    a sensor, is fixed. Forces are in {S}, shape (N, n, 3) [N], wrenches [M; F], shape (N, 6)
+    [N m, N]; if there are too few other tiles to match the wrench, the misfit is least.
     """
     mapping = wrench_map(geometry.anchors)
     areas = geometry.areas.copy()
     areas[list(held)] = 0.0
     gain = np.repeat(areas, 3)[:, None] * mapping.T
-    lacking = wrench - forces.reshape(len(forces), -1) @ mapping.T
-    change = lacking @ np.linalg.pinv(mapping @ gain, hermitian=True) @ gain.T
+    misfit = wrench - forces.reshape(len(forces), -1) @ mapping.T
+    change = misfit @ np.linalg.pinv(mapping @ gain, hermitian=True) @ gain.T
     return forces + change.reshape(forces.shape)
 
 
@@ -137,7 +137,7 @@ WrenchPredictor = Callable[[FloatArray], FloatArray]
 def wrench_predictors(
     samples: Samples, models: Mapping[str, ContactModel]
 ) -> dict[str, WrenchPredictor]:
-    """The best constant and linear regression on the pose, then models; all fitted on samples."""
+    """The best constant and linear regression on the pose, fitted on the samples, then models."""
     mean, (slope, constant) = samples.wrench.mean(axis=0), regress_wrench(samples, samples.pose)
     return {
         CONSTANT: lambda pose: np.tile(mean, (len(pose), 1)),
@@ -153,9 +153,9 @@ def judge_wrench(
     fitted_on: str = "",
     tested_on: str = "",
 ) -> list[Judgement]:
-    """Judge predictions of the wrench from the pose alone, on samples as `loaded_rows` finds them.
+    """Judge predictions of the wrench from the pose alone, on samples selected by `loaded_rows`.
 
-    A channel of the wrench without a value counts in no mean.
+    Means leave out wrench channels without a value.
     """
     constant = samples.wrench.std(axis=0)
     found = []
@@ -173,7 +173,7 @@ def judge_wrench(
 def loaded_rows(samples: Samples, least_force: float) -> BoolArray:
     """Samples under load, shape (N,): with a pose, a wrench, and a force of `least_force` [N].
 
-    A channel of the wrench that never has a value is not asked for.
+    Wrench channels that never have a value are not required.
     """
     measured = np.isfinite(samples.wrench)
     measured |= ~measured.any(axis=0)
@@ -183,7 +183,7 @@ def loaded_rows(samples: Samples, least_force: float) -> BoolArray:
 
 
 def without_cluster(samples: Samples, cluster: str) -> Samples:
-    """The samples as they would be had a cluster not been read."""
+    """The samples with a cluster marked as missing."""
     column = samples.clusters.index(cluster)
     forces, status = samples.local_forces.copy(), samples.status.copy()
     forces[:, column] = np.nan
@@ -194,7 +194,7 @@ def without_cluster(samples: Samples, cluster: str) -> Samples:
 def left_out_pressures(
     samples: Samples, geometry: SocketGeometry
 ) -> Iterator[tuple[str, FloatArray, FloatArray, FloatArray]]:
-    """Each cluster's pressure, what the map says without it, its deviation, (N,) each [Pa]."""
+    """Each cluster's pressure, the map's without it and that one's deviation, (N,) each [Pa]."""
     force_map = ForceMap(geometry, samples.clusters)
     for column, name in enumerate(samples.clusters):
         tile = geometry.clusters[name]
@@ -206,15 +206,15 @@ def left_out_pressures(
 
 FieldEstimator = Callable[[Samples], tuple[FloatArray, FloatArray]]
 """From samples to the forces on the tiles in {S}, shape (N, n, 3) [N], and their standard
-deviations by axis of {S}, NaN where it gives none."""
+deviations by axis of {S}, NaN if unknown."""
 
 
 def field_estimators(
     geometry: SocketGeometry, settings: ForceMapSettings
 ) -> dict[str, FieldEstimator]:
-    """What estimates the forces on the tiles without a fit, by name.
+    """Estimators of the forces on the tiles that need no fit, by name.
 
-    Inverse-distance interpolation of the clusters, without and with the wrench met; the force map.
+    Inverse-distance interpolation of the clusters, without and with the wrench matched; force map.
     """
     made = cache(partial(ForceMap, geometry, settings=settings))  # by the clusters
 
@@ -244,7 +244,7 @@ def judge_clusters(
 ) -> list[Judgement]:
     """Judge the forces on each cluster, estimated from the others and the wrench; then on all.
 
-    The intervals are those of a measurement: they hold the errors of the cluster's own channels,
+    The intervals are those of a measurement: they include the errors of the cluster's own channels,
     with the standard deviations `noise` in its frame, shape (c, 3) [N].
     """
     by_name: dict[str, list[_Compared]] = {name: [] for name in estimators}
@@ -281,7 +281,7 @@ def judge_tiles(
     test: Test,
     tested_on: str = "",
 ) -> list[Judgement]:
-    """Judge the forces on the tiles without a sensor where they are known, (N, n, 3) in {S} [N]."""
+    """Judge the forces on tiles without a sensor against the truth, (N, n, 3) in {S} [N]."""
     bare = np.setdiff1d(np.arange(len(geometry)), [*geometry.clusters.values()])
     if not len(bare):
         return []
@@ -295,11 +295,11 @@ def judge_tiles(
 
 
 _Compared = tuple[FloatArray, FloatArray, FloatArray]
-"""True and estimated forces of N samples, and the standard deviations of these."""
+"""True and estimated forces of N samples, and the estimates' standard deviations."""
 
 
 def _judged(judgement: Judgement, compared: Sequence[_Compared], size: float) -> Judgement:
-    """The judgement with its figures, over forces of the root mean square `size` [N]."""
+    """The judgement with its figures; `size` is the RMS of the true forces [N]."""
     errors = np.concatenate([(forces - truth).ravel() for truth, forces, _ in compared])
     scaled = np.abs(errors / np.concatenate([spread.ravel() for *_, spread in compared]))
     scaled = scaled[np.isfinite(scaled)]
@@ -319,7 +319,7 @@ def fit_variants(
     settings: IdentificationSettings,
     notify: Callable[[str], None] | None = None,
 ) -> dict[str, ContactModel]:
-    """Fit every variant of the contact model that the samples allow, by name; note the others."""
+    """Fit every variant of the contact model, by name; report those that cannot be fitted."""
     models: dict[str, ContactModel] = {}
     errors: dict[str, IdentificationError] = {}
     for variant in VARIANTS:
@@ -339,11 +339,11 @@ def fit_variants(
 def split(samples: Samples, least_force: float) -> tuple[IntArray, IntArray]:
     """Indices of the first and the second half of the samples under load."""
     loaded = np.flatnonzero(loaded_rows(samples, least_force))
-    if len(loaded) < 2 * LEAST_SAMPLES:
+    if len(loaded) < 2 * MIN_SAMPLES:
         raise IdentificationError(
             f"only {len(loaded)} of {len(samples)} samples have a pose and a wrench under load"
             f" ({least_force:g} N or more), and two halves to fit and to test need"
-            f" {2 * LEAST_SAMPLES}",
+            f" {2 * MIN_SAMPLES}",
             "give a longer trial",
         )
     middle = len(loaded) // 2
@@ -353,17 +353,17 @@ def split(samples: Samples, least_force: float) -> tuple[IntArray, IntArray]:
 def judge_unseen_half(
     samples: Samples, geometry: SocketGeometry, settings: IdentificationSettings
 ) -> tuple[ChannelErrors, ...]:
-    """Errors on the second half of samples of a model that is fitted on their first half."""
+    """Errors on the second half of the samples of a model fitted on the first half."""
     first, second = split(samples, 0.0)
     model = fit_contact_model(samples[first], geometry, settings).model
     unseen = smooth_poses(samples[second], settings.pose_smoothing)
     return evaluate(unseen, model, settings.leave_out)
 
 
-def thinned(rows: BoolArray, most: int = MOST_SAMPLES) -> IntArray:
-    """At most `most` of some rows, evenly spread over them."""
+def thinned(rows: BoolArray, limit: int = MAX_SAMPLES) -> IntArray:
+    """Indices of at most `limit` of the rows, evenly spread."""
     numbers = np.flatnonzero(rows)
-    return numbers[evenly(len(numbers), most)]
+    return numbers[evenly(len(numbers), limit)]
 
 
 def judge_samples(
@@ -376,10 +376,10 @@ def judge_samples(
 ) -> list[Judgement]:
     """Answer all three questions on the loaded part of one trial.
 
-    The variants and their rivals are fitted on its first half and judged on its second; the variant
-    of the settings does not matter. The tiles without a sensor are judged on the second half for
-    every estimate, by their true forces in {S}, shape (N, n, 3) [N], if those are known. A variant
-    that cannot be fitted is noted.
+    The variants and their baselines are fitted on its first half and judged on its second; the
+    variant of the settings is ignored. Tiles without a sensor are judged on the second half for
+    every estimate, against their true forces in {S}, shape (N, n, 3) [N], if those are known.
+    Variants that cannot be fitted are reported to `notify`.
     """
     first, second = split(samples, settings.plateau.least_force)
     found = judge_map(samples, geometry, settings, name)
@@ -387,12 +387,12 @@ def judge_samples(
     window = settings.identification.pose_smoothing
     seen, unseen = (smooth_poses(samples[half], window) for half in (first, second))
     predictors = wrench_predictors(seen, models)
-    seen, unseen = (half[evenly(len(half), _MOST_WRENCHES)] for half in (seen, unseen))
+    seen, unseen = (half[evenly(len(half), _MAX_WRENCHES)] for half in (seen, unseen))
     found += judge_wrench(seen, predictors, "in-sample", name, name)
     found += judge_wrench(unseen, predictors, "second half", name, name)
     if truth is not None:
         samples = smooth_poses(samples, window)
-        rows = second[evenly(len(second), MOST_SAMPLES)]
+        rows = second[evenly(len(second), MAX_SAMPLES)]
         estimators = field_estimators(geometry, settings.force_map) | {
             variant: partial(_forces_of, model) for variant, model in models.items()
         }
@@ -403,7 +403,7 @@ def judge_samples(
 def judge_map(
     samples: Samples, geometry: SocketGeometry, settings: EstimatorSettings, name: str = ""
 ) -> list[Judgement]:
-    """Judge what estimates forces on tiles without a fit by clusters that are left out."""
+    """Judge the estimators that need no fit on left-out clusters."""
     samples = samples[thinned(loaded_rows(samples, settings.plateau.least_force))]
     noise = measurement_errors(samples, channel_noise(samples).local_forces, settings.force_map)
     estimators = field_estimators(geometry, settings.force_map)
@@ -413,12 +413,12 @@ def judge_map(
 def measurement_errors(
     samples: Samples, noise: FloatArray, settings: ForceMapSettings
 ) -> FloatArray:
-    r"""Standard deviation of what a cluster measures about the force on it, shape (c, 3) [N].
+    r"""Standard deviation of each cluster's measurement error, shape (c, 3) [N].
 
     .. math:: \sqrt{\max(\sigma_{noise}, \sigma_{offset})^2 + (\sigma_{gain} f_{rms})^2}
 
-    with the offset (which includes the usual noise) and the gain as uncertain as the force map
-    takes them to be, the size f_rms of the channel, and its noise, (c, 3) [N], NaN if unknown.
+    with the force map's uncertainty of the offset (including typical noise) and of the gain, the
+    RMS f_rms of the channel, and its noise, (c, 3) [N], NaN if unknown.
     """
     forces = samples.trusted_forces
     sizes = [[rms(channel) for channel in cluster.T] for cluster in forces.swapaxes(0, 1)]
@@ -444,7 +444,7 @@ _TITLES = {
 
 
 def judgements_table(judgements: Sequence[Judgement]) -> pd.DataFrame:
-    """Judgements as a pandas table, a row each, with the units in the names: see `Judgement`."""
+    """Judgements as a pandas table, one per row, with units in the names: see `Judgement`."""
     import pandas as pd
 
     table = pd.DataFrame([vars(j) for j in judgements]).rename(columns=_TITLES)
@@ -455,11 +455,11 @@ def judgements_table(judgements: Sequence[Judgement]) -> pd.DataFrame:
 
 
 def summarise_judgements(judgements: Sequence[Judgement]) -> pd.DataFrame:
-    """Means over the trials, a row per `question`, `test` and `predictor`, in their order.
+    """Means over the trials, one row per `question`, `test` and `predictor`, in this order.
 
-    The columns are those of `judgements_table` that are numbers, `judged [1]`, the number of
-    judgements, `worst error [-]`, and the medians of the skills, such as `median force skill [-]`:
-    one trial may spoil a mean.
+    The columns are the numeric ones of `judgements_table`, `judged [1]`, the number of judgements,
+    `worst error [-]`, and medians of the skills, such as `median force skill [-]`, which a single
+    bad trial does not affect.
     """
     table = judgements_table([j for j in judgements if not j.cluster])
     grouped = table.groupby(["question", "test", "predictor"], sort=False)
@@ -472,7 +472,7 @@ def summarise_judgements(judgements: Sequence[Judgement]) -> pd.DataFrame:
 
 
 def judgements_by_trial(judgements: Sequence[Judgement]) -> pd.DataFrame:
-    """Judgements of each `trial` in one row: its own, and medians of those by models of others.
+    """Judgements of each `trial` in one row: its own, and medians over models of other trials.
 
     Columns are the figures of `judgements_table` by question, test and predictor, such as
     `wrench, second half: rigid_bias force skill [-]`.

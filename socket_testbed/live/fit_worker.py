@@ -18,17 +18,17 @@ from socket_testbed.errors import IdentificationError
 from socket_testbed.files import end_with_parent
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.data_check import LEAST_SAMPLES as LEAST_CHECKED
+from socket_testbed.identification.data_check import MIN_SAMPLES as LEAST_CHECKED
 from socket_testbed.identification.data_check import check_data
 from socket_testbed.identification.fit import Fit, fit_contact_model
 from socket_testbed.identification.plausibility import (
-    LEAST_FORCE,
-    LEAST_MOMENT,
+    MIN_FORCE,
+    MIN_MOMENT,
     find_outliers,
     require_load,
     sign_note,
 )
-from socket_testbed.identification.problem import LEAST_SAMPLES
+from socket_testbed.identification.problem import MIN_SAMPLES
 from socket_testbed.live.processes import schedule_ordinarily
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
@@ -152,7 +152,7 @@ def fit_samples(
         newest = np.flatnonzero(complete)[-held_out:]
         if steady.rival is not None:
             used[newest[0] :] = False
-        if used.sum() < max(steady.least_samples, LEAST_SAMPLES):
+        if used.sum() < max(steady.least_samples, MIN_SAMPLES):
             continue
         if samples.stamps[used][-1] <= steady.after:
             return None  # and the other stretches are older
@@ -183,7 +183,7 @@ def _judge(
     counts = np.array([name not in settings.leave_out for name in samples.channels])
     measured[:, ~counts] = np.nan
     groups = (measured[:, :3], measured[:, 3:6], measured[:, 6:])
-    smallest = (LEAST_MOMENT, LEAST_FORCE, LEAST_FORCE)
+    smallest = (MIN_MOMENT, MIN_FORCE, MIN_FORCE)
     sizes = [max(rms(group, 0.0), least) for group, least in zip(groups, smallest, strict=True)]
     size = np.repeat(sizes, [group.shape[1] for group in groups])
 

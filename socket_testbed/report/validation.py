@@ -10,7 +10,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from socket_testbed.identification.information import LEAST_RATIO
+from socket_testbed.identification.information import MIN_RATIO
 from socket_testbed.identification.validation import (
     CLOSED,
     FORCE_MAP,
@@ -89,7 +89,7 @@ def section(results: Results) -> Section:
             Heading("What the pose reveals"),
             "Standard deviation of the motion over the segment against that of the noise. In"
             f" {results.motion.directions} of 6 independent directions the motion is"
-            f" {LEAST_RATIO:g} times the noise or more; elsewhere the noise shrinks the"
+            f" {MIN_RATIO:g} times the noise or more; elsewhere the noise shrinks the"
             " stiffnesses, and the smoothness decides them.",
             [str(excitation) for excitation in results.motion.excitations],
             "With the noise of the channels and of the pose, and only the directions of the pose"

@@ -1,1 +1,1 @@
-"""From a scan to tiles; from landmarks to registered marker bodies."""
+"""From a scan to tiles, and from landmarks to registered marker bodies."""

@@ -1,13 +1,13 @@
-"""Clusters on the interior: where they are stuck on, or where they would tell most.
+"""Clusters on the interior: tiles for existing ones, and places for planned ones.
 
-A sensor that is glued in does not move: the tiles are laid around it (`lay_clusters`).
+A glued sensor cannot move: the tiles are laid around it (`lay_clusters`).
 
-Where clusters are only planned, they are proposed where they tell most about the forces on all
-tiles (`place_clusters`): A-optimal over the force map's prior. The expected error of the map does
-not depend on what is measured, only on where: it is the trace of the posterior covariance over that
-of the prior, averaged over the hypotheses. Clusters are placed one after the other, each where it
-lowers the trace most (Krause, Singh & Guestrin, Near-optimal sensor placements in Gaussian
-processes, JMLR 2008, for such greedy choices).
+Planned clusters are proposed where they are most informative about the forces on all tiles
+(`place_clusters`), A-optimal over the force map's prior. The expected error of the map depends only
+on the places, not on the measured values: it is the trace of the posterior covariance over that of
+the prior, averaged over the hypotheses. Clusters are placed one by one, each where it lowers the
+trace most (for greedy placement see Krause, Singh & Guestrin, Near-optimal sensor placements in
+Gaussian processes, JMLR 2008).
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class ClusterPlace:
     name: str
     centre: FloatArray  # its centre in {S} [m], or in the scan's coordinates and unit; (3,)
     frame: FloatArray | None  # its own frame in {S}; (3, 3) [-]; None for that of its tile
-    where: str  # what names it in an error
+    where: str  # its name in errors
     in_scan: bool = False  # whether its centre is in the scan's coordinates
 
     def in_load_cell(self, scan: ScanFrame) -> ClusterPlace:
@@ -58,10 +58,10 @@ class ClusterPlace:
 
 
 def read_cluster_places(path: Path) -> list[ClusterPlace]:
-    """Read where the clusters are.
+    """Read the places of clusters.
 
-    Below the key `clusters`, by name: a `point` in {S} [m], one in the `scan` (in its coordinates
-    and unit), or an `anchor` in {S} [m] and a `frame`.
+    The key `clusters` holds for each name a `point` in {S} [m], a point in the `scan` (in its
+    coordinates and unit), or an `anchor` in {S} [m] and a `frame`.
     """
     return [
         ClusterPlace(
@@ -101,14 +101,14 @@ class LaidCluster:
     """A cluster on the interior."""
 
     name: str
-    asked: FloatArray  # where it was said to be in {S}; (3,) [m]
-    surface: FloatArray  # the point of the interior nearest to that in {S}; (3,) [m]
+    asked: FloatArray  # its specified place in {S}; (3,) [m]
+    surface: FloatArray  # the nearest point of the interior in {S}; (3,) [m]
     anchor: FloatArray  # centre of its tile in {S}; (3,) [m]
     turned: float  # angle of its x axis from that of its tile about the inward normal [rad]
 
     @property
     def moved(self) -> float:
-        """How far its tile is from where it was said to be, put on the interior [m]."""
+        """Distance of its tile from its specified place, projected on the interior [m]."""
         return float(np.linalg.norm(self.anchor - self.surface))
 
     def __str__(self) -> str:
@@ -121,9 +121,9 @@ class LaidCluster:
         return f"asked at ({asked}), laid at ({anchor}) mm of {{S}}, {distance:.1f} mm away{turned}"
 
 
-_MOST_LIFTED = 0.030  # [m]; a place farther from the interior is on something else
-_MOST_TILTED = 30.0  # [deg]; of a frame's z against the inward normal
-_MOST_MOVED = 0.5  # [edges]; of a tile that does not fit where the cluster is
+_MAX_DISTANCE = 0.030  # [m]; of a place from the interior
+_MAX_TILT = 30.0  # [deg]; of a frame's z from the inward normal
+_MAX_SHIFT = 0.5  # [edges]; of a tile that does not fit at its cluster's place
 
 
 def lay_clusters(
@@ -136,27 +136,27 @@ def lay_clusters(
 ) -> tuple[Squares, list[LaidCluster]]:
     """Lay each cluster's square at the point of the interior nearest to its place.
 
-    Where its footprint is not complete there, it is laid at the nearest of other centres at which
-    it is. The mesh is the interior, its normals inwards [m]; places are in {S}; the flatness is the
-    largest distance of the surface from a tile's plane [m]. The squares have edges [m] along the
-    clusters' own axes.
+    If its footprint is incomplete there, it is laid at the nearest of the other centres where it is
+    complete. The mesh is the interior, its normals inwards [m]; places are in {S}; the flatness is
+    the largest distance of the surface from a tile's plane [m]. The squares' edges [m] are along
+    the clusters' own axes.
     """
     squares, laid = Squares(np.zeros((0, 3)), np.zeros((0, 3, 3)), edge), list[LaidCluster]()
     for place in places:
         spot = _on_surface(mesh, place)
-        turned = _turned(place, squares_at(spot, surroundings, edge))
-        tried = _around(spot, centres, _MOST_MOVED * edge)
+        turned = _turn_angle(place, squares_at(spot, surroundings, edge))
+        tried = _nearest_first(spot, centres, _MAX_SHIFT * edge)
         candidates = squares_at(tried, surroundings, edge)
         candidates = replace(candidates, rotations=candidates.rotations @ about_z(turned))
         likely = roughly_fit(candidates, surroundings, flatness)
-        likely[0] = True  # the exact footprint decides where the cluster is
+        likely[0] = True  # at the cluster's own place the exact footprint decides
         candidates = candidates.take(likely)
         footprints = Footprints(mesh, candidates, flatness)
         fits = next((i for i in range(len(candidates)) if not footprints.unfit([i])), None)
         if fits is None:
             raise ConfigurationError(
                 f"{place.where}: no {1e3 * edge:g} mm tile fits within"
-                f" {1e3 * _MOST_MOVED * edge:g} mm of it: the interior has a rim there, or is not"
+                f" {1e3 * _MAX_SHIFT * edge:g} mm of it: the interior has a rim there, or is not"
                 " flat enough",
                 "check its place, or give a smaller --size or a larger --flatness",
             )
@@ -173,7 +173,7 @@ def lay_clusters(
 
 
 def _on_surface(mesh: trimesh.Trimesh, place: ClusterPlace) -> SurfacePoints:
-    """The point of the interior nearest to a place; of a wall that faces as its frame does."""
+    """The point of the interior nearest to a place, on a wall that faces like its frame."""
     triangles, normals = np.asarray(mesh.triangles), np.asarray(mesh.face_normals)
     if place.frame is not None:
         facing = normals @ place.frame[:, 2] > 0.0
@@ -181,7 +181,7 @@ def _on_surface(mesh: trimesh.Trimesh, place: ClusterPlace) -> SurfacePoints:
     points = closest_point(triangles, np.broadcast_to(place.centre, (len(triangles), 3)))
     distances = np.linalg.norm(points - place.centre, axis=1)
     nearest = int(distances.argmin()) if len(distances) else 0
-    if not len(distances) or distances[nearest] > _MOST_LIFTED:
+    if not len(distances) or distances[nearest] > _MAX_DISTANCE:
         far = f"{1e3 * distances[nearest]:.0f} mm" if len(distances) else "turned away"
         raise ConfigurationError(
             f"{place.where}: is {far} from the interior",
@@ -190,26 +190,26 @@ def _on_surface(mesh: trimesh.Trimesh, place: ClusterPlace) -> SurfacePoints:
     return SurfacePoints(points[[nearest]], normals[[nearest]], np.zeros(1))
 
 
-def _turned(place: ClusterPlace, square: Squares) -> float:
-    """Angle of a cluster's x from that of the tile there, about the tile's normal [rad]."""
+def _turn_angle(place: ClusterPlace, square: Squares) -> float:
+    """Angle of a cluster's x from its tile's x, about the tile's normal [rad]."""
     if place.frame is None:
         return 0.0
     x, _, z = (square.rotations[0].T @ place.frame).T
     tilted = float(np.degrees(np.arccos(np.clip(z[2], -1.0, 1.0))))
-    if tilted > _MOST_TILTED:
+    if tilted > _MAX_TILT:
         raise ConfigurationError(
             f"{place.where}: its z is {tilted:.0f} deg off the inward normal of the interior",
             "give the columns x, y, z of its frame, z inwards",
         )
     turned = float(np.arctan2(x[1], x[0]))
-    return 0.0 if abs(turned) < _NOT_TURNED else turned
+    return 0.0 if abs(turned) < _MIN_TURN else turned
 
 
-_NOT_TURNED = np.radians(0.1)
+_MIN_TURN = np.radians(0.1)
 
 
-def _around(spot: SurfacePoints, centres: SurfacePoints, farthest: float) -> SurfacePoints:
-    """A point, and others within a distance of it, the nearest first."""
+def _nearest_first(spot: SurfacePoints, centres: SurfacePoints, farthest: float) -> SurfacePoints:
+    """A point and the centres within a distance of it, the nearest first."""
     distance = np.linalg.norm(centres.positions - spot.positions, axis=1)
     order = np.argsort(distance)
     near = order[distance[order] < farthest]
@@ -220,63 +220,63 @@ def _around(spot: SurfacePoints, centres: SurfacePoints, farthest: float) -> Sur
 
 
 _HYPOTHESES = 16
-_RANDOM = 20  # placements to compare with
+_RANDOM_PLACEMENTS = 20  # placements for comparison
 
 
 @dataclass(frozen=True)
 class ClusterPlacement:
-    """A proposal for the places of clusters."""
+    """Proposed places of clusters."""
 
-    tiles: IntArray  # of the clusters, in the order of their choice, those that stay first
-    # expected error of the force map on the tiles without a cluster, over their rms, by the number
-    # of clusters placed [-]
+    tiles: IntArray  # of the clusters, in the order of their choice, fixed ones first
+    # expected error of the force map on tiles without a cluster, over their RMS, by the number of
+    # clusters [-]
     errors: dict[int, float]
-    at_random: tuple[float, float]  # the least and the largest with as many clusters at random [-]
+    at_random: tuple[float, float]  # smallest and largest error of random placements [-]
 
 
-class _Expectation:
-    """What the prior expects of the map's error, given the wrench and clusters on some tiles."""
+class _ExpectedError:
+    """Expected error of the map under its prior, given the wrench and clusters on some tiles."""
 
     def __init__(self, geometry: SocketGeometry) -> None:
-        self._before: list[FloatArray] = []  # K under each hypothesis
-        self._loaded: list[FloatArray] = []  # likewise, given the wrench
+        self._prior: list[FloatArray] = []  # K under each hypothesis
+        self._with_wrench: list[FloatArray] = []  # likewise, given the wrench
         bare = replace(geometry, clusters={})
         for sizes in hypotheses(ForceMapSettings(draws=_HYPOTHESES)):
             prior = Prior(bare, (), sizes)
             whole = prior.covariance()
             mapped = whole @ prior.mapping.T
             known = prior.mapping @ mapped + np.diag(prior.noise)
-            self._before.append(whole)
-            self._loaded.append(whole - mapped @ np.linalg.solve(known, mapped.T))
+            self._prior.append(whole)
+            self._with_wrench.append(whole - mapped @ np.linalg.solve(known, mapped.T))
 
     def error(self, tiles: Sequence[int]) -> float:
-        """Expected error on the tiles without a cluster, over their rms [-]."""
-        left = self._given(tiles)
+        """Expected error on the tiles without a cluster, over their RMS [-]."""
+        left = self._posterior(tiles)
         free = np.setdiff1d(np.arange(len(left[0]) // 3), tiles)
         rows = (3 * free[:, None] + np.arange(3)).ravel()
         ratios = [
             np.trace(after[np.ix_(rows, rows)]) / np.trace(before[np.ix_(rows, rows)])
-            for after, before in zip(left, self._before, strict=True)
+            for after, before in zip(left, self._prior, strict=True)
         ]
         return float(np.sqrt(np.mean(ratios)))
 
     def best(self, tiles: Sequence[int], free: IntArray) -> int:
-        """The free tile on which another cluster tells most."""
-        gains = np.sum([self._gains(each) for each in self._given(tiles)], axis=0)
+        """The free tile on which another cluster lowers the error most."""
+        gains = np.sum([self._gains(each) for each in self._posterior(tiles)], axis=0)
         return int(free[gains[free].argmax()])
 
-    def _given(self, tiles: Sequence[int]) -> list[FloatArray]:
-        found = self._loaded
+    def _posterior(self, tiles: Sequence[int]) -> list[FloatArray]:
+        found = self._with_wrench
         for tile in tiles:
-            found = [self._lowered(covariance, 3 * tile + np.arange(3)) for covariance in found]
+            found = [self._conditioned(covariance, 3 * tile + np.arange(3)) for covariance in found]
         return found
 
-    def _lowered(self, covariance: FloatArray, rows: IntArray) -> FloatArray:
+    def _conditioned(self, covariance: FloatArray, rows: IntArray) -> FloatArray:
         columns, own = covariance[:, rows], covariance[np.ix_(rows, rows)]
         return covariance - columns @ np.linalg.solve(own + self._noise(own), columns.T)
 
     def _gains(self, covariance: FloatArray) -> FloatArray:
-        """Relative decrease of the trace by a cluster on each tile, shape (n,) [-]."""
+        """Relative decrease of the trace for a cluster on each tile, shape (n,) [-]."""
         columns = covariance.reshape(len(covariance), -1, 3)  # (3n, n, 3)
         squares = np.einsum("jia,jib->iab", columns, columns)
         tiles = np.arange(len(squares))
@@ -285,7 +285,7 @@ class _Expectation:
         return np.asarray(lowered / np.trace(covariance))
 
     def _noise(self, own: FloatArray) -> FloatArray:
-        """Covariances of the errors of clusters that measure forces of covariances (..., 3, 3)."""
+        """Error covariances of clusters whose forces have the covariances (..., 3, 3)."""
         offset, gain = ForceMapSettings.cluster_error, ForceMapSettings.cluster_gain_error
         return np.asarray(np.eye(3) * (offset**2 + gain**2 * own))
 
@@ -296,12 +296,12 @@ def place_clusters(
     stay: Sequence[int],
     allowed: BoolArray,
 ) -> ClusterPlacement:
-    """Propose tiles for so many clusters, those that stay on their tiles included.
+    """Propose tiles for `count` clusters, including those that `stay` on their tiles.
 
-    The socket's own clusters do not count. `allowed` are the tiles that may take another cluster,
+    The socket's own clusters are ignored. `allowed` are the tiles that may take another cluster,
     shape (n,).
     """
-    expectation = _Expectation(geometry)
+    expectation = _ExpectedError(geometry)
     free = np.setdiff1d(np.flatnonzero(allowed), stay)
     if not len(stay) <= count <= len(stay) + len(free):
         raise ConfigurationError(
@@ -314,7 +314,7 @@ def place_clusters(
     rng = np.random.default_rng(0)
     drawn = [
         expectation.error([*stay, *rng.choice(free, count - len(stay), replace=False)])
-        for _ in range(_RANDOM)
+        for _ in range(_RANDOM_PLACEMENTS)
     ]
     errors = {n: expectation.error(chosen[:n]) for n in range(max(len(stay), 1), count + 1)}
     return ClusterPlacement(np.array(chosen), errors, (min(drawn), max(drawn)))

@@ -1,6 +1,6 @@
-"""A socket's design: from a scan to its tiles, clusters and frames on the load cell.
+"""A socket's design: from a scan to tiles, clusters and frames in {S}.
 
-{S} is placed in a scan by directions, by landmarks, or by three picked points.
+{S} is placed in a scan by directions, landmarks, or three picked points.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from socket_testbed.socket_design.squares import Squares
 from socket_testbed.socket_design.tiling import Tiling, TilingSettings, tile_interior
 
 _AXES = {"x": 0, "y": 1, "z": 2}
-_SMALLEST_SINE = 0.1  # [-]; directions closer to each other than some 6 degrees span no plane
-_LARGEST_RESIDUAL = 0.01  # [m]
+_MIN_SINE = 0.1  # [-]; about 6 degrees between directions that span a plane
+_MAX_RESIDUAL = 0.01  # [m]
 
 
 @dataclass(frozen=True)
@@ -73,17 +73,17 @@ def parse_point(text: str, where: str) -> FloatArray:
 def place_by_directions(
     vertices: FloatArray, proximal: FloatArray, anterior: FloatArray | None, height: float
 ) -> Placement:
-    """{S} a height [m] below the distal end, z proximal and x anterior, directions (3,) [-].
+    """Place {S} a height [m] below the distal end, z proximal and x anterior.
 
-    The interior's vertices (v, 3) [m] and the directions are in the scan's frame. If anterior is
-    None, it is the scan's axis that is most across: +x, or +y where that is along the socket.
+    The interior's vertices (v, 3) [m] and the directions (3,) [-] are in the scan's frame. Without
+    anterior, +x of the scan is used, or +y if +x is along the socket.
     """
     assumed = anterior is None
     if anterior is None:
         anterior = np.eye(3)[0 if abs(proximal[0]) < 0.7 else 1]
     z = proximal / np.linalg.norm(proximal)
     x = anterior - (anterior @ z) * z
-    if np.linalg.norm(x) < _SMALLEST_SINE:
+    if np.linalg.norm(x) < _MIN_SINE:
         raise ConfigurationError(
             "--anterior is along the proximal direction", "give the direction of the shin's front"
         )
@@ -100,14 +100,14 @@ def place_by_directions(
 
 
 def place_by_points(points: FloatArray) -> Placement:
-    """{S} by three points in the scan, (3, 3) [m]: its origin, one on +x, one towards +y."""
+    """Place {S} by three points in the scan, (3, 3) [m]: its origin, one on +x, one towards +y."""
     along, aside = points[1] - points[0], points[2] - points[0]
     normal = np.cross(along, aside)
     size = float(np.linalg.norm(along) * np.linalg.norm(aside))
-    if size == 0.0 or np.linalg.norm(normal) < _SMALLEST_SINE * size:
+    if size == 0.0 or np.linalg.norm(normal) < _MIN_SINE * size:
         raise RegistrationError(
             "the three --points are on one line or at one place",
-            "pick the origin of {S}, a point on its +x axis, and one beside it towards +y",
+            "pick the origin of {S}, a point on its +x axis, and a third one towards +y",
         )
     x, z = along / np.linalg.norm(along), normal / np.linalg.norm(normal)
     rotation = np.array([x, np.cross(z, x), z])
@@ -128,10 +128,9 @@ class _PickedLandmarks(Document):
 
 
 def place_by_landmarks(path: Path, scale: float) -> Placement:
-    """{S} by landmarks that are known in it and were picked in the scan, whose unit is a scale [m].
+    """Place {S} by landmarks with coordinates in {S} and in the scan, whose unit is a scale [m].
 
-    The file holds, below the key `landmarks`, for each by name: `scan` (in the scan's unit) and
-    `load_cell` [m].
+    The file's key `landmarks` holds for each name `scan` (in the scan's unit) and `load_cell` [m].
     """
     landmarks = read_document(path, _PickedLandmarks).landmarks
     scan, load_cell = (
@@ -142,16 +141,16 @@ def place_by_landmarks(path: Path, scale: float) -> Placement:
         fit = register_landmarks(scan * scale, load_cell, tuple(landmarks))
     except RegistrationError as error:
         raise RegistrationError(f"{path}: {error.fact}", error.hint) from None
-    if fit.rms > _LARGEST_RESIDUAL:
+    if fit.rms > _MAX_RESIDUAL:
         worst = fit.names[int(fit.residual.argmax())]
         raise RegistrationError(
-            f"{path}: the landmarks fit by {1e3 * fit.rms:.1f} mm only",
+            f"{path}: the landmarks only fit to {1e3 * fit.rms:.1f} mm",
             f"check the scan's unit and the coordinates, first of '{worst}'",
         )
     return Placement(fit.pose, f"{len(landmarks)} landmarks, rms {1e3 * fit.rms:.2f} mm")
 
 
-_MOVED = 1e-4  # [m]; a cluster's tile that is farther from where it was asked is worth a note
+_NOTED_SHIFT = 1e-4  # [m]; distance of a tile from its cluster's place that is noted
 _ANTERIOR = np.array([1.0, 0.0, 0.0])  # in {S}
 
 
@@ -164,9 +163,9 @@ class SocketDesign:
     mesh: trimesh.Trimesh  # its interior in {S} [m]
     placement: Placement  # where {S} is in the scan
     tiling: Tiling
-    geometry: SocketGeometry  # the socket that they make
+    geometry: SocketGeometry
     settings: TilingSettings
-    notes: tuple[str, ...]  # what a person should look at
+    notes: tuple[str, ...]  # remarks for the user
 
     def __repr__(self) -> str:
         covered = self.tiling.footprint_areas.sum() / self.tiling.interior_area
@@ -176,7 +175,7 @@ class SocketDesign:
         )
 
     def facts(self) -> list[tuple[str, str]]:
-        """What a user wants to know, as rows of a table."""
+        """Key figures for the user, as rows of a table."""
         scan, tiling, edge = self.scan, self.tiling, 1e3 * self.settings.edge
         tiles, area = len(self.geometry), 1e4 * tiling.interior_area
         covered = 1e4 * float(tiling.footprint_areas.sum())
@@ -186,7 +185,7 @@ class SocketDesign:
             "{S}": self.placement.source,
             "tiles": f"{tiles} of {edge:g} x {edge:g} mm",
             "covered": f"{covered:.0f} of {area:.0f} cm^2 of the interior"
-            f" ({100 * covered / area:.0f} %); {100 * tiling.cover_inside:.0f} % of what is more"
+            f" ({100 * covered / area:.0f} %); {100 * tiling.cover_inside:.0f} % of the area more"
             f" than {edge / 2:g} mm from its rim",
             "upper bound": f"{tiling.upper_bound:.1f} tiles by area:"
             f" {100 * tiles / tiling.upper_bound:.0f} % reached",
@@ -199,7 +198,7 @@ class SocketDesign:
         laid = {cluster.name: str(cluster) for cluster in tiling.clusters}
         for name, tile in self.geometry.clusters.items():
             anchor = ", ".join(f"{1e3 * value:.1f}" for value in self.geometry.anchors[tile])
-            facts[f"cluster {name}"] = laid.get(name, f"put at ({anchor}) mm of {{S}}")
+            facts[f"cluster {name}"] = laid.get(name, f"placed at ({anchor}) mm of {{S}}")
         if not self.geometry.clusters:
             facts["clusters"] = "none"
         return [*facts.items()]
@@ -215,11 +214,11 @@ def design_socket(
     settings: TilingSettings,
     progress: Callable[[int, int], None] | None = None,
 ) -> SocketDesign:
-    """Lay tiles out on the interior of a scan of a name, for a socket with the bodies of another.
+    """Lay out tiles on the interior of a scan, for a socket with the marker bodies of `bodies`.
 
-    {S} is found by `place`: given the interior's vertices, shape (v, 3) [m], the proximal
-    direction, shape (3,) [-], both in the scan's axes, and the scan's unit [m]. Without a proximal
-    direction it is found; without places of clusters they are where they usually are. `progress` is
+    `place` returns the placement of {S}, given the interior's vertices, shape (v, 3) [m], the
+    proximal direction, shape (3,) [-], both in the scan's axes, and the scan's unit [m]. If not
+    given, the proximal direction is inferred and clusters are at their usual places. `progress` is
     called with the steps done and their number.
     """
     interior = find_interior(scan.mesh, proximal)
@@ -234,16 +233,16 @@ def design_socket(
     tiling = tile_interior(mesh, upwards, _ANTERIOR, settings, progress, known)
     axis = _axis_of(mesh, upwards)
     notes = [
-        f"no tile fits where cluster {laid.name} was asked: it is {1e3 * laid.moved:.1f} mm beside"
+        f"no tile fits at cluster {laid.name}: the nearest one is {1e3 * laid.moved:.1f} mm off"
         for laid in tiling.clusters
-        if laid.moved > _MOVED
+        if laid.moved > _NOTED_SHIFT
     ]
     if bodies.regions:
         notes.append(f"the regions {', '.join(bodies.regions)} are not kept: the tiles are new")
     nominal: dict[str, int] = {}
     if clusters is None:
         nominal = nominal_places(tiling.squares, axis)
-        notes.append("the clusters are put where they usually are: look, or give --clusters")
+        notes.append("the clusters are at their usual places: check them, or give --clusters")
     source = f"{name} [{scan.unit}], {placement.source}"
     geometry = _tiled_socket(tiling, axis, nominal, bodies, source, frame)
     notes = [*scan.notes, *interior.notes, *notes]
@@ -264,8 +263,8 @@ TILE_NAME = re.compile(r"h\d{3}_a\d{3}[a-z]?")
 def tile_names(anchors: FloatArray, axis: SocketAxis) -> tuple[str, ...]:
     """Names such as `h092_a045`: 92 mm above the distal end, 45 degrees from anterior.
 
-    The angle is about the axis, counterclockwise seen from above. Tiles at one place to the
-    millimetre and the degree differ by a letter.
+    The angle is about the axis, counterclockwise seen from above. A letter distinguishes tiles with
+    the same rounded height and angle.
     """
     heights = np.maximum(np.round(1e3 * axis.heights(anchors)), 0).astype(int)
     angles = np.degrees(axis.angles(anchors))
@@ -277,21 +276,21 @@ def tile_names(anchors: FloatArray, axis: SocketAxis) -> tuple[str, ...]:
     return tuple(names)
 
 
-# Where three of the testbed's clusters usually are: angle from anterior [deg], and height of all.
+# Usual places of three of the testbed's clusters: angle from anterior [deg], relative height [-].
 _USUAL = {"brim_lateral": (90.0, 1.0), "mid_anterior": (0.0, 0.6), "posterior_distal": (180.0, 0.2)}
-_MOST_TURNED = 45.0  # [deg]; from there, for the name to be right
-_MOST_RAISED = 1.5  # [edges]; likewise
-_GIVEN = "give with --clusters FILE where yours are"
+_MAX_TURN = 45.0  # [deg]; from the usual place
+_MAX_RAISE = 1.5  # [edges]; likewise
+_GIVE_PLACES = "give the places of yours with --clusters FILE"
 
 
 def nominal_places(squares: Squares, axis: SocketAxis) -> dict[str, int]:
-    """The tiles where the four clusters of the testbed usually are, for a socket without a file.
+    """Tiles at the usual places of the testbed's four clusters, for a socket without a file.
 
-    A socket that has no usual place for one of them is refused.
+    Refuses a socket that lacks one of these places.
     """
     if len(squares) <= len(_USUAL):
         fact = f"{len(squares)} tiles do not hold the usual {len(_USUAL) + 1} clusters"
-        raise ConfigurationError(fact, _GIVEN)
+        raise ConfigurationError(fact, _GIVE_PLACES)
     height = axis.heights(squares.anchors)
     highest = max(float(height.max()), 1e-9)
     places: dict[str, int] = {}
@@ -301,7 +300,7 @@ def nominal_places(squares: Squares, axis: SocketAxis) -> dict[str, int]:
         raised = np.abs(height / highest - level)
         places[name] = tile = _best(3.0 * off - 4.0 * raised, places)
         turned = float(np.degrees(np.arccos(off[tile])))
-        if turned > _MOST_TURNED or raised[tile] > _MOST_RAISED * squares.edge / highest:
+        if turned > _MAX_TURN or raised[tile] > _MAX_RAISE * squares.edge / highest:
             where = f"{name} {1e3 * height[tile]:.0f} mm above the distal end"
             found.append(f"{where} and {turned:.0f} deg from its side")
     from_end = np.linalg.norm(squares.anchors - axis.end, axis=1)
@@ -310,12 +309,12 @@ def nominal_places(squares: Squares, axis: SocketAxis) -> dict[str, int]:
         found.append(f"distal {1e3 * height[tile]:.0f} mm above the distal end")
     if found:
         fact = f"the usual places of clusters are not on this socket ({'; '.join(found)})"
-        raise ConfigurationError(fact, _GIVEN)
+        raise ConfigurationError(fact, _GIVE_PLACES)
     return places
 
 
 def _best(score: FloatArray, taken: dict[str, int]) -> int:
-    """The tile of the highest score that is not taken."""
+    """The free tile with the highest score."""
     return next(int(tile) for tile in np.argsort(-score) if tile not in taken.values())
 
 
@@ -327,15 +326,15 @@ def _tiled_socket(
     source: str,
     scan: ScanFrame,
 ) -> SocketGeometry:
-    """The geometry of a tiled socket in {S}, its tiles in the order of their names.
+    """The geometry of a tiled socket in {S}, its tiles sorted by name.
 
-    A tile that a cluster is on has the cluster's name.
+    A tile under a cluster has the cluster's name.
     """
     squares = tiling.squares
     clusters = {laid.name: tile for tile, laid in enumerate(tiling.clusters)} | nominal
     turned = {laid.name: laid.turned for laid in tiling.clusters if laid.turned}
     rotations = squares.rotations.copy()
-    for name, angle in turned.items():  # a tile's x is proximal, however its cluster is turned
+    for name, angle in turned.items():  # a tile's x stays proximal under a turned cluster
         rotations[clusters[name]] = rotations[clusters[name]] @ about_z(-angle)
     names = tile_names(squares.anchors, axis)
     order = np.array(sorted(range(len(names)), key=names.__getitem__))

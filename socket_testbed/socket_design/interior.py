@@ -1,4 +1,4 @@
-"""The interior surface of a socket: its cavity, what the cavity sees, and its inner wall."""
+"""The interior surface of a socket: its cavity, the faces visible from it, and its inner wall."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ from socket_testbed.socket_design.scan_file import (
     separate,
 )
 
-_EXACT = 1e-6  # [-]; misfit of an axis that is as good as exact
-_IN_QUESTION = 5.0  # [-]; misfit of an axis that cannot be ruled out, of the best misfit
-_ALIKE = 1.3  # [-]; between misfits so close that all axes between theirs fit as well
+_MIN_MISFIT = 1e-6  # [-]; smaller misfits are practically zero
+_MAX_LIKELY_RATIO = 5.0  # [-]; relative to the best misfit, for an axis that cannot be ruled out
+_MAX_ALIKE_RATIO = 1.3  # [-]; between misfits of equivalent axes and all axes between them
 
 
 @dataclass(frozen=True)
 class Axis:
     """A line."""
 
-    origin: FloatArray  # a point of it; (3,) [m]
+    origin: FloatArray  # a point on it; (3,) [m]
     direction: FloatArray  # unit vector along it; (3,)
 
     def cylindrical(self, mesh: trimesh.Trimesh) -> tuple[FloatArray, FloatArray]:
-        """Places of the faces along the axis from its origin and off it, each of shape (F,) [m]."""
+        """Positions of the faces along the axis and distances from it, shape (F,) each [m]."""
         offset = mesh.triangles_center - self.origin
         along = offset @ self.direction
         return along, np.linalg.norm(offset - along[:, None] * self.direction, axis=1)
@@ -46,27 +46,27 @@ class AxisFit:
     """How well a surface is one of revolution about axes of any direction."""
 
     middle: FloatArray  # middle of the surface; (3,) [m]
-    moment: FloatArray  # best moment about the middle of an axis a unit direction; (3, 3) [m]
-    misfits: FloatArray  # mean square misfit of the principal directions, rising; (3,) [-]
-    directions: FloatArray  # the principal directions, one a row; (3, 3)
+    moment: FloatArray  # from an axis's direction to its best moment about the middle; (3, 3) [m]
+    misfits: FloatArray  # mean square misfits of the principal directions, ascending; (3,) [-]
+    directions: FloatArray  # the principal directions, one per row; (3, 3)
 
     def likely(self) -> list[Axis]:
         """The best axis, and those at right angles to it that cannot be ruled out."""
-        limit = _IN_QUESTION * max(float(self.misfits[0]), _EXACT)
+        limit = _MAX_LIKELY_RATIO * max(float(self.misfits[0]), _MIN_MISFIT)
         return [self._along(direction) for direction in self.directions[self.misfits <= limit]]
 
     def near(self, direction: FloatArray) -> Axis:
-        """The principal axis near a direction, or that direction where many fit alike."""
+        """The principal axis near a direction, or that direction if many fit equally well."""
         best = int(np.abs(self.directions @ direction).argmax())
-        ratio = np.fmax(self.misfits, _EXACT) / max(float(self.misfits[best]), _EXACT)
-        alike = self.directions[np.abs(np.log(ratio)) < np.log(_ALIKE)]
-        towards = alike.T @ (alike @ direction)
+        ratio = np.fmax(self.misfits, _MIN_MISFIT) / max(float(self.misfits[best]), _MIN_MISFIT)
+        equivalent = self.directions[np.abs(np.log(ratio)) < np.log(_MAX_ALIKE_RATIO)]
+        towards = equivalent.T @ (equivalent @ direction)
         return self._along(towards / np.linalg.norm(towards))
 
     @property
     def is_sharp(self) -> bool:
         """Whether the best axis stands out."""
-        return float(self.misfits[1]) > _ALIKE * max(float(self.misfits[0]), _EXACT)
+        return float(self.misfits[1]) > _MAX_ALIKE_RATIO * max(float(self.misfits[0]), _MIN_MISFIT)
 
     def _along(self, direction: FloatArray) -> Axis:
         return Axis(self.middle + np.cross(direction, self.moment @ direction), direction)
@@ -75,10 +75,10 @@ class AxisFit:
 def _fit_axis(mesh: trimesh.Trimesh) -> AxisFit:
     """Fit an axis of revolution to a surface.
 
-    A rotation about the direction c with the moment m moves the point p by c x p + m. It leaves
-    a surface of revolution in itself, so ``n . (c x p + m) = 0`` there; that is solved in least
-    squares for |c| = 1 (Pottmann and Randrup 1998, Computing 60, 307-322). Neither the sign of
-    the normals nor a part of the circumference that is missing matters.
+    A rotation about the direction c with the moment m moves the point p by c x p + m. A surface of
+    revolution slides in itself, so ``n . (c x p + m) = 0`` there; this is solved by least squares
+    for |c| = 1 (Pottmann and Randrup 1998, Computing 60, 307-322). Neither the sign of the normals
+    nor a missing part of the circumference matters.
     """
     weights = mesh.area_faces / mesh.area
     normals, centres = np.asarray(mesh.face_normals), np.asarray(mesh.triangles_center)
@@ -92,36 +92,36 @@ def _fit_axis(mesh: trimesh.Trimesh) -> AxisFit:
     return AxisFit(middle, scale * moment, misfits, directions.T)
 
 
-_LONGEST_ROUND = 0.45  # [-]; of the length, for the radius of a rounded end
-_NARROW = 0.5  # [-]; of the radius, for what is no wall of the cavity but of a bore
+_MAX_END_RADIUS = 0.45  # [-]; of the length
+_MIN_WALL_DISTANCE = 0.5  # [-]; of the radius; nearer faces belong to a bore
 
 
 @dataclass(frozen=True)
 class Spine:
-    """A segment; its points look at the walls beside them, its ends at what lies beyond."""
+    """A segment along the cavity: interior points look sideways at the wall, its ends beyond."""
 
-    axis: Axis  # the line it is on
-    low: float  # where the segment begins, from the origin along the direction [m]
-    high: float  # where it ends [m]
+    axis: Axis
+    low: float  # start of the segment, from the origin along the direction [m]
+    high: float  # its end [m]
     radius: float  # typical distance of the walls [m]
 
     def feet(self, points: FloatArray) -> FloatArray:
-        """The points of the segment that look at the given points, shape (N, 3) [m]."""
+        """The viewpoints on the segment for the given points, shape (N, 3) [m]."""
         along = np.clip((points - self.axis.origin) @ self.axis.direction, self.low, self.high)
         return self.axis.origin + along[:, None] * self.axis.direction
 
 
 def _spine_along(axis: Axis, wall: trimesh.Trimesh, open_above: bool = False) -> Spine:
-    """Lay the segment so that it ends a radius before the ends of a wall.
+    """Lay the segment so that it ends one radius before the ends of a wall.
 
-    What is much closer to the axis than the wall does not count: a bore in the distal end would
-    draw the segment too far down to see the floor around it.
+    Faces much closer to the axis than the wall are ignored: a bore in the distal end would extend
+    the segment too far down to see the floor around it.
     """
     along, distance = axis.cylindrical(wall)
     radius = _weighted_median(distance, wall.area_faces)
-    wide = along[distance >= _NARROW * radius]
+    wide = along[distance >= _MIN_WALL_DISTANCE * radius]
     low, high = float(wide.min()), float(wide.max())
-    radius = min(radius, _LONGEST_ROUND * (high - low))
+    radius = min(radius, _MAX_END_RADIUS * (high - low))
     return Spine(axis, low + radius, np.inf if open_above else high - radius, radius)
 
 
@@ -131,9 +131,9 @@ def _weighted_median(values: FloatArray, weights: FloatArray) -> float:
     return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
 
 
-_FINENESS = 100  # samples along the side of a square of the surface's area
-_PER_SQUARE = 10  # samples in a square of the spacing, on average
-_NO_DEPTH = 1e-9  # [m]; a point on the spine has a direction, too
+_FINENESS = 100  # spacings along a square with the surface's area
+_PER_SQUARE = 10  # average samples per square of the spacing
+_MIN_DEPTH = 1e-9  # [m]; defines a direction even for points on the spine
 _GRAZING = 0.2  # [-]; cosine below which a face is seen from neither side
 
 
@@ -141,17 +141,17 @@ _GRAZING = 0.2  # [-]; cosine below which a face is seen from neither side
 class SurfaceSamples:
     """Points on the faces of a surface."""
 
-    owners: IntArray  # the face of each point; (P,)
+    owners: IntArray  # face of each point; (P,)
     points: FloatArray  # shape (P, 3) [m]
-    spacing: float  # how far apart they are at most, about [m]
+    spacing: float  # approximate largest distance between neighbours [m]
 
     def majority(self, votes: BoolArray) -> BoolArray:
-        """Faces with more than half of their points in favour, shape (F,)."""
+        """Faces with votes from more than half of their points, shape (F,)."""
         return 2 * np.bincount(self.owners, votes) > np.bincount(self.owners)
 
 
 def _spread_samples(mesh: trimesh.Trimesh) -> SurfaceSamples:
-    """Points on a surface, close enough together for its overall shape."""
+    """Points on a surface, dense enough for its overall shape."""
     spacing = float(np.sqrt(mesh.area)) / _FINENESS
     count = int(_PER_SQUARE * _FINENESS**2)
     points, owners = trimesh.sample.sample_surface(mesh, count, seed=0)
@@ -162,62 +162,62 @@ def _spread_samples(mesh: trimesh.Trimesh) -> SurfaceSamples:
     )
 
 
-_SOLID = 0.5  # [-]; share of directions in which a cavity sees the front of something first
-_FLAT = 0.95  # [-]; area of the caps that close a wall, of its own
-_CLEARLY_OPEN = 0.1  # [-]; net opening, of a section of the cavity
+_MIN_FRONT_SHARE = 0.5  # [-]; smallest front share of a cavity
+_FLAT_RATIO = 0.95  # [-]; area of the caps over that of the wall, for a flat one
+_MIN_OPENING = 0.1  # [-]; net opening over a cross-section of the cavity
 
 
 @dataclass(frozen=True)
 class Cavity:
-    """A surface with its normals into the cavity, and what its spine sees of every face."""
+    """A surface with normals into the cavity, and the visibility of its faces from the spine."""
 
     mesh: trimesh.Trimesh
     samples: SurfaceSamples  # points on all of its faces
     spine: Spine
     facing: FloatArray  # (F,); cosine between a face's normal and the direction to the spine
-    seen: BoolArray  # faces whose front is the first thing in its direction; (F,)
-    hidden: BoolArray  # faces that show their back, behind the front of another; (F,)
-    front_share: float  # share of the directions with anything in them whose first thing is a front
+    seen: BoolArray  # faces seen from the front, with nothing before them; (F,)
+    hidden: BoolArray  # faces seen from the back, behind the front of another; (F,)
+    front_share: float  # share of the non-empty directions that first hit a front [-]
 
     @cached_property
     def wall(self) -> trimesh.Trimesh:
-        """The largest piece of what is seen from its front."""
+        """The largest connected piece of seen faces."""
         return plain_mesh(self.mesh.vertices, self.mesh.faces[_main_piece(self.mesh, self.seen)])
 
     @cached_property
     def caps(self) -> FloatArray:
-        """Area vector of the caps that would close the wall, turned outwards, shape (3,) [m^2].
+        """Outward area vector of the caps that would close the wall, shape (3,) [m^2].
 
-        The area vectors of a closed surface add up to nothing, so those of the wall, which
-        point inwards, add up to those of its caps.
+        The area vectors of a closed surface sum to zero, so the wall's inward area vectors sum to
+        that of its caps.
         """
         return np.asarray(0.5 * self.wall.triangles_cross.sum(axis=0))
 
     @property
     def net_opening(self) -> float:
-        """Area of the openings in the direction of the spine [m^2].
+        """Net area of the openings along the spine [m^2].
 
-        An opening at the spine's beginning counts against one at its end; one at its side not.
+        Openings at the spine's start count as negative; those at its side do not count.
         """
         return float(self.caps @ self.spine.axis.direction)
 
     @property
     def has_clear_end(self) -> bool:
         """Whether one of its ends is clearly more open than the other."""
-        return abs(self.net_opening) > _CLEARLY_OPEN * np.pi * self.spine.radius**2
+        return abs(self.net_opening) > _MIN_OPENING * np.pi * self.spine.radius**2
 
     def along(self, axis: Axis, open_above: bool = False) -> Cavity:
         """The same cavity seen from another axis; see `_spine_along`."""
-        return _look(self.mesh, self.samples, _spine_along(axis, self.wall, open_above))
+        return _view(self.mesh, self.samples, _spine_along(axis, self.wall, open_above))
 
 
-def _look(mesh: trimesh.Trimesh, samples: SurfaceSamples, spine: Spine) -> Cavity:
+def _view(mesh: trimesh.Trimesh, samples: SurfaceSamples, spine: Spine) -> Cavity:
     rays = samples.points - spine.feet(samples.points)
-    depth = np.fmax(np.linalg.norm(rays, axis=1), _NO_DEPTH)
+    depth = np.fmax(np.linalg.norm(rays, axis=1), _MIN_DEPTH)
     facing = -diagonal_dot(mesh.face_normals[samples.owners], rays) / depth
-    # Every direction is a point of the capsule around the spine: no poles, no seam.
+    # A direction is a point on the capsule around the spine, which has no poles and no seam.
     capsule = samples.points + rays * (spine.radius / depth - 1.0)[:, None]
-    # A cell's middle, not its corner, is on the axis.
+    # Centre a cell, not a corner, on the axis.
     cell = number_cells(capsule - spine.axis.origin + 0.5 * samples.spacing, samples.spacing)
     front, back = facing > _GRAZING, facing < -_GRAZING
     first_front, first_back = (np.full(int(cell.max()) + 1, np.inf) for _ in range(2))
@@ -241,18 +241,18 @@ def _find_cavity(name: str, mesh: trimesh.Trimesh) -> Cavity:
     samples = _spread_samples(mesh)
     likeliest = None
     for axis in _fit_axis(mesh).likely():
-        cavity = _look(mesh, samples, _spine_along(axis, mesh))
-        if cavity.front_share < _SOLID and not mesh.is_watertight:
-            # An open surface may be wound either way.
-            cavity = _look(_flipped(mesh), samples, cavity.spine)
-        flat = np.linalg.norm(cavity.caps) >= _FLAT * cavity.wall.area  # or there is no wall
-        if cavity.front_share <= _SOLID or flat:
+        cavity = _view(mesh, samples, _spine_along(axis, mesh))
+        if cavity.front_share < _MIN_FRONT_SHARE and not mesh.is_watertight:
+            # An open surface may have either winding.
+            cavity = _view(_flipped(mesh), samples, cavity.spine)
+        flat = np.linalg.norm(cavity.caps) >= _FLAT_RATIO * cavity.wall.area  # true without a wall
+        if cavity.front_share <= _MIN_FRONT_SHARE or flat:
             continue
-        # Seen from the axis of its wall alone.
+        # Repeat from the axis of the wall alone.
         cavity = cavity.along(_fit_axis(cavity.wall).near(cavity.spine.axis.direction))
         likeliest = likeliest or cavity
-        # A shallow oval cup is nearly round about its long side, too; but both ends of that axis
-        # are closed.
+        # A shallow oval cup is also nearly round about its long axis, but closed at both ends of
+        # that axis.
         if cavity.has_clear_end:
             return cavity
     if likeliest is None:
@@ -267,27 +267,27 @@ def _flipped(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     return plain_mesh(mesh.vertices, mesh.faces[:, ::-1])
 
 
-_FACE_ON = 0.4  # [-]; cosine from which on a seen face needs no other witness
+_FACE_ON = 0.4  # [-]; cosine above which a seen face surely belongs to the wall
 _OPPOSITE = -0.75  # [-]; cosine between the normals of the two sides of a wall
-_NEAR = 1.5  # [-]; of the thickness: here the outer wall decides
-_POCKET = 0.2  # [-]; of the seen area, for a piece in the shadow of the wall itself
+_MAX_NEAR = 1.5  # [-]; of the thickness, for the outer wall to decide
+_MAX_POCKET = 0.2  # [-]; of the seen area
 _PROBES = 2000  # of the thickness
 
 
 def _inner_wall(cavity: Cavity) -> BoolArray:
-    """Faces of the inner wall, in one piece without holes of shadow, shape (F,)."""
+    """Faces of the inner wall, in one piece without shadow holes, shape (F,)."""
     mesh, seen = cavity.mesh, cavity.seen
     face_on = seen & (cavity.facing > _FACE_ON)
-    # What those seen face-on surround, in small pieces, is a pocket in the shadow of the wall.
+    # Small pieces enclosed by face-on faces are pockets in the shadow of the wall.
     labels = _pieces(mesh, ~face_on)
-    small = np.bincount(labels, mesh.area_faces) < _POCKET * float(mesh.area_faces @ seen)
+    small = np.bincount(labels, mesh.area_faces) < _MAX_POCKET * float(mesh.area_faces @ seen)
     small[labels[boundary_half_edges(mesh.faces) // 3]] = False
     pockets = ~face_on & small[labels]
     outside = cavity.hidden & ~pockets
     if not outside.any():
         return _main_piece(mesh, np.ones(len(mesh.faces), bool))
     wall = _main_piece(mesh, _without_rims(cavity, face_on | pockets, outside))
-    # So is what the wall surrounds and that holds nothing of the outside.
+    # Pieces enclosed by the wall without any outside face belong to it.
     labels = _pieces(mesh, ~wall)
     return wall | (np.bincount(labels, outside) == 0)[labels]
 
@@ -300,16 +300,16 @@ def _main_piece(mesh: trimesh.Trimesh, chosen: BoolArray) -> BoolArray:
 
 
 def _pieces(mesh: trimesh.Trimesh, chosen: BoolArray) -> IntArray:
-    """Numbers of the pieces; every face that is not chosen is a piece of its own."""
+    """Labels of connected pieces; every other face is a piece of its own, shape (F,)."""
     pairs = mesh.face_adjacency
     return connected_component_labels(pairs[chosen[pairs].all(axis=1)], node_count=len(chosen))
 
 
 def _without_rims(cavity: Cavity, sure: BoolArray, outside: BoolArray) -> BoolArray:
-    """The faces that belong to a wall, not to the rim of its brim or to a cut, shape (F,).
+    """Faces of a wall, without the rim of its brim and cuts, shape (F,).
 
-    A face of a rim has the outer wall beside it; a face of the inner wall has it behind, turned
-    the other way, or far off. What is seen at a slant needs it behind.
+    A face of a rim has the outer wall next to it; a face of the inner wall has it behind, facing
+    the opposite way, or far off. Faces seen at a slant must have it behind.
     """
     mesh, samples = cavity.mesh, cavity.samples
     back = np.flatnonzero(outside[samples.owners])
@@ -319,8 +319,8 @@ def _without_rims(cavity: Cavity, sure: BoolArray, outside: BoolArray) -> BoolAr
 
     faces = np.flatnonzero(cavity.seen | sure)
     centres, own = mesh.triangles_center[faces], mesh.face_normals[faces]
-    near = cKDTree(places).query(centres, distance_upper_bound=_NEAR * thickness)[0] < np.inf
-    # The part of the outer wall that suits a face best: a normal that is off counts as distance.
+    near = cKDTree(places).query(centres, distance_upper_bound=_MAX_NEAR * thickness)[0] < np.inf
+    # The best matching part of the outer wall: a deviating normal counts as distance.
     turn = 2.0 * thickness
     suits = cKDTree(np.hstack([places, turn * normals]))
     partner = suits.query(np.hstack([centres, -turn * own]))[1]
@@ -330,33 +330,33 @@ def _without_rims(cavity: Cavity, sure: BoolArray, outside: BoolArray) -> BoolAr
     return kept
 
 
-_NARROWEST = 2.0  # [-]; around a brim, of the radius of the cavity
-_WORTH_A_NOTE = 0.05  # [-]; area left out, of the area kept
-_SKEW = 30.0  # [deg]; between a given direction and the axis, worth a note
+_MIN_BRIM = 2.0  # [-]; circumference of a brim over the radius of the cavity
+_NOTED_AREA = 0.05  # [-]; area left out over the area kept
+_NOTED_ANGLE = 30.0  # [deg]; between a given direction and the axis
 
 
 @dataclass(frozen=True)
 class Interior:
     """The interior of a socket, in the scan's axes."""
 
-    # The inner wall with the inside of the distal end; its normals point into the cavity
+    # The inner wall including the distal end; its normals point into the cavity
     mesh: trimesh.Trimesh
     proximal: FloatArray  # unit vector from the distal end to the opening; (3,)
     length: float  # extent along it [m]
-    girth: float  # around the axis, at the median distance of the wall from it [m]
-    notes: tuple[str, ...]  # one plain line for every finding
+    girth: float  # circumference at the median distance of the wall from the axis [m]
+    notes: tuple[str, ...]  # one line per finding
 
 
 def find_interior(mesh: trimesh.Trimesh, proximal: FloatArray | None = None) -> Interior:
-    """Find the surface that a limb touches: of a shell the inner wall, or all of one surface.
+    """Find the surface that a limb touches: the inner wall of a shell, or all of a single surface.
 
-    The faces that are seen from a spine within the cavity are the wall; those seen from behind,
-    behind the wall, are the outside. Where there is an outside, what lies behind a face
-    separates the wall from rims and cuts.
+    Faces seen from a spine within the cavity are the wall; faces seen from the back, behind the
+    wall, are the outside. If there is an outside, the faces behind it tell the wall from rims and
+    cuts.
 
-    The mesh is one body in metres, as `read_scan` gives it: its faces are wound alike. If the
-    direction from the distal end to the brim, in the scan's axes, shape (3,), is not given, the
-    more open end of the cavity is the proximal one.
+    The mesh is one body in metres with consistent winding, as `read_scan` returns it. Without a
+    direction from the distal end to the brim, in the scan's axes, shape (3,), the more open end of
+    the cavity is proximal.
     """
     name = str(mesh.metadata.get("file_name", "the scan"))
     given = None if proximal is None else proximal / np.linalg.norm(proximal)
@@ -372,7 +372,7 @@ def find_interior(mesh: trimesh.Trimesh, proximal: FloatArray | None = None) -> 
         np.asarray(cavity.mesh.vertices), np.asarray(cavity.mesh.faces)[kept]
     )
     around = sorted((loop_length(vertices, loop) for loop in boundary_loops(faces)), reverse=True)
-    if not around or around[0] < _NARROWEST * cavity.spine.radius:
+    if not around or around[0] < _MIN_BRIM * cavity.spine.radius:
         raise ScanError(
             f"{name}: the cavity is closed, no hole in it is as wide as a brim",
             "cut the scan open at the brim",
@@ -391,7 +391,7 @@ def find_interior(mesh: trimesh.Trimesh, proximal: FloatArray | None = None) -> 
     if given is not None:
         notes += _notes_on_direction(given, axis, decided)
     elif not _fit_axis(interior).is_sharp:
-        notes.append("no axis of the cavity stands out: check the proximal direction or give it")
+        notes.append("no axis of the cavity is clear: check the proximal direction or give it")
     upwards = axis.direction if given is None else given
     _, distance = axis.cylindrical(interior)
     return Interior(
@@ -404,7 +404,7 @@ def find_interior(mesh: trimesh.Trimesh, proximal: FloatArray | None = None) -> 
 
 
 def _notes_on_area(cavity: Cavity, kept: BoolArray) -> list[str]:
-    """What was kept, and what was left out although the cavity sees it."""
+    """Notes on the kept area, and on visible faces that were left out."""
     areas = cavity.mesh.area_faces
     area, total, lost = areas[kept].sum(), areas.sum(), areas[cavity.seen & ~kept].sum()
     if kept.all():
@@ -412,9 +412,9 @@ def _notes_on_area(cavity: Cavity, kept: BoolArray) -> list[str]:
     notes = [
         f"kept the inner wall, {1e4 * area:.0f} of {1e4 * total:.0f} cm2: no outer wall, rim or cut"
     ]
-    if lost >= _WORTH_A_NOTE * area:
+    if lost >= _NOTED_AREA * area:
         notes.append(
-            f"left out {1e4 * lost:.0f} cm2 that are seen from the cavity but are no part of it"
+            f"left out {1e4 * lost:.0f} cm2 that are seen from the cavity but do not belong to it"
         )
     return notes
 
@@ -425,6 +425,6 @@ def _notes_on_direction(given: FloatArray, axis: Axis, decided: bool) -> list[st
         return ["the ends of the cavity are equally open: the given proximal direction decides"]
     if angle > 90.0:
         return [f"the given proximal direction points to the closed end, {angle:.0f} deg off"]
-    if angle > _SKEW:
+    if angle > _NOTED_ANGLE:
         return [f"the given proximal direction is {angle:.0f} deg off the axis of the cavity"]
     return []

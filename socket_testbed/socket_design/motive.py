@@ -1,12 +1,12 @@
-"""Takes as Motive exports them to CSV, format versions 1.20 to 1.25.
+"""Takes exported by Motive to CSV, format versions 1.20 to 1.25.
 
-The rows of names stand between the header and the row of axes ('Frame, Time, X, Y, Z, ...').
-Formats 1.20 and 1.21 order them: type, name, id, property. Later ones name in the second
-column what a row holds, with a row 'Parent' besides since 1.25. Columns without a type,
-such as the time code, and those of bones are left alone.
+The format is described at docs.optitrack.com (Data Export: CSV): a line of keys and values, rows
+that name the columns, and a line per frame. A blank cell means not seen.
 
-The format is described at docs.optitrack.com (Data Export: CSV): a line of keys and values, the
-rows that name the columns, and a line for each frame. A blank cell was not seen.
+The name rows are between the header and the row of axes ('Frame, Time, X, Y, Z, ...'). Formats 1.20
+and 1.21 have a fixed order: type, name, id, property. Later ones label each row in its second
+column, with an additional row 'Parent' since 1.25. Columns without a type, such as the time code,
+and those of bones are ignored.
 """
 
 from __future__ import annotations
@@ -31,23 +31,22 @@ _UNNAMED = ("Unlabeled", "Unlabelled")
 
 @dataclass(frozen=True)
 class MotiveTake:
-    """A take that Motive exported, N frames of it."""
+    """A take exported by Motive, with N frames."""
 
-    path: Path  # file of the take
+    path: Path
     version: str  # version of the format
-    frame_rate: float  # frame rate of the export [Hz]
+    frame_rate: float  # of the export [Hz]
     units: str  # unit of length in the file, as written there; all below is in metres
     frames: IntArray  # frame numbers; (N,)
-    times: FloatArray  # times since the start of the take; (N,) [s]
-    # Poses of Motive's rigid bodies in `world` by name; NaN where one was not tracked
+    times: FloatArray  # since the start of the take; (N,) [s]
+    # Poses of Motive's rigid bodies in `world` by name; NaN if not tracked
     bodies: dict[str, Pose]
-    # Measured markers by name, in `world`; (N, 3) [m]; NaN where occluded
+    # Measured markers by name, in `world`; (N, 3) [m]; NaN if occluded
     markers: dict[str, FloatArray]
-    solved: dict[str, FloatArray]  # markers where Motive's rigid bodies expect them, likewise
-    # Names that occur twice among the bodies, markers or solved markers; what has such a name is
-    # not read
+    solved: dict[str, FloatArray]  # markers as expected by Motive's rigid bodies, likewise
+    # Duplicate names among the bodies, markers or solved markers, which are not read
     doubled: frozenset[str]
-    notes: tuple[str, ...]  # what a person should know of the file
+    notes: tuple[str, ...]  # remarks for the user
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -59,7 +58,7 @@ class MotiveTake:
         return self.bodies[name]
 
     def stack(self, names: Collection[str]) -> FloatArray:
-        """Measured markers in `world`, shape (N, k, 3) [m]; NaN where occluded."""
+        """Measured markers in `world`, shape (N, k, 3) [m]; NaN if occluded."""
         for name in names:
             if name not in self.markers:
                 raise self._missing("marker", name, self.markers)
@@ -85,28 +84,28 @@ _OLDEST, _NEWEST = 1.2, 1.25  # versions of the format
 _METRES = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3}
 _AGAIN = "export the take from Motive again"
 _WITH_HEADER = "export the take to CSV from Motive, with the header information"
-_LARGEST_FILE = 2**28  # [bytes]
-_LARGEST = 1e9  # nothing that Motive writes is larger, frame numbers included
-_UNIT_LENGTH = 1e-3  # [-]; the quaternions have six decimals
+_MAX_FILE_SIZE = 2**28  # [bytes]
+_MAX_NUMBER = 1e9  # of any number in a file, frame numbers included
+_NORM_TOLERANCE = 1e-3  # [-]; of a quaternion's norm; six decimals are exported
 
 _BODY, _MARKER, _SOLVED = "Rigid Body", "Marker", "Rigid Body Marker"
 _Part = tuple[str, str]  # property and axis
 _ROTATION: list[_Part] = [("Rotation", axis) for axis in "XYZW"]
 _POSITION: list[_Part] = [("Position", axis) for axis in "XYZ"]
-_NEEDED = {_BODY: _ROTATION + _POSITION, _MARKER: _POSITION, _SOLVED: _POSITION}
-_FIRST = 2  # column behind the frame and the time
+_REQUIRED = {_BODY: _ROTATION + _POSITION, _MARKER: _POSITION, _SOLVED: _POSITION}
+_FIRST_COLUMN = 2  # after the frame and the time
 _TITLE_ROWS = 4
 _Columns = dict[tuple[str, str], dict[_Part, int]]  # by type and name
 
 
 def read_motive_csv(path: Path) -> MotiveTake:
-    """Read a take; a last line that was cut short is left out, with a note."""
+    """Read a take; a truncated last line is skipped with a note."""
     if path.is_dir():
         raise RegistrationError(
             f"{path}: is a folder; a trial holds the two triads but no landmarks",
             "record a static take with landmark markers in Motive and export it to CSV",
         )
-    text = read_text(path, "a take", _LARGEST_FILE)
+    text = read_text(path, "a take", _MAX_FILE_SIZE)
     try:
         return _parse(text, path)
     except RegistrationError as error:
@@ -114,7 +113,7 @@ def read_motive_csv(path: Path) -> MotiveTake:
 
 
 def _parse(text: str, path: Path) -> MotiveTake:
-    """The take in a text; its errors do not name the file."""
+    """Parse a take; errors do not name the file."""
     header, titles, first = _read_titles(text)
     values, notes = _read_header(header)
     columns, doubled = _find_columns(titles)
@@ -137,7 +136,7 @@ def _parse(text: str, path: Path) -> MotiveTake:
 
     bodies, places = {}, positions(_BODY)
     for name, quaternion in take(_BODY, _ROTATION).items():
-        off = np.abs(np.linalg.norm(quaternion, axis=1) - 1.0) > _UNIT_LENGTH
+        off = np.abs(np.linalg.norm(quaternion, axis=1) - 1.0) > _NORM_TOLERANCE
         _refuse_rows(off, rows, f"the quaternion of '{name}' is not of length 1")
         bodies[name] = Pose.from_quaternion(places[name], quaternion)
     return MotiveTake(
@@ -156,7 +155,7 @@ def _parse(text: str, path: Path) -> MotiveTake:
 
 
 def _read_titles(text: str) -> tuple[list[str], list[list[str]], int]:
-    """The header, the rows of titles padded to one width, and the number of lines above data."""
+    """The header, the title rows padded to one width, and the number of lines above the data."""
     reader = csv.reader(io.StringIO(text), strict=True)
     rows: list[list[str]] = []
     try:
@@ -181,7 +180,7 @@ def _read_titles(text: str) -> tuple[list[str], list[list[str]], int]:
 
 
 def _read_header(cells: list[str]) -> tuple[dict[str, str], list[str]]:
-    # A comma in the name of the take shifts the pairs: the value follows its key.
+    # Pair every cell with the next: a comma in the take's name would shift regular pairs.
     values = dict(pairwise(cells))
     values["Export Frame Rate"] = values.get("Export Frame Rate") or values.get(
         "Capture Frame Rate", ""
@@ -207,7 +206,7 @@ def _read_header(cells: list[str]) -> tuple[dict[str, str], list[str]]:
 
 
 def _find_columns(titles: list[list[str]]) -> tuple[_Columns, frozenset[str]]:
-    """Columns of each thing by property and axis, and the names that occur twice."""
+    """Columns of each body or marker by property and axis, and the duplicate names."""
     *names_rows, properties, axes = titles
     labelled = {row[1]: row for row in names_rows}
     kinds, names = labelled.get("Type", titles[0]), labelled.get("Name", titles[1])
@@ -216,7 +215,7 @@ def _find_columns(titles: list[list[str]]) -> tuple[_Columns, frozenset[str]]:
     for column, (kind, name, meaning, axis) in enumerate(
         zip(kinds, names, properties, axes, strict=True)
     ):
-        if column >= _FIRST and (meaning, axis) in _NEEDED.get(kind, ()):
+        if column >= _FIRST_COLUMN and (meaning, axis) in _REQUIRED.get(kind, ()):
             parts = columns.setdefault((kind, name), {})
             if (meaning, axis) in parts:
                 doubled.add((kind, name))
@@ -226,7 +225,7 @@ def _find_columns(titles: list[list[str]]) -> tuple[_Columns, frozenset[str]]:
         fact = "has neither rigid bodies nor markers"
         raise RegistrationError(fact, "export rigid bodies and markers from Motive")
     for (kind, name), parts in columns.items():
-        for meaning, axis in _NEEDED[kind]:
+        for meaning, axis in _REQUIRED[kind]:
             if (meaning, axis) not in parts:
                 fact = f"the {kind.lower()} '{name}' has no column {meaning} {axis}"
                 raise RegistrationError(fact, "export the take again, with all its columns")
@@ -234,7 +233,7 @@ def _find_columns(titles: list[list[str]]) -> tuple[_Columns, frozenset[str]]:
 
 
 def _read_rows(text: str, first: int, width: int, notes: list[str]) -> dict[int, list[str]]:
-    """The cells of the complete frames by their lines."""
+    """The cells of complete frames by line number."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     rows = {
         number: [cell.strip() for cell in line.split(",")]
@@ -242,7 +241,7 @@ def _read_rows(text: str, first: int, width: int, notes: list[str]) -> dict[int,
         if line.strip(", ")
     }
     last = max(rows, default=0)
-    # Without its line end even a last line of full width may lack digits of its last number.
+    # Without a line end, even a last line of full width may lack digits of its last number.
     if rows and (lines[-1] or len(rows[last]) < width):
         notes.append(f"line {last}, the last, is cut short; it is left out")
         del rows[last]
@@ -256,7 +255,7 @@ def _read_rows(text: str, first: int, width: int, notes: list[str]) -> dict[int,
 
 
 def _read_numbers(rows: dict[int, list[str]], columns: _Columns) -> FloatArray:
-    """A table as wide as the file, NaN where a cell is blank or in a column that is not read."""
+    """A table as wide as the file, NaN for blank cells and columns that are not read."""
     titles = {0: "frame", 1: "time"} | {
         column: f"{kind} {name}, {meaning} {axis}".rstrip()
         for (kind, name), parts in columns.items()
@@ -266,17 +265,17 @@ def _read_numbers(rows: dict[int, list[str]], columns: _Columns) -> FloatArray:
     for numbers, (line, row) in zip(table, rows.items(), strict=True):
         for column, title in titles.items():
             numbers[column] = _number(row[column])
-            if row[column] and not abs(numbers[column]) < _LARGEST:
+            if row[column] and not abs(numbers[column]) < _MAX_NUMBER:
                 fact = f"line {line}, column {column + 1} ({title}) holds '{row[column]}'"
                 raise RegistrationError(fact, f"{_AGAIN}, or put the number there")
     for column in (0, 1):
-        rising = np.diff(table[:, column], prepend=-np.inf) > 0.0  # a blank cell does not, either
+        rising = np.diff(table[:, column], prepend=-np.inf) > 0.0  # false for a blank cell
         _refuse_rows(~rising, rows, f"the {titles[column]} does not follow the one before")
     return table
 
 
 def _number(cell: str) -> float:
-    """A number; NaN where there is none."""
+    """The number in a cell; NaN if it holds none."""
     try:
         return decimal(cell)
     except ValueError:

@@ -1,13 +1,13 @@
 """The socket's body in {S} and the limb in the pylon's body, from a static take.
 
-A body without a frame of its own gets this one: origin at its first marker, x towards the
-second, z along the normal of the plane of these and the third, ``z ~ x x (m3 - m1)``, and
-y = z x x. Of more than three markers, that farthest from x takes the place of the third.
+The default frame of a body has its origin at the first marker, x towards the second, z along the
+normal of their plane with the third, ``z ~ x x (m3 - m1)``, and y = z x x. With more than three
+markers, the one farthest from x replaces the third.
 
-On either side of the limb's joint with the socket, markers that stay on their body and landmarks
-that are known in the frame of interest are rigid to each other. The markers give
-world <- body, the landmarks give world <- frame; together they are frame <- body. The body's
-frame is defined by the very take: what is uncertain of it is how well later markers find it.
+On each side, socket and limb, the body's permanent markers and the landmarks, known in the frame
+of interest, are rigid to each other. The markers give world <- body, the landmarks world <- frame;
+together they give frame <- body. The take itself defines the body's frame, so its uncertainty is
+that of later poses found from the markers.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from socket_testbed.socket_design.motive import MotiveTake
 
 LANDMARK_FILE_HELP = """LANDMARKS.yaml names the markers and gives the landmarks' coordinates.
 
-    bodies:                # the markers that stay on the bodies (3 to 8), as the take names them
+    bodies:                # permanent markers of the bodies (3 to 8), named as in the take
       socket: [Socket:Marker1, Socket:Marker2, Socket:Marker3]
       pylon:               # or a rigid body of Motive, 3 to 8 markers; its frame is kept
         rigid_body: Pylon
@@ -57,14 +57,14 @@ LANDMARK_FILE_HELP = """LANDMARKS.yaml names the markers and gives the landmarks
       Limb:Marker2: [0.05, -0.030, 0.12]
       Limb:Marker3: [-0.06, -0.020, 0.09]
 
-All keys are required; load_cell and limb name three landmarks or more, as the take names them.
-Of three, or of more in one plane, a wrong sign has no residual: better give a fourth off the plane.
+All keys are required; load_cell and limb name three landmarks or more, as in the take.
+With three, or with more in one plane, a wrong sign has no residual: add another off the plane.
 """
 
-_FEWEST = 3
-_TOO_FEW = f"give {_FEWEST} or more that are not on one line"
-_FARTHEST = 2.0  # [m]; what is farther is in another unit
-_Metres = Annotated[float, Meta(ge=-_FARTHEST, le=_FARTHEST)]
+_MIN_LANDMARKS = 3
+_TOO_FEW = f"give {_MIN_LANDMARKS} or more that are not on one line"
+_MAX_COORDINATE = 2.0  # [m]; larger coordinates are in another unit
+_Metres = Annotated[float, Meta(ge=-_MAX_COORDINATE, le=_MAX_COORDINATE)]
 _Coordinates = dict[str, tuple[_Metres, _Metres, _Metres]]
 _Names = Annotated[list[Text], Meta(min_length=MIN_MARKERS, max_length=MAX_MARKERS)]
 
@@ -90,7 +90,7 @@ class _LandmarkFile(Document):
 
     def __post_init__(self) -> None:
         for frame, known in (("load_cell", self.load_cell), ("limb", self.limb)):
-            if len(known) < _FEWEST:
+            if len(known) < _MIN_LANDMARKS:
                 raise FieldError(f"{frame}: {len(known)} landmarks hold no frame", _TOO_FEW)
 
 
@@ -99,16 +99,16 @@ class Side:
     """A marker body and the landmarks that are rigid to it."""
 
     body: str  # the body, `socket` or `pylon`
-    # The names of its own three to eight markers, or that of a rigid body of Motive
+    # Names of its three to eight markers, or the name of a rigid body of Motive
     markers: str | tuple[str, ...]
-    frame: str  # the frame in which the landmarks are known: `load_cell` or `limb`
-    where: str  # what names the landmarks in an error: the file and the frame
+    frame: str  # frame of the landmarks' coordinates: `load_cell` or `limb`
+    where: str  # the landmarks' name in errors: file and frame
     names: tuple[str, ...]  # of the landmarks
     known: FloatArray  # their coordinates; (k, 3) [m]
 
 
 def read_landmarks(path: Path) -> tuple[Side, Side]:
-    """Read LANDMARKS.yaml: the sides of the socket and of the limb."""
+    """Read LANDMARKS.yaml: the sides of the socket and the limb."""
     document = read_document(path, _LandmarkFile)
     sides, named = [], list[set[str]]()
     for body, frame in (("socket", "load_cell"), ("pylon", "limb")):
@@ -119,7 +119,7 @@ def read_landmarks(path: Path) -> tuple[Side, Side]:
         labels = words[0] if isinstance(given, _RigidBody) else words
         sides.append(Side(body, labels, frame, f"{path}: {frame}", tuple(landmarks), known))
         named.append({*words, *landmarks})
-    # The socket and the limb move against each other: no marker is on both.
+    # The socket and the limb move relative to each other: no marker is on both.
     for name in sorted(named[0] & named[1]):
         raise ConfigurationError(
             f"{path}: '{name}' is on the socket's side and on the limb's",
@@ -128,8 +128,8 @@ def read_landmarks(path: Path) -> tuple[Side, Side]:
     return sides[0], sides[1]
 
 
-_FLAT = 0.001  # [m]; mirrored landmarks leave twice this residual
-_SMALLEST = 0.005  # [m]; landmarks closer to each other or to one line hold no rotation
+_MIN_THICKNESS = 0.001  # [m]; mirrored landmarks have twice this residual
+_MIN_SPREAD = 0.005  # [m]; between landmarks, and of landmarks from a line, for a rotation
 
 
 @dataclass(frozen=True)
@@ -137,12 +137,12 @@ class LandmarkFit:
     """A frame registered by k landmarks."""
 
     names: tuple[str, ...]
-    pose: Pose  # pose of the frame in which they are known, in the frame in which they are measured
-    residual: FloatArray  # distances of the landmarks from where the fit puts them; (k,) [m]
-    noise: float  # 1-sigma error of a coordinate of a landmark [m]
+    pose: Pose  # of the registered frame, in the frame of the measurement
+    residual: FloatArray  # distances of measured from fitted landmarks; (k,) [m]
+    noise: float  # 1-sigma error of a landmark's coordinate [m]
     degrees: int  # degrees of freedom of the residual, 3k - 6
-    uncertainty: PoseUncertainty  # 1-sigma uncertainty of the pose, in the axes of the known frame
-    flat: bool  # whether the landmarks lie in one plane: a coordinate's wrong sign has no residual
+    uncertainty: PoseUncertainty  # 1-sigma uncertainty of the pose, in axes of the registered frame
+    flat: bool  # whether the landmarks are coplanar: a coordinate's wrong sign has no residual
 
     @property
     def rms(self) -> float:
@@ -155,18 +155,18 @@ def register_landmarks(
 ) -> LandmarkFit:
     """Least-squares pose of a frame from landmarks.
 
-    The uncertainty is the first-order one (`pose_uncertainty`). Sigma comes from the residuals,
-    ``sigma^2 = sum(residual^2) / (3k - 6)``, unless it is less than a given noise: few landmarks
-    may fit by chance better than they are known (three of them leave 3 degrees of freedom). An
-    error that all landmarks share, such as a wrong origin of the known frame, is in no residual.
+    The uncertainty is of first order (`pose_uncertainty`). Sigma comes from the residuals,
+    ``sigma^2 = sum(residual^2) / (3k - 6)``, but is at least the given noise: few landmarks may fit
+    better than their accuracy by chance (three leave 3 degrees of freedom). Residuals cannot show
+    an error common to all landmarks, such as a wrong origin of the registered frame.
 
     Args:
         known: Landmarks in the frame to register, shape (k, 3) [m].
         measured: The same landmarks in another frame, shape (k, 3) [m].
         names: Their names.
-        noise: Least 1-sigma error of a coordinate of a landmark [m].
+        noise: Smallest 1-sigma error of a landmark's coordinate [m].
     """
-    if len(names) < _FEWEST:
+    if len(names) < _MIN_LANDMARKS:
         named = ", ".join(names) or "none"
         raise RegistrationError(f"{len(names)} landmarks ({named}) hold no frame", _TOO_FEW)
     _require_spread(known, names, "are given")
@@ -183,27 +183,27 @@ def register_landmarks(
         noise=sigma,
         degrees=degrees,
         uncertainty=pose_uncertainty(known, sigma),
-        flat=float(_stretch(known)[2]) < _FLAT,
+        flat=float(_extents(known)[2]) < _MIN_THICKNESS,
     )
 
 
 def _require_spread(points: FloatArray, names: Sequence[str], how: str) -> None:
-    for (name, point), (other, beside) in combinations(zip(names, points, strict=True), 2):
-        apart = float(np.linalg.norm(point - beside))
-        if apart < _SMALLEST:
+    for (name, point), (other, neighbour) in combinations(zip(names, points, strict=True), 2):
+        apart = float(np.linalg.norm(point - neighbour))
+        if apart < _MIN_SPREAD:
             raise RegistrationError(
                 f"landmarks {name} and {other} {how} {1e3 * apart:.1f} mm apart",
                 "give landmarks far from each other",
             )
-    off_line = float(np.hypot(*_stretch(points)[1:]))
-    if off_line < _SMALLEST:
+    off_line = float(np.hypot(*_extents(points)[1:]))
+    if off_line < _MIN_SPREAD:
         raise RegistrationError(
             f"landmarks {', '.join(names)} {how} on one line (within {1e3 * off_line:.1f} mm)",
             "move one of them away from the line of the others",
         )
 
 
-def _stretch(points: FloatArray) -> FloatArray:
+def _extents(points: FloatArray) -> FloatArray:
     """Root-mean-square extents along the principal axes, the longest first, shape (3,) [m]."""
     stretch = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return np.asarray(stretch / np.sqrt(len(points)))
@@ -211,10 +211,10 @@ def _stretch(points: FloatArray) -> FloatArray:
 
 NOTED_DRIFT = 0.0002  # [m]
 NOTED_SPREAD = 0.0004  # [m]; well above the noise of a marker
-MOST_MOTION = 0.001  # [m]; for either
-_JUMP = 0.005  # [m]; a frame with a marker this far off shows another label or a reflection
-_MOST_JUMPS = 0.1  # of the frames; more of them is a body that moved
-_FEWEST_FRAMES = 20
+MAX_MOTION = 0.001  # [m]; for either
+_MAX_JUMP = 0.005  # [m]; a larger offset of a marker is a wrong label or a reflection
+_MAX_JUMP_SHARE = 0.1  # of the frames; with more, the body moved
+_MIN_FRAMES = 20
 _BLOCKS = 10
 
 
@@ -224,47 +224,47 @@ class StillMarkers:
 
     names: tuple[str, ...]
     mean: FloatArray  # mean positions; (k, 3) [m]
-    spread: FloatArray  # Root-mean-square distances from the means; (k,) [m]
+    spread: FloatArray  # root-mean-square distances from the means; (k,) [m]
     drift: FloatArray  # distances between the means of the first and the last third; (k,) [m]
-    # 1-sigma error of a coordinate of a mean, pooled over the markers [m]; from the means of
-    # blocks of frames, so that slow motion and correlated noise count
+    # 1-sigma error of a mean's coordinate, pooled over the markers [m]; from means over blocks of
+    # frames, to include slow motion and correlated noise
     noise: float
-    used: BoolArray  # which frames are averaged; (N,)
-    occluded: IntArray  # number of frames in which each marker is occluded; (k,)
-    mislabelled: int  # number of frames left out whose body fits in no order of its labels
-    jumped: int  # number of frames left out in which a marker is far from its usual place
-    notes: tuple[str, ...]  # markers that moved more than noise does, yet little enough to be used
+    used: BoolArray  # the averaged frames; (N,)
+    occluded: IntArray  # number of occluded frames per marker; (k,)
+    mislabelled: int  # number of frames left out because no order of the labels fits
+    jumped: int  # number of frames left out because a marker is far from its usual place
+    notes: tuple[str, ...]  # markers that moved beyond noise but within the limit
 
 
 def average_still(
     names: Sequence[str], positions: FloatArray, fits: BoolArray, where: str
 ) -> StillMarkers:
-    """Average k markers over a take of N frames in which they stand still.
+    """Average k stationary markers over a take of N frames.
 
-    Their positions, shape (N, k, 3) [m], are NaN where occluded; `fits` are the frames whose
-    markers fit in some order of their labels, shape (N,). `where` names the body in an error.
+    Their positions, shape (N, k, 3) [m], are NaN if occluded; `fits` are the frames whose markers
+    fit in some order of their labels, shape (N,). `where` names the body in errors.
     """
     occluded = np.isnan(positions).any(axis=2).sum(axis=0)
     seen = np.isfinite(positions).all(axis=(1, 2))
     candidates = seen & fits
     count, mislabelled = int(candidates.sum()), int((seen & ~fits).sum())
-    if count < _FEWEST_FRAMES:
+    if count < _MIN_FRAMES:
         worst = int(occluded.argmax())
         raise RegistrationError(
             f"{where}: {count} of {len(positions)} frames show all of {', '.join(names)}"
             f" ({names[worst]} is occluded in {int(occluded[worst])}, the distances are not the"
             f" usual ones in {mislabelled})",
-            f"record {_FEWEST_FRAMES} frames or more in which the cameras see them all",
+            f"record {_MIN_FRAMES} frames or more in which the cameras see them all",
         )
     usual = np.median(positions[candidates], axis=0)
-    far = np.linalg.norm(positions - usual, axis=2) > _JUMP  # False where occluded
+    far = np.linalg.norm(positions - usual, axis=2) > _MAX_JUMP  # False where occluded
     used = candidates & ~far.any(axis=1)
     jumped = count - int(used.sum())
-    if jumped > _MOST_JUMPS * count:
+    if jumped > _MAX_JUMP_SHARE * count:
         worst = int(far[candidates].sum(axis=0).argmax())
         raise RegistrationError(
             f"{where}: in {jumped} of {count} frames a marker, mostly {names[worst]}, is more than"
-            f" {1e3 * _JUMP:g} mm from its usual place",
+            f" {1e3 * _MAX_JUMP:g} mm from its usual place",
             "record a take in which nothing moves, and check its labels",
         )
     positions = positions[used]
@@ -282,9 +282,9 @@ def average_still(
             f"{name} {verb} by {1e3 * way:.2f} mm over the take"
             for name, way in zip(names, motion, strict=True)
         ]
-        if motion.max() > MOST_MOTION:
+        if motion.max() > MAX_MOTION:
             raise RegistrationError(
-                f"{where}: {words[int(motion.argmax())]} (at most {1e3 * MOST_MOTION:g} mm)",
+                f"{where}: {words[int(motion.argmax())]} (at most {1e3 * MAX_MOTION:g} mm)",
                 "record a take in which nothing moves, or export its still part",
             )
         notes += [words[marker] for marker in np.flatnonzero(motion > noted)]
@@ -303,7 +303,7 @@ def average_still(
 
 
 def own_frame(markers: FloatArray) -> Pose:
-    """Pose of a body's own frame (see above) in the frame of its markers."""
+    """Pose of a body's default frame (see the module) in the frame of its markers."""
     x = (markers[1] - markers[0]) / np.linalg.norm(markers[1] - markers[0])
     normals = np.cross(x, markers - markers[0])
     lengths = np.linalg.norm(normals, axis=1)
@@ -312,9 +312,9 @@ def own_frame(markers: FloatArray) -> Pose:
 
 
 def fit_labels(observed: FloatArray, where: str) -> BodyFit:
-    """Find which observed marker is which, from the distances that most of the frames agree on.
+    """Identify the observed markers by the distances that most frames agree on.
 
-    Labels that are swapped in fewer than half of the frames are put right: `BodyFit.order`.
+    Labels swapped in fewer than half of the frames are corrected: `BodyFit.order`.
     """
     between = distances(observed)
     seen = np.isfinite(between).all(axis=(1, 2))
@@ -324,7 +324,7 @@ def fit_labels(observed: FloatArray, where: str) -> BodyFit:
             "check their labels in Motive",
         )
     usual = np.median(between[seen], axis=0)
-    # The frame that is nearest to the usual one has no swapped labels.
+    # The frame nearest to the median has no swapped labels.
     nearest = int(np.abs(between[seen] - usual).max(axis=(1, 2)).argmin())
     reference = observed[seen][nearest]
     fault = body_fault(reference)
@@ -337,16 +337,16 @@ def fit_labels(observed: FloatArray, where: str) -> BodyFit:
 
 
 def relabel(observed: FloatArray, order: IntArray) -> FloatArray:
-    """Markers in the order that a fit found, shape (N, k, 3) [m]; as they are where it has none."""
+    """Markers in the order found by a fit, shape (N, k, 3) [m]; unchanged if it found none."""
     known = np.where((order < 0).any(axis=1, keepdims=True), np.arange(order.shape[1]), order)
     return np.take_along_axis(observed, known[:, :, None], axis=1)
 
 
 def tracked_frame(markers: FloatArray, body: Pose, where: str) -> Pose:
-    """Pose of a frame that was tracked over N frames, in which a body stood still.
+    """Pose of the tracked frame of a body that was stationary over N frames.
 
-    The markers are taken into the tracked frame, where the median leaves out the frames in
-    which the tracking went wrong, and the frame is fitted to the mean of the markers.
+    The median of the markers in the tracked frame is robust to frames with wrong tracking; it is
+    fitted to the mean of the markers.
     """
     tracked = np.isfinite(body.rotation).all(axis=(1, 2)) & np.isfinite(body.translation).all(1)
     if 2 * tracked.sum() < len(markers):
@@ -362,24 +362,24 @@ def tracked_frame(markers: FloatArray, body: Pose, where: str) -> Pose:
 
 
 NOTED_RESIDUAL = 0.002  # [m]
-MOST_RESIDUAL = 0.010  # [m]
+MAX_RESIDUAL = 0.010  # [m]
 
 
-def _in_axes(covariance: FloatArray, rotation: FloatArray) -> FloatArray:
-    """A covariance in the axes to which a rotation maps, shape (3, 3)."""
+def _rotated(covariance: FloatArray, rotation: FloatArray) -> FloatArray:
+    """A covariance, shape (3, 3), transformed by a rotation."""
     return rotation @ covariance @ rotation.T
 
 
 @dataclass(frozen=True)
 class RegisteredBody:
-    """A marker body and the frame that the landmarks beside it give."""
+    """A marker body and the frame given by the landmarks rigid to it."""
 
-    still: StillMarkers  # its markers in the take: the body's own, then the landmarks
+    still: StillMarkers  # markers in the take: the body's own, then the landmarks
     markers: FloatArray  # the body's own in its frame; (k, 3) [m]
     in_frame: Pose  # pose of the body in the frame of the landmarks
-    landmarks: LandmarkFit  # fit of the landmarks, to `world`
-    reference: PoseUncertainty  # uncertainty of a later pose of the body that comes from `markers`
-    single: PoseUncertainty  # uncertainty of a later pose from the noise of a single frame
+    landmarks: LandmarkFit  # of the landmarks, to `world`
+    reference: PoseUncertainty  # uncertainty of later poses of the body due to `markers`
+    single: PoseUncertainty  # uncertainty of a later pose due to the noise of a single frame
 
     def covariance_at(self, point: FloatArray) -> FloatArray:
         """Covariance of a point between body and frame, in the frame's axes, (3, 3) [m^2]."""
@@ -387,12 +387,12 @@ class RegisteredBody:
 
     def rotation_covariance(self) -> FloatArray:
         """Covariance of the rotation between body and frame, in the frame's axes [rad^2]."""
-        own = _in_axes(self.reference.rotation, self.in_frame.rotation)
+        own = _rotated(self.reference.rotation, self.in_frame.rotation)
         return self.landmarks.uncertainty.rotation + own
 
     def in_axes(self, body: PoseUncertainty, point: FloatArray) -> FloatArray:
-        """Covariance of a point of the frame by an uncertainty of the body, (3, 3) [m^2]."""
-        return _in_axes(body.at(self.in_frame.inverse().apply(point)), self.in_frame.rotation)
+        """Covariance of a point of the frame due to the body's uncertainty, (3, 3) [m^2]."""
+        return _rotated(body.at(self.in_frame.inverse().apply(point)), self.in_frame.rotation)
 
 
 @dataclass(frozen=True)
@@ -404,11 +404,11 @@ class Registration:
     socket: RegisteredBody  # the socket's body and {S}
     pylon: RegisteredBody  # the pylon's body and the limb's frame
     limb_position: FloatArray  # limb position q in {S} during the take; (3,) [m]
-    # Covariance of a limb position that comes from the registration, in {S}; (3, 3) [m^2]; it is
-    # the same error in every frame of a trial
+    # Covariance of a limb position due to the registration, in {S}; (3, 3) [m^2]; the error is
+    # common to all frames of a trial
     covariance: FloatArray
-    single: FloatArray  # covariance that the markers' noise adds in every single frame, likewise
-    notes: tuple[str, ...]  # what a person should look at
+    single: FloatArray  # additional covariance due to the markers' noise in each frame, likewise
+    notes: tuple[str, ...]  # remarks for the user
 
     def __repr__(self) -> str:
         fits = (self.socket.landmarks, self.pylon.landmarks)
@@ -424,7 +424,7 @@ class Registration:
         """Covariances of `limb`: position [m^2] and rotation [rad^2], in the pylon's body."""
         to_body = self.geometry.limb.rotation
         position = self.pylon.covariance_at(np.zeros(3))
-        return _in_axes(position, to_body), _in_axes(self.pylon.rotation_covariance(), to_body)
+        return _rotated(position, to_body), _rotated(self.pylon.rotation_covariance(), to_body)
 
 
 def register_take(
@@ -432,8 +432,8 @@ def register_take(
 ) -> Registration:
     """Register a socket's marker bodies and its limb with a static take that shows all landmarks.
 
-    The socket's tiles stay. `force` accepts landmarks whose residual is above `MOST_RESIDUAL`, or
-    that put the limb outside the socket.
+    The socket's tiles are kept. `force` accepts landmarks with a residual above `MAX_RESIDUAL`, or
+    with the limb outside the socket.
     """
     socket, pylon = (_register_body(take, side, force) for side in sides)
     limb_in_cell = socket.landmarks.pose.inverse() @ pylon.landmarks.pose
@@ -459,9 +459,9 @@ def register_take(
         socket=socket,
         pylon=pylon,
         limb_position=q,
-        covariance=socket.covariance_at(q) + _in_axes(pylon.covariance_at(origin), turn),
+        covariance=socket.covariance_at(q) + _rotated(pylon.covariance_at(origin), turn),
         single=socket.in_axes(socket.single, q)
-        + _in_axes(pylon.in_axes(pylon.single, origin), turn),
+        + _rotated(pylon.in_axes(pylon.single, origin), turn),
         notes=(*take.notes, *notes),
     )
 
@@ -488,10 +488,10 @@ def _register_body(take: MotiveTake, side: Side, force: bool) -> RegisteredBody:
     except RegistrationError as error:
         raise RegistrationError(f"{side.where}: {error.fact}", error.hint) from None
     worst = int(landmarks.residual.argmax())
-    if landmarks.residual[worst] > MOST_RESIDUAL and not force:
+    if landmarks.residual[worst] > MAX_RESIDUAL and not force:
         raise RegistrationError(
             f"{side.where}: landmark {side.names[worst]} is"
-            f" {1e3 * landmarks.residual[worst]:.1f} mm off (at most {1e3 * MOST_RESIDUAL:g} mm;"
+            f" {1e3 * landmarks.residual[worst]:.1f} mm off (at most {1e3 * MAX_RESIDUAL:g} mm;"
             f" rms {1e3 * landmarks.rms:.1f} mm)",
             "check the landmarks' coordinates and names, or accept it with --force",
         )
@@ -517,15 +517,15 @@ def _markers_of(take: MotiveTake, body: str, where: str) -> tuple[str, ...]:
     return names
 
 
-_AROUND = 0.03  # [m]; a limb whose position is farther from the tiles' cylinder is in no socket
+_LIMB_MARGIN = 0.03  # [m]; of the limb's position around the tiles' cylinder
 
 
 def _require_limb_in_socket(limb: FloatArray, geometry: SocketGeometry, where: str) -> None:
-    """Refuse a limb position, (3,) [m], outside the socket: a coordinate's sign is wrong."""
+    """Refuse a limb position, (3,) [m], outside the socket, due to a coordinate's wrong sign."""
     axis = socket_axis(geometry)
     highest, widest = axis.heights(geometry.anchors).max(), axis.radii(geometry.anchors).max()
-    inside = -_AROUND < axis.heights(limb) < highest + _AROUND
-    if not inside or axis.radii(limb) >= widest + _AROUND:
+    inside = -_LIMB_MARGIN < axis.heights(limb) < highest + _LIMB_MARGIN
+    if not inside or axis.radii(limb) >= widest + _LIMB_MARGIN:
         place = ", ".join(f"{1e3 * value:.0f}" for value in limb)
         raise RegistrationError(
             f"{where}: the limb would be at ({place}) mm of {{S}}, outside the socket",

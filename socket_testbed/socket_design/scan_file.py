@@ -1,7 +1,7 @@
-"""A scan file (STL, PLY, OBJ) read as one sound body in metres, with notes of all repairs.
+"""Read a scan file (STL, PLY, OBJ) as one sound body in metres, with notes on all repairs.
 
-A half-edge ``h = 3 f + i`` of face f runs from its corner i to its corner i + 1; corner ``h`` is
-where it starts. It is row h of `trimesh.Trimesh.edges`. Throughout, vertices have the shape (V, 3)
+A half-edge ``h = 3 f + i`` of face f runs from its corner i to its corner i + 1; it starts at
+corner ``h`` and is row h of `trimesh.Trimesh.edges`. Throughout, vertices have the shape (V, 3)
 [m], faces (F, 3).
 """
 
@@ -32,24 +32,24 @@ def plain_mesh(vertices: FloatArray, faces: IntArray) -> trimesh.Trimesh:
 
 
 def twin_half_edges(faces: IntArray) -> IntArray:
-    """Pairs of half-edges whose edge exactly two faces share, shape (A, 2)."""
+    """Pairs of half-edges on edges shared by exactly two faces, shape (A, 2)."""
     return group_rows(np.sort(faces_to_edges(faces), axis=1), require_count=2)
 
 
 def boundary_half_edges(faces: IntArray) -> IntArray:
-    """Half-edges whose edge is in one face only, shape (B,)."""
+    """Half-edges on edges of a single face, shape (B,)."""
     return np.sort(group_rows(np.sort(faces_to_edges(faces), axis=1), require_count=1))
 
 
 def separate(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
-    """Cut a mesh wherever it is not a plain surface, and drop the vertices that no face uses.
+    """Cut a mesh wherever it is not a manifold, and drop unused vertices.
 
-    Faces stay joined across edges that exactly two of them share. Where more meet in an edge,
-    or where two fans of faces meet in a vertex alone, each gets vertices of its own; so every
-    boundary vertex is on one boundary loop, once.
+    Faces stay joined across edges shared by exactly two of them. Where more faces meet at an edge,
+    or two fans of faces meet only at a vertex, each gets its own vertices, so that every boundary
+    vertex occurs once, on one boundary loop.
 
     Returns:
-        The new vertices and faces; the order of the faces stays.
+        The new vertices and faces, in the same order of faces.
     """
     start = faces.ravel()
     one, other = twin_half_edges(faces).T
@@ -67,10 +67,10 @@ def separate(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArra
 
 
 def wind_alike(faces: IntArray) -> tuple[IntArray, int]:
-    """Reverse faces so that neighbours wind the same way; the faces, and how many were reversed.
+    """Reverse faces for consistent winding; return the faces and how many were reversed.
 
-    The faces are nodes twice, as they are and reversed; pairs that fit are joined. In an
-    orientable piece the two sets stay apart, and the one with more faces as they are is kept.
+    Each face is two nodes of a graph, original and reversed; matching neighbours are joined. In an
+    orientable piece this gives two components; the one with more original faces is kept.
     """
     count = len(faces)
     one, other = twin_half_edges(faces).T
@@ -88,7 +88,7 @@ def wind_alike(faces: IntArray) -> tuple[IntArray, int]:
 
 
 def boundary_loops(faces: IntArray) -> list[IntArray]:
-    """Vertices of the boundary loops of a mesh that `separate` has left, each in its order."""
+    """Ordered vertices of each boundary loop of a mesh from `separate`."""
     boundary = boundary_half_edges(faces)
     start, stop = faces.ravel()[boundary], faces.ravel()[_next_half_edge(boundary)]
     follows = dict(zip(start.tolist(), stop.tolist(), strict=True))
@@ -104,33 +104,33 @@ def boundary_loops(faces: IntArray) -> list[IntArray]:
 
 
 def loop_length(vertices: FloatArray, loop: IntArray) -> float:
-    """How long a loop of vertices is around [m]."""
+    """Length of a closed loop of vertices [m]."""
     steps = vertices[np.roll(loop, -1)] - vertices[loop]
     return float(np.linalg.norm(steps, axis=1).sum())
 
 
 def _next_half_edge(half_edges: IntArray) -> IntArray:
-    """The half-edges that follow in the same faces."""
+    """The next half-edges in the same faces."""
     return half_edges - half_edges % 3 + (half_edges + 1) % 3
 
 
 def number_cells(points: FloatArray, size: float) -> IntArray:
-    """Number the cells of a cubic grid that hold points, by x, then y, then z, shape (P,)."""
+    """Index of each point's cell in a cubic grid, by x, then y, then z, shape (P,)."""
     cell = np.floor(points / size).astype(np.int64)
     x, y, z = (cell - cell.min(axis=0)).T
     return np.unique((x * (y.max() + 1) + y) * (z.max() + 1) + z, return_inverse=True)[1]
 
 
-_SAME_PLACE = 1e-6  # [-]; of the size of the mesh
+_WELD_TOLERANCE = 1e-6  # [-]; relative to the extent of the mesh
 
 
 def weld(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
-    """Make one vertex of all in the same place, to a millionth of the size of the mesh."""
+    """Merge coincident vertices, to a millionth of the extent of the mesh."""
     used, corners = np.unique(faces, return_inverse=True)
     places = vertices[used] - vertices[used].min(axis=0)
-    cell = max(_SAME_PLACE * float(places.max()), np.finfo(float).tiny)
+    cell = max(_WELD_TOLERANCE * float(places.max()), np.finfo(float).tiny)
     first, cubes = unique_rows(np.round(places / cell).astype(np.int64))
-    # Neighbours on the two sides of a cell's face are left.
+    # Merge neighbours across cell faces.
     close = cKDTree(places[first]).query_pairs(cell, output_type="ndarray")
     label = connected_component_labels(close, node_count=len(first))
     _, welded = np.unique(label, return_index=True)
@@ -141,10 +141,10 @@ def weld(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
 def fill_holes(
     vertices: FloatArray, faces: IntArray, longest: float
 ) -> tuple[FloatArray, IntArray, list[float], list[float]]:
-    """Close holes shorter around than a length [m] by a fan around their middle.
+    """Close holes with a circumference below a limit [m] by a fan around their middle.
 
     Returns:
-        The vertices; the faces; how long the closed holes and the open ones are around [m].
+        The vertices; the faces; the circumferences of the closed holes and of the open ones [m].
     """
     new_vertices, new_faces = [vertices], [faces]
     closed, left = list[float](), list[float]()
@@ -167,13 +167,13 @@ METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 class Scan:
     """One body of a scan file."""
 
-    # The body in metres and in the scan's own axes: welded, wound alike; every edge is in one or
-    # two faces
+    # The body in metres and in the scan's own axes: welded, with consistent winding and one or two
+    # faces per edge
     mesh: trimesh.Trimesh
-    body: str  # its name in the file, or its number
-    unit: str  # the unit of the file's lengths
-    unit_source: str  # whether it was `given`, `stated` by the file, or `inferred` from the size
-    notes: tuple[str, ...]  # one plain line for every repair and finding
+    body: str  # its name or number in the file
+    unit: str  # the file's unit of length
+    unit_source: str  # `given`, `stated` by the file, or `inferred` from the size
+    notes: tuple[str, ...]  # one line per repair and finding
 
 
 def read_scan(path: Path, unit: str | None = None, body: str | None = None) -> Scan:
@@ -181,9 +181,9 @@ def read_scan(path: Path, unit: str | None = None, body: str | None = None) -> S
 
     Args:
         path: The file.
-        unit: The unit of its lengths, one of m, cm, mm, in; else stated or inferred.
-        body: The name (an object, or else a group, of an OBJ) or the number of the body; needed
-            if there is more than one.
+        unit: Its unit of length, one of m, cm, mm, in; by default as stated or inferred.
+        body: Name (of an object or, without objects, a group of an OBJ) or number of the body;
+            required if there is more than one.
     """
     if unit not in {None, *METRES}:
         raise ScanError(f"the unit '{unit}' is unknown", closest(str(unit), METRES))
@@ -198,7 +198,7 @@ def read_scan(path: Path, unit: str | None = None, body: str | None = None) -> S
         found, source = _infer_unit(f"{path}: body {label}", size), "inferred"
     notes.append(f"{source} unit {found}: the body is {size * METRES[found]:.3g} m long")
     if stated and stated != found:
-        notes.append(f"the file states the unit {stated}, which is passed over")
+        notes.append(f"the file states the unit {stated}, which is ignored")
     vertices = np.asarray(mesh.vertices) * METRES[found]
     repaired = _repair(vertices, np.asarray(mesh.faces)[faces], notes)
     repaired.metadata["file_name"] = str(path)
@@ -207,7 +207,7 @@ def read_scan(path: Path, unit: str | None = None, body: str | None = None) -> S
 
 _AGAIN = "export the scan again"
 _CUT_OFF = "the file is cut off or damaged: copy or export it again"
-_MOST_NAMES = 100  # of objects or groups, each of which is read by itself
+_MAX_NAMES = 100  # of objects or groups that are read separately
 _NUMBER = r"[ \t]+[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|nan|inf)"
 _CORNER = r"[ \t]+[1-9]\d{0,9}(?:/-?\d*){0,2}"
 _OBJ_LINE = re.compile(
@@ -216,9 +216,9 @@ _OBJ_LINE = re.compile(
 
 
 def _load(path: Path) -> tuple[dict[str, trimesh.Trimesh], str]:
-    """The parts of a scan file by their names, as they are, and the file's comments.
+    """The unmodified parts of a scan file by name, and the file's comments.
 
-    The only place where trimesh reads: its readers raise or log whatever their parsing meets.
+    Isolates trimesh's readers, which raise or log any error of their parsing.
     """
     kind = path.suffix[1:].lower()
     checks = {"stl": _check_stl, "ply": _check_ply, "obj": _check_obj}
@@ -238,7 +238,7 @@ def _load(path: Path) -> tuple[dict[str, trimesh.Trimesh], str]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            # numpy stops at the first word that is not a number, and only warns.
+            # At the first word that is not a number, numpy stops with only a warning.
             warnings.filterwarnings("error", message=".*could not be read to its end")
             scene = trimesh.load_scene(
                 io.BytesIO(data),
@@ -246,12 +246,12 @@ def _load(path: Path) -> tuple[dict[str, trimesh.Trimesh], str]:
                 process=False,
                 skip_materials=True,
                 fix_texture=False,
-                split_objects=len(objects) <= _MOST_NAMES,
-                split_groups=not objects and len(groups) <= _MOST_NAMES,
+                split_objects=len(objects) <= _MAX_NAMES,
+                split_groups=not objects and len(groups) <= _MAX_NAMES,
             )
         parts = {n: m for n, m in reversed(scene.geometry.items()) if len(getattr(m, "faces", ()))}
         valid = all(m.faces.min() >= 0 and m.triangles.size for m in parts.values())
-    except Exception:  # an index beyond the vertices included
+    except Exception:  # such as an index beyond the vertices
         valid = False
     finally:
         logger.disabled = False
@@ -265,8 +265,8 @@ def _load(path: Path) -> tuple[dict[str, trimesh.Trimesh], str]:
 
 
 def _check_stl(path: Path, data: bytes) -> str:
-    """Refuse an STL that is not complete; its header."""
-    # Many binary files begin with 'solid', too: the length decides before the words do.
+    """Refuse an incomplete STL; return its header."""
+    # Many binary files also begin with 'solid', so check the length first.
     if len(data) != 84 + 50 * int.from_bytes(data[80:84], "little"):
         words = data.lower()
         facets = words.count(b"endfacet")
@@ -277,7 +277,7 @@ def _check_stl(path: Path, data: bytes) -> str:
 
 
 def _check_ply(path: Path, data: bytes) -> str:
-    """Refuse a text PLY with fewer lines than elements; its comments."""
+    """Refuse a text PLY with fewer lines than elements; return its comments."""
     header, _, body = data.partition(b"end_header")
     counts = re.findall(rb"^element \w+ (\d+)", header, re.MULTILINE)
     if b"format ascii" in header and len(body.split(b"\n")) - 2 < sum(map(int, counts)):
@@ -286,9 +286,9 @@ def _check_ply(path: Path, data: bytes) -> str:
 
 
 def _check_obj(path: Path, data: bytes) -> str:
-    """Refuse an OBJ with lines of vertices or faces that make no sense; its comments."""
+    """Refuse an OBJ with invalid lines of vertices or faces; return its comments."""
     text = data.decode("utf-8", "replace")
-    # Lines end as for the reader, by a line feed: another end stands within a vertex or face.
+    # Like the reader, end lines only at a line feed.
     for number, line in enumerate(text.replace("\\\n", " ").split("\n"), start=1):
         words = line.strip()
         if words[:1] in {"v", "f"} and not words[1:2].strip() and not _OBJ_LINE.fullmatch(words):
@@ -299,18 +299,18 @@ def _check_obj(path: Path, data: bytes) -> str:
     return "\n".join(re.findall(r"^\s*#(.*)$", text, re.MULTILINE))
 
 
-_LARGEST = 1e9  # of a coordinate in any unit; beyond it, squares and products overflow
+_MAX_COORDINATE = 1e9  # in any unit, so that squares and products do not overflow
 
 
 def _clean(
     path: Path, parts: dict[str, trimesh.Trimesh], notes: list[str]
 ) -> tuple[trimesh.Trimesh, list[str]]:
-    """The welded surface of the sound faces, and the name of the part that each face is from."""
+    """The welded surface of the sound faces, and the name of each face's part."""
     counts = [len(part.faces) for part in parts.values()]
     part_of = np.repeat(np.arange(len(counts)), counts)
     corners = np.concatenate([part.triangles for part in parts.values()]).reshape(-1, 3)
     faces = np.arange(len(corners)).reshape(-1, 3)
-    finite = (np.abs(corners) < _LARGEST).all(axis=1).reshape(-1, 3).all(axis=1)
+    finite = (np.abs(corners) < _MAX_COORDINATE).all(axis=1).reshape(-1, 3).all(axis=1)
     _note(notes, (~finite).sum(), "removed {} faces with a corner that is not finite")
     if not finite.any():
         raise ScanError(f"{path}: no face has finite corners", _AGAIN)
@@ -322,26 +322,26 @@ def _clean(
     _note(notes, (plain & ~first).sum(), "removed {} duplicate faces")
     kept = plain & first
     mesh = plain_mesh(vertices, faces[kept])
-    if not mesh.area > _FLAT * np.ptp(vertices, axis=0).max() ** 2:
+    if not mesh.area > _MIN_AREA * np.ptp(vertices, axis=0).max() ** 2:
         raise ScanError(f"{path}: no face has an area", f"{_AGAIN}, as a surface")
     names = [*parts]
     return mesh, [names[part] for part in part_of[finite][kept]]
 
 
-_FLAT = 1e-6  # [-]; area of a surface, of the square of its size
-_SPECK = 0.01  # [-]; of the area of the largest piece
+_MIN_AREA = 1e-6  # [-]; of a surface, over its squared extent
+_MIN_BODY_AREA = 0.01  # [-]; over the area of the largest piece
 
 
 def _choose_body(
     path: Path, mesh: trimesh.Trimesh, names: Sequence[str], wanted: str | None, notes: list[str]
 ) -> tuple[str, IntArray]:
-    """Name, or else number, and faces of the wanted body, or the only one.
+    """Name (or number) and faces of the wanted body, or of the only one.
 
-    Edges of more than two faces do not connect.
+    Edges of more than two faces do not connect pieces.
     """
     pieces = connected_component_labels(mesh.face_adjacency, node_count=len(mesh.faces))
     areas = np.bincount(pieces, mesh.area_faces)
-    specks = areas < _SPECK * areas.max()
+    specks = areas < _MIN_BODY_AREA * areas.max()
     _note(notes, specks[pieces].sum(), "dropped {} faces of pieces too small to be a body")
     members = np.split(np.argsort(pieces, kind="stable"), np.cumsum(np.bincount(pieces))[:-1])
     bodies = [faces for faces, speck in zip(members, specks, strict=True) if not speck]
@@ -361,30 +361,30 @@ def _choose_body(
     raise ScanError(f"{path}: has {len(fits)} bodies of {shown}", "choose one by number: --body N")
 
 
-_SOCKET = (0.1, 0.6)  # [m]; length of a socket whose unit is not known
-_WORDS = {
+_SOCKET = (0.1, 0.6)  # [m]; to infer the unit
+_UNIT_WORDS = {
     prefix + word: short + "m"
     for prefix, short in (("", ""), ("centi", "c"), ("milli", "m"))
     for word in ("meter", "metre", "meters", "metres")
 } | {"inch": "in", "inches": "in", "mm": "mm", "cm": "cm"}
-# 'units in progress' names no inches: the shortest words count behind a colon only.
+# 'units in progress' does not mean inches: the shortest words need a colon.
 _STATED = re.compile(
-    rf"\bunits?\s*[:=]\s*({'|'.join(_WORDS)}|m|in)\b"
-    rf"|\bunits?\s+(?:are\s+|in\s+)?({'|'.join(_WORDS)})\b"
+    rf"\bunits?\s*[:=]\s*({'|'.join(_UNIT_WORDS)}|m|in)\b"
+    rf"|\bunits?\s+(?:are\s+|in\s+)?({'|'.join(_UNIT_WORDS)})\b"
 )
 
 
 def stated_unit(comment: str) -> str | None:
-    """The unit that a file's header or comments name, as in 'units: mm', if they do."""
+    """The unit stated in a file's header or comments, as in 'units: mm', if any."""
     found = _STATED.search(comment.lower())
     word = found and (found[1] or found[2])
-    return _WORDS.get(word, word) if word else None
+    return _UNIT_WORDS.get(word, word) if word else None
 
 
 def _infer_unit(name: str, size: float) -> str:
-    """The unit of a body's lengths by its largest extent: m or mm.
+    """The unit of a body, m or mm, inferred from its largest extent.
 
-    A small model in mm has the length of a socket in cm or inches.
+    cm and inches are ambiguous: a small model in mm would match them.
     """
     for unit in ("m", "mm"):
         if _SOCKET[0] <= size * METRES[unit] <= _SOCKET[1]:
@@ -402,7 +402,7 @@ _GIRTH = (0.12, 0.85)  # [m]; of its wall
 
 
 def refuse_implausible(name: str, length: float, girth: float, unit: str) -> None:
-    """Refuse a cavity whose length and girth [m], by the file's unit, are those of no socket."""
+    """Refuse a cavity whose length and girth [m], in the file's unit, do not fit a socket."""
 
     def plausible(scale: float) -> bool:
         sizes = ((length, _LENGTH), (girth, _GIRTH))
@@ -415,30 +415,30 @@ def refuse_implausible(name: str, length: float, girth: float, unit: str) -> Non
     if likely:
         hint = f"its unit is likely {' or '.join(likely)}: give --unit {likely[0]}"
     raise ScanError(
-        f"{name}: in {unit} its cavity is {length:.3g} m long and {girth:.3g} m around, which no"
-        f" socket is ({_LENGTH[0]:g} to {_LENGTH[1]:g} m and {_GIRTH[0]:g} to {_GIRTH[1]:g} m)",
+        f"{name}: in {unit} its cavity is {length:.3g} m long and {girth:.3g} m around, which fits"
+        f" no socket ({_LENGTH[0]:g} to {_LENGTH[1]:g} m and {_GIRTH[0]:g} to {_GIRTH[1]:g} m)",
         hint,
     )
 
 
-_SMALL_HOLE = 0.020  # [m]; around
+_MAX_HOLE = 0.020  # [m]; circumference of holes to close
 
 
 def _repair(vertices: FloatArray, faces: IntArray, notes: list[str]) -> trimesh.Trimesh:
-    """A body in metres with one winding, no crowded edges and no small holes."""
+    """A body in metres with consistent winding, no crowded edges and no small holes."""
     faces, flipped = wind_alike(faces)
     _note(notes, flipped, "reversed {} faces so that all wind the same way")
     crowded = faces.size - 2 * len(twin_half_edges(faces)) - len(boundary_half_edges(faces))
     _note(notes, crowded, "cut at edges that more than two faces share, {} sides in all")
     vertices, faces = separate(vertices, faces)
-    vertices, faces, closed, left = fill_holes(vertices, faces, _SMALL_HOLE)
+    vertices, faces, closed, left = fill_holes(vertices, faces, _MAX_HOLE)
     _note(notes, len(closed), f"small holes closed: {{}}, {_millimetres(closed)} around")
     _note(notes, len(left), f"edges of the surface left open: {{}}, {_millimetres(left)} around")
     return plain_mesh(vertices, faces)
 
 
 def _note(notes: list[str], count: int, text: str) -> None:
-    """Add a note of a count, unless it is zero."""
+    """Add a note with a count, unless it is zero."""
     if count:
         notes.append(text.format(count))
 

@@ -1,4 +1,4 @@
-"""Squares on a surface: where they could be, their overlaps and their footprints."""
+"""Squares on a surface: candidates, overlaps and footprints."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from scipy.spatial.distance import cdist
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.socket_design.scan_file import number_cells
 
-_SMALL = 1e-12  # in place of a zero that is divided by
-REACH = 1.45  # [edges]; squares that overlap have their centres within it
-_BLOCK = 0.4  # [-]; size of a block of centres, of the radius around them
-OTHER_WALL = -0.2  # [-]; cosine between the normals of squares that are on different walls
+_TINY = 1e-12  # avoids division by zero
+REACH = 1.45  # [edges]; largest distance between centres of overlapping squares
+_BLOCK = 0.4  # [-]; size of a block of centres over the radius around them
+OTHER_WALL = -0.2  # [-]; cosine between normals below which squares are on different walls
 
 
 @dataclass(frozen=True)
 class Squares:
-    """Squares of one size on a surface, each with the frame of the tile contract."""
+    """Squares of one size on a surface, each with the frame of its tile."""
 
     anchors: FloatArray  # centres; (m, 3) [m]
     rotations: FloatArray  # (m, 3, 3) [-]; columns x, y along the edges, z the inward normal
@@ -42,12 +42,12 @@ class Squares:
 
 
 def gaps(squares: Squares, some: IntArray, others: IntArray) -> FloatArray:
-    """Gaps between squares and others on a smooth surface, negative where they overlap.
+    """Gaps between squares and others on a smooth surface, negative for overlaps.
 
-    Both of a pair are turned into the plane halfway between their own, where the separating-axis
-    test of two squares is exact: on a circular wall two squares touch when the chord between
-    their centres is one edge, as their footprints on the wall do. The gap is the largest
-    distance along any of the four axes; it is infinite between different walls.
+    Each pair is rotated into the plane halfway between the two, where the separating-axis test of
+    two squares is exact: on a circular wall two squares touch when the chord between their centres
+    is one edge, like their footprints on the wall. The gap is the largest distance along any of
+    the four axes; it is infinite between different walls.
     """
     one, other = squares.take(some), squares.take(others)
     x, z = one.rotations[:, :, 0], one.rotations[:, :, 2]
@@ -56,14 +56,14 @@ def gaps(squares: Squares, some: IntArray, others: IntArray) -> FloatArray:
     offset_x_other = (x_other * other.anchors).sum(axis=1) - one.anchors @ x_other.T
     offset_z_other = (z_other * other.anchors).sum(axis=1) - one.anchors @ z_other.T
 
-    # The normal of the plane halfway is along z + z_other, of this length squared:
+    # The normal of the plane halfway is along z + z_other, whose squared length is:
     cosine = z @ z_other.T
-    length2 = np.maximum(2.0 + 2.0 * cosine, _SMALL)
+    length2 = np.maximum(2.0 + 2.0 * cosine, _TINY)
     out_of_plane = (offset_z + offset_z_other) / length2
     in_plane2 = offset_x**2 + offset_y**2 + offset_z**2 - out_of_plane**2 * length2
     x_out, x_other_out = x @ z_other.T, z @ x_other.T
     scale, scale_other = (
-        1.0 / np.sqrt(np.maximum(1.0 - out**2 / length2, _SMALL)) for out in (x_out, x_other_out)
+        1.0 / np.sqrt(np.maximum(1.0 - out**2 / length2, _TINY)) for out in (x_out, x_other_out)
     )
     along = (offset_x - x_out * out_of_plane) * scale
     along_other = (offset_x_other - x_other_out * out_of_plane) * scale_other
@@ -77,7 +77,7 @@ def gaps(squares: Squares, some: IntArray, others: IntArray) -> FloatArray:
 
 
 def overlapping(squares: Squares, some: IntArray, clearance: float) -> list[IntArray]:
-    """For each of some squares, all that it overlaps by a gap below a clearance [m], and itself."""
+    """For each of some squares, those within a clearance [m] of it, including itself."""
     found = [np.zeros(0, dtype=np.int64)] * len(some)
     for rows, near in _blocks_of(squares.anchors[some], squares.anchors, REACH * squares.edge):
         for row, overlap in zip(rows, gaps(squares, some[rows], near) < clearance, strict=True):
@@ -94,7 +94,7 @@ def seen_from(squares: Squares, points: FloatArray) -> FloatArray:
 def _blocks_of(
     centres: FloatArray, points: FloatArray, radius: float
 ) -> Iterator[tuple[IntArray, IntArray]]:
-    """Blocks of centres that are close to each other, each with the points near any of them."""
+    """Blocks of neighbouring centres, each with the points near any of them."""
     if not len(points) or not len(centres):
         return
     tree = KDTree(points)
@@ -109,29 +109,29 @@ def _blocks_of(
             yield rows, np.array(near)
 
 
-_DRAWN = 4.0  # random points for each that is kept
-_CLOSEST = 0.6  # [-]; smallest distance of two points, in spacings
+_DRAWS_PER_POINT = 4.0  # random points per kept point
+_MIN_DISTANCE = 0.6  # [-]; smallest distance of two points, in spacings
 
 
 @dataclass(frozen=True)
 class SurfacePoints:
-    """Points of a surface that stand for the area around them."""
+    """Points of a surface that represent the area around them."""
 
     positions: FloatArray  # (p, 3) [m]
-    normals: FloatArray  # normals of the faces that they are on; (p, 3) [-]
-    areas: FloatArray  # area that each stands for; (p,) [m^2]
+    normals: FloatArray  # normals of their faces; (p, 3) [-]
+    areas: FloatArray  # area represented by each; (p,) [m^2]
 
 
 def spread_points(mesh: trimesh.Trimesh, spacing: float, rng: np.random.Generator) -> SurfacePoints:
-    """Spread points over a surface at random: about one in each square of a spacing [m]."""
-    count = int(np.ceil(_DRAWN * mesh.area / spacing**2))
+    """Spread points over a surface at random: about one per square of a spacing [m]."""
+    count = int(np.ceil(_DRAWS_PER_POINT * mesh.area / spacing**2))
     drawn, face = trimesh.sample.sample_surface(mesh, count, seed=rng)
-    # Of the points in each cell of a cubic grid, the one closest to the cell's centre.
+    # In each cell of a cubic grid, keep the point closest to the cell's centre.
     off = ((drawn / spacing) % 1.0 - 0.5) ** 2
     cell = number_cells(drawn, spacing)
     order = np.lexsort((off.sum(axis=1), cell))
     kept = order[np.flatnonzero(np.diff(cell[order], prepend=-1))]
-    kept = kept[trimesh.points.remove_close(drawn[kept], _CLOSEST * spacing)[1]]
+    kept = kept[trimesh.points.remove_close(drawn[kept], _MIN_DISTANCE * spacing)[1]]
     nearest = KDTree(drawn[kept]).query(drawn)[1]
     return SurfacePoints(
         positions=drawn[kept],
@@ -140,23 +140,23 @@ def spread_points(mesh: trimesh.Trimesh, spacing: float, rng: np.random.Generato
     )
 
 
-FACING_WALL = -0.5  # [-]; cosine below which a surface is the wall on the other side
-LEAST_FACING = 0.5  # [-]; cosine to a tile's normal below which a surface is folded away
-_SMALL_AREA = 0.1  # [edges]; triangles larger than it are looked at for every square
-_COVER = 0.003  # [-]; a footprint that differs more from its square is cut, folded or double
-_CLOSE = 0.1  # [edges]; gap from which on footprints cannot share anything
-_KEPT = 256  # footprints
-_SHARED = 1e-8  # [m^2]; what rounding may make of two footprints that touch
+FACING_WALL = -0.5  # [-]; cosine below which a surface is the opposite wall
+MIN_FACING = 0.5  # [-]; cosine to a tile's normal below which a surface is folded away
+_SMALL_TRIANGLE = 0.1  # [edges]; larger triangles are checked for every square
+_TOLERANCE = 0.003  # [-]; of cover and fold: beyond it a footprint is cut, folded or double
+_MAX_GAP = 0.1  # [edges]; with larger gaps footprints cannot overlap
+_MAX_FOOTPRINTS = 256
+_MAX_SHARED_AREA = 1e-8  # [m^2]; rounding for two adjacent footprints
 
 
 @dataclass(frozen=True)
 class Footprint:
-    """A piece of the surface: what projects onto a square along its normal."""
+    """The piece of the surface that projects onto a square along its normal."""
 
     triangles: FloatArray  # corners of its triangles; (f, 3, 3) [m]
     area: float  # area of the surface [m^2]
-    cover: float  # part of the square that it covers [-]; more than 1 where it is double
-    fold: float  # area that is folded away from the square, in areas of the square [-]
+    cover: float  # covered share of the square [-]; more than 1 if the surface is double
+    fold: float  # area folded away from the square, in areas of the square [-]
     flatness: float  # largest distance from the square's plane [m]
 
 
@@ -168,38 +168,38 @@ class Footprints:
         self._normals = np.asarray(mesh.face_normals)
         centres = np.asarray(mesh.triangles_center)
         radii = np.linalg.norm(self._triangles - centres[:, None], axis=2).max(axis=1)
-        small = radii <= _SMALL_AREA * squares.edge
+        small = radii <= _SMALL_TRIANGLE * squares.edge
         self._large, self._small = np.flatnonzero(~small), np.flatnonzero(small)
         self._tree = KDTree(centres[small])
         self._squares = squares
         self._flatness = flatness
-        # Those on a fine scan are large: of the tiles in use alone.
-        self.footprint = lru_cache(_KEPT)(self._find_footprint)
+        # Footprints on a fine scan take much memory: cache only those in use.
+        self.footprint = lru_cache(_MAX_FOOTPRINTS)(self._find_footprint)
 
     def unfit(self, tiles: IntArray | Sequence[int]) -> list[int]:
         """Tiles that are cut, folded, double or too far from flat."""
         unfit = []
         for tile in map(int, tiles):
             footprint = self.footprint(tile)
-            complete = abs(footprint.cover - 1.0) < _COVER and footprint.fold < _COVER
+            complete = abs(footprint.cover - 1.0) < _TOLERANCE and footprint.fold < _TOLERANCE
             if not complete or footprint.flatness > self._flatness:
                 unfit.append(tile)
         return unfit
 
     def overlapping(self, tiles: IntArray, known: int = 0) -> list[tuple[int, int]]:
-        """Pairs of tiles whose footprints share a piece of the surface."""
+        """Pairs of tiles with overlapping footprints; the first `known` do not overlap."""
         gap = gaps(self._squares, tiles[known:], tiles)
         earlier = np.arange(len(tiles)) < np.arange(known, len(tiles))[:, None]
-        later, other = np.nonzero(earlier & (gap < _CLOSE * self._squares.edge))
+        later, other = np.nonzero(earlier & (gap < _MAX_GAP * self._squares.edge))
         pairs = zip(tiles[other].tolist(), tiles[known + later].tolist(), strict=True)
-        return [pair for pair in pairs if self.shared_area(*pair) > _SHARED]
+        return [pair for pair in pairs if self.shared_area(*pair) > _MAX_SHARED_AREA]
 
     def _find_footprint(self, tile: int) -> Footprint:
         frame, anchor = self._squares.rotations[tile], self._squares.anchors[tile]
         seen = _cut_to_square(self._seen_around(tile), self._squares.edge)
         crosses = trimesh.triangles.cross(seen)
         areas, projected = 0.5 * np.linalg.norm(crosses, axis=1), 0.5 * crosses[:, 2]
-        steep = projected < LEAST_FACING * areas
+        steep = projected < MIN_FACING * areas
         return Footprint(
             seen @ frame.T + anchor,
             area=float(areas.sum()),
@@ -209,10 +209,10 @@ class Footprints:
         )
 
     def _seen_around(self, tile: int) -> FloatArray:
-        """Triangles that may be under a square, in its frame, shape (f, 3, 3) [m]."""
+        """Triangles possibly under a square, in its frame, shape (f, 3, 3) [m]."""
         edge, flatness = self._squares.edge, self._flatness
         frame, anchor = self._squares.rotations[tile], self._squares.anchors[tile]
-        reach = np.hypot(edge / np.sqrt(2.0), flatness) + _SMALL_AREA * edge
+        reach = np.hypot(edge / np.sqrt(2.0), flatness) + _SMALL_TRIANGLE * edge
         small = self._small[np.array(self._tree.query_ball_point(anchor, reach), dtype=int)]
         near = np.append(small, self._large)
         near = near[self._normals[near] @ frame[:, 2] > FACING_WALL]
@@ -232,19 +232,19 @@ class Footprints:
 
 
 def _over_square(triangles: FloatArray, edge: float) -> BoolArray:
-    """Whether triangles in a square's frame may reach over it, shape (f,)."""
+    """Whether triangles in a square's frame may overlap it, shape (f,)."""
     low, high = _ends(triangles[:, :, :2])
     return np.all((low < 0.5 * edge) & (high > -0.5 * edge), axis=1)
 
 
 def _ends(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Least and greatest values at the three corners of triangles, of (f, 3, ...)."""
+    """Minima and maxima over the three corners of triangles, shape (f, 3, ...)."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
 
 def _cut_to_square(triangles: FloatArray, edge: float) -> FloatArray:
-    """Triangles cut to the column over a square, as triangles."""
+    """Triangles clipped to the column over a square, triangulated again."""
     triangles = triangles[_over_square(triangles, edge)]
     inside = (np.abs(triangles[:, :, :2]) <= 0.5 * edge).all(axis=(1, 2))
     cut = triangles[~inside]
@@ -255,7 +255,7 @@ def _cut_to_square(triangles: FloatArray, edge: float) -> FloatArray:
 
 
 def _cut_off(triangles: FloatArray, beyond: FloatArray) -> FloatArray:
-    """Triangles, shape (f, 3, 3), cut at a plane, by their corners' distances beyond it."""
+    """Triangles, shape (f, 3, 3), clipped at a plane, given their corners' distances beyond it."""
     out = beyond > 0.0
     corners_out = out.sum(axis=1)
     pieces = [triangles[corners_out == 0]]
@@ -271,24 +271,24 @@ def _cut_off(triangles: FloatArray, beyond: FloatArray) -> FloatArray:
     return np.concatenate(pieces)
 
 
-_END = 10.0  # [deg]; a normal this close to the proximal direction has no proximal tangent
+_END_ANGLE = 10.0  # [deg]; between normal and proximal direction, for a proximal tangent
 _SAME_SHEET = 0.3  # [-]; cosine between normals that are averaged
-_LEAST_COVER = 0.85  # [-]; coverage of a square, as well as the points' areas can show
-_SAFE = 0.95  # [-]; the points miss the farthest corners
+_MIN_COVER = 0.85  # [-]; of a square, within the accuracy of the points' areas
+_FLATNESS_MARGIN = 0.95  # [-]; as points miss the farthest corners
 
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What the tiles of a surface are fitted to."""
+    """The surface around tiles, as points, with reference directions."""
 
-    points: SurfacePoints  # points spread over the surface
+    points: SurfacePoints  # spread over the surface
     rim: FloatArray  # points along the edges of the surface (brim, holes, cuts); (b, 3) [m]
     proximal: FloatArray  # direction towards the proximal end; (3,) [-]
     anterior: FloatArray  # direction of x where no tangent is proximal; (3,) [-]
 
 
 def rim_points(mesh: trimesh.Trimesh, spacing: float) -> FloatArray:
-    """Points along every edge that has one face only or more than two, shape (b, 3) [m]."""
+    """Points along every edge that does not have exactly two faces, shape (b, 3) [m]."""
     faces_of_edge = np.bincount(mesh.edges_unique_inverse)
     start, end = np.asarray(mesh.vertices)[mesh.edges_unique[faces_of_edge != 2]].swapaxes(0, 1)
     count = np.ceil(np.linalg.norm(end - start, axis=1) / spacing).astype(int).clip(min=1)
@@ -298,14 +298,14 @@ def rim_points(mesh: trimesh.Trimesh, spacing: float) -> FloatArray:
 
 
 def squares_at(places: SurfacePoints, surroundings: Surroundings, edge: float) -> Squares:
-    """The squares that are centred on the given places, whether they fit or not.
+    """Squares centred on the given places, whether they fit or not.
 
     In their frames z is the normal, x the tangent towards the proximal end, y = z x x. Where the
-    normal is within 10 degrees of the proximal direction, as on the distal end, no tangent is
-    proximal: there x is the tangent towards anterior.
+    normal is within 10 degrees of the proximal direction, as on the distal end, x is the tangent
+    towards anterior instead.
     """
     normals = _mean_normals(places, surroundings.points, edge / np.sqrt(np.pi))
-    on_end = np.abs(normals @ surroundings.proximal) > np.cos(np.radians(_END))
+    on_end = np.abs(normals @ surroundings.proximal) > np.cos(np.radians(_END_ANGLE))
     towards = np.where(on_end[:, None], surroundings.anterior, surroundings.proximal)
     x = towards - (towards * normals).sum(axis=1, keepdims=True) * normals
     x /= np.linalg.norm(x, axis=1, keepdims=True)
@@ -325,10 +325,10 @@ def _mean_normals(places: SurfacePoints, points: SurfacePoints, radius: float) -
 
 
 def roughly_fit(squares: Squares, surroundings: Surroundings, flatness: float) -> BoolArray:
-    """Which squares fit the surface as far as its points can show, shape (m,).
+    """Which squares fit the surface, judged by its points, shape (m,).
 
-    A square fits if all of it lies on the surface: no rim inside, the surface nowhere
-    farther from its plane than the flatness [m], nor folded away from it.
+    A square fits if all of it lies on the surface, without a rim inside, and the surface is within
+    the flatness [m] of its plane and not folded away from it.
     """
     points, half = surroundings.points, 0.5 * squares.edge
     reach = float(np.hypot(np.sqrt(2.0) * half, flatness))
@@ -339,9 +339,9 @@ def roughly_fit(squares: Squares, surroundings: Surroundings, flatness: float) -
         facing = block.rotations[:, :, 2] @ points.normals[near].T
         inside = (np.abs(x) < half) & (np.abs(y) < half) & (facing > FACING_WALL)
         inside &= cdist(block.anchors, points.positions[near]) <= 1.1 * reach
-        unfit = inside & ((np.abs(height) > _SAFE * flatness) | (facing < LEAST_FACING))
+        unfit = inside & ((np.abs(height) > _FLATNESS_MARGIN * flatness) | (facing < MIN_FACING))
         cover = np.where(inside, facing, 0.0) @ points.areas[near]
-        fits[rows] = (cover > _LEAST_COVER * squares.edge**2) & ~unfit.any(axis=1)
+        fits[rows] = (cover > _MIN_COVER * squares.edge**2) & ~unfit.any(axis=1)
     for rows, near in _blocks_of(squares.anchors, surroundings.rim, reach):
         block = squares.take(rows)
         x, y, _ = seen_from(block, surroundings.rim[near])

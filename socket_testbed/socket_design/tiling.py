@@ -1,10 +1,10 @@
-"""A tiling: the interior of a socket covered with the most tiles that the search finds.
+"""Tiling: cover the interior of a socket with as many tiles as the search finds.
 
-The squares are the nodes of a graph, overlaps its edges: a largest independent set is wanted.
-It is built greedily by least waste: of all squares that are still free, the one is placed that
-takes the fewest other free ones away, so that tiles grow from corners, edges and other tiles.
-Then parts of it are taken out and filled anew, with some chance in the order, and kept when no
-tile is lost (ruin and recreate: Schrimpf et al. 2000, doi:10.1006/jcph.1999.6413).
+The squares are the nodes of a graph, overlaps its edges: the goal is a maximum independent set.
+A greedy search places the free square that blocks the fewest other free ones (least waste), so
+that tiles grow from corners, edges and other tiles. Then parts of the set are removed and refilled
+in a partly random order; the result is kept if no tile is lost (ruin and recreate: Schrimpf et
+al. 2000, doi:10.1006/jcph.1999.6413).
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ from socket_testbed.socket_design.squares import (
     squares_at,
 )
 
-_STEPS = 2  # towards the surface; it is a plane around each of its points
-_STEEP = 0.3  # [-]; cosine below which a plane is not followed
+_PROJECTION_STEPS = 2  # towards the surface, taken as plane around each of its points
+_MIN_COSINE = 0.3  # [-]; between a square's and the surface's normal, to project on the surface
 
 # Corners and thirds of the edges, in halves of an edge.
-_AROUND = np.array(
+_BORDER = np.array(
     [[x, y] for x in (-3, -1, 1, 3) for y in (-3, -1, 1, 3) if 3 in (abs(x), abs(y))]
 ) / (3.0)
 
@@ -52,15 +52,15 @@ _AROUND = np.array(
 def _border_points(squares: Squares, points: SurfacePoints) -> FloatArray:
     """Points of the surface along the borders of squares, shape (m, 12, 3) [m]."""
     half, tree = 0.5 * squares.edge, KDTree(points.positions)
-    along = np.einsum("mij,bj->mbi", squares.rotations[:, :, :2], half * _AROUND)
+    along = np.einsum("mij,bj->mbi", squares.rotations[:, :, :2], half * _BORDER)
     border = squares.anchors[:, None] + along
     normal = squares.rotations[:, None, :, 2]
-    for _ in range(_STEPS):
+    for _ in range(_PROJECTION_STEPS):
         nearest = tree.query(border, workers=-1)[1]
         there = points.normals[nearest]
         steepness = (there * normal).sum(axis=2)
         step = ((points.positions[nearest] - border) * there).sum(axis=2)
-        step = np.where(steepness > _STEEP, step / np.maximum(steepness, _STEEP), 0.0)
+        step = np.where(steepness > _MIN_COSINE, step / np.maximum(steepness, _MIN_COSINE), 0.0)
         border = border + step[:, :, None] * normal
     return border
 
@@ -68,9 +68,9 @@ def _border_points(squares: Squares, points: SurfacePoints) -> FloatArray:
 def _border_gaps(
     squares: Squares, borders: NDArray[np.floating[Any]], index: int, others: IntArray
 ) -> FloatArray:
-    """Gaps between a square and p others close to it, by the points of their borders, (p,) [m].
+    """Gaps between a square and p others close to it, from points on their borders, (p,) [m].
 
-    Negative where a point of one's border lies in the column over the other.
+    A gap is negative if a border point of one is in the column over the other.
     """
     own = (borders[others] - squares.anchors[index]) @ squares.rotations[index][:, :2]
     offset = borders[index] - squares.anchors[others][:, None]
@@ -82,20 +82,20 @@ def _border_gaps(
     return np.minimum(*outside) - 0.5 * squares.edge
 
 
-_WASTE_SPACING = 0.15  # [edges]; of the squares by which waste is counted
-_CHANCE = (0.0, 0.02, 0.1, 0.3)  # [-]; how far a recreation strays from least waste
-_FEWEST_RUINED, _MOST_RUINED = 3, 14
-_KEPT = 256  # lists of what overlaps a tile
-_PLANE = 0.002  # [m]; gaps smaller than it are measured on the surface itself
-_CLEARANCE = 0.0001  # [m]; between tiles, as the plane geometry of the search is not exact
+_WASTE_SPACING = 0.15  # [edges]; of the squares that measure waste
+_CHANCE = (0.0, 0.02, 0.1, 0.3)  # [-]; relative random change of the waste when recreating
+_MIN_RUINED, _MAX_RUINED = 3, 14
+_MAX_LISTS = 256
+_PLANE_TOLERANCE = 0.002  # [m]; smaller gaps are measured on the surface itself
+_CLEARANCE = 0.0001  # [m]; between tiles, as the plane geometry of the search is approximate
 
 
 class Search:
     """Greedy placement and its improvement.
 
-    The search sees squares as plane; each set of tiles that it keeps is checked on the surface
-    itself, and a square that is wrong there is not tried again.
-    The first `fixed` squares are tiles in any case; they overlap nowhere.
+    The search treats squares as plane, but checks each set of tiles that it keeps on the surface
+    itself and never tries squares that fail there again. The first `fixed` squares, which do not
+    overlap, are always tiles.
     """
 
     def __init__(
@@ -103,7 +103,7 @@ class Search:
     ) -> None:
         self._fixed = fixed
         self._borders = _border_points(squares, points).astype(np.float32)
-        # Rounded to 30 nm, which is nothing beside the clearance; it takes half the time.
+        # Rounding to 30 nm, far below the clearance, halves the time.
         squares = Squares(
             squares.anchors.astype(np.float32), squares.rotations.astype(np.float32), squares.edge
         )
@@ -112,7 +112,7 @@ class Search:
         self._footprints = footprints
         self._alive = np.ones(len(squares), dtype=bool)
         self._tree = KDTree(squares.anchors)
-        self._overlapping = lru_cache(_KEPT)(self._find_overlapping)
+        self._overlapping = lru_cache(_MAX_LISTS)(self._find_overlapping)
         cell = number_cells(squares.anchors, _WASTE_SPACING * squares.edge)
         witnesses = np.unique(cell, return_index=True)[1]
         self._witness = np.full(len(squares), -1)
@@ -120,14 +120,14 @@ class Search:
         self._overlapping_witness = overlapping(squares, witnesses, _CLEARANCE)
 
     def fill(self) -> IntArray:
-        """A first set of tiles, the fixed ones first, to which none can be added."""
+        """An initial set of tiles, the fixed ones first, with no space for another."""
         tiles = np.arange(self._fixed)
         while True:
             free = self._alive.copy()
             for tile in tiles:
                 free[self._overlapping(int(tile))] = False
             tiles = self._place(tiles, np.flatnonzero(free), np.zeros(free.sum()))
-            wrong = self._wrong(tiles)
+            wrong = self._find_invalid(tiles)
             if not wrong:
                 return tiles
             tiles = np.array([tile for tile in tiles if tile not in wrong], dtype=np.int64)
@@ -139,16 +139,16 @@ class Search:
         rng: np.random.Generator,
         progress: Callable[[int, int], None] | None = None,
     ) -> IntArray:
-        """Take out and fill anew, round by round; the set never gets smaller.
+        """Remove and refill round by round, without ever losing a tile.
 
-        The fixed tiles stay, and stay the first.
+        The fixed tiles remain the first.
         """
         anchors = self._squares.anchors
         for done in range(rounds):
             centre = anchors[rng.integers(len(anchors))]
             fixed, loose = tiles[: self._fixed], tiles[self._fixed :]
             order = np.argsort(np.linalg.norm(anchors[loose] - centre, axis=1))
-            ruined = int(rng.integers(_FEWEST_RUINED, _MOST_RUINED))
+            ruined = int(rng.integers(_MIN_RUINED, _MAX_RUINED))
             kept, out = np.concatenate([fixed, loose[order[ruined:]]]), loose[order[:ruined]]
             free = np.zeros(len(anchors), dtype=bool)
             for tile in out:
@@ -159,7 +159,7 @@ class Search:
                 free[self._overlapping(int(tile))] = False
             chance = rng.choice(_CHANCE) * rng.random(len(free))
             found = self._place(kept, np.flatnonzero(free), chance[free])
-            if len(found) >= len(tiles) and not self._wrong(found, len(kept)):
+            if len(found) >= len(tiles) and not self._find_invalid(found, len(kept)):
                 tiles = found
             if progress is not None:
                 progress(done + 1, rounds)
@@ -180,14 +180,14 @@ class Search:
         return np.array(placed, dtype=np.int64)
 
     def _overlaps(self, some: IntArray) -> IntArray:
-        """How many witnesses among some squares each square overlaps, shape (m,)."""
+        """Number of witnesses among some squares that each square overlaps, shape (m,)."""
         witnesses = self._witness[some]
         squares = [self._overlapping_witness[i] for i in witnesses[witnesses >= 0]]
         none = np.zeros(0, dtype=np.int32)
         return np.bincount(np.concatenate([none, *squares]), minlength=len(self._squares))
 
-    def _wrong(self, tiles: IntArray, known: int = 0) -> set[int]:
-        """Tiles that must go; the first `known` are known to be complete and to share nothing."""
+    def _find_invalid(self, tiles: IntArray, known: int = 0) -> set[int]:
+        """Tiles that are incomplete or overlap; the first `known` are known to be valid."""
         wrong = set(self._footprints.unfit(tiles[known:]))
         for pair in self._footprints.overlapping(tiles, known):
             if not wrong.intersection(pair):
@@ -196,7 +196,7 @@ class Search:
         return wrong
 
     def _find_overlapping(self, tile: int) -> IntArray:
-        """Squares that overlap a tile, itself included."""
+        """Squares that overlap a tile, including itself."""
         anchor, reach = self._squares.anchors[tile], REACH * self._squares.edge
         near = np.array(self._tree.query_ball_point(anchor, reach))
         return near[self._overlap(tile, near)]
@@ -205,34 +205,34 @@ class Search:
         squares, normals = self._squares, self._normals
         x, y, z = (squares.anchors[others] - squares.anchors[index]).T
         apart2 = x**2 + y**2 + z**2
-        # With less than an edge between their centres, squares overlap however they are turned.
-        overlap = apart2 < (squares.edge - _PLANE) ** 2
+        # With centres less than an edge apart, squares overlap in any orientation.
+        overlap = apart2 < (squares.edge - _PLANE_TOLERANCE) ** 2
         overlap &= normals[others] @ normals[index] > OTHER_WALL
         unsure = np.flatnonzero(~overlap & (apart2 <= (REACH * squares.edge) ** 2))
         some = others[unsure]
         gap = gaps(squares, np.array([index]), some)[0]
-        close = np.abs(gap) < _PLANE
+        close = np.abs(gap) < _PLANE_TOLERANCE
         gap[close] = _border_gaps(squares, self._borders, index, some[close])
         overlap[unsure] = gap < _CLEARANCE
         return overlap
 
 
-_NEAR = 0.5  # [edges]; largest gap between neighbours
-_FARTHEST = 2.2  # [edges]; no centres of neighbours are farther apart
-_FOLD = 0.0  # [-]; cosine between the normals of tiles on different sides of an edge
+_MAX_GAP = 0.5  # [edges]; largest gap between neighbours
+_MAX_DISTANCE = 2.2  # [edges]; between centres of neighbours
+_MIN_FACING = 0.0  # [-]; cosine between normals of neighbours
 
 
 def _nearby_pairs(squares: Squares) -> IntArray:
-    """Pairs of tiles with less than half a tile between them, diagonal ones included."""
+    """Pairs of tiles less than half a tile apart, including diagonal ones."""
     every, normals = np.arange(len(squares)), squares.rotations[:, :, 2]
-    near = gaps(squares, every, every) < _NEAR * squares.edge
-    near &= normals @ normals.T > _FOLD
-    near &= cdist(squares.anchors, squares.anchors) < _FARTHEST * squares.edge
+    near = gaps(squares, every, every) < _MAX_GAP * squares.edge
+    near &= normals @ normals.T > _MIN_FACING
+    near &= cdist(squares.anchors, squares.anchors) < _MAX_DISTANCE * squares.edge
     return np.argwhere(np.triu(near, 1))
 
 
-_PLACES = 1 / 30  # [edges]; spacing of the centres that are tried
-_POINTS = 1 / 12  # [edges]; spacing of the points that stand for the surface
+_PLACE_SPACING = 1 / 30  # [edges]; of candidate centres
+_POINT_SPACING = 1 / 12  # [edges]; of points that represent the surface
 _RIM = 1 / 60  # [edges]
 
 
@@ -243,7 +243,7 @@ class TilingSettings:
     edge: float = 0.030  # length of a tile's edges [m]
     flatness: float = 0.008  # largest distance of the surface from a tile's plane [m]
     rounds: int = 300  # rounds of improvement; more may find another tile
-    seed: int = 0  # seed of the places that are tried and of the improvement
+    seed: int = 0  # of candidate places and improvement
 
 
 @dataclass(frozen=True)
@@ -251,21 +251,19 @@ class Tiling:
     """Tiles on the interior of a socket and how well they cover it."""
 
     squares: Squares
-    footprint_areas: FloatArray  # areas of the surface under the tiles; (n,) [m^2]
+    footprint_areas: FloatArray  # surface areas under the tiles; (n,) [m^2]
     flatness: FloatArray  # largest distances of the surface from the tiles' planes; (n,) [m]
     neighbours: IntArray  # pairs of neighbouring tiles; (e, 2)
     interior_area: float  # area of the interior [m^2]
-    # Part of the interior under tiles, of what is farther than half a tile from the rim (brim,
-    # holes, cuts) [-]
+    # Covered share of the interior farther than half a tile from the rim (brim, holes, cuts) [-]
     cover_inside: float
     largest_gap: float  # largest distance of a point of the interior from the nearest tile [m]
-    # The clusters that the first tiles were laid for; the frames of these squares are turned with
-    # them
+    # The clusters under the first tiles; the frames of these squares are turned with them
     clusters: tuple[LaidCluster, ...] = ()
 
     @property
     def upper_bound(self) -> float:
-        """Interior area in tile areas: no tiling has more tiles."""
+        """Interior area over tile area: no tiling has more tiles."""
         return self.interior_area / self.squares.edge**2
 
 
@@ -277,16 +275,16 @@ def tile_interior(
     progress: Callable[[int, int], None] | None = None,
     clusters: Sequence[ClusterPlace] = (),
 ) -> Tiling:
-    """Tile the interior of a socket, around the clusters that are glued in at places in {S}.
+    """Tile the interior of a socket around clusters glued in at places in {S}.
 
     The mesh has its normals towards the limb [m]. Tiles have x towards proximal, (3,) [-], or
-    towards anterior where no tangent is proximal. `progress` is called with the rounds done and
-    their number.
+    towards anterior where the normal is nearly proximal. `progress` is called with the rounds done
+    and their number.
     """
     rng = np.random.default_rng(settings.seed)
-    points = spread_points(mesh, _POINTS * settings.edge, rng)
+    points = spread_points(mesh, _POINT_SPACING * settings.edge, rng)
     surroundings = Surroundings(points, rim_points(mesh, _RIM * settings.edge), proximal, anterior)
-    places = spread_points(mesh, _PLACES * settings.edge, rng)
+    places = spread_points(mesh, _PLACE_SPACING * settings.edge, rng)
     fitting = squares_at(places, surroundings, settings.edge)
     fitting = fitting.take(roughly_fit(fitting, surroundings, settings.flatness))
     laid: list[LaidCluster] = []
@@ -322,7 +320,7 @@ def tile_interior(
 
 
 def _distance(points: FloatArray, others: FloatArray) -> FloatArray:
-    """Distance of each point from the nearest of the others; infinite without others [m]."""
+    """Distance of each point from the nearest other one; infinite without others [m]."""
     if not len(others):
         return np.full(len(points), np.inf)
     return KDTree(others).query(points)[0]

@@ -172,7 +172,7 @@ def test_a_negated_wrench_is_noted_on_clear_evidence_alone():
     negated = replace(samples, wrench=-samples.wrench)
     (note,) = plausibility.implausible_notes(negated, GEOMETRY, ())
     assert "wrench looks negated" in note and "200 N" in note and "3 of 3 clusters" in note
-    hanging = replace(samples, wrench=samples.wrench * (-0.9 * plausibility.HANGING / LOAD))
+    hanging = replace(samples, wrench=samples.wrench * (-0.9 * plausibility.HANGING_WEIGHT / LOAD))
     pulled = replace(negated, local_forces=-samples.local_forces)
     shifted = samples.local_forces + np.array([0.0, 0.0, 150.0])
     offset = replace(samples, local_forces=shifted)
@@ -192,7 +192,7 @@ def test_what_exceeds_the_load_pulls_or_has_no_lever_is_proposed_with_its_number
             scaled(samples, 1, axis, 10.0 * load / size), GEOMETRY
         )
         assert proposal.channel == f"cluster_1.F{'xyz'[axis]}" and "10 times" in proposal.reason
-    unloaded = replace(samples, wrench=samples.wrench * (0.9 * plausibility.LEAST_LOAD / LOAD))
+    unloaded = replace(samples, wrench=samples.wrench * (0.9 * plausibility.MIN_LOAD / LOAD))
     assert found(scaled(unloaded, 1, 0, 1e4)) == []  # nothing is too large for no load
     for left_out, said in (((), "--leave-out cluster_1.Fx"), (("cluster_1.Fx",), "is left out")):
         (note,) = plausibility.implausible_notes(scaled(samples, 1, 0, 1e4), GEOMETRY, left_out)
@@ -200,7 +200,7 @@ def test_what_exceeds_the_load_pulls_or_has_no_lever_is_proposed_with_its_number
 
     pulled = scaled(samples, 2, 2, -1.0)  # as much tension as there was compression
     assert found(pulled) == ["cluster_2.Fz"]
-    assert found(scaled(samples, 2, 2, -0.9 * plausibility.LEAST_TENSION / (0.1 * LOAD))) == []
+    assert found(scaled(samples, 2, 2, -0.9 * plausibility.MIN_TENSION / (0.1 * LOAD))) == []
     reach = np.linalg.norm(GEOMETRY.anchors, axis=1).max()
     for share, expected in ((0.99, []), (1.01, ["My"])):
         samples.wrench[:, 1] = -share * plausibility.LEVER_FACTOR * reach * load

@@ -23,7 +23,7 @@ from socket_testbed.identification.fit import (
     summarise_errors,
 )
 from socket_testbed.identification.model_file import read_model, write_model
-from socket_testbed.identification.problem import LEAST_SAMPLES, Problem, build_objective
+from socket_testbed.identification.problem import MIN_SAMPLES, Problem, build_objective
 from socket_testbed.identification.solver import (
     WARM_START,
     BoxQP,
@@ -131,7 +131,7 @@ def test_what_cannot_be_fitted_is_refused_with_its_name():
     geometry, _, samples, settings = problems.make_case(71)
     forces, wrench = samples.local_forces.copy(), samples.wrench.copy()
     forces[:, 1, 2], wrench[:, 2] = np.nan, np.nan
-    few = np.where(np.arange(40)[:, None] < LEAST_SAMPLES - 1, samples.position, np.nan)
+    few = np.where(np.arange(40)[:, None] < MIN_SAMPLES - 1, samples.position, np.nan)
     for leave_out, arrays, *names in (
         ((), {"local_forces": forces}, "cluster_1.Fz ", "(--leave-out "),
         ((), {"wrench": wrench}, "Mz ", "(--leave-out "),

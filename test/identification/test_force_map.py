@@ -298,7 +298,7 @@ def test_draws_at_some_samples_of_a_long_span_give_nearly_what_all_give(monkeypa
     force_map, regions = ForceMap(RING, CLUSTERS, trial=samples), all_regions(RING)
     found = pressure_outputs(force_map, samples, RING, regions, THRESHOLD)
     assert found.integrated == pytest.approx(integration_weights(samples.time).sum())
-    monkeypatch.setattr(pressure, "MOST_DRAWN", 100)
+    monkeypatch.setattr(pressure, "MAX_DRAWN", 100)
     some = pressure_outputs(force_map, samples, RING, regions, THRESHOLD)
     assert some.peak_row == found.peak_row == 333
     for name, quantity in vars(some.regions).items():

@@ -12,7 +12,7 @@ from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification import information
 from socket_testbed.identification import information as module
 from socket_testbed.identification.noise import (
-    LEAST_DIFFERENCES,
+    MIN_DIFFERENCES,
     channel_noise,
     smooth_poses,
     smoothing_gain,
@@ -203,7 +203,7 @@ def test_a_quantised_channel_has_the_noise_of_its_steps_and_few_values_have_none
     coarse = replace(samples, wrench=np.round(np.tile(slow, 6), 1))  # [N]; without noise
     found = channel_noise(coarse).wrench
     np.testing.assert_allclose(found, 0.1 / np.sqrt(12.0), rtol=0.01)
-    for count in (0, 3, LEAST_DIFFERENCES + 2):
+    for count in (0, 3, MIN_DIFFERENCES + 2):
         assert np.isnan(channel_noise(samples[:count]).values).all()
     samples.wrench[:, 0], samples.wrench[:, 1] = 0.0, np.nan
     assert np.isnan(channel_noise(samples).wrench).tolist() == [True] * 2 + [False] * 4

@@ -75,7 +75,7 @@ def test_what_is_left_out_is_marked_and_a_dead_channel_then_costs_no_sample(
 
 @pytest.mark.usefixtures("few_variants")
 def test_without_a_front_or_a_validation_the_rest_stands(hold, monkeypatch):
-    monkeypatch.setattr("socket_testbed.identification.validation.LEAST_SAMPLES", 500)
+    monkeypatch.setattr("socket_testbed.identification.validation.MIN_SAMPLES", 500)
     results = results_of(hold, "Mx", "My", "Mz", "Fx", "Fy", "Fz", segment="all")
     assert fronts.section(results).parts[0].startswith("None: ")
     assert "two halves" in validation.section(results).parts[0]
