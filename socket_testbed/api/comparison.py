@@ -351,7 +351,7 @@ def compare(
             repeated donnings of each liner.
         segment: As `specification` in `st.select_segment`, for every trial.
         threshold: As in `st.pressure`.
-        by_region: Whether trials are compared by region alone; their sockets may then differ.
+        by_region: Whether to compare trials by region alone; their sockets may then differ.
         params: A `testbed.yaml` to use instead of each trial's own.
         progress: See `Progress`.
 

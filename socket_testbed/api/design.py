@@ -98,7 +98,7 @@ class CalibratedCluster(Result):
 
         Args:
             limit: Largest held-out RMSE [% of the full scale].
-            force: Whether a cluster above the limit is accepted, and marked as forced.
+            force: Whether to accept a cluster above the limit, marked as forced.
         """
         from socket_testbed.calibration.calibrate import bench_record
 
@@ -122,7 +122,7 @@ class CalibratedCluster(Result):
         Args:
             path: The YAML file, whatever its suffix.
             limit: Largest held-out RMSE [% of the full scale].
-            force: Whether a cluster above the limit is accepted.
+            force: Whether to accept a cluster above the limit.
         """
         path = Path(path)
         if self.existing_file is None or self.existing_file.resolve() != path.resolve():
@@ -207,7 +207,7 @@ def calibrate(
         geometry: A `socket.yaml` that supplies the area of the cluster's tile instead.
         wiring: Input of each channel (-x,+y), (+x,+y), (-x,-y), (+x,-y) (default: the existing
             cluster's, else 0, 1, 2, 3).
-        drop_outliers: Whether outliers are left out of the fit.
+        drop_outliers: Whether to leave outliers out of the fit.
 
     >>> found = st.calibrate("bench.csv", "distal", wiring=(2, 3, 0, 1))
     >>> found
@@ -425,7 +425,7 @@ def register(
         landmarks: YAML file that assigns the markers and locates the landmarks.
         socket: The `socket.yaml` to register.
         output: The `socket.yaml` to write; None to write nothing.
-        force: Whether landmarks with large residuals, or a limb outside the socket, are accepted.
+        force: Whether to accept landmarks with large residuals, or a limb outside the socket.
 
     Returns:
         The registration with its uncertainty; `geometry` is the registered socket.

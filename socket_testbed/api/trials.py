@@ -270,7 +270,7 @@ def simulate(
         path: Folder of the new trial.
         scenario: The load history: `static_hold`, `ramp`, `multi_direction` or `protocol`.
         tissue: Tissue of the limb: `soft` like the published experiment's silicone, or `stiff`.
-        like_paper: Whether load-cell creep and vibration and cluster offsets are as large as in
+        like_paper: Whether to make load-cell creep and vibration and cluster offsets as large as in
             the published experiment, with a calibration whose ranges admit them.
         duration: Duration [s].
         rate: Trigger rate [Hz].
