@@ -31,7 +31,7 @@ def side_names(side: str | None) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class UnrolledTiles:
-    """The n tiles as squares of equal area, on the unrolled wall or on the distal end.
+    """The n tiles as squares of the same areas, on the unrolled wall or on the distal end.
 
     Positions on the wall are the angle from anterior towards left [deg], unwrapped around the
     tile's centre, and the height above the distal end; those on the end, seen from inside, are

@@ -1,4 +1,4 @@
-"""Estimates judged on what they have not seen, who bears the load, what the pose reveals."""
+"""Validation on held-out data, load shares, and information in the pose."""
 
 from __future__ import annotations
 
@@ -43,29 +43,29 @@ _CAPTIONS = {
     ("wrench", "in-sample"): "Wrench from the pose alone, IN-SAMPLE: on the fitted half",
 }
 LEGEND = (
-    "error: rms error over the rms of the forces, 1 is predicting zero; in 50, 80, 95 %: share of"
-    " the values within these intervals of the estimate; RMSE: mean of three channels; skill: 1 -"
-    " RMSE over that of the constants that fit these samples best, below 0 worse than a constant"
+    "error: rms error over the rms of the forces, predicting zero gives 1; in 50, 80, 95 %: share"
+    " of values within these intervals of the estimate; RMSE: mean of three channels; skill: 1 -"
+    " RMSE over that of the best constants for these samples, below 0 worse than a constant"
 )
 
 
 def section(results: Results) -> Section:
-    """The section on what the estimates are worth."""
+    """The section on the validation of the estimates."""
     judged: list[Any] = [f"None: {results.no_validation}."]
     if results.validation:
         figure = ReportFigure(
             "validation",
-            "Left: error of the forces on each cluster that was left out, over the root mean square"
-            " of all clusters' forces, and on the tiles without a sensor where a simulation knows"
-            " them. Right: share of the values within the force map's intervals; on the line, its"
-            " uncertainty is right.",
+            "Left: error of the forces on each left-out cluster, over the root mean square of all"
+            " clusters' forces, and on tiles without a sensor if simulated truth is available."
+            " Right: share of values within the force map's intervals; on the line, its"
+            " uncertainty is correct.",
             lambda style: validation_figure(
                 results.validation, f"{results.trial.name}: Validation", style
             ),
             judgements_table(results.validation),
         )
         judged = [
-            "Estimates judged on what they have not seen, beside rivals that need no model.",
+            "Estimates judged on held-out data, against baselines that need no model.",
             f"{LEGEND[0].upper()}{LEGEND[1:]}.",
             figure,
             *judged_tables(results.validation),
@@ -81,19 +81,19 @@ def section(results: Results) -> Section:
         "Validation",
         [
             *judged,
-            Heading("Who bears the load"),
-            "Projections of the springs' and the offsets' part of the prediction onto the measured"
-            " load; with what the model leaves, they add up to 100 %. What the offsets bear says"
-            " nothing about another load.",
+            Heading("Load shares"),
+            "Predictions of springs and offsets projected onto the measured load; with the"
+            " residual, they add up to 100 %. The share of the offsets does not transfer to another"
+            " load.",
             _shares(results),
-            Heading("What the pose reveals"),
+            Heading("Information in the pose"),
             "Standard deviation of the motion over the segment against that of the noise. In"
             f" {results.motion.directions} of 6 independent directions the motion is"
-            f" {LEAST_RATIO:g} times the noise or more; elsewhere the noise shrinks the"
-            " stiffnesses, and the smoothness decides them.",
+            f" {LEAST_RATIO:g} times the noise or more; elsewhere the noise biases the"
+            " stiffnesses towards zero, and the smoothness determines them.",
             [str(excitation) for excitation in results.motion.excitations],
-            "With the noise of the channels and of the pose, and only the directions of the pose"
-            " that move, the data show so many stiffnesses, or combinations of them, to"
+            "Given the noise of channels and pose, and only the pose directions that move, the"
+            " data determine this many stiffnesses, or combinations of them, to"
             f" {difference:g} N/m or better:",
             known,
         ],
@@ -103,7 +103,7 @@ def section(results: Results) -> Section:
 def judged_tables(judgements: Sequence[Judgement]) -> list[Table]:
     """A table per question and test, a row per predictor: means over the trials.
 
-    Of several trials it has the median of the skills: one trial may spoil a mean.
+    With several trials, skills are medians, because a single trial may spoil a mean.
     """
     summary = summarise_judgements(judgements)
     counts = summary["judged [1]"]
@@ -138,16 +138,16 @@ def _shares(results: Results) -> Table:
     names = [share.name for share in results.candidates[0].shares]
     frame = pd.DataFrame(columns, index=pd.Index(names, name="measured"))
     formats = dict.fromkeys((title for _, title in columns), ".0f")
-    return Table("shares", "Who bears the measured load over the segment", frame, formats)
+    return Table("shares", "Shares of the measured load over the segment", frame, formats)
 
 
 @in_style
 def validation_figure(
     judgements: Sequence[Judgement], title: str, style: FigureStyle = DEFAULT_STYLE
 ) -> Figure:
-    """Draw the errors of forces by left-out cluster, and the coverage of the map's intervals.
+    """Draw force errors by left-out cluster, and the coverage of the map's intervals.
 
-    Of the judgements of several trials the means are drawn.
+    For several trials, means are drawn.
     """
     narrow = style.is_narrow
     figure = style.figure(130.0 if narrow else 75.0)

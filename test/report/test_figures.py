@@ -18,7 +18,7 @@ from socket_testbed.report.pressure import draw_regions
 from socket_testbed.report.results import Results
 from socket_testbed.report.style import (
     DEFAULT_STYLE,
-    MOST_POINTS,
+    MAX_POINTS,
     SCALE,
     WIDTHS,
     FigureStyle,
@@ -39,7 +39,7 @@ def rng():
 
 
 def test_a_thinned_line_keeps_its_peaks_its_order_and_its_gaps(rng):
-    for count, most in ((10, 100), (1001, MOST_POINTS), (12_345, 10), (12_345, MOST_POINTS)):
+    for count, most in ((10, 100), (1001, MAX_POINTS), (12_345, 10), (12_345, MAX_POINTS)):
         x, y = np.arange(count) / 4.0, rng.normal(size=count)
         thin_x, thin_y = thin(x, y, most)
         assert len(thin_x) <= most
