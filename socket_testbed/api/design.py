@@ -296,8 +296,8 @@ def tile(
         points: Origin of {S}, a point on its +x, one towards its +y, picked in the scan in its
             unit.
         clusters: YAML file of cluster positions in {S} or in the scan (default: the usual ones).
-        place: Total number of clusters: those of `clusters` stay, the others are proposed where
-            they are most informative for the force map; 0: none is proposed.
+        place: Total number of clusters: given ones stay, the others are proposed where they are
+            most informative for the force map; 0: none is proposed.
         keep_out: Regions and tiles excluded from proposals, such as `anterior proximal`.
         bodies: A registered `socket.yaml` whose marker bodies are kept (default: nominal ones).
         settings: Settings of the tiling.

@@ -283,7 +283,7 @@ def fit(
         variant: The contact law: `stiffness` as published, from the limb's position; `rigid` from
             its pose; `stiffness_bias` and `rigid_bias` with offsets.
         theta: Weight of the wrench against the clusters, 0 to 1 [-].
-        weights: Weighting of the channels within these groups: by `size`, by `noise`, or `raw`.
+        weights: Weighting of the channels within a group: by `size`, by `noise`, or `raw`.
         smoothness: Weight of the smoothness over neighbouring tiles [-].
         leave_out: Channels to leave out of the objective, such as `distal.Fx` or `Mz`.
         pose_smoothing: Centred window over which poses are averaged [s].

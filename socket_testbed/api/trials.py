@@ -65,8 +65,8 @@ def open_trial(
 
     Args:
         path: Folder of the trial.
-        geometry: A `socket.yaml` to use instead of the trial's own. If its markers of a body
-            differ, the body's poses are refitted to the recorded markers.
+        geometry: A `socket.yaml` to use instead of the trial's own. If a body's markers differ
+            there, its poses are refitted to the recorded markers.
         calibration: A `calibration.yaml` to use instead of the trial's own.
         unloaded: Unloaded spans before and after the load, used to correct the drift of the
             clusters; seconds since the first sample.

@@ -128,7 +128,7 @@ def draw(
     Args:
         figure: Draw the results as .png or .pdf.
         width: Printed width of figures [mm]: one column of a paper, or the full page.
-        title: Titles of figures, and errors in their keys.
+        title: Titles of figures and errors in their keys.
     """
     if figure is not None:
         found.draw(figure, width=width, title=title)

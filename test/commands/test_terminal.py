@@ -56,7 +56,7 @@ class Terminal:
 @pytest.fixture
 def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Terminal]:
     """A terminal of a kind that can go back in a line; the line is drawn at every call."""
-    monkeypatch.setattr(module, "_PERIOD", 0.0)
+    monkeypatch.setattr(module, "_DRAW_INTERVAL", 0.0)
     found = Terminal()
     monkeypatch.setenv("TERM", "xterm")
     for name in ("NO_COLOR", "RCUTILS_COLORIZED_OUTPUT"):
@@ -111,7 +111,7 @@ def test_a_log_file_gets_plain_lines(terminal, monkeypatch, capsys) -> None:
     with StatusLine() as status:
         assert status.output is None  # the nodes print there themselves
         status.say("it starts")
-        monkeypatch.setattr(module, "_LOGGED_PERIOD", 0.0)
+        monkeypatch.setattr(module, "_STATUS_LOG_INTERVAL", 0.0)
         status._status.triggers = 7
         status.renew()
     assert capsys.readouterr().err == "it starts\n0:00:00 | 7 triggers, 0 complete\n"

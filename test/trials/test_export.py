@@ -172,7 +172,7 @@ def test_gait_laboratories_read_loads_and_markers(hold: Path, tmp_path: Path) ->
     # The triad of the socket is that of its rigid body, moved [mm].
     triads = points[0].reshape(-1, 3)[:3], 1e3 * Trial(hold).geometry.socket_markers
     np.testing.assert_allclose(*map(pdist, triads), atol=1.0)
-    with refused(TestbedError, "measured forces and markers alone"):
+    with refused(TestbedError, "only measured forces and markers"):
         st.export(hold, tmp_path / "x.trc", force_map=True)
 
 
