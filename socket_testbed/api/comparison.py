@@ -84,23 +84,23 @@ class Conditions:
     """The c conditions under which k trials are compared; a single trial may be a condition."""
 
     names: tuple[str, ...]
-    of_trials: IntArray  # index of each trial's condition, shape (k,)
+    numbers: IntArray  # index of each trial's condition, shape (k,)
 
     @property
     def freedom(self) -> int:
         """Degrees of freedom of the spread between donnings; 0 with one trial per condition."""
-        return len(self.of_trials) - len(self.names)
+        return len(self.numbers) - len(self.names)
 
-    def trials(self, of_trials: Sequence[T]) -> dict[str, list[T]]:
+    def grouped(self, values: Sequence[T]) -> dict[str, list[T]]:
         """Group one value per trial by condition."""
         found: dict[str, list[T]] = {name: [] for name in self.names}
-        for condition, each in zip(self.of_trials, of_trials, strict=True):
-            found[self.names[condition]].append(each)
+        for number, value in zip(self.numbers, values, strict=True):
+            found[self.names[number]].append(value)
         return found
 
     def mean(self, values: FloatArray) -> FloatArray:
         """Condition means, shape (c, m), of trial values, shape (k, m)."""
-        return np.array([np.mean(of, axis=0) for of in self.trials([*values]).values()])
+        return np.array([np.mean(group, axis=0) for group in self.grouped([*values]).values()])
 
     def columns(
         self,
@@ -125,9 +125,9 @@ class Conditions:
         found = (value, low, high, difference, difference - lower, difference + upper)
         columns = dict(zip(_VALUES, found, strict=True))
         if self.freedom:
-            squares = (values - value[self.of_trials]) ** 2
+            squares = (values - value[self.numbers]) ** 2
             spread = np.sqrt(squares.sum(axis=0) / self.freedom)
-            share = 1.0 / np.bincount(self.of_trials)[:, None]
+            share = 1.0 / np.bincount(self.numbers)[:, None]
             error = spread * np.sqrt(share + share[0])
             quantile = stdtrit(self.freedom, 0.975)
             noncentrality = nctdtrinc(self.freedom, 1.0 - _POWER, quantile)
@@ -157,10 +157,10 @@ def values_table(
     """
     import pandas as pd
 
-    things = [(part, name, *split_unit(title)) for part, name, title in rows[0]]
-    table = pd.DataFrame(things, columns=[*COLUMNS[:4]])
+    keys = [(part, name, *split_unit(title)) for part, name, title in rows[0]]
+    table = pd.DataFrame(keys, columns=[*COLUMNS[:4]])
     values, low, high = (
-        np.array([[row.get(end, np.nan) for row in of.values()] for of in rows]) for end in VALUE
+        np.array([[row.get(end, np.nan) for row in one.values()] for one in rows]) for end in VALUE
     )
     correlation = correlation * table["part"].isin(MAPPED).to_numpy()
     turn = np.where(table["unit"] == "deg", 1.0 / 360.0, 0.0)
@@ -168,13 +168,13 @@ def values_table(
         low, high = (np.where(np.isnan(end), values, end) for end in (low, high))
     # Bring the trials of a condition within half a turn of their mean direction.
     middle = np.degrees(np.angle(conditions.mean(np.exp(1j * np.radians(values)))))
-    turns = 360.0 * np.round(turn * (values - middle[conditions.of_trials]))
+    turns = 360.0 * np.round(turn * (values - middle[conditions.numbers]))
     columns = conditions.columns(values - turns, low - turns, high - turns, correlation)
     turns = 360.0 * np.round(turn * columns["difference"])
     columns |= {end: columns[end] - turns for end in DIFFERENCE}
     table = table.loc[table.index.repeat(len(conditions.names))].reset_index(drop=True)
-    table["item"] = [*conditions.names] * len(things)
-    table = table.assign(**{name: of.T.ravel() for name, of in columns.items()})
+    table["item"] = [*conditions.names] * len(keys)
+    table = table.assign(**{name: column.T.ravel() for name, column in columns.items()})
     table.insert(COLUMNS.index("text"), "text", None)
     return table
 
@@ -183,7 +183,7 @@ def values_table(
 class Comparison(Result):
     """Trials side by side."""
 
-    conditions: Mapping[str, Sequence[str]]  # names of each one's trials; a trial stands alone
+    conditions: Mapping[str, Sequence[str]]  # trial names by condition; a trial is its own
     title: str  # segment and contact threshold of the comparison
     notes: tuple[str, ...]  # remarks for the reader
     table: pd.DataFrame  # see `to_dataframe`
@@ -365,9 +365,9 @@ def compare(
     """
     import pandas as pd
 
-    trials, of_trials = open_compared(items, conditions)
+    trials, numbers = open_compared(items, conditions)
     names = _names([trial.path for trial in trials])
-    compared = Conditions(tuple(conditions or names), of_trials)
+    compared = Conditions(tuple(conditions or names), numbers)
     if not by_region:
         require_one_socket(trials, "compare them by region with --by-region")
     report = started(progress, "comparing")
@@ -381,7 +381,7 @@ def compare(
     first, sides = trials[0], {trial.metadata.side for trial in trials}
     one_socket = all(trial.geometry.same_tiles(first.geometry) for trial in trials)
     rows = _shared_rows(found, one_socket, by_region)
-    numbers = values_table(compared, rows, _correlation(trials, compared))
+    values = values_table(compared, rows, _correlation(trials, compared))
     notes = [*_notes(found, names, rows, one_socket, compared.freedom)]
     if params is None and len({trial.estimator.force_map for trial in trials}) > 1:
         notes.append(
@@ -390,10 +390,10 @@ def compare(
         )
     over = f"segment {segment}, in contact above {threshold:g} kPa"
     return Comparison(
-        conditions=compared.trials(names),
-        title=_detectable(numbers, compared) + over,
+        conditions=compared.grouped(names),
+        title=_detectable(values, compared) + over,
         notes=tuple(notes),
-        table=pd.concat([_texts(found, names, compared), numbers], ignore_index=True),
+        table=pd.concat([_texts(found, names, compared), values], ignore_index=True),
         geometry=None if by_region else first.geometry,
         side=sides.pop() if len(sides) == 1 else None,
     )
@@ -405,10 +405,10 @@ def open_compared(
     """The trials, all different, and the index of each one's condition."""
     if conditions and items:
         raise ConfigurationError(
-            f"{len(items)} trials are given beside conditions", "give each trial to a condition"
+            f"{len(items)} trials and also conditions are given", "give each trial to a condition"
         )
     groups = [*conditions.values()] if conditions else [[item] for item in items]
-    if empty := [name for name, of_name in (conditions or {}).items() if not of_name]:
+    if empty := [name for name, given in (conditions or {}).items() if not given]:
         raise ConfigurationError(f"the condition '{empty[0]}' has no trial", "name its trials")
     if not 2 <= len(groups) <= _MAX_ITEMS:
         raise ConfigurationError(
@@ -442,7 +442,7 @@ def _shared_rows(found: Sequence[TrialPressure], one_socket: bool, by_region: bo
     tiles: list[dict[str, tuple[int, ...]]] = []
     for each in found:
         side = each.trial.metadata.side if None in sides and len(sides) > 1 else None
-        tiles.append({_without_side(of.name, side): tuple(of.tiles) for of in each.places})
+        tiles.append({_without_side(place.name, side): tuple(place.tiles) for place in each.places})
         outputs = {
             (part, _without_side(name, side) if part == "regions" else name, title): row
             for (part, name, title), row in each.rows().items()
@@ -453,10 +453,10 @@ def _shared_rows(found: Sequence[TrialPressure], one_socket: bool, by_region: bo
     def is_shared(part: str, name: str) -> bool:
         # Regions of the same name may consist of different tiles.
         own = part == "regions" and one_socket and not name.startswith(mirrored)
-        return not own or len({of.get(name) for of in tiles}) == 1
+        return not own or len({each.get(name) for each in tiles}) == 1
 
-    keys = [key for key in rows[0] if is_shared(*key[:2]) and all(key in of for of in rows)]
-    return [{key: of[key] for key in keys} for of in rows]
+    keys = [key for key in rows[0] if is_shared(*key[:2]) and all(key in row for row in rows)]
+    return [{key: row[key] for key in keys} for row in rows]
 
 
 def _without_side(name: str, side: Side | None) -> str:
@@ -476,8 +476,8 @@ def _wrench_rows(found: TrialPressure) -> Rows:
     table = pd.DataFrame(wrench, columns=list(WRENCH_CHANNELS))
     statistics = {"mean": table.mean(), "standard deviation": table.std(ddof=0)}
     return {
-        ("wrench", name, f"{title} [{channel_unit(name)}]"): {"value": of[name]}
-        for title, of in statistics.items()
+        ("wrench", name, f"{title} [{channel_unit(name)}]"): {"value": values[name]}
+        for title, values in statistics.items()
         for name in WRENCH_CHANNELS
     }
 
@@ -487,11 +487,11 @@ def _detectable(table: pd.DataFrame, compared: Conditions) -> str:
     if not compared.freedom:
         return ""
     rows = table.query("part == 'regions' and quantity == 'mean pressure'")
-    least = rows.groupby("name")["detectable"].max()
-    regions, counts = least.drop("socket"), np.bincount(compared.of_trials)
+    smallest = rows.groupby("name")["detectable"].max()
+    regions, counts = smallest.drop("socket"), np.bincount(compared.numbers)
     trials = " to ".join(map(str, sorted({counts.min(), counts.max()})))
     return (
-        f"with {trials} trials per condition differences of {least['socket']:.1f} kPa and more"
+        f"with {trials} trials per condition differences of {smallest['socket']:.1f} kPa and more"
         f" can be seen in the socket's mean pressure, of {regions.min():.1f} to"
         f" {regions.max():.1f} kPa in that of its regions; "
     )
@@ -506,7 +506,7 @@ def _texts(
     trials = [each.trial for each in found]
     described = [trial.metadata.described() for trial in trials]
     stated = [name for name in FIELDS if any(name in texts for texts in described)]
-    texts = {("metadata", n): [of.get(n, "not stated") for of in described] for n in stated}
+    texts = {("metadata", n): [each.get(n, "not stated") for each in described] for n in stated}
     if compared.freedom:
         texts["trials", "trials"] = [*names]
     calibrations = [trial.calibration for trial in trials]
@@ -519,8 +519,8 @@ def _texts(
     }
     rows = [
         (*key, "", "", item, *[np.nan] * len(_VALUES), "; ".join(dict.fromkeys(different)))
-        for key, of_trials in texts.items()
-        for item, different in compared.trials(of_trials).items()
+        for key, entries in texts.items()
+        for item, different in compared.grouped(entries).items()
     ]
     return pd.DataFrame(rows, columns=[*COLUMNS])
 
@@ -528,14 +528,14 @@ def _texts(
 def _correlation(trials: Sequence[Trial], compared: Conditions) -> FloatArray:
     """Correlation of the map errors with those of the first condition, shape (c, 1) [-]."""
     subject, socket = trials[0].metadata.subject, trials[0].geometry
-    alike = [
+    same_limb = [
         subject is not None
         and subject == trial.metadata.subject
         and trial.geometry.same_tiles(socket)
         for trial in trials
     ]
-    all_alike = np.array([[all(of)] for of in compared.trials(alike).values()])
-    return SAME_LIMB * np.asarray(all_alike & all_alike[0], dtype=float)
+    all_same = np.array([[all(group)] for group in compared.grouped(same_limb).values()])
+    return SAME_LIMB * np.asarray(all_same & all_same[0], dtype=float)
 
 
 def _notes(
@@ -582,8 +582,8 @@ def _notes(
             " state it with 'annotate TRIAL --subject CODE'"
         )
     forces = [
-        float(np.linalg.norm([of["wrench", f"F{axis}", "mean [N]"]["value"] for axis in "xyz"]))
-        for of in rows
+        float(np.linalg.norm([row["wrench", f"F{axis}", "mean [N]"]["value"] for axis in "xyz"]))
+        for row in rows
     ]
     times = [each.outputs.integrated for each in found]
     for name, force, time in zip(names[1:], forces[1:], times[1:], strict=True):

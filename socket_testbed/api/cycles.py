@@ -96,9 +96,9 @@ class Cycles(Result):
 
         statistics = {"mean": self.mean, "sd": self.deviation, "n": self.counts}
         columns = {
-            f"{name} {of} [{'-' if of == 'n' else unit}]": values[:, number]
+            f"{name} {label} [{'-' if label == 'n' else unit}]": values[:, number]
             for number, (name, unit) in enumerate(map(split_unit, self.titles))
-            for of, values in statistics.items()
+            for label, values in statistics.items()
         }
         percent = np.linspace(0.0, 100.0, _POINTS)
         return pd.DataFrame(columns, index=pd.Index(percent, name="cycle [%]"))

@@ -236,9 +236,9 @@ class Evaluation(Result):
 
 
 def _errors_document(
-    of: TrialFit | Evaluation, model: StoredModel, samples: int, errors: Sequence[ChannelErrors]
+    found: TrialFit | Evaluation, model: StoredModel, samples: int, errors: Sequence[ChannelErrors]
 ) -> dict[str, Any]:
-    identity = origin(of.trial, of.segment)
+    identity = origin(found.trial, found.segment)
     return {
         "trial": identity["trial"],
         "model": {"trial": model.trial, "variant": model.model.variant},

@@ -155,7 +155,7 @@ def write_comparison(
     parts = {name: _tables(found, name) for name in dict.fromkeys(found.table["part"])}
     numbers = [Section(name, _HEADINGS[name], parts.pop(name)) for name in MAPPED if name in parts]
     socket = Table("socket-table", "Outputs of the socket", cells)
-    made_with = pairs_table("provenance-table", "What the page was made with", origin)
+    made_with = pairs_table("provenance-table", "Provenance of the page", origin)
     groups = {
         "": [
             Section("differing", "", [[*clearest, f"{count}."]]),
@@ -175,8 +175,9 @@ def write_comparison(
 
 def _cards(found: Comparison) -> list[dict[str, Any]]:
     """Differences of the socket's peak and mean pressure from the first trial."""
-    of, shown = found.table, []
-    rows = of[(of["part"] == "regions") & (of["name"] == SOCKET) & (of["item"] != found.items[0])]
+    table, shown = found.table, []
+    rows = table[(table["part"] == "regions") & (table["name"] == SOCKET)]
+    rows = rows[rows["item"] != found.items[0]]
     for quantity in ("peak pressure", "mean pressure"):
         for row in rows[rows["quantity"] == quantity].to_dict("records"):
             by, low, high = (row[name] for name in DIFFERENCE)
@@ -199,13 +200,13 @@ def _map_data(found: Comparison) -> tuple[dict[str, Any], dict[str, str]]:
     (values, reaches), (differences, spreads) = map(found.tile_pressures, (VALUE, DIFFERENCE))
     names = [*found.items, *map(found.difference_title, found.items[1:])]
     both = zip([*values, *differences[1:]], [*reaches, *spreads[1:]], strict=True)
-    most = float(np.abs(differences[1:]).max()) or 1.0
+    limit = float(np.abs(differences[1:]).max()) or 1.0
     nothing = np.zeros(0)
     maps: list[dict[str, Any]] = [
         {
             "box": f"map-{number}",
             "moment": moment(0.0, 1e3 * value, 1e3 * reach / NORMAL_QUANTILE, nothing, nothing),
-            "range": most if number >= len(found.items) else None,
+            "range": limit if number >= len(found.items) else None,
             "diverging": number >= len(found.items),
         }
         for number, (value, reach) in enumerate(both)
@@ -247,8 +248,7 @@ def view(
 
     Args:
         trial: The trial.
-        model: A fit, a model from `read_model`, or the path of its file, whose predicted wrench is
-            shown.
+        model: A fit, a model from `read_model`, or the path of its file, to show its predictions.
         port: Port of the page; 0 for any free port.
         host: Address of this machine to serve the page on, `0.0.0.0` for all; at `127.0.0.1` only
             this machine can open it.

@@ -48,10 +48,10 @@ if TYPE_CHECKING:
 Rows: TypeAlias = dict[tuple[str, str, str], dict[str, Any]]
 """Values of outputs, by part, name and title."""
 
-_CENTRES = [title for title in TITLES if title.startswith("centre of pressure")]
-OF_TILES = tuple(title for title in TITLES if title not in (*_CENTRES, "contact area [cm^2]"))
-_ROW = ("value", "low", "high", "uncertain")
-_OVER_TIME = tuple(title for title in TITLES if not title.startswith("pressure-time"))
+_CENTRE_TITLES = [title for title in TITLES if title.startswith("centre of pressure")]
+TILE_TITLES = tuple(t for t in TITLES if t not in (*_CENTRE_TITLES, "contact area [cm^2]"))
+_ROW_KEYS = ("value", "low", "high", "uncertain")
+_SERIES_TITLES = tuple(title for title in TITLES if not title.startswith("pressure-time"))
 
 
 @dataclass(frozen=True, repr=False)
@@ -241,7 +241,7 @@ class TrialPressure(SegmentPressure, Result):
         regions = tuple(place.name for place in self.places)
         parts = (
             ("regions", regions, self.outputs.regions, TITLES),
-            ("tiles", self.trial.geometry.names, self.outputs.tiles, OF_TILES),
+            ("tiles", self.trial.geometry.names, self.outputs.tiles, TILE_TITLES),
         )
         quantities = [
             (part, names, title, read_column(found, title))
@@ -256,7 +256,7 @@ class TrialPressure(SegmentPressure, Result):
             columns = found.value, found.low, found.high, ~found.certain(self.share)
             values = zip(*(np.atleast_1d(column).tolist() for column in columns), strict=True)
             for name, row in zip(names, values, strict=True):
-                rows[part, name, title] = dict(zip(_ROW, row, strict=True))
+                rows[part, name, title] = dict(zip(_ROW_KEYS, row, strict=True))
         return rows
 
     def limb(self) -> pd.DataFrame:
@@ -269,7 +269,7 @@ class TrialPressure(SegmentPressure, Result):
         import pandas as pd
 
         found = {title: row for (part, _, title), row in self.rows().items() if part == "limb"}
-        return pd.DataFrame.from_dict(found, orient="index", columns=[*_ROW])
+        return pd.DataFrame.from_dict(found, orient="index", columns=[*_ROW_KEYS])
 
     @property
     def regions(self) -> pd.DataFrame:
@@ -284,7 +284,7 @@ class TrialPressure(SegmentPressure, Result):
         names = pd.Index([place.name for place in self.places], name="region")
         table = pd.DataFrame(columns_of(self.outputs.regions, TITLES), index=names)
         geometry, nearest = self.trial.geometry, []
-        for centre in table[_CENTRES].to_numpy() * 1e-3:
+        for centre in table[_CENTRE_TITLES].to_numpy() * 1e-3:
             apart = np.linalg.norm(geometry.anchors - centre, axis=1)
             nearest.append("" if np.isnan(apart).any() else geometry.names[apart.argmin()])
         table["nearest tile"] = nearest
@@ -297,7 +297,7 @@ class TrialPressure(SegmentPressure, Result):
 
         geometry = self.trial.geometry
         names = pd.Index(geometry.names, name="tile")
-        table = pd.DataFrame(columns_of(self.outputs.tiles, OF_TILES), index=names)
+        table = pd.DataFrame(columns_of(self.outputs.tiles, TILE_TITLES), index=names)
         table.insert(0, "cluster", _clusters_by_tile(geometry))
         return table
 
@@ -315,15 +315,15 @@ class TrialPressure(SegmentPressure, Result):
         import pandas as pd
 
         estimate = self.map.estimate
-        of_pressure = normal_quantity(
+        pressure = normal_quantity(
             1e-3 * estimate.normal_pressure, 1e-3 * estimate.normal_pressure_standard_deviation
         )
-        of_shear = normal_quantity(1e-3 * estimate.shear, 1e-3 * estimate.shear_standard_deviation)
-        of_shear = dataclasses.replace(of_shear, low=np.maximum(of_shear.low, 0.0))
-        stresses = with_interval("pressure [kPa]", of_pressure)
-        stresses |= with_interval("shear [kPa]", of_shear)
+        shear = normal_quantity(1e-3 * estimate.shear, 1e-3 * estimate.shear_standard_deviation)
+        shear = dataclasses.replace(shear, low=np.maximum(shear.low, 0.0))
+        stresses = with_interval("pressure [kPa]", pressure)
+        stresses |= with_interval("shear [kPa]", shear)
         regions = [place.name for place in self.places]
-        columns = by_place(regions, columns_of(self.outputs.series, _OVER_TIME))
+        columns = by_place(regions, columns_of(self.outputs.series, _SERIES_TITLES))
         columns |= by_place(self.trial.geometry.names, stresses)
         return pd.DataFrame(columns, index=pd.Index(self.time, name="time [s]"))
 

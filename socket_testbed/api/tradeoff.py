@@ -141,7 +141,7 @@ class PaperTable(Result):
         }
 
     def _saved_table(self) -> pd.DataFrame:
-        titles = [f"paper: {title}" if of == THEIRS else title for of, title in self.table]
+        titles = [f"paper: {title}" if group == THEIRS else title for group, title in self.table]
         return self.table.set_axis(titles, axis=1)
 
 

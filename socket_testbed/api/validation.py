@@ -147,14 +147,14 @@ def validate(
     True
     """
     recordings = _recordings([*map(as_trial, trials)], segment, as_path(params), choices)
-    several, chosen = len(trials) > 1, _some(recordings)
+    several, chosen = len(trials) > 1, _selected(recordings)
     report, done = started(progress, "validating"), count(1)
     total = len(recordings) + several * len(chosen)
     judgements: list[Judgement] = []
     fitted: list[_Recording] = []
     with threadpool_limits(1):
         for recording in recordings:
-            with _passed_over(recording.name, recording.trial, several):
+            with _skip_failed(recording.name, recording.trial, several):
                 judgements += recording.judge(with_models=recording in chosen)
                 fitted += [recording] if recording in chosen else []
             report(next(done), total)
@@ -162,8 +162,8 @@ def validate(
             raise TrialError(f"none of the {len(trials)} trials can be judged", "see the notes")
         for recording in chosen if several else ():
             if recording in fitted:
-                others = _some([other for other in recordings if other is not recording])
-                with _passed_over(recording.name, recording.trial, several):
+                others = _selected([other for other in recordings if other is not recording])
+                with _skip_failed(recording.name, recording.trial, several):
                     judgements += recording.judge_others(others)
             report(next(done), total)
     names, fitted_names = (tuple(r.name for r in listed) for listed in (recordings, fitted))
@@ -172,7 +172,7 @@ def validate(
 
 
 @contextmanager
-def _passed_over(name: str, trial: Trial, several: bool) -> Iterator[None]:
+def _skip_failed(name: str, trial: Trial, several: bool) -> Iterator[None]:
     """Among several trials, report the error of one and continue."""
     try:
         yield
@@ -182,7 +182,7 @@ def _passed_over(name: str, trial: Trial, several: bool) -> Iterator[None]:
         note(trial, f"{name}: passed over: {error}")
 
 
-def _some(recordings: Sequence[_Recording]) -> list[_Recording]:
+def _selected(recordings: Sequence[_Recording]) -> list[_Recording]:
     """At most `_MAX_FITTED` recordings, evenly spread."""
     return [recordings[number] for number in evenly(len(recordings), _MAX_FITTED)]
 
@@ -241,7 +241,7 @@ def _recordings(
     found = []
     for trial in trials:
         name = trial.name if names.count(trial.name) == 1 else str(trial.path)
-        with _passed_over(name, trial, len(trials) > 1):
+        with _skip_failed(name, trial, len(trials) > 1):
             settings = estimator_settings(trial.estimator, params, **choices)
             samples = trial.samples()[select(trial, segment, settings).rows]
             require_position(samples, trial.geometry)

@@ -251,7 +251,7 @@ class _Conclusion:
         held = 100.0 * np.mean(np.abs(self._error[bare]) <= self._reach[bare])
         load = np.nanmean(np.linalg.norm(self._hold.wrench[:, 3:], axis=1))
         measured, without, reach = self._left_out.T
-        most, worst = measured.argmax(), np.abs(measured - without).argmax()
+        highest, worst = measured.argmax(), np.abs(measured - without).argmax()
 
         def described(tile: int) -> str:
             estimate = _interval(self._estimate[tile], self._reach[tile])
@@ -259,7 +259,7 @@ class _Conclusion:
 
         return [
             f"Highest pressure measured over the hold, under {load:.0f} N: cluster"
-            f" {self._names[most]}, {measured[most]:.1f} kPa.",
+            f" {self._names[highest]}, {measured[highest]:.1f} kPa.",
             f"Highest between the clusters: {described(bare[self._estimate[bare].argmax()])};"
             f" {held:.0f} % of the 95 % intervals contain the truth.",
             f"Largest error: {described(bare[np.abs(self._error[bare]).argmax()])}.",
@@ -270,18 +270,18 @@ class _Conclusion:
 
     def draw(self) -> Figure:
         """Map and truth on one scale, the error, and every cluster left out."""
-        most = float(max(self._estimate.max(), self._truth.max()))
+        high = float(max(self._estimate.max(), self._truth.max()))
         maps = {
-            "estimated live, mean over the hold": (self._estimate, self._reach, 0.0, most),
-            "simulated truth": (self._truth, 0.0 * self._truth, 0.0, most),
-            "error: estimate - truth": (self._error, 0.0 * self._error, -0.5 * most, 0.5 * most),
+            "estimated live, mean over the hold": (self._estimate, self._reach, 0.0, high),
+            "simulated truth": (self._truth, 0.0 * self._truth, 0.0, high),
+            "error: estimate - truth": (self._error, 0.0 * self._error, -0.5 * high, 0.5 * high),
         }
         return tile_map_figure(
             self._geometry,
             {title: values for title, (values, *_) in maps.items()},
             "normal pressure [kPa]",
             "Normal pressure on the socket",
-            limits={title: (low, high) for title, (_, _, low, high) in maps.items()},
+            limits={title: (row[2], row[3]) for title, row in maps.items()},
             reach={title: reach for title, (_, reach, *_) in maps.items()},
             below=(48.0, self._draw_left_out),
         )

@@ -72,8 +72,8 @@ def tile(
         seed=int(check_number(seed, "--seed", 0)),
     )
     picked = [parse_point(point, "--points") for point in points or ()]
-    beside = [output.with_suffix(suffix) for suffix in (".png", ".html")]
-    check_outputs(output, *beside, replace=replace)
+    extras = [output.with_suffix(suffix) for suffix in (".png", ".html")]
+    check_outputs(output, *extras, replace=replace)
     design = api.tile(
         scan,
         output,
@@ -83,7 +83,7 @@ def tile(
         settings=settings,
         progress=Progress,
     )
-    picture, page = (path.name for path in beside)
+    picture, page = (path.name for path in extras)
     print(f"{output}, {picture} and {page} written")
     for note in design.notes:
         print_note(note)

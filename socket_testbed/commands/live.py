@@ -55,7 +55,7 @@ from socket_testbed.trials.topics import full_namespace
 from socket_testbed.trials.trial import recorded_namespace
 
 _START_TIMEOUT = 60.0  # [s]; --duration counts from the first trigger or the end of this time
-_TRIALS = Path("trials")  # recordings started from the page without --record
+_DEFAULT_FOLDER = Path("trials")  # recordings started from the page without --record
 
 
 def simulated(
@@ -216,10 +216,10 @@ def run(
         raise ConfigurationError("--time-scale is for simulated hardware", "add --simulated")
     testbed = _testbed(simulation, record, model, rate, options)
     testbed = dataclasses.replace(testbed, one_process=one_process)
-    place = (_TRIALS, "") if record is None else (record.parent, record.resolve().name)
+    place = (_DEFAULT_FOLDER, "") if record is None else (record.parent, record.resolve().name)
     older = _trials(*place)
     if record is None and view:  # the page's button records
-        testbed = dataclasses.replace(testbed, record=_TRIALS, at_once=False)
+        testbed = dataclasses.replace(testbed, record=_DEFAULT_FOLDER, at_once=False)
     page = _page(testbed, view, view_host, view_port)
     with (
         StatusLine(record.parent if record else None) as status,
@@ -263,8 +263,8 @@ def _require_end(trial: Path) -> None:
     """Raise an error if a recording is incomplete."""
     if not (trial / "metadata.yaml").exists():
         raise TrialError(
-            f"{trial}: the recording stopped before its end, the trial keeps what it has",
-            "make space on the disk, and see what the recorder said",
+            f"{trial}: the recording stopped early; the trial keeps the data so far",
+            "free disk space, and read the recorder's messages",
         )
 
 

@@ -10,7 +10,7 @@ def mark(label: str, *, namespace: str = "/") -> None:
     """Mark an event in the running graph, for the trial that is being recorded.
 
     Args:
-        label: What happens, such as push.
+        label: Label of the event, such as push.
         namespace: Namespace of the testbed.
     """
     called = time.monotonic()  # before the slow imports

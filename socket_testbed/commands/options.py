@@ -70,11 +70,11 @@ def open_given(
 def open_checked(trial: Path, **options: Any) -> Trial:
     """Open a trial with its options, and report whether its data is good."""
     opened = open_given(trial, **options)
-    say_data(opened)
+    report_data(opened)
     return opened
 
 
-def say_data(trial: Trial, prefix: str = "", good: bool = True) -> str:
+def report_data(trial: Trial, prefix: str = "", good: bool = True) -> str:
     """Report whether a trial's data is good, or the findings; returns the first one.
 
     For an unreadable trial, the error is left to the verb.
@@ -266,7 +266,7 @@ def on_trials(
     files = {_option(name): options.get(name) for name in _FILES}
     spans = parse_unloaded([*options["unloaded"]])
     planned = plan_jobs(trials, output, verb.suffix, files, spans, options["tare"])
-    work = partial(_do, verb, {"alone": False, **options})
+    work = partial(_run_job, verb, {"alone": False, **options})
     settings = {name: value for name, value in options.items() if name not in _NO_SETTINGS}
     task = Task(verb.name, output, work, settings, verb.metadata, again, replace)
     if jobs is not None:
@@ -275,9 +275,9 @@ def on_trials(
     run_batch(task, planned, report, say, jobs, dask)
 
 
-def _do(verb: TrialVerb[R], options: Mapping[str, Any], job: Job) -> Row:
+def _run_job(verb: TrialVerb[R], options: Mapping[str, Any], job: Job) -> Row:
     files = {name: job.files.get(_option(name)) for name in _FILES}
-    data = say_data(job.trial, good=False)
+    data = report_data(job.trial, good=False)
     return {"data": data} | verb.row(
         verb.work(job.trial, {**options, **files, "output": job.output})
     )

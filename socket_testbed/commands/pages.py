@@ -26,7 +26,7 @@ from socket_testbed.commands.options import (
     open_given,
     print_note,
     refuse_given,
-    say_data,
+    report_data,
     segment_columns,
     typed_command,
 )
@@ -119,7 +119,7 @@ def compare(
         name: open_all(paths, options, notify) for name, paths in _conditions(condition).items()
     }
     for each in open_compared(trials, conditions)[0]:  # wrong calls fail before data is read
-        say_data(each, f"{each.name}: ")
+        report_data(each, f"{each.name}: ")
     found = api.compare(
         *trials, conditions=conditions, **given(options, api.compare), progress=Progress
     )
@@ -148,10 +148,10 @@ def _show_comparison(found: api.Comparison) -> None:
         print(f"note: {note}")
     print()
     texts = found.table[found.table["text"].notna()]
-    for (_, name), of_items in texts.groupby(["part", "name"], sort=False):
-        several = of_items["item"] + ": " + of_items["text"]
-        alike = of_items["text"].nunique() == 1
-        print(f"{name}: " + (of_items["text"].iloc[0] if alike else "; ".join(several)))
+    for (_, name), rows in texts.groupby(["part", "name"], sort=False):
+        several = rows["item"] + ": " + rows["text"]
+        same = rows["text"].nunique() == 1
+        print(f"{name}: " + (rows["text"].iloc[0] if same else "; ".join(several)))
     _print("whole socket", found.cells("regions").loc[["socket"]].droplevel("name"))
     for quantity in _BY_REGION:
         _print(f"{quantity} by region", found.cells("regions", quantity).drop("socket"))
@@ -211,8 +211,8 @@ def _follow(
     settings: ViewSettings, namespace: str | None, ends: float, options: Mapping[str, Any]
 ) -> None:
     """Serve the page of the running testbed until a time [s]."""
-    of_trials = {name: options[name] for name in ("model", "calibration", "load_cell", "tare")}
-    refuse_given(of_trials, "a trial", "give the folder of the trial")
+    for_trials = {name: options[name] for name in ("model", "calibration", "load_cell", "tare")}
+    refuse_given(for_trials, "a trial", "give the folder of the trial")
     if options["geometry"] is not None:
         settings = dataclasses.replace(settings, geometry=str(options["geometry"].resolve()))
     from socket_testbed.pages.server import listen

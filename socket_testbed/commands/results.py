@@ -10,7 +10,7 @@ from typing import Any
 
 from socket_testbed import api
 from socket_testbed.api import Evaluation, PaperTable, TrialFit, TrialPressure
-from socket_testbed.api.pressure import OF_TILES
+from socket_testbed.api.pressure import TILE_TITLES
 from socket_testbed.batch import Row
 from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import (
@@ -23,7 +23,7 @@ from socket_testbed.commands.options import (
     on_trials,
     open_all,
     print_note,
-    say_data,
+    report_data,
     segment_columns,
 )
 from socket_testbed.commands.terminal import Progress, number, text_of
@@ -188,7 +188,7 @@ def validate(trial: list[Path], **options: Any) -> None:
     check_files(options["output"], options["figure"], replace=options["replace"])
     trials = open_all(trial, options, cache(print_note))
     for each in trials:
-        say_data(each, f"{each.name}: ")
+        report_data(each, f"{each.name}: ")
     found = api.validate(*trials, **given(options, api.validate, api.fit), progress=Progress)
     deliver(found, _show_validation, **options)
 
@@ -385,7 +385,7 @@ def pressure_tables(found: TrialPressure) -> str:
     clusters.index = [
         f"{tile}, {name}" for tile, name in zip(clusters.index, geometry.clusters, strict=True)
     ]
-    clusters = clusters[list(OF_TILES)].rename_axis("tile under a cluster")
+    clusters = clusters[list(TILE_TITLES)].rename_axis("tile under a cluster")
     frames = [
         frame.iloc[:, start : start + _COLUMNS]
         for frame in (regions, clusters)

@@ -17,7 +17,7 @@ from socket_testbed.commands.options import (
     open_checked,
     open_given,
     print_note,
-    say_data,
+    report_data,
 )
 from socket_testbed.commands.terminal import Progress, number, table
 from socket_testbed.files import check_outputs
@@ -97,7 +97,7 @@ def info(trial: Path, **options: Any) -> None:
     notify = cache(lambda note: print(f"note: {note}"))  # part of the output
     opened = dataclasses.replace(open_given(trial, **options), notify=notify)
     print(f"{_topics(opened)}\n")
-    say_data(opened)
+    report_data(opened)
     samples, metadata = opened.samples(), opened.metadata
     print(f"{_triggers(samples)}\n\n{_missing(samples)}\n\n{_noise(samples)}\n")
     for segment in find_plateaus(samples, opened.estimator.plateau):

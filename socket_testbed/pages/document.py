@@ -29,7 +29,7 @@ from socket_testbed.pages.wall import Patch, patches, side_names, unrolled_tiles
 from socket_testbed.samples import Samples
 from socket_testbed.trials.trial import Trial
 
-_BARS = ("mean pressure [kPa]", "peak pressure [kPa]", "share of load [%]", "shear [kPa]")
+_BAR_TITLES = ("mean pressure [kPa]", "peak pressure [kPa]", "share of load [%]", "shear [kPa]")
 _MAX_MARKS = 20  # per event label
 _WEIGHT = 1.0 / 8192.0  # [-]; unit of the stored weights, 16-bit integers
 _CLOSED = [0, 1, 2, 3, 0]  # corners of a square
@@ -159,17 +159,17 @@ def course(
         "peak": numbers(1e-3 * peak.value),
         "low": numbers(1e-3 * peak.low),
         "high": numbers(1e-3 * peak.high),
-        "events": [{"time": at, "label": of} for at, of in listed if counts[of] <= _MAX_MARKS],
+        "events": [{"time": t, "label": name} for t, name in listed if counts[name] <= _MAX_MARKS],
     }
 
 
 def bars(places: Sequence[Region], outputs: RegionOutputs) -> Document:
     """Outputs of the regions except parts of sectors, with 95 % intervals, by title."""
     shown = [i for i, place in enumerate(places) if place.name not in PARTS_OF_SECTORS]
-    found = {title: read_column(outputs, title) for title in _BARS}
+    found = {title: read_column(outputs, title) for title in _BAR_TITLES}
     values = {
-        title: numbers(np.stack([of.value, of.low, of.high], axis=-1)[shown], 1)
-        for title, of in found.items()
+        title: numbers(np.stack([output.value, output.low, output.high], axis=-1)[shown], 1)
+        for title, output in found.items()
     }
     return {"regions": [places[i].name for i in shown], "values": values}
 
@@ -195,9 +195,9 @@ def cards(
         shown.append(("Elsewhere", UNMEASURED, f"highest where no sensor is: {where}"))
     found = []
     for title, name, words in shown:
-        of = outputs.peak.part(names.index(name), 1e-3)
-        interval = f"{of.low:.1f} to {of.high:.1f}"
-        value = {"value": f"{of.value:.1f} kPa", "interval": interval}
+        quantity = outputs.peak.part(names.index(name), 1e-3)
+        interval = f"{quantity.low:.1f} to {quantity.high:.1f}"
+        value = {"value": f"{quantity.value:.1f} kPa", "interval": interval}
         found.append({"title": title} | value | {"words": words})
     return found
 

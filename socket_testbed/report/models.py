@@ -155,14 +155,14 @@ def _errors(
 ) -> Table:
     """Errors of every model, a row per channel, then the summaries quoted by the paper."""
     rows = {
-        of_channel[0].name: [
-            of_channel[0].unit,
-            *(getattr(error, field) for error in of_channel for field in _MEASURES.values()),
-            _remark(results, of_channel),
+        channel[0].name: [
+            channel[0].unit,
+            *(getattr(error, field) for error in channel for field in _MEASURES.values()),
+            _remark(results, channel),
         ]
-        for of_channel in zip(*errors, strict=True)
+        for channel in zip(*errors, strict=True)
     }
-    summaries = [summarise_errors(of_model) for of_model in errors]
+    summaries = [*map(summarise_errors, errors)]
     none = [np.nan] * 3
     for title, (unit, field) in _SUMMARIES.items():
         cells = [cell for summary in summaries for cell in (getattr(summary, field), *none)]
@@ -291,9 +291,9 @@ def model_values(results: Results, candidate: Candidate) -> dict[str, dict[str, 
         ("rest position", "mm", _rest_offsets(results, candidate)),
     ]
     return {
-        f"{kind} along {axis} of {frame} [{unit}]": {"values": numbers(of), "unit": unit}
+        f"{kind} along {axis} of {frame} [{unit}]": {"values": numbers(column), "unit": unit}
         for kind, unit, values in kinds
-        for axis, of in _by_axis(values)
+        for axis, column in _by_axis(values)
     }
 
 
@@ -341,17 +341,17 @@ def _tile_map(
     geometry, frame = results.trial.geometry, _frame(candidate)
     clusters = {tile: cluster for cluster, tile in geometry.clusters.items()}
     described, unit = split_unit(quantity)
-    columns = {f"anchor {axis} in S [m]": of for axis, of in _by_axis(geometry.anchors)}
-    columns |= {f"{described} {axis} [{unit}]": of for axis, of in _by_axis(values)}
-    of_tiles = [clusters.get(tile, "") for tile in range(len(geometry))]
-    maps = {f"{symbol} along {axis} of {frame}": of for axis, of in _by_axis(values)}
+    columns = {f"anchor {axis} in S [m]": column for axis, column in _by_axis(geometry.anchors)}
+    columns |= {f"{described} {axis} [{unit}]": column for axis, column in _by_axis(values)}
+    names = [clusters.get(tile, "") for tile in range(len(geometry))]
+    maps = {f"{symbol} along {axis} of {frame}": column for axis, column in _by_axis(values)}
     heading = f"{results.trial.name}: {title}"
     return ReportFigure(
         name,
         f"{title}, along the axes of {frame}; the wall is unrolled and seen from outside. Tiles"
         " with a cluster are outlined.",
         lambda style: tile_map_figure(geometry, maps, quantity, heading, style),
-        pd.DataFrame({"tile": geometry.names, "cluster": of_tiles, **columns}),
+        pd.DataFrame({"tile": geometry.names, "cluster": names, **columns}),
     )
 
 
@@ -393,7 +393,7 @@ def _engaged_springs(results: Results) -> ReportFigure:
         " the shaded segment with the springs of a tile engaged; engaged_tiles.csv holds it for"
         f" each spring. {THINNED}",
         draw,
-        results.series({name: of for found in columns for name, of in found.items()}),
+        results.series({name: share for found in columns for name, share in found.items()}),
     )
 
 

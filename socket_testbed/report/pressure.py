@@ -160,7 +160,7 @@ def _printed(title: str) -> str:
 
 def _overview(results: Results) -> ReportFigure:
     """Unrolled pressure over the segment and at its peak, and regional pressure over time."""
-    values = {f"{name} [kPa]": of.value for name, of in _maps(results.pressure).items()}
+    values = {f"{name} [kPa]": found.value for name, found in _maps(results.pressure).items()}
     return ReportFigure(
         "pressure_map",
         f"Pressure on the unrolled socket, {results.segment}, and at its peak. The greyer, the"
@@ -219,14 +219,14 @@ def _maps(found: SegmentPressure) -> dict[str, Quantity]:
 def pressure_figure(found: SegmentPressure, title: str, style: FigureStyle) -> Figure:
     """Unrolled maps of the pressure above that of sectors, heights and user regions over time."""
     maps = _maps(found)
-    reach = {name: np.maximum(of.high - of.value, of.value - of.low) for name, of in maps.items()}
+    reach = {name: np.maximum(q.high - q.value, q.value - q.low) for name, q in maps.items()}
     left_out = {SOCKET, UNMEASURED, *PARTS_OF_SECTORS}
     regions = {p.name: i for i, p in enumerate(found.places) if p.name not in left_out}
     mean = found.outputs.mean_pressure()
     events = [(event.time, event.label) for event in found.trial.events()]
     return tile_map_figure(
         found.trial.geometry,
-        {name: of.value for name, of in maps.items()},
+        {name: quantity.value for name, quantity in maps.items()},
         _LABEL,
         title,
         style,
@@ -246,11 +246,11 @@ def group_regions(names: Sequence[str]) -> list[tuple[str, list[str]]]:
     for name in names:
         heading = "sectors" if name in SECTORS else "heights" if name in HEIGHTS else ""
         groups.setdefault(heading, []).append(name)
-    most = len(LINE_STYLES)
+    size = len(LINE_STYLES)
     return [
-        (heading, group[start : start + most])
+        (heading, group[start : start + size])
         for heading, group in groups.items()
-        for start in range(0, len(group), most)
+        for start in range(0, len(group), size)
     ]
 
 

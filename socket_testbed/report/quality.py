@@ -103,7 +103,7 @@ def states(samples: Samples) -> dict[str, StatusArray]:
     """
     lost = {name: np.isnan(samples.wrench[:, i]) for i, name in enumerate(WRENCH_CHANNELS)}
     lost["limb position"] = np.asarray(np.isnan(samples.position).any(axis=1))
-    found = {name: np.where(of, Status.MISSING, Status.OK) for name, of in lost.items()}
+    found = {name: np.where(rows, Status.MISSING, Status.OK) for name, rows in lost.items()}
     return found | {
         f"{name} ({', '.join(LOCAL_CHANNELS)})": samples.status[:, column]
         for column, name in enumerate(samples.clusters)
@@ -171,8 +171,8 @@ def _overview(results: Results) -> ReportFigure:
         "force magnitude [N]": np.linalg.norm(samples.wrench[:, 3:], axis=1),
         "moment magnitude [N m]": np.linalg.norm(samples.wrench[:, :3], axis=1),
     }
-    flags = {f"{name} not usable [-]": of.astype(int) for name, of in lacking.items()}
-    charts = [{"title": title, "lines": {"measured": of}} for title, of in loads.items()]
+    flags = {f"{name} not usable [-]": rows.astype(int) for name, rows in lacking.items()}
+    charts = [{"title": title, "lines": {"measured": load}} for title, load in loads.items()]
     return ReportFigure(
         "overview",
         "Measured load over the trial, with plateaus in light and the segment in darker grey;"
@@ -206,7 +206,7 @@ def _draw_overview(
     count = max(1, min(_MAX_BINS, len(time) // 2))
     edges = np.linspace(time[0], max(time[-1], time[0] + 1e-3), count + 1)
     triggers, _ = np.histogram(time, edges)
-    lost = [np.histogram(time, edges, weights=1.0 * of)[0] for of in lacking.values()]
+    lost = [np.histogram(time, edges, weights=1.0 * rows)[0] for rows in lacking.values()]
     # Without triggers, all measurements are missing.
     share = np.where(triggers > 0, np.array(lost) / np.maximum(triggers, 1), 1.0)
     rows = np.arange(len(lacking) + 1) - 0.5

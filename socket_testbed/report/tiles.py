@@ -129,7 +129,7 @@ def _draw_wall(axis: Axes, paint: TilePaint, labels: Sequence[str], side: str | 
     if 90.0 * _points_per_unit(axis)[0] < _WORD:
         names = [_SHORT_NAMES.get(name, name) for name in names]
     degrees = [f"{angle}°".replace("-", "\N{MINUS SIGN}") for angle in ticks]
-    axis.set_xticks([*ticks], [f"{of}\n{name}" for of, name in zip(degrees, names, strict=True)])
+    axis.set_xticks([*ticks], list(map("\n".join, zip(degrees, names, strict=True))))
     _draw_part(axis, paint, "wall", labels)
 
 
@@ -210,9 +210,9 @@ def _scales_of(
     spans = np.ptp(ranges, axis=1)
     left = np.ones(len(ranges), dtype=bool)
     while left.any():
-        alike = left & (_MAX_RANGE_RATIO * spans >= spans[left].max())
-        ranges[alike] = ranges[alike, 0].min(), ranges[alike, 1].max()
-        left &= ~alike
+        similar = left & (_MAX_RANGE_RATIO * spans >= spans[left].max())
+        ranges[similar] = ranges[similar, 0].min(), ranges[similar, 1].max()
+        left &= ~similar
     return [(float(low), float(high)) for low, high in ranges]
 
 

@@ -108,18 +108,18 @@ def judged_tables(judgements: Sequence[Judgement]) -> list[Table]:
     summary = summarise_judgements(judgements)
     counts = summary["judged [1]"]
     several = bool((counts > 1).any())
-    of_wrench = {"moment RMSE [N m]": ".3f", "force RMSE [N]": ".2f"}
-    of_wrench |= {f"{'median ' * several}{kind} skill [-]": "z.2f" for kind in ("moment", "force")}
-    of_forces = dict.fromkeys(["error [-]", *["worst error [-]"] * several], ".2f")
+    for_wrench = {"moment RMSE [N m]": ".3f", "force RMSE [N]": ".2f"}
+    for_wrench |= {f"{'median ' * several}{kind} skill [-]": "z.2f" for kind in ("moment", "force")}
+    for_forces = dict.fromkeys(["error [-]", *["worst error [-]"] * several], ".2f")
     for level in LEVELS:
         title = f"in {100 * level:g} % [%]"
         summary[title] = 100.0 * summary[f"within {100 * level:g} % [-]"]
-        of_forces[title] = ".0f"
+        for_forces[title] = ".0f"
     tables = []
     rows = dict([*summary.groupby(level=["question", "test"])])
     for (question, test), caption in _CAPTIONS.items():
         if (question, test) in rows:
-            formats = of_wrench if question == "wrench" else of_forces
+            formats = for_wrench if question == "wrench" else for_forces
             if counts.nunique() > 1:  # a variant could not be fitted everywhere
                 formats = formats | {"judged [1]": ".0f"}
             frame = rows[question, test].droplevel([0, 1])[[*formats]]
@@ -183,9 +183,9 @@ def _draw_errors(axes: Axes, judgements: Sequence[Judgement]) -> None:
 def _draw_coverage(axes: Axes, judgements: Sequence[Judgement]) -> None:
     levels = 100.0 * np.array(LEVELS)
     axes.plot([40.0, 100.0], [40.0, 100.0], color="0.3", linewidth=0.8)
-    of_map = [j for j in judgements if j.predictor == FORCE_MAP and not j.cluster]
+    judged = [j for j in judgements if j.predictor == FORCE_MAP and not j.cluster]
     for question, label in _QUESTIONS.items():
-        coverages = [j.coverage for j in of_map if j.question == question]
+        coverages = [j.coverage for j in judged if j.question == question]
         if coverages:
             shares = 100.0 * np.mean(coverages, axis=0)
             look = {"color": _COLOURS[FORCE_MAP], "markerfacecolor": "white"}
