@@ -1,4 +1,4 @@
-"""Validation: estimates judged on held-out data, against simple baselines."""
+"""Validation: estimates judged on held-out data, against simple rivals."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def validate(
     - If a trial has a simulated ground truth, forces on tiles without a sensor are compared with
       it.
 
-    Simple baselines answer the same questions; see `socket_testbed.identification.validation`.
+    Simple rivals answer the same questions; see `socket_testbed.identification.validation`.
     Among several trials, those that cannot be judged are skipped with a note.
 
     Args:

@@ -178,7 +178,7 @@ def _evaluation_row(found: Evaluation) -> Row:
     without="unloaded variant frames initial_stiffness",
 )
 def validate(trial: list[Path], **options: Any) -> None:
-    """Judge estimates on held-out data, against simple baselines.
+    """Judge estimates on held-out data, against simple rivals.
 
     Args:
         trial: Trials, or folders of trials, of one socket.

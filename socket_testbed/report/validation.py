@@ -65,7 +65,7 @@ def section(results: Results) -> Section:
             judgements_table(results.validation),
         )
         judged = [
-            "Estimates judged on held-out data, against baselines that need no model.",
+            "Estimates judged on held-out data, against rivals that need no model.",
             f"{LEGEND[0].upper()}{LEGEND[1:]}.",
             figure,
             *judged_tables(results.validation),
