@@ -491,8 +491,8 @@ def _detectable(table: pd.DataFrame, compared: Conditions) -> str:
     regions, counts = smallest.drop("socket"), np.bincount(compared.numbers)
     trials = " to ".join(map(str, sorted({counts.min(), counts.max()})))
     return (
-        f"with {trials} trials per condition differences of {smallest['socket']:.1f} kPa and more"
-        f" can be seen in the socket's mean pressure, of {regions.min():.1f} to"
+        f"with {trials} trials per condition, differences of at least {smallest['socket']:.1f} kPa"
+        f" are detectable in the socket's mean pressure, of {regions.min():.1f} to"
         f" {regions.max():.1f} kPa in that of its regions; "
     )
 
@@ -566,19 +566,19 @@ def _notes(
     shared = {name for part, name, _ in rows[0] if part == "regions"}
     own = {name for trial in trials for name in trial.geometry.regions}
     if lacking := sorted(own - shared):
-        yield f"not compared, since not all trials have these regions alike: {', '.join(lacking)}"
+        yield f"not compared, because these regions differ between trials: {', '.join(lacking)}"
     subjects = {trial.metadata.subject for trial in trials}
     if freedom:
         yield (
             "values are means of repeated trials; spread: the standard deviation between donnings"
-            f" (degrees of freedom: {freedom}), which the intervals carry; detectable: the smallest"
+            f" (degrees of freedom: {freedom}), included in the intervals; detectable: the smallest"
             f" difference that {100 * _POWER:.0f} % of such studies would tell from 0"
         )
     if freedom and len(subjects) > 1:
-        yield "several limbs: the spread between donnings holds that between the limbs"
+        yield "several limbs: the spread between donnings includes that between the limbs"
     elif freedom and None in subjects:
         yield (
-            "no subject is stated: errors of one limb are not taken to cancel in a difference;"
+            "no subject is stated: errors of one limb are assumed not to cancel in a difference;"
             " state it with 'annotate TRIAL --subject CODE'"
         )
     forces = [

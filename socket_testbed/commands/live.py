@@ -307,7 +307,7 @@ def _testbed(
         estimator = predict_with(model, estimator, read_socket(testbed.geometry))
     metadata = check_metadata(options)
     if record is None:
-        refuse_given(metadata.stated(), "a trial that is recorded", "add --record DIR")
+        refuse_given(metadata.stated(), "a recorded trial", "add --record DIR")
     settings = dataclasses.replace(testbed.settings, trigger_node=trigger, estimator_node=estimator)
     return dataclasses.replace(testbed, settings=settings, record=record, metadata=metadata)
 

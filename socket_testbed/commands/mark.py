@@ -7,7 +7,7 @@ import time
 
 
 def mark(label: str, *, namespace: str = "/") -> None:
-    """Mark an event in the running graph, for the trial that is being recorded.
+    """Mark an event in the running graph, for the trial being recorded.
 
     Args:
         label: Label of the event, such as push.

@@ -87,7 +87,7 @@ def _show_fit(found: TrialFit, options: Mapping[str, Any]) -> None:
     print(f"{fit.status}\n\n{errors_table(fit.errors)}\n")
     shares, motion = found.load_shares(), found.motion()
     borne = [f"{share.name} {number(100 * share.springs, 0)} %" for share in shares]
-    print(f"share of the measured load that the springs bear: {', '.join(borne)}")
+    print(f"share of the measured load carried by the springs: {', '.join(borne)}")
     if warning := share_warning(shares):
         print(f"warning: {warning}")
     print(

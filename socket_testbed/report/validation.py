@@ -36,7 +36,7 @@ _COLOURS = {INVERSE_DISTANCE: "0.75", CLOSED: "0.5", FORCE_MAP: LINE_STYLES[1]["
 _QUESTIONS = {"cluster": "all clusters", "tiles": "tiles without a sensor"}
 _MARKERS = {"cluster": "o", "tiles": "s"}
 _CAPTIONS = {
-    ("cluster", "left out"): "Force on a cluster that was left out, from the others and the wrench",
+    ("cluster", "left out"): "Force on a left-out cluster, from the others and the wrench",
     ("tiles", "second half"): "Force on the tiles without a sensor, against the simulated truth",
     ("wrench", "second half"): "Wrench from the pose alone, fitted on the other half of the trial",
     ("wrench", "other trial"): "Wrench from the pose alone, fitted on another trial",

@@ -79,7 +79,7 @@ def test_different_sockets_and_own_regions_are_compared_as_far_as_they_can_be(
     found = st.compare(*copies, segment="15:17")
     names = {*found.to_dataframe()["name"]}
     assert "same" in names and not names & {"other", "alone"}
-    assert "not all trials have these regions alike: alone, other" in found.notes[0]
+    assert "these regions differ between trials: alone, other" in found.notes[0]
 
     named = ["wider is of another socket", "--by-region", "sock"]
     refused(capsys, "compare", trials[1], folder / "wider", *SEGMENT, named=named)
