@@ -1,6 +1,6 @@
 """Software of an instrumented prosthetic-socket testbed.
 
-The public names, such as `socket_testbed.fit`, are those of `socket_testbed.api`, which lists them.
+The public names, such as `socket_testbed.fit`, are listed in `socket_testbed.api`.
 """
 
 from importlib import import_module
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 def __getattr__(name: str) -> Any:
-    # Importing the package stays light: its libraries come with the first name that needs them.
+    # Heavy libraries are imported with the first name that needs them.
     if name == "__all__":
         return [*_public()]
     if not name.startswith("_") and find_spec(f"socket_testbed.{name}") is None:
@@ -30,6 +30,6 @@ def __dir__() -> list[str]:
 
 
 def _public() -> dict[str, Any]:
-    """The names that the API lists; not the modules that it lists them from."""
+    """The names listed in the API, without its submodules."""
     names = vars(import_module("socket_testbed.api")).items()
     return {k: v for k, v in names if k[0] != "_" and not isinstance(v, ModuleType)}

@@ -13,7 +13,7 @@ from socket_testbed.errors import TestbedError, likely
 from socket_testbed.files import local_graph
 from socket_testbed.version import __version__
 
-# Each verb: the module that holds its function, whose docstring is its help, and an example.
+# For each verb: the module of its function, whose docstring is its help, and an example.
 _GROUPS = {
     "try": {
         "demo": ("demo", ""),
@@ -52,12 +52,12 @@ EXAMPLES = {verb: example for group in _GROUPS.values() for verb, (_, example) i
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run a verb and exit: 0 when it succeeded, 1 on an error, 2 on a wrong call."""
+    """Run a verb and exit: 0 on success, 1 on an error, 2 on a wrong call."""
     sys.exit(run(arguments))
 
 
 def _parse(words: list[str]) -> argparse.Namespace:
-    """The verb and its options; a wrong call ends here, with one line and the exit code 2."""
+    """The verb and its options; a wrong call exits here with one line and code 2."""
     completed = os.environ.get("COMP_LINE") if "_ARGCOMPLETE" in os.environ else None
     if completed is not None:
         words = completed.split()[1:]
@@ -119,17 +119,17 @@ def _complete(parser: argparse.ArgumentParser) -> None:
 def run(arguments: list[str] | None = None) -> int:
     """Run a verb; returns the exit code."""
     words = sys.argv[1:] if arguments is None else arguments
-    # The programs are small: a second thread of linear algebra waits for the other cores' work
-    # much longer than it helps. It is read when numpy is first imported, by the verb below.
+    # The problems are small: a second thread of linear algebra waits for busy cores much longer
+    # than it helps. numpy reads this when the verb below first imports it.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     options = vars(_parse(words))
     verb = options.pop("verb")
-    # Ended by another process, or started in the background of a script where the shell has it
-    # ignore Ctrl-C, a verb ends its nodes all the same.
+    # A verb must stop its nodes even when it is terminated by another process, or runs in the
+    # background of a script, where the shell ignores Ctrl-C.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
     try:
-        # Whoever reaches a graph can read and stop it: it stays here unless told otherwise.
+        # Any machine that reaches a graph can read and stop it, so it stays local by default.
         os.environ |= local_graph()
         module = import_module(f"socket_testbed.commands.{VERBS[verb]}")
         getattr(module, verb)(**options)
@@ -141,7 +141,7 @@ def run(arguments: list[str] | None = None) -> int:
         print(f"socket-testbed {verb}: interrupted", file=sys.stderr)
         return 130
     except BrokenPipeError:
-        # The reader of a pipe, such as head, has what it wanted.
+        # The reader of a pipe, such as head, has closed it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:

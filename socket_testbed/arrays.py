@@ -1,4 +1,4 @@
-"""Array types of the package, and what is computed of arrays in several places."""
+"""Array types and shared array helpers of the package."""
 
 from typing import TypeAlias
 
@@ -38,19 +38,19 @@ def gaps(time: FloatArray | IntArray, longer: float = GAP) -> BoolArray:
 
 
 def evenly(count: int, most: int) -> IntArray:
-    """Indices of `most` of some samples at most, evenly spread from the first to the last."""
+    """At most `most` of `count` indices, evenly spread from the first to the last."""
     chosen = np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)
     return np.unique(chosen)
 
 
 def line_weights(offsets: FloatArray) -> FloatArray:
-    """Weights that make of n values the value at offset 0 of their least-squares line.
+    """Weights of n values in their least-squares line at offset 0.
 
-    With offsets that are even about 0 it is the mean. With others, as where some values are
-    missing, the mean would lag behind a steady motion; the line does not.
+    For offsets symmetric about 0 this is the mean. Otherwise, such as with missing values, the
+    mean would lag behind a steady motion; the line does not.
 
     Args:
-        offsets: Times of the values from the time that is asked for, shape (n,) [s].
+        offsets: Times of the values relative to the requested time, shape (n,) [s].
 
     Returns:
         Weights, shape (n,) [-]; their sum of squares is the variance of the result for values of

@@ -1,4 +1,4 @@
-"""Tables: data frames whose names hold the units, shown to a reader, and as CSV, Parquet, MAT."""
+"""Tables: data frames with units in their column names, for display and as CSV, Parquet, MAT."""
 
 from __future__ import annotations
 
@@ -16,37 +16,37 @@ from socket_testbed.files import atomic_output
 if TYPE_CHECKING:
     import pandas as pd
 
-_LONGEST_NAME = 63  # of a variable in MATLAB
+_MAX_NAME_LENGTH = 63  # of a variable in MATLAB
 NOTHING = "\N{EN DASH}"  # in a cell without a value
-UNCERTAIN = ", uncertain"  # beside an interval that reaches far
+UNCERTAIN = ", uncertain"  # after a wide interval
 
 
 def number(value: float, spec: str = ".3g") -> str:
-    """A number for a reader, by a format specification; a dash if it is not finite."""
+    """Format a number for display; a dash if it is not finite."""
     return f"{value:{spec}}" if math.isfinite(value) else NOTHING
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table of a page: the index of its frame heads the rows; columns may be in groups."""
+    """A table of a page: the frame's index heads the rows; columns may be grouped."""
 
     kind: ClassVar = "table"
-    name: str  # its identifier on the page
+    name: str  # identifier on the page
     caption: str
     frame: pd.DataFrame
-    formats: Mapping[str, str] = field(default_factory=dict)  # by title or group of numbers
-    is_text: bool = False  # its cells hold running text, which wraps
+    formats: Mapping[str, str] = field(default_factory=dict)  # of numbers, by title or group
+    is_text: bool = False  # cells hold running text, which wraps
 
     @property
     def columns(self) -> list[tuple[str, str, bool]]:
-        """Group, title, and whether it holds numbers, of each of the other columns."""
+        """Group, title and whether numeric, for each column."""
         labels = [label if isinstance(label, tuple) else ("", label) for label in self.frame]
         numeric = (kind.kind in "iuf" for kind in self.frame.dtypes)
         return [(*label, is_number) for label, is_number in zip(labels, numeric, strict=True)]
 
     @property
     def groups(self) -> list[tuple[str, int]]:
-        """Names of neighbouring columns' groups, each with its width; nothing for no group."""
+        """Name and width of each run of grouped columns; empty without groups."""
         names = [group for group, *_ in self.columns]
         return [(name, len([*run])) for name, run in groupby(names)] if any(names) else []
 
@@ -63,7 +63,7 @@ class Table:
 
 
 def pairs_table(name: str, caption: str, pairs: Sequence[tuple[str, str]]) -> Table:
-    """A table of names and what they stand for, in words."""
+    """A table of names and their values as text."""
     import pandas as pd
 
     frame = pd.DataFrame([*pairs], columns=["name", "value"]).set_index("name")
@@ -71,7 +71,7 @@ def pairs_table(name: str, caption: str, pairs: Sequence[tuple[str, str]]) -> Ta
 
 
 def check_format(path: Path) -> None:
-    """Refuse a file whose suffix names no format, before long work."""
+    """Refuse a file with an unsupported suffix before long work."""
     if path.suffix.lower() not in _WRITERS:
         raise ConfigurationError(
             f"{path}: '{path.suffix}' is not a table format", closest(path.suffix, _WRITERS)
@@ -79,16 +79,16 @@ def check_format(path: Path) -> None:
 
 
 def write_table(frame: pd.DataFrame, path: Path) -> None:
-    """Write a table in the format that the suffix of its file names; atomic.
+    """Write a table atomically, in the format of the file's suffix.
 
-    CSV and Parquet files have the titles of the columns, and null where a value is missing; each
-    field of a Parquet file has its `unit` in its metadata. A MAT file holds a column vector per
-    column, under the name as MATLAB can have it, and a struct `units` of the same names.
+    CSV and Parquet files keep the column titles and store missing values as null; the fields of a
+    Parquet file have their `unit` in the metadata. A MAT file holds a vector per column, under a
+    valid MATLAB name, and a struct `units` with the same names.
 
     Args:
-        frame: The table. Its titles hold the units, such as `distal.Fz [N]`, `-` for a number
-            without one; texts and counts have none. A named index is the first column.
-        path: The file, `.csv`, `.parquet` or `.mat`; an older one is replaced.
+        frame: The table. Titles include the units, such as `distal.Fz [N]`, `-` for dimensionless
+            numbers; text and counts have none. A named index becomes the first column.
+        path: The file, `.csv`, `.parquet` or `.mat`; an existing one is replaced.
     """
     check_format(path)
     frame = frame if frame.index.name is None else frame.reset_index()
@@ -97,7 +97,7 @@ def write_table(frame: pd.DataFrame, path: Path) -> None:
 
 
 def split_unit(title: str) -> tuple[str, str]:
-    """Name and unit of a column by its title, such as `distal.Fz [N]`; no unit is empty."""
+    """Split a title such as `distal.Fz [N]` into name and unit; empty without a unit."""
     found = re.fullmatch(r"(.*) \[([^\]]*)\]", title)
     return (found[1], found[2]) if found else (title, "")
 
@@ -131,7 +131,7 @@ def _write_mat(frame: pd.DataFrame, path: Path) -> None:
 
 
 def _plain(column: pd.Series) -> Any:
-    """Values that MATLAB can have: no text is empty, no number is NaN."""
+    """Values for MATLAB: missing text is empty, missing numbers are NaN."""
     if column.dtype.kind in "fiub":
         return column.to_numpy()
     if any(isinstance(value, str) for value in column):
@@ -140,13 +140,13 @@ def _plain(column: pd.Series) -> Any:
 
 
 def matlab_names(names: Sequence[str]) -> list[str]:
-    """Names as MATLAB can have them: letters, digits, underscores, 63 at most, all different."""
+    """Unique valid MATLAB names: letters, digits, underscores, at most 63 characters."""
     found = {"units": 0}
     for name in names:
         plain = re.sub(r"[^A-Za-z0-9_]", "_", name)
         plain = plain if plain[:1].isalpha() else f"x{plain}"
         tails = chain([""], map("_{}".format, count(2)))
-        possible = (plain[: _LONGEST_NAME - len(tail)] + tail for tail in tails)
+        possible = (plain[: _MAX_NAME_LENGTH - len(tail)] + tail for tail in tails)
         found[next(unique for unique in possible if unique not in found)] = 0
     return [*found][1:]
 

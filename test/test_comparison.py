@@ -40,7 +40,7 @@ def test_95_percent_intervals_of_skew_quantities_hold_the_true_difference() -> N
 def test_clear_differences_are_counted_and_said_with_their_sign() -> None:
     values = np.array([[1.0, 1.0, 1.0], [1.2, 9.0, -4.0]])
     table = table_of(TRIALS, "anterior medial distal", "shear [kPa]", values, [1.0] * 3)
-    first, *lines = Comparison(TRIALS.trials(TRIALS.names), "", (), table, None).differing()
+    first, *lines = Comparison(TRIALS.grouped(TRIALS.names), "", (), table, None).differing()
     assert first.startswith("2 of 3 intervals")
     assert lines == [
         "medial: shear 8.0 kPa higher in two than in one (6.6 to 9.4)",

@@ -1,19 +1,18 @@
 """The public Python API: what the command line uses, for notebooks and scripts.
 
-`import socket_testbed as st` gives the functions; the first use of one imports its libraries. A
-function works under the same conditions as its verb: it reports the same notes (here as warnings),
-computes in one thread of linear algebra, so that the same trial gives the same numbers on every
-machine, and writes the same files.
+`import socket_testbed as st` provides the functions; heavy libraries are imported on first use.
+Functions behave like their verbs: they report the same notes (as warnings), write the same files,
+and run linear algebra in a single thread, so that a trial gives the same numbers on every machine.
 
-Where a function takes a trial it takes its path as well. Lengths are in metres, forces in newtons,
-times in seconds. An error is a `TestbedError` whose one line says what is wrong and how to fix it:
-a `ConfigurationError` for a wrong setting or file, a `TrialError` for a trial that cannot be read
-or holds no such segment, an `IdentificationError` for samples that allow no fit, a
-`CalibrationError`, `ScanError` or `RegistrationError` for data that allows no calibration, design
-or registration. The examples run in a folder with two simulated trials.
+Functions that take a trial also accept its path. Lengths are in metres, forces in newtons, times
+in seconds. Errors are `TestbedError`s with one line, what is wrong and how to fix it: a
+`ConfigurationError` for a wrong setting or file, a `TrialError` for a trial that is unreadable or
+lacks the segment, an `IdentificationError` for samples that cannot be fitted, a
+`CalibrationError`, `ScanError` or `RegistrationError` for data that cannot be calibrated, tiled
+or registered. The examples run in a folder with two simulated trials.
 """
 
-# Each public name stands once, here; `socket_testbed` takes its own from this list.
+# The only list of public names; `socket_testbed` re-exports it.
 from socket_testbed.api.comparison import Comparison as Comparison
 from socket_testbed.api.comparison import compare as compare
 from socket_testbed.api.cycles import Cycles as Cycles

@@ -1,28 +1,28 @@
-r"""Trials side by side: values of every trial, and differences to the first.
+r"""Trials side by side: values of every trial, and differences from the first.
 
 The interval of a difference :math:`x_1 - x_0` comes from the intervals :math:`[l, u]` of both
-values, with a + b - 2 r sqrt(a b) of the squares a and b of their reaches:
+values, as a + b - 2 r sqrt(a b) with a and b the squared half-widths of their intervals:
 
 .. math:: \left[ d - \sqrt{a_l + b_u - 2 r \sqrt{a_l b_u}},\;
           d + \sqrt{a_u + b_l - 2 r \sqrt{a_u b_l}} \right], \quad
           a_l = (x_1 - l_1)^2, \; b_u = (u_0 - x_0)^2, \ldots
 
-The errors have the correlation r: `SAME_LIMB` in trials of one subject in one socket, else 0.
+The errors have a correlation of r: `SAME_LIMB` for trials of one subject in one socket, else 0.
 
-A skew interval stays skew (Zou & Donner, Construction of confidence limits about effect measures,
-Statistics in Medicine 27, 2008).
+Asymmetric intervals stay asymmetric (Zou & Donner, Construction of confidence limits about effect
+measures, Statistics in Medicine 27, 2008).
 
-Of conditions with several trials each, x is the mean of a condition and [l, u] the mean of its
-intervals: a repetition does not narrow what the sensors leave open. The spread between donnings is
-the standard deviation s of the trials about the means of their conditions, pooled over all
-conditions, with nu degrees of freedom. To the square of each reach it adds that of
+For conditions with several trials, x is the mean of the condition and [l, u] the mean of its
+intervals: repetition does not reduce the uncertainty left by the sensors. The spread between
+donnings is the standard deviation s of the trials about the means of their conditions, pooled over
+all conditions, with nu degrees of freedom. It adds to each half-width, in quadrature,
 
 .. math:: t_{0.975, \nu} \, s \sqrt{1 / k_1 + 1 / k_0}
 
-at k_1 and k_0 trials. The smallest difference that they detect, at 5 % with a power of 80 %, is the
-root of the squares of :math:`\lambda s \sqrt{1 / k_1 + 1 / k_0}`, with the noncentrality lambda at
+for k_1 and k_0 trials. The smallest detectable difference, at 5 % with a power of 80 %, is the root
+sum of squares of :math:`\lambda s \sqrt{1 / k_1 + 1 / k_0}`, with the noncentrality lambda at
 which a t test has this power (Owen, The power of Student's t-test, Journal of the American
-Statistical Association 60, 1965), and of (1.96 + 0.84) / 1.96 times the reach without spread.
+Statistical Association 60, 1965), and (1.96 + 0.84) / 1.96 times the half-width without spread.
 """
 
 from __future__ import annotations
@@ -64,43 +64,43 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-_MOST = 12  # trials side by side
-_OTHER_LOAD = 0.1  # [-]; of the mean force, from which on a note says so
-_OTHER_TIME = 0.05  # [-]; likewise for the time that an integral covers
+_MAX_ITEMS = 12  # trials or conditions
+_LOAD_TOLERANCE = 0.1  # [-]; relative difference in mean force above which a note is given
+_TIME_TOLERANCE = 0.05  # [-]; likewise for the time covered by an integral
 VALUE = ("value", "low", "high")
 DIFFERENCE = ("difference", "difference low", "difference high")
 _VALUES = (*VALUE, *DIFFERENCE)
 COLUMNS = ("part", "name", "quantity", "unit", "item", *_VALUES, "text")
-MAPPED = ("regions", "tiles")  # parts of the table that the force map gives
+MAPPED = ("regions", "tiles")  # parts of the table computed from the force map
 LEGEND = "value (95 % interval); *: the interval of the difference excludes 0."
 # Correlation of the map's errors in two trials of one limb in one socket: docs/compare.md [-].
 SAME_LIMB = 0.7
-_POWER = 0.8  # [-]; chance that a difference of the detectable size is told from 0
-_DIGITS = {"1": 0, "-": 2, "N m": 2}  # behind the point; 1 unless given
+_POWER = 0.8  # [-]; probability that a difference of the detectable size is significant
+_DIGITS = {"1": 0, "-": 2, "N m": 2}  # decimals; 1 by default
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """What k trials are compared by: c conditions, of which a trial may be one by itself."""
+    """The c conditions under which k trials are compared; a single trial may be a condition."""
 
     names: tuple[str, ...]
-    of_trials: IntArray  # number of each trial's condition, shape (k,)
+    numbers: IntArray  # index of each trial's condition, shape (k,)
 
     @property
     def freedom(self) -> int:
-        """Degrees of freedom of the spread between donnings; 0 with one trial each."""
-        return len(self.of_trials) - len(self.names)
+        """Degrees of freedom of the spread between donnings; 0 with one trial per condition."""
+        return len(self.numbers) - len(self.names)
 
-    def trials(self, of_trials: Sequence[T]) -> dict[str, list[T]]:
-        """What belongs to the trials, by condition."""
+    def grouped(self, values: Sequence[T]) -> dict[str, list[T]]:
+        """Group one value per trial by condition."""
         found: dict[str, list[T]] = {name: [] for name in self.names}
-        for condition, each in zip(self.of_trials, of_trials, strict=True):
-            found[self.names[condition]].append(each)
+        for number, value in zip(self.numbers, values, strict=True):
+            found[self.names[number]].append(value)
         return found
 
     def mean(self, values: FloatArray) -> FloatArray:
-        """Means of the conditions, shape (c, m), of values of the trials, shape (k, m)."""
-        return np.array([np.mean(of, axis=0) for of in self.trials([*values]).values()])
+        """Condition means, shape (c, m), of trial values, shape (k, m)."""
+        return np.array([np.mean(group, axis=0) for group in self.grouped([*values]).values()])
 
     def columns(
         self,
@@ -109,15 +109,15 @@ class Conditions:
         high: FloatArray,
         correlation: FloatArray | float = 0.0,
     ) -> dict[str, FloatArray]:
-        """Columns of numbers, shape (c, m) each, of m values and their intervals, shape (k, m).
+        """Columns of shape (c, m) from m values and their intervals, each of shape (k, m).
 
-        The errors of each condition have a correlation with those of the first, shape (c, m) [-].
-        The module states the equations.
+        `correlation` [-], shape (c, m), relates the errors of each condition to the first one's.
+        The module docstring gives the equations.
         """
         value, low, high = map(self.mean, (values, low, high))
         below, above = np.maximum(value - low, 0.0), np.maximum(high - value, 0.0)
         difference = value - value[0]
-        with np.errstate(invalid="ignore"):  # of an interval without an end the reach is unknown
+        with np.errstate(invalid="ignore"):  # the reach of an open interval is unknown
             lower, upper = (
                 np.sqrt(own**2 + first**2 - 2.0 * correlation * own * first)
                 for own, first in ((below, above[0]), (above, below[0]))
@@ -125,9 +125,9 @@ class Conditions:
         found = (value, low, high, difference, difference - lower, difference + upper)
         columns = dict(zip(_VALUES, found, strict=True))
         if self.freedom:
-            squares = (values - value[self.of_trials]) ** 2
+            squares = (values - value[self.numbers]) ** 2
             spread = np.sqrt(squares.sum(axis=0) / self.freedom)
-            share = 1.0 / np.bincount(self.of_trials)[:, None]
+            share = 1.0 / np.bincount(self.numbers)[:, None]
             error = spread * np.sqrt(share + share[0])
             quantile = stdtrit(self.freedom, 0.975)
             noncentrality = nctdtrinc(self.freedom, 1.0 - _POWER, quantile)
@@ -150,31 +150,31 @@ class Conditions:
 def values_table(
     conditions: Conditions, rows: Sequence[Rows], correlation: FloatArray | float = 0.0
 ) -> pd.DataFrame:
-    """A table with `COLUMNS` of the same outputs of k trials, see `Conditions.columns`.
+    """A table with `COLUMNS` of the outputs shared by k trials, see `Conditions.columns`.
 
-    Those of the force map have a correlation. Degrees repeat after 360. Where trials are repeated,
-    there are the columns of their spread, too.
+    Only errors of the force map are correlated. Angles are compared modulo 360 degrees. Repeated
+    trials add columns for their spread.
     """
     import pandas as pd
 
-    things = [(part, name, *split_unit(title)) for part, name, title in rows[0]]
-    table = pd.DataFrame(things, columns=[*COLUMNS[:4]])
+    keys = [(part, name, *split_unit(title)) for part, name, title in rows[0]]
+    table = pd.DataFrame(keys, columns=[*COLUMNS[:4]])
     values, low, high = (
-        np.array([[row.get(end, np.nan) for row in of.values()] for of in rows]) for end in VALUE
+        np.array([[row.get(end, np.nan) for row in one.values()] for one in rows]) for end in VALUE
     )
     correlation = correlation * table["part"].isin(MAPPED).to_numpy()
     turn = np.where(table["unit"] == "deg", 1.0 / 360.0, 0.0)
-    if conditions.freedom:  # what is known without error has an interval, too
+    if conditions.freedom:  # exact values still vary between trials
         low, high = (np.where(np.isnan(end), values, end) for end in (low, high))
-    # The trials of a condition within half a turn of their mean direction.
+    # Bring the trials of a condition within half a turn of their mean direction.
     middle = np.degrees(np.angle(conditions.mean(np.exp(1j * np.radians(values)))))
-    turns = 360.0 * np.round(turn * (values - middle[conditions.of_trials]))
+    turns = 360.0 * np.round(turn * (values - middle[conditions.numbers]))
     columns = conditions.columns(values - turns, low - turns, high - turns, correlation)
     turns = 360.0 * np.round(turn * columns["difference"])
     columns |= {end: columns[end] - turns for end in DIFFERENCE}
     table = table.loc[table.index.repeat(len(conditions.names))].reset_index(drop=True)
-    table["item"] = [*conditions.names] * len(things)
-    table = table.assign(**{name: of.T.ravel() for name, of in columns.items()})
+    table["item"] = [*conditions.names] * len(keys)
+    table = table.assign(**{name: column.T.ravel() for name, column in columns.items()})
     table.insert(COLUMNS.index("text"), "text", None)
     return table
 
@@ -183,12 +183,12 @@ def values_table(
 class Comparison(Result):
     """Trials side by side."""
 
-    conditions: Mapping[str, Sequence[str]]  # names of each one's trials; a trial by its own name
-    title: str  # what they are compared over
-    notes: tuple[str, ...]  # what a reader must know
+    conditions: Mapping[str, Sequence[str]]  # trial names by condition; a trial is its own
+    title: str  # segment and contact threshold of the comparison
+    notes: tuple[str, ...]  # remarks for the reader
     table: pd.DataFrame  # see `to_dataframe`
-    geometry: SocketGeometry | None  # None: sockets differ, or regions alone are compared
-    side: Side | None = None  # the leg that wears the socket, if that is stated
+    geometry: SocketGeometry | None  # None: only regions are compared
+    side: Side | None = None  # the leg that wears the socket, if stated
 
     def __repr__(self) -> str:
         names = self.table.groupby("part")["name"].nunique()
@@ -202,28 +202,28 @@ class Comparison(Result):
 
     @property
     def kind(self) -> str:
-        """What is compared: trials, or conditions."""
-        of_itself = all([name] == [*trials] for name, trials in self.conditions.items())
-        return "trials" if of_itself else "conditions"
+        """`trials` or `conditions`."""
+        single = all([name] == [*trials] for name, trials in self.conditions.items())
+        return "trials" if single else "conditions"
 
     def to_dataframe(self) -> pd.DataFrame:
         """Every value in long form.
 
         Columns: `part` (such as `regions`), `name` (such as `anterior proximal`), `quantity` and
         `unit`, `item` (the trial), `value` with the ends `low` and `high` of its 95 % interval,
-        `difference` to the first trial with `difference low` and `difference high`, and `text` of
-        what is no number. Of conditions with several trials: `spread` between the donnings, a
-        standard deviation with its `degrees of freedom`, and the smallest difference that is
-        `detectable`.
+        `difference` from the first trial with `difference low` and `difference high`, and `text`
+        for entries without a number. Conditions with several trials add the `spread` between
+        donnings (a standard deviation) with its `degrees of freedom`, and the smallest
+        `detectable` difference.
         """
         return self.table.copy()
 
     def cells(self, part: str, quantity: str = "") -> pd.DataFrame:
-        """A part as a reader sees it: values with intervals, a column per trial and difference.
+        """A part as formatted text: values with intervals, a column per trial and difference.
 
         Args:
             part: The part, such as `regions`.
-            quantity: One quantity, indexed by the names; empty for all, indexed by both.
+            quantity: One quantity, indexed by name; empty for all, indexed by name and quantity.
         """
         import pandas as pd
 
@@ -232,8 +232,8 @@ class Comparison(Result):
             rows = rows[rows["quantity"] == quantity]
         found: dict[tuple[str, str], dict[str, str]] = {}
         for row in rows.to_dict("records"):
-            what = f"{row['quantity']} [{row['unit']}]" if row["unit"] else row["quantity"]
-            cells = found.setdefault((row["name"], what), {})
+            title = f"{row['quantity']} [{row['unit']}]" if row["unit"] else row["quantity"]
+            cells = found.setdefault((row["name"], title), {})
             cells[row["item"]] = row["text"] or _cell(row, VALUE)
             if row["item"] != self.items[0] and not row["text"]:
                 cells[self.difference_title(row["item"])] = _cell(row, DIFFERENCE)
@@ -247,9 +247,9 @@ class Comparison(Result):
         return table.droplevel("quantity") if quantity else table
 
     def differing(self, most: int = 10) -> list[str]:
-        """Differences of regions whose interval excludes zero, the clearest first, in words.
+        """Differences of regions whose interval excludes zero, in words, the clearest first.
 
-        The first line counts them all: of intervals of 95 %, one in 20 excludes zero by chance.
+        The first line counts them: one in 20 of 95 % intervals excludes zero by chance.
         """
         rows = self.table[self.table["part"] == "regions"]
         low, high = rows["difference low"], rows["difference high"]
@@ -271,7 +271,7 @@ class Comparison(Result):
         return lines
 
     def difference_title(self, item: str) -> str:
-        """Name of the column of a trial's difference."""
+        """Column name of a trial's difference."""
         return f"{item} - {self.items[0]}"
 
     def document(self) -> dict[str, Any]:
@@ -303,7 +303,7 @@ class Comparison(Result):
         )
 
     def tile_pressures(self, columns: Sequence[str]) -> tuple[FloatArray, FloatArray]:
-        """Mean pressures of the n tiles, or differences, and their intervals' reach, (k, n)."""
+        """Mean pressures of n tiles, or differences, and half-widths of their intervals, (k, n)."""
         rows = self.table.query("part == 'tiles' and quantity == 'mean pressure'")
         value, low, high = (
             rows[name].to_numpy().reshape(-1, len(self.items)).T for name in columns
@@ -335,23 +335,23 @@ def compare(
     params: PathLike | None = None,
     progress: Progress | None = None,
 ) -> Comparison:
-    """Compare trials: every value side by side, and differences to the first.
+    """Compare trials: every value side by side, and differences from the first.
 
-    The outputs of `st.pressure` by region and tile, with their differences and 95 % intervals, the
-    mean wrench, and the metadata. All must be of one socket, unless `by_region`.
+    The comparison holds the outputs of `st.pressure` by region and tile with 95 % intervals, the
+    mean wrench, and the metadata. All trials must be of one socket, unless `by_region` is set.
 
-    The interval of a difference takes the errors of two limbs as independent, and those of one
-    subject in one socket as correlated, see `socket_testbed.api.comparison`; docs/compare.md states
-    how often it held the true difference. With several trials per condition it also carries the
-    spread between donnings, which is given with the smallest difference that can be detected.
+    The interval of a difference treats errors of two limbs as independent and those of one subject
+    in one socket as correlated, see `socket_testbed.api.comparison`; docs/compare.md reports its
+    coverage. With several trials per condition, it includes the spread between donnings, which is
+    reported along with the smallest detectable difference.
 
     Args:
         items: Two to twelve trials, or their folders.
-        conditions: Instead, the trials of two to twelve conditions by their names, such as the
+        conditions: Instead of `items`, the trials of two to twelve named conditions, such as the
             repeated donnings of each liner.
-        segment: As `specification` in `st.select_segment`, of every trial.
+        segment: As `specification` in `st.select_segment`, for every trial.
         threshold: As in `st.pressure`.
-        by_region: Whether trials, even of different sockets, are compared by region alone.
+        by_region: Whether to compare trials by region alone; their sockets may then differ.
         params: A `testbed.yaml` to use instead of each trial's own.
         progress: See `Progress`.
 
@@ -365,9 +365,9 @@ def compare(
     """
     import pandas as pd
 
-    trials, of_trials = open_compared(items, conditions)
+    trials, numbers = open_compared(items, conditions)
     names = _names([trial.path for trial in trials])
-    compared = Conditions(tuple(conditions or names), of_trials)
+    compared = Conditions(tuple(conditions or names), numbers)
     if not by_region:
         require_one_socket(trials, "compare them by region with --by-region")
     report = started(progress, "comparing")
@@ -375,13 +375,13 @@ def compare(
     for done, (name, trial) in enumerate(zip(names, trials, strict=True), start=1):
         try:
             found.append(pressure(trial, segment, threshold=threshold, params=params))
-        except TrialError as error:  # it does not always say of which trial
+        except TrialError as error:  # its text may not name the trial
             raise TrialError(f"{name}: {error.fact}", error.hint) from None
         report(done, len(trials))
     first, sides = trials[0], {trial.metadata.side for trial in trials}
     one_socket = all(trial.geometry.same_tiles(first.geometry) for trial in trials)
     rows = _shared_rows(found, one_socket, by_region)
-    numbers = values_table(compared, rows, _correlation(trials, compared))
+    values = values_table(compared, rows, _correlation(trials, compared))
     notes = [*_notes(found, names, rows, one_socket, compared.freedom)]
     if params is None and len({trial.estimator.force_map for trial in trials}) > 1:
         notes.append(
@@ -390,10 +390,10 @@ def compare(
         )
     over = f"segment {segment}, in contact above {threshold:g} kPa"
     return Comparison(
-        conditions=compared.trials(names),
-        title=_detectable(numbers, compared) + over,
+        conditions=compared.grouped(names),
+        title=_detectable(values, compared) + over,
         notes=tuple(notes),
-        table=pd.concat([_texts(found, names, compared), numbers], ignore_index=True),
+        table=pd.concat([_texts(found, names, compared), values], ignore_index=True),
         geometry=None if by_region else first.geometry,
         side=sides.pop() if len(sides) == 1 else None,
     )
@@ -402,18 +402,18 @@ def compare(
 def open_compared(
     items: Sequence[Trial | PathLike], conditions: Mapping[str, Sequence[Trial | PathLike]] | None
 ) -> tuple[list[Trial], IntArray]:
-    """The trials, each given once, and the number of each one's condition."""
+    """The trials, all different, and the index of each one's condition."""
     if conditions and items:
         raise ConfigurationError(
-            f"{len(items)} trials are given beside conditions", "give each trial to a condition"
+            f"{len(items)} trials and also conditions are given", "give each trial to a condition"
         )
     groups = [*conditions.values()] if conditions else [[item] for item in items]
-    if empty := [name for name, of_name in (conditions or {}).items() if not of_name]:
+    if empty := [name for name, given in (conditions or {}).items() if not given]:
         raise ConfigurationError(f"the condition '{empty[0]}' has no trial", "name its trials")
-    if not 2 <= len(groups) <= _MOST:
+    if not 2 <= len(groups) <= _MAX_ITEMS:
         raise ConfigurationError(
             f"{len(groups)} {'conditions' if conditions else 'trials'} are given to compare",
-            f"give 2 to {_MOST}, or 'pressure FOLDER -o OUTPUT' for a table with a row per trial",
+            f"give 2 to {_MAX_ITEMS}, or 'pressure FOLDER -o OUTPUT' for a table with all trials",
         )
     trials = []
     for item in chain(*groups):
@@ -428,21 +428,21 @@ def open_compared(
 
 
 def _names(paths: Sequence[Path]) -> tuple[str, ...]:
-    """Names that differ: the last parts of the paths, as many as it takes."""
+    """Unique names: as many trailing parts of the paths as that takes."""
     parts = [path.resolve().parts for path in paths]
     tails = (tuple("/".join(part[-number:]) for part in parts) for number in count(1))
     return next(names for names in tails if len({*names}) == len(names))
 
 
 def _shared_rows(found: Sequence[TrialPressure], one_socket: bool, by_region: bool) -> list[Rows]:
-    """The outputs and the wrench of each trial, as far as all trials have them."""
+    """The outputs and the wrench of each trial that all trials share."""
     sides = {each.trial.metadata.side for each in found}
     mirrored = ("medial", "lateral") if sides == {"left", "right"} else ()
     rows: list[Rows] = []
     tiles: list[dict[str, tuple[int, ...]]] = []
     for each in found:
         side = each.trial.metadata.side if None in sides and len(sides) > 1 else None
-        tiles.append({_without_side(of.name, side): tuple(of.tiles) for of in each.places})
+        tiles.append({_without_side(place.name, side): tuple(place.tiles) for place in each.places})
         outputs = {
             (part, _without_side(name, side) if part == "regions" else name, title): row
             for (part, name, title), row in each.rows().items()
@@ -451,16 +451,16 @@ def _shared_rows(found: Sequence[TrialPressure], one_socket: bool, by_region: bo
         rows.append(outputs | _wrench_rows(each))
 
     def is_shared(part: str, name: str) -> bool:
-        # A region of the same name may have other tiles.
+        # Regions of the same name may consist of different tiles.
         own = part == "regions" and one_socket and not name.startswith(mirrored)
-        return not own or len({of.get(name) for of in tiles}) == 1
+        return not own or len({each.get(name) for each in tiles}) == 1
 
-    keys = [key for key in rows[0] if is_shared(*key[:2]) and all(key in of for of in rows)]
-    return [{key: of[key] for key in keys} for of in rows]
+    keys = [key for key in rows[0] if is_shared(*key[:2]) and all(key in row for row in rows)]
+    return [{key: row[key] for key in keys} for row in rows]
 
 
 def _without_side(name: str, side: Side | None) -> str:
-    """Name of a region by left and right, whatever leg it is of."""
+    """A region's name in terms of left and right, for either leg."""
     if side is None:
         return name
     other = {"left": "right", "right": "left"}[side]
@@ -469,30 +469,30 @@ def _without_side(name: str, side: Side | None) -> str:
 
 
 def _wrench_rows(found: TrialPressure) -> Rows:
-    """Mean and standard deviation of the wrench over the segment, without missing values."""
+    """Mean and standard deviation of the wrench over the segment, ignoring missing values."""
     import pandas as pd
 
     wrench = found.trial.samples()[found.segment.rows].wrench
     table = pd.DataFrame(wrench, columns=list(WRENCH_CHANNELS))
     statistics = {"mean": table.mean(), "standard deviation": table.std(ddof=0)}
     return {
-        ("wrench", name, f"{title} [{channel_unit(name)}]"): {"value": of[name]}
-        for title, of in statistics.items()
+        ("wrench", name, f"{title} [{channel_unit(name)}]"): {"value": values[name]}
+        for title, values in statistics.items()
         for name in WRENCH_CHANNELS
     }
 
 
 def _detectable(table: pd.DataFrame, compared: Conditions) -> str:
-    """What repeated trials can tell apart, in words; nothing of single ones."""
+    """The smallest detectable differences in words; empty without repeated trials."""
     if not compared.freedom:
         return ""
     rows = table.query("part == 'regions' and quantity == 'mean pressure'")
-    least = rows.groupby("name")["detectable"].max()
-    regions, counts = least.drop("socket"), np.bincount(compared.of_trials)
+    smallest = rows.groupby("name")["detectable"].max()
+    regions, counts = smallest.drop("socket"), np.bincount(compared.numbers)
     trials = " to ".join(map(str, sorted({counts.min(), counts.max()})))
     return (
-        f"with {trials} trials per condition differences of {least['socket']:.1f} kPa and more"
-        f" can be seen in the socket's mean pressure, of {regions.min():.1f} to"
+        f"with {trials} trials per condition, differences of at least {smallest['socket']:.1f} kPa"
+        f" are detectable in the socket's mean pressure, of {regions.min():.1f} to"
         f" {regions.max():.1f} kPa in that of its regions; "
     )
 
@@ -500,13 +500,13 @@ def _detectable(table: pd.DataFrame, compared: Conditions) -> str:
 def _texts(
     found: Sequence[TrialPressure], names: Sequence[str], compared: Conditions
 ) -> pd.DataFrame:
-    """What is no number, of each condition's trials: one text where they agree."""
+    """Text entries of each condition; one text where its trials agree."""
     import pandas as pd
 
     trials = [each.trial for each in found]
     described = [trial.metadata.described() for trial in trials]
     stated = [name for name in FIELDS if any(name in texts for texts in described)]
-    texts = {("metadata", n): [of.get(n, "not stated") for of in described] for n in stated}
+    texts = {("metadata", n): [each.get(n, "not stated") for each in described] for n in stated}
     if compared.freedom:
         texts["trials", "trials"] = [*names]
     calibrations = [trial.calibration for trial in trials]
@@ -519,23 +519,23 @@ def _texts(
     }
     rows = [
         (*key, "", "", item, *[np.nan] * len(_VALUES), "; ".join(dict.fromkeys(different)))
-        for key, of_trials in texts.items()
-        for item, different in compared.trials(of_trials).items()
+        for key, entries in texts.items()
+        for item, different in compared.grouped(entries).items()
     ]
     return pd.DataFrame(rows, columns=[*COLUMNS])
 
 
 def _correlation(trials: Sequence[Trial], compared: Conditions) -> FloatArray:
-    """Correlation of the force map's errors with those of the first, shape (c, 1) [-]."""
+    """Correlation of the map errors with those of the first condition, shape (c, 1) [-]."""
     subject, socket = trials[0].metadata.subject, trials[0].geometry
-    alike = [
+    same_limb = [
         subject is not None
         and subject == trial.metadata.subject
         and trial.geometry.same_tiles(socket)
         for trial in trials
     ]
-    all_alike = np.array([[all(of)] for of in compared.trials(alike).values()])
-    return SAME_LIMB * np.asarray(all_alike & all_alike[0], dtype=float)
+    all_same = np.array([[all(group)] for group in compared.grouped(same_limb).values()])
+    return SAME_LIMB * np.asarray(all_same & all_same[0], dtype=float)
 
 
 def _notes(
@@ -549,7 +549,7 @@ def _notes(
     if not one_socket:
         yield (
             "the trials are of different sockets: regions are sectors and thirds of each socket's"
-            " own height, and hold other areas"
+            " own height, and differ in area"
         )
     sides = [trial.metadata.side for trial in trials]
     if {"left", "right"} <= {*sides}:
@@ -566,34 +566,34 @@ def _notes(
     shared = {name for part, name, _ in rows[0] if part == "regions"}
     own = {name for trial in trials for name in trial.geometry.regions}
     if lacking := sorted(own - shared):
-        yield f"not compared, since not all trials have these regions alike: {', '.join(lacking)}"
+        yield f"not compared, because these regions differ between trials: {', '.join(lacking)}"
     subjects = {trial.metadata.subject for trial in trials}
     if freedom:
         yield (
             "values are means of repeated trials; spread: the standard deviation between donnings"
-            f" (degrees of freedom: {freedom}), which the intervals carry; detectable: the smallest"
+            f" (degrees of freedom: {freedom}), included in the intervals; detectable: the smallest"
             f" difference that {100 * _POWER:.0f} % of such studies would tell from 0"
         )
     if freedom and len(subjects) > 1:
-        yield "several limbs: the spread between donnings holds that between the limbs"
+        yield "several limbs: the spread between donnings includes that between the limbs"
     elif freedom and None in subjects:
         yield (
-            "no subject is stated: errors of one limb are not taken to cancel in a difference;"
+            "no subject is stated: errors of one limb are assumed not to cancel in a difference;"
             " state it with 'annotate TRIAL --subject CODE'"
         )
     forces = [
-        float(np.linalg.norm([of["wrench", f"F{axis}", "mean [N]"]["value"] for axis in "xyz"]))
-        for of in rows
+        float(np.linalg.norm([row["wrench", f"F{axis}", "mean [N]"]["value"] for axis in "xyz"]))
+        for row in rows
     ]
     times = [each.outputs.integrated for each in found]
     for name, force, time in zip(names[1:], forces[1:], times[1:], strict=True):
-        if abs(force - forces[0]) > _OTHER_LOAD * forces[0]:
+        if abs(force - forces[0]) > _LOAD_TOLERANCE * forces[0]:
             yield (
                 f"the mean force is {force:.0f} N in {name} and {forces[0]:.0f} N in {names[0]}:"
-                " differences in pressure hold that of the load"
+                " differences in pressure include that of the load"
             )
-        if abs(time - times[0]) > _OTHER_TIME * times[0]:
+        if abs(time - times[0]) > _TIME_TOLERANCE * times[0]:
             yield (
                 f"the pressure-time integral covers {time:.1f} s in {name} and {times[0]:.1f} s in"
-                f" {names[0]}: it is not of equal times"
+                f" {names[0]}: the times differ"
             )

@@ -1,4 +1,4 @@
-"""Cycles of a trial: any quantity over 0 to 100 % of a cycle, with its mean and spread."""
+"""Cycles of a trial: quantities normalised to 0 to 100 % of a cycle, with mean and spread."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
     from socket_testbed.report.style import FigureStyle
 
 _POINTS = 101  # 0 to 100 % of a cycle
-_LONG = 2.0  # medians; a longer cycle holds a pause
-_BAND = 3  # cycles that a band needs
-_FEW = 10  # samples of a cycle
-_MOST_PANELS = 12  # of a figure
-_PANEL, _HEADING = 44.0, 12.0  # [mm]; heights
-_MOST_LINES = 30  # single cycles, in a panel
+_MAX_DURATION = 2.0  # [-]; over the median; a longer cycle contains a pause
+_MIN_CYCLES = 3  # for a band
+_MIN_SAMPLES = 10  # per cycle
+_MAX_PANELS = 12  # of a figure
+_PANEL_HEIGHT, _HEADING_HEIGHT = 44.0, 12.0  # [mm]
+_MAX_LINES = 30  # single cycles drawn in a panel
 _OPACITY = 0.25  # [-]; of a band
 _TIME = "time [s]"
 
@@ -41,7 +41,7 @@ class Cycles(Result):
     trial: Trial
     by: str  # the events that delimit the cycles, see `st.cycles`
     spans: FloatArray  # (K, 2) [s], start and end of each cycle since the first sample
-    left_out: int  # number of cycles that hold a pause
+    left_out: int  # number of cycles that contain a pause
     titles: tuple[str, ...]  # of the m quantities with their units, such as `Fz [N]`
     curves: FloatArray  # (K, 101, m), their values at 0, 1, ... 100 % of each cycle
 
@@ -69,7 +69,7 @@ class Cycles(Result):
 
     @property
     def counts(self) -> IntArray:
-        """Number of cycles that have a value, at each percent, shape (101, m)."""
+        """Number of cycles with a value at each percent, shape (101, m)."""
         return np.asarray(np.isfinite(self.curves).sum(axis=0))
 
     @property
@@ -81,51 +81,51 @@ class Cycles(Result):
     def deviation(self) -> FloatArray:
         """Standard deviation over the cycles at each percent, shape (101, m).
 
-        NaN where fewer than three cycles have a value: two make no band.
+        NaN where fewer than three cycles have a value.
         """
         spread = np.ma.masked_invalid(self.curves).std(axis=0, ddof=1).filled(np.nan)
-        return np.where(self.counts >= _BAND, spread, np.nan)
+        return np.where(self.counts >= _MIN_CYCLES, spread, np.nan)
 
     def to_dataframe(self) -> pd.DataFrame:
         """A row per percent, indexed by `cycle [%]`.
 
-        Columns of each quantity, such as `Fz mean [N]`, `Fz sd [N]` and `Fz n [-]`: mean, standard
+        Each quantity has columns such as `Fz mean [N]`, `Fz sd [N]` and `Fz n [-]`: mean, standard
         deviation and number of cycles. NaN as in `mean` and `deviation`.
         """
         import pandas as pd
 
         statistics = {"mean": self.mean, "sd": self.deviation, "n": self.counts}
         columns = {
-            f"{name} {of} [{'-' if of == 'n' else unit}]": values[:, number]
+            f"{name} {label} [{'-' if label == 'n' else unit}]": values[:, number]
             for number, (name, unit) in enumerate(map(split_unit, self.titles))
-            for of, values in statistics.items()
+            for label, values in statistics.items()
         }
         percent = np.linspace(0.0, 100.0, _POINTS)
         return pd.DataFrame(columns, index=pd.Index(percent, name="cycle [%]"))
 
     def _figure(self, style: FigureStyle) -> Figure:
-        """Each quantity with its band: mean and one standard deviation."""
+        """Mean of each quantity, with a band of one standard deviation."""
         from socket_testbed.report.style import lay_out, panels, wrap
 
         count = len(self.titles)
-        if count > _MOST_PANELS:
+        if count > _MAX_PANELS:
             raise ConfigurationError(
                 f"a figure of {count} quantities",
-                f"name {_MOST_PANELS} at most, such as st.cycles(trial, ['Fz', 'Mx'])",
+                f"name {_MAX_PANELS} at most, such as st.cycles(trial, ['Fz', 'Mx'])",
             )
         across = 1 if style.is_narrow else min(2, count)
-        figure = style.figure(_HEADING + -(-count // across) * _PANEL)
-        band = "mean and one standard deviation" if len(self) >= _BAND else "mean, no band"
+        figure = style.figure(_HEADING_HEIGHT + -(-count // across) * _PANEL_HEIGHT)
+        band = "mean and one standard deviation" if len(self) >= _MIN_CYCLES else "mean, no band"
         style.add_title(figure, f"{self.trial.name}: {self}; {band}")
         for number, panel in enumerate(panels(figure, count, across, "cycle [%]")):
             self._draw_quantity(panel, number)
-            panel.set_ylabel(wrap(self.titles[number], 0.75 * _PANEL), parse_math=False)
+            panel.set_ylabel(wrap(self.titles[number], 0.75 * _PANEL_HEIGHT), parse_math=False)
         return lay_out(figure)
 
     def _draw_into(self, ax: Axes) -> None:
         if len(self.titles) != 1:
             raise ConfigurationError(
-                f"axes hold one of these {len(self.titles)} quantities",
+                f"axes show one of these {len(self.titles)} quantities",
                 "name one, such as st.cycles(trial, 'Fz')",
             )
         self._draw_quantity(ax, 0)
@@ -137,7 +137,7 @@ class Cycles(Result):
 
         percent, colour = np.linspace(0.0, 100.0, _POINTS), LINE_STYLES[1]["color"]
         mean, deviation = self.mean[:, number], self.deviation[:, number]
-        if len(self) <= _MOST_LINES:
+        if len(self) <= _MAX_LINES:
             panel.plot(percent, self.curves[:, :, number].T, color="0.8", linewidth=0.5)
         ends = mean - deviation, mean + deviation
         panel.fill_between(percent, *ends, color=colour, alpha=_OPACITY, linewidth=0.0)
@@ -156,23 +156,23 @@ def cycles(
     by: str = PLACED,
     segment: str | Segment = "all",
 ) -> Cycles:
-    """Bring quantities to 0 to 100 % of each cycle, linear between samples.
+    """Normalise quantities to 0 to 100 % of each cycle, interpolating linearly between samples.
 
-    A cycle that lasts longer than twice the median holds a pause and is left out. A value that is
-    missing is missing in its cycle alone.
+    A cycle longer than twice the median duration contains a pause and is left out. A missing value
+    affects only its own cycle.
 
     Args:
         trial: The trial.
-        quantity: Channels of its samples, such as `"Fz"`; or any table over `time [s]`, its index
-            or a column, such as `st.pressure(trial, "all").over_time()`; None for all channels.
-            Of a table, columns in degrees are passed over, because directions have no mean, and so
-            are those that hold a status or no numbers.
-        by: A label of `trial.events()`: cycles run from each such event to the next. Or two, as
-            `placed:removed`: from each first to the next second.
+        quantity: Channels of the samples, such as `"Fz"`; or any table over `time [s]`, as index or
+            column, such as `st.pressure(trial, "all").over_time()`; None for all channels. Table
+            columns in degrees are skipped, because directions have no mean, and so are status and
+            non-numeric columns.
+        by: A label of `trial.events()`: cycles run from each such event to the next. Or a pair, as
+            `placed:removed`: from each event of the first to the next of the second.
         segment: The part of the trial in which the cycles must lie.
 
     Returns:
-        The cycles. Their band needs three of them.
+        The cycles. A band needs at least three.
 
     >>> trial = st.simulate("trials/cycles", "ramp", duration=130, seed=1)
     >>> found = st.cycles(trial, "Fz")
@@ -193,15 +193,15 @@ def cycles(
             f"the trial has {len(all_spans)}: give the segment 'all', or see 'info'",
         )
     durations = spans[:, 1] - spans[:, 0]
-    kept = durations <= _LONG * np.median(durations)
+    kept = durations <= _MAX_DURATION * np.median(durations)
     spans = spans[kept]
     shares = np.linspace(0.0, 1.0, _POINTS)
     moments = spans[:, :1] + shares * (spans[:, 1:] - spans[:, :1])
     curves = np.stack([np.interp(moments, time, column) for column in values.T], axis=-1)
     samples = np.median(np.diff(np.searchsorted(time, spans), axis=1))
-    if samples < _FEW:
+    if samples < _MIN_SAMPLES:
         few = f"a cycle by '{by}' has {samples:.0f} samples"
-        note(trial, f"{few}: its course between them is a guess, record at a higher rate")
+        note(trial, f"{few}: the course between them is interpolated, record at a higher rate")
     return Cycles(trial, by, spans, int((~kept).sum()), titles, curves)
 
 

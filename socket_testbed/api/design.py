@@ -35,18 +35,18 @@ if TYPE_CHECKING:
     from socket_testbed.socket_design.registration import Registration
     from socket_testbed.socket_design.tiling import TilingSettings
 
-_MOST_POINTS = 4000  # of a panel
+_MAX_POINTS = 4000  # per panel
 
 
 @dataclass(frozen=True, repr=False)
 class CalibratedCluster(Result):
-    """A cluster calibrated from bench data, on its way into a calibration."""
+    """A cluster calibrated from bench data, to be saved into a calibration."""
 
     name: str
     quality: BenchCalibration
-    baseline: FloatArray | None  # (4,) [pF], capacitances without load before the bench run
-    drift: Drift | None  # over the bench run, for which the data was corrected
-    existing: Calibration | None = None  # the calibration whose other clusters are kept
+    baseline: FloatArray | None  # (4,) [pF], unloaded capacitances before the bench run
+    drift: Drift | None  # over the bench run; the data is corrected for it
+    existing: Calibration | None = None  # a calibration whose other clusters are kept
     existing_file: Path | None = None
 
     def __repr__(self) -> str:
@@ -58,7 +58,7 @@ class CalibratedCluster(Result):
         )
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Range and errors on held-out data by stress, in Pa and percent of the full scale."""
+        """Range and held-out errors by stress, in Pa and percent of full scale."""
         import pandas as pd
 
         held_out = self.quality.held_out
@@ -77,7 +77,7 @@ class CalibratedCluster(Result):
         return pd.DataFrame(columns).rename_axis("stress")
 
     def notes(self) -> list[str]:
-        """Notes on clusters of the calibration that were fitted to the same readings."""
+        """Notes on other clusters of the calibration fitted to the same readings."""
         old, new = self.existing.clusters if self.existing else {}, self.quality.cluster
         same = [
             name
@@ -94,11 +94,11 @@ class CalibratedCluster(Result):
         return [note] if same else []
 
     def calibration(self, limit: float = 10.0, force: bool = False) -> Calibration:
-        """The existing calibration with this cluster, replaced or added.
+        """The existing calibration with this cluster replaced or added.
 
         Args:
             limit: Largest held-out RMSE [% of the full scale].
-            force: Whether a cluster above the limit is accepted, and marked as forced.
+            force: Whether to accept a cluster above the limit, marked as forced.
         """
         from socket_testbed.calibration.calibrate import bench_record
 
@@ -111,18 +111,18 @@ class CalibratedCluster(Result):
         old = self.existing
         clusters = {**(old.clusters if old else {}), self.name: cluster}
         if old is not None and not all(c.bench for c in clusters.values()):
-            # Date and source stay those of the clusters that have none of their own.
+            # Clusters without a record of their own rely on the old date and source.
             return dataclasses.replace(old, clusters=clusters)
         sources = [f"{name}: {c.bench.get('source')}" for name, c in clusters.items()]
         return Calibration(clusters, today, "; ".join(sources))
 
     def save(self, path: PathLike, limit: float = 10.0, force: bool = False) -> None:
-        """Write `calibration` to a file, which must not exist unless it is the existing one.
+        """Write `calibration` to a new file, or over the existing calibration.
 
         Args:
             path: The YAML file, whatever its suffix.
             limit: Largest held-out RMSE [% of the full scale].
-            force: Whether a cluster above the limit is accepted.
+            force: Whether to accept a cluster above the limit.
         """
         path = Path(path)
         if self.existing_file is None or self.existing_file.resolve() != path.resolve():
@@ -131,7 +131,7 @@ class CalibratedCluster(Result):
         write_calibration(calibration, path)
 
     def _figure(self, style: FigureStyle) -> Figure:
-        """Calibrated over known stress, and the residuals; a column per stress."""
+        """Calibrated versus known stress, and the residuals; a column per stress."""
         from socket_testbed.calibration.bench_data import STRESSES
         from socket_testbed.report.style import lay_out, style_axes
 
@@ -141,7 +141,7 @@ class CalibratedCluster(Result):
             1e-3 * stress
             for stress in (found.bench.stress, found.fitted, found.cross_validation.predicted)
         )
-        some = slice(None, None, 1 + len(known) // _MOST_POINTS)
+        some = slice(None, None, 1 + len(known) // _MAX_POINTS)
         figure = style.figure(110.0)
         axes = figure.subplots(2, 3, sharex="col")
         files = ", ".join(found.bench.files)
@@ -188,25 +188,25 @@ def calibrate(
     wiring: Sequence[int] | None = None,
     drop_outliers: bool = False,
 ) -> CalibratedCluster:
-    """Fit the coefficients of a cluster to bench data and judge them on data held out.
+    """Fit the coefficients of a cluster to bench data and judge them on held-out data.
 
     `save` of the result writes them into a calibration.
 
     Args:
-        bench: CSV files of bench data: see docs/calibration.md.
+        bench: CSV files of bench data, see docs/calibration.md.
         cluster: Name of the cluster.
         into: A calibration whose other clusters are kept.
-        baseline: CSV files of readings without load before the bench run and, to correct its
-            drift, after it.
-        columns: What the header calls a quantity (`time`, `cycle`, `normal`, `shear_x`, `shear_y`,
-            `c0` to `c3`), by the quantity.
-        units: The unit of a quantity instead of the header's, by the quantity: `Pa`, `kPa`, `MPa`,
-            `N`, `kN`; `pF`, `fF`, `nF`, `counts` of an FDC1004; `s`, `ms`.
-        area: Area of stresses that are given as forces [m^2].
-        geometry: A `socket.yaml` that gives the area of the cluster's tile instead.
+        baseline: CSV files of unloaded readings before the bench run and, to correct its drift,
+            after it.
+        columns: Header names of quantities (`time`, `cycle`, `normal`, `shear_x`, `shear_y`, `c0`
+            to `c3`), keyed by quantity.
+        units: Units that override the header's, keyed by quantity: `Pa`, `kPa`, `MPa`, `N`, `kN`;
+            `pF`, `fF`, `nF`, `counts` of an FDC1004; `s`, `ms`.
+        area: Area that converts forces into stresses [m^2].
+        geometry: A `socket.yaml` that supplies the area of the cluster's tile instead.
         wiring: Input of each channel (-x,+y), (+x,+y), (-x,-y), (+x,-y) (default: the existing
             cluster's, else 0, 1, 2, 3).
-        drop_outliers: Whether outliers are left out of the fit.
+        drop_outliers: Whether to leave outliers out of the fit.
 
     >>> found = st.calibrate("bench.csv", "distal", wiring=(2, 3, 0, 1))
     >>> found
@@ -283,27 +283,27 @@ def tile(
 
     Args:
         scan: STL, PLY or OBJ file.
-        output: The `socket.yaml` that is written, if any, with a picture (.png) and a page (.html)
-            beside it.
+        output: The `socket.yaml` to write, if any, with a picture (.png) and a page (.html) next
+            to it.
         unit: Unit of the scan's lengths (default: inferred).
-        body: Name or number of the body, where there are several.
-        proximal: Direction of the opening in the scan, such as `+z` or `0 0.1 1` (default: found).
-        anterior: Direction of x of {S} in the scan.
+        body: Name or number of the body, if the file has several.
+        proximal: Direction of the opening in the scan, such as `+z` or `0 0.1 1` (default:
+            detected).
+        anterior: Direction of the x axis of {S} in the scan.
         height: Height of the distal end above the load cell [m].
         landmarks: YAML file of points known in the scan and in {S}.
-        points: Origin of {S}, a point on its +x, one towards its +y: picked in the scan, in its
+        points: Origin of {S}, a point on its +x, one towards its +y, picked in the scan in its
             unit.
-        clusters: YAML file with the places of the clusters in {S} or in the scan (default: the
-            usual ones).
-        place: Number of clusters in all: those of `clusters` stay, and the others are proposed
-            where they tell most about the force map; 0: none is proposed.
-        keep_out: Regions and tiles that take no proposed cluster, such as `anterior proximal`.
+        clusters: YAML file of cluster positions in {S} or in the scan (default: the usual ones).
+        place: Total number of clusters: given ones stay, the others are proposed where they are
+            most informative for the force map; 0: none is proposed.
+        keep_out: Regions and tiles excluded from proposals, such as `anterior proximal`.
         bodies: A registered `socket.yaml` whose marker bodies are kept (default: nominal ones).
         settings: Settings of the tiling.
         progress: See `Progress`.
 
     Returns:
-        The design: `geometry` is the socket, `facts()` describes it, `notes` need a look.
+        The design: `geometry` is the socket, `facts()` describes it, `notes` need attention.
 
     >>> design = st.tile("scan.stl", "socket.yaml", proximal="+z", anterior="+x")
     >>> design
@@ -311,7 +311,7 @@ def tile(
     >>> len(design.geometry) > 20
     True
     """
-    from socket_testbed.socket_design import design as designs  # trimesh takes its time
+    from socket_testbed.socket_design import design as designs  # trimesh is slow to import
     from socket_testbed.socket_design.clusters import read_cluster_places
     from socket_testbed.socket_design.scan_file import read_scan
     from socket_testbed.socket_design.tiling import TilingSettings
@@ -351,7 +351,7 @@ def tile(
         if place:
             design = _with_proposed_clusters(design, place, keep_out)
     if landmarks is None and points is None and front is None:
-        note = "x of the scan is assumed to be anterior: look, or give --anterior"
+        note = "x of the scan is assumed to be anterior: check it, or give --anterior"
         design = dataclasses.replace(design, notes=(*design.notes, note))
     if output is not None:
         _write_design(design, Path(output))
@@ -361,7 +361,7 @@ def tile(
 def _with_proposed_clusters(
     design: SocketDesign, count: int, keep_out: Sequence[str]
 ) -> SocketDesign:
-    """The design with clusters where they tell most, and notes on how much that is worth."""
+    """The design with clusters at the most informative tiles, and a note on their benefit."""
     from socket_testbed.socket_design.clusters import place_clusters
 
     geometry = design.geometry
@@ -380,7 +380,7 @@ def _with_proposed_clusters(
     note = (
         "the clusters are proposed. Expected error of the force map on tiles without one, over"
         f" their rms, by the number of clusters: {errors}; with {count} at random {low:.2f} to"
-        f" {high:.2f}: the number tells more than the places"
+        f" {high:.2f}: the number matters more than the places"
     )
     geometry = dataclasses.replace(geometry, names=tuple(names), clusters=clusters)
     return dataclasses.replace(design, geometry=geometry, notes=(*design.notes, note))
@@ -431,10 +431,10 @@ def register(
 
     Args:
         take: The take, exported from Motive as CSV.
-        landmarks: YAML file: which marker is what, and where the landmarks are.
+        landmarks: YAML file that assigns the markers and locates the landmarks.
         socket: The `socket.yaml` to register.
         output: The `socket.yaml` to write; None to write nothing.
-        force: Whether landmarks that are far off, or put the limb outside the socket, are accepted.
+        force: Whether to accept landmarks with large residuals, or a limb outside the socket.
 
     Returns:
         The registration with its uncertainty; `geometry` is the registered socket.

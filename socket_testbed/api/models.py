@@ -1,4 +1,4 @@
-"""Models: fitted on a trial, judged on trials, and exported with its samples."""
+"""Contact models: fitting, evaluation, prediction, and export of trials."""
 
 from __future__ import annotations
 
@@ -74,8 +74,8 @@ if TYPE_CHECKING:
 class TrialFit(Result):
     """A contact model fitted on a segment of a trial, with its certificates.
 
-    Its table holds the errors on the samples of the fit, its figure the stiffness of every tile,
-    and `save` writes the model that `st.read_model` reads.
+    The table holds the in-sample errors, the figure shows the stiffness of every tile, and `save`
+    writes a model for `st.read_model`.
     """
 
     trial: Trial
@@ -93,7 +93,7 @@ class TrialFit(Result):
         """Write the model with its geometry, settings, certificates and the trial's identity.
 
         Args:
-            path: The JSON file, whatever its suffix; an older one is replaced.
+            path: The JSON file, with any suffix; an existing one is replaced.
         """
         samples = self.trial.samples()
         identity = {
@@ -108,7 +108,7 @@ class TrialFit(Result):
         write_model(self.fit, self.trial.geometry, identity, str(self.segment), Path(path))
 
     def stored(self) -> StoredModel:
-        """The model as it is read from the file that `save` writes."""
+        """The model as `st.read_model` returns it after `save`."""
         fit = self.fit
         return StoredModel(
             model=fit.model,
@@ -125,44 +125,44 @@ class TrialFit(Result):
         )
 
     def load_shares(self) -> tuple[LoadShare, ...]:
-        """Shares of Fz, of the force and of the moment that springs and offsets bear."""
+        """Shares of Fz, force and moment carried by springs and offsets."""
         smooth = smooth_poses(self._samples(), self.fit.settings.pose_smoothing)
         return load_shares(smooth, self.fit.model)
 
     def motion(self) -> Motion:
-        """How the pose moves over the segment, against its noise."""
+        """Motion of the pose over the segment, relative to its noise."""
         return measure_motion(
             self._samples(), self.trial.geometry, self.fit.settings.pose_smoothing
         )
 
     def known_directions(self) -> float:
         """Stiffness directions with a standard deviation below `stiffness_difference` [-]."""
-        of = self.fit.settings
+        used = self.fit.settings
         return known_directions(
-            self._samples(), self.fit.model, of.stiffness_difference, of.pose_smoothing
+            self._samples(), self.fit.model, used.stiffness_difference, used.pose_smoothing
         )
 
     def unseen_half(self) -> tuple[ChannelErrors, ...]:
-        """Errors on the second half of the segment of a model fitted on its first half.
+        """Errors on the second half of the segment for a model fitted on its first half.
 
-        The errors on the samples of the fit flatter; these are what to rank trials and settings
-        by. They take another fit, with the same settings.
+        In-sample errors are optimistic; rank trials and settings by these instead. They require
+        another fit, with the same settings.
         """
         with threadpool_limits(1):
             return judge_unseen_half(self._samples(), self.trial.geometry, self.fit.settings)
 
     def _samples(self) -> Samples:
-        """The samples of the segment without outliers."""
+        """Samples of the segment without outliers."""
         chosen = self.trial.samples()[self.segment.rows]
         leave_out = self.fit.settings.leave_out
         return find_outliers(chosen, self.trial.geometry, leave_out).taken_from(chosen)
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Errors on the samples of the fit, one row per channel in the channel's unit."""
+        """In-sample errors, one row per channel in the channel's unit."""
         return errors_to_dataframe(self.fit.errors)
 
     def document(self) -> dict[str, Any]:
-        """The errors on the samples of the fit for JSON; `save` writes the model itself."""
+        """The in-sample errors for JSON; `save` writes the model itself."""
         return _errors_document(self, self.stored(), self.fit.samples, self.fit.errors)
 
     def _figure(self, style: FigureStyle) -> Figure:
@@ -180,14 +180,14 @@ Model: TypeAlias = TrialFit | StoredModel | PathLike
 
 @dataclass(frozen=True, repr=False)
 class Evaluation(Result):
-    """A model judged on a segment of a trial, with the errors of every channel."""
+    """A model evaluated on a segment of a trial, with the errors of every channel."""
 
     trial: Trial
     model: StoredModel
     segment: Segment
-    samples: int  # of the segment with a wrench and a limb position
+    samples: int  # in the segment with a wrench and a limb position
     errors: tuple[ChannelErrors, ...]
-    pressure: TrialPressure | None = None  # if it was asked for
+    pressure: TrialPressure | None = None  # if requested
 
     def __repr__(self) -> str:
         return (
@@ -209,7 +209,7 @@ class Evaluation(Result):
         return errors_to_dataframe(self.errors)
 
     def engagement(self) -> Engagement:
-        """Engaged springs at every sample of the trial, their share of the time on the segment."""
+        """Engaged springs at every sample of the trial, and their share of the segment's time."""
         window = self.model.settings.pose_smoothing
         return engagement(self.trial.samples(), self.model.model, window, self.segment.rows)
 
@@ -219,7 +219,7 @@ class Evaluation(Result):
         return found | ({"pressure": self.pressure.document()} if self.pressure else {})
 
     def save(self, path: PathLike) -> None:
-        """Write the errors as JSON, or as a table if the suffix is one; an older file is replaced.
+        """Write the errors as JSON, or as a table by suffix; an existing file is replaced.
 
         Args:
             path: The file; JSON unless it ends in `.csv`, `.parquet` or `.mat`.
@@ -240,9 +240,9 @@ class Evaluation(Result):
 
 
 def _errors_document(
-    of: TrialFit | Evaluation, model: StoredModel, samples: int, errors: Sequence[ChannelErrors]
+    found: TrialFit | Evaluation, model: StoredModel, samples: int, errors: Sequence[ChannelErrors]
 ) -> dict[str, Any]:
-    identity = origin(of.trial, of.segment)
+    identity = origin(found.trial, found.segment)
     return {
         "trial": identity["trial"],
         "model": {"trial": model.trial, "variant": model.model.variant},
@@ -278,22 +278,22 @@ def fit(
 ) -> TrialFit:
     """Identify the contact model on a segment of a trial.
 
-    Each setting that is not given comes from `params`, or from what the trial was recorded with.
+    Settings default to those in `params`, or to those the trial was recorded with.
 
     Args:
         trial: The trial.
         segment: As `specification` in `st.select_segment`, or a `Segment`.
         params: A `testbed.yaml` to use instead of the trial's own.
-        variant: The law: `stiffness` as published, by the limb's position; `rigid` by its pose;
-            `stiffness_bias` and `rigid_bias` with offsets.
+        variant: The contact law: `stiffness` as published, from the limb's position; `rigid` from
+            its pose; `stiffness_bias` and `rigid_bias` with offsets.
         theta: Weight of the wrench against the clusters, 0 to 1 [-].
-        weights: What weighs the channels of each of these groups: `size`, `noise` or `raw`.
+        weights: Weighting of the channels within a group: by `size`, by `noise`, or `raw`.
         smoothness: Weight of the smoothness over neighbouring tiles [-].
         leave_out: Channels to leave out of the objective, such as `distal.Fx` or `Mz`.
-        pose_smoothing: Centred window over which the poses are averaged [s].
-        frames: Number of samples that are used, from the segment's start; 0: all.
+        pose_smoothing: Centred window over which poses are averaged [s].
+        frames: Number of samples used, from the start of the segment; 0: all.
         initial_stiffness: k0 of Stage 1 [N/m]; `auto`: from the slope of the wrench.
-        solver: A solver that qpsolvers finds.
+        solver: A solver available to qpsolvers.
 
     >>> trial = st.open_trial("trials/hold")
     >>> fitted = st.fit(trial, variant="rigid_bias", theta=0.5)
@@ -315,8 +315,8 @@ def fit(
         "solver": solver,
     }
     trial, chosen, settings = prepare_fit(trial, segment, params, choices)
-    # With more threads a sum is rounded otherwise: the same trial is to give the same model on
-    # every machine. These programs are small, and no slower for it.
+    # More threads change the rounding of sums; a trial must give the same model on every machine.
+    # The programs are small, so that a single thread is no slower.
     with threadpool_limits(1):
         found = fit_contact_model(trial.samples()[chosen.rows], trial.geometry, settings)
     return TrialFit(trial, chosen, found)
@@ -328,7 +328,7 @@ def prepare_fit(
     params: PathLike | None,
     choices: Mapping[str, Any],
 ) -> tuple[Trial, Segment, IdentificationSettings]:
-    """The trial, the frames of the segment that a fit uses, and the settings; notes come first."""
+    """The trial, the part of the segment to be fitted, and the settings; reports the notes."""
     trial = as_trial(trial)
     settings = estimator_settings(trial.estimator, as_path(params), **choices)
     samples, frames = trial.samples(), settings.identification.frames
@@ -340,14 +340,14 @@ def prepare_fit(
 def note_implausible(
     trial: Trial, samples: Samples, segment: Segment, leave_out: tuple[str, ...]
 ) -> None:
-    """Note the channels of a segment that look implausible."""
+    """Report implausible channels of a segment."""
     start, chosen = int(samples.stamps[0]), samples[segment.rows]
     for text in implausible_notes(chosen, trial.geometry, leave_out, start):
         note(trial, text)
 
 
 def read_model(path: PathLike) -> StoredModel:
-    """Read a model that `fit` wrote.
+    """Read a model saved by `fit`.
 
     >>> st.fit(st.open_trial("trials/hold")).save("hold.json")
     >>> model = st.read_model("hold.json")
@@ -360,21 +360,21 @@ def read_model(path: PathLike) -> StoredModel:
 
 
 def stored_model(model: Model) -> StoredModel:
-    """A model, whatever way it is given."""
+    """Convert a fit, a stored model or a path to a stored model."""
     if isinstance(model, StoredModel):
         return model
     return model.stored() if isinstance(model, TrialFit) else read_model(model)
 
 
 def model_for(trial: Trial, model: Model) -> StoredModel:
-    """A model that is to be used on a trial; an error if it is of another socket."""
+    """A stored model for a trial; raises an error if it is of another socket."""
     stored = stored_model(model)
     stored.require_socket(trial.geometry)
     return stored
 
 
 def _predictions(samples: Samples, stored: StoredModel) -> FloatArray:
-    """Predictions of a model, shape (N, 6 + 3c), from poses averaged as in its fit."""
+    """Predictions of a model, shape (N, 6 + 3c), with poses averaged as in its fit."""
     smooth = smooth_poses(samples, stored.settings.pose_smoothing)
     with threadpool_limits(1):
         return stored.model.predict(smooth.pose, samples.clusters)
@@ -383,15 +383,15 @@ def _predictions(samples: Samples, stored: StoredModel) -> FloatArray:
 def predict(trial: Trial | PathLike, model: Model) -> pd.DataFrame:
     """Predict every channel of a trial from its limb positions.
 
-    The poses are averaged over the window of the model's fit, if that has one.
+    Poses are averaged over the same window as in the model's fit, if any.
 
     Args:
         trial: The trial.
         model: A fit, a model that `read_model` read, or the path of its file.
 
     Returns:
-        A table with the index and the names of `trial.samples().to_dataframe()`: the wrench in
-        {S} and the force on each cluster in its frame. NaN where the limb position is missing.
+        A table with the index and columns of `trial.samples().to_dataframe()`: the wrench in {S}
+        and the force on each cluster in its frame. NaN where the limb position is missing.
 
     >>> trial = st.open_trial("trials/hold")
     >>> predicted = st.predict(trial, st.fit(trial))
@@ -421,13 +421,13 @@ def evaluate(
     """Errors of a model on a segment of a trial, channel by channel.
 
     Args:
-        trial: The trial, preferably another one than that of the fit.
-        model: A fit, a model that `read_model` read, or the path of its file.
+        trial: The trial, preferably not the one of the fit.
+        model: A fit, a model from `read_model`, or the path of its file.
         segment: As `specification` in `st.select_segment`, or a `Segment`.
-        pose_smoothing: Centred window over which the poses are averaged [s] (default: that of
-            the model's fit).
-        pressure: Whether the pressure outputs of the segment are added, see `st.pressure`. They
-            come from the force map, not from the model.
+        pose_smoothing: Centred window over which poses are averaged [s] (default: that of the
+            model's fit).
+        pressure: Whether to add the pressure outputs of the segment, see `st.pressure`. They come
+            from the force map, not from the model.
 
     >>> fitted = st.fit(st.open_trial("trials/hold"))
     >>> found = st.evaluate(st.open_trial("trials/walk"), fitted, segment="all")
@@ -449,7 +449,7 @@ def evaluate(
     rows = find_outliers(rows, trial.geometry, leave_out).taken_from(rows)
     if bool(trial.unloaded) != bool(stored.unloaded):
         fitted = "with" if stored.unloaded else "without"
-        note(trial, f"the model was fitted {fitted} --unloaded: its offsets are others")
+        note(trial, f"the model was fitted {fitted} --unloaded: its offsets differ")
     errors = evaluate_predictions(rows, _predictions(rows, stored), leave_out)
     outputs = pressure_of(trial, chosen) if pressure else None
     return Evaluation(trial, stored, chosen, int(rows.complete.sum()), errors, outputs)
@@ -465,27 +465,26 @@ def export(
     cycles: str | None = None,
     about: tuple[float, float, float] | None = None,
 ) -> pd.DataFrame:
-    """Write the synchronised samples of a trial, with what they were computed from, as a table.
+    """Write the synchronised samples of a trial, with the raw measurements, as a table.
 
     Args:
         trial: The trial.
-        path: The file; its suffix, `.csv`, `.parquet` or `.mat`, selects the format. OpenSim's
-            external loads are `.mot` or `.sto`, its markers `.trc`, both together `.c3d`; `.mcap`
-            holds standard ROS messages with the columns by their names: see
-            `socket_testbed.trials.export`.
+        path: The file; its suffix, `.csv`, `.parquet` or `.mat`, selects the format. `.mot` and
+            `.sto` are external loads for OpenSim, `.trc` its markers, `.c3d` both; `.mcap` holds
+            standard ROS messages with named columns: see `socket_testbed.trials.export`.
         segment: As `specification` in `st.select_segment`, or a `Segment`.
-        model: A model whose predictions are added as `predicted.*`, and its engaged springs as
+        model: A model whose predictions are added as `predicted.*` and engaged springs as
             `springs.*`, see `Evaluation.engagement`.
-        force_map: Whether the force map is added as `map.*`, see `st.force_map`.
-        pressure: Whether pressure and shear of every region and tile are added as `pressure.*`,
-            see `TrialPressure.over_time`.
-        cycles: Events that delimit cycles: the table is then mean and standard deviation of all
+        force_map: Whether to add the force map as `map.*`, see `st.force_map`.
+        pressure: Whether to add pressure and shear of every region and tile as `pressure.*`, see
+            `TrialPressure.over_time`.
+        cycles: Events that delimit cycles; the table then holds mean and standard deviation of all
             columns over 0 to 100 % of a cycle, see `st.cycles`.
-        about: Point in {S} about which moments are given, such as the knee's centre [m] (default:
-            the load cell's origin).
+        about: Reference point of the moments in {S}, such as the knee's centre [m] (default: the
+            load cell's origin).
 
     Returns:
-        The table, with a unit in the name of every column; its `attrs` name the segment and rows.
+        The table, with units in the column names; its `attrs` name the segment and rows.
 
     >>> table = st.export(st.open_trial("trials/hold"), "hold.csv", segment="10:20")
     >>> "distal.C0 [pF]" in table.columns, len(table)
@@ -498,8 +497,8 @@ def export(
     if path.suffix.lower() in GAIT_FORMATS:
         if model or force_map or pressure or cycles:
             raise ConfigurationError(
-                f"{path}: a {path.suffix} holds measured forces and markers alone",
-                "give .csv, .parquet or .mat for what is computed",
+                f"{path}: a {path.suffix} holds only measured forces and markers",
+                "give .csv, .parquet or .mat for computed columns",
             )
         chosen = select(trial, segment, trial.estimator)
         table = write_gait_file(trial, chosen.rows, path, about)

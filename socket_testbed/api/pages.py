@@ -1,4 +1,4 @@
-"""Pages in a browser: the report of a trial, a comparison, and a trial that is played."""
+"""Web pages: the report of a trial, a comparison, and playback of a trial."""
 
 from __future__ import annotations
 
@@ -41,15 +41,15 @@ _HEADINGS = {
     "wrench": "Wrench",
 }
 _INDEPENDENT = (
-    "The interval of a difference takes the errors of two limbs as independent, so that their"
-    f" variances add; those of one subject in one socket as correlated by {SAME_LIMB:g}, so that"
-    " they cancel in part (Zou & Donner 2008). It covers what the sensors leave open under the"
-    " prior of the force map. docs/compare.md states how often it held the true difference."
+    "Intervals of differences treat the errors of two limbs as independent, so that their variances"
+    f" add, and those of one subject in one socket as correlated ({SAME_LIMB:g}), so that they"
+    " partly cancel (Zou & Donner 2008). They cover the uncertainty left by the sensors under the"
+    " prior of the force map. docs/compare.md reports their coverage."
 )
 _MAPS = (
-    "Mean pressure on the unrolled wall and the distal end, on one scale; the greyer, the less"
-    " certain. Differences have a scale of their own with zero in its middle; they are grey where"
-    " their 95 % interval holds zero. Outlined: clusters."
+    "Mean pressure on the unrolled wall and the distal end, on a common scale; the greyer, the less"
+    " certain. Differences have their own scale, centred on zero, and are grey where the 95 %"
+    " interval includes zero. Outlined: clusters."
 )
 
 
@@ -69,35 +69,35 @@ def write_report(
     progress: Progress | None = None,
     **choices: Any,
 ) -> Results:
-    """Write the results of a trial as one page, and a folder with its data beside it.
+    """Write the results of a trial as one page, with a folder of its data next to it.
 
-    The paper's variants are fitted, and the one of the settings beside them (`rigid_bias` by
-    default); the trade-off of the paper's is walked along theta.
+    The paper's variants are fitted, along with the variant of the settings (`rigid_bias` by
+    default); the trade-off over theta is computed for the paper's variants.
 
     Args:
         trial: The trial.
         page: The page, ending in `.html`.
         segment: As `specification` in `st.select_segment`.
-        model: A model that is shown as well.
+        model: A further model to show.
         thetas: Number of values of theta from 0 to 1.
         params: As in `fit`.
-        command: What made the page, for the record.
-        replace: Whether an older page and its folder are replaced; else they are an error.
-        figures: Whether the folder holds figures for print as well, as `.pdf` and `.png`.
+        command: The command that made the page, for the record.
+        replace: Whether to replace an existing page and its folder; otherwise they are an error.
+        figures: Whether to add figures for print to the folder, as `.pdf` and `.png`.
         width: Printed width of these figures, 88 or 180 [mm].
-        title: Whether these figures have titles, and their keys errors.
+        title: Whether these figures have titles, and errors in their keys.
         progress: See `Progress`.
-        choices: Settings as in `fit`, but for `variant`.
+        choices: Settings as in `fit`, except `variant`.
 
     Returns:
-        All that the page shows.
+        The results shown on the page.
 
     >>> results = st.write_report(st.open_trial("trials/hold"), "hold.html", thetas=5)
     >>> list(results.fitted)
     ['stiffness', 'stiffness_bias', 'rigid_bias']
     """
     trial = as_trial(trial)
-    # matplotlib and plotly take their time to import.
+    # matplotlib and plotly are slow to import.
     from socket_testbed.report.results import compute_results
     from socket_testbed.report.style import figure_style
     from socket_testbed.report.write import check_page_path
@@ -107,7 +107,7 @@ def write_report(
     values = theta_values(thetas)
     require_segment(segment)
     check_page_path(page, replace)
-    style = figure_style(width, title)  # refused before the work
+    style = figure_style(width, title)  # fails before long work
     settings = estimator_settings(trial.estimator, as_path(params), **choices)
     stored = None if model is None else stored_model(model)
     with threadpool_limits(1):
@@ -132,17 +132,17 @@ def write_report(
 def write_comparison(
     found: Comparison, page: PathLike, command: str = "socket_testbed.write_comparison"
 ) -> None:
-    """Write a comparison as one page that opens offline; an older one is replaced.
+    """Write a comparison as one page that opens offline; an existing one is replaced.
 
     Args:
-        found: What `st.compare` found.
+        found: A result of `st.compare`.
         page: The page, ending in `.html`.
-        command: What made the page, for the record.
+        command: The command that made the page, for the record.
 
     >>> found = st.compare("trials/hold", "trials/walk", segment="15:20")
     >>> st.write_comparison(found, "liners.html")
     """
-    # matplotlib takes its time to import.
+    # matplotlib is slow to import.
     from socket_testbed.report.page import Maps, Section, write_page
 
     path = Path(page)
@@ -155,7 +155,7 @@ def write_comparison(
     parts = {name: _tables(found, name) for name in dict.fromkeys(found.table["part"])}
     numbers = [Section(name, _HEADINGS[name], parts.pop(name)) for name in MAPPED if name in parts]
     socket = Table("socket-table", "Outputs of the socket", cells)
-    made_with = pairs_table("provenance-table", "What the page was made with", origin)
+    made_with = pairs_table("provenance-table", "Provenance of the page", origin)
     groups = {
         "": [
             Section("differing", "", [[*clearest, f"{count}."]]),
@@ -174,9 +174,10 @@ def write_comparison(
 
 
 def _cards(found: Comparison) -> list[dict[str, Any]]:
-    """The difference of the socket's peak and mean pressure of every trial to the first one."""
-    of, shown = found.table, []
-    rows = of[(of["part"] == "regions") & (of["name"] == SOCKET) & (of["item"] != found.items[0])]
+    """Differences of the socket's peak and mean pressure from the first trial."""
+    table, shown = found.table, []
+    rows = table[(table["part"] == "regions") & (table["name"] == SOCKET)]
+    rows = rows[rows["item"] != found.items[0]]
     for quantity in ("peak pressure", "mean pressure"):
         for row in rows[rows["quantity"] == quantity].to_dict("records"):
             by, low, high = (row[name] for name in DIFFERENCE)
@@ -193,19 +194,19 @@ def _cards(found: Comparison) -> list[dict[str, Any]]:
 
 
 def _map_data(found: Comparison) -> tuple[dict[str, Any], dict[str, str]]:
-    """Maps of the trials on one scale, and of the differences on another, with their titles."""
+    """Maps of the trials on a common scale, of the differences on another, and their titles."""
     if found.geometry is None:
         return {}, {}
     (values, reaches), (differences, spreads) = map(found.tile_pressures, (VALUE, DIFFERENCE))
     names = [*found.items, *map(found.difference_title, found.items[1:])]
     both = zip([*values, *differences[1:]], [*reaches, *spreads[1:]], strict=True)
-    most = float(np.abs(differences[1:]).max()) or 1.0
+    limit = float(np.abs(differences[1:]).max()) or 1.0
     nothing = np.zeros(0)
     maps: list[dict[str, Any]] = [
         {
             "box": f"map-{number}",
             "moment": moment(0.0, 1e3 * value, 1e3 * reach / NORMAL_QUANTILE, nothing, nothing),
-            "range": most if number >= len(found.items) else None,
+            "range": limit if number >= len(found.items) else None,
             "diverging": number >= len(found.items),
         }
         for number, (value, reach) in enumerate(both)
@@ -242,20 +243,19 @@ def view(
 ) -> PageServer:
     """Show a trial in a browser: play, pause, seek; the pressure on the socket at every instant.
 
-    It opens at the peak. The map and the outputs by region are computed for the instant that is
-    drawn. Nothing is written.
+    The page opens at the peak. Map and regional outputs are computed for the instant shown.
+    Nothing is written.
 
     Args:
         trial: The trial.
-        model: A fit, a model that `read_model` read, or the path of its file, to show the wrench
-            that it predicts.
-        port: Port of the page; 0 for one that is free.
-        host: Address of this machine that serves the page, `0.0.0.0` for all of them; only this
-            machine sees the page at `127.0.0.1`.
-        names: Further names of this machine by which browsers may call the page.
+        model: A fit, a model from `read_model`, or the path of its file, to show its predictions.
+        port: Port of the page; 0 for any free port.
+        host: Address of this machine to serve the page on, `0.0.0.0` for all; at `127.0.0.1` only
+            this machine can open it.
+        names: Further host names of this machine under which browsers may open the page.
 
     Returns:
-        The page: a context manager with its `url`, served until `close`, or until the program ends.
+        The page: a context manager with its `url`, served until `close` or the program's end.
 
     >>> with st.view(st.open_trial("trials/hold")) as page:
     ...     print(page.url)

@@ -1,4 +1,4 @@
-"""The force on every tile, and pressure as a lab reads it by region; neither needs a fit."""
+"""Force map over all tiles, and pressure outputs by region; neither needs a fit."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ if TYPE_CHECKING:
 Rows: TypeAlias = dict[tuple[str, str, str], dict[str, Any]]
 """Values of outputs, by part, name and title."""
 
-_CENTRES = [title for title in TITLES if title.startswith("centre of pressure")]
-OF_TILES = tuple(title for title in TITLES if title not in (*_CENTRES, "contact area [cm^2]"))
-_ROW = ("value", "low", "high", "uncertain")
-_OVER_TIME = tuple(title for title in TITLES if not title.startswith("pressure-time"))
+_CENTRE_TITLES = [title for title in TITLES if title.startswith("centre of pressure")]
+TILE_TITLES = tuple(t for t in TITLES if t not in (*_CENTRE_TITLES, "contact area [cm^2]"))
+_ROW_KEYS = ("value", "low", "high", "uncertain")
+_SERIES_TITLES = tuple(title for title in TITLES if not title.startswith("pressure-time"))
 
 
 @dataclass(frozen=True, repr=False)
@@ -61,7 +61,7 @@ class TrialMap(Result):
     trial: Trial
     segment: Segment
     time: FloatArray  # (N,) [s], of its samples since the first sample of the trial
-    samples: Samples  # with the channels that count
+    samples: Samples  # with the channels in use
     force_map: ForceMap
 
     @cached_property
@@ -82,7 +82,7 @@ class TrialMap(Result):
     def to_dataframe(self) -> pd.DataFrame:
         """The map as a pandas table, a row per sample, indexed by `time [s]`.
 
-        Columns per tile: force in {S} with its standard deviations, such as `tile_012.Fz [N]` and
+        Columns per tile: force in {S} with standard deviations, such as `tile_012.Fz [N]` and
         `tile_012.Fz.sd [N]`, then `pressure [Pa]` (positive in compression) and `shear [Pa]`.
         """
         import pandas as pd
@@ -93,8 +93,8 @@ class TrialMap(Result):
     def summary(self) -> pd.DataFrame:
         """Means over the segment, a row per tile, the highest pressure first.
 
-        A standard deviation is that of the mean's error: it does not shrink with the number of
-        samples, since what the sensors leave open stays the same.
+        Standard deviations are those of the mean's error. They do not shrink with the number of
+        samples, because the sensors leave the same uncertainty in each.
         """
         import pandas as pd
 
@@ -112,7 +112,7 @@ class TrialMap(Result):
         return table.sort_values("pressure [kPa]", ascending=False, kind="stable")
 
     def at(self, time: float) -> TrialMap:
-        """The map at an instant: its newest sample at a time since the first one [s]."""
+        """The map of the latest sample at a time since the first sample [s]."""
         row = int(np.searchsorted(self.time, time + 1e-6, "right")) - 1
         if row < 0 or time > self.time[-1] + np.ptp(self.time[-2:]):
             raise TrialError(
@@ -124,22 +124,22 @@ class TrialMap(Result):
         return TrialMap(self.trial, instant, when, samples, self.force_map)
 
     def draws(self, count: int = 200) -> FloatArray:
-        """Joint draws of the stresses on all tiles, from which any function has its interval.
+        """Joint draws of the stresses on all tiles, for intervals of any function of them.
 
-        Each draw is a map that agrees with all that was measured. The random numbers are the same
-        in all samples, and seeded.
+        Each draw is a map consistent with all measurements. All samples use the same seeded random
+        numbers.
 
         Args:
             count: Number D of draws, even.
 
         Returns:
             Shear along x (proximal) and along y of each tile's frame, and normal pressure, positive
-            in compression, shape (N, D, n, 3) [Pa]. Of many samples that is much: see `at`.
+            in compression, shape (N, D, n, 3) [Pa]. For many samples this is large: see `at`.
         """
         geometry = self.trial.geometry
         check_number(count, "count", 2)
         if count % 2:
-            raise ConfigurationError(f"{count} draws are odd", "give an even number")
+            raise ConfigurationError(f"{count} draws: an odd number", "give an even number")
         found = np.empty((len(self.time), count, len(geometry), 3))
         for draws in self.force_map.sample(self.samples, count):
             values = draws.values().reshape(len(draws.rows), count, -1, 3)
@@ -147,12 +147,12 @@ class TrialMap(Result):
         return found
 
     def document(self) -> dict[str, Any]:
-        """The map for JSON, with its means over the segment by tile."""
+        """The map for JSON, with means over the segment by tile."""
         means = records(self.summary().reset_index())
         return origin(self.trial, self.segment) | {"tiles": means} | super().document()
 
     def _figure(self, style: FigureStyle) -> Figure:
-        """The mean pressure on the tiles, and its standard deviation."""
+        """Mean pressure on the tiles, and its standard deviation."""
         from socket_testbed.report.pressure import force_map_figure
 
         heading = f"{self.trial.name}, {self.segment}: force map"
@@ -175,13 +175,13 @@ def force_map(
 ) -> TrialMap:
     """Estimate the force on every tile from the clusters and the wrench, sample by sample.
 
-    A Gaussian process over the socket's surface; it needs no fitted model. Channels that are
-    missing, saturated, out of range or left out do not count.
+    The estimate is a Gaussian process over the socket's surface and needs no fitted model. Missing,
+    saturated, out-of-range and left-out channels are ignored.
 
     Args:
         trial: The trial.
         segment: As `specification` in `st.select_segment`, or a `Segment`.
-        params: A `testbed.yaml` to use instead of the trial's own; its group `force_map` is the
+        params: A `testbed.yaml` to use instead of the trial's own; its group `force_map` sets the
             prior.
 
     >>> found = st.force_map(st.open_trial("trials/hold"), segment="10:20")
@@ -190,7 +190,7 @@ def force_map(
     >>> found.estimate.forces.shape, list(found.to_dataframe())[:2]
     ((41, 79, 3), ['distal.Fx [N]', 'distal.Fx.sd [N]'])
     >>> found.save("map.csv")
-    >>> found.at(12.0).draws().shape  # of any function of the map: its interval
+    >>> found.at(12.0).draws().shape  # for intervals of any function of the map
     (1, 200, 79, 3)
     """
     trial = as_trial(trial)
@@ -216,8 +216,8 @@ def _mapped(
 class TrialPressure(SegmentPressure, Result):
     """Pressure outputs over a segment of a trial, by region and tile, with 95 % intervals."""
 
-    threshold: float  # [kPa]; a tile with a higher pressure is in contact
-    share: float  # [-]; of a value: if its interval reaches farther, it is uncertain
+    threshold: float  # [kPa]; a tile above this pressure is in contact
+    share: float  # [-]; of a value; with an interval that reaches farther it is uncertain
 
     def __repr__(self) -> str:
         socket = self.regions.iloc[-1]
@@ -229,20 +229,19 @@ class TrialPressure(SegmentPressure, Result):
 
     @cached_property
     def map(self) -> TrialMap:
-        """The force map that they are computed from, at every sample: 6 kB each."""
-        of = self.outputs
-        return TrialMap(self.trial, self.segment, self.time, of.samples, of.force_map)
+        """The underlying force map at every sample: 6 kB each."""
+        found = self.outputs
+        return TrialMap(self.trial, self.segment, self.time, found.samples, found.force_map)
 
     def rows(self) -> Rows:
-        """Every output by its part (`regions`, `tiles` or `limb`), its place and its title.
+        """Every output by part (`regions`, `tiles` or `limb`), place and title.
 
-        Each has a `value` with the ends `low` and `high` of its 95 % interval, and is `uncertain`
-        or not.
+        Each has a `value`, the ends `low` and `high` of its 95 % interval, and a flag `uncertain`.
         """
         regions = tuple(place.name for place in self.places)
         parts = (
             ("regions", regions, self.outputs.regions, TITLES),
-            ("tiles", self.trial.geometry.names, self.outputs.tiles, OF_TILES),
+            ("tiles", self.trial.geometry.names, self.outputs.tiles, TILE_TITLES),
         )
         quantities = [
             (part, names, title, read_column(found, title))
@@ -257,7 +256,7 @@ class TrialPressure(SegmentPressure, Result):
             columns = found.value, found.low, found.high, ~found.certain(self.share)
             values = zip(*(np.atleast_1d(column).tolist() for column in columns), strict=True)
             for name, row in zip(names, values, strict=True):
-                rows[part, name, title] = dict(zip(_ROW, row, strict=True))
+                rows[part, name, title] = dict(zip(_ROW_KEYS, row, strict=True))
         return rows
 
     def limb(self) -> pd.DataFrame:
@@ -265,26 +264,27 @@ class TrialPressure(SegmentPressure, Result):
 
         Rows such as `pistoning [mm]` and `stiffness Fz [N/mm]`, columns `value`, `low`, `high`
         (95 %) and `uncertain`; NaN where the load did not change in every direction. Empty without
-        poses. `suspension` has all of the 6 x 6 stiffness.
+        poses. `suspension` holds the full 6 x 6 stiffness.
         """
         import pandas as pd
 
         found = {title: row for (part, _, title), row in self.rows().items() if part == "limb"}
-        return pd.DataFrame.from_dict(found, orient="index", columns=[*_ROW])
+        return pd.DataFrame.from_dict(found, orient="index", columns=[*_ROW_KEYS])
 
     @property
     def regions(self) -> pd.DataFrame:
         """Outputs over the segment, a row per region, then `socket`.
 
         Columns: each of `TITLES`, the best estimate under the posterior, with the ends of its 95 %
-        interval, such as `peak pressure low [kPa]`; and `nearest tile` to the centre of pressure.
+        interval, such as `peak pressure low [kPa]`; and the `nearest tile` to the centre of
+        pressure.
         """
         import pandas as pd
 
         names = pd.Index([place.name for place in self.places], name="region")
         table = pd.DataFrame(columns_of(self.outputs.regions, TITLES), index=names)
         geometry, nearest = self.trial.geometry, []
-        for centre in table[_CENTRES].to_numpy() * 1e-3:
+        for centre in table[_CENTRE_TITLES].to_numpy() * 1e-3:
             apart = np.linalg.norm(geometry.anchors - centre, axis=1)
             nearest.append("" if np.isnan(apart).any() else geometry.names[apart.argmin()])
         table["nearest tile"] = nearest
@@ -297,38 +297,38 @@ class TrialPressure(SegmentPressure, Result):
 
         geometry = self.trial.geometry
         names = pd.Index(geometry.names, name="tile")
-        table = pd.DataFrame(columns_of(self.outputs.tiles, OF_TILES), index=names)
+        table = pd.DataFrame(columns_of(self.outputs.tiles, TILE_TITLES), index=names)
         table.insert(0, "cluster", _clusters_by_tile(geometry))
         return table
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The table of `regions`."""
+        """Same as `regions`."""
         return self.regions
 
     def over_time(self) -> pd.DataFrame:
-        """Outputs of the regions and stresses of the tiles at every sample, by `time [s]`.
+        """Outputs of the regions and stresses on the tiles at every sample, by `time [s]`.
 
         Columns such as `anterior proximal.mean pressure [kPa]`, and `distal.pressure [kPa]` and
-        `distal.shear [kPa]` of the tiles, with the ends of their 95 % intervals. Those of tiles
+        `distal.shear [kPa]` for tiles, with the ends of their 95 % intervals. Intervals of tiles
         are 1.96 standard deviations of the force map.
         """
         import pandas as pd
 
         estimate = self.map.estimate
-        of_pressure = normal_quantity(
+        pressure = normal_quantity(
             1e-3 * estimate.normal_pressure, 1e-3 * estimate.normal_pressure_standard_deviation
         )
-        of_shear = normal_quantity(1e-3 * estimate.shear, 1e-3 * estimate.shear_standard_deviation)
-        of_shear = dataclasses.replace(of_shear, low=np.maximum(of_shear.low, 0.0))
-        stresses = with_interval("pressure [kPa]", of_pressure)
-        stresses |= with_interval("shear [kPa]", of_shear)
+        shear = normal_quantity(1e-3 * estimate.shear, 1e-3 * estimate.shear_standard_deviation)
+        shear = dataclasses.replace(shear, low=np.maximum(shear.low, 0.0))
+        stresses = with_interval("pressure [kPa]", pressure)
+        stresses |= with_interval("shear [kPa]", shear)
         regions = [place.name for place in self.places]
-        columns = by_place(regions, columns_of(self.outputs.series, _OVER_TIME))
+        columns = by_place(regions, columns_of(self.outputs.series, _SERIES_TITLES))
         columns |= by_place(self.trial.geometry.names, stresses)
         return pd.DataFrame(columns, index=pd.Index(self.time, name="time [s]"))
 
     def document(self) -> dict[str, Any]:
-        """The outputs for JSON, each value with its interval and whether it is uncertain."""
+        """The outputs for JSON, each with its interval and the flag `uncertain`."""
         names, nearest = self.trial.geometry.names, self.regions["nearest tile"]
         found: dict[str, dict[str, dict[str, Any]]] = {"regions": {}, "tiles": {}, "limb": {"": {}}}
         for place in self.places:
@@ -350,11 +350,11 @@ class TrialPressure(SegmentPressure, Result):
         }
 
     def save(self, path: PathLike, over_time: bool = False) -> None:
-        """Write the table of `regions`, or of every sample; an older file is replaced.
+        """Write the table of `regions` or `over_time`; an existing file is replaced.
 
         Args:
             path: `.csv`, `.parquet` or `.mat`; or `.json` for the document.
-            over_time: Whether the table is that of `over_time`, rather than of `regions`.
+            over_time: Whether to write the table of `over_time` instead of `regions`.
         """
         if over_time:
             write_table(self.over_time(), Path(path))
@@ -362,7 +362,7 @@ class TrialPressure(SegmentPressure, Result):
             super().save(path)
 
     def _figure(self, style: FigureStyle) -> Figure:
-        """Unrolled maps, mean and at the peak; sectors, heights and own regions over time."""
+        """Unrolled maps, mean and at the peak; sectors, heights and user regions over time."""
         from socket_testbed.report.pressure import pressure_figure
 
         return pressure_figure(self, f"{self.trial.name}: pressure, {self.segment}", style)
@@ -386,21 +386,21 @@ def pressure(
     params: PathLike | None = None,
     leave_out: Sequence[str] | None = None,
 ) -> TrialPressure:
-    """Pressure and shear of a socket as a lab reads them, by region, with 95 % intervals.
+    """Pressure and shear of a socket by region and tile, with 95 % intervals.
 
-    They are computed from the force map, see `st.force_map` and
-    `socket_testbed.identification.pressure`: peak and mean pressure, contact area, pressure-time
-    integral, centre of pressure, shear and share of the load.
+    The outputs are peak and mean pressure, contact area, pressure-time integral, centre of
+    pressure, shear and share of the load, computed from the force map, see `st.force_map` and
+    `socket_testbed.identification.pressure`.
 
     Args:
         trial: The trial.
         segment: As `specification` in `st.select_segment`, or a `Segment`.
         threshold: Pressure above which a tile is in contact [kPa].
-        share: A value whose interval reaches farther than this share of it is called uncertain [-].
-        regions: Names of tiles by the names of regions, instead of those of `socket.yaml`.
-        params: A `testbed.yaml` to use instead of the trial's own; its group `force_map` is the
+        share: A value is uncertain if its interval reaches farther than this share of it [-].
+        regions: Tile names by region, instead of the regions of `socket.yaml`.
+        params: A `testbed.yaml` to use instead of the trial's own; its group `force_map` sets the
             prior.
-        leave_out: Channels that do not count, such as `distal.Fx` or `Mz`.
+        leave_out: Channels to ignore, such as `distal.Fx` or `Mz`.
 
     >>> found = st.pressure(st.open_trial("trials/hold"))
     >>> found

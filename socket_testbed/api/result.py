@@ -1,4 +1,4 @@
-"""The results of the API's functions: each has the same methods."""
+"""Common interface of all results of the API."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ if TYPE_CHECKING:
 
 
 class Result:
-    """A result: a table, a document for JSON, a file and a figure."""
+    """A result as a table, a JSON document, a file and a figure."""
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The result as a pandas table, with units in the names of the columns."""
+        """The result as a pandas table, with units in the column names."""
         raise NotImplementedError
 
     def document(self) -> dict[str, Any]:
-        """The result as JSON can hold it: null where there is no value."""
+        """The result as a JSON-compatible dictionary: null for missing values."""
         table = self.to_dataframe()
         rows = table if table.index.name is None else table.reset_index()
         return {"rows": records(rows)}
 
     def to_json(self) -> str:
-        """The result as JSON."""
+        """The result as a JSON string."""
         return json.dumps(self.document(), indent=1, allow_nan=False)
 
     def save(self, path: PathLike) -> None:
-        """Write the result in the format of the file's suffix; an older file is replaced.
+        """Write the result in the format of the file's suffix; an existing file is replaced.
 
         Args:
-            path: `.csv`, `.parquet` or `.mat` for its table, `.json` for its document.
+            path: `.csv`, `.parquet` or `.mat` for the table, `.json` for the document.
         """
         path = Path(path)
         if path.suffix.lower() == ".json":
@@ -52,13 +52,13 @@ class Result:
             write_table(self._saved_table(), path)
 
     def figure(self, width: float = 180, title: bool = True) -> Figure:
-        """The result as a figure of matplotlib.
+        """The result as a matplotlib figure.
 
         Args:
-            width: Its printed width, 88 or 180 [mm].
-            title: Whether it has a title.
+            width: Printed width, 88 or 180 [mm].
+            title: Whether the figure has a title.
         """
-        # matplotlib takes its time to import.
+        # matplotlib is slow to import.
         from socket_testbed.report.style import figure_style, in_style
 
         found: Figure = in_style(self._figure)(figure_style(width, title))
@@ -72,14 +72,14 @@ class Result:
         *,
         ax: Axes | None = None,
     ) -> None:
-        """Write `figure`, see there, as `.png` or `.pdf`, or draw into your own axes.
+        """Write `figure` as `.png` or `.pdf`, or draw into your own axes.
 
         Args:
-            path: The file; an older one is replaced.
+            path: The file; an existing one is replaced.
             width: As in `figure`.
             title: As in `figure`.
-            ax: Axes of matplotlib into which the result's main panel is drawn, in your own style:
-                the unrolled wall of a map, a quantity over a cycle.
+            ax: Matplotlib axes for the result's main panel (the unrolled wall of a map, a quantity
+                over a cycle), drawn in your own style.
         """
         if ax is not None:
             self._draw_into(ax)
@@ -97,7 +97,7 @@ class Result:
 
     def _figure(self, style: FigureStyle) -> Figure:
         raise ConfigurationError(
-            f"{type(self).__name__} has no figure", "draw its table: see to_dataframe()"
+            f"{type(self).__name__} has no figure", "plot its table: see to_dataframe()"
         )
 
     def _draw_into(self, ax: Axes) -> None:
@@ -107,7 +107,7 @@ class Result:
 
 
 def records(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """The rows of a table for JSON."""
+    """Rows of a table for JSON."""
     return [
         {name: finite_or_null(value) for name, value in row.items()}
         for row in table.to_dict("records")
@@ -115,7 +115,7 @@ def records(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def origin(trial: Trial, segment: Segment) -> dict[str, Any]:
-    """The trial and the segment of a result for JSON."""
+    """Trial and segment of a result for JSON."""
     return {
         "trial": trial.name,
         "segment": {"kind": segment.kind, "start": segment.start, "end": segment.end},

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
     from socket_testbed.report.style import FigureStyle
 
-_MOST_THETAS = 10_001
+_MAX_THETAS = 10_001
 
 
 @dataclass(frozen=True, repr=False)
@@ -58,7 +58,7 @@ class Tradeoff(Result):
         return f"Tradeoff({self.trial.name}, {self.segment}; {fronts})"
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Every solution of both fronts, a row each: see `Front.to_dataframe`."""
+        """A row per solution of both fronts, see `Front.to_dataframe`."""
         return front_table(self.fronts.values())
 
     def document(self) -> dict[str, Any]:
@@ -74,8 +74,8 @@ class Tradeoff(Result):
 
 
 def theta_values(thetas: int) -> FloatArray:
-    """So many thetas from 0 to 1, with no more digits than a person would write [-]."""
-    check_number(thetas, "--thetas", 2, _MOST_THETAS)
+    """Evenly spaced thetas from 0 to 1, rounded to readable digits [-]."""
+    check_number(thetas, "--thetas", 2, _MAX_THETAS)
     return np.linspace(0.0, 1.0, thetas).round(10)
 
 
@@ -96,7 +96,7 @@ def pareto(
         thetas: Number of values of theta from 0 to 1.
         params: As in `fit`.
         progress: See `Progress`.
-        choices: Settings as in `fit`, but for `variant` and `theta`.
+        choices: Settings as in `fit`, except `variant` and `theta`.
 
     >>> tradeoff = st.pareto(st.open_trial("trials/hold"), thetas=11)
     >>> tradeoff.fronts["stiffness"]
@@ -114,7 +114,7 @@ def pareto(
 
 @dataclass(frozen=True, repr=False)
 class PaperTable(Result):
-    """The figures of the paper for a trial, beside the printed ones."""
+    """The paper's figures recomputed for a trial, next to the published ones."""
 
     trial: Trial
     segment: Segment
@@ -130,7 +130,7 @@ class PaperTable(Result):
         return self.table.copy()
 
     def document(self) -> dict[str, Any]:
-        """The figures for JSON, with the settings that they were found with."""
+        """The figures for JSON, with the settings used."""
         table = self._saved_table()
         return {
             "trial": self.trial.name,
@@ -141,7 +141,7 @@ class PaperTable(Result):
         }
 
     def _saved_table(self) -> pd.DataFrame:
-        titles = [f"paper: {title}" if of == THEIRS else title for of, title in self.table]
+        titles = [f"paper: {title}" if group == THEIRS else title for group, title in self.table]
         return self.table.set_axis(titles, axis=1)
 
 
@@ -158,7 +158,7 @@ def paper(
 ) -> PaperTable:
     """Run the paper's pipeline: both stages, without and with offsets, and the front over theta.
 
-    Other settings are those of `fit`, whose defaults are the paper's where known: docs/paper.md.
+    Other settings are those of `fit`, whose defaults follow the paper where known: docs/paper.md.
 
     Args:
         trial: The trial.
@@ -168,10 +168,10 @@ def paper(
         frames: As in `fit`.
         params: As in `fit`.
         progress: See `Progress`.
-        choices: Other settings as in `fit`, but for `variant`.
+        choices: Other settings as in `fit`, except `variant`.
 
     Returns:
-        The figures; their table has a row each, see `beside_published`.
+        The figures, a row each, see `beside_published`.
 
     >>> found = st.paper(st.open_trial("trials/hold"), thetas=5)
     >>> found.to_dataframe().loc["RMSE of Mx [N m]", "the paper"].tolist()
@@ -179,7 +179,7 @@ def paper(
     """
     trial = as_trial(trial)
     chosen = {"weights": weights, "frames": frames, "params": params, **choices}
-    theta_values(thetas)  # refused before long work
+    theta_values(thetas)  # fails before long work
     fits = {variant: fit(trial, segment, variant=variant, **chosen) for variant in PAPER_VARIANTS}
     fronts = pareto(trial, segment, thetas=thetas, progress=progress, **chosen).fronts
     errors = {variant: found.fit.errors for variant, found in fits.items()}

@@ -1,4 +1,4 @@
-"""Trials: opened, simulated, and their segments."""
+"""Trials: opening, simulating, annotating, checking data and selecting segments."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ if TYPE_CHECKING:
 
 PathLike: TypeAlias = str | os.PathLike[str]
 Progress: TypeAlias = Callable[[str], Callable[[int, int], None]]
-"""Called with what is being done; the result is called with the steps done and their number."""
+"""Called with a task's name; the returned function is called with steps done and in total."""
 
-_MOST_TRIGGERS = 1_000_000
+_MAX_TRIGGERS = 1_000_000
 
 
 def as_path(path: PathLike | None) -> Path | None:
-    """The path, if there is one."""
+    """Convert to a `Path`, passing None through."""
     return None if path is None else Path(path)
 
 
-def started(progress: Progress | None, what: str) -> Callable[[int, int], None]:
-    """A progress that has started; one that nobody sees if there is none."""
-    return (lambda done, total: None) if progress is None else progress(what)
+def started(progress: Progress | None, task: str) -> Callable[[int, int], None]:
+    """Start reporting progress; a no-op without a `progress`."""
+    return (lambda done, total: None) if progress is None else progress(task)
 
 
 def open_trial(
@@ -61,24 +61,24 @@ def open_trial(
     load_cell: PathLike | None = None,
     tare: str = "recorded",
 ) -> Trial:
-    """Open a trial: a folder that `record`, `run --record` or `simulate` wrote.
+    """Open a trial: a folder written by `record`, `run --record` or `simulate`.
 
     Args:
         path: Folder of the trial.
-        geometry: A `socket.yaml` to use instead of the trial's own. Where a body's markers differ
-            in it, its poses are fitted anew to the recorded markers.
+        geometry: A `socket.yaml` to use instead of the trial's own. If a body's markers differ
+            there, its poses are refitted to the recorded markers.
         calibration: A `calibration.yaml` to use instead of the trial's own.
-        unloaded: Spans without load, before and after, by which the drift of the clusters is
-            corrected; seconds since the first sample.
-        notify: Called with each note on the trial once, such as on channels that look implausible;
-            None for warnings.
-        load_cell: A `testbed.yaml` whose load cell (matrix, signs, gains, ...) is used instead of
-            the trial's own, on the recorded ratios of the bridges.
-        tare: What is subtracted from the wrenches: the tare that was `recorded`, `none`, or the
-            mean of `T0:T1`, seconds without load since the first sample.
+        unloaded: Unloaded spans before and after the load, used to correct the drift of the
+            clusters; seconds since the first sample.
+        notify: Called once with each note on the trial, such as implausible channels; None issues
+            warnings.
+        load_cell: A `testbed.yaml` whose load cell (matrix, signs, gains, ...) replaces the trial's
+            own and is applied to the recorded bridge ratios.
+        tare: Tare to subtract from the wrenches: the `recorded` one, `none`, or the mean of
+            `T0:T1`, an unloaded span in seconds since the first sample.
 
     Returns:
-        The trial. `trial.samples()` are its synchronised samples, `trial.events()` its events,
+        The trial: `trial.samples()` returns its synchronised samples, `trial.events()` its events,
         `trial.geometry` is its socket.
 
     >>> trial = st.open_trial("trials/hold")
@@ -97,23 +97,23 @@ def open_trial(
     trial = Trial(Path(path), *files, notify, spans, as_path(load_cell), tare)
     if not trial.path.is_dir():
         with trial.open():
-            pass  # says what is wrong
+            pass  # raises the error
     return trial
 
 
 def as_trial(trial: Trial | PathLike) -> Trial:
-    """The trial, which may be given by its path."""
+    """The trial itself, or the one at the path."""
     return trial if isinstance(trial, Trial) else open_trial(trial)
 
 
 def note(trial: Trial, text: str) -> None:
-    """Say what a reader of a trial's results must know, if somebody listens."""
+    """Send a note on a trial to its listener, if any."""
     if trial.notify is not None:
         trial.notify(text)
 
 
 def require_different(trials: Sequence[Trial]) -> None:
-    """Refuse a trial that is given twice."""
+    """Raise an error if a trial is given twice."""
     paths = [trial.path.resolve() for trial in trials]
     for number, trial in enumerate(trials):
         if paths[number] in paths[:number]:
@@ -121,7 +121,7 @@ def require_different(trials: Sequence[Trial]) -> None:
 
 
 def require_one_socket(trials: Sequence[Trial], hint: str) -> None:
-    """Refuse a trial of another socket than the first one's."""
+    """Raise an error unless all trials are of the same socket."""
     for trial in trials:
         if not trial.geometry.same_tiles(trials[0].geometry):
             raise ConfigurationError(
@@ -144,9 +144,9 @@ def annotate(
     notes: str | None = None,
     remove: Iterable[str] = (),
 ) -> TrialMetadata:
-    """State metadata of a trial, in the `trial.yaml` in its folder; nothing else is written.
+    """Set metadata of a trial in its `trial.yaml`; no other file is written.
 
-    What is not given stays as it is.
+    Fields not given stay unchanged.
 
     Args:
         trial: The trial.
@@ -155,13 +155,13 @@ def annotate(
         socket: The socket, such as `PTB 3`.
         liner: Liner or sock.
         mass: Body mass of the subject [kg].
-        operator: Initials or a code of who recorded it.
-        protocol: The protocol that it follows.
-        notes: Anything else.
+        operator: Initials or code of the operator.
+        protocol: The protocol followed.
+        notes: Any further remarks.
         remove: Fields to remove.
 
     Returns:
-        All metadata of the trial, as `trial.metadata` gives them from now on.
+        All metadata of the trial, the new value of `trial.metadata`.
 
     >>> trial = st.open_trial("trials/hold")
     >>> st.annotate(trial, subject="S01", side="left", mass=82.5).columns()
@@ -180,7 +180,7 @@ def annotate(
         "notes": notes,
     }
     if not (trial.path.is_dir() and is_trial(trial.path)):
-        raise TrialError(f"{trial.path}: is no folder of a trial", "give the folder of one trial")
+        raise TrialError(f"{trial.path}: is not a trial folder", "give the folder of one trial")
     path = trial.path / METADATA_FILE
     stored = read_metadata(path) if path.exists() else TrialMetadata()
     metadata = change_metadata(stored, changes, remove)
@@ -194,10 +194,10 @@ def _warn(note: str) -> None:
 
 
 def check_data(trial: Trial | PathLike) -> tuple[DataFinding, ...]:
-    """Check whether a trial's data is good: what to look at, the worst first.
+    """Check whether a trial's data is good; returns the findings, the worst first.
 
-    Signs, lags, units, dead, clipped, noisy and missing sources, each judged by itself and by the
-    others: see `socket_testbed.identification.data_check`.
+    Checks signs, lags, units, and dead, clipped, noisy and missing sources, each alone and against
+    the others: see `socket_testbed.identification.data_check`.
 
     >>> st.check_data(st.open_trial("trials/hold"))
     ()
@@ -206,17 +206,17 @@ def check_data(trial: Trial | PathLike) -> tuple[DataFinding, ...]:
 
 
 def select_segment(samples: Samples, specification: str = "plateau") -> Segment:
-    """Select a part of a trial: a plateau, what is under load, a span of seconds or of events.
+    """Select a part of a trial: a plateau, the loaded part, a span of seconds or between events.
 
-    The functions below take a specification as well. They find the plateau by the limits that are
-    stored in the trial, and know its recorded events; here only those in the load are known.
+    Functions with a `segment` take a specification too. They apply the plateau limits stored in
+    the trial and know its recorded events; this function knows only events detected in the load.
 
     Args:
         samples: The samples of the trial.
         specification: `plateau`, the longest; `hold`, the longest while the load is placed; `auto`,
-            the hold or, without one, the part under load; `all`; `T0:T1` in seconds since the first
-            sample; or `event:A:B` between events, such as `event:placed+5:removed-2`, with labels
-            of the trial's events, `push#2` for the second push, or seconds at either end.
+            the hold or, failing that, the part under load; `all`; `T0:T1` in seconds since the
+            first sample; or `event:A:B` between events, such as `event:placed+5:removed-2`, with
+            event labels, `push#2` for the second push, or seconds at either end.
 
     >>> samples = st.open_trial("trials/hold").samples()
     >>> segment = st.select_segment(samples, "10:20")
@@ -231,14 +231,14 @@ def select_segment(samples: Samples, specification: str = "plateau") -> Segment:
 
 
 def require_segment(specification: str | None) -> str:
-    """The specification of a segment; an error if there is none."""
+    """The specification of a segment; raises an error for None."""
     if specification is None:
         raise ConfigurationError("segment is None", "give 'plateau', 'all' or 'T0:T1', or leave it")
     return specification
 
 
 def select(trial: Trial, segment: str | Segment | None, settings: EstimatorSettings) -> Segment:
-    """The segment of a trial that is given itself or by its specification."""
+    """The segment itself, or the one that its specification selects."""
     if isinstance(segment, Segment):
         return segment
     specification = require_segment(segment)
@@ -263,17 +263,17 @@ def simulate(
 ) -> Trial:
     """Write a simulated trial with its ground truth.
 
-    Its physics is not the estimator's law: stiffening, sticking, creeping tissue, see
+    Its physics differ from the estimator's law: the tissue stiffens, sticks and creeps, see
     `socket_testbed.simulation.limb`.
 
     Args:
         path: Folder of the new trial.
         scenario: The load history: `static_hold`, `ramp`, `multi_direction` or `protocol`.
-        tissue: The limb's tissue: `soft` like the published experiment's silicone, or `stiff`.
-        like_paper: Whether the load cell's creep and vibration and the clusters' offsets are as
-            large as in the published experiment, with a calibration whose ranges admit them.
+        tissue: Tissue of the limb: `soft` like the published experiment's silicone, or `stiff`.
+        like_paper: Whether to make load-cell creep and vibration and cluster offsets as large as in
+            the published experiment, with a calibration whose ranges admit them.
         duration: Duration [s].
-        rate: Rate of the trigger [Hz].
+        rate: Trigger rate [Hz].
         seed: Seed of the random numbers.
         geometry: A `socket.yaml` (default: the package's own).
         calibration: A `calibration.yaml` (default: the package's own, `config/like_paper.yaml` with
@@ -296,7 +296,7 @@ def simulate(
     check_number(duration, "--duration", 1.0, 36000.0)
     check_number(rate, "--rate", 0.1, 1000.0)
     check_number(seed, "--seed", 0)
-    check_number(duration * rate, "--duration times --rate", 2, _MOST_TRIGGERS)
+    check_number(duration * rate, "--duration times --rate", 2, _MAX_TRIGGERS)
     check_new_folder(folder)
     if like_paper and calibration_file is None:
         calibration_file = packaged("config", "like_paper.yaml")

@@ -1,4 +1,4 @@
-"""Validation: estimates judged on what they have not seen, beside simple rivals."""
+"""Validation: estimates judged on held-out data, against simple rivals."""
 
 from __future__ import annotations
 
@@ -54,15 +54,15 @@ if TYPE_CHECKING:
 
     from socket_testbed.report.style import FigureStyle
 
-_MOST_FITTED = 12  # trials that models are fitted on; and trials that each of them is tested on
+_MAX_FITTED = 12  # trials to fit models on, and trials to test each of them on
 
 
 @dataclass(frozen=True, repr=False)
 class Validation(Result):
-    """Estimates judged on what they have not seen; `save` writes the table of `by_trial`."""
+    """Estimates judged on held-out data; `save` writes the table of `by_trial`."""
 
-    trials: tuple[str, ...]  # their names
-    fitted: tuple[str, ...]  # names of those that models were fitted on
+    trials: tuple[str, ...]  # names
+    fitted: tuple[str, ...]  # names of the trials that models were fitted on
     judgements: tuple[Judgement, ...]
     metadata: tuple[TrialMetadata, ...]  # of each trial
 
@@ -73,7 +73,7 @@ class Validation(Result):
         )
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Every judgement, a row each: see `judgements_table`."""
+        """A row per judgement, see `judgements_table`."""
         return judgements_table(self.judgements)
 
     def summary(self) -> pd.DataFrame:
@@ -81,9 +81,9 @@ class Validation(Result):
         return summarise_judgements(self.judgements)
 
     def by_trial(self) -> pd.DataFrame:
-        """A row per trial with what is stated about it: see `judgements_by_trial`.
+        """A row per trial with its metadata and judgements, see `judgements_by_trial`.
 
-        A trial that none of the judgements is of has empty cells.
+        A trial without judgements has empty cells.
         """
         import pandas as pd
 
@@ -95,7 +95,7 @@ class Validation(Result):
         return self.by_trial()
 
     def _figure(self, style: FigureStyle) -> Figure:
-        """Errors by cluster and the coverage of intervals."""
+        """Errors by cluster and coverage of the intervals."""
         from socket_testbed.report.validation import validation_figure
 
         several = len(self.trials) > 1
@@ -119,18 +119,18 @@ def validate(
     progress: Progress | None = None,
     **choices: Any,
 ) -> Validation:
-    """Judge the force on tiles and the wrench on what their estimates have not seen.
+    """Judge estimates of tile forces and wrench on held-out data.
 
     - Each cluster is left out and its force is predicted from the other clusters and the wrench.
-    - Every variant of the model is fitted on the first half of the part of a trial under load and
-      predicts the wrench of the second half from the pose alone; with several trials, it is also
-      fitted on all of that part and predicts the others. Of more than 12 trials, models are fitted
-      on 12 spread evenly over them, and each predicts 12 others.
-    - Where a trial has a simulated ground truth, the forces on the tiles without a sensor are
-      compared with it.
+    - Every model variant is fitted on the first half of the loaded part of a trial and predicts the
+      wrench of the second half from the pose alone; with several trials, it is also fitted on all
+      of that part and predicts the others. With more than 12 trials, models are fitted on 12
+      evenly spread ones, and each predicts 12 others.
+    - If a trial has a simulated ground truth, forces on tiles without a sensor are compared with
+      it.
 
-    Simple rivals answer the same questions; see `socket_testbed.identification.validation`. Of
-    several trials, one that cannot be judged is passed over with a note.
+    Simple rivals answer the same questions; see `socket_testbed.identification.validation`.
+    Among several trials, those that cannot be judged are skipped with a note.
 
     Args:
         trials: Trials of one socket.
@@ -147,14 +147,14 @@ def validate(
     True
     """
     recordings = _recordings([*map(as_trial, trials)], segment, as_path(params), choices)
-    several, chosen = len(trials) > 1, _some(recordings)
+    several, chosen = len(trials) > 1, _selected(recordings)
     report, done = started(progress, "validating"), count(1)
     total = len(recordings) + several * len(chosen)
     judgements: list[Judgement] = []
     fitted: list[_Recording] = []
     with threadpool_limits(1):
         for recording in recordings:
-            with _passed_over(recording.name, recording.trial, several):
+            with _skip_failed(recording.name, recording.trial, several):
                 judgements += recording.judge(with_models=recording in chosen)
                 fitted += [recording] if recording in chosen else []
             report(next(done), total)
@@ -162,8 +162,8 @@ def validate(
             raise TrialError(f"none of the {len(trials)} trials can be judged", "see the notes")
         for recording in chosen if several else ():
             if recording in fitted:
-                others = _some([other for other in recordings if other is not recording])
-                with _passed_over(recording.name, recording.trial, several):
+                others = _selected([other for other in recordings if other is not recording])
+                with _skip_failed(recording.name, recording.trial, several):
                     judgements += recording.judge_others(others)
             report(next(done), total)
     names, fitted_names = (tuple(r.name for r in listed) for listed in (recordings, fitted))
@@ -172,8 +172,8 @@ def validate(
 
 
 @contextmanager
-def _passed_over(name: str, trial: Trial, several: bool) -> Iterator[None]:
-    """Among several trials, note the error of one and go on."""
+def _skip_failed(name: str, trial: Trial, several: bool) -> Iterator[None]:
+    """Among several trials, report the error of one and continue."""
     try:
         yield
     except (IdentificationError, TrialError) as error:
@@ -182,14 +182,14 @@ def _passed_over(name: str, trial: Trial, several: bool) -> Iterator[None]:
         note(trial, f"{name}: passed over: {error}")
 
 
-def _some(recordings: Sequence[_Recording]) -> list[_Recording]:
-    """As many as models are fitted on, evenly spread."""
-    return [recordings[number] for number in evenly(len(recordings), _MOST_FITTED)]
+def _selected(recordings: Sequence[_Recording]) -> list[_Recording]:
+    """At most `_MAX_FITTED` recordings, evenly spread."""
+    return [recordings[number] for number in evenly(len(recordings), _MAX_FITTED)]
 
 
 @dataclass(frozen=True, eq=False)
 class _Recording:
-    """A trial that is ready to be judged."""
+    """A trial ready to be judged."""
 
     name: str
     trial: Trial
@@ -197,7 +197,7 @@ class _Recording:
     samples: Samples
 
     def judge(self, with_models: bool) -> list[Judgement]:
-        """Judgements on this trial alone, with fits of the models or without."""
+        """Judgements on this trial alone, with or without model fits."""
         geometry = self.trial.geometry
         if not with_models:
             return judge_map(self.samples, geometry, self.settings, self.name)
@@ -205,7 +205,7 @@ class _Recording:
         return judge_samples(self.samples, geometry, self.settings, truth, self.name, self._note)
 
     def judge_others(self, others: Sequence[_Recording]) -> list[Judgement]:
-        """How models that are fitted on all of this trial predict other trials."""
+        """Judgements of predictions for other trials by models fitted on all of this one."""
         settings = self.settings.identification
         models = fit_variants(self.loaded, self.trial.geometry, settings, self._note)
         predictors = wrench_predictors(self.smooth, models)
@@ -226,14 +226,14 @@ class _Recording:
 
     @property
     def smooth(self) -> Samples:
-        """The same with their poses averaged as a fit averages them."""
+        """The samples under load, with poses averaged as in a fit."""
         return smooth_poses(self.loaded, self.settings.identification.pose_smoothing)
 
 
 def _recordings(
     trials: Sequence[Trial], segment: str, params: Path | None, choices: dict[str, Any]
 ) -> list[_Recording]:
-    """Read the trials; refuse what cannot be compared."""
+    """Read the trials, which must be different and of one socket."""
     if not trials:
         raise ConfigurationError("no trial to validate on", "give one or more trials")
     require_different(trials)
@@ -241,7 +241,7 @@ def _recordings(
     found = []
     for trial in trials:
         name = trial.name if names.count(trial.name) == 1 else str(trial.path)
-        with _passed_over(name, trial, len(trials) > 1):
+        with _skip_failed(name, trial, len(trials) > 1):
             settings = estimator_settings(trial.estimator, params, **choices)
             samples = trial.samples()[select(trial, segment, settings).rows]
             require_position(samples, trial.geometry)

@@ -1,1 +1,1 @@
-"""The verbs of the command line: each is a function, whose signature gives its options."""
+"""Verbs of the command line: functions whose signatures define the options."""

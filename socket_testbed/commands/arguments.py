@@ -1,8 +1,7 @@
-"""The parser of the command line: options from signatures and docstrings, errors of one line.
+"""Command-line parser: options from signatures and docstrings, one-line errors.
 
-The options are read from the text of functions. Nothing is imported but this package's light
-modules: the API takes seconds, for its libraries, and `--help`, a wrong call and the shell's
-completion need only what is written.
+Options are read from the source text of functions, so that `--help`, wrong calls and shell
+completion import only light modules of this package: importing the API takes seconds.
 """
 
 from __future__ import annotations
@@ -50,27 +49,27 @@ _METAVARS = {
 def takes(
     *functions: str, without: str = "", exclusive: str = "", epilog: str = ""
 ) -> Callable[[F], F]:
-    """Give a verb the options that other functions take, and those that these take.
+    """Give a verb the options of other functions, recursively.
 
-    Where two have the same parameter, the verb's own goes first, then that of the function named
-    first. What a function works on, its first parameter, is no option.
+    For a parameter of several functions, the verb's own takes precedence, then that of the function
+    named first. The first parameter of these functions, their subject, is not an option.
 
     Args:
         functions: Functions of the API, such as `fit`, or of a module, such as `batch.run_batch`.
-        without: Parameters that are no options of the verb, separated by spaces.
-        exclusive: Parameters of which one at most may be given.
-        epilog: What the help says below the options.
+        without: Parameters that are not options of the verb, separated by spaces.
+        exclusive: Mutually exclusive parameters.
+        epilog: Text below the options in the help.
     """
-    return lambda verb: verb  # `options_of` reads it from the module's text
+    return lambda verb: verb  # `_Module` reads it from the source text
 
 
 @dataclass(frozen=True)
 class Function:
-    """A function, and the arguments of its decorator `takes`."""
+    """A function and the arguments of its decorator `takes`."""
 
     summary: str
-    texts: dict[str, str]  # what its docstring says of parameters
-    parameters: tuple[Parameter, ...]  # annotated by functions: a type may name a library's class
+    texts: dict[str, str]  # descriptions of the parameters
+    parameters: tuple[Parameter, ...]  # annotations are callables: types may need a library
     takes: tuple[str, ...] = ()
     without: str = ""
     exclusive: str = ""
@@ -78,7 +77,7 @@ class Function:
 
 
 class _Module(dict[str, Any]):
-    """The names of a module, each evaluated from the module's text when it is first used."""
+    """The names of a module, each evaluated lazily from the source text."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -89,7 +88,7 @@ class _Module(dict[str, Any]):
             text = pkgutil.get_data(_PACKAGE, f"{path}/__init__.py")
         self._nodes: dict[str, Any] = {}
         for node in ast.parse(text or "").body:
-            # Below an `if` are the imports for types alone.
+            # Type-only imports stand below an `if`.
             for each in node.body if isinstance(node, ast.If) else [node]:
                 self._define(each)
 
@@ -105,13 +104,13 @@ class _Module(dict[str, Any]):
                 self._nodes[name] = node.value
 
     def __missing__(self, name: str) -> Any:
-        match self._nodes[name]:  # a KeyError: Python looks among the builtins
+        match self._nodes[name]:  # on KeyError Python looks up the builtins
             case (module, original):
                 self[name] = _imported(module, original)
             case ast.FunctionDef() as node:
                 self[name] = self._function(node)
             case ast.ClassDef() as node:
-                self[name] = type(name, (), dict(self._fields(node)))  # stands for the class
+                self[name] = type(name, (), dict(self._fields(node)))  # a stand-in for the class
             case expression:
                 self[name] = self._value(expression)
         return self[name]
@@ -120,7 +119,7 @@ class _Module(dict[str, Any]):
         return eval(compile(ast.Expression(expression), self._name, "eval"), {}, self)
 
     def _fields(self, node: ast.ClassDef) -> Iterator[tuple[str, Any]]:
-        """The fields of a class whose default is written out."""
+        """Fields of a class with literal defaults."""
         for each in node.body:
             match each:
                 case ast.AnnAssign(target=ast.Name(name), value=ast.Constant(value)):
@@ -175,7 +174,7 @@ def read_function(name: str) -> Function:
 
 
 def _taken(name: str) -> Iterator[tuple[str, Function]]:
-    """A function, then those that it takes, and those that these take."""
+    """A function and, recursively, those it takes."""
     function = read_function(name)
     yield name, function
     for taken in function.takes:
@@ -183,13 +182,13 @@ def _taken(name: str) -> Iterator[tuple[str, Function]]:
 
 
 def _setting(parameter: Parameter) -> Any:
-    """The default, or that of a setting of the identification, which `fit` takes from the trial."""
+    """The default of a parameter of `fit`, taken from the identification settings if it is one."""
     settings = _read_module("settings.identification")["IdentificationSettings"]
     return getattr(settings, parameter.name, parameter.default)
 
 
 def _text(name: str, functions: Iterable[Function]) -> str:
-    """The first description that a function gives of a parameter; references are followed."""
+    """The first description of a parameter among the functions, following references."""
     text = next((each.texts[name] for each in functions if name in each.texts), "")
     if reference := _REFERENCE.match(text):
         return _text(reference["name"] or name, [read_function(reference["function"])])
@@ -197,12 +196,12 @@ def _text(name: str, functions: Iterable[Function]) -> str:
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are one line: what is wrong, and the likely option or the help."""
+    """A parser with one-line errors: what is wrong, then the likely option or the help."""
 
     words: Sequence[str] = ()
 
     def error(self, message: str) -> NoReturn:
-        """Print the error and exit with 2."""
+        """Print the error and exit with code 2."""
         hint = f"see '{self.prog} --help'"
         choice = re.search(r"invalid choice: '(.*)' \(choose from (.*)\)", message)
         if choice:
@@ -218,12 +217,12 @@ class Parser(argparse.ArgumentParser):
 
 
 class _ExtendList(argparse.Action):
-    """Values one after another, separated by commas, or of the option given again."""
+    """Collect values separated by spaces or commas, or from a repeated option."""
 
     def __call__(
         self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None
     ) -> None:
-        """Add the values to those that were given before."""
+        """Add the values to those given before."""
         added: list[Any] = []
         for value in values:
             listed = isinstance(value, str) and "=" not in value
@@ -240,18 +239,17 @@ _SIMPLE: dict[Any, dict[str, Any]] = {
 _SEVERAL: dict[Any, dict[str, Any]] = {
     Sequence: {"nargs": "+", "action": _ExtendList},
     Iterable: {"action": "append"},
-    list: {"action": "append"},  # of positional arguments: several
+    list: {"action": "append"},  # several positional arguments
     tuple: {},
 }
 
 
 def add_options(parser: argparse.ArgumentParser, verb: str) -> None:
-    """Add the options of a verb; what nobody can type, such as a function, is left out.
+    """Add the options of a verb; parameters that cannot be typed, such as functions, are skipped.
 
-    `Literal` gives choices, `bool` a flag, `PathLike` a path, `Sequence` several values after one
-    option, `Iterable` a value each time that it is given, `tuple` as many values as it has. A list
-    is of positional arguments. A function whose summary begins with "For" gives its options that
-    heading.
+    `Literal` gives choices, `bool` a flag, `PathLike` a path, `Sequence` several values per option,
+    `Iterable` a repeatable option, `tuple` a fixed number of values, `list` several positional
+    arguments. A function whose summary begins with "For" gives its options that heading.
 
     Args:
         parser: The verb's parser.
@@ -267,8 +265,8 @@ def add_options(parser: argparse.ArgumentParser, verb: str) -> None:
             groups[heading, False] = parser.add_argument_group(heading)
         for number, parameter in enumerate(function.parameters):
             positional = parameter.kind is Parameter.POSITIONAL_ONLY
-            worked_on = number == 0 and positional and name != verb
-            if worked_on or parameter.name in known:
+            is_subject = number == 0 and positional and name != verb
+            if is_subject or parameter.name in known:
                 continue
             if (keywords := _keywords(parameter.annotation())) is None:
                 continue
@@ -307,7 +305,7 @@ def _add(group: Any, parameter: Parameter, positional: bool, keywords: dict[str,
 
 
 def _keywords(kind: Any) -> dict[str, Any] | None:
-    """How argparse reads values of a type; None if nobody can type one."""
+    """Keywords for argparse by type; None for a type that cannot be typed."""
     union = get_args(kind) if get_origin(kind) in (Union, UnionType) else (kind,)
     parts = {get_origin(each) or each: get_args(each) for each in union}
     if words := parts.get(Literal):
@@ -329,8 +327,8 @@ def _keywords(kind: Any) -> dict[str, Any] | None:
 
 
 def _help(text: str, default: Any) -> str:
-    """A description as the help shows it: without marks of code, with the default."""
-    text = re.sub(r"^Whether |, see `[^`]*`|`| \[-\]|\.$", "", text).replace("%", "%%")
+    """A description for the help: without code markup, with the default."""
+    text = re.sub(r"^Whether (to )?|, see `[^`]*`|`| \[-\]|\.$", "", text).replace("%", "%%")
     if text[1:2].islower() or text[1:2] == " ":
         text = text[0].lower() + text[1:]
     without = (Parameter.empty, None, (), "")
@@ -340,9 +338,9 @@ def _help(text: str, default: Any) -> str:
 
 
 def release_paths(words: Sequence[str], parser: argparse.ArgumentParser) -> list[str]:
-    """Put paths that follow a list's values before the options.
+    """Move paths that follow the values of a list to the front.
 
-    In `fit --leave-out Mz trials/hold` argparse would take the trial as a channel.
+    In `fit --leave-out Mz trials/hold` argparse would read the trial as a channel.
 
     Args:
         words: The arguments of a verb.

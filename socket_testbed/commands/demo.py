@@ -1,4 +1,4 @@
-"""`demo`: the simulated testbed live, its trial replayed, and the estimates beside the truth."""
+"""`demo`: run the simulated testbed, replay its trial, compare the estimates with the truth."""
 
 from __future__ import annotations
 
@@ -50,14 +50,14 @@ from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.segment import select_segment
 from socket_testbed.trials.trial import Trial
 
-_DURATION = 60.0  # [s] of the testbed; of the trial
-_PACE = 2.0  # [-]; the protocol within that time
+_DURATION = 60.0  # [s] of testbed time; of the trial
+_PACE = 2.0  # [-]; speed-up of the protocol
 _TRIGGER_RATE = 10.0  # [Hz]
-_SPEED = 5.0  # of the replay, relative to the testbed
-_START_UP = 6.0  # [s] of the testbed; until the first trigger, at most
-_COMPLETE = 0.9  # [-]; fraction of the samples below which the trial is recorded again, slower
-_USABLE = 0.3  # [-]; below it there is nothing to show
-_ATTEMPTS = 4  # after the first
+_REPLAY_SPEED = 5.0  # [-]; relative to the testbed
+_MAX_START_UP = 6.0  # [s] of testbed time; until the first trigger
+_MIN_COMPLETE = 0.9  # [-]; with fewer complete samples the trial is recorded again, slower
+_MIN_USABLE = 0.3  # [-]; likewise, in the last attempt
+_MAX_RETRIES = 4
 
 
 def demo(*, output: Path = Path("demo"), seed: int = 0) -> None:
@@ -68,7 +68,7 @@ def demo(*, output: Path = Path("demo"), seed: int = 0) -> None:
         seed: Seed of the simulated testbed.
     """
     started = time.monotonic()
-    _make_room(output)
+    _prepare_folder(output)
     print(
         f"1. the testbed live for {_DURATION:g} s: simulated chips, their real drivers, the graph,"
         "\n   a recorder. The limb is pushed from all sides, bears 19 kg, and is unloaded"
@@ -77,18 +77,18 @@ def demo(*, output: Path = Path("demo"), seed: int = 0) -> None:
     trial = Trial(output / "trial")
     samples, scale = _record(trial, seed, output / "live.log")
 
-    speed = _SPEED * min(scale, measure_speed().time_scale())
+    speed = _REPLAY_SPEED * min(scale, measure_speed().time_scale())
     print(f"2. the trial replayed through calibration and estimator at {speed:g} times speed")
     live = _estimate(trial, samples, speed, output / "replay.log")
 
-    print("3. every estimate on what it has not seen, against the simulated truth\n")
+    print("3. every estimate on held-out data, against the simulated truth\n")
     truth = read_truth(trial.path, samples.stamps)
-    ends = _Ending(trial, samples, truth, live)
-    print(_judged(api.validate(trial)), "\n")
-    for line in ends.sentences():
+    conclusion = _Conclusion(trial, samples, truth, live)
+    print(_error_table(api.validate(trial)), "\n")
+    for line in conclusion.sentences():
         print(f"- {line}")
     figure = output / "force_map.png"
-    save_figure(ends.draw(), figure)
+    save_figure(conclusion.draw(), figure)
     print(f"\ntrial {trial.path}, figure {figure} ({time.monotonic() - started:.0f} s)")
     print(f"look at the trial: {_program()} view {shlex.quote(str(trial.path))}")
 
@@ -101,20 +101,20 @@ def _program() -> str:
 
 
 def _record(trial: Trial, seed: int, log: Path) -> tuple[Samples, float]:
-    """Record a trial of the simulated testbed, as fast as this machine manages.
+    """Record a trial of the simulated testbed, as fast as this machine can.
 
     Returns:
-        Its samples, and the time scale at which they were recorded [-].
+        Its samples and the time scale of the recording [-].
     """
     scale = measure_speed().time_scale()
     if note := busy_note(scale):
         print(f"   {note}")
-    for again in range(_ATTEMPTS, -1, -1):
+    for retries in range(_MAX_RETRIES, -1, -1):
         _run_live(trial.path, seed, scale, log)
         complete = _complete(trial)
-        if complete >= (_COMPLETE if again else _USABLE):
+        if complete >= (_MIN_COMPLETE if retries else _MIN_USABLE):
             break
-        if not again:
+        if not retries:
             raise TrialError(
                 f"only {complete:.0%} of the samples are complete, even at {pace(scale)}",
                 "this machine is too busy: end other programs, or try again later",
@@ -127,13 +127,13 @@ def _record(trial: Trial, seed: int, log: Path) -> tuple[Samples, float]:
 
 
 def _complete(trial: Trial) -> float:
-    """Fraction of the samples that a trial should have which hold all measurements [-]."""
+    """Fraction of the expected samples that are complete [-]."""
     try:
-        samples = Trial(trial.path).samples()  # the trial itself would keep them
-    except TrialError:  # the nodes were not up before the time was over
+        samples = Trial(trial.path).samples()  # `trial` itself would cache them
+    except TrialError:  # the nodes did not start in time
         return 0.0
     forces = np.isfinite(samples.local_forces).all(axis=(1, 2))
-    expected = _TRIGGER_RATE * (_DURATION - _START_UP)
+    expected = _TRIGGER_RATE * (_DURATION - _MAX_START_UP)
     return float((samples.complete & forces).sum() / max(expected, len(samples)))
 
 
@@ -154,8 +154,8 @@ def _run_live(path: Path, seed: int, scale: float, log: Path) -> None:
         end(graph, testbed)
 
 
-def _make_room(folder: Path) -> None:
-    """Remove what an earlier demo left, and nothing else."""
+def _prepare_folder(folder: Path) -> None:
+    """Remove the trial of an earlier demo and nothing else, then make the folder."""
     trial = folder / "trial"
     if trial.exists():
         if not (trial / TRUTH_FILE).is_file():
@@ -169,10 +169,10 @@ def _make_room(folder: Path) -> None:
 
 
 def _estimate(trial: Trial, samples: Samples, speed: float, log: Path) -> FloatArray:
-    """The pressures that the graph publishes while the trial is replayed at a speed [-].
+    """Replay the trial at a speed [-] and collect the published pressures.
 
     Returns:
-        Normal pressure on each tile and its standard deviation, shape (2, N, n) [Pa]; NaN at
+        Normal pressure on each tile and its standard deviation, shape (2, N, n) [Pa]; NaN for
         samples without a map.
     """
     replay = ReplaySettings(trial=str(trial.path.resolve()), rate=speed)
@@ -198,7 +198,7 @@ def _estimate(trial: Trial, samples: Samples, speed: float, log: Path) -> FloatA
 
 
 _ESTIMATES = (FORCE_MAP, CLOSED, "rigid_bias", REGRESSION)
-# Question and test of each column, the judgement's column, and digits.
+# For each column: query of the judgements, column of the judgements, decimals.
 _COLUMNS = {
     "tiles without sensor": ("question == 'tiles'", "error [-]", 2),
     "left-out clusters": ("question == 'cluster'", "error [-]", 2),
@@ -206,13 +206,13 @@ _COLUMNS = {
     "F [N]": ("question == 'wrench' and test == 'second half'", "force RMSE [N]", 1),
 }
 _LEGEND = """
-*: the best. Tiles, clusters: rms error over the rms of the force, 1 is predicting zero.
+*: best. Tiles, clusters: rms error over the rms of the force; predicting zero gives 1.
 M, F: RMSE of the wrench from the pose alone, fitted on the first half (pushed around),
 judged on the second (held, unloaded)"""
 
 
-def _judged(found: api.Validation) -> str:
-    """The table of the errors on tiles, on clusters left out and of the wrench, the best marked."""
+def _error_table(found: api.Validation) -> str:
+    """Errors on tiles, left-out clusters and the wrench, the best marked."""
     columns = []
     for which, column, digits in _COLUMNS.values():
         judged = found.summary().query(which).groupby("predictor")[column].last()
@@ -224,8 +224,8 @@ def _judged(found: api.Validation) -> str:
     return f"{table(['estimate', *_COLUMNS], rows)}\n{_LEGEND}"
 
 
-class _Ending:
-    """What the demo found over the hold, in words and as a picture; pressures in kPa."""
+class _Conclusion:
+    """Results of the demo over the hold, in words and as a picture; pressures in kPa."""
 
     def __init__(
         self, trial: Trial, samples: Samples, truth: GroundTruth, live: FloatArray
@@ -240,48 +240,48 @@ class _Ending:
         self._error, self._reach = self._estimate - self._truth, NORMAL_QUANTILE * deviation
         left_out = [*left_out_pressures(self._hold, self._geometry)]
         self._names = [name for name, *_ in left_out]
-        # By cluster: what it measured, what the map says without it, and the reach of its interval.
+        # By cluster: measured pressure, the map's without it, and half-width of its interval.
         self._left_out = 1e-3 * np.nanmean([values for _, *values in left_out], axis=-1)
         self._left_out[:, 2] *= NORMAL_QUANTILE
 
     def sentences(self) -> list[str]:
-        """What was measured and estimated, how well, and where to look next."""
+        """Measured and estimated pressures, their errors, and what to try next."""
         places = all_regions(self._geometry)
         bare = np.setdiff1d(np.arange(len(self._geometry)), [*self._geometry.clusters.values()])
         held = 100.0 * np.mean(np.abs(self._error[bare]) <= self._reach[bare])
         load = np.nanmean(np.linalg.norm(self._hold.wrench[:, 3:], axis=1))
         measured, without, reach = self._left_out.T
-        most, worst = measured.argmax(), np.abs(measured - without).argmax()
+        highest, worst = measured.argmax(), np.abs(measured - without).argmax()
 
-        def said(tile: int) -> str:
+        def described(tile: int) -> str:
             estimate = _interval(self._estimate[tile], self._reach[tile])
             return f"{part_of(places, tile)}, {estimate}, {self._truth[tile]:.1f} in truth"
 
         return [
-            f"Measured over the hold, under {load:.0f} N: most by the cluster {self._names[most]},"
-            f" {measured[most]:.1f} kPa.",
-            f"Estimated between the clusters: most at {said(bare[self._estimate[bare].argmax()])};"
-            f" {held:.0f} % of the 95 % intervals hold the truth.",
-            f"Farthest off: {said(bare[np.abs(self._error[bare]).argmax()])}.",
-            f"Weakest without its cluster: {self._names[worst]},"
+            f"Highest pressure measured over the hold, under {load:.0f} N: cluster"
+            f" {self._names[highest]}, {measured[highest]:.1f} kPa.",
+            f"Highest between the clusters: {described(bare[self._estimate[bare].argmax()])};"
+            f" {held:.0f} % of the 95 % intervals contain the truth.",
+            f"Largest error: {described(bare[np.abs(self._error[bare]).argmax()])}.",
+            f"Largest error without its cluster: {self._names[worst]},"
             f" {_interval(without[worst], reach[worst])}, {measured[worst]:.1f} measured.",
-            "Look next: 'view' shows the map over time, 'report' all of it on one page.",
+            "Next: 'view' shows the map over time, 'report' everything on one page.",
         ]
 
     def draw(self) -> Figure:
-        """The map and the truth on one scale, the error, and every cluster left out."""
-        most = float(max(self._estimate.max(), self._truth.max()))
+        """Map and truth on one scale, the error, and every cluster left out."""
+        high = float(max(self._estimate.max(), self._truth.max()))
         maps = {
-            "estimated live, mean over the hold": (self._estimate, self._reach, 0.0, most),
-            "simulated truth": (self._truth, 0.0 * self._truth, 0.0, most),
-            "error: estimate less truth": (self._error, 0.0 * self._error, -0.5 * most, 0.5 * most),
+            "estimated live, mean over the hold": (self._estimate, self._reach, 0.0, high),
+            "simulated truth": (self._truth, 0.0 * self._truth, 0.0, high),
+            "error: estimate - truth": (self._error, 0.0 * self._error, -0.5 * high, 0.5 * high),
         }
         return tile_map_figure(
             self._geometry,
             {title: values for title, (values, *_) in maps.items()},
             "normal pressure [kPa]",
             "Normal pressure on the socket",
-            limits={title: (low, high) for title, (_, _, low, high) in maps.items()},
+            limits={title: (row[2], row[3]) for title, row in maps.items()},
             reach={title: reach for title, (_, reach, *_) in maps.items()},
             below=(48.0, self._draw_left_out),
         )

@@ -36,8 +36,8 @@ from socket_testbed.tables import Table
 
 _MM = 1e3
 
-_SHOWN = 10  # outliers
-_AREAS = (1e-6, 0.05)  # [m^2]
+_MAX_SHOWN = 10  # outliers
+_AREA_LIMITS = (1e-6, 0.05)  # [m^2]
 _UNITS = ("Pa", *["Pa/pF"] * 2, *["Pa/pF^2"] * 3)
 
 
@@ -59,9 +59,9 @@ def tile(
 
     Args:
         height: Height of the distal end above the load cell [mm].
-        size: Edge of a tile [mm].
+        size: Edge length of a tile [mm].
         flatness: Largest distance of the surface from a tile's plane [mm].
-        rounds: Rounds of the search; more may find another tile.
+        rounds: Rounds of the search; more may find further tiles.
         seed: Seed of the search.
     """
     check_number(height, "--height", 0.0, 1000.0)
@@ -72,8 +72,8 @@ def tile(
         seed=int(check_number(seed, "--seed", 0)),
     )
     picked = [parse_point(point, "--points") for point in points or ()]
-    beside = [output.with_suffix(suffix) for suffix in (".png", ".html")]
-    check_outputs(output, *beside, replace=replace)
+    extras = [output.with_suffix(suffix) for suffix in (".png", ".html")]
+    check_outputs(output, *extras, replace=replace)
     design = api.tile(
         scan,
         output,
@@ -83,7 +83,7 @@ def tile(
         settings=settings,
         progress=Progress,
     )
-    picture, page = (path.name for path in beside)
+    picture, page = (path.name for path in extras)
     print(f"{output}, {picture} and {page} written")
     for note in design.notes:
         print_note(note)
@@ -107,7 +107,7 @@ def register(
     """Locate the marker bodies' frames from a static take and landmarks.
 
     Args:
-        output: File of the registered socket (default: the socket itself is replaced).
+        output: File of the registered socket (default: replace the socket itself).
     """
     output = output or socket
     if output != socket:
@@ -210,14 +210,14 @@ def calibrate(
     """Fit a cluster's coefficients to bench data and show their quality.
 
     Args:
-        output: The calibration; an older one keeps its other clusters.
-        limit: Largest held-out RMSE in percent of the full scale.
-        force: Write above the limit, too.
+        output: The calibration file; an existing one keeps its other clusters.
+        limit: Largest held-out RMSE in percent of full scale.
+        force: Write even above the limit.
         figure: Draw the fit.
     """
     check_number(limit, "--limit", 0.0, 100.0)
     if options["area"] is not None:
-        check_number(options["area"], "--area", *_AREAS)
+        check_number(options["area"], "--area", *_AREA_LIMITS)
     check_files(None, figure, replace=replace)
     found = api.calibrate(
         bench,
@@ -305,10 +305,10 @@ def _outliers(calibrated: BenchCalibration) -> str:
         return "no outliers"
     rows = [
         [o.place, STRESSES[o.axis], number(o.known, 0), number(o.fitted, 0)]
-        for o in outliers[:_SHOWN]
+        for o in outliers[:_MAX_SHOWN]
     ]
     fate = "left out of the fit" if calibrated.dropped else "kept in the fit, but not in its range"
-    more = f"\nand {len(outliers) - _SHOWN} more" if len(outliers) > _SHOWN else ""
+    more = f"\nand {len(outliers) - _MAX_SHOWN} more" if len(outliers) > _MAX_SHOWN else ""
     listed = table(["reading", "stress", "known Pa", "by robust fit Pa"], rows)
     return f"{len(outliers)} outliers, {fate}:\n{listed}{more}"
 

@@ -1,4 +1,4 @@
-"""`run`, `doctor`, `record` and `replay`: the graph, on hardware, simulated or from a trial."""
+"""`run`, `doctor`, `record` and `replay`: the graph on real or simulated hardware or a trial."""
 
 from __future__ import annotations
 
@@ -54,8 +54,8 @@ from socket_testbed.trials.metadata import METADATA_FILE, write_metadata
 from socket_testbed.trials.topics import full_namespace
 from socket_testbed.trials.trial import recorded_namespace
 
-_BEGINS_WITHIN = 60.0  # [s]; --duration counts from then at the latest
-_TRIALS = Path("trials")  # where the page's button records without --record
+_START_TIMEOUT = 60.0  # [s]; --duration counts from the first trigger or the end of this time
+_DEFAULT_FOLDER = Path("trials")  # recordings started from the page without --record
 
 
 def simulated(
@@ -76,10 +76,10 @@ def simulated(
         period: Period of the scenario [s].
         tissue: As in `simulate`.
         seed: As in `simulate`.
-        fault: Switch a fault on, such as load_cell.flipped_bits=0.01; see docs/faults.md.
+        fault: Switch on a fault, such as load_cell.flipped_bits=0.01; see docs/faults.md.
 
     Returns:
-        What is simulated, None on hardware, and the faults that are on.
+        The simulation, None for real hardware, and the active faults.
     """
     faults = dict(map(_fault, fault))
     if not simulated:
@@ -110,7 +110,7 @@ def configured(
     params: Path | None = None,
     **others: Any,
 ) -> Testbed:
-    """The testbed that is meant; whatever is wrong with it is named before any node starts.
+    """The configured testbed; errors in its files are reported before any node starts.
 
     Args:
         geometry: As in `simulate`.
@@ -120,8 +120,8 @@ def configured(
     geometry = (geometry or packaged("config", "socket.yaml")).resolve()
     if simulation is None and not read_socket(geometry).registration:
         print_note(
-            f"{geometry}: the marker bodies are nominal: register them before the limb's position"
-            " is trusted"
+            f"{geometry}: the marker bodies are nominal: register them before relying on the limb's"
+            " position"
         )
     return Testbed(
         settings=testbed_settings(params, simulation),
@@ -133,18 +133,18 @@ def configured(
 
 @takes("commands.live.configured", "commands.live.simulated")
 def doctor(*, press: bool = False, **options: Any) -> None:
-    """List what is wired, what is not, and how to fix it.
+    """Check every connection, and say how to fix what fails.
 
     Args:
-        press: Ask for a press on each cluster instead, the limb out of the socket: its place, its
-            sign, and the load cell's direction.
+        press: Ask for a press on each cluster instead, with the limb out of the socket, to check
+            its position, its sign, and the load cell's direction.
     """
     simulation, faults = simulated(**options)
     testbed = configured(simulation, **options)
     world = None
     with ExitStack() as stack:
         if simulation is not None:
-            # The drivers run in this process: the simulation keeps to its clock.
+            # The drivers run in this process, so the simulation follows its clock.
             simulation = dataclasses.replace(simulation, time_scale=clocks.time_scale())
             graph = stack.enter_context(Graph())
             testbed, world = simulate_hardware(graph, testbed, simulation)
@@ -163,7 +163,7 @@ def doctor(*, press: bool = False, **options: Any) -> None:
 
 
 def _ask(world: World | None, clusters: Sequence[str], request: str) -> None:
-    """Say what a person shall do; in a simulated world it is done."""
+    """Print a request to the user; in a simulated world, carry it out."""
     say(request)
     if world is not None:
         name = request.removeprefix("press on ")
@@ -191,19 +191,19 @@ def run(
     time_scale: float | Literal["auto"] = 1.0,
     **options: Any,
 ) -> None:
-    """Bring up the testbed, on hardware or simulated, and record it.
+    """Start the testbed, real or simulated, and record it.
 
     Args:
-        record: Record a trial into this folder; without it, the page's button records into trials/.
-        model: Predict with this model and fit none.
-        rate: Rate of the trigger [Hz].
-        duration: End by itself after this time of the testbed, from its first trigger on [s].
-        one_process: Run all nodes but trigger and recorder in one process.
-        view: Serve the page in a browser, see 'socket-testbed view'.
+        record: Record a trial into this folder; by default the page's button records into trials/.
+        model: Predict with this model instead of fitting one.
+        rate: Trigger rate [Hz].
+        duration: Stop after this testbed time, counted from the first trigger [s].
+        one_process: Run all nodes except trigger and recorder in one process.
+        view: Serve the page for a browser, see 'socket-testbed view'.
         view_host: Serve the page on this address of the machine.
         view_port: Serve the page on this port.
-        time_scale: Run the simulated testbed so many times as fast as real time, 1 at most; auto:
-            as fast as the machine manages.
+        time_scale: Speed of the simulated testbed relative to real time, at most 1; auto: as fast
+            as the machine allows.
     """
     if duration is not None:
         check_number(duration, "--duration", 0.1, 1e6)
@@ -216,10 +216,10 @@ def run(
         raise ConfigurationError("--time-scale is for simulated hardware", "add --simulated")
     testbed = _testbed(simulation, record, model, rate, options)
     testbed = dataclasses.replace(testbed, one_process=one_process)
-    place = (_TRIALS, "") if record is None else (record.parent, record.resolve().name)
+    place = (_DEFAULT_FOLDER, "") if record is None else (record.parent, record.resolve().name)
     older = _trials(*place)
-    if record is None and view:  # its button records
-        testbed = dataclasses.replace(testbed, record=_TRIALS, at_once=False)
+    if record is None and view:  # the page's button records
+        testbed = dataclasses.replace(testbed, record=_DEFAULT_FOLDER, at_once=False)
     page = _page(testbed, view, view_host, view_port)
     with (
         StatusLine(record.parent if record else None) as status,
@@ -232,14 +232,14 @@ def run(
             assert world is not None
             world.faults.switch(name, value)
         status.say("the testbed starts; Ctrl-C ends it")
-        begins = time.monotonic() + _BEGINS_WITHIN
+        begin = time.monotonic() + _START_TIMEOUT
 
         def over() -> bool:
-            nonlocal begins
+            nonlocal begin
             now = time.monotonic()
             if status.triggered:
-                begins = min(begins, now)
-            return now >= begins + (duration or math.inf) / testbed.time_scale
+                begin = min(begin, now)
+            return now >= begin + (duration or math.inf) / testbed.time_scale
 
         try:
             status.follow(testbed.namespace)
@@ -247,29 +247,29 @@ def run(
         except KeyboardInterrupt:
             status.say("ending")
         end(graph, testbed)
-    # A recorder that was killed or asked for another trial went on beside the first.
+    # A recorder that was restarted or asked for another trial has recorded several.
     for trial in sorted(_trials(*place) - older):
         print(summary(trial))
         _require_end(trial)
 
 
 def _trials(folder: Path, name: str) -> set[Path]:
-    """The trials in a folder that nobody writes now, whose names begin so."""
+    """Trials in a folder with this name prefix that are not being written."""
     found = {file.parent for file in folder.glob(f"{name}*/*.mcap")}
     return {trial for trial in found if not is_held(trial)}
 
 
 def _require_end(trial: Path) -> None:
-    """A recording that did not get its end is an error."""
+    """Raise an error if a recording is incomplete."""
     if not (trial / "metadata.yaml").exists():
         raise TrialError(
-            f"{trial}: the recording stopped before its end, the trial keeps what it has",
-            "make space on the disk, and see what the recorder said",
+            f"{trial}: the recording stopped early; the trial keeps the data so far",
+            "free disk space, and read the recorder's messages",
         )
 
 
 def _check_writable(path: Path) -> None:
-    """Refuse a folder that cannot be made, before anything is started."""
+    """Raise an error if a folder cannot be made, before any node starts."""
     check_new_folder(path)
     check_take_name(path.resolve().name)
     make_folder(path.parent)
@@ -277,7 +277,7 @@ def _check_writable(path: Path) -> None:
 
 
 def _time_scale(wanted: float | Literal["auto"]) -> float:
-    """The time scale that is given or, for 'auto', measured; it says so unless it is 1."""
+    """The given time scale or, for 'auto', a measured one; reports it unless it is 1."""
     if wanted == "auto":
         scale = measure_speed().time_scale()
         note = busy_note(scale)
@@ -307,13 +307,13 @@ def _testbed(
         estimator = predict_with(model, estimator, read_socket(testbed.geometry))
     metadata = check_metadata(options)
     if record is None:
-        refuse_given(metadata.stated(), "a trial that is recorded", "add --record DIR")
+        refuse_given(metadata.stated(), "a recorded trial", "add --record DIR")
     settings = dataclasses.replace(testbed.settings, trigger_node=trigger, estimator_node=estimator)
     return dataclasses.replace(testbed, settings=settings, record=record, metadata=metadata)
 
 
 def _page(testbed: Testbed, view: bool, host: str | None, port: int | None) -> GraphNode | None:
-    """The node that serves the page, without which the testbed goes on; None if none is wanted."""
+    """The node that serves the page, which the testbed survives; None without --view."""
     if not view:
         refuse_given({"view_host": host, "view_port": port}, "a page", "add --view")
         return None
@@ -326,7 +326,7 @@ def _page(testbed: Testbed, view: bool, host: str | None, port: int | None) -> G
         host=usual.host if host is None else host,
         port=usual.port if port is None else port,
     )
-    listen(settings.host, settings.port).close()  # refused before any node starts
+    listen(settings.host, settings.port).close()  # fails before any node starts
     return GraphNode("view_node", settings, full_namespace(testbed.namespace), optional=True)
 
 
@@ -355,7 +355,7 @@ def record(
         ("parameters", params, read_testbed),
     ):
         if path is not None:
-            read(path)  # what a trial is recorded with must be readable when it is worked on
+            read(path)  # the trial needs readable files later
             files[name] = str(path.resolve())
     stated = check_metadata(metadata)
     settings = RecorderSettings(directory=str(directory.resolve()), record=True, **files)
@@ -394,11 +394,11 @@ def replay(
     """Publish a trial with /clock; --estimate runs the estimator on it.
 
     Args:
-        rate: Speed against the recording.
+        rate: Speed relative to the recording.
         loop: Start again at the end.
-        paused: Start paused: the space bar goes on.
-        estimate: Run the calibration and estimator nodes too.
-        model: Predict with this model and fit none.
+        paused: Start paused; the space bar continues.
+        estimate: Also run the calibration and estimator nodes.
+        model: Predict with this model instead of fitting one.
     """
     check_number(rate, "--rate", 1e-3, 1e4)
     opened = open_given(trial, **options)
@@ -413,7 +413,7 @@ def replay(
         refuse_given({"model": model, **options}, "the estimator", "add --estimate")
         nodes = [GraphNode("replay_node", replayed)]
     namespace = recorded_namespace(opened)
-    with opened.open() as bag:  # a trial that cannot be read is named before any node starts
+    with opened.open() as bag:  # an unreadable trial is reported before any node starts
         length = bag.duration
     pause = f"{nodes[-1].namespace.rstrip('/')}/replay/pause"
     with (

@@ -7,13 +7,13 @@ import time
 
 
 def mark(label: str, *, namespace: str = "/") -> None:
-    """Mark an event in the running graph, for the trial that is being recorded.
+    """Mark an event in the running graph, for the trial being recorded.
 
     Args:
-        label: What happens, such as push.
+        label: Label of the event, such as push.
         namespace: Namespace of the testbed.
     """
-    called = time.monotonic()  # before the imports: they take their time
+    called = time.monotonic()  # before the slow imports
     from socket_testbed.live.processes import require_ros
     from socket_testbed.trials.segment import check_label
 
@@ -23,7 +23,7 @@ def mark(label: str, *, namespace: str = "/") -> None:
 
     marked = publish_event(label, called, f"/{namespace.strip('/')}")
     where = f"in the trial {marked.trial}" if marked.trial else "for this graph"
-    heard = "1 subscriber" if marked.subscribers == 1 else f"{marked.subscribers} subscribers"
-    print(f"marked '{label}' {where}, acknowledged by {heard}")
+    count = "1 subscriber" if marked.subscribers == 1 else f"{marked.subscribers} subscribers"
+    print(f"marked '{label}' {where}, acknowledged by {count}")
     for note in marked.notes():
         print(f"note: {note}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""Options that several verbs take, and a verb's work on one trial or on a folder of them."""
+"""Options shared by several verbs, and running a verb on one trial or on a folder of trials."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ Shown = TypeVar("Shown", bound="Result")
 
 
 def given(options: Mapping[str, Any], *functions: Callable[..., Any]) -> dict[str, Any]:
-    """The options that some functions take, as their keywords."""
+    """The options accepted by some functions, as keywords."""
     names = {name for function in functions for name in inspect.signature(function).parameters}
     return {name: value for name, value in options.items() if name in names}
 
@@ -53,7 +53,7 @@ def open_given(
     tare: str = "recorded",
     **others: Any,
 ) -> Trial:
-    """Open the trial of the options; each note on it goes to standard error once.
+    """Open a trial with its options; each note is printed once on standard error.
 
     Args:
         trial: As `path` in `open_trial`.
@@ -68,17 +68,17 @@ def open_given(
 
 
 def open_checked(trial: Path, **options: Any) -> Trial:
-    """Open the trial of the options, and say first whether its data is good."""
+    """Open a trial with its options, and report whether its data is good."""
     check_settings(options)
     opened = open_given(trial, **options)
-    say_data(opened)
+    report_data(opened)
     return opened
 
 
-def say_data(trial: Trial, prefix: str = "", good: bool = True) -> str:
-    """Note whether a trial's data is good, or what to look at; returns the first of it.
+def report_data(trial: Trial, prefix: str = "", good: bool = True) -> str:
+    """Report whether a trial's data is good, or the findings; returns the first one.
 
-    A trial that cannot be read is left to the verb, which says why.
+    For an unreadable trial, the error is left to the verb.
     """
     try:
         found = [*map(str, trial.findings)] or [GOOD]
@@ -99,13 +99,13 @@ def check_settings(options: Mapping[str, Any]) -> None:
 def open_all(
     paths: Sequence[Path], options: Mapping[str, Any], notify: Callable[[str], None]
 ) -> list[Trial]:
-    """The trials at some paths, of which a folder of trials stands for all in it."""
+    """The trials at some paths; a folder of trials stands for all trials in it."""
     found = [path for given in paths for path in find_trials(given, notify).values() or [given]]
     return [dataclasses.replace(open_given(path, **options), notify=notify) for path in found]
 
 
 def refuse_given(options: Mapping[str, Any], belongs: str, hint: str) -> None:
-    """Refuse options that are given where they mean nothing."""
+    """Raise an error for options without meaning in this call."""
     for name, value in options.items():
         if value not in (None, RECORDED):
             raise ConfigurationError(f"{_option(name)} is for {belongs}", hint)
@@ -114,7 +114,7 @@ def refuse_given(options: Mapping[str, Any], belongs: str, hint: str) -> None:
 def check_files(
     output: Path | None, figure: Path | None = None, *, replace: bool, table: bool = True
 ) -> None:
-    """Refuse a table or figure of another format, or one that exists, before long work."""
+    """Refuse an unsupported format or an existing file before long work."""
     if output is not None and table:
         check_format(output)
     if figure is not None:
@@ -130,12 +130,12 @@ def draw(
     title: bool = True,
     **others: Any,
 ) -> None:
-    """Draw a result if a figure is wanted.
+    """Draw a result if `figure` is given.
 
     Args:
         figure: Draw the results as .png or .pdf.
-        width: Printed width of the figures [mm]: a column of a paper, or its page.
-        title: Titles, and errors in keys, of the figures.
+        width: Printed width of figures [mm]: one column of a paper, or the full page.
+        title: Titles of figures and errors in their keys.
     """
     if figure is not None:
         found.draw(figure, width=width, title=title)
@@ -151,7 +151,7 @@ def deliver(
     json: bool = False,
     **options: Any,
 ) -> None:
-    """Write and draw a result as far as that is wanted, then print it as JSON, or `show` it.
+    """Write and draw a result as requested, then print it as JSON, or `show` it.
 
     Args:
         output: Table of the result.
@@ -175,9 +175,9 @@ def on_trial(
     show: Callable[[Shown], None],
     *settings: Callable[..., Any],
 ) -> None:
-    """Deliver what a function of the API finds in the trial of the options.
+    """Run a function of the API on a trial and deliver its result.
 
-    It takes its own options and those of `settings`.
+    The function receives its own options and those of `settings`.
     """
     check_files(options.get("output"), options.get("figure"), replace=options["replace"])
     opened = open_checked(trial, **options)
@@ -186,7 +186,7 @@ def on_trial(
 
 
 def segment_columns(samples: int, segment: Segment) -> Row:
-    """The number of samples and the segment of a trial, for a summary."""
+    """Summary columns: number of samples and segment of a trial."""
     return {
         "samples": samples,
         "segment": segment.kind,
@@ -196,7 +196,7 @@ def segment_columns(samples: int, segment: Segment) -> Row:
 
 
 def check_metadata(options: Mapping[str, Any]) -> TrialMetadata:
-    """The metadata of a trial among the options; an error names the option that is wrong."""
+    """The metadata among the options; errors name the wrong option."""
     stated = {name: options[name] for name in FIELDS}
     try:
         return change_metadata(TrialMetadata(), stated, options.get("remove", ()))
@@ -205,7 +205,7 @@ def check_metadata(options: Mapping[str, Any]) -> TrialMetadata:
 
 
 def typed_command() -> str:
-    """The command as it was typed, but for where the program lies."""
+    """The command as typed, without the program's path."""
     return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
 
 
@@ -216,10 +216,10 @@ def print_note(note: str) -> None:
 
 @dataclass(frozen=True)
 class TrialVerb(Generic[R]):
-    """A verb that works on one trial, or on every trial of a folder in parallel.
+    """A verb that works on one trial, or on all trials of a folder in parallel.
 
-    All functions are of a module, so that workers can import them; they are given the verb's
-    options by their names, `output` among them.
+    Its functions are module-level, so that workers can import them; they receive the verb's options
+    by name, including `output`.
     """
 
     name: str
@@ -227,7 +227,7 @@ class TrialVerb(Generic[R]):
     work: Callable[[Trial, Mapping[str, Any]], R]  # writes the output
     row: Callable[[R], Row]  # of the summary
     show: Callable[[R, Mapping[str, Any]], None]  # prints the result of a single trial
-    metadata: tuple[str, ...] = ()  # fields of the trials' metadata that the outputs depend on
+    metadata: tuple[str, ...] = ()  # metadata fields that the outputs depend on
 
 
 @takes("commands.options.open_given", exclusive="jobs dask")
@@ -246,9 +246,9 @@ def on_trials(
 
     Args:
         trial: Folder of the trial, or a folder of trials.
-        output: The file that is written, or the folder of such files.
-        jobs: Trials at a time (default: one per core).
-        dask: Address of the scheduler of a Dask cluster whose workers do it instead.
+        output: The output file, or the folder of output files.
+        jobs: Number of parallel trials (default: one per core).
+        dask: Use the workers of a Dask cluster instead, by the address of its scheduler.
         again: Repeat finished trials.
         replace: Replace outputs that exist.
     """
@@ -272,18 +272,18 @@ def on_trials(
     files = {_option(name): options.get(name) for name in _FILES}
     spans = parse_unloaded([*options["unloaded"]])
     planned = plan_jobs(trials, output, verb.suffix, files, spans, options["tare"])
-    work = partial(_do, verb, {"alone": False, **options})
+    work = partial(_run_job, verb, {"alone": False, **options})
     settings = {name: value for name, value in options.items() if name not in _NO_SETTINGS}
     task = Task(verb.name, output, work, settings, verb.metadata, again, replace)
     if jobs is not None:
         check_number(jobs, "--jobs", 1)
-    report = partial(print, flush=True)  # at once, however standard output is buffered
+    report = partial(print, flush=True)
     run_batch(task, planned, report, say, jobs, dask)
 
 
-def _do(verb: TrialVerb[R], options: Mapping[str, Any], job: Job) -> Row:
+def _run_job(verb: TrialVerb[R], options: Mapping[str, Any], job: Job) -> Row:
     files = {name: job.files.get(_option(name)) for name in _FILES}
-    data = say_data(job.trial, good=False)
+    data = report_data(job.trial, good=False)
     return {"data": data} | verb.row(
         verb.work(job.trial, {**options, **files, "output": job.output})
     )

@@ -1,4 +1,4 @@
-"""`report`, `compare` and `view`: pages, written or served."""
+"""`report`, `compare` and `view`: pages written or served."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from socket_testbed.commands.options import (
     open_given,
     print_note,
     refuse_given,
-    say_data,
+    report_data,
     segment_columns,
     typed_command,
 )
@@ -43,10 +43,10 @@ from socket_testbed.trials.trial import Trial
 if TYPE_CHECKING:
     import pandas as pd
 
-    from socket_testbed.report.results import Results  # it imports matplotlib, which takes its time
+    from socket_testbed.report.results import Results  # slow: it imports matplotlib
 
 _BY_REGION = ("mean pressure", "peak pressure", "share of load")
-_LOOK = 0.2  # [s]; between looks at the time
+_INTERVAL = 0.2  # [s]; between checks of the time
 
 
 @takes(
@@ -62,7 +62,7 @@ def report(trial: Path, *, output: Path, thetas: int = 31, **options: Any) -> No
     Args:
         output: The page, or the folder of the pages of a folder of trials.
     """
-    theta_values(thetas)  # a wrong number is refused once
+    theta_values(thetas)  # a wrong number is reported once
     options["command"] = typed_command()
     verb = TrialVerb("report", ".html", _report, _report_row, _show_report, FIELDS)
     on_trials(verb, trial, output=output, thetas=thetas, **options)
@@ -104,12 +104,12 @@ def compare(
     output: Path | None = None,
     **options: Any,
 ) -> None:
-    """Lay trials side by side, with their differences.
+    """Compare trials side by side, with their differences.
 
     Args:
         trial: Two or more trials; a folder of trials stands for all of them.
         condition: Instead, the repeated trials of a condition, such as gel=trials/gel1,trials/gel2.
-        output: A page (.html), or a table (.csv, .parquet) of every value and difference.
+        output: A page (.html), or a table (.csv, .parquet) of all values and differences.
     """
     page = output if output and output.suffix.lower() in PAGES else None
     check_files(output, replace=options["replace"], table=page is None)
@@ -118,8 +118,8 @@ def compare(
     conditions = {
         name: open_all(paths, options, notify) for name, paths in _conditions(condition).items()
     }
-    for each in open_compared(trials, conditions)[0]:  # a wrong call is refused before it is read
-        say_data(each, f"{each.name}: ")
+    for each in open_compared(trials, conditions)[0]:  # wrong calls fail before data is read
+        report_data(each, f"{each.name}: ")
     found = api.compare(
         *trials, conditions=conditions, **given(options, api.compare), progress=Progress
     )
@@ -148,10 +148,10 @@ def _show_comparison(found: api.Comparison) -> None:
         print(f"note: {note}")
     print()
     texts = found.table[found.table["text"].notna()]
-    for (_, name), of_items in texts.groupby(["part", "name"], sort=False):
-        several = of_items["item"] + ": " + of_items["text"]
-        alike = of_items["text"].nunique() == 1
-        print(f"{name}: " + (of_items["text"].iloc[0] if alike else "; ".join(several)))
+    for (_, name), rows in texts.groupby(["part", "name"], sort=False):
+        several = rows["item"] + ": " + rows["text"]
+        same = rows["text"].nunique() == 1
+        print(f"{name}: " + (rows["text"].iloc[0] if same else "; ".join(several)))
     _print("whole socket", found.cells("regions").loc[["socket"]].droplevel("name"))
     for quantity in _BY_REGION:
         _print(f"{quantity} by region", found.cells("regions", quantity).drop("socket"))
@@ -181,14 +181,14 @@ def view(
     model: Path | None = None,
     **options: Any,
 ) -> None:
-    """See the running testbed, or play a trial, in a browser: pressure map, wrench, sensors.
+    """View the running testbed, or play a trial, in a browser: pressure map, wrench, sensors.
 
     Args:
-        trial: Folder of a trial to play; without one the running testbed is seen.
+        trial: Folder of a trial to play; without one the running testbed is shown.
         namespace: Namespace of the running testbed (default: /).
-        duration: End by itself after so many seconds [s].
+        duration: Stop after this time [s].
         allow_host: As `names` in `view`.
-        model: A model that 'fit' wrote, to show the wrench that it predicts.
+        model: A model written by 'fit', to show its predicted wrench.
         buttons: Allow the buttons (tare, record, ...) even where other machines see the page.
     """
     if duration is not None:
@@ -201,23 +201,23 @@ def view(
         return
     refuse_given({"namespace": namespace}, "the running testbed", "leave out the trial")
     with api.view(open_given(trial, **options), model, **served) as page:
-        say(f"the trial is seen at {page.url}; Ctrl-C ends it")
+        say(f"the trial is shown at {page.url}; Ctrl-C ends it")
         with suppress(KeyboardInterrupt):
             while time.monotonic() < ends:
-                time.sleep(_LOOK)
+                time.sleep(_INTERVAL)
 
 
 def _follow(
     settings: ViewSettings, namespace: str | None, ends: float, options: Mapping[str, Any]
 ) -> None:
     """Serve the page of the running testbed until a time [s]."""
-    of_trials = {name: options[name] for name in ("model", "calibration", "load_cell", "tare")}
-    refuse_given(of_trials, "a trial", "give the folder of the trial")
+    for_trials = {name: options[name] for name in ("model", "calibration", "load_cell", "tare")}
+    refuse_given(for_trials, "a trial", "give the folder of the trial")
     if options["geometry"] is not None:
         settings = dataclasses.replace(settings, geometry=str(options["geometry"].resolve()))
     from socket_testbed.pages.server import listen
 
-    listen(settings.host, settings.port).close()  # refused before any node starts
+    listen(settings.host, settings.port).close()  # fails before any node starts
     with Graph() as graph:
         graph.start("view_node", settings, namespace=f"/{(namespace or '').strip('/')}")
         say("Ctrl-C ends it")

@@ -1,4 +1,4 @@
-"""What trials say: `fit` and how good models are, `pressure` and the force `map`, without a fit."""
+"""Results of trials: models fitted and judged; `pressure` and the force `map` without a fit."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from socket_testbed import api
 from socket_testbed.api import Evaluation, PaperTable, TrialFit, TrialPressure
-from socket_testbed.api.pressure import OF_TILES
+from socket_testbed.api.pressure import TILE_TITLES
 from socket_testbed.batch import Row
 from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import (
@@ -23,7 +23,7 @@ from socket_testbed.commands.options import (
     on_trials,
     open_all,
     print_note,
-    say_data,
+    report_data,
     segment_columns,
 )
 from socket_testbed.commands.terminal import Progress, number, text_of
@@ -43,12 +43,12 @@ from socket_testbed.tables import FORMATS, Table
 from socket_testbed.trials.pressure import cells, limb_cells
 from socket_testbed.trials.trial import Trial
 
-_ABREAST = 3  # outputs in a table
-_SHOWN = 8  # tiles of a map
+_COLUMNS = 3  # outputs per table
+_MAX_SHOWN = 8  # tiles of a map
 _FRONT_LEGEND = (
     "wrench error, local error: roots of the weighted squares of the objective, J_w and J_f;"
     "\nmoment, force, local: mean, mean and median RMSE of the channels in the objective;"
-    "\ndominated: another theta is better in both, which two stages one after the other allow"
+    "\ndominated: another theta is better in both, which is possible with two successive stages"
 )
 
 
@@ -60,7 +60,7 @@ def fit(trial: Path, *, output: Path, **options: Any) -> None:
         output: File of the model, or the folder of the models of a folder of trials.
     """
     if output.suffix.lower() in (*FORMATS, ".html", ".png", ".pdf"):
-        raise ConfigurationError(f"{output}: a model is no {output.suffix}", "name a .json")
+        raise ConfigurationError(f"{output}: a model is not a {output.suffix}", "name a .json")
     on_trials(TrialVerb("fit", ".json", _fit, _fit_row, _show_fit), trial, output=output, **options)
 
 
@@ -87,7 +87,7 @@ def _show_fit(found: TrialFit, options: Mapping[str, Any]) -> None:
     print(f"{fit.status}\n\n{errors_table(fit.errors)}\n")
     shares, motion = found.load_shares(), found.motion()
     borne = [f"{share.name} {number(100 * share.springs, 0)} %" for share in shares]
-    print(f"share of the measured load that the springs bear: {', '.join(borne)}")
+    print(f"share of the measured load carried by the springs: {', '.join(borne)}")
     if warning := share_warning(shares):
         print(f"warning: {warning}")
     print(
@@ -129,12 +129,12 @@ def evaluate(trial: Path, *, model: Path, json: bool = False, **options: Any) ->
     """Compute a model's errors on a trial, or on every trial of a folder.
 
     Args:
-        model: A model that 'fit' wrote; for a folder of trials even the folder of their models.
-        output: JSON file of the errors; for a folder of trials the folder of such files.
+        model: A model written by 'fit'; for a folder of trials, also the folder of their models.
+        output: JSON file of the errors; for a folder of trials, the folder of these files.
         json: Print JSON on standard output.
     """
     if not model.is_dir():
-        api.read_model(model)  # a wrong one is reported once
+        api.read_model(model)  # an invalid model is reported once
     metadata = ("side",) if options["pressure"] else ()  # the regions depend on the side
     verb = TrialVerb(
         "evaluate", ".errors.json", _evaluate, _evaluation_row, _show_evaluation, metadata
@@ -154,9 +154,7 @@ def _show_evaluation(found: Evaluation, options: Mapping[str, Any]) -> None:
     print(f"model {found.model.model.variant} of {found.model.trial}\n")
     print(errors_table(found.errors))
     if found.in_sample:
-        print(
-            "\nin-sample where the model was fitted: on another trial its errors may be far larger"
-        )
+        print("\nin-sample where the model was fitted: errors on another trial may be far larger")
     if found.pressure is not None:
         print(f"\nfrom the force map, not from the model:\n\n{pressure_tables(found.pressure)}")
 
@@ -180,7 +178,7 @@ def _evaluation_row(found: Evaluation) -> Row:
     without="unloaded variant frames initial_stiffness",
 )
 def validate(trial: list[Path], **options: Any) -> None:
-    """Judge estimates on data they have not seen, beside simple rivals.
+    """Judge estimates on held-out data, against simple rivals.
 
     Args:
         trial: Trials, or folders of trials, of one socket.
@@ -190,7 +188,7 @@ def validate(trial: list[Path], **options: Any) -> None:
     check_files(options["output"], options["figure"], replace=options["replace"])
     trials = open_all(trial, options, cache(print_note))
     for each in trials:
-        say_data(each, f"{each.name}: ")
+        report_data(each, f"{each.name}: ")
     found = api.validate(*trials, **given(options, api.validate, api.fit), progress=Progress)
     deliver(found, _show_validation, **options)
 
@@ -212,10 +210,10 @@ def _show_validation(found: api.Validation) -> None:
 
 @takes("pareto", "fit", "commands.options.deliver", without="variant theta")  # all of both
 def pareto(trial: Path, **options: Any) -> None:
-    """Trace the trade-off of wrench against clusters over theta.
+    """Trace the trade-off between wrench and clusters over theta.
 
     Args:
-        output: Table of every solution.
+        output: Table of all solutions.
         figure: Draw both fronts.
     """
     on_trial(trial, options, api.pareto, _show_fronts, api.fit)
@@ -234,7 +232,7 @@ def _show_fronts(found: api.Tradeoff) -> None:
 
 
 def _describe_front(front: Front) -> str:
-    """Counts, certificate and flaws of a front, a line each."""
+    """Counts, certificate and flaws of a front, one per line."""
     count = len(front.theta)
     lines = [
         f"{front.variant}: {front.knee.verdict}",
@@ -250,7 +248,7 @@ def _describe_front(front: Front) -> str:
 
 @takes("paper", "fit", "commands.options.deliver", without="variant figure width title")
 def paper(trial: Path, **options: Any) -> None:
-    """Run the published pipeline and lay its figures beside the printed ones."""
+    """Run the published pipeline and compare its figures with the published ones."""
     on_trial(trial, options, api.paper, _show_paper, api.fit)
 
 
@@ -270,7 +268,7 @@ def _show_paper(found: PaperTable) -> None:
 
 
 def errors_table(errors: Sequence[ChannelErrors]) -> str:
-    """RMSE, MAE, sigma and skill per channel, with their means and the median."""
+    """RMSE, MAE, sigma and skill per channel, with means and medians."""
     frame = errors_to_dataframe(errors).drop(columns="samples")
     frame[""] = frame.pop("in objective").map({True: "", False: "not in objective"})
     summary = summarise_errors(errors)
@@ -286,20 +284,20 @@ def errors_table(errors: Sequence[ChannelErrors]) -> str:
     if any(error.skill < 0.0 for error in errors):
         lines.append("negative skill: the channel's mean would have been a better prediction")
     if summary.without_value:
-        lines.append(f"without a value, in none of these: {', '.join(summary.without_value)}")
+        lines.append(f"without a value, not included: {', '.join(summary.without_value)}")
     return "\n".join(lines)
 
 
 def error_columns(
     errors: Sequence[ChannelErrors], judged: Mapping[str, Sequence[ChannelErrors]]
 ) -> Row:
-    """Columns of errors for a summary: what the paper quotes, skills, then every channel.
+    """Error columns for a summary: the paper's figures, median skills, then every channel.
 
-    The median skills are those of the errors `judged`, by the end of the columns' names.
+    Median skills come from the errors in `judged`, keyed by the suffix of the columns' names.
     """
     row: Row = {**quoted_figures(errors)}
-    for suffix, those in judged.items():
-        summary = summarise_errors(those)
+    for suffix, channels in judged.items():
+        summary = summarise_errors(channels)
         row[f"median_wrench_skill{suffix} [-]"] = summary.wrench_skill
         row[f"median_local_skill{suffix} [-]"] = summary.local_skill
     for error in errors:
@@ -319,11 +317,11 @@ def pressure(
     """Pressure by region: mean, peak, contact area, time integral, shear, load.
 
     Args:
-        output: Table of the regions; for a folder of trials the folder of such tables.
-        over_time: Write a table of every sample instead: regions and tiles over time.
+        output: Table of the regions; for a folder of trials, the folder of these tables.
+        over_time: Write a table over time instead: regions and tiles at every sample.
         cycles: Write and draw means and standard deviations over 0 to 100 % of a cycle instead;
-            cycles run from each event of a label to the next, such as 'stance', or between two,
-            such as 'stance:swing'. Mostly with --segment all.
+            cycles run from each event of a label to the next, such as 'stance', or between two
+            labels, such as 'stance:swing'. Usually with --segment all.
         figure: Draw unrolled maps, mean and at the peak, and regions over time.
     """
     if over_time and options["output"] is None:
@@ -348,15 +346,15 @@ def _pressure(trial: Trial, options: Mapping[str, Any]) -> TrialPressure:
 def _bring_to_cycles(
     found: TrialPressure, cycles: str, output: Path | None, **options: Any
 ) -> None:
-    """Write all outputs over a cycle, and draw the mean pressure of the regions."""
-    table, of = found.over_time(), partial(api.cycles, found.trial, by=cycles)
-    every = of(table, segment=found.segment)
-    print(f"{every}\n")
+    """Write all outputs normalised to cycles, and draw the mean pressure of the regions."""
+    table, to_cycles = found.over_time(), partial(api.cycles, found.trial, by=cycles)
+    outputs = to_cycles(table, segment=found.segment)
+    print(f"{outputs}\n")
     if output is not None:
-        every.save(output)
+        outputs.save(output)
     names = [place.name for place in found.places if place.name not in PARTS_OF_SECTORS]
     shown = [f"{name}.mean pressure [kPa]" for name in names]
-    draw(of(table[shown], segment=found.segment), **options)
+    draw(to_cycles(table[shown], segment=found.segment), **options)
 
 
 def _show_pressure(found: TrialPressure, options: Mapping[str, Any]) -> None:
@@ -376,7 +374,7 @@ def _pressure_row(found: TrialPressure) -> Row:
 
 
 def pressure_tables(found: TrialPressure) -> str:
-    """Outputs of the regions, and of the tiles under a cluster, in tables below each other."""
+    """Tables of the outputs of regions and of tiles under a cluster."""
     import pandas as pd
 
     geometry, outputs = found.trial.geometry, found.outputs
@@ -387,11 +385,11 @@ def pressure_tables(found: TrialPressure) -> str:
     clusters.index = [
         f"{tile}, {name}" for tile, name in zip(clusters.index, geometry.clusters, strict=True)
     ]
-    clusters = clusters[list(OF_TILES)].rename_axis("tile under a cluster")
+    clusters = clusters[list(TILE_TITLES)].rename_axis("tile under a cluster")
     frames = [
-        frame.iloc[:, start : start + _ABREAST]
+        frame.iloc[:, start : start + _COLUMNS]
         for frame in (regions, clusters)
-        for start in range(0, frame.shape[1], _ABREAST)
+        for start in range(0, frame.shape[1], _COLUMNS)
     ]
     if found.suspension is not None:
         limb = pd.DataFrame({"value": limb_cells(found.suspension, found.share)})
@@ -407,7 +405,7 @@ def pressure_tables(found: TrialPressure) -> str:
 
 
 def pressure_columns(found: TrialPressure) -> Row:
-    """Outputs of the socket with their intervals, for a summary."""
+    """Summary columns: outputs of the socket with their intervals."""
     socket = found.regions.iloc[-1]
     ends = (interval_end(title, end) for title in TITLES for end in ("low", "high"))
     return {name: finite_or_null(socket[name]) for name in (*TITLES, *ends)}
@@ -418,7 +416,7 @@ def map(trial: Path, *, output: Path, **options: Any) -> None:
     """Estimate the force on every tile with its uncertainty, without a fit.
 
     Args:
-        output: Table of forces, pressure and shear on every tile with standard deviations.
+        output: Table of force, pressure and shear on every tile with standard deviations.
         figure: Draw the mean pressure and its uncertainty.
     """
     on_trial(trial, {"output": output, **options}, api.force_map, _show_map)
@@ -426,7 +424,7 @@ def map(trial: Path, *, output: Path, **options: Any) -> None:
 
 def _show_map(found: api.TrialMap) -> None:
     summary = found.summary()
-    highest = summary.head(_SHOWN)
+    highest = summary.head(_MAX_SHOWN)
     print(f"{found.trial.name}: {found.segment}, {len(found.time)} samples, {len(summary)} tiles")
     print(f"{found.estimate.source}\n")
     print(text_of(Table("map", "", highest)))

@@ -1,9 +1,8 @@
-"""What a terminal shows: tables, numbers, progress, and what a graph does now.
+"""Terminal output: tables, numbers, progress, and the status of a graph.
 
-The status of a graph is one line that renews itself below the lines of what happened. The nodes
-print into a file, from which the terminal gets whole lines: no node waits for a terminal that is
-held up, and what one printed last is there after it has ended. Where the output is no terminal, the
-nodes print into it themselves, and the status comes as a line a minute.
+The status is a single line, redrawn below the log. Nodes print to a file, which is copied to the
+terminal line by line: nodes never block on a stalled terminal, and their last output is kept.
+Without a terminal, nodes print to the output directly, and the status follows once a minute.
 """
 
 from __future__ import annotations
@@ -30,19 +29,19 @@ from socket_testbed.trials.topics import full_namespace
 if TYPE_CHECKING:
     from socket_testbed.nodes.controls import StatusListener
 
-_PERIOD = 0.5  # [s]; between two drawings
-_LOGGED_PERIOD = 60.0  # [s]; where nothing can be drawn over
-_LOGGED_PROGRESS = 10.0  # [s]; likewise
-_SILENCE = 5.0  # [s]; without a trigger
-_KEYS = 0  # standard input
-_CHUNK = 1 << 14  # [B]; of what the nodes have said
-_WIDTH = 80  # columns of a terminal that does not say
+_DRAW_INTERVAL = 0.5  # [s]
+_STATUS_LOG_INTERVAL = 60.0  # [s]; without a terminal
+_PROGRESS_LOG_INTERVAL = 10.0  # [s]; likewise
+_SILENCE_LIMIT = 5.0  # [s]; without a trigger
+_STDIN = 0
+_CHUNK = 1 << 14  # [B]; of the nodes' output
+_DEFAULT_WIDTH = 80  # columns
 _SEPARATOR = " | "
 _CLEAR = "\x1b[K"  # to the end of the line
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table with numbers to the right and texts to the left."""
+    """A table with numbers right-aligned and text left-aligned."""
     columns = []
     for title, *cells in zip(header, *rows, strict=True):
         width = max(map(len, (title, *cells)))
@@ -52,7 +51,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def text_of(found: Table) -> str:
-    """A table of a page as a table on the terminal."""
+    """A table of a page as text for the terminal."""
     header = [found.frame.index.name or "", *(title for _, title, _ in found.columns)]
     rows = [[str(name), *("-" if c == NOTHING else c for c in cells)] for name, cells in found.rows]
     return table(header, rows)
@@ -63,46 +62,47 @@ def _is_number(cell: str) -> bool:
 
 
 def number(value: float | None, digits: int = 3) -> str:
-    """A number for a table; a dash where there is none."""
+    """A number for a table; a dash for a missing one."""
     if value is None or not math.isfinite(value):
         return "-"
     return f"{round(value, digits) + 0.0:.{digits}f}"
 
 
 def say(line: str) -> None:
-    """Print a line of what happens on standard error."""
+    """Print a line on standard error."""
     print(line, file=sys.stderr, flush=True)
 
 
 class Progress:
-    """A line on standard error with the progress of long work."""
+    """The progress of long work, as a line on standard error."""
 
-    def __init__(self, what: str) -> None:
-        self._what = what
+    def __init__(self, task: str) -> None:
+        self._task = task
         self._last = time.monotonic()
         self._shown = False
 
     def __call__(self, done: int, total: int) -> None:
-        """Report how many steps are done."""
+        """Report the number of steps done."""
         terminal, end = sys.stderr.isatty(), done == total
         passed = time.monotonic() - self._last
-        if (end and self._shown) or passed > (_PERIOD if terminal else _LOGGED_PROGRESS):
+        interval = _DRAW_INTERVAL if terminal else _PROGRESS_LOG_INTERVAL
+        if (end and self._shown) or passed > interval:
             self._last, self._shown = time.monotonic(), not end
             start, tail = "\r" * terminal, "\n" * (end or not terminal)
-            print(f"{start}{self._what}: {100 * done // total} %", end=tail, file=sys.stderr)
+            print(f"{start}{self._task}: {100 * done // total} %", end=tail, file=sys.stderr)
 
 
 class StatusLine:
     """The status of a graph on standard error; a context manager.
 
     Args:
-        disk: Folder whose free space is shown; None for none.
-        duration: Of what is replayed [s]; None where there is no end.
-        pause: Service that pauses what is replayed: the space bar calls it; empty for none.
-        paused: Whether it starts paused.
+        disk: Folder whose free disk space is shown, if any.
+        duration: Duration of the replayed trial [s]; None without an end.
+        pause: Service that pauses the replay, called by the space bar; empty for none.
+        paused: Whether the replay starts paused.
 
     Attributes:
-        output: Where the graph's nodes are to print to; None for this process's own output.
+        output: Output for the graph's nodes; None for this process's own output.
     """
 
     def __init__(
@@ -121,33 +121,33 @@ class StatusLine:
         self._stack = ExitStack()
         self._renewed = time.monotonic()
         self._shown = False
-        self._printed = 0  # [B]; of what the nodes said
-        self._waiting = bytearray()  # what the terminal does not take yet
+        self._printed = 0  # [B]; of the nodes' output
+        self._pending = bytearray()  # not yet accepted by the terminal
         self._renews = sys.stderr.isatty() and os.environ.get("TERM", "dumb") != "dumb"
         if sys.stderr.isatty():
             colours = self._renews and not os.environ.get("NO_COLOR")
             os.environ.setdefault("RCUTILS_COLORIZED_OUTPUT", str(int(colours)))
         self.output: IO[bytes] | None = None
         if self._renews:
-            self._terminal = _without_waits(sys.stderr.fileno())
+            self._terminal = _non_blocking(sys.stderr.fileno())
             self._stack.callback(os.close, self._terminal)
             self.output = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the others
             self._stack.enter_context(self.output)
 
     def __enter__(self) -> Self:
         if self._has_keys:
-            before = termios.tcgetattr(_KEYS)
-            self._stack.callback(termios.tcsetattr, _KEYS, termios.TCSADRAIN, before)
-            tty.setcbreak(_KEYS)
+            before = termios.tcgetattr(_STDIN)
+            self._stack.callback(termios.tcsetattr, _STDIN, termios.TCSADRAIN, before)
+            tty.setcbreak(_STDIN)
         if self._paused:
             key = "press the space bar, or call " if self._has_keys else ""
             call = f"ros2 service call {self._pause} std_srvs/srv/SetBool '{{data: false}}'"
-            self.say(f"paused; to go on: {key}{call}")
+            self.say(f"paused; to continue: {key}{call}")
         return self
 
     def __exit__(self, *error: object) -> None:
         if self._renews:
-            self._pass_on(everything=True)
+            self._copy_output(everything=True)
             self._draw()
             self._write("\n" if self._shown else "")
             os.set_blocking(self._terminal, True)
@@ -155,17 +155,17 @@ class StatusLine:
         self._stack.close()
 
     def follow(self, namespace: str = "/") -> None:
-        """Count what the graph in a namespace measures, from now on."""
-        # ROS is imported only where a graph runs: the rest works without it.
+        """Follow the graph in a namespace from now on."""
+        # Only verbs that run a graph need ROS.
         from socket_testbed.nodes.controls import StatusListener
 
         self._listener = StatusListener(self._status, full_namespace(namespace), self._pause)
         self._stack.callback(self._listener.close)
 
     def say(self, line: str) -> None:
-        """Print a line of what happened."""
+        """Print a line above the status."""
         if self._renews:
-            self._pass_on()
+            self._copy_output()
             self._write(f"\r{_CLEAR}{line}\n")
             self._draw()
         else:
@@ -173,37 +173,37 @@ class StatusLine:
 
     @property
     def triggered(self) -> bool:
-        """Whether a trigger has come."""
+        """Whether a trigger has been received."""
         return self._status.triggers > 0
 
     def renew(self) -> None:
-        """Print what the nodes have said meanwhile, and the status when it is due."""
+        """Print new output of the nodes, and the status when due."""
         if self._is_pressed():
             self._paused = not self._paused
             self._draw()
         if self._listener is not None:
             self._listener.take()
-            # Pressed before the replay is up, it counts as soon as it is.
+            # A key pressed before the replay has started takes effect when it has.
             if self._paused != self._asked and self._listener.set_paused(self._paused):
                 self._asked = self._paused
         passed = time.monotonic() - self._renewed
         if self._renews:
-            if self._flush() and (self._pass_on() or passed > _PERIOD):
+            if self._flush() and (self._copy_output() or passed > _DRAW_INTERVAL):
                 self._draw()
-        elif passed > _LOGGED_PERIOD:
+        elif passed > _STATUS_LOG_INTERVAL:
             self._renewed = time.monotonic()
             self.say(_SEPARATOR.join(self._parts()))
 
     def _is_pressed(self) -> bool:
-        """Whether the space bar was pressed since the last call, an odd number of times."""
-        # A program in the background that reads from its terminal is stopped.
+        """Whether the space bar was pressed an odd number of times since the last call."""
+        # A background process that reads from its terminal is stopped.
         if not self._has_keys or not _in_foreground():
             return False
-        ready = select.select([_KEYS], [], [], 0.0)[0]
-        return bool(ready) and os.read(_KEYS, _CHUNK).count(b" ") % 2 == 1
+        ready = select.select([_STDIN], [], [], 0.0)[0]
+        return bool(ready) and os.read(_STDIN, _CHUNK).count(b" ") % 2 == 1
 
-    def _pass_on(self, everything: bool = False) -> bool:
-        """Print the lines that the nodes have completed; returns whether there are any."""
+    def _copy_output(self, everything: bool = False) -> bool:
+        """Print complete lines from the nodes; returns whether there were any."""
         assert self.output is not None
         file = self.output.fileno()
         size = os.fstat(file).st_size - self._printed if everything else _CHUNK
@@ -221,18 +221,18 @@ class StatusLine:
             self._write(f"\r{fitted(self._parts(), _columns())}{_CLEAR}")
 
     def _write(self, text: str) -> None:
-        self._waiting += text.encode(errors="replace")
+        self._pending += text.encode(errors="replace")
         self._flush()
 
     def _flush(self) -> bool:
-        """Give the terminal what it takes at once; returns whether that is all there was."""
+        """Write without blocking; returns whether everything was written."""
         try:
-            while self._waiting:
-                del self._waiting[: os.write(self._terminal, self._waiting)]
+            while self._pending:
+                del self._pending[: os.write(self._terminal, self._pending)]
         except BlockingIOError:
             return False
-        except OSError:  # a terminal that is gone ends no recording
-            self._waiting.clear()
+        except OSError:  # losing the terminal must not end a recording
+            self._pending.clear()
         return True
 
     def _parts(self) -> list[str]:
@@ -243,17 +243,17 @@ class StatusLine:
 def status_parts(
     status: GraphStatus, duration: float | None = None, disk: Path | None = None
 ) -> list[str]:
-    """A status in words, the most important ones first; of a replay with its duration [s]."""
+    """A status in words, the most important first; of a replay with its duration [s]."""
     elapsed = str(timedelta(seconds=int(status.elapsed)))
     if duration is not None:
         elapsed += f" of {timedelta(seconds=int(duration))}"
     parts = [elapsed, f"{status.triggers} triggers, {status.complete} complete"]
-    if status.heard is not None and (silence := time.monotonic() - status.heard) > _SILENCE:
+    if status.heard is not None and (silence := time.monotonic() - status.heard) > _SILENCE_LIMIT:
         parts.append(f"no trigger for {silence:.0f} s")
     if status.trial:
         parts.append(f"recording {''.join(c if c.isprintable() else '?' for c in status.trial)}")
     if disk is not None:
-        with suppress(OSError):  # the recorder has not made it yet, or it is gone
+        with suppress(OSError):  # the folder does not exist yet, or was removed
             parts.append(f"{1e-9 * shutil.disk_usage(disk).free:.3g} GB free")
     if status.wrench is not None:
         moments, forces = status.wrench[:3], status.wrench[3:]
@@ -267,34 +267,34 @@ def status_parts(
 
 
 def fitted(parts: Sequence[str], columns: int) -> str:
-    """As many of some parts as fit into a line with so many columns, none of them cut in two."""
+    """As many whole parts as fit into a line of the given number of columns."""
     line = parts[0]
     for part in parts[1:]:
-        # The last column stays free: some terminals go on to the next line after it.
+        # The last column stays free: some terminals wrap after it.
         if len(line) + len(_SEPARATOR) + len(part) < columns:
             line += _SEPARATOR + part
     return line[: max(columns - 1, 0)]
 
 
 def _in_foreground() -> bool:
-    """Whether this program may read the keys of its terminal."""
+    """Whether this process may read keys from its terminal."""
     try:
-        return os.isatty(_KEYS) and os.tcgetpgrp(_KEYS) == os.getpgrp()
+        return os.isatty(_STDIN) and os.tcgetpgrp(_STDIN) == os.getpgrp()
     except OSError:
         return False
 
 
 def _columns() -> int:
     try:
-        return os.get_terminal_size(sys.stderr.fileno()).columns or _WIDTH
+        return os.get_terminal_size(sys.stderr.fileno()).columns or _DEFAULT_WIDTH
     except OSError:
-        return _WIDTH
+        return _DEFAULT_WIDTH
 
 
-def _without_waits(terminal: int) -> int:
-    """The terminal of a file descriptor, opened anew so that writing to it does not wait.
+def _non_blocking(terminal: int) -> int:
+    """Reopen the terminal of a file descriptor for non-blocking writes.
 
-    It may be held up (Ctrl-S), or be a slow line. The descriptor itself is shared with others.
+    It may be stalled (Ctrl-S) or slow. The descriptor itself is shared with other processes.
     """
     try:
         return os.open(os.ttyname(terminal), os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)

@@ -1,4 +1,4 @@
-"""`simulate`, `info`, `annotate` and `export`: trials written, described and read."""
+"""`simulate`, `info`, `annotate` and `export`: simulate, inspect, describe and export trials."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from socket_testbed.commands.options import (
     open_checked,
     open_given,
     print_note,
-    say_data,
+    report_data,
 )
 from socket_testbed.commands.terminal import Progress, number, table
 from socket_testbed.files import check_outputs
@@ -29,7 +29,7 @@ from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.segment import find_plateaus
 from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial
 
-_NAMED = 8  # times of the events of a label that are printed
+_MAX_TIMES = 8  # printed per event label
 
 
 @takes("simulate")
@@ -51,10 +51,10 @@ def simulate(*, output: Path, **options: Any) -> None:
 
 @takes("annotate")
 def annotate(trial: list[Path], **options: Any) -> None:
-    """State and show a trial's metadata: subject code, side, socket, liner and more.
+    """Set and show a trial's metadata: subject code, side, socket, liner and more.
 
     Args:
-        trial: Folder of the trial, or of several.
+        trial: Folders of one or more trials.
     """
     check_metadata(options)
     for path in trial:
@@ -65,7 +65,7 @@ def annotate(trial: list[Path], **options: Any) -> None:
 
 
 def _metadata(metadata: TrialMetadata) -> str:
-    """The metadata of a trial, as far as they are stated."""
+    """The stated metadata of a trial."""
     rows = [[name, text] for name, text in metadata.described().items()]
     found = table(["metadata", "value"], rows) if rows else "no metadata: 'annotate' states them"
     if metadata.side is None:
@@ -94,11 +94,11 @@ def export(
 
 @takes("commands.options.open_given", without="unloaded")
 def info(trial: Path, **options: Any) -> None:
-    """Show what a trial holds: topics, rates, gaps, plateau."""
+    """Show the contents of a trial: topics, rates, gaps, plateau."""
     notify = cache(lambda note: print(f"note: {note}"))  # part of the output
     opened = dataclasses.replace(open_given(trial, **options), notify=notify)
     print(f"{_topics(opened)}\n")
-    say_data(opened)
+    report_data(opened)
     samples, metadata = opened.samples(), opened.metadata
     print(f"{_triggers(samples)}\n\n{_missing(samples)}\n\n{_noise(samples)}\n")
     for segment in find_plateaus(samples, opened.estimator.plateau):
@@ -148,14 +148,14 @@ def _missing(samples: Samples) -> str:
 
 
 def _events(trial: Trial) -> str:
-    """The times of the events by their labels, the first ones where there are many."""
+    """Times of the events by label, cut after the first few."""
     times: dict[tuple[str, str], list[str]] = {}
     for event in trial.events():
         times.setdefault((event.label, event.source), []).append(f"{event.time:.2f}")
     lines = []
     for (label, source), at in times.items():
-        more = f" ... ({len(at)} times)" if len(at) > _NAMED else ""
-        lines.append(f"event {label} ({source}): {', '.join(at[:_NAMED])} s{more}")
+        more = f" ... ({len(at)} times)" if len(at) > _MAX_TIMES else ""
+        lines.append(f"event {label} ({source}): {', '.join(at[:_MAX_TIMES])} s{more}")
     return "\n".join(lines) or "no events"
 
 

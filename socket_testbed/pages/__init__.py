@@ -1,1 +1,1 @@
-"""The page in a browser, with three sources: a report, a trial, a running testbed; no ROS."""
+"""The page in a browser, for a report, a trial or a running testbed; without ROS."""

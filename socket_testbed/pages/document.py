@@ -1,6 +1,6 @@
-"""What the page shows, as plain data for JSON: the socket, a moment, a course, regions, cards.
+"""Page contents as plain data for JSON: the socket, a moment, a course, regions, cards.
 
-Pressures are in kPa, lengths in mm; what is not known is null.
+Pressures are in kPa, lengths in mm; unknown values are null.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from socket_testbed.pages.wall import Patch, patches, side_names, unrolled_tiles
 from socket_testbed.samples import Samples
 from socket_testbed.trials.trial import Trial
 
-_BARS = ("mean pressure [kPa]", "peak pressure [kPa]", "share of load [%]", "shear [kPa]")
-_MOST_MARKS = 20
-_WEIGHT = 1.0 / 8192.0  # [-]; unit of the stored weights, integers of 16 bits
+_BAR_TITLES = ("mean pressure [kPa]", "peak pressure [kPa]", "share of load [%]", "shear [kPa]")
+_MAX_MARKS = 20  # per event label
+_WEIGHT = 1.0 / 8192.0  # [-]; unit of the stored weights, 16-bit integers
 _CLOSED = [0, 1, 2, 3, 0]  # corners of a square
-# Uncertain pressures turn grey: from full colour where the 95 % interval reaches `certain` times
-# as far as the value, to the greyest at `unknown`. Values below `least` [kPa] count as that.
+# Uncertain pressures turn grey: full colour up to a ratio `certain` of interval reach to value,
+# the greyest from `unknown` on. Values below `least` [kPa] are treated as `least`.
 GREYING: dict[str, Any] = {
     "certain": 1.0,
     "unknown": 2.5,
@@ -49,28 +49,28 @@ Document = dict[str, Any]
 PAGES = (".html", ".htm")
 
 
-def check_page(path: Path, what: str) -> None:
-    """Refuse a file that is to hold a page and ends otherwise, before long work."""
+def check_page(path: Path, content: str) -> None:
+    """Refuse a page without the suffix of one, before long work."""
     if path.suffix.lower() not in PAGES:
-        raise ConfigurationError(f"{path}: a {what} is a page", "let it end in .html")
+        raise ConfigurationError(f"{path}: a {content} is a page", "let it end in .html")
 
 
 def numbers(values: FloatArray, decimals: int = 2) -> list[Any]:
-    """Numbers of any shape for JSON, null for those that are not finite."""
+    """Numbers of any shape for JSON, null where not finite."""
     rounded = np.round(np.asarray(values, dtype=np.float64), decimals).astype(object)
     rounded[~np.isfinite(np.asarray(values, dtype=np.float64))] = None
     return list(rounded.tolist())
 
 
 def greyness(value: FloatArray, reach: FloatArray) -> FloatArray:
-    """How grey pressures are by the reach of their 95 % intervals [kPa]: 0 none, 1 greyest."""
+    """Greyness by the reach of 95 % intervals [kPa]: 0 full colour, 1 greyest."""
     share = reach / np.maximum(np.abs(value), GREYING["least"])
     certain, unknown = GREYING["certain"], GREYING["unknown"]
     return np.asarray(np.clip((share - certain) / (unknown - certain), 0.0, 1.0))
 
 
 def socket_document(geometry: SocketGeometry, side: Side | None = None) -> Document:
-    """The socket: its surface on grids, its tiles, its clusters and what its parts are called."""
+    """The socket: surface grids, tiles, clusters and names of its parts."""
     tiles = unrolled_tiles(geometry)
     return {
         "names": geometry.names,
@@ -106,7 +106,7 @@ def moment(
     shear: FloatArray,
     measured: FloatArray,
 ) -> Document:
-    """The tiles at a time [s], shape (n,) [Pa], and what the clusters measured, (c,) [Pa]."""
+    """Stresses on tiles (n,) [Pa] and measured cluster pressures (c,) [Pa] at a time [s]."""
     return {
         "time": round(time, 3),
         "pressure": numbers(1e-3 * pressure),
@@ -117,14 +117,14 @@ def moment(
 
 
 def moments(time: FloatArray, outputs: PressureOutputs, geometry: SocketGeometry) -> list[Document]:
-    """The map at the N samples of some outputs, at times [s], and what the clusters measured."""
-    of, measured = outputs.estimate, measured_pressure(outputs.samples, geometry)
-    stresses = of.normal_pressure, of.normal_pressure_standard_deviation, of.shear
+    """A moment for each of the N samples of some outputs, at times [s]."""
+    found, measured = outputs.estimate, measured_pressure(outputs.samples, geometry)
+    stresses = found.normal_pressure, found.normal_pressure_standard_deviation, found.shear
     return [moment(*row) for row in zip(time.tolist(), *stresses, measured, strict=True)]
 
 
 def measured_pressure(samples: Samples, geometry: SocketGeometry) -> FloatArray:
-    """Pressure that every cluster of the socket measured, NaN where it did not, (N, c) [Pa]."""
+    """Measured pressure of every cluster of the socket, NaN where missing, (N, c) [Pa]."""
     found = np.full((len(samples), len(geometry.clusters)), np.nan)
     for column, (name, tile) in enumerate(geometry.clusters.items()):
         if name in samples.clusters:
@@ -134,7 +134,7 @@ def measured_pressure(samples: Samples, geometry: SocketGeometry) -> FloatArray:
 
 
 def trial_document(trial: Trial, outputs: PressureOutputs, time: FloatArray) -> Document:
-    """The socket of a trial, and its course from outputs of the socket at some times [s]."""
+    """The socket of a trial, and its course from outputs at some times [s]."""
     force = -outputs.samples.wrench[:, 3:] @ proximal_direction(trial.geometry)
     peak = outputs.series.peak.part((..., -1))
     events = [(event.time, event.label) for event in trial.events()]
@@ -149,27 +149,27 @@ def course(
 ) -> Document:
     """Force along the socket (N,) [N] and the socket's peak pressure (N,) [Pa] over time [s].
 
-    Events of a label that is there too often, such as steps, are no marks.
+    Labels with too many events, such as steps, are not marked.
     """
     listed = [*events]
-    often = Counter(label for _, label in listed)
+    counts = Counter(label for _, label in listed)
     return {
         "time": numbers(time, 3),
         "force": numbers(force, 1),
         "peak": numbers(1e-3 * peak.value),
         "low": numbers(1e-3 * peak.low),
         "high": numbers(1e-3 * peak.high),
-        "events": [{"time": at, "label": of} for at, of in listed if often[of] <= _MOST_MARKS],
+        "events": [{"time": t, "label": name} for t, name in listed if counts[name] <= _MAX_MARKS],
     }
 
 
 def bars(places: Sequence[Region], outputs: RegionOutputs) -> Document:
-    """Outputs of the regions with their 95 % intervals, by their titles, less parts of sectors."""
+    """Outputs of the regions except parts of sectors, with 95 % intervals, by title."""
     shown = [i for i, place in enumerate(places) if place.name not in PARTS_OF_SECTORS]
-    found = {title: read_column(outputs, title) for title in _BARS}
+    found = {title: read_column(outputs, title) for title in _BAR_TITLES}
     values = {
-        title: numbers(np.stack([of.value, of.low, of.high], axis=-1)[shown], 1)
-        for title, of in found.items()
+        title: numbers(np.stack([output.value, output.low, output.high], axis=-1)[shown], 1)
+        for title, output in found.items()
     }
     return {"regions": [places[i].name for i in shown], "values": values}
 
@@ -180,30 +180,30 @@ def cards(
     outputs: RegionOutputs,
     pressure: FloatArray,
 ) -> list[Document]:
-    """Cards of the peak, and of the highest pressure where nothing is measured.
+    """Cards of the peak, and of the highest pressure away from sensors.
 
-    They are of outputs of R regions, with the pressure on the tiles at the peak, shape (n,) [Pa].
+    `outputs` holds R regions; `pressure` is that on the tiles at the peak, shape (n,) [Pa].
     """
     clusters = {tile: name for name, tile in geometry.clusters.items()}
     names = [place.name for place in places]
     peak = int(pressure.argmax())
-    how = f"measured by {clusters[peak]}" if peak in clusters else "estimated"
-    shown = [("Peak", SOCKET, f"{part_of(places, peak)}, {how}")]
+    source = f"measured by {clusters[peak]}" if peak in clusters else "estimated"
+    shown = [("Peak", SOCKET, f"{part_of(places, peak)}, {source}")]
     if UNMEASURED in names:
         bare = places[names.index(UNMEASURED)].tiles
         where = part_of(places, int(bare[pressure[bare].argmax()]))
         shown.append(("Elsewhere", UNMEASURED, f"highest where no sensor is: {where}"))
     found = []
     for title, name, words in shown:
-        of = outputs.peak.part(names.index(name), 1e-3)
-        interval = f"{of.low:.1f} to {of.high:.1f}"
-        value = {"value": f"{of.value:.1f} kPa", "interval": interval}
+        quantity = outputs.peak.part(names.index(name), 1e-3)
+        interval = f"{quantity.low:.1f} to {quantity.high:.1f}"
+        value = {"value": f"{quantity.value:.1f} kPa", "interval": interval}
         found.append({"title": title} | value | {"words": words})
     return found
 
 
 def data_card(findings: Sequence[DataFinding]) -> Document:
-    """The card of a trial's data."""
+    """Card of the data check."""
     if not findings:
         return {"title": "Data", "value": "good", "words": "nothing implausible in any source"}
     first, more = findings[0], len(findings) - 1

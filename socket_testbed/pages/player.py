@@ -1,4 +1,4 @@
-"""A trial as the page shows it: at any time that is asked for, and its course."""
+"""A trial for the page: its state at any time, and its course."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from socket_testbed.pages.document import (
 from socket_testbed.trials.pressure import mapped_trial
 from socket_testbed.trials.trial import Trial
 
-_INSTANTS = 400  # of the course
+_COURSE_SAMPLES = 400
 
 
 class Player:
-    """A trial, a `Source` of the page: its map and outputs are computed when they are shown.
+    """A trial as a `Source` of the page: map and outputs are computed on demand.
 
-    A model, if one is given, predicts the wrench.
+    An optional model predicts the wrench.
     """
 
     def __init__(self, trial: Trial, model: StoredModel | None = None) -> None:
@@ -44,7 +44,7 @@ class Player:
             require_position(samples, trial.geometry)
             poses = smooth_poses(samples, model.settings.pose_smoothing).pose
             self._predicted = model.model.wrench(poses)
-        rows = evenly(len(samples), _INSTANTS)
+        rows = evenly(len(samples), _COURSE_SAMPLES)
         time, found = samples.time[rows], self._mapped.course(rows)
         self._start = trial_document(trial, found, time) | {
             "title": trial.name,
@@ -54,11 +54,11 @@ class Player:
         }
 
     def start(self) -> Document:
-        """The socket, the course, and the time of the peak, at which the page opens."""
+        """The socket, the course, and the time of the peak, where the page opens."""
         return self._start
 
     def now(self, time: float | None) -> Document:
-        """The newest sample at a time since the first one [s]."""
+        """The latest sample at a time since the first one [s]."""
         at, samples, mapped = time or 0.0, self._samples, self._mapped
         row = max(int(np.searchsorted(samples.time, at + 1e-6, "right")) - 1, 0)
         one = slice(row, row + 1)

@@ -1,4 +1,4 @@
-"""Serves the page of a trial or a running testbed, to its own page alone."""
+"""HTTP server for the page of a trial or a running testbed; rejects requests of other sites."""
 
 from __future__ import annotations
 
@@ -21,32 +21,32 @@ from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.pages.document import Document
 
 _LOCAL = ("127.0.0.1", "localhost", "::1")
-_HTTP = 80  # the port that a browser does not name
-# The page asks nobody but its own server, and no other page shows it in a frame.
+_HTTP = 80  # the port omitted by browsers
+# The page loads only from its own server, and no other page may frame it.
 _POLICY = "default-src 'self' data: blob: 'unsafe-inline' 'unsafe-eval'; frame-ancestors 'none'"
 _TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
-_LONGEST = 20_000  # [bytes]; of what a page sends
-_IDLE = 30.0  # [s]; a connection that asks nothing is closed
+_MAX_LENGTH = 20_000  # [bytes]; of a request's body
+_IDLE_TIMEOUT = 30.0  # [s]
 
 
 class Source(Protocol):
-    """What a page shows: a trial, or a running testbed. One thread at a time asks it."""
+    """Content of a page: a trial or a running testbed. Calls are serialised."""
 
     def start(self) -> Document:
-        """The socket, and all that does not change."""
+        """The socket, and everything else that does not change."""
 
     def now(self, time: float | None) -> Document:
-        """The pictures at a time since the first sample [s], or of the newest sample."""
+        """State at a time since the first sample [s], or of the newest sample."""
 
     def act(self, what: str, given: dict[str, Any]) -> str:
         """Press a button; returns its outcome in one line, or raises a TestbedError."""
 
 
 class PageServer(ThreadingHTTPServer):
-    """Serves a source until it is closed, on a port, 0 for a free one; a context manager.
+    """Serves a source on a port (0: any free one) until closed; a context manager.
 
-    It may be called by further names. A browser finds the page at `url`; `asking` is held while the
-    source is asked.
+    `names` are further accepted host names. The page is at `url`; the lock `asking` is held during
+    calls to the source.
     """
 
     def __init__(self, source: Source, host: str, port: int, names: tuple[str, ...] = ()) -> None:
@@ -71,11 +71,11 @@ class PageServer(ThreadingHTTPServer):
         self.close()
 
     def refuses(self, hosts: list[str], origins: list[str], address: str) -> str:
-        """Why a request for hosts, from origins, to an address is refused; empty if it is not.
+        """Reason to refuse a request with these Host and Origin headers; empty to accept it.
 
-        Another site's page may send requests to this machine: they carry that site as their
-        origin, or its name as their host where the name is made to point to this machine (DNS
-        rebinding). No other site has the address that a request arrives at as its name.
+        Pages of other sites may send requests to this machine: they carry that site as Origin, or
+        its name as Host if the name is made to resolve to this machine (DNS rebinding). The local
+        address of the connection is always a valid host.
         """
         hosts = [host.lower() for host in hosts]
         names = self._names | {_bracketed(address)}
@@ -88,7 +88,7 @@ class PageServer(ThreadingHTTPServer):
         return ""
 
     def close(self) -> None:
-        """Stop serving, also on connections that are open."""
+        """Stop serving, including on open connections."""
         self.closing = True
         self.shutdown()
         self.server_close()
@@ -99,11 +99,11 @@ class _Handler(BaseHTTPRequestHandler):
     """Answers one browser."""
 
     protocol_version = "HTTP/1.1"
-    timeout = _IDLE
+    timeout = _IDLE_TIMEOUT
     server: PageServer
 
     def do_GET(self) -> None:
-        """The page, its parts, and the source."""
+        """Serve the page, its files, and data of the source."""
         if self._is_refused():
             return
         address = urlsplit(self.path)
@@ -121,11 +121,11 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(HTTPStatus.BAD_REQUEST, b"the time is not a number\n")
 
     def do_POST(self) -> None:
-        """A button."""
+        """Press a button."""
         length = self.headers.get("Content-Length", "")
         if self._is_refused():
             return
-        if not length.isdigit() or int(length) > _LONGEST:
+        if not length.isdigit() or int(length) > _MAX_LENGTH:
             self._answer(HTTPStatus.BAD_REQUEST, b"too long\n")
             return
         try:
@@ -140,7 +140,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer_json({"said": str(error), "failed": True})
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Nothing is printed."""
+        """Log nothing."""
 
     def _is_refused(self) -> bool:
         address = self.connection.getsockname()[0]
@@ -173,7 +173,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 @cache
 def _static() -> dict[str, tuple[bytes, str]]:
-    """The parts of the page and their types by their paths."""
+    """Contents and types of the page's files, by path."""
     found = {"/plotly.js": (get_plotlyjs().encode(), _TYPES[".js"])}
     for file in (files("socket_testbed") / "pages" / "static").iterdir():
         kind = _TYPES[os.path.splitext(file.name)[1]]  # noqa: PTH122 - no path in a zip file
@@ -182,13 +182,13 @@ def _static() -> dict[str, tuple[bytes, str]]:
 
 
 def is_local(host: str) -> bool:
-    """Whether this machine alone reaches a host."""
+    """Whether a host is reachable only from this machine."""
     address = _address(host)
     return address is not None and address.is_loopback
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """A socket that listens on an address or name of this machine; port 0 for one that is free."""
+    """Listen on an address or name of this machine; port 0 for any free one."""
     check_number(port, "the port of the page", 0, 65535)
     try:
         family, *_, address = socket.getaddrinfo(
@@ -212,5 +212,5 @@ def _address(host: str) -> IPv4Address | IPv6Address | None:
 
 
 def _bracketed(name: str) -> str:
-    """A name or an address as it stands in a URL."""
+    """A name or address in URL notation."""
     return f"[{name}]" if ":" in name else name

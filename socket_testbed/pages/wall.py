@@ -1,4 +1,4 @@
-"""The socket's surface unrolled: where its tiles are, and what they say between their centres."""
+"""The unrolled surface of the socket: positions of tiles, and interpolation between them."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.force_map import matern
 from socket_testbed.settings.identification import ForceMapSettings
 
-STEP = 0.35  # [-]; of the grid, by the tiles' edge
-_NEAR = 1.3  # [-]; of the tiles' edge: beyond it from the nearest tile, there is no wall
-_KERNEL = 0.7  # [-]; width over which the wall's shape is smoothed, likewise
+STEP = 0.35  # [-]; of the grid, relative to the edge of a tile
+_MAX_DISTANCE = 1.3  # [-]; likewise; farther from the nearest tile there is no wall
+_KERNEL_WIDTH = 0.7  # [-]; likewise; for smoothing the wall's shape
 _NUGGET = 3e-3  # [-]; keeps weights small beyond the outermost tiles
 _SIDES = {"left": ("lateral", "medial"), "right": ("medial", "lateral")}
 # Corners of a square of edge 1 in {L}, counter-clockwise about the inward normal.
@@ -24,17 +24,17 @@ _SQUARE = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) / 2.0
 
 
 def side_names(side: str | None) -> list[str]:
-    """What lies at -180, -90, 0, 90 and 180 degrees on the unrolled wall, by the leg's side."""
+    """Directions at -180, -90, 0, 90 and 180 degrees on the unrolled wall, by side of the leg."""
     left, right = _SIDES.get(side or "", ("left", "right"))
     return ["posterior", right, "anterior", left, "posterior"]
 
 
 @dataclass(frozen=True, eq=False)
 class UnrolledTiles:
-    """The n tiles as squares of their areas, on the unrolled wall or on the distal end.
+    """The n tiles as squares of the same areas, on the unrolled wall or on the distal end.
 
-    Places on the wall are the angle from anterior towards left [deg], in the turn of the tile's
-    centre, and the height above the distal end; those on the end, which is seen from inside, are
+    Positions on the wall are the angle from anterior towards left [deg], unwrapped around the
+    tile's centre, and the height above the distal end; those on the end, seen from inside, are
     towards right and towards anterior [mm].
     """
 
@@ -46,7 +46,7 @@ class UnrolledTiles:
 
 
 def unrolled_tiles(geometry: SocketGeometry) -> UnrolledTiles:
-    """Where the tiles are on the unrolled wall and on the distal end."""
+    """Positions of the tiles on the unrolled wall and on the distal end."""
     around = socket_axis(geometry)
     on_wall = wall_tiles(geometry, around)
     tiles_in_socket = Pose(geometry.square_frames()[:, None], geometry.anchors[:, None])
@@ -62,21 +62,21 @@ def unrolled_tiles(geometry: SocketGeometry) -> UnrolledTiles:
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """A part of the surface on a grid of w by h points."""
+    """A part of the surface on a grid of w x h points."""
 
     name: str  # `wall`, unrolled, or `end`, seen from inside with anterior up
     x: FloatArray  # (w,); as in `UnrolledTiles`
     y: FloatArray  # (h,)
-    points: FloatArray  # (h, w, 3) in {S} [m]; NaN where no wall is
-    weights: FloatArray  # (h, w, n) [-]; of the tiles' values in the value of a point
+    points: FloatArray  # (h, w, 3) in {S} [m]; NaN without wall
+    weights: FloatArray  # (h, w, n) [-]; of the tiles' values at a point
 
 
 def patches(geometry: SocketGeometry, step: float = STEP) -> list[Patch]:
-    """The wall, then the distal end, less what has no tile, on grids of a step by the tiles' edge.
+    """Grids of the wall and the distal end, where they have tiles; `step` is relative to the edge.
 
-    The value of a point is its expected value, given those of the tiles, of a Gaussian process
-    with the correlation of the force map (Matern 3/2 by distance): where the field is one, this is
-    the force map at the point.
+    The value at a point is its expected value given those of the tiles, under a Gaussian process
+    with the correlation of the force map (Matern 3/2 by distance): for such a field, this is the
+    force map at the point.
     """
     around, edge = socket_axis(geometry), float(np.median(np.sqrt(geometry.areas)))
     on_wall, heights = wall_tiles(geometry, around), around.heights(geometry.anchors)
@@ -110,15 +110,15 @@ def patches(geometry: SocketGeometry, step: float = STEP) -> list[Patch]:
 
 
 def _grid(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Coordinates of all points, row by row, shape (h w,) each."""
+    """Coordinates of all points, row by row, of shape (h w,)."""
     across, up = np.meshgrid(x, y)
     return across.ravel(), up.ravel()
 
 
 def _smooth(apart: FloatArray, values: FloatArray) -> FloatArray:
-    """Values of the tiles smoothed over points, by the distances to them in tiles' edges."""
-    closeness = np.exp(-0.5 * (apart / _KERNEL) ** 2) + 1e-9 / (1.0 + apart**2)
-    return np.asarray((closeness @ values) / closeness.sum(axis=1))
+    """Smooth tile values over points, by the distances between them in tile edges."""
+    weights = np.exp(-0.5 * (apart / _KERNEL_WIDTH) ** 2) + 1e-9 / (1.0 + apart**2)
+    return np.asarray((weights @ values) / weights.sum(axis=1))
 
 
 def _patch(
@@ -130,12 +130,12 @@ def _patch(
     edge: float,
 ) -> Patch:
     apart = cdist(points, geometry.anchors)
-    points[~(apart.min(axis=1) <= _NEAR * edge)] = np.nan
+    points[~(apart.min(axis=1) <= _MAX_DISTANCE * edge)] = np.nan
     length = ForceMapSettings().length
     among = matern(cdist(geometry.anchors, geometry.anchors), length)
     among += _NUGGET * np.eye(len(geometry))
     weights = np.linalg.solve(among, matern(np.nan_to_num(apart), length).T).T
-    weights /= weights.sum(axis=1, keepdims=True)  # what is the same on all tiles stays so
+    weights /= weights.sum(axis=1, keepdims=True)  # preserves uniform fields
     grid = (len(y), len(x))
     shown = np.asarray(points.reshape(*grid, 3))
     return Patch(name, x, y, shown, np.asarray(weights.reshape(*grid, -1)))

@@ -1,4 +1,4 @@
-"""The trade-off between wrench and clusters: fronts of the paper's variants."""
+"""Trade-off between wrench and clusters: Pareto fronts of the paper's variants."""
 
 from __future__ import annotations
 
@@ -47,15 +47,15 @@ _HOLLOW: dict[str, Any] = {
 }
 _FAINT = 0.3  # opacity
 _MARGIN = 0.08  # [-]; around the solutions
-_LEAST_ERROR = 1e-8  # [-]; zero has no place on a logarithmic axis, and errors no more digits
-_WIDE = 5.0  # [-]; ratio of an axis' ends above which its numbers go by 1, 2, 5
+_MIN_ERROR = 1e-8  # [-]; for the logarithmic axes, below the precision of errors
+_WIDE_RATIO = 5.0  # [-]; ratio of axis limits above which ticks are at 1, 2, 5
 _WRENCH_LABEL = "wrench error \N{SQUARE ROOT}J_w [-]"
 _LOCAL_LABEL = "local error \N{SQUARE ROOT}J_f [-]"
-_HEIGHT = 0.62  # [-]; of the panel by its width
+_ASPECT = 0.62  # [-]; height of the panel over its width
 
 
 def section(results: Results) -> Section:
-    """The section on the fronts, or why there are none."""
+    """The section on the fronts, or the reason for their absence."""
     if not results.fronts:
         return Section("fronts", "Pareto fronts", [f"None: {results.no_fronts}."])
     fronts, lines = [*results.fronts.values()], {}
@@ -64,8 +64,8 @@ def section(results: Results) -> Section:
         lines[_describe(front)] = dict(zip("xy", numbers(errors[:, kept], 6), strict=True))
     figure = ReportFigure(
         "pareto",
-        "Normalised error of the clusters against that of the wrench over theta; both are the"
-        " square roots of the terms of the objective, 1 stands for predicting zero. Dominated"
+        "Normalised error of the clusters against that of the wrench, for theta from 0 to 1. Errors"
+        " are the square roots of the terms of the objective; predicting zero gives 1. Dominated"
         " solutions are faint.",
         lambda style: pareto_figure(fronts, results.title("Trade-off"), style),
         front_table(fronts),
@@ -81,14 +81,14 @@ def section(results: Results) -> Section:
 
 
 def _kept(front: Front) -> tuple[IntArray, FloatArray]:
-    """Solutions that no other dominates along the front, and the two errors of all, (2, k)."""
+    """Indices of non-dominated solutions along the front, and both errors of all, (2, k)."""
     kept = np.flatnonzero(front.non_dominated)
     kept = kept[np.argsort(front.wrench_error[kept], kind="stable")]
-    return kept, np.maximum([front.wrench_error, front.local_error], _LEAST_ERROR)
+    return kept, np.maximum([front.wrench_error, front.local_error], _MIN_ERROR)
 
 
 def marks_table(fronts: Iterable[Front]) -> Table:
-    """The solutions that stand out on each front."""
+    """The marked solutions of each front."""
     columns = {
         "theta [-]": "theta",
         "wrench error [-]": "wrench_error",
@@ -111,7 +111,7 @@ def marks_table(fronts: Iterable[Front]) -> Table:
                 row |= {title: getattr(front, field)[index] for title, field in columns.items()}
             rows.append(row | {"remark": remark})
     formats = {"theta [-]": ".3g", "wrench error [-]": ".4f", "local error [-]": ".4f"}
-    caption = "The solutions that stand out on each front, with mean, mean and median RMSE"
+    caption = "The marked solutions of each front, with mean, mean and median RMSE"
     return Table("marks", caption, pd.DataFrame(rows).set_index("variant"), formats)
 
 
@@ -121,10 +121,10 @@ def pareto_figure(
 ) -> Figure:
     """Draw both normalised errors of at most two fronts on logarithmic axes.
 
-    Dominated solutions are faint; those with a flaw are not shown.
+    Dominated solutions are faint; flawed ones are not shown.
     """
     columns = 2 if style.is_narrow else 3
-    figure = style.figure(_HEIGHT * style.width + 30.0 - 6.0 * columns)
+    figure = style.figure(_ASPECT * style.width + 30.0 - 6.0 * columns)
     style.add_title(figure, title)
     axes = figure.subplots()
     for front, line in zip(fronts, LINE_STYLES, strict=False):
@@ -132,7 +132,7 @@ def pareto_figure(
     axes.set(xscale="log", yscale="log", xlabel=_WRENCH_LABEL, ylabel=_LOCAL_LABEL)
     axes.margins(_MARGIN)
     for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
-        wide = high / low > _WIDE
+        wide = high / low > _WIDE_RATIO
         axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)) if wide else MaxNLocator(6))
         axis.set_major_formatter("{x:g}")
         axis.set_minor_locator(NullLocator())
@@ -161,5 +161,5 @@ def _draw_front(axes: Axes, front: Front, style: dict[str, Any]) -> None:
 
 def _describe(front: Front) -> str:
     knee = front.knee.index
-    bend = "no knee" if knee is None else f"knee at {_THETA} = {front.theta[knee]:.3g}"
-    return f"{front.variant}: {bend}"
+    text = "no knee" if knee is None else f"knee at {_THETA} = {front.theta[knee]:.3g}"
+    return f"{front.variant}: {text}"

@@ -1,4 +1,4 @@
-"""What the models of a trial say: their predictions and errors, and parameters on the tiles."""
+"""Models of a trial: their predictions, errors, and parameters on the tiles."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ from socket_testbed.settings.identification import BIAS_VARIANTS, PAPER_VARIANTS
 from socket_testbed.tables import Table, number, split_unit
 from socket_testbed.trials.segment import Segment
 
-_PANEL, _KEY_LINE = 34.0, 3.1  # [mm]; height of a panel without its key; of a line of the key
-_WIDE = 80.0  # [mm]; of a panel that takes a model and its errors in two lines
-_NAME = 26.0  # [mm]; longest line of a name above a panel
-_LINES = 68.0  # [mm]; height of two panels over time with their key
+_PANEL_HEIGHT, _KEY_LINE = 34.0, 3.1  # [mm]; panel without its key; line of the key
+_MIN_WIDE = 80.0  # [mm]; width of a panel for a model and its errors in two lines
+_NAME_WIDTH = 26.0  # [mm]; longest line of a name above a panel
+_SERIES_HEIGHT = 68.0  # [mm]; two panels over time with their key
 _QUANTITIES = {"N m": "moment", "N": "force"}
-_FORCES_FIRST = (3, 4, 5, 0, 1, 2)  # the forces above, the moments below
+_FORCES_FIRST = (3, 4, 5, 0, 1, 2)  # forces above, moments below
 _MEASURES = {"RMSE": "rmse", "MAE": "mae", "sigma": "sigma", "skill [-]": "skill"}
 _SUMMARIES = {
     "mean of the moments in the objective": ("N m", "moment_rmse"),
@@ -53,7 +53,7 @@ _SUMMARIES = {
 
 
 def section(results: Results) -> Section:
-    """The section on the models that were fitted."""
+    """The section on the fitted models."""
     return Section("models", "Fitted models", [describe_models(results)])
 
 
@@ -81,7 +81,7 @@ def _describe(candidate: Candidate) -> str:
             )
     offset = float(np.linalg.norm(candidate.model.wrench_bias[3:]))
     if offset > 0.0:
-        parts.append(f"its constant force, which no tile bears, {number(offset)} N")
+        parts.append(f"its constant force, carried by no tile, {number(offset)} N")
     return f"{candidate.label}: {'; '.join(parts)}."
 
 
@@ -99,7 +99,7 @@ def local_section(results: Results) -> Section:
 
 
 def paper_section(results: Results) -> Section:
-    """The section that lays the trial beside the paper."""
+    """The section that compares the trial with the paper."""
     frame = beside_published(
         {variant: results.fitted[variant].errors for variant in PAPER_VARIANTS},
         results.fronts,
@@ -114,9 +114,9 @@ def paper_section(results: Results) -> Section:
 def errors_section(results: Results) -> Section:
     """The section on the errors of every model, over the segment and over the rest."""
     parts = [
-        "In-sample: errors over the segment that the variants were fitted to. Sigma is the standard"
-        " deviation of the residual; skill is 1 - RMSE / RMSE of the best constant: 1 is perfect, 0"
-        " no better than the channel's mean over these samples.",
+        "In-sample: errors over the segment used for the fits. Sigma is the standard deviation of"
+        " the residual; skill is 1 - RMSE / RMSE of the best constant: 1 is perfect, 0 no better"
+        " than the channel's mean over these samples.",
         _errors(
             results,
             "errors",
@@ -129,9 +129,8 @@ def errors_section(results: Results) -> Section:
         caption = "Errors over the rest of the trial (held-out), in the unit of the channel"
         parts += [
             Heading("Held-out: the rest of the trial"),
-            "Samples of the same trial outside the segment, which the variants have not seen: other"
-            " loads and the changes between them, but the same session, so no substitute for"
-            " another trial.",
+            "Samples of the same trial outside the segment, not used for the fits: other loads and"
+            " the changes between them, but the same session, so no substitute for another trial.",
             _errors(results, "held-out", caption, held_out),
         ]
     every = pd.DataFrame(
@@ -154,16 +153,16 @@ def errors_section(results: Results) -> Section:
 def _errors(
     results: Results, name: str, caption: str, errors: Sequence[Sequence[ChannelErrors]]
 ) -> Table:
-    """Errors of every model, a row per channel, and below them what the paper quotes."""
+    """Errors of every model, a row per channel, then the summaries quoted by the paper."""
     rows = {
-        of_channel[0].name: [
-            of_channel[0].unit,
-            *(getattr(error, field) for error in of_channel for field in _MEASURES.values()),
-            _remark(results, of_channel),
+        channel[0].name: [
+            channel[0].unit,
+            *(getattr(error, field) for error in channel for field in _MEASURES.values()),
+            _remark(results, channel),
         ]
-        for of_channel in zip(*errors, strict=True)
+        for channel in zip(*errors, strict=True)
     }
-    summaries = [summarise_errors(of_model) for of_model in errors]
+    summaries = [*map(summarise_errors, errors)]
     none = [np.nan] * 3
     for title, (unit, field) in _SUMMARIES.items():
         cells = [cell for summary in summaries for cell in (getattr(summary, field), *none)]
@@ -177,7 +176,7 @@ def _errors(
 
 
 def _remark(results: Results, errors: Sequence[ChannelErrors]) -> str:
-    """Which models' fits did not see a channel."""
+    """The models without this channel in their objective."""
     pairs = zip(results.candidates, errors, strict=True)
     left_out = [candidate.label for candidate, error in pairs if not error.in_objective]
     if len(left_out) in (0, len(errors)):
@@ -186,7 +185,7 @@ def _remark(results: Results, errors: Sequence[ChannelErrors]) -> str:
 
 
 Shown: TypeAlias = tuple[str, FloatArray, Sequence[ChannelErrors]]
-"""A model's label, what it predicts for all samples, (N, 6 + 3c), and its errors."""
+"""A model's label, predictions for all samples, (N, 6 + 3c), and errors."""
 
 
 def _channels(results: Results, name: str, title: str, channels: Sequence[int]) -> ReportFigure:
@@ -205,8 +204,8 @@ def _channels(results: Results, name: str, title: str, channels: Sequence[int]) 
     heading = results.title(title)
     return ReportFigure(
         name,
-        f"{title}, {results.segment}; the errors in the panels are over the shaded segment, to"
-        f" which the variants were fitted (in-sample). {THINNED}",
+        f"{title}, {results.segment}; errors in the panels are over the shaded segment, used for"
+        f" the fits (in-sample). {THINNED}",
         lambda style: wrench_figure(samples, results.segment, models, heading, style, channels),
         results.series(columns),
         line_chart(samples.time, charts),
@@ -222,15 +221,15 @@ def wrench_figure(
     style: FigureStyle,
     channels: Sequence[int] = _FORCES_FIRST,
 ) -> Figure:
-    """Measured against predicted channels, those of the wrench unless others are given.
+    """Measured and predicted channels, by default those of the wrench.
 
-    Each has a panel, three in a row of a page, with its errors unless there are no titles.
+    One panel per channel, three per row of a page, with errors unless titles are off.
     """
     across = 3 if not style.is_narrow else 1 if style.titles else 2
     rows = -(-len(channels) // across)
-    lines = (2 if style.width / across >= _WIDE else 3) if style.titles else 0
+    lines = (2 if style.width / across >= _MIN_WIDE else 3) if style.titles else 0
     key = _KEY_LINE * (2.5 + lines * len(models)) if style.titles else 0.0
-    figure = style.figure(rows * (_PANEL + key) + (12.0 if style.titles else 20.0))
+    figure = style.figure(rows * (_PANEL_HEIGHT + key) + (12.0 if style.titles else 20.0))
     style.add_title(figure, title)
     axes, measured = panels(figure, len(channels), across), samples.trusted_values
     for axis, channel in zip(axes, channels, strict=True):
@@ -245,7 +244,7 @@ def wrench_figure(
         if lines:
             add_legend(axis, title=name, labelspacing=0.2, handlelength=1.8)
         else:
-            axis.set_title(wrap(name, _NAME), loc="left", fontweight="bold", parse_math=False)
+            axis.set_title(wrap(name, _NAME_WIDTH), loc="left", fontweight="bold", parse_math=False)
     if not lines:
         handles, labels = axes[0].get_legend_handles_labels()
         add_legend(figure, handles, labels, loc="outside lower center", ncols=across + 1)
@@ -266,17 +265,16 @@ def _key(label: str, e: ChannelErrors, lines: int) -> str:
 
 
 def surface_section(results: Results) -> Section:
-    """The section on what the models say of the tiles."""
+    """The section on the models' parameters on the tiles."""
     text = (
-        "The map at the top of the page shows them, too. Values of a rigid variant are in the"
-        " tile's own frame (z along the inward normal), its rest positions from the"
-        " reference pose; those of the paper's"
-        " variants are in {S}, their rest positions from the mean limb position of the segment. The"
-        " offset of a cluster is in the cluster's own frame; the wrench's offset belongs to no"
-        " tile. A channel that is not in the objective has no offset."
+        "The map at the top of the page also shows these parameters. For a rigid variant, they are"
+        " in the tile's own frame (z along the inward normal), with rest positions relative to the"
+        " reference pose; for the paper's variants, in {S}, with rest positions relative to the"
+        " mean limb position of the segment. A cluster's offset is in the cluster's own frame; the"
+        " wrench's offset belongs to no tile. Channels outside the objective have no offset."
     )
     offsets = _offsets(results)
-    shown = Table("offsets", "Constant offsets, added to what the springs predict", offsets)
+    shown = Table("offsets", "Constant offsets, added to the springs' predictions", offsets)
     return Section(
         "surface",
         "Parameters on the socket's surface",
@@ -286,16 +284,16 @@ def surface_section(results: Results) -> Section:
 
 
 def model_values(results: Results, candidate: Candidate) -> dict[str, dict[str, Any]]:
-    """Parameters of a model on the tiles for the map, by their names."""
+    """Parameters of a model on the tiles for the map, by name."""
     model, frame = candidate.model, _frame(candidate)
     kinds = [
         ("stiffness", "N/m", model.stiffness),
         ("rest position", "mm", _rest_offsets(results, candidate)),
     ]
     return {
-        f"{kind} along {axis} of {frame} [{unit}]": {"values": numbers(of), "unit": unit}
+        f"{kind} along {axis} of {frame} [{unit}]": {"values": numbers(column), "unit": unit}
         for kind, unit, values in kinds
-        for axis, of in _by_axis(values)
+        for axis, column in _by_axis(values)
     }
 
 
@@ -313,7 +311,7 @@ def _rest_offsets(results: Results, candidate: Candidate) -> FloatArray:
 
 
 def _tile_maps(results: Results) -> Iterator[ReportFigure]:
-    """The stiffnesses of every model, and its rest positions unless they are the last one's."""
+    """Stiffnesses of every model, and its rest positions unless equal to the previous one's."""
     shown: FloatArray | None = None
     for candidate in results.candidates:
         model, label = candidate.model, candidate.label
@@ -339,21 +337,21 @@ def _tile_map(
     symbol: str,
     quantity: str,
 ) -> ReportFigure:
-    """Maps of values of the tiles along x, y, z, shape (n, 3), of a symbol and a quantity."""
+    """Maps of a quantity on the tiles along x, y, z, shape (n, 3)."""
     geometry, frame = results.trial.geometry, _frame(candidate)
     clusters = {tile: cluster for cluster, tile in geometry.clusters.items()}
     described, unit = split_unit(quantity)
-    columns = {f"anchor {axis} in S [m]": of for axis, of in _by_axis(geometry.anchors)}
-    columns |= {f"{described} {axis} [{unit}]": of for axis, of in _by_axis(values)}
-    of_tiles = [clusters.get(tile, "") for tile in range(len(geometry))]
-    maps = {f"{symbol} along {axis} of {frame}": of for axis, of in _by_axis(values)}
+    columns = {f"anchor {axis} in S [m]": column for axis, column in _by_axis(geometry.anchors)}
+    columns |= {f"{described} {axis} [{unit}]": column for axis, column in _by_axis(values)}
+    names = [clusters.get(tile, "") for tile in range(len(geometry))]
+    maps = {f"{symbol} along {axis} of {frame}": column for axis, column in _by_axis(values)}
     heading = f"{results.trial.name}: {title}"
     return ReportFigure(
         name,
         f"{title}, along the axes of {frame}; the wall is unrolled and seen from outside. Tiles"
         " with a cluster are outlined.",
         lambda style: tile_map_figure(geometry, maps, quantity, heading, style),
-        pd.DataFrame({"tile": geometry.names, "cluster": of_tiles, **columns}),
+        pd.DataFrame({"tile": geometry.names, "cluster": names, **columns}),
     )
 
 
@@ -362,7 +360,7 @@ def _by_axis(values: FloatArray) -> Iterator[tuple[str, FloatArray]]:
 
 
 def _engaged_springs(results: Results) -> ReportFigure:
-    """Which springs of every model are engaged, over time and over the socket."""
+    """Engaged springs of every model, over time and over the socket."""
     models = {candidate.label: candidate.engagement for candidate in results.candidates}
     maps = {name: 100.0 * found.time_share.mean(axis=1) for name, found in models.items()}
     columns = [found.columns(f"{label}.springs.") for label, found in models.items()]
@@ -385,22 +383,22 @@ def _engaged_springs(results: Results) -> ReportFigure:
             results.title("Engaged springs"),
             style,
             limits=(0.0, 100.0),
-            below=(_LINES, draw_lines),
+            below=(_SERIES_HEIGHT, draw_lines),
         )
 
     return ReportFigure(
         "engaged_springs",
-        "Springs that are engaged (compressed, with a stiffness above zero), and uncertain ones,"
-        " which one standard deviation of the pose's noise can switch. The maps show the share of"
-        " the time over the shaded segment in which the springs of a tile are engaged;"
-        f" engaged_tiles.csv holds it for each. {THINNED}",
+        "Engaged springs (compressed, with a stiffness above zero), and uncertain ones, which one"
+        " standard deviation of the pose's noise can switch. The maps show the share of time in"
+        " the shaded segment with the springs of a tile engaged; engaged_tiles.csv holds it for"
+        f" each spring. {THINNED}",
         draw,
-        results.series({name: of for found in columns for name, of in found.items()}),
+        results.series({name: share for found in columns for name, share in found.items()}),
     )
 
 
 def _engaged_tiles(results: Results) -> pd.DataFrame:
-    """Share of the time on the segment in which each spring is engaged, a row per tile."""
+    """Share of time on the segment with each spring engaged, a row per tile."""
     columns: dict[str, Any] = {"tile": results.trial.geometry.names}
     for candidate in results.candidates:
         axes = ("normal",) if candidate.model.is_rigid else ("x", "y", "z")

@@ -1,4 +1,4 @@
-"""A page: pictures of a socket and sections of text, tables and charts, as one file."""
+"""A single-file page: pictures of a socket, and sections of text, tables and charts."""
 
 from __future__ import annotations
 
@@ -28,28 +28,28 @@ from socket_testbed.tables import UNCERTAIN, pairs_table, write_table
 if TYPE_CHECKING:
     import trimesh
 
-_MOST_FACES = 20_000  # of the surface on a page
-_GROWTH = 1.1  # [-]; of the cells in which vertices are merged, from one attempt to the next
+_MAX_FACES = 20_000  # of the surface on a page
+_GROWTH = 1.1  # [-]; of the cells for merging vertices, per attempt
 
 
 @dataclass(frozen=True)
 class ReportFigure:
-    """A chart on a page, and beside it as files: its data, and on demand for print."""
+    """A chart on a page, with files next to it: its data and, on request, figures for print."""
 
     kind: ClassVar = "figure"
     name: str  # of its files
     caption: str
     draw: Callable[[FigureStyle], Figure]  # for print
     data: pd.DataFrame
-    # Panels of lines for the page, see report.js; None for what is on the map of the socket
+    # Panels of lines for the page, see report.js; None if shown on the map of the socket
     chart: Mapping[str, Any] | None = None
 
     def files(self, drawn: bool) -> list[str]:
-        """Names of its files, with those for print if they are drawn."""
+        """Names of its files, including those for print if drawn."""
         return [f"{self.name}.{suffix}" for suffix in ["csv", *["pdf", "png"] * drawn]]
 
     def write(self, folder: Path, style: FigureStyle | None) -> None:
-        """Write its files to a folder, those for print in a style."""
+        """Write its files to a folder, including those for print if a style is given."""
         write_table(self.data, folder / f"{self.name}.csv")
         if style is not None:
             figure = self.draw(style)
@@ -58,7 +58,7 @@ class ReportFigure:
 
 
 def line_chart(time: FloatArray, panels: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """A chart of panels, each a title and lines by their names, over time (N,) [s], thinned."""
+    """A chart of panels with named lines over time (N,) [s], thinned."""
     shown = []
     for panel in panels:
         lines = {}
@@ -71,16 +71,16 @@ def line_chart(time: FloatArray, panels: Sequence[Mapping[str, Any]]) -> dict[st
 
 @dataclass(frozen=True)
 class Pictures:
-    """The socket: its map unrolled and in 3D; over time a course, and regions as bars."""
+    """The socket: unrolled map and 3D view; if over time, also a course and bars of regions."""
 
     kind: ClassVar = "pictures"
     description: str
-    over_time: bool = True  # with the mean over a segment
+    over_time: bool = True  # including the mean over a segment
 
 
 @dataclass(frozen=True)
 class Maps:
-    """Unrolled maps side by side, by their identifiers on the page with their titles."""
+    """Unrolled maps side by side: titles by their identifiers on the page."""
 
     kind: ClassVar = "maps"
     maps: Mapping[str, str]
@@ -99,15 +99,15 @@ class Heading:
 class Section:
     """A section of a page."""
 
-    name: str  # its identifier
+    name: str  # identifier
     title: str
-    # A text is a paragraph, texts are a list; else headings, tables, figures, pictures, maps
+    # Strings are paragraphs, sequences are lists; also headings, tables, figures, pictures, maps
     parts: Sequence[Any]
     files: Mapping[str, pd.DataFrame] = field(default_factory=dict)  # further CSV files by name
 
     @property
     def figures(self) -> list[ReportFigure]:
-        """Its figures."""
+        """The figures among its parts."""
         return [part for part in self.parts if isinstance(part, ReportFigure)]
 
 
@@ -119,10 +119,10 @@ def write_page(
     data: Mapping[str, Any],
     **content: Any,
 ) -> None:
-    """Write a page as one self-contained file, or replace it; every text in it is escaped.
+    """Write a page as one self-contained file, or replace it; all text is escaped.
 
-    Groups are sections by the title under which they are folded; those of "" are open. The data
-    are what its cards and pictures show, see report.js; `content` is what else the template takes.
+    `groups` are sections by the title under which they are folded; those of "" stay open. `data`
+    feeds the cards and pictures, see report.js; `content` holds further template variables.
     """
     environment = Environment(
         loader=PackageLoader("socket_testbed", "pages/static"),
@@ -140,7 +140,7 @@ def write_page(
 
 @cache
 def _viewer() -> Markup:
-    """plotly.js as it comes with plotly, compressed: the browser unpacks it."""
+    """The plotly.js shipped with plotly, compressed; the browser unpacks it."""
     return Markup(base64.b64encode(gzip.compress(get_plotlyjs().encode(), mtime=0)).decode())
 
 
@@ -151,12 +151,12 @@ def write_socket_page(
     title: str,
     facts: Sequence[tuple[str, str]],
 ) -> None:
-    """Write a page with the interior surface of a socket in {S} [m] and its tiles, in one file."""
+    """Write a single-file page with the interior surface of a socket in {S} [m] and its tiles."""
     heights = 1e3 * socket_axis(geometry).heights(geometry.anchors)
-    seen = simplify(surface)
+    shown = simplify(surface)
     data = {
         "socket": socket_document(geometry)
-        | {"surface": {"points": numbers(1e3 * seen.vertices, 1), "faces": seen.faces.tolist()}},
+        | {"surface": {"points": numbers(1e3 * shown.vertices, 1), "faces": shown.faces.tolist()}},
         "moments": [{"time": 0.0, "words": f"{len(geometry)} tiles"}],
         "start": 0.0,
         "kinds": ["tiles"],
@@ -171,11 +171,11 @@ def write_socket_page(
     write_page(path, title, subtitle, {"": [Section("socket", "", [pictures, table])]}, data)
 
 
-def simplify(surface: trimesh.Trimesh, most_faces: int = _MOST_FACES) -> trimesh.Trimesh:
-    """Merge the vertices in each cell of a cubic grid, in cells that grow until it suffices.
+def simplify(surface: trimesh.Trimesh, most_faces: int = _MAX_FACES) -> trimesh.Trimesh:
+    """Merge the vertices in each cell of a cubic grid, growing the cells until few faces remain.
 
     Vertex clustering (Rossignac and Borrel 1993, doi:10.1007/978-3-642-78114-8_29) needs no
-    manifold, so it takes any scan.
+    manifold, so it accepts any scan.
     """
     cell = np.sqrt(2.0 * surface.area / most_faces)
     simplified = surface

@@ -1,4 +1,4 @@
-"""Pressure as a lab reads it: the pictures, outputs of the regions, maps, regions over time."""
+"""Pressure in the report: pictures, outputs of the regions, maps, and regions over time."""
 
 from __future__ import annotations
 
@@ -54,12 +54,12 @@ from socket_testbed.report.tiles import add_key, tile_map_figure
 from socket_testbed.tables import Table, split_unit
 from socket_testbed.trials.pressure import DECIMALS, SegmentPressure, by_place, cells, limb_cells
 
-_PRESSURES = 5  # columns of the first table by region
-_SPANS = ("plateau", "hold")
-_UNIT = "pressure [kPa]"
-_MOST_POINTS = 300  # per line
-_BAND = 0.18  # [-]; opacity
-_NUMBER = 0.04  # [-]; of a panel's width, for the number of an event
+_PRESSURE_COLUMNS = 5  # in the first table by region
+_NAMED_SEGMENTS = ("plateau", "hold")
+_LABEL = "pressure [kPa]"
+_MAX_POINTS = 300  # per line
+_BAND_OPACITY = 0.18  # [-]
+_NUMBER_WIDTH = 0.04  # [-]; space for an event's number, relative to the panel's width
 
 
 def head_section(results: Results) -> Section:
@@ -69,7 +69,7 @@ def head_section(results: Results) -> Section:
 
 
 def page_data(results: Results) -> dict[str, Any]:
-    """What the cards and the pictures of the socket show."""
+    """Data of the cards and the pictures of the socket."""
     found, trial, over_trial = results.pressure, results.trial, results.over_trial
     outputs, tiles, geometry = found.outputs, found.outputs.tiles, results.trial.geometry
     time = 1e-9 * (over_trial.samples.stamps - results.samples.stamps[0])
@@ -95,7 +95,7 @@ def page_data(results: Results) -> dict[str, Any]:
 
 
 def section(results: Results) -> Section:
-    """The section with the outputs in numbers."""
+    """The section with the numerical outputs."""
     found = results.pressure
     names = pd.Index([place.name for place in found.places], name="region")
     outputs = pd.DataFrame(columns_of(found.outputs.regions, [*DECIMALS]), index=names)
@@ -105,18 +105,18 @@ def section(results: Results) -> Section:
         "pressure",
         "Pressure",
         [
-            f"Over {results.segment}. A value whose 95 % interval reaches farther than"
-            f" {100.0 * SHARE:g} % of it is called uncertain. In contact:"
+            f"Over {results.segment}. A value is marked uncertain if its 95 % interval reaches"
+            f" farther than {100.0 * SHARE:g} % of it. In contact:"
             f" above {1e-3 * THRESHOLD:g} kPa; the integrals cover"
-            f" {found.outputs.integrated:.1f} s, while in contact. The direction of the shear is"
-            " that from proximal about the inward normal. 'socket-testbed pressure' gives the same"
-            " numbers, and those of another segment or threshold.",
+            f" {found.outputs.integrated:.1f} s, while in contact. Shear direction is measured"
+            " from proximal about the inward normal. 'socket-testbed pressure' gives the same"
+            " numbers, also for other segments and thresholds.",
             *_tables(found),
-            Heading("How it is estimated"),
-            "From the clusters' and the load cell's measurements, without a fitted model: a"
-            f" Gaussian process over the socket's surface ({found.outputs.source}). About 95 % of"
-            " the true values lie within the intervals. The mean over the segment is as uncertain"
-            " as one sample, since what the sensors leave open does not change.",
+            Heading("Estimation"),
+            "From the measurements of clusters and load cell, without a fitted model: a Gaussian"
+            f" process over the socket's surface ({found.outputs.source}). About 95 % of the true"
+            " values lie within the intervals. The mean over the segment is as uncertain as a"
+            " single sample, because the sensors leave the same uncertainty in each.",
             _overview(results),
             _force_map(results),
         ],
@@ -125,11 +125,11 @@ def section(results: Results) -> Section:
 
 
 def _tables(found: SegmentPressure) -> list[Table]:
-    """The outputs of the regions, of which the last is the socket, and how the limb sits in it."""
+    """Outputs of the regions, the last one the socket, and of the limb in the socket."""
     shown = cells([place.name for place in found.places], found.outputs.regions, "{}\n{}")
     shown = shown.rename(columns=_printed).rename_axis("region")
     below = "by region, the 95 % interval below each value"
-    first, second = shown.iloc[:, :_PRESSURES], shown.iloc[:, _PRESSURES:]
+    first, second = shown.iloc[:, :_PRESSURE_COLUMNS], shown.iloc[:, _PRESSURE_COLUMNS:]
     tables = [
         Table("pressure-regions", f"Pressure and load {below}", first),
         Table("pressure-shear", f"Shear and centre of pressure {below}", second),
@@ -144,9 +144,9 @@ def describe_pressure(found: SegmentPressure) -> str:
     """The pressure on the socket in a sentence."""
     socket = cells([place.name for place in found.places], found.outputs.regions).iloc[-1]
     parts = []
-    for title, said in socket.iloc[:3].items():
+    for title, value in socket.iloc[:3].items():
         name, unit = split_unit(_printed(title))
-        parts.append(f"{name} {said} {unit}")
+        parts.append(f"{name} {value} {unit}")
     peak = found.outputs.peak_map.normal_pressure[0].argmax()
     return (
         f"Pressure over the segment, with 95 % intervals: {'; '.join(parts)}. The peak is on"
@@ -159,13 +159,13 @@ def _printed(title: str) -> str:
 
 
 def _overview(results: Results) -> ReportFigure:
-    """Pressure over the segment and at its peak, unrolled, and that of the regions over time."""
-    values = {f"{name} [kPa]": of.value for name, of in _maps(results.pressure).items()}
+    """Unrolled pressure over the segment and at its peak, and regional pressure over time."""
+    values = {f"{name} [kPa]": found.value for name, found in _maps(results.pressure).items()}
     return ReportFigure(
         "pressure_map",
         f"Pressure on the unrolled socket, {results.segment}, and at its peak. The greyer, the"
         " less certain. Tiles with a cluster are outlined. Below, the mean pressure of sectors,"
-        " heights and own regions."
+        " heights and user-defined regions."
         f" {THINNED}",
         lambda style: pressure_figure(results.pressure, "", style),
         pd.DataFrame({"tile": results.trial.geometry.names, **values}),
@@ -195,21 +195,21 @@ def _force_map(results: Results) -> ReportFigure:
 def force_map_figure(
     geometry: SocketGeometry, estimate: MapEstimate, title: str, style: FigureStyle
 ) -> Figure:
-    """Normal pressure of the first sample of a force map, and below its standard deviation."""
+    """Normal pressure of the first sample of a force map, and its standard deviation."""
     pressure = 1e-3 * estimate.normal_pressure[0]
     deviation = 1e-3 * estimate.normal_pressure_standard_deviation[0]
     maps = {"normal pressure": pressure, "its standard deviation": deviation}
     reach = dict(zip(maps, (NORMAL_QUANTILE * deviation, 0.0 * deviation), strict=True))
-    return tile_map_figure(geometry, maps, _UNIT, title, style, reach=reach)
+    return tile_map_figure(geometry, maps, _LABEL, title, style, reach=reach)
 
 
 def _maps(found: SegmentPressure) -> dict[str, Quantity]:
-    """Pressures of the tiles over a segment and at its peak, by what they are, (n,) [kPa]."""
+    """Mean and peak pressures of the tiles over a segment, (n,) [kPa], by title."""
     at_peak, kind = found.outputs.peak_map, found.segment.kind
     deviation = 1e-3 * at_peak.normal_pressure_standard_deviation[0]
     mean = found.outputs.tiles.mean.part(..., 1e-3)
     return {
-        f"mean over the {kind if kind in _SPANS else 'segment'}": mean,
+        f"mean over the {kind if kind in _NAMED_SEGMENTS else 'segment'}": mean,
         f"at the peak, {found.peak_time:.2f} s": normal_quantity(
             1e-3 * at_peak.normal_pressure[0], deviation
         ),
@@ -217,17 +217,17 @@ def _maps(found: SegmentPressure) -> dict[str, Quantity]:
 
 
 def pressure_figure(found: SegmentPressure, title: str, style: FigureStyle) -> Figure:
-    """Unrolled maps of the pressure, and below them that of sectors, heights and own regions."""
+    """Unrolled maps of the pressure above that of sectors, heights and user regions over time."""
     maps = _maps(found)
-    reach = {name: np.maximum(of.high - of.value, of.value - of.low) for name, of in maps.items()}
+    reach = {name: np.maximum(q.high - q.value, q.value - q.low) for name, q in maps.items()}
     left_out = {SOCKET, UNMEASURED, *PARTS_OF_SECTORS}
     regions = {p.name: i for i, p in enumerate(found.places) if p.name not in left_out}
     mean = found.outputs.mean_pressure()
     events = [(event.time, event.label) for event in found.trial.events()]
     return tile_map_figure(
         found.trial.geometry,
-        {name: of.value for name, of in maps.items()},
-        _UNIT,
+        {name: quantity.value for name, quantity in maps.items()},
+        _LABEL,
         title,
         style,
         from_zero=True,
@@ -241,21 +241,21 @@ def pressure_figure(found: SegmentPressure, title: str, style: FigureStyle) -> F
 
 
 def group_regions(names: Sequence[str]) -> list[tuple[str, list[str]]]:
-    """Heading and names of every panel: sectors, heights, others; at most a name per line style."""
+    """Heading and names of every panel: sectors, heights, others; one name per line style."""
     groups: dict[str, list[str]] = {}
     for name in names:
         heading = "sectors" if name in SECTORS else "heights" if name in HEIGHTS else ""
         groups.setdefault(heading, []).append(name)
-    most = len(LINE_STYLES)
+    size = len(LINE_STYLES)
     return [
-        (heading, group[start : start + most])
+        (heading, group[start : start + size])
         for heading, group in groups.items()
-        for start in range(0, len(group), most)
+        for start in range(0, len(group), size)
     ]
 
 
 def _shape(regions: Mapping[str, int], style: FigureStyle) -> tuple[int, int, float]:
-    """Panels in a row, columns of their keys, and their height [mm]."""
+    """Panels per row, columns of their keys, and total height [mm]."""
     count = len(group_regions([*regions]))
     across = min(2 if style.is_narrow else 3, count)
     key_columns = 1 if style.is_narrow and across > 1 else 2
@@ -270,7 +270,7 @@ def draw_regions(
     events: Sequence[tuple[float, str]],
     style: FigureStyle,
 ) -> None:
-    """Draw the pressure of regions over time with 95 % bands, a panel per kind, and events."""
+    """Draw the pressure of regions over time with 95 % bands and events, a panel per kind."""
     groups, (across, key_columns, _) = group_regions([*regions]), _shape(regions, style)
     events = sorted(event for event in events if time[0] <= event[0] <= time[-1])
     numbers = {label: i for i, label in enumerate(dict.fromkeys(e[1] for e in events), start=1)}
@@ -280,18 +280,18 @@ def draw_regions(
             value, low, high = (
                 1e-3 * part[:, regions[name]] for part in (mean.value, mean.low, mean.high)
             )
-            edges = thin_band(time, low, high, _MOST_POINTS)
-            panel.fill_between(*edges, color=line["color"], alpha=_BAND, linewidth=0.0)
-            panel.plot(*thin(time, value, _MOST_POINTS), label=name, **line)
+            edges = thin_band(time, low, high, _MAX_POINTS)
+            panel.fill_between(*edges, color=line["color"], alpha=_BAND_OPACITY, linewidth=0.0)
+            panel.plot(*thin(time, value, _MAX_POINTS), label=name, **line)
         _mark_events(panel, [(at, numbers[label]) for at, label in events])
         add_legend(panel, title=heading, ncols=key_columns, columnspacing=1.0)
-        panel.set_ylabel(_UNIT if number % across == 0 else "")
+        panel.set_ylabel(_LABEL if number % across == 0 else "")
     labels = ", ".join(f"{number} {label}" for label, number in numbers.items())
     add_key(figure, style, "bands: 95 % intervals", f"events: {labels}" if labels else "")
 
 
 def _mark_events(axis: Axes, events: Sequence[tuple[float, int]]) -> None:
-    """A dotted line per event, with its number where that does not run into the last one."""
+    """A dotted line per event, numbered where that does not overlap the previous number."""
     left, right = axis.get_xlim()
     free = left
     for at, number in events:
@@ -305,5 +305,5 @@ def _mark_events(axis: Axes, events: Sequence[tuple[float, int]]) -> None:
                 textcoords="offset points",
                 va="top",
             )
-            free = at + _NUMBER * (right - left)
+            free = at + _NUMBER_WIDTH * (right - left)
     axis.set_xlim(left, right)

@@ -1,4 +1,4 @@
-"""The data of a trial: notes on it, its quality and plateaus, and the origin of the report."""
+"""Data of a trial: notes, quality and plateaus, and the provenance of the report."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ from socket_testbed.trials.trial import PARAMETERS_FILE
 from socket_testbed.version import __version__
 
 _LIBRARIES = ("numpy", "scipy", "osqp", "qpsolvers", "matplotlib", "plotly")
-_DIGEST = 16  # hexadecimal digits: enough to tell files apart
-_MOST_GAPS = 5  # in the list
-_LOAD, _DROP_OUTS, _DROP_OUTS_AXIS = 36.0, 4.5, 16.0  # [mm]
-_BINS = 400  # of the trial's time
-_CHOSEN, _OTHER = "0.80", "0.93"  # greys
+_DIGEST_LENGTH = 16  # hexadecimal digits
+_MAX_GAPS = 5  # in the list
+_LOAD_HEIGHT, _ROW_HEIGHT, _AXIS_HEIGHT = 36.0, 4.5, 16.0  # [mm]; rows of drop-outs
+_MAX_BINS = 400  # over time
+_SEGMENT_GREY, _PLATEAU_GREY = "0.80", "0.93"
 _COLOURS = ("#0072B2", "#D55E00")  # of force and moment
 
 
@@ -61,7 +61,7 @@ def section(results: Results) -> Section:
     drop_outs = find_drop_outs(samples, results.segment)
     counts = dict.fromkeys(drop_outs, ".0f") | {"missing [%]": ".2f", "longest [s]": ".2f"}
     found = find_gaps(samples.time)
-    listed = [f"{length:.3f} s from {start:.2f} s" for start, length in found[:_MOST_GAPS]]
+    listed = [f"{length:.3f} s from {start:.2f} s" for start, length in found[:_MAX_GAPS]]
     return Section(
         "quality",
         "Data quality",
@@ -73,16 +73,16 @@ def section(results: Results) -> Section:
             _overview(results),
             Table("drop-outs", "Samples of the trial without a measurement", drop_outs, counts),
             Heading("The segment"),
-            f"Asked for: {results.specification}; in use: {results.segment}. A plateau, of which"
-            f" 'plateau' is the longest, lasts {limits.least_duration:g} s or more under a steady"
-            f" load of {limits.least_force:g} N or more; its limits are among the settings below.",
+            f"Requested: {results.specification}; in use: {results.segment}. A plateau lasts"
+            f" {limits.least_duration:g} s or more under a steady load of {limits.least_force:g} N"
+            " or more; 'plateau' is the longest one. The limits are among the settings below.",
             _plateaus(results),
             Heading("Noise"),
             "From the third differences of the trial, without outliers and steps. Motion from"
-            " sample to sample, such as the sway of a person, counts as noise.",
+            " sample to sample, such as a person's sway, counts as noise.",
             Table(
                 "noise",
-                "Standard deviation of the noise of one sample, along each axis",
+                "Standard deviation of the noise of a single sample, along each axis",
                 noise,
                 dict.fromkeys(noise, ".2g"),
             ),
@@ -100,11 +100,11 @@ def find_gaps(time: FloatArray) -> list[tuple[float, float]]:
 def states(samples: Samples) -> dict[str, StatusArray]:
     """State of every measurement, shape (N,) each: the wrench, the limb position, the clusters.
 
-    A cluster's channels come together, with its status; the others are there or missing.
+    A cluster's channels share its status; other measurements are present or missing.
     """
     lost = {name: np.isnan(samples.wrench[:, i]) for i, name in enumerate(WRENCH_CHANNELS)}
     lost["limb position"] = np.asarray(np.isnan(samples.position).any(axis=1))
-    found = {name: np.where(of, Status.MISSING, Status.OK) for name, of in lost.items()}
+    found = {name: np.where(rows, Status.MISSING, Status.OK) for name, rows in lost.items()}
     return found | {
         f"{name} ({', '.join(LOCAL_CHANNELS)})": samples.status[:, column]
         for column, name in enumerate(samples.clusters)
@@ -112,9 +112,9 @@ def states(samples: Samples) -> dict[str, StatusArray]:
 
 
 def find_drop_outs(samples: Samples, segment: Segment) -> pd.DataFrame:
-    """What each measurement lacks: a row per channel of the wrench, limb position and cluster.
+    """Drop-outs per wrench channel, limb position and cluster, a row each.
 
-    Saturated readings and those out of range are counted for the clusters, NaN for the others.
+    Saturated and out-of-range readings are counted for clusters, NaN for other measurements.
     """
     rows = {}
     for row, (name, state) in enumerate(states(samples).items()):
@@ -132,14 +132,14 @@ def find_drop_outs(samples: Samples, segment: Segment) -> pd.DataFrame:
 
 
 def _longest(missing: BoolArray, time: FloatArray) -> float:
-    """Longest time without a value, from the last one to the next, within the trial [s]."""
+    """Longest time from one value to the next across missing ones, within the trial [s]."""
     start, end = runs(missing).T
     before, after = np.maximum(start - 1, 0), np.minimum(end, len(time) - 1)
     return float((time[after] - time[before]).max(initial=0.0))
 
 
 def mean_and_sigma(vectors: FloatArray) -> tuple[float, float]:
-    """Magnitude of the mean of the whole vectors, shape (N, 3), and the spread of magnitudes."""
+    """Magnitude of the mean of complete vectors, shape (N, 3), and spread of their magnitudes."""
     vectors = vectors[np.isfinite(vectors).all(axis=1)]
     if not len(vectors):
         return float("nan"), float("nan")
@@ -172,14 +172,13 @@ def _overview(results: Results) -> ReportFigure:
         "force magnitude [N]": np.linalg.norm(samples.wrench[:, 3:], axis=1),
         "moment magnitude [N m]": np.linalg.norm(samples.wrench[:, :3], axis=1),
     }
-    flags = {f"{name} not usable [-]": of.astype(int) for name, of in lacking.items()}
-    charts = [{"title": title, "lines": {"measured": of}} for title, of in loads.items()]
+    flags = {f"{name} not usable [-]": rows.astype(int) for name, rows in lacking.items()}
+    charts = [{"title": title, "lines": {"measured": load}} for title, load in loads.items()]
     return ReportFigure(
         "overview",
-        "The measured load over the trial, with the plateaus in light and the segment in use in"
-        " darker grey; below, the share of samples in which a measurement could not be used: it"
-        " was missing, saturated, or out of the calibrated range, where it would be an"
-        f" extrapolation. {THINNED}",
+        "Measured load over the trial, with plateaus in light and the segment in darker grey;"
+        " below, the share of samples in which a measurement was unusable: missing, saturated, or"
+        f" out of the calibrated range. {THINNED}",
         lambda style: _draw_overview(results, loads, lacking, style),
         results.series(loads | flags),
         line_chart(samples.time, charts),
@@ -193,23 +192,23 @@ def _draw_overview(
     lacking: Mapping[str, BoolArray],
     style: FigureStyle,
 ) -> Figure:
-    """The magnitudes of force and moment, and the share of samples that cannot be used."""
+    """Magnitudes of force and moment, and the share of unusable samples."""
     time = results.samples.time
-    raster = _DROP_OUTS * len(lacking) + _DROP_OUTS_AXIS
-    figure = style.figure(2.0 * _LOAD + raster)
-    *axes, lowest = figure.subplots(3, 1, sharex=True, height_ratios=(_LOAD, _LOAD, raster))
-    spans = [*((part, _OTHER) for part in results.plateaus), (results.segment, _CHOSEN)]
+    heights = (_LOAD_HEIGHT, _LOAD_HEIGHT, _ROW_HEIGHT * len(lacking) + _AXIS_HEIGHT)
+    figure = style.figure(sum(heights))
+    *axes, lowest = figure.subplots(3, 1, sharex=True, height_ratios=heights)
+    spans = [*((p, _PLATEAU_GREY) for p in results.plateaus), (results.segment, _SEGMENT_GREY)]
     for axis, (name, load), colour in zip(axes, loads.items(), _COLOURS, strict=True):
         for part, grey in spans:
             axis.axvspan(part.start, part.end, color=grey, linewidth=0.0)
         axis.plot(*thin(time, load), color=colour, linewidth=1.0)
         axis.set_ylabel(name.replace(" [", "\n["))
         style_axes(axis)
-    count = max(1, min(_BINS, len(time) // 2))
+    count = max(1, min(_MAX_BINS, len(time) // 2))
     edges = np.linspace(time[0], max(time[-1], time[0] + 1e-3), count + 1)
     triggers, _ = np.histogram(time, edges)
-    lost = [np.histogram(time, edges, weights=1.0 * of)[0] for of in lacking.values()]
-    # Without a trigger nothing was measured at all.
+    lost = [np.histogram(time, edges, weights=1.0 * rows)[0] for rows in lacking.values()]
+    # Without triggers, all measurements are missing.
     share = np.where(triggers > 0, np.array(lost) / np.maximum(triggers, 1), 1.0)
     rows = np.arange(len(lacking) + 1) - 0.5
     mesh = lowest.pcolormesh(edges, rows, share, cmap="Greys", vmin=0.0, vmax=1.0, rasterized=True)
@@ -221,13 +220,13 @@ def _draw_overview(
 
 
 def notes_section(results: Results) -> Section:
-    """The section with what to know of the data."""
+    """The section with notes on the data."""
     lines = [*map(str, results.data), *list_notes(results)] or ["Nothing."]
     return Section("notes", "Notes", [lines])
 
 
 def list_notes(results: Results) -> list[str]:
-    """What a reader must know of the trial before using the figures."""
+    """Notes on the trial to read before using the figures."""
     samples, geometry = results.samples, results.trial.geometry
     notes = [*results.bag_notes]
     for found in results.implausible:
@@ -238,15 +237,15 @@ def list_notes(results: Results) -> list[str]:
     gaps = find_gaps(samples.time)
     if gaps:
         notes.append(
-            f"Gaps of the triggers: {len(gaps)}, the longest of {gaps[0][1]:.2f} s after"
-            f" {gaps[0][0]:.2f} s."
+            f"Gaps between triggers: {len(gaps)}, the longest {gaps[0][1]:.2f} s, from"
+            f" {gaps[0][0]:.2f} s on."
         )
     inside = int(results.in_segment.sum())
     unfitted = inside - max(c.fit.samples for c in results.candidates if c.fit is not None)
     if unfitted:
         notes.append(
-            f"{unfitted} of the segment's {inside} samples are in no fit: they lack the limb"
-            " position or a channel of the wrench that is in the objective."
+            f"{unfitted} of the segment's {inside} samples are not fitted: they lack the limb"
+            " position or a wrench channel of the objective."
         )
     warnings = {c.label: share_warning(c.shares) for c in results.candidates}
     notes += [f"{label}: {warning}." for label, warning in warnings.items() if warning]
@@ -258,11 +257,11 @@ def list_notes(results: Results) -> list[str]:
     if not geometry.registration:
         notes.append(
             "The marker bodies are not registered with the socket: their placement in socket.yaml"
-            " is nominal, and every limb position rests on it."
+            " is nominal, and every limb position depends on it."
         )
     bare = [name for name in geometry.clusters if name not in samples.clusters]
     if bare:
-        notes.append(f"No reading of the clusters {', '.join(bare)} is in this trial.")
+        notes.append(f"This trial has no readings of the clusters {', '.join(bare)}.")
     dead = summarise_errors(results.candidates[0].errors).without_value
     if dead:
         notes.append(f"Never measured over the segment: {', '.join(dead)}.")
@@ -270,7 +269,7 @@ def list_notes(results: Results) -> list[str]:
 
 
 def origin_section(results: Results, command: str, made: datetime) -> Section:
-    """The section on the origin of the report and the solvers' certificates."""
+    """The section on the provenance of the report and the solvers' certificates."""
     settings = [
         (name, ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value))
         for name, value in results.settings.to_flat().items()
@@ -283,22 +282,22 @@ def origin_section(results: Results, command: str, made: datetime) -> Section:
         [
             pairs_table(
                 "provenance-table",
-                "What the report was made from and with",
+                "Inputs and software of the report",
                 provenance(results, command, made),
             ),
             Heading("Solver certificates"),
             "Karush-Kuhn-Tucker residuals and duality gap in the scaled units of each stage,"
-            " computed from the solution, whatever the solver reports; none may exceed"
+            " computed from the solution independently of the solver; none may exceed"
             f" {tolerance:g}.",
             _certificates(results),
             Heading("Settings of the identification and the plateaus"),
-            pairs_table("settings", "Settings by their names in parameters.yaml", settings),
+            pairs_table("settings", "Settings by name in parameters.yaml", settings),
         ],
     )
 
 
 def provenance(results: Results, command: str, made: datetime) -> list[tuple[str, str]]:
-    """What the report was made from and with, as pairs of name and value."""
+    """Inputs and software of the report, as pairs of name and value."""
     trial, geometry = results.trial, results.trial.geometry
     calibration, stored = trial.calibration, trial.path / PARAMETERS_FILE
     stamps = [int(results.samples.stamps[end]) for end in (0, -1)]
@@ -334,7 +333,7 @@ def provenance(results: Results, command: str, made: datetime) -> list[tuple[str
 
 
 def _file(path: Path, given: bool) -> str:
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()[:_DIGEST]
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()[:_DIGEST_LENGTH]
     origin = "given on the command line" if given else "stored in the trial"
     return f"{path.name}, {origin}, SHA-256 {digest}..."
 

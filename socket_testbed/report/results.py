@@ -1,4 +1,4 @@
-"""All that a report says of a trial, computed once."""
+"""All results of a report, computed once."""
 
 from __future__ import annotations
 
@@ -52,22 +52,22 @@ if TYPE_CHECKING:
     import pandas as pd
 
 GIVEN = "given"
-_LEAST_HELD_OUT = 10  # samples
+_MIN_HELD_OUT = 10  # samples
 _STAGES = 5  # reading, fits, front, validation, pressure
-_INSTANTS = 150  # of the trial, at which the pressure is shown
+_PRESSURE_SAMPLES = 150  # of the trial
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A model whose predictions are shown."""
+    """A model shown in the report."""
 
-    label: str  # the variant that was fitted here, or `given`
+    label: str  # the variant fitted here, or `given`
     source: Fit | StoredModel
     predicted: FloatArray  # (N, 6 + 3c) [N m, N], over the trial
     errors: tuple[ChannelErrors, ...]  # over the segment
-    held_out: tuple[ChannelErrors, ...]  # over the rest; empty where there is too little
+    held_out: tuple[ChannelErrors, ...]  # over the rest; empty with too few samples
     shares: tuple[LoadShare, ...]  # of the load over the segment
-    known: float  # [-], stiffness directions that the segment shows despite all noise
+    known: float  # [-], stiffness directions identifiable from the segment despite noise
     engagement: Engagement  # of the springs over the trial
 
     @property
@@ -77,7 +77,7 @@ class Candidate:
 
     @property
     def fit(self) -> Fit | None:
-        """How it was fitted; None for a model that was given."""
+        """The fit; None for a given model."""
         return self.source if isinstance(self.source, Fit) else None
 
 
@@ -87,21 +87,21 @@ class Results:
 
     trial: Trial
     samples: Samples
-    segment: Segment  # that was fitted
-    specification: str  # by which the segment was asked for
-    settings: EstimatorSettings  # its variant is fitted beside the paper's
-    candidates: tuple[Candidate, ...]  # the variants, then the model that was given, if any
-    fronts: dict[Variant, Front]  # empty where there are none,
-    no_fronts: str  # for this reason
-    implausible: tuple[Implausible, ...]  # channels that are proposed to be left out
+    segment: Segment  # used for the fits
+    specification: str  # of the segment, as requested
+    settings: EstimatorSettings  # their variant is fitted in addition to the paper's
+    candidates: tuple[Candidate, ...]  # the variants, then the given model, if any
+    fronts: dict[Variant, Front]  # may be empty
+    no_fronts: str  # reason for empty `fronts`
+    implausible: tuple[Implausible, ...]  # channels proposed to be left out
     plateaus: tuple[Segment, ...]  # the longest first
     bag_notes: tuple[str, ...]
-    motion: Motion  # of the pose over the segment, against its noise
-    validation: tuple[Judgement, ...]  # empty where the trial does not allow it,
-    no_validation: str  # for this reason
+    motion: Motion  # of the pose over the segment, relative to its noise
+    validation: tuple[Judgement, ...]  # may be empty
+    no_validation: str  # reason for empty `validation`
     pressure: SegmentPressure
-    over_trial: PressureOutputs  # of the socket at instants of the trial, with that of the peak
-    data: tuple[DataFinding, ...]  # what to look at in the data
+    over_trial: PressureOutputs  # of the socket at samples of the trial, including the peak
+    data: tuple[DataFinding, ...]  # of the data check
 
     @property
     def in_segment(self) -> BoolArray:
@@ -110,11 +110,11 @@ class Results:
 
     @property
     def fitted(self) -> dict[str, Candidate]:
-        """The models that were fitted here, by variant."""
+        """The models fitted here, by variant."""
         return {c.label: c for c in self.candidates if c.fit is not None}
 
     def series(self, columns: Mapping[str, ArrayLike]) -> pd.DataFrame:
-        """Columns of the samples, shape (N,) each, behind their stamps and times."""
+        """Columns of shape (N,), preceded by stamps and times of the samples."""
         import pandas as pd
 
         first = {
@@ -125,7 +125,7 @@ class Results:
         return pd.DataFrame(first | dict(columns))
 
     def title(self, shown: str) -> str:
-        """The title of a figure over the segment."""
+        """Title of a figure over the segment."""
         return f"{self.trial.name}: {shown}, {self.segment}"
 
 
@@ -143,7 +143,7 @@ def compute_results(
     given: StoredModel | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Results:
-    """Fit the variants on a segment of a trial, walk along theta, and judge all of it."""
+    """Fit the variants on a segment of a trial, trace the fronts over theta, and judge both."""
 
     def reach(stage: int) -> None:
         if progress is not None:
@@ -169,7 +169,7 @@ def compute_results(
     if given is not None:
         candidates.append(_judge(samples, segment, GIVEN, given))
     reach(2)
-    # The rest of the report stands without a front or a validation.
+    # The report may lack a front or a validation.
     fronts, validation, no_fronts, no_validation = {}, [], "", ""
     try:
         fronts = pareto_front(chosen, trial.geometry, identification, thetas)
@@ -187,7 +187,7 @@ def compute_results(
     mapped = mapped_trial(trial, settings)
     outputs = mapped.outputs(segment.rows)
     peak = segment.rows.start + outputs.peak_row
-    over_trial = mapped.course(np.union1d(evenly(len(samples), _INSTANTS), [peak]))
+    over_trial = mapped.course(np.union1d(evenly(len(samples), _PRESSURE_SAMPLES), [peak]))
     reach(_STAGES)
     return Results(
         trial=trial,
@@ -217,7 +217,7 @@ def _judge(samples: Samples, segment: Segment, label: str, source: Fit | StoredM
     predicted = model.predict(smooth.pose, samples.clusters)
     outside = ~_rows_of(segment, samples)
     held_out = evaluate_predictions(samples[outside], predicted[outside], leave_out)
-    enough = max(error.samples for error in held_out) >= _LEAST_HELD_OUT
+    enough = max(error.samples for error in held_out) >= _MIN_HELD_OUT
     return Candidate(
         label=label,
         source=source,

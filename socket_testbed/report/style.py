@@ -1,4 +1,4 @@
-"""Shared by all figures: printed size, type, colours, lines that differ in grey, files."""
+"""Style shared by all figures: printed size, type, colours, lines distinct in grey, files."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import WIDTHS, atomic_output, check_picture
 
-SCALE = "viridis"  # even in lightness, told apart by the colour-blind; as on the pages
+SCALE = "viridis"  # perceptually uniform, safe for colour-blind readers; as on the pages
 
 
-# Okabe & Ito's colours differ in lightness, too, and each line has its own dashes.
+# Okabe & Ito's colours also differ in lightness, and each line has its own dashes.
 LINE_STYLES: tuple[dict[str, Any], ...] = (
     {"color": "#D55E00", "linestyle": (0, (4, 1.5))},
     {"color": "#0072B2", "linestyle": "-"},
     {"color": "#222222", "linestyle": (0, (1, 1.2))},
     {"color": "#009E73", "linestyle": (0, (5, 1.5, 1, 1.5))},
 )
-MOST_POINTS = 1000  # per line
+MAX_POINTS = 1000  # per line
 THINNED = (
-    f"Lines of more than {MOST_POINTS} samples are drawn by the lowest and highest value of equally"
-    " many, so every peak shows; the CSV holds all."
+    f"Lines with more than {MAX_POINTS} samples show the lowest and highest value of each interval,"
+    " so no peak is lost; the CSV holds all samples."
 )
 MEASURED_STYLE: dict[str, Any] = {"color": "0.72", "linewidth": 2.4}
 SEGMENT_STYLE: dict[str, Any] = {"color": "0.94", "linewidth": 0.0, "zorder": 0.5}
 
 COLUMN, PAGE = WIDTHS
 MM = 1.0 / 25.4  # [inch]
-LABEL, SMALL = 8.0, 7.0  # [pt]; nothing is set smaller
+LABEL, SMALL = 8.0, 7.0  # [pt]
 
 _STYLE: dict[str, Any] = {
-    "font.family": "DejaVu Sans",  # comes with matplotlib: the same on every machine
+    "font.family": "DejaVu Sans",  # shipped with matplotlib: the same on every machine
     "font.size": SMALL,
     "axes.labelsize": LABEL,
     "axes.titlesize": LABEL,
@@ -63,29 +63,29 @@ _STYLE: dict[str, Any] = {
     "savefig.bbox": "standard",  # a tight box would change the width
     "text.usetex": False,
 }
-# Decorates what draws, so that the user's settings of matplotlib change nothing.
+# Decorator of drawing functions that shields them from the user's matplotlib settings.
 in_style = mpl.rc_context(_STYLE)
 _NO_LAYOUT = {"figure.autolayout": False, "figure.constrained_layout.use": False}
 
 
 @dataclass(frozen=True)
 class FigureStyle:
-    """How a figure is set for print."""
+    """Print layout of a figure."""
 
     width: float = PAGE  # [mm], such as `COLUMN` or `PAGE`
-    titles: bool = True  # and errors in keys; in a paper, the caption says these
+    titles: bool = True  # and errors in keys; a paper has them in its caption
 
     @property
     def is_narrow(self) -> bool:
-        """Whether it is a column, not a page."""
+        """Whether the width is that of a column."""
         return self.width < 0.5 * (COLUMN + PAGE)
 
     def figure(self, height: float) -> Figure:
-        """An empty figure of this width and a height [mm]."""
+        """An empty figure of this width and the given height [mm]."""
         return Figure(figsize=(self.width * MM, height * MM), layout="constrained")
 
     def add_title(self, figure: Figure | SubFigure, title: str) -> None:
-        """Title of a figure, in lines that fit, unless it shall have none; no markup."""
+        """Add a wrapped title without markup, unless titles are off."""
         if self.titles and title:
             figure.suptitle(wrap(title, 0.96 * self.width), parse_math=False)
 
@@ -94,18 +94,18 @@ DEFAULT_STYLE = FigureStyle()
 
 
 def figure_style(width: float, title: bool) -> FigureStyle:
-    """The style that a user asks for; an error if figures are not laid out for its width."""
+    """The requested style; raises an error for an unsupported width."""
     if width not in WIDTHS:
         raise ConfigurationError(
             f"figures are not laid out for a width of {width:g} mm",
-            f"give {COLUMN} for a column of a paper or {PAGE} for its page",
+            f"give {COLUMN} for a column of a paper or {PAGE} for a full page",
         )
     return FigureStyle(width, title)
 
 
 @in_style
 def wrap(text: str, width: float, size: float = LABEL) -> str:
-    """Break a text into lines that fit into a width [mm] at a size [pt]; long words, too."""
+    """Break a text, including long words, into lines of a width [mm] at a size [pt]."""
     if not text.strip():
         return text
     drawn = TextPath((0, 0), text.replace("$", "S"), size=size, prop=FontProperties())
@@ -113,12 +113,12 @@ def wrap(text: str, width: float, size: float = LABEL) -> str:
     lines = int(np.ceil(needed / width))
     if lines <= 1:
         return text
-    # Characters differ in width: a line of narrow ones is followed by one of wide ones.
+    # Characters differ in width, hence the margin.
     return textwrap.fill(text, max(8, int(0.9 * len(text) * width / needed)))
 
 
 def style_axes(axis: Axes) -> None:
-    """A light grid behind the lines, and no frame above and to the right."""
+    """Add a light grid behind the lines, and remove the frame above and to the right."""
     axis.grid(color="0.9")
     axis.set_axisbelow(True)
     axis.spines[["top", "right"]].set_visible(False)
@@ -127,7 +127,7 @@ def style_axes(axis: Axes) -> None:
 def panels(
     figure: Figure | SubFigure, count: int, across: int, label: str = "time [s]", **shared: Any
 ) -> list[Axes]:
-    """Panels over a common axis, row by row, labelled below the lowest of each column."""
+    """Panels with a common x axis, row by row, labelled below the lowest of each column."""
     rows = -(-count // across)
     axes = figure.subplots(rows, across, squeeze=False, sharex=True, **shared).ravel()
     for axis in axes[count:]:
@@ -141,7 +141,7 @@ def panels(
 
 
 def add_legend(where: Axes | Figure, *entries: Any, **options: Any) -> None:
-    """A legend without markup; that of a panel is above it, with a bold title."""
+    """Add a legend without markup; for a panel, above it and with a bold title."""
     if isinstance(where, Axes):
         bold = {"size": LABEL, "weight": "bold"}
         above = {"loc": "lower left", "bbox_to_anchor": (-0.01, 1.0), "borderaxespad": 0.0}
@@ -152,12 +152,12 @@ def add_legend(where: Axes | Figure, *entries: Any, **options: Any) -> None:
 
 
 def lay_out(figure: Figure) -> Figure:
-    """The same figure with its layout done once; every saving would repeat it."""
+    """Do the layout of a figure once; otherwise every save would repeat it."""
     engine = figure.get_layout_engine()
     if engine is not None:
         engine.execute(figure)
         if any(axis.get_aspect() != "auto" for axis in figure.axes):
-            engine.execute(figure)  # panels with a fixed aspect find their place in the second
+            engine.execute(figure)  # panels with a fixed aspect need a second pass
         with mpl.rc_context(_NO_LAYOUT):
             figure.set_layout_engine(None)  # "none" leaves a placeholder: savefig draws twice
     return figure
@@ -171,11 +171,11 @@ def save_figure(figure: Figure, path: Path, dpi: int = 300) -> None:
         figure.savefig(staging, dpi=dpi)
 
 
-def thin(x: FloatArray, y: FloatArray, most: int = MOST_POINTS) -> tuple[FloatArray, FloatArray]:
-    """Keep the lowest and the highest value of each of equally many samples.
+def thin(x: FloatArray, y: FloatArray, most: int = MAX_POINTS) -> tuple[FloatArray, FloatArray]:
+    """Keep the lowest and highest value of each of several intervals of equal size.
 
-    Values, shape (N,), are NaN where there is none; a gap is kept where all values of its samples
-    are missing. The kept points are in their order, all of them if they are no more than `most`.
+    Values, shape (N,), are NaN where missing; an interval without values remains a gap. Points keep
+    their order; all are kept if there are at most `most`.
     """
     if len(x) <= most:
         return x, y
@@ -191,7 +191,7 @@ def thin(x: FloatArray, y: FloatArray, most: int = MOST_POINTS) -> tuple[FloatAr
 def thin_band(
     x: FloatArray, low: FloatArray, high: FloatArray, most: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Keep the outermost ends of an interval of each of equally many samples, as `thin`."""
+    """Keep the extreme ends of a band in each of several intervals of equal size, as `thin`."""
     if len(x) <= most:
         return x, low, high
     starts = np.arange(0, len(x), -(-len(x) // most))

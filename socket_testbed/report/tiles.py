@@ -1,4 +1,4 @@
-"""Tiles in colours on paper: the socket's wall unrolled around its axis, and its distal end."""
+"""Printed maps of tiles: the wall of the socket unrolled about its axis, and its distal end."""
 
 from __future__ import annotations
 
@@ -34,26 +34,26 @@ _TILE = "#A6CBE3"
 _CLUSTER = "#D55E00"  # Okabe & Ito's vermilion
 _EDGE = "#2B5C7D"
 _NO_VALUE = "#FFFFFF"
-_HATCH = "/////"  # of what has no value
-_BESIDE = 3.0  # [deg]; free on both sides of the unrolled wall
-_ABOVE = 0.03  # [-]; of its height, free above and below
-_AROUND = 0.06  # [-]; of the distal end's size, free around it
-_WALL_SHARE = 3.4  # [-]; width of the wall by that of the distal end
-_SMALLEST = 3.0  # [pt]; of a name on a tile
-_LONGEST_LINE = 9  # characters
-_CHARACTER, _LINE = 0.62, 1.25  # [-]; width of a character, height of a line, by the font's size
-_IMAGE_STEP = 0.12  # [-]; between the points of an image, by the tiles' edge
-_ALIKE = 2.0  # [-]; ratio of ranges that are still seen on one scale
-_AXIS, _BAR = 12.0, 15.0  # [mm]; beside a map: its axis; the bar of colours
-_BAR_LABEL = 38.0  # [mm]; longest line beside a bar
-_UNDER = 14.0  # [mm]; above and below a map: its name and its axis
+_HATCH = "/////"  # for missing values
+_SIDE_MARGIN = 3.0  # [deg]; of the unrolled wall
+_WALL_MARGIN = 0.03  # [-]; above and below the wall, relative to its height
+_END_MARGIN = 0.06  # [-]; around the distal end, relative to its size
+_WALL_SHARE = 3.4  # [-]; width of the wall over that of the distal end
+_MIN_FONT = 3.0  # [pt]; of a name on a tile
+_LINE_LENGTH = 9  # characters
+_CHARACTER, _LINE = 0.62, 1.25  # [-]; character width, line height, over the font size
+_IMAGE_STEP = 0.12  # [-]; between the points of an image, over the tiles' edge
+_MAX_RANGE_RATIO = 2.0  # [-]; of ranges on a common scale
+_AXIS, _BAR = 12.0, 15.0  # [mm]; widths of a map's axis and of a colour bar
+_BAR_LABEL = 38.0  # [mm]; maximum line width
+_MAP_MARGIN = 14.0  # [mm]; for the name and the axis of a map
 _HEADING = 12.0  # [mm]; for a title above the maps and a key below
-_WORD = _CHARACTER * len("posterior") * SMALL  # [pt]; width of the longest of the sides
-_SHORT = {"anterior": "ant.", "posterior": "post.", "lateral": "lat.", "medial": "med."}
+_WORD = _CHARACTER * len("posterior") * SMALL  # [pt]; width of the longest side name
+_SHORT_NAMES = {"anterior": "ant.", "posterior": "post.", "lateral": "lat.", "medial": "med."}
 
 
 def value_range(values: FloatArray) -> tuple[float, float]:
-    """Ends of the colour scale: the range of the finite values, wider where it is a point."""
+    """Ends of the colour scale: the range of the finite values, widened if it is a point."""
     finite = values[np.isfinite(values)]
     if not len(finite):
         return 0.0, 1.0
@@ -64,7 +64,7 @@ def value_range(values: FloatArray) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class TilePaint:
-    """The tiles of a socket, and how they are painted."""
+    """The tiles of a socket and their colours."""
 
     geometry: SocketGeometry
     tiles: UnrolledTiles
@@ -75,7 +75,7 @@ class TilePaint:
 
     @property
     def covered(self) -> BoolArray:
-        """Which tiles a cluster covers, shape (n,)."""
+        """Tiles covered by a cluster, shape (n,)."""
         return np.isin(np.arange(len(self.geometry)), [*self.geometry.clusters.values()])
 
 
@@ -85,10 +85,10 @@ def paint_tiles(
     limits: tuple[float, float] | None = None,
     reach: FloatArray | None = None,
 ) -> TilePaint:
-    """Paint tiles by their values, shape (n,); those without one are white and hatched.
+    """Colour tiles by their values, shape (n,); those without one are white and hatched.
 
-    With the reach of their intervals to each side, (n,), pressures [kPa] on all tiles are smooth
-    over the surface, and grey as on pages.
+    If `reach`, the half-width of their intervals, (n,), is given for pressures [kPa] on all tiles,
+    they are drawn smooth over the surface, and turn grey as on pages.
     """
     tiles, unknown = unrolled_tiles(geometry), np.isnan(values)
     scale = ScalarMappable(Normalize(*(limits or value_range(values))), SCALE)
@@ -107,7 +107,7 @@ def paint_tiles(
 
 
 def _measures(tiles: UnrolledTiles) -> tuple[float, float, float]:
-    """Heights of the lowest and the highest corner, and the width of a degree of the wall [mm]."""
+    """Heights of the lowest and highest corner, and width of a degree of the wall [mm]."""
     heights = 1e3 * tiles.around.heights(tiles.squares)
     radii = tiles.around.radii(tiles.squares.mean(axis=1))
     radius = np.median(radii[tiles.on_wall] if tiles.on_wall.any() else radii)
@@ -115,33 +115,33 @@ def _measures(tiles: UnrolledTiles) -> tuple[float, float, float]:
 
 
 def _draw_wall(axis: Axes, paint: TilePaint, labels: Sequence[str], side: str | None) -> None:
-    """The wall as one sees it walking around it outside: anterior, left, posterior, right.
+    """Draw the wall as seen from outside: anterior, left, posterior, right.
 
-    Lengths across are true at the tiles' median radius only.
+    Lengths across are true only at the tiles' median radius.
     """
     low, high, width = _measures(paint.tiles)
     angles = paint.tiles.corners[paint.tiles.on_wall, :, 0]
     left, right = min(-180.0, angles.min(initial=0.0)), max(180.0, angles.max(initial=0.0))
-    margin = _ABOVE * (high - low)
-    axis.set(xlim=(left - _BESIDE, right + _BESIDE), ylim=(low - margin, high + margin))
+    margin = _WALL_MARGIN * (high - low)
+    axis.set(xlim=(left - _SIDE_MARGIN, right + _SIDE_MARGIN), ylim=(low - margin, high + margin))
     axis.set(aspect=1.0 / width, ylabel="height [mm]")
     names, ticks = side_names(side), range(-180, 181, 90)
     if 90.0 * _points_per_unit(axis)[0] < _WORD:
-        names = [_SHORT.get(name, name) for name in names]
+        names = [_SHORT_NAMES.get(name, name) for name in names]
     degrees = [f"{angle}°".replace("-", "\N{MINUS SIGN}") for angle in ticks]
-    axis.set_xticks([*ticks], [f"{of}\n{name}" for of, name in zip(degrees, names, strict=True)])
+    axis.set_xticks([*ticks], list(map("\n".join, zip(degrees, names, strict=True))))
     _draw_part(axis, paint, "wall", labels)
 
 
 def _draw_end(axis: Axes, paint: TilePaint, labels: Sequence[str]) -> None:
-    """The distal end from inside: anterior is up, and left on the left."""
-    reach = 1e3 * (1.0 + _AROUND) * paint.tiles.around.radii(paint.tiles.squares).max()
+    """Draw the distal end from inside: anterior is up, left is on the left."""
+    reach = 1e3 * (1.0 + _END_MARGIN) * paint.tiles.around.radii(paint.tiles.squares).max()
     axis.set(xlim=(-reach, reach), ylim=(-reach, reach), aspect="equal")
     _draw_part(axis, paint, "end", labels)
 
 
 def _draw_part(axis: Axes, paint: TilePaint, name: str, labels: Sequence[str]) -> None:
-    """Draw the tiles of the wall or the end, with their hatches and labels, and its image."""
+    """Draw image, tiles, hatches and labels of the wall or the end."""
     for patch, image in paint.images:
         if patch.name == name:
             look: dict[str, Any] = {"origin": "lower", "interpolation": "bilinear", "zorder": 0.5}
@@ -168,12 +168,12 @@ def _draw_part(axis: Axes, paint: TilePaint, name: str, labels: Sequence[str]) -
 
 
 def _write(axis: Axes, label: str, corners: FloatArray) -> None:
-    """Write a name inside a tile, as large as fits, unless that is too small; no markup.
+    """Write a name inside a tile, as large as fits, unless too small; no markup.
 
     A number of one or two digits is written at full size, legible on any fill.
     """
     broken = label.replace("_", "_ ")
-    lines = textwrap.wrap(broken, _LONGEST_LINE, break_long_words=False)
+    lines = textwrap.wrap(broken, _LINE_LENGTH, break_long_words=False)
     if not lines:
         return
     look: dict[str, Any] = {"fontsize": SMALL}
@@ -183,7 +183,7 @@ def _write(axis: Axes, label: str, corners: FloatArray) -> None:
         width, height = np.ptp(corners, axis=0) * _points_per_unit(axis)
         across, up = _CHARACTER * max(map(len, lines)), _LINE * len(lines)
         look |= {"fontsize": min(width / across, height / up, SMALL), "linespacing": 1.0}
-    if look["fontsize"] >= _SMALLEST:
+    if look["fontsize"] >= _MIN_FONT:
         text = "\n".join(lines).replace("_ ", "_")
         look |= {"ha": "center", "va": "center", "zorder": 3, "parse_math": False}
         x, y = corners.mean(axis=0)
@@ -191,7 +191,7 @@ def _write(axis: Axes, label: str, corners: FloatArray) -> None:
 
 
 def _points_per_unit(axis: Axes) -> FloatArray:
-    """Printed size of a unit of the panel's two axes, shape (2,) [pt]."""
+    """Printed size of one unit of each axis of a panel, shape (2,) [pt]."""
     figure = np.array(axis.figure.bbox.size) * 72.0 / axis.figure.dpi
     panel = axis.get_position(original=True).size * figure
     span = np.abs([np.subtract(*axis.get_xlim()), np.subtract(*axis.get_ylim())])
@@ -203,16 +203,16 @@ def _points_per_unit(axis: Axes) -> FloatArray:
 def _scales_of(
     values: Mapping[str, FloatArray], from_zero: bool = False
 ) -> list[tuple[float, float]]:
-    """Ends of the colour scale of every map: the same for those whose ranges are alike."""
+    """Colour-scale limits of every map; maps with similar ranges share them."""
     ranges = np.array([value_range(row) for row in values.values()])
     if from_zero:
         ranges[:, 0] = np.minimum(ranges[:, 0], 0.0)
     spans = np.ptp(ranges, axis=1)
     left = np.ones(len(ranges), dtype=bool)
     while left.any():
-        alike = left & (_ALIKE * spans >= spans[left].max())
-        ranges[alike] = ranges[alike, 0].min(), ranges[alike, 1].max()
-        left &= ~alike
+        similar = left & (_MAX_RANGE_RATIO * spans >= spans[left].max())
+        ranges[similar] = ranges[similar, 0].min(), ranges[similar, 1].max()
+        left &= ~similar
     return [(float(low), float(high)) for low, high in ranges]
 
 
@@ -227,7 +227,7 @@ def _draw_maps(
     side: str | None,
     reach: Mapping[str, FloatArray],
 ) -> None:
-    """Draw maps in rows, with one bar if their scales are the same, and a key below."""
+    """Draw maps in rows, with a single colour bar if they share a scale, and a key below."""
     labels = [""] * len(geometry)
     key = []
     for number, (cluster, tile) in enumerate(geometry.clusters.items(), start=1):
@@ -268,9 +268,9 @@ def draw_wall(
     reach: FloatArray | None = None,
     side: str | None = None,
 ) -> None:
-    """Draw values on the wall, shape (n,), with a bar of colours, into the caller's axes.
+    """Draw values on the wall, shape (n,), with a colour bar, into the caller's axes.
 
-    See `paint_tiles` for the reach of their intervals.
+    See `paint_tiles` for `reach`.
     """
     paint = paint_tiles(geometry, values, reach=reach)
     _draw_wall(axis, paint, [""] * len(geometry), side)
@@ -278,7 +278,7 @@ def draw_wall(
 
 
 def add_key(figure: Figure | SubFigure, style: FigureStyle, *parts: str) -> None:
-    """Write what marks mean below a figure, in lines that fit; no markup."""
+    """Write the key of marks below a figure, wrapped; no markup."""
     text = wrap(", ".join(filter(None, parts)), 0.96 * style.width, SMALL)
     if text:
         figure.supxlabel(text, fontsize=SMALL, parse_math=False)
@@ -298,22 +298,22 @@ def tile_map_figure(
     side: str | None = None,
     reach: Mapping[str, FloatArray] | None = None,
 ) -> Figure:
-    """Tiles by their values in colours that print in grey, a map per set of values.
+    """Maps of tiles coloured by their values, in colours that print well in grey.
 
-    Tiles with a cluster have a thick outline and a number, which the key explains.
+    Tiles with a cluster have a thick outline and a number, explained by the key.
 
     Args:
         geometry: The socket of n tiles.
-        values: By the names of the maps, shape (n,) each, NaN, hatched, where there is none.
-        unit: Beside the bar of colours.
+        values: Values by map name, shape (n,) each; NaN is hatched.
+        unit: Label of the colour bar.
         title: Title of the figure.
-        style: How it is set.
-        limits: Ends of the scale, of all or by name; without it maps whose ranges are alike share
-            one, which begins at zero or below if `from_zero`.
+        style: Print layout.
+        limits: Limits of the scale, for all maps or by name; by default maps with similar ranges
+            share a scale, which includes zero if `from_zero`.
         from_zero: See `limits`.
-        below: The height [mm] of what else is drawn, and what draws it.
-        side: The leg that wears the socket, if that is known.
-        reach: Reaches of 95 % intervals, (n,), by the names of the maps: see `paint_tiles`.
+        below: Height [mm] of a further part below the maps, and the function that draws it.
+        side: The leg that wears the socket, if known.
+        reach: Half-widths of 95 % intervals, (n,), by map name: see `paint_tiles`.
     """
     if limits is None:
         scales = _scales_of(values, from_zero)
@@ -323,8 +323,8 @@ def tile_map_figure(
     bars = 1 if len(set(scales)) == 1 else columns
     width = (style.width - _AXIS * columns - _BAR * bars) / columns * _WALL_SHARE
     low, high, degree = _measures(unrolled_tiles(geometry))
-    aspect = (high - low) * (1.0 + 2.0 * _ABOVE) / (degree * (360.0 + 2.0 * _BESIDE))
-    each = width / (_WALL_SHARE + 1.0) * aspect + _UNDER
+    aspect = (high - low) * (1.0 + 2.0 * _WALL_MARGIN) / (degree * (360.0 + 2.0 * _SIDE_MARGIN))
+    each = width / (_WALL_SHARE + 1.0) * aspect + _MAP_MARGIN
     height, draw = below or (0.0, None)
     heights = _HEADING + -(-len(values) // columns) * each, height
     figure = style.figure(sum(heights))
@@ -338,7 +338,7 @@ def tile_map_figure(
 
 @in_style
 def socket_figure(geometry: SocketGeometry, title: str = "") -> Figure:
-    """The tiles of a socket with their names, and the cluster where its name differs."""
+    """Draw the tiles of a socket with their names, and with clusters of a different name."""
     style = FigureStyle(300.0)
     figure = style.figure(140.0)
     style.add_title(figure, title)

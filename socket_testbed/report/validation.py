@@ -1,4 +1,4 @@
-"""Estimates judged on what they have not seen, who bears the load, what the pose reveals."""
+"""Validation on held-out data, load shares, and information in the pose."""
 
 from __future__ import annotations
 
@@ -36,36 +36,36 @@ _COLOURS = {INVERSE_DISTANCE: "0.75", CLOSED: "0.5", FORCE_MAP: LINE_STYLES[1]["
 _QUESTIONS = {"cluster": "all clusters", "tiles": "tiles without a sensor"}
 _MARKERS = {"cluster": "o", "tiles": "s"}
 _CAPTIONS = {
-    ("cluster", "left out"): "Force on a cluster that was left out, from the others and the wrench",
+    ("cluster", "left out"): "Force on a left-out cluster, from the others and the wrench",
     ("tiles", "second half"): "Force on the tiles without a sensor, against the simulated truth",
     ("wrench", "second half"): "Wrench from the pose alone, fitted on the other half of the trial",
     ("wrench", "other trial"): "Wrench from the pose alone, fitted on another trial",
     ("wrench", "in-sample"): "Wrench from the pose alone, IN-SAMPLE: on the fitted half",
 }
 LEGEND = (
-    "error: rms error over the rms of the forces, 1 is predicting zero; in 50, 80, 95 %: share of"
-    " the values within these intervals of the estimate; RMSE: mean of three channels; skill: 1 -"
-    " RMSE over that of the constants that fit these samples best, below 0 worse than a constant"
+    "error: rms error over the rms of the forces, predicting zero gives 1; in 50, 80, 95 %: share"
+    " of values within these intervals of the estimate; RMSE: mean of three channels; skill: 1 -"
+    " RMSE over that of the best constants for these samples, below 0 worse than a constant"
 )
 
 
 def section(results: Results) -> Section:
-    """The section on what the estimates are worth."""
+    """The section on the validation of the estimates."""
     judged: list[Any] = [f"None: {results.no_validation}."]
     if results.validation:
         figure = ReportFigure(
             "validation",
-            "Left: error of the forces on each cluster that was left out, over the root mean square"
-            " of all clusters' forces, and on the tiles without a sensor where a simulation knows"
-            " them. Right: share of the values within the force map's intervals; on the line, its"
-            " uncertainty is right.",
+            "Left: error of the forces on each left-out cluster, over the root mean square of all"
+            " clusters' forces, and on tiles without a sensor if simulated truth is available."
+            " Right: share of values within the force map's intervals; on the line, its"
+            " uncertainty is correct.",
             lambda style: validation_figure(
                 results.validation, f"{results.trial.name}: Validation", style
             ),
             judgements_table(results.validation),
         )
         judged = [
-            "Estimates judged on what they have not seen, beside rivals that need no model.",
+            "Estimates judged on held-out data, against rivals that need no model.",
             f"{LEGEND[0].upper()}{LEGEND[1:]}.",
             figure,
             *judged_tables(results.validation),
@@ -81,19 +81,19 @@ def section(results: Results) -> Section:
         "Validation",
         [
             *judged,
-            Heading("Who bears the load"),
-            "Projections of the springs' and the offsets' part of the prediction onto the measured"
-            " load; with what the model leaves, they add up to 100 %. What the offsets bear says"
-            " nothing about another load.",
+            Heading("Load shares"),
+            "Predictions of springs and offsets projected onto the measured load; with the"
+            " residual, they add up to 100 %. The share of the offsets does not transfer to another"
+            " load.",
             _shares(results),
-            Heading("What the pose reveals"),
+            Heading("Information in the pose"),
             "Standard deviation of the motion over the segment against that of the noise. In"
             f" {results.motion.directions} of 6 independent directions the motion is"
-            f" {MIN_RATIO:g} times the noise or more; elsewhere the noise shrinks the"
-            " stiffnesses, and the smoothness decides them.",
+            f" {MIN_RATIO:g} times the noise or more; elsewhere the noise biases the"
+            " stiffnesses towards zero, and the smoothness determines them.",
             [str(excitation) for excitation in results.motion.excitations],
-            "With the noise of the channels and of the pose, and only the directions of the pose"
-            " that move, the data show so many stiffnesses, or combinations of them, to"
+            "Given the noise of channels and pose, and only the pose directions that move, the"
+            " data determine this many stiffnesses, or combinations of them, to"
             f" {difference:g} N/m or better:",
             known,
         ],
@@ -103,23 +103,23 @@ def section(results: Results) -> Section:
 def judged_tables(judgements: Sequence[Judgement]) -> list[Table]:
     """A table per question and test, a row per predictor: means over the trials.
 
-    Of several trials it has the median of the skills: one trial may spoil a mean.
+    With several trials, skills are medians, because a single trial may spoil a mean.
     """
     summary = summarise_judgements(judgements)
     counts = summary["judged [1]"]
     several = bool((counts > 1).any())
-    of_wrench = {"moment RMSE [N m]": ".3f", "force RMSE [N]": ".2f"}
-    of_wrench |= {f"{'median ' * several}{kind} skill [-]": "z.2f" for kind in ("moment", "force")}
-    of_forces = dict.fromkeys(["error [-]", *["worst error [-]"] * several], ".2f")
+    for_wrench = {"moment RMSE [N m]": ".3f", "force RMSE [N]": ".2f"}
+    for_wrench |= {f"{'median ' * several}{kind} skill [-]": "z.2f" for kind in ("moment", "force")}
+    for_forces = dict.fromkeys(["error [-]", *["worst error [-]"] * several], ".2f")
     for level in LEVELS:
         title = f"in {100 * level:g} % [%]"
         summary[title] = 100.0 * summary[f"within {100 * level:g} % [-]"]
-        of_forces[title] = ".0f"
+        for_forces[title] = ".0f"
     tables = []
     rows = dict([*summary.groupby(level=["question", "test"])])
     for (question, test), caption in _CAPTIONS.items():
         if (question, test) in rows:
-            formats = of_wrench if question == "wrench" else of_forces
+            formats = for_wrench if question == "wrench" else for_forces
             if counts.nunique() > 1:  # a variant could not be fitted everywhere
                 formats = formats | {"judged [1]": ".0f"}
             frame = rows[question, test].droplevel([0, 1])[[*formats]]
@@ -138,16 +138,16 @@ def _shares(results: Results) -> Table:
     names = [share.name for share in results.candidates[0].shares]
     frame = pd.DataFrame(columns, index=pd.Index(names, name="measured"))
     formats = dict.fromkeys((title for _, title in columns), ".0f")
-    return Table("shares", "Who bears the measured load over the segment", frame, formats)
+    return Table("shares", "Shares of the measured load over the segment", frame, formats)
 
 
 @in_style
 def validation_figure(
     judgements: Sequence[Judgement], title: str, style: FigureStyle = DEFAULT_STYLE
 ) -> Figure:
-    """Draw the errors of forces by left-out cluster, and the coverage of the map's intervals.
+    """Draw force errors by left-out cluster, and the coverage of the map's intervals.
 
-    Of the judgements of several trials the means are drawn.
+    For several trials, means are drawn.
     """
     narrow = style.is_narrow
     figure = style.figure(130.0 if narrow else 75.0)
@@ -183,9 +183,9 @@ def _draw_errors(axes: Axes, judgements: Sequence[Judgement]) -> None:
 def _draw_coverage(axes: Axes, judgements: Sequence[Judgement]) -> None:
     levels = 100.0 * np.array(LEVELS)
     axes.plot([40.0, 100.0], [40.0, 100.0], color="0.3", linewidth=0.8)
-    of_map = [j for j in judgements if j.predictor == FORCE_MAP and not j.cluster]
+    judged = [j for j in judgements if j.predictor == FORCE_MAP and not j.cluster]
     for question, label in _QUESTIONS.items():
-        coverages = [j.coverage for j in of_map if j.question == question]
+        coverages = [j.coverage for j in judged if j.question == question]
         if coverages:
             shares = 100.0 * np.mean(coverages, axis=0)
             look = {"color": _COLOURS[FORCE_MAP], "markerfacecolor": "white"}

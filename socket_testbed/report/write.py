@@ -1,4 +1,4 @@
-"""A report on the disk: the page, and a folder with its figures and their data beside it."""
+"""Writing a report: the page, and a folder of its figures and data next to it."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from socket_testbed.tables import write_table
 
 _ERRORS = "errors.csv"  # in the folder of every report
 
-# In the order of the page, by the title under which they are folded; the origin, which needs the
-# command, comes last.
+# In page order, by the title of their fold; the provenance, which needs the command, comes last.
+
 SECTIONS: dict[str, tuple[Callable[[Results], Section], ...]] = {
     "": (pressure.head_section,),
     "Numbers": (pressure.section,),
@@ -36,7 +36,7 @@ SECTIONS: dict[str, tuple[Callable[[Results], Section], ...]] = {
 
 
 def files_folder(page: Path) -> Path:
-    """The folder beside a page, named after it."""
+    """The folder next to a page, named after it."""
     return page.with_name(f"{page.stem}_files")
 
 
@@ -58,7 +58,7 @@ def write_report(
     replace: bool = False,
     style: FigureStyle | None = None,
 ) -> None:
-    """Write the page and the folder with its files, both or none; figures for print in a style."""
+    """Write the page and its folder atomically; with a style, including figures for print."""
     check_page_path(page, replace)
     folder = files_folder(page)
     groups = {group: [make(results) for make in makers] for group, makers in SECTIONS.items()}
@@ -87,7 +87,7 @@ def write_report(
 
 
 def summarise(results: Results) -> list[str]:
-    """A statement each on the pressure, the data, the segment and every model."""
+    """One statement each on the pressure, the data, the segment and every model."""
     return [
         pressure.describe_pressure(results.pressure),
         "; ".join(map(str, results.data)).capitalize() or "Data: good.",

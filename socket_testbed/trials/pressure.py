@@ -1,4 +1,4 @@
-"""A trial's force map, and the pressure outputs over its segments and at its instants."""
+"""Force map of a trial, and pressure outputs over segments and at single samples."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from socket_testbed.trials.trial import Trial
 if TYPE_CHECKING:
     import pandas as pd
 
-# Decimals of the outputs that a reader sees, by their titles, in the order of the tables.
+# Displayed decimals of the outputs by title, in the order of the tables.
 DECIMALS = {
     "peak pressure [kPa]": 1,
     "mean pressure [kPa]": 1,
@@ -45,8 +45,8 @@ DECIMALS = {
     "centre of pressure y [mm]": 0,
     "centre of pressure z [mm]": 0,
 }
-_OF_LIMB = 2
-INLINE = "{} ({})"  # a value, and its interval
+_LIMB_DECIMALS = 2
+INLINE = "{} ({})"  # a value and its interval
 
 
 @dataclass(frozen=True)
@@ -56,15 +56,15 @@ class MappedTrial:
     geometry: SocketGeometry
     places: tuple[Region, ...]  # the last one is the socket
     force_map: ForceMap
-    samples: Samples  # of the trial, with the channels that count
+    samples: Samples  # of the trial, with the channels in use
 
     def outputs(self, rows: Any, threshold: float = THRESHOLD) -> PressureOutputs:
-        """Outputs over some rows of the samples; in contact above a threshold [Pa]."""
+        """Outputs over some rows of the samples, with a contact threshold [Pa]."""
         samples, places = self.samples[rows], self.places
         return pressure_outputs(self.force_map, samples, self.geometry, places, threshold)
 
     def course(self, rows: Any) -> PressureOutputs:
-        """The same of the whole socket alone: a series of its regions takes five times as long."""
+        """Outputs of the whole socket only, five times as fast as with its regions."""
         samples, places = self.samples[rows], self.places[-1:]
         return pressure_outputs(self.force_map, samples, self.geometry, places, THRESHOLD)
 
@@ -72,7 +72,7 @@ class MappedTrial:
 def mapped_trial(
     trial: Trial, settings: EstimatorSettings, geometry: SocketGeometry | None = None
 ) -> MappedTrial:
-    """The force map of a trial, on its socket unless one with other regions is given."""
+    """The force map of a trial, on its own socket or on one with other regions."""
     geometry = geometry or trial.geometry
     places = all_regions(geometry, trial.metadata.side)
     left_out = settings.identification.leave_out
@@ -96,17 +96,17 @@ class SegmentPressure:
 
     @property
     def peak_time(self) -> float:
-        """When a tile has the highest pressure, since the first sample of the trial [s]."""
+        """Time of the highest pressure on any tile, since the first sample of the trial [s]."""
         return float(self.time[self.outputs.peak_row])
 
     @cached_property
     def suspension(self) -> Suspension | None:
-        """How the limb sits in the socket; None without poses and a wrench."""
+        """Motion and stiffness of the limb in the socket; None without poses and a wrench."""
         return find_suspension(self.trial.samples()[self.segment.rows], self.trial.geometry)
 
 
 def by_place(names: Iterable[str], found: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Columns of R places, from arrays (N, R) by their titles: `anterior.mean pressure [kPa]`."""
+    """Columns such as `anterior.mean pressure [kPa]` of R places, from arrays (N, R) by title."""
     return {
         f"{name}.{title}": values[:, column]
         for column, name in enumerate(names)
@@ -117,28 +117,28 @@ def by_place(names: Iterable[str], found: Mapping[str, FloatArray]) -> dict[str,
 def cells(
     names: Iterable[str], found: RegionOutputs, form: str = INLINE, share: float = SHARE
 ) -> pd.DataFrame:
-    """Outputs of places as a reader sees them, a row each: values and intervals in a form.
+    """Formatted outputs, a row per place: values and intervals in a form.
 
-    An interval that reaches farther than a share of its value is called uncertain.
+    An interval that reaches farther than a share of its value is marked uncertain.
     """
     import pandas as pd
 
     columns = {
-        title: _in_words(read_column(found, title), decimals, form, share)
+        title: _formatted(read_column(found, title), decimals, form, share)
         for title, decimals in DECIMALS.items()
     }
     return pd.DataFrame(columns, index=[*names])
 
 
 def limb_cells(found: Suspension, share: float = SHARE) -> dict[str, str]:
-    """The same of how the limb sits in the socket, by title."""
+    """Formatted outputs of the limb in the socket, by title."""
     outputs = found.outputs().items()
-    return {title: _in_words(of, _OF_LIMB, INLINE, share)[0] for title, of in outputs}
+    return {title: _formatted(value, _LIMB_DECIMALS, INLINE, share)[0] for title, value in outputs}
 
 
-def _in_words(quantity: Quantity, decimals: int, form: str, share: float) -> list[str]:
-    """Values with their intervals; a dash for what is not known."""
-    of = (quantity.value, quantity.low, quantity.high, quantity.certain(share))
+def _formatted(quantity: Quantity, decimals: int, form: str, share: float) -> list[str]:
+    """Values with their intervals; a dash for unknown ones."""
+    columns = (quantity.value, quantity.low, quantity.high, quantity.certain(share))
     number = f"{{:z.{decimals}f}}"
     return [
         form.format(
@@ -147,5 +147,5 @@ def _in_words(quantity: Quantity, decimals: int, form: str, share: float) -> lis
         )
         if np.isfinite([low, high]).all()
         else NOTHING
-        for value, low, high, certain in zip(*map(np.atleast_1d, of), strict=True)
+        for value, low, high, certain in zip(*map(np.atleast_1d, columns), strict=True)
     ]

@@ -191,5 +191,5 @@ def test_a_recording_that_the_disk_cannot_hold_ends_with_an_error(tmp_path: Path
     limited = ["bash", "-c", 'ulimit -f 1200; exec "$@"', "_", *COMMAND]
     code, out, err = program(*limited, *words)
     assert code == 1 and "recording stopped" in err, err
-    assert err.splitlines()[-1].endswith("make space on the disk, and see what the recorder said")
+    assert err.splitlines()[-1].endswith("free disk space, and read the recorder's messages")
     assert "triggers" in out and len(Trial(tmp_path / "full").samples()) > 100

@@ -56,7 +56,7 @@ class Terminal:
 @pytest.fixture
 def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Terminal]:
     """A terminal of a kind that can go back in a line; the line is drawn at every call."""
-    monkeypatch.setattr(module, "_PERIOD", 0.0)
+    monkeypatch.setattr(module, "_DRAW_INTERVAL", 0.0)
     found = Terminal()
     monkeypatch.setenv("TERM", "xterm")
     for name in ("NO_COLOR", "RCUTILS_COLORIZED_OUTPUT"):

@@ -85,7 +85,7 @@ def test_clusters_are_proposed_where_they_tell_most(cup: Path, tmp_path: Path, c
     words = ["tile", cup, "-o", output, "--anterior=-y", "--rounds", "2", "--place", "6"]
     code, _, error = call(capsys, *words, "--keep-out", "posterior")
     geometry = read_socket(output)
-    assert code == 0 and "the number tells more than the places" in error
+    assert code == 0 and "the number matters more than the places" in error
     assert list(geometry.clusters) == [f"cluster_{number}" for number in range(1, 7)]
     tiles = {region.name: set(region.tiles) for region in all_regions(geometry)}
     assert not tiles["posterior"] & set(geometry.clusters.values())

@@ -31,9 +31,9 @@ def rng():
 def test_a_thinned_line_keeps_its_peaks_its_order_and_its_gaps(rng):
     for count, most in (
         (10, 100),
-        (1001, style.MOST_POINTS),
+        (1001, style.MAX_POINTS),
         (12_345, 10),
-        (12_345, style.MOST_POINTS),
+        (12_345, style.MAX_POINTS),
     ):
         x, y = np.arange(count) / 4.0, rng.normal(size=count)
         thin_x, thin_y = style.thin(x, y, most)

@@ -51,7 +51,7 @@ def test_a_wrong_value_is_refused_by_its_field(folder: Path) -> None:
         with refused(ConfigurationError, next(iter(given)), says):
             st.annotate(Trial(folder), **given)
     for path in (folder.parent, folder / "hold.mcap"):
-        with refused(st.TestbedError, "no folder of a trial"):
+        with refused(st.TestbedError, "is not a trial folder"):
             st.annotate(Trial(path), subject="S01")
     assert sorted(path.name for path in folder.iterdir()) == ["hold.mcap", "metadata.yaml"]
     assert [*folder.parent.iterdir()] == [folder]

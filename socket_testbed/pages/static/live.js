@@ -1,8 +1,8 @@
-// The page of a trial, or of a running testbed: it asks for the next picture when it drew the last.
+// The page of a trial or of a running testbed; it requests a picture once the last one is drawn.
 "use strict";
 
-const PERIOD = 150;  // [ms] at least between pictures
-const JUMP = 5;  // [s]; by the arrow keys
+const PERIOD = 150;  // [ms]; minimum between pictures
+const JUMP = 5;  // [s]; of the arrow keys
 const ASK = {
   tare: "Tare the load cell? The limb must be out of the socket and nothing may touch it.",
   "trigger-off": "Stop the measurement? No sensor is read until it is started again.",

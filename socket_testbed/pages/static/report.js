@@ -1,4 +1,4 @@
-// A page that holds all its data: a report, a comparison, a socket with its tiles.
+// A self-contained page: a report, a comparison, or a socket with its tiles.
 "use strict";
 
 function lineChart(box, chart) {

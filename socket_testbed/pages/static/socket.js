@@ -1,13 +1,13 @@
-// Pictures of a socket: its wall unrolled and in 3D, a course over time, regions as bars, cards.
-// What they show is described in document.py.
+// Pictures of a socket: unrolled wall, 3D view, course over time, bars of regions, cards.
+// Their data is described in document.py.
 "use strict";
 
-// viridis (van der Walt and Smith 2015): even in lightness, told apart by the colour-blind.
+// viridis (van der Walt and Smith 2015): perceptually uniform and safe for colour-blind readers.
 const VIRIDIS = ["#440154", "#482475", "#414487", "#355f8d", "#2a788e", "#21918c", "#22a884",
   "#44bf70", "#7ad151", "#bddf26", "#fde725"].map((hex) => [1, 3, 5].map(
   (at) => parseInt(hex.slice(at, at + 2), 16)));
 const SCALES = [25, 50, 100, 200, 400];  // [kPa]
-const SOLID_EVERY = 400;  // [ms]; at least between 3D pictures
+const SOLID_PERIOD = 400;  // [ms]; minimum between 3D pictures
 const PLAIN = {displayModeBar: false, responsive: true};
 const byId = (name) => document.getElementById(name);
 const known = (value) => value !== null && value !== undefined && Number.isFinite(value);
@@ -21,7 +21,7 @@ function element(tag, className, text) {
   return made;
 }
 
-function viridis(share) {  // more of the colours go to low pressures
+function viridis(share) {  // finer steps at low pressures
   const place = 10 * Math.sqrt(Math.min(Math.max(share, 0), 1)), below = Math.min(Math.floor(place), 9);
   return VIRIDIS[below].map((low, i) => low + (place - below) * (VIRIDIS[below + 1][i] - low));
 }
@@ -63,7 +63,7 @@ class SocketMap {
     this.narrow.addEventListener("change", () => this.show());
   }
 
-  // Full range of the colours: the least of the fixed ones that holds the peak, kept once it grew.
+  // Upper end of the colour scale: the smallest fixed one that covers the peak; never shrinks.
   range(values) {
     const highest = Math.max(...values.filter(known), 0);
     if (this.chosen) { return this.chosen; }
@@ -71,7 +71,7 @@ class SocketMap {
     return this.scale;
   }
 
-  // Values and reaches of 95 % intervals on the tiles of what is shown.
+  // Values shown on the tiles, and the reach of their 95 % intervals.
   shown() {
     const extra = this.extras[this.kind];
     if (extra) { return {values: extra.values, reach: null, unit: extra.unit}; }
@@ -87,7 +87,7 @@ class SocketMap {
     const paint = values && this.paint(values, reach, unit);
     this.drawMap(paint, values, unit, ink);
     const now = performance.now();
-    if (this.solid && !(now - this.drawnSolid < SOLID_EVERY)) {
+    if (this.solid && !(now - this.drawnSolid < SOLID_PERIOD)) {
       this.drawnSolid = now;
       this.drawSolid(paint, ink);
     }
@@ -139,7 +139,7 @@ class SocketMap {
     };
     const outline = (tile, look) => {
       const onWall = socket.on_wall[tile], x = socket.corners[tile].map((c) => c[0]);
-      for (const turn of onWall ? [-360, 0, 360] : [0]) {  // also where it goes over the edge
+      for (const turn of onWall ? [-360, 0, 360] : [0]) {  // repeated across the seam
         if (onWall && (Math.max(...x) + turn < -180 || Math.min(...x) + turn > 180)) { continue; }
         traces.push({type: "scatter", mode: "lines", hoverinfo: "skip", showlegend: false,
           ...axes(onWall ? wall : end), x: x.map((at) => at + turn),
@@ -300,7 +300,7 @@ class Course {
   }
 }
 
-// --- in words and bars
+// --- cards and bars
 
 function showCards(box, cards) {
   box.replaceChildren(...cards.map((card) => {
@@ -341,7 +341,7 @@ function offer(select, names, change) {
   }
 }
 
-// All of a page's pictures, for moments that a source tells of.
+// All pictures of a page, for the moments of a source.
 class SocketView {
   constructor(socket, seek, extras = {}, kinds = ["pressure", "shear"]) {
     this.map = new SocketMap(byId("map"), byId("solid"), socket);
