@@ -155,7 +155,7 @@ def test_a_worker_that_dies_costs_its_own_trial_only(study: Path, task: Task) ->
 
 
 def test_an_unreachable_or_missing_dask_is_one_line(study, task, monkeypatch) -> None:
-    monkeypatch.setattr("socket_testbed.batch._PATIENCE", "100ms")
+    monkeypatch.setattr("socket_testbed.batch._DASK_TIMEOUT", "100ms")
     with refused(TestbedError, "no scheduler with a worker answers"):
         run(study, task, dask="tcp://127.0.0.1:1")
     monkeypatch.setitem(sys.modules, "distributed", None)

@@ -48,8 +48,8 @@ from socket_testbed.trials.metadata import (
 from socket_testbed.trials.topics import full_namespace
 from socket_testbed.trials.trial import Trial, recorded_namespace
 
-_UP_WITHIN = 120.0  # [s]; for the simulation, on a busy machine
-_DRAIN = 1.0  # [s] of the testbed; for the last trigger's sample to pass
+_START_TIMEOUT = 120.0  # [s]; for the simulation, on a busy machine
+_DRAIN_TIME = 1.0  # [s] of the testbed; for the last trigger's sample to pass
 
 
 @dataclass(frozen=True)
@@ -179,7 +179,7 @@ def start(graph: Graph, testbed: Testbed) -> World | None:
 def end(graph: Graph, testbed: Testbed) -> None:
     """End a testbed so that the last trigger's sample is complete and the trial is closed."""
     graph.stop("trigger_node")
-    graph.pause(_DRAIN / testbed.time_scale)
+    graph.pause(_DRAIN_TIME / testbed.time_scale)
     if testbed.record is not None:
         graph.stop("recorder_node")
     graph.stop()
@@ -210,12 +210,12 @@ def simulate_hardware(
     described = json.dumps(asdict(simulation))
     arguments = [str(folder), described, str(testbed.geometry), str(testbed.calibration), truth]
     graph.start_program("simulation", "socket_testbed.live.simulated_world", arguments)
-    deadline = time.monotonic() + _UP_WITHIN
+    deadline = time.monotonic() + _START_TIMEOUT
     while not world.port:
         graph.check()
         if time.monotonic() > deadline:
             raise TestbedError(
-                f"the simulation is not up after {_UP_WITHIN:g} s", "see what it printed"
+                f"the simulation is not up after {_START_TIMEOUT:g} s", "see what it printed"
             )
         graph.pause()
     given, place = testbed.settings, str(folder)
@@ -278,4 +278,4 @@ def record_estimates(
     with Graph(output) as graph:
         graph.start_nodes([GraphNode("recorder_node", recorder, nodes[-1].namespace), *nodes])
         graph.wait("replay_node")
-        graph.pause(_DRAIN)
+        graph.pause(_DRAIN_TIME)

@@ -28,28 +28,30 @@ from socket_testbed.live.simulated_world import LATEST
 
 _FRAMES = 1000
 _PULSES = 5
-_SERVER_WITHIN = 3.0  # [s]
-_READINGS, _MOST_READINGS = 6, 18
-_WATCHED = 1.0  # [s]; of the load cell's conversions
-_LOOK = 0.05  # [s]
-_PRIORITY = 10  # that is tried where none is set
-_MODEL = Path("/proc/device-tree/model")  # of the computer
+_SERVER_TIMEOUT = 3.0  # [s]
+_MIN_READINGS, _MAX_READINGS = 6, 18
+_WATCH_DURATION = 1.0  # [s]; of the load cell's conversions
+_POLL_INTERVAL = 0.05  # [s]
+_DEFAULT_PRIORITY = 10  # that is tried where none is set
+_MODEL_FILE = Path("/proc/device-tree/model")  # of the computer
 _SOUND_I2C = [6, 6, 28]  # the first packaged kernel with raspberrypi/linux#6071 (March 2024)
-_OF_A_PERIOD = 0.25  # [-]; part of the trigger's period that a reading may be late
+_MAX_LATENESS = 0.25  # [-]; part of the trigger's period that a reading may be late
 
 # Of the press test:
 WITHIN = 20.0  # [s]; for a press, and for letting go
-_UNLOADED = 20  # readings before the first press
-_LETS_GO = 1.0  # [s]; until the first of them
-_PERIOD = 0.1  # [s]; between readings, over which the load cell is averaged
-_LEAST = 4e3  # [Pa]; a finger presses with more,
+_UNLOADED_READINGS = 20  # readings before the first press
+_RELEASE_TIME = 1.0  # [s]; until the first of them
+_READING_PERIOD = 0.1  # [s]; between readings, over which the load cell is averaged
+_MIN_PRESSURE = 4e3  # [Pa]; a finger presses with more,
 _SIGMAS = 8.0  # and with more than so many standard deviations of the unloaded readings
-_STEADY = 3  # readings that make a press
-_PATIENCE = 10  # times as many, in which a busy computer missed the load cell's
-_LEAST_FORCE = 1.0  # [N]
-_ALONG = 0.5  # [-]; cosine between the load cell's force and the outward normal, at least
-_RELEASED = 0.5  # [-]; of what makes a press
-_UNFELT = "press in its middle with the thumb; if it stays silent: its cable, its calibration"
+_PRESS_READINGS = 3  # readings that make a press
+_PATIENCE_FACTOR = 10  # times as many, in which a busy computer missed the load cell's
+_MIN_FORCE = 1.0  # [N]
+_MIN_COSINE = 0.5  # [-]; cosine between the load cell's force and the outward normal, at least
+_RELEASE_RATIO = 0.5  # [-]; of what makes a press
+_NO_ANSWER_HINT = (
+    "press in its middle with the thumb; if it stays silent: its cable, its calibration"
+)
 
 
 @dataclass(frozen=True)
@@ -81,8 +83,8 @@ def _failure(what: str, message: str) -> Outcome:
 
 def check_kernel(testbed: Testbed) -> Iterator[Outcome]:
     """Name the kernel of a Raspberry Pi."""
-    if testbed.simulation is None and _MODEL.is_file():
-        yield kernel_finding(_MODEL.read_text().rstrip("\0"), platform.release())
+    if testbed.simulation is None and _MODEL_FILE.is_file():
+        yield kernel_finding(_MODEL_FILE.read_text().rstrip("\0"), platform.release())
 
 
 def kernel_finding(model: str, release: str) -> Outcome:
@@ -118,14 +120,14 @@ def check_scheduling(testbed: Testbed) -> Iterator[Outcome]:
     """Measure how late threads wake up, with a real-time priority too where there is the right."""
     settings = testbed.settings.trigger_node
     rate, wanted = settings.rate, settings.scheduling.priority
-    ordinary, urgent = measure_lateness(), measure_lateness(wanted or _PRIORITY)
+    ordinary, urgent = measure_lateness(), measure_lateness(wanted or _DEFAULT_PRIORITY)
     found = f"threads wake up {_late(ordinary)}"
     if len(urgent):
-        found += f", with real-time priority {wanted or _PRIORITY} {_late(urgent)}"
+        found += f", with real-time priority {wanted or _DEFAULT_PRIORITY} {_late(urgent)}"
     else:
         found += "; no right to a real-time priority"
     used = urgent if wanted and len(urgent) else ordinary
-    enough = np.percentile(used, 99) <= min(LATEST, _OF_A_PERIOD / rate)
+    enough = np.percentile(used, 99) <= min(LATEST, _MAX_LATENESS / rate)
     found += f": {'soon enough' if enough else 'too late'} for {rate:g} Hz"
     hint = ""
     if not enough and testbed.simulation is None:
@@ -144,10 +146,10 @@ def check_clusters(testbed: Testbed) -> Iterator[Outcome]:
     """See which chip answers at each cluster's place."""
     with closing(make_clusters(testbed.settings.cluster_node)) as reader:
         chips = reader.identify()
-        for count in range(_MOST_READINGS):
+        for count in range(_MAX_READINGS):
             faults = reader.read(clocks.monotonic()).faults
             # The first ones may find the range of an input, and a busy machine reads some late.
-            if count + 1 >= _READINGS and not faults:
+            if count + 1 >= _MIN_READINGS and not faults:
                 break
         for name, found in chips.items():
             if isinstance(found, DeviceError):
@@ -168,7 +170,7 @@ def check_load_cell(testbed: Testbed) -> Iterator[Outcome]:
         corrupted = chip.check_frames(_FRAMES)
         hint = CHECK_WIRING if corrupted else ""
         yield Outcome("load cell CRC", f"{corrupted} of {_FRAMES} frames corrupted", hint)
-        ends = clocks.monotonic() + _WATCHED
+        ends = clocks.monotonic() + _WATCH_DURATION
         while clocks.monotonic() < ends:
             converter.poll()
             clocks.sleep(0.5 * converter.period)
@@ -189,9 +191,9 @@ def check_motion_capture(testbed: Testbed) -> Iterator[Outcome]:
     client = NatNetClient(settings, tracker.add)
     client.start()
     try:
-        deadline = clocks.monotonic() + _SERVER_WITHIN
+        deadline = clocks.monotonic() + _SERVER_TIMEOUT
         while (health := client.health(clocks.monotonic()))[0] and clocks.monotonic() < deadline:
-            clocks.sleep(_LOOK)
+            clocks.sleep(_POLL_INTERVAL)
         clocks.sleep(settings.stale)
         seen = tracker.sample(clocks.monotonic() - 0.5 * settings.stale)
         server, link = client.server, client.figures()
@@ -242,14 +244,14 @@ def press_test(testbed: Testbed, ask: Callable[[str], None]) -> Iterator[Outcome
     outward = [-geometry.rotations[geometry.clusters[name], :, 2] for name in names]
     with _readings(testbed) as read:
         ask("let go")
-        clocks.sleep(_LETS_GO)
-        unloaded = [read() for _ in range(_UNLOADED)]
+        clocks.sleep(_RELEASE_TIME)
+        unloaded = [read() for _ in range(_UNLOADED_READINGS)]
         zero, noise = _mean(unloaded), np.nanstd(unloaded, axis=0)[:-3]
         dead = [name for name, value in zip(names, zero, strict=False) if np.isnan(value)]
         if dead:
             hint = "see what 'doctor' says of it without --press"
             raise DeviceError(f"cluster {dead[0]} gives no reading", hint)
-        threshold = np.maximum(_LEAST, _SIGMAS * noise)
+        threshold = np.maximum(_MIN_PRESSURE, _SIGMAS * noise)
 
         def pushed(reading: FloatArray) -> FloatArray:  # or pulled
             return np.abs(reading - zero)[:-3] / threshold
@@ -259,13 +261,13 @@ def press_test(testbed: Testbed, ask: Callable[[str], None]) -> Iterator[Outcome
             pressed = _wait(read, lambda reading: bool((pushed(reading) > 1.0).any()))
             if pressed is None:
                 found = f"no cluster answered within {WITHIN:g} s"
-                yield Outcome(f"press on {name}", found, _UNFELT)
+                yield Outcome(f"press on {name}", found, _NO_ANSWER_HINT)
                 continue
             answered = int(pushed(pressed).argmax())
             yield _judge(names, number, answered, pressed - zero, outward[number])
             ask("let go")
             # Every cluster is read, and none is pressed.
-            _wait(read, lambda reading: bool((pushed(reading) <= _RELEASED).all()))
+            _wait(read, lambda reading: bool((pushed(reading) <= _RELEASE_RATIO).all()))
 
 
 def _mean(readings: list[FloatArray]) -> FloatArray:
@@ -288,13 +290,13 @@ def _judge(
         hint = "its normal is the wrong way round: check its channels' order and its calibration"
         return Outcome(what, found, hint)
     size = float(np.linalg.norm(change[-3:]))
-    if not size >= _LEAST_FORCE:
+    if not size >= _MIN_FORCE:
         hint = "check the load cell's wiring"
         return Outcome(what, f"{found}, the load cell felt nothing", hint)
     along, found = float(change[-3:] @ outward) / size, f"{found}, the load cell {size:.1f} N"
-    if along <= -_ALONG:
+    if along <= -_MIN_COSINE:
         return Outcome(what, f"{found} the other way", "check the load cell's signs and matrix")
-    if along < _ALONG:
+    if along < _MIN_COSINE:
         hint = "check how the load cell is turned, its matrix, and the cluster's place"
         return Outcome(what, f"{found} in another direction", hint)
     return Outcome(what, found)
@@ -321,11 +323,11 @@ def _readings(testbed: Testbed) -> Iterator[Callable[[], FloatArray]]:
                 clocks.sleep(converter.period)
 
         def read() -> FloatArray:
-            due = clocks.monotonic() + _PERIOD
+            due = clocks.monotonic() + _READING_PERIOD
             reading = clusters.read(clocks.monotonic())
             stress, _ = stacked.apply(reading.capacitance, reading.status)
             clocks.sleep(max(0.0, due - clocks.monotonic()))
-            wrench = cell.wrench_at(due - 0.7 * _PERIOD, 0.5 * _PERIOD).wrench
+            wrench = cell.wrench_at(due - 0.7 * _READING_PERIOD, 0.5 * _READING_PERIOD).wrench
             return np.concatenate([stress[:, 0], wrench[3:]])
 
         polling = threading.Thread(target=poll, daemon=True)
@@ -348,6 +350,6 @@ def _wait(read: Callable[[], FloatArray], done: Callable[[FloatArray], bool]) ->
         elif np.isfinite(reading[:-3]).all():  # a late reading tells nothing
             found.clear()
         felt = sum(np.isfinite(reading[-3:]).all() for reading in found[1:])
-        if felt >= _STEADY or len(found) > _PATIENCE * _STEADY:
+        if felt >= _PRESS_READINGS or len(found) > _PATIENCE_FACTOR * _PRESS_READINGS:
             return _mean(found[1:])  # the first one was on the way
     return None

@@ -41,7 +41,7 @@ from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE, STRESS, WRENCH
 
 MEASURED = (STRESS, WRENCH, SOCKET_POSE, PYLON_POSE)  # each is part of a sample
 
-_FIRST_ATTEMPT = 10  # samples between attempts at the first model
+_FIRST_FIT_INTERVAL = 10  # samples between attempts at the first model
 _CHECK_PERIOD = 2_000_000_000  # [ns]; between checks of the data
 
 
@@ -290,7 +290,7 @@ class OnlineEstimator:
     def _fit_is_due(self) -> bool:
         """Auto fit is on, with enough samples, and enough new ones since the last attempt."""
         settings = self._settings()
-        due = settings.window.refit_after if self._model is not None else _FIRST_ATTEMPT
+        due = settings.window.refit_after if self._model is not None else _FIRST_FIT_INTERVAL
         return (
             settings.auto_fit
             and not self._fitting

@@ -94,7 +94,9 @@ class FitWorker:
 
     def _open(self) -> None:
         self._pool = ProcessPoolExecutor(
-            max_workers=1, mp_context=multiprocessing.get_context("spawn"), initializer=_step_back
+            max_workers=1,
+            mp_context=multiprocessing.get_context("spawn"),
+            initializer=_lower_priority,
         )
         # The libraries load now rather than within the first fit.
         self._loaded = self._pool.submit(os.getpid)
@@ -120,7 +122,7 @@ class FitWorker:
         self._pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _step_back() -> None:
+def _lower_priority() -> None:
     """Give way to the predictions, and end with the node even if that is killed."""
     schedule_ordinarily()  # the node may share a process with one that measures
     os.nice(_NICENESS)

@@ -19,8 +19,8 @@ from socket_testbed.trials.topics import (
     Topic,
 )
 
-_PENDING = 1000  # stamps kept while their measurements come in
-_JUDGED = 10.0  # [s]; over which predictions are compared with measurements
+_MAX_PENDING = 1000  # stamps kept while their measurements come in
+_ERROR_WINDOW = 10.0  # [s]; over which predictions are compared with measurements
 
 
 class GraphStatus:
@@ -61,7 +61,7 @@ class GraphStatus:
             error = values - self._measured.get(stamp, np.nan)
             if np.isfinite(error).all():
                 self._errors.append((stamp, error))
-            while self._errors and self._errors[0][0] < stamp - _JUDGED * 1e9:
+            while self._errors and self._errors[0][0] < stamp - _ERROR_WINDOW * 1e9:
                 self._errors.popleft()
             return
         if topic is TRIGGER:
@@ -89,5 +89,5 @@ class GraphStatus:
 
 
 def _keep_newest(entries: dict[int, Any]) -> None:
-    while len(entries) > _PENDING:
+    while len(entries) > _MAX_PENDING:
         del entries[next(iter(entries))]

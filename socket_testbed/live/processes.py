@@ -40,16 +40,16 @@ RESTARTED = "SOCKET_TESTBED_RESTARTED"  # set where another did this one's work 
 SPARE = "spare"  # name of the process that takes the place of a node that was killed
 
 _NODES = "socket_testbed.nodes"
-_GRACE = 60.0  # [s]; for a node to end by itself
-_LOOK = 0.05  # [s]
-_EARLY = 10.0  # [s]; a process that fails within this time was given something wrong
-_LONGEST_WAIT = 10.0  # [s]; before a process that ends again and again is started again
-_CALM = 3.0  # [s]; how long all processes have run before a spare one takes processor time
+_STOP_TIMEOUT = 60.0  # [s]; for a node to end by itself
+_POLL_INTERVAL = 0.05  # [s]
+_EARLY_FAILURE = 10.0  # [s]; a process that fails within this time was given something wrong
+_MAX_BACKOFF = 10.0  # [s]; before a process that ends again and again is started again
+_CALM_AFTER = 3.0  # [s]; how long all processes have run before a spare one takes processor time
 
-_LIMITS = "/etc/security/limits.d/socket_testbed.conf"
+_LIMITS_FILE = "/etc/security/limits.d/socket_testbed.conf"
 # Of mlockall: present and future memory, each page only once it is used.
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
-_NAP = 0.002  # [s]; a conversion of the load cell's converter
+_SLEEP_TIME = 0.002  # [s]; a conversion of the load cell's converter
 
 
 def end_with_starter() -> None:
@@ -120,7 +120,7 @@ class _Member:
     process: subprocess.Popen[bytes]
     started: float
     optional: bool
-    backoff: Backoff = field(default_factory=lambda: Backoff(_LONGEST_WAIT))
+    backoff: Backoff = field(default_factory=lambda: Backoff(_MAX_BACKOFF))
 
     def exit_code(self) -> int | None:
         """Its exit code, minus the signal that ended it, or None while it runs.
@@ -236,7 +236,7 @@ class Graph:
         ends = time.monotonic() + duration
         while True:
             self._meanwhile()
-            time.sleep(_LOOK)
+            time.sleep(_POLL_INTERVAL)
             if time.monotonic() >= ends:
                 return
 
@@ -254,7 +254,7 @@ class Graph:
         began = time.monotonic()
         while not done():
             now = time.monotonic()
-            calm = all(now - member.started > _CALM for member in self._members.values())
+            calm = all(now - member.started > _CALM_AFTER for member in self._members.values())
             if self._spare and SPARE not in self._members and calm:
                 self.start_program(SPARE, _NODES, self._spare, optional=True)
             for name, member in list(self._members.items()):
@@ -262,10 +262,10 @@ class Graph:
                 if name not in self._members:
                     continue  # the spare one, which has taken a place
                 if code is None:
-                    if now - member.started > _EARLY:
+                    if now - member.started > _EARLY_FAILURE:
                         member.backoff.succeeded()
                     continue
-                if code > 0 and now - began < _EARLY and not member.optional:
+                if code > 0 and now - began < _EARLY_FAILURE and not member.optional:
                     raise _failure(name, code)
                 if member.backoff.due(now):
                     notify(f"{name} {_ending(code)}: started again")
@@ -283,7 +283,7 @@ class Graph:
             for member in running:
                 with suppress(ProcessLookupError):
                     os.kill(member.process.pid, number)
-            deadline = time.monotonic() + _GRACE
+            deadline = time.monotonic() + _STOP_TIMEOUT
             while time.monotonic() < deadline and any(m.exit_code() is None for m in running):
                 self.pause()
         for member in members:
@@ -340,7 +340,7 @@ def schedule(settings: SchedulingSettings) -> list[str]:
 
 
 def _right(limit: str, capability: str) -> str:
-    return f"put 'USER - {limit}' into {_LIMITS} and log in anew, or give the right {capability}"
+    return f"put 'USER - {limit}' into {_LIMITS_FILE} and log in again, or grant {capability}"
 
 
 def schedule_ordinarily() -> None:
@@ -364,7 +364,7 @@ def measure_lateness(priority: int = 0, duration: float = 1.0) -> FloatArray:
         due = time.perf_counter()
         ends = due + duration
         while due < ends:
-            due = max(due + _NAP, time.perf_counter())
+            due = max(due + _SLEEP_TIME, time.perf_counter())
             time.sleep(max(0.0, due - time.perf_counter()))
             late.append(time.perf_counter() - due)
 

@@ -49,25 +49,30 @@ from socket_testbed.trials.topics import (
     namespace_of,
 )
 
-_POLL = 0.02  # [s]
+_POLL_INTERVAL = 0.02  # [s]
 
-_WATCHED = (*REQUIRED, ESTIMATED_WRENCH)  # what is measured, and then what was predicted of it
+_STATUS_TOPICS = (
+    *REQUIRED,
+    ESTIMATED_WRENCH,
+)  # what is measured, and then what was predicted of it
 
 # Of an event, in real time:
-_LINKED_WITHIN = 6.0  # [s]; for a subscriber to be found on a busy machine
-_TRIGGERED_WITHIN = 5.0  # [s]; for enough triggers
-_LEAST = 1.0  # [s]; from the first trigger to the last
-_SLOW = 3.0  # [-]; how much longer than the call is ago the triggers of a slow testbed are heard
-_LONGEST = 12.0  # [s]; but no longer
-_HEARD_WITHIN = 5.0  # [s]; for the event to be acknowledged
+_LINK_TIMEOUT = 6.0  # [s]; for a subscriber to be found on a busy machine
+_TRIGGER_TIMEOUT = 5.0  # [s]; for enough triggers
+_MIN_SPAN = 1.0  # [s]; from the first trigger to the last
+_SPAN_FACTOR = (
+    3.0  # [-]; how much longer than the call is ago the triggers of a slow testbed are heard
+)
+_MAX_SPAN = 12.0  # [s]; but no longer
+_ACKNOWLEDGE_TIMEOUT = 5.0  # [s]; for the event to be acknowledged
 _REAL_TIME = 1e9  # [ns/s]
-_ABOUT = 0.1  # [-]; triggers whose speed differs less from real time come in real time
+_SPEED_TOLERANCE = 0.1  # [-]; triggers whose speed differs less from real time come in real time
 
 # Of a service:
-_FOUND_WITHIN = 3.0  # [s]
-_ANSWERS_WITHIN = 5.0  # [s] of the testbed; a tare averages one
-_FITS_WITHIN = 120.0  # [s]
-_ASK_AGAIN = 2.5  # [s] of the testbed; the middleware can lose an answer
+_DISCOVERY_TIMEOUT = 3.0  # [s]
+_ANSWER_TIMEOUT = 5.0  # [s] of the testbed; a tare averages one
+_FIT_TIMEOUT = 120.0  # [s]
+_RETRY_INTERVAL = 2.5  # [s] of the testbed; the middleware can lose an answer
 
 # Type of each service, and the node that offers it.
 _NEXT_TRIAL = "recorder_node/set_parameters_atomically"
@@ -118,7 +123,7 @@ def publish_event(label: str, called: float, namespace: str = "/") -> Marked:
     node = rclpy.create_node("event_marker", namespace=namespace)
 
     def step() -> None:
-        rclpy.spin_once(node, timeout_sec=_POLL)
+        rclpy.spin_once(node, timeout_sec=_POLL_INTERVAL)
 
     try:
         return EventMarker(node, partial(_wait, step=step)).mark(label, called)
@@ -130,7 +135,7 @@ def publish_event(label: str, called: float, namespace: str = "/") -> Marked:
 def _wait(
     condition: Callable[[], bool],
     duration: float,
-    step: Callable[[], None] = lambda: time.sleep(_POLL),
+    step: Callable[[], None] = lambda: time.sleep(_POLL_INTERVAL),
 ) -> bool:
     """Wait until a condition holds; returns whether it does within a duration [s]."""
     deadline = time.monotonic() + duration
@@ -165,7 +170,7 @@ class EventMarker:
             message_type(TRIGGER), TRIGGER.name, self._on_trigger, subscriber_qos(TRIGGER)
         )
         try:
-            if not self._wait(self._is_linked, _LINKED_WITHIN):
+            if not self._wait(self._is_linked, _LINK_TIMEOUT):
                 raise TestbedError(
                     f"nobody subscribes to {self._publisher.topic_name}", self._where_else()
                 )
@@ -173,9 +178,9 @@ class EventMarker:
         finally:
             self._node.destroy_subscription(subscription)
         self._publisher.publish(Event(header=header_to_ros(stamp), label=label))
-        if not self._wait(partial(is_acknowledged, self._publisher), _HEARD_WITHIN):
+        if not self._wait(partial(is_acknowledged, self._publisher), _ACKNOWLEDGE_TIMEOUT):
             raise TestbedError(
-                f"the event was not acknowledged within {_HEARD_WITHIN:g} s",
+                f"the event was not acknowledged within {_ACKNOWLEDGE_TIMEOUT:g} s",
                 "check that the recorder runs, and 'info' of its trial for the event",
             )
         count = self._publisher.get_subscription_count()
@@ -185,11 +190,11 @@ class EventMarker:
         """Stamp [ns] of a time of the monotonic clock [s], from the triggers that come now."""
         # The longer ago the call, the longer the triggers from which its time is reckoned.
         since = time.monotonic() - called
-        self._wait(lambda: self._has_triggers(max(_LEAST, 0.5 * since)), _TRIGGERED_WITHIN)
+        self._wait(lambda: self._has_triggers(max(_MIN_SPAN, 0.5 * since)), _TRIGGER_TIMEOUT)
         if not self._triggers:
             return time.time_ns() - round((time.monotonic() - called) * 1e9)
         if len(self._triggers) > 1 and _speed(self._triggers) != _REAL_TIME:
-            span = min(_SLOW * since, _LONGEST)
+            span = min(_SPAN_FACTOR * since, _MAX_SPAN)
             self._wait(lambda: self._has_triggers(span), span)
         return stamp_by_triggers(called, self._triggers)
 
@@ -242,11 +247,11 @@ def _speed(triggers: Sequence[tuple[float, int]]) -> float:
     """
     arrivals, stamps = (np.array(values) for values in zip(*triggers, strict=True))
     passed = arrivals - arrivals[:, None]
-    apart = passed >= max(0.5 * passed.max(), _POLL)
+    apart = passed >= max(0.5 * passed.max(), _POLL_INTERVAL)
     if not apart.any():
         return _REAL_TIME
     speed = float(np.median((stamps - stamps[:, None])[apart] / passed[apart]))
-    return _REAL_TIME if abs(speed - _REAL_TIME) < _ABOUT * _REAL_TIME else speed
+    return _REAL_TIME if abs(speed - _REAL_TIME) < _SPEED_TOLERANCE * _REAL_TIME else speed
 
 
 class ServiceControls:
@@ -312,11 +317,11 @@ class ServiceControls:
         return str(answer.message)
 
     def _call(self, name: str, request: Any) -> Any:
-        within, again = clocks.real(_ANSWERS_WITHIN), clocks.real(_ASK_AGAIN)
+        within, again = clocks.real(_ANSWER_TIMEOUT), clocks.real(_RETRY_INTERVAL)
         if name == "estimator/fit":  # a second fit would take its time
-            within = again = clocks.real(_FITS_WITHIN)
+            within = again = clocks.real(_FIT_TIMEOUT)
         client, (_, offered_by) = self._clients[name], _SERVICES[name]
-        if not _wait(client.service_is_ready, _FOUND_WITHIN):
+        if not _wait(client.service_is_ready, _DISCOVERY_TIMEOUT):
             hint = f"check that {offered_by} runs"
             if offered_by == "recorder_node":
                 hint = "start 'run' with --record DIR, or 'record DIR' beside it"
@@ -350,8 +355,8 @@ class StatusListener:
     def __init__(self, status: GraphStatus, namespace: str = "/", pause: str = "") -> None:
         self._status = status
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C is the verb's
-        self._readers = {topic: Reader(topic) for topic in _WATCHED}
-        self._topics = (*_WATCHED, PARAMETERS, RECORDED_TRIAL)
+        self._readers = {topic: Reader(topic) for topic in _STATUS_TOPICS}
+        self._topics = (*_STATUS_TOPICS, PARAMETERS, RECORDED_TRIAL)
         qos = {topic: subscriber_qos(topic) for topic in self._topics}
         self._inbox = Inbox("status_listener", namespace, qos)
         self._pause = self._inbox.node.create_client(SetBool, pause) if pause else None

@@ -57,9 +57,9 @@ from socket_testbed.trials.topics import (
 _PICTURE_PERIOD = 100_000_000  # [ns]; RViz needs no more
 _REGIONS_PERIOD = 500_000_000  # [ns]; joint draws take 15 ms
 _ARROW_SCALE = 0.002  # [m/N]
-_FULL_COLOUR = 30e3  # [Pa]; normal pressure
-_FAINT = 10e3  # [Pa]; standard deviation of the normal pressure
-_FAINTEST = 0.1  # [-]; opacity of a tile with this deviation or more
+_MAX_PRESSURE = 30e3  # [Pa]; normal pressure
+_FADED_DEVIATION = 10e3  # [Pa]; standard deviation of the normal pressure
+_MIN_OPACITY = 0.1  # [-]; opacity of a tile with this deviation or more
 _LIFETIME = 3  # [s]; a stopped estimator leaves no picture
 
 # Corners of the two triangles of a tile, in halves of its side along its x and y. They face
@@ -81,7 +81,7 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
             self.sender(PARAMETERS, model_message),
         )
         self._picture = PressureMap(self._geometry)
-        self._drawn = 0  # [ns]; stamp of the last picture
+        self._last_picture = 0  # [ns]; stamp of the last picture
         names = self._geometry.names
         self._send_wrench = self.sender(ESTIMATED_WRENCH, wrench_packer())
         self._send_forces = self.sender(LOCAL_FORCES, local_forces_packer(names))
@@ -89,7 +89,7 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         self._pressure_map = self.advertise(PRESSURE_MAP)
         self._regions = self.advertise(REGIONS)
         self._pack_regions = regions_packer([place.name for place in self._estimator.map.places])
-        self._read = 0  # [ns]; stamp of the last outputs of the regions
+        self._last_regions = 0  # [ns]; stamp of the last outputs of the regions
         for topic in (STRESS, WRENCH, SOCKET_POSE, PYLON_POSE):
             self.follow(topic, partial(self._on_measured, topic))
         self.follow(TRIGGER, lambda stamp, sequence: self._estimator.trigger(stamp))
@@ -129,13 +129,13 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
 
     def _publish_map(self, stamp: int, estimate: MapEstimate) -> None:
         self._send_map(stamp, estimate)
-        due = abs(stamp - self._drawn) >= _PICTURE_PERIOD
+        due = abs(stamp - self._last_picture) >= _PICTURE_PERIOD
         if due and self._pressure_map.get_subscription_count() > 0:
-            self._drawn = stamp
+            self._last_picture = stamp
             self._pressure_map.publish(self._picture.serialised(stamp, estimate))
-        due = abs(stamp - self._read) >= _REGIONS_PERIOD
+        due = abs(stamp - self._last_regions) >= _REGIONS_PERIOD
         if due and self._regions.get_subscription_count() > 0:
-            self._read = stamp
+            self._last_regions = stamp
             outputs = self._estimator.map.outputs()
             if outputs is not None:
                 self._regions.publish(self._pack_regions(stamp, outputs.regions))
@@ -216,9 +216,11 @@ class PressureMap:
         faint, from opaque to a tenth where the pressure's standard deviation is 10 kPa.
         """
         tips = self._anchors + _ARROW_SCALE * estimate.forces[0]
-        shares = np.clip(estimate.normal_pressure[0] / _FULL_COLOUR, 0.0, 1.0)
+        shares = np.clip(estimate.normal_pressure[0] / _MAX_PRESSURE, 0.0, 1.0)
         deviations = estimate.normal_pressure_standard_deviation[0]
-        opacities = np.clip(1.0 - (1.0 - _FAINTEST) * deviations / _FAINT, _FAINTEST, 1.0)
+        opacities = np.clip(
+            1.0 - (1.0 - _MIN_OPACITY) * deviations / _FADED_DEVIATION, _MIN_OPACITY, 1.0
+        )
         other = 0.9 * (1.0 - shares)
         colours = np.column_stack([1.0 - 0.4 * shares, other, other, opacities])
         time = divmod(stamp, 1_000_000_000)

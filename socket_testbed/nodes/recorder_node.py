@@ -47,7 +47,7 @@ from socket_testbed.trials.metadata import (
 from socket_testbed.trials.topics import RECORDED_TRIAL, TOPICS
 from socket_testbed.trials.trial import beside, read_configuration, store_configuration
 
-_SILENCE = 10.0  # [s]; for a graph to come up
+_SILENCE_TIMEOUT = 10.0  # [s]; for a graph to come up
 
 
 class RecorderNode(TestbedNode[RecorderSettings]):
@@ -92,7 +92,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         if self._bag is None:
             return
         silent = self._silent_topics()
-        if silent and clocks.monotonic() - self._began > _SILENCE:
+        if silent and clocks.monotonic() - self._began > _SILENCE_TIMEOUT:
             what = "" if silent == self._required else f" on {', '.join(silent)}"
             self.report(
                 WARN,

@@ -47,12 +47,12 @@ from socket_testbed.trials.topics import (
 )
 from socket_testbed.trials.trial import Trial
 
-_READY_WITHIN = 180.0  # [s]; for the nodes waited for to start and find each other
-_DISCOVERY = 3.0  # [s]; DDS takes 5 ms or more than 2 s, at random
-_DONE_WITHIN = 60.0  # [s]; for them to make any progress
-_IN_FLIGHT = PUBLISHER_DEPTH // 2  # triggers ahead of the nodes waited for
-_BURST = 50  # messages sent at once, half of what a writer keeps to send again
-_BREATH = 0.002  # [s]; after a burst
+_READY_TIMEOUT = 180.0  # [s]; for the nodes waited for to start and find each other
+_DISCOVERY_TIME = 3.0  # [s]; DDS takes 5 ms or more than 2 s, at random
+_PROGRESS_TIMEOUT = 60.0  # [s]; for them to make any progress
+_MAX_IN_FLIGHT = PUBLISHER_DEPTH // 2  # triggers ahead of the nodes waited for
+_BURST_SIZE = 50  # messages sent at once, half of what a writer keeps to send again
+_BURST_PAUSE = 0.002  # [s]; after a burst
 
 _TICK_PERIOD = 0.02  # [s]; of the clock between messages
 
@@ -252,9 +252,9 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         if topic is TRIGGER:
             self._of_sample = {topic}
             self._followers.sent(self._readers[topic].read(data)[0])
-            self._catch_up(_IN_FLIGHT)
-        if self._published % _BURST == 0:
-            self._pacer.rest(_BREATH)
+            self._catch_up(_MAX_IN_FLIGHT)
+        if self._published % _BURST_SIZE == 0:
+            self._pacer.rest(_BURST_PAUSE)
 
     def _tick(self, stamp: int) -> None:
         self._clock_publisher.publish(Clock(clock=stamp_to_ros(max(stamp, 0))))
@@ -263,8 +263,8 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         """Wait until the subscribers are linked, so that they miss no message."""
         if not self._followers:
             # Subscribers are found within the time of a discovery.
-            self._pacer.rest(_DISCOVERY)
-        lacking = self._followers.await_links(_READY_WITHIN)
+            self._pacer.rest(_DISCOVERY_TIME)
+        lacking = self._followers.await_links(_READY_TIMEOUT)
         for name, publisher in self._by_topic.items():
             topic = publisher.topic_name
             if self._topics[name].required and self.count_publishers(topic) > 1:
@@ -274,7 +274,7 @@ class ReplayNode(TestbedNode[ReplaySettings]):
                 )
         if lacking:
             raise TrialError(
-                f"after {_READY_WITHIN:g} s not ready: {lacking}",
+                f"after {_READY_TIMEOUT:g} s not ready: {lacking}",
                 "see what these nodes print; is another graph on this ROS_DOMAIN_ID?",
             )
 
@@ -287,9 +287,9 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         if self._followers:
             self._catch_up(int(not self._of_sample.issuperset(REQUIRED)))
         for publisher in self._by_topic.values():
-            self._followers.wait(partial(is_acknowledged, publisher), _DONE_WITHIN)
+            self._followers.wait(partial(is_acknowledged, publisher), _PROGRESS_TIMEOUT)
 
     def _catch_up(self, behind: int) -> None:
-        left = self._followers.catch_up(behind, _DONE_WITHIN)
+        left = self._followers.catch_up(behind, _PROGRESS_TIMEOUT)
         if left:
             self.report(WARN, f"{left} triggers were not processed in time")

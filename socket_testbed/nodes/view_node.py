@@ -60,9 +60,9 @@ from socket_testbed.trials.topics import (
     Topic,
 )
 
-_OLD = 2.0  # [s]; what came longer ago is not shown as if it were now
-_SILENT = 3.0  # [s]; a node that reported longer ago is silent
-_IDLE = 3.0  # [s] without a question: no browser is open
+_STALE_AFTER = 2.0  # [s]; what came longer ago is not shown as if it were now
+_SILENT_AFTER = 3.0  # [s]; a node that reported longer ago is silent
+_IDLE_AFTER = 3.0  # [s] without a question: no browser is open
 _DEPTHS = {
     FORCE_MAP: 1,
     WRENCH: 50,
@@ -70,11 +70,11 @@ _DEPTHS = {
     STRESS: 1,
     REGIONS: 5,
 }
-_MOST_WRENCHES = 200  # kept to find that of the regions
-_HISTORY = 30.0  # [s]; of the course
+_MAX_WRENCHES = 200  # kept to find that of the regions
+_COURSE_DURATION = 30.0  # [s]; of the course
 _NO_PRESSURES, _NO_WRENCH = np.zeros(0), np.full(6, np.nan)
-_NOTHING = (np.full(3, np.nan), Status.MISSING)  # stress and status of no cluster
-_COUNTS = ("samples", "triggers", "messages", "maps")  # among the figures of a node
+_NO_STRESS = (np.full(3, np.nan), Status.MISSING)  # stress and status of no cluster
+_COUNT_KEYS = ("samples", "triggers", "messages", "maps")  # among the figures of a node
 _SIGNS = ("\N{BLACK CIRCLE}", "\N{BLACK UP-POINTING TRIANGLE}", "\N{BLACK SQUARE}")
 
 
@@ -114,7 +114,7 @@ class LiveSource:
         self._readers = {topic: Reader(topic) for topic in _DEPTHS}
         self._asked_at = 0.0  # [s]; when a browser last asked
         self._newest: dict[Topic, tuple[int, Any, float]] = {}  # stamp [ns], values, arrival [s]
-        self._wrenches: deque[tuple[int, FloatArray]] = deque(maxlen=_MOST_WRENCHES)  # by stamp
+        self._wrenches: deque[tuple[int, FloatArray]] = deque(maxlen=_MAX_WRENCHES)  # by stamp
         self._first = 0  # [ns]
         self._foreign = False  # whether the newest map is of another socket
         self._sensors: dict[str, tuple[DiagnosticArray, float]] = {}
@@ -164,7 +164,7 @@ class LiveSource:
 
     def rest(self) -> None:
         """Unsubscribe when nobody has asked for a while."""
-        if self._inbox is not None and clocks.monotonic() - self._asked_at > _IDLE:
+        if self._inbox is not None and clocks.monotonic() - self._asked_at > _IDLE_AFTER:
             self._inbox.close()
             self._inbox, self._foreign = None, False
             self._newest.clear()
@@ -200,10 +200,10 @@ class LiveSource:
     def _renew(self, inbox: Inbox) -> None:
         """Take what the clusters measure, and the outputs by region with their map."""
         now, geometry, places = clocks.monotonic(), self._geometry, self._places
-        if now - self._shown_at > _OLD:
+        if now - self._shown_at > _STALE_AFTER:
             self._shown, self._measured = {}, _NO_PRESSURES
         for _, stresses in self._read(inbox, STRESS):
-            of_clusters = [stresses.get(name, _NOTHING) for name in geometry.clusters]
+            of_clusters = [stresses.get(name, _NO_STRESS) for name in geometry.clusters]
             normal = [s[0] if status == Status.OK else np.nan for s, status in of_clusters]
             self._measured = np.array(normal)
         for stamp, (names, outputs) in self._read(inbox, REGIONS):
@@ -215,7 +215,7 @@ class LiveSource:
             force = -wrench[3:] @ proximal_direction(geometry)
             row = (force, of.peak.value[-1], of.peak.low[-1], of.peak.high[-1])
             self._course.append((1e-9 * (stamp - self._first), *map(float, row)))
-            while self._course[-1][0] - self._course[0][0] > _HISTORY:
+            while self._course[-1][0] - self._course[0][0] > _COURSE_DURATION:
                 self._course.popleft()
             time, load, value, low, high = np.array(self._course).T
             self._shown_at = now
@@ -238,14 +238,14 @@ class LiveSource:
     def _recent(self, topic: Topic) -> Any:
         """The newest values; None where they came long ago."""
         _, values, arrival = self._newest.get(topic, (0, None, -math.inf))
-        return values if clocks.monotonic() - arrival < _OLD else None
+        return values if clocks.monotonic() - arrival < _STALE_AFTER else None
 
     def _state_of_sensors(self) -> tuple[Document, list[list[str]]]:
         """The card of the data, and a row per node: sign, name, words, rate and age."""
         now, rows, bad = clocks.monotonic(), [], []
         for name, (status, arrival) in sorted(self._sensors.items()):
             level, words = int.from_bytes(status.level, "little"), status.message
-            if now - arrival > _SILENT:
+            if now - arrival > _SILENT_AFTER:
                 level, words = 2, f"silent for {now - arrival:.0f} s; it said: {words}"
             title = name.removeprefix(self._prefix).removesuffix("_node").replace("_", " ")
             rate = self._rates.get(name, (0.0, 0.0, math.nan))[2]
@@ -286,7 +286,7 @@ class LiveSource:
                 continue
             self._sensors[status.name] = status, now
             values = {entry.key: entry.value for entry in status.values}
-            count = next((float(values[key]) for key in _COUNTS if key in values), math.nan)
+            count = next((float(values[key]) for key in _COUNT_KEYS if key in values), math.nan)
             before, since, _ = self._rates.setdefault(status.name, (count, now, math.nan))
             if now - since > 0.5:
                 self._rates[status.name] = count, now, (count - before) / (now - since)
