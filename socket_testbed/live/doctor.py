@@ -1,4 +1,4 @@
-"""Checks of the wiring: each device is opened with its own driver and asked, or pressed on."""
+"""Wiring checks: each device is opened with its own driver and queried, or pressed by the user."""
 
 from __future__ import annotations
 
@@ -32,26 +32,24 @@ _SERVER_TIMEOUT = 3.0  # [s]
 _MIN_READINGS, _MAX_READINGS = 6, 18
 _WATCH_DURATION = 1.0  # [s]; of the load cell's conversions
 _POLL_INTERVAL = 0.05  # [s]
-_DEFAULT_PRIORITY = 10  # that is tried where none is set
+_DEFAULT_PRIORITY = 10  # tried if none is set
 _MODEL_FILE = Path("/proc/device-tree/model")  # of the computer
 _SOUND_I2C = [6, 6, 28]  # the first packaged kernel with raspberrypi/linux#6071 (March 2024)
-_MAX_LATENESS = 0.25  # [-]; part of the trigger's period that a reading may be late
+_MAX_LATENESS = 0.25  # [-]; of a reading, as a share of the trigger period
 
-# Of the press test:
-WITHIN = 20.0  # [s]; for a press, and for letting go
-_UNLOADED_READINGS = 20  # readings before the first press
-_RELEASE_TIME = 1.0  # [s]; until the first of them
-_READING_PERIOD = 0.1  # [s]; between readings, over which the load cell is averaged
-_MIN_PRESSURE = 4e3  # [Pa]; a finger presses with more,
-_SIGMAS = 8.0  # and with more than so many standard deviations of the unloaded readings
-_PRESS_READINGS = 3  # readings that make a press
-_PATIENCE_FACTOR = 10  # times as many, in which a busy computer missed the load cell's
+# Press test:
+_PRESS_TIMEOUT = 20.0  # [s]; also for the release
+_UNLOADED_READINGS = 20  # before the first press
+_RELEASE_TIME = 1.0  # [s]; before the first unloaded reading
+_READING_PERIOD = 0.1  # [s]; also the averaging period of the load cell
+_MIN_PRESSURE = 4e3  # [Pa]; of a press,
+_SIGMAS = 8.0  # which also exceeds this many standard deviations of the unloaded readings
+_PRESS_READINGS = 3  # readings in a press
+_PATIENCE_FACTOR = 10  # times as many if a busy computer misses those of the load cell
 _MIN_FORCE = 1.0  # [N]
-_MIN_COSINE = 0.5  # [-]; cosine between the load cell's force and the outward normal, at least
-_RELEASE_RATIO = 0.5  # [-]; of what makes a press
-_NO_ANSWER_HINT = (
-    "press in its middle with the thumb; if it stays silent: its cable, its calibration"
-)
+_MIN_COSINE = 0.5  # [-]; between the load cell's force and the outward normal
+_RELEASE_RATIO = 0.5  # [-]; of the threshold of a press
+_UNFELT = "press in its middle with the thumb; if it stays silent: its cable, its calibration"
 
 
 @dataclass(frozen=True)
@@ -64,7 +62,7 @@ class Outcome:
 
 
 def examine(testbed: Testbed) -> list[Outcome]:
-    """Look at everything that is configured, one device after the other."""
+    """Check all configured devices, one after the other."""
     outcomes: list[Outcome] = []
     for check in CHECKS:
         try:
@@ -76,19 +74,19 @@ def examine(testbed: Testbed) -> list[Outcome]:
 
 
 def _failure(what: str, message: str) -> Outcome:
-    """A failing outcome from a fact and its hint in one line."""
+    """A failed outcome from a one-line message of fact and hint."""
     fact, _, hint = message.rpartition(": ")
     return Outcome(what, fact or message, hint if fact else "see docs/faults.md")
 
 
 def check_kernel(testbed: Testbed) -> Iterator[Outcome]:
-    """Name the kernel of a Raspberry Pi."""
+    """Report the kernel of a Raspberry Pi."""
     if testbed.simulation is None and _MODEL_FILE.is_file():
         yield kernel_finding(_MODEL_FILE.read_text().rstrip("\0"), platform.release())
 
 
 def kernel_finding(model: str, release: str) -> Outcome:
-    """Whether a kernel is one whose buses are known to fail on its Raspberry Pi."""
+    """Check a kernel against known bus faults on its Raspberry Pi."""
     found, version = f"{release} on {model}", re.findall(r"\d+", release)[:3]
     if "Raspberry Pi 5" in model and [*map(int, version)] < _SOUND_I2C:
         return Outcome(
@@ -100,7 +98,7 @@ def kernel_finding(model: str, release: str) -> Outcome:
 
 
 def check_trigger(testbed: Testbed) -> Iterator[Outcome]:
-    """Make pulses and see their edges."""
+    """Fire pulses and detect their edges."""
     settings, delays = testbed.settings.trigger_node, []
     with closing(make_trigger(settings)) as trigger:
         for _ in range(_PULSES):
@@ -117,7 +115,7 @@ def check_trigger(testbed: Testbed) -> Iterator[Outcome]:
 
 
 def check_scheduling(testbed: Testbed) -> Iterator[Outcome]:
-    """Measure how late threads wake up, with a real-time priority too where there is the right."""
+    """Measure how late threads wake up, also with a real-time priority if permitted."""
     settings = testbed.settings.trigger_node
     rate, wanted = settings.rate, settings.scheduling.priority
     ordinary, urgent = measure_lateness(), measure_lateness(wanted or _DEFAULT_PRIORITY)
@@ -143,12 +141,12 @@ def _late(late: FloatArray) -> str:
 
 
 def check_clusters(testbed: Testbed) -> Iterator[Outcome]:
-    """See which chip answers at each cluster's place."""
+    """Check which chip answers at each cluster's address."""
     with closing(make_clusters(testbed.settings.cluster_node)) as reader:
         chips = reader.identify()
         for count in range(_MAX_READINGS):
             faults = reader.read(clocks.monotonic()).faults
-            # The first ones may find the range of an input, and a busy machine reads some late.
+            # The first readings may set an input's range, and a busy machine may read some late.
             if count + 1 >= _MIN_READINGS and not faults:
                 break
         for name, found in chips.items():
@@ -161,7 +159,7 @@ def check_clusters(testbed: Testbed) -> Iterator[Outcome]:
 
 
 def check_load_cell(testbed: Testbed) -> Iterator[Outcome]:
-    """See which converter answers, and whether its frames are intact."""
+    """Check which converter answers, and whether its frames are intact."""
     settings = testbed.settings.load_cell_node
     cell = make_load_cell(settings)
     with closing(cell.converter) as converter:
@@ -184,7 +182,7 @@ def check_load_cell(testbed: Testbed) -> Iterator[Outcome]:
 
 
 def check_motion_capture(testbed: Testbed) -> Iterator[Outcome]:
-    """See which server answers, how well its clock is known, and whether it has the bodies."""
+    """Check which server answers, how well its clock is known, and whether it tracks the bodies."""
     settings = testbed.settings.mocap_node
     geometry = read_socket(testbed.geometry)
     tracker = BodyTracker(settings, geometry.socket_markers, geometry.pylon_markers)
@@ -227,17 +225,17 @@ CHECKS: tuple[Callable[[Testbed], Iterator[Outcome]], ...] = (
 )
 
 
-# --- the press test: a person presses on each cluster, and its sign, place and order are found.
-# The limb is out of the socket. It finds no gain, nor two clusters that were pressed in each
-# other's place. A reading is the normal stress of the c clusters [Pa] and the force on the load
-# cell [N], shape (c + 3,); NaN where there is none.
+# --- press test: the user presses each cluster, which verifies its sign, place and order. The limb
+# is out of the socket. The test cannot verify gains, nor detect that the user swapped two clusters.
+# A reading holds the normal stress of the c clusters [Pa] and the force on the load cell [N], shape
+# (c + 3,); missing values are NaN.
 
 
 def press_test(testbed: Testbed, ask: Callable[[str], None]) -> Iterator[Outcome]:
-    """Ask for a press on each cluster in turn, and tell what answered; no node runs meanwhile.
+    """Ask for a press on each cluster in turn and report the response; no node may run meanwhile.
 
-    `ask` is called with what the person shall do: `press on NAME` or `let go`. A DeviceError says
-    that a cluster gives no reading.
+    `ask` is called with an instruction to the user: `press on NAME` or `let go`. A DeviceError is
+    raised if a cluster gives no reading.
     """
     geometry = read_socket(testbed.geometry)
     names = tuple(testbed.settings.cluster_node.names)
@@ -260,13 +258,13 @@ def press_test(testbed: Testbed, ask: Callable[[str], None]) -> Iterator[Outcome
             ask(f"press on {name}")
             pressed = _wait(read, lambda reading: bool((pushed(reading) > 1.0).any()))
             if pressed is None:
-                found = f"no cluster answered within {WITHIN:g} s"
-                yield Outcome(f"press on {name}", found, _NO_ANSWER_HINT)
+                found = f"no cluster answered within {_PRESS_TIMEOUT:g} s"
+                yield Outcome(f"press on {name}", found, _UNFELT)
                 continue
             answered = int(pushed(pressed).argmax())
             yield _judge(names, number, answered, pressed - zero, outward[number])
             ask("let go")
-            # Every cluster is read, and none is pressed.
+            # NaN fails the test: all clusters must be read, and none pressed.
             _wait(read, lambda reading: bool((pushed(reading) <= _RELEASE_RATIO).all()))
 
 
@@ -277,9 +275,9 @@ def _mean(readings: list[FloatArray]) -> FloatArray:
 def _judge(
     names: Sequence[str], number: int, answered: int, change: FloatArray, outward: FloatArray
 ) -> Outcome:
-    """What a press on a cluster says of its wiring, from the number of the one that answered.
+    """Judge the wiring from a press on a cluster and the number of the cluster that answered.
 
-    The change is the reading's, the outward normal that of the wall where it was pressed.
+    `change` is that of the reading, `outward` the outward normal of the wall at the press.
     """
     name, felt, what = names[number], names[answered], f"press on {names[number]}"
     found = f"{felt} felt {1e-3 * change[answered]:+.1f} kPa"
@@ -304,7 +302,7 @@ def _judge(
 
 @contextmanager
 def _readings(testbed: Testbed) -> Iterator[Callable[[], FloatArray]]:
-    """What reads the clusters and the load cell side by side, by their own drivers."""
+    """A function that reads the clusters and the load cell together, with their own drivers."""
     settings = testbed.settings
     names = tuple(settings.cluster_node.names)
     calibration = read_calibration(testbed.calibration)
@@ -340,16 +338,16 @@ def _readings(testbed: Testbed) -> Iterator[Callable[[], FloatArray]]:
 
 
 def _wait(read: Callable[[], FloatArray], done: Callable[[FloatArray], bool]) -> FloatArray | None:
-    """Read until something holds in several readings; their mean, or None where it does not."""
-    ends = clocks.monotonic() + WITHIN
+    """Read until a condition holds in several readings; their mean, or None on timeout."""
+    ends = clocks.monotonic() + _PRESS_TIMEOUT
     found: list[FloatArray] = []
     while clocks.monotonic() < ends:
         reading = read()
         if done(reading):
             found.append(reading)
-        elif np.isfinite(reading[:-3]).all():  # a late reading tells nothing
+        elif np.isfinite(reading[:-3]).all():  # ignore late readings
             found.clear()
         felt = sum(np.isfinite(reading[-3:]).all() for reading in found[1:])
         if felt >= _PRESS_READINGS or len(found) > _PATIENCE_FACTOR * _PRESS_READINGS:
-            return _mean(found[1:])  # the first one was on the way
+            return _mean(found[1:])  # the first one caught the press in motion
     return None

@@ -369,13 +369,10 @@ class TestbedNode(Node, Generic[S]):
             self.check()
             waiting = self._waiting_for()
             self._checks += 1
-            # A replay goes on as the nodes that it waits for report how far they are.
+            # A replay advances with the progress that its followers report.
             replayed = self.count_publishers("/clock") > 0
-            if (
-                replayed
-                or waiting != self._waiting
-                or self._checks * _CHECK_PERIOD >= _REPORT_PERIOD
-            ):
+            due = self._checks * _CHECK_PERIOD >= _REPORT_PERIOD
+            if replayed or due or waiting != self._waiting:
                 self._waiting = waiting
                 self._publish_diagnostics()
 

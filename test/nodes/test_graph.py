@@ -159,7 +159,7 @@ def test_a_map_of_another_socket_is_named_and_not_drawn() -> None:
         probe.wait(lambda: shows(own, True), "the map")
         probe.wait(lambda: shows(other, False), "that it is of another socket")
         source._asked_at -= 60.0  # no browser has asked for a while
-        source.rest()
+        source.unsubscribe_if_idle()
         assert source._inbox is None
         node.destroy_node()
     rclpy.shutdown()
