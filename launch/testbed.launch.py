@@ -42,7 +42,7 @@ ARGUMENTS = {
     "calibration": (str(packaged("config", "calibration.yaml")), "a calibration.yaml"),
     "record": ("", "folder of a new trial; empty: no recording"),
     "namespace": ("", "of nodes and topics, such as left; empty: none"),
-    "time_scale": ("1.0", "speed of the simulated testbed against real time, 1 at most"),
+    "time_scale": ("1.0", "speed of the simulated testbed relative to real time, at most 1"),
 }
 
 
@@ -73,10 +73,10 @@ def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler | SetEn
 
 
 def started(node: GraphNode) -> Node:
-    return Node(**launched(node, GRAPH.folder), on_exit=partial(start_again, node))
+    return Node(**launched(node, GRAPH.folder), on_exit=partial(restart, node))
 
 
-def start_again(node: GraphNode, event: ProcessExited, context: LaunchContext) -> list[TimerAction]:
+def restart(node: GraphNode, event: ProcessExited, context: LaunchContext) -> list[TimerAction]:
     """Restart a node that was killed or failed, but not one that was asked to end."""
     if event.returncode == 0 or context.is_shutdown:
         return []

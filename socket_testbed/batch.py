@@ -304,7 +304,7 @@ def _run_jobs(
                 # A worker that dies (out of memory, say) breaks the pool for all other jobs.
                 yield from _run_jobs(task, [job], processes, dask)
             else:
-                hint = "): check that it has this package and memory enough, or give fewer --jobs"
+                hint = "): check that it has this package and enough memory, or give fewer --jobs"
                 yield job.name, _failure(job, "its worker failed (", error, hint)
 
 
@@ -314,11 +314,11 @@ def _executor(processes: int, dask: str | None) -> Iterator[Executor]:
     if dask is None:
         from joblib.externals.loky import ProcessPoolExecutor
 
-        here = ProcessPoolExecutor(processes, initializer=_end_with_caller)
+        pool = ProcessPoolExecutor(processes, initializer=_end_with_caller)
         try:
-            yield here
+            yield pool
         finally:
-            here.shutdown(kill_workers=True)
+            pool.shutdown(kill_workers=True)
         return
     try:
         from distributed import Client

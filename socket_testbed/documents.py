@@ -17,7 +17,7 @@ from msgspec import Meta, inspect
 from socket_testbed.errors import ConfigurationError, closest
 
 T = TypeVar("T")
-Text: TypeAlias = str | int | float  # YAML reads a name such as 12 as a number
+Text: TypeAlias = str | int | float  # YAML parses a name such as 12 as a number
 FINITE = sys.float_info.max
 
 _MAX_SIZE = 2**24  # [bytes]
@@ -53,7 +53,7 @@ def convert(data: Any, kind: type[T], where: str = "", strict: bool = True) -> T
 
 
 def check_number(value: Any, where: str, low: float = -FINITE, high: float = FINITE) -> float:
-    """A finite number within [low, high]; whole numbers count as numbers."""
+    """A finite number within [low, high]; integers are accepted."""
     kind: Any = Annotated[float, Meta(ge=low, le=high)]
     return float(convert(plain(value), kind, where))
 
@@ -131,7 +131,7 @@ _NUMBER_TYPES = (inspect.FloatType, inspect.IntType)
 
 
 def _hint(expected: Any, value: Any) -> str:
-    """The hint for a wrong value: the expected type in words."""
+    """The hint for a wrong value: its expected type."""
     if isinstance(expected, inspect.Metadata):
         about = (expected.extra_json_schema or {}).get("description", "")
         return f"{_hint(expected.type, value)}: {about}"
@@ -144,7 +144,7 @@ def _hint(expected: Any, value: Any) -> str:
 
 
 def _type_name(expected: Any) -> str:
-    """A type in words."""
+    """The name of a type in a hint."""
     if isinstance(expected, _NUMBER_TYPES):
         number = "a number" if isinstance(expected, inspect.FloatType) else "a whole number"
         low, high = expected.ge, expected.le

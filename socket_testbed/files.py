@@ -98,7 +98,7 @@ class TemporaryFolder(TemporaryDirectory[str]):
         self._held = hold(Path(self.name))
 
     def cleanup(self) -> None:
-        """Remove it."""
+        """Remove the folder."""
         super().cleanup()
         os.close(self._held)
 
@@ -123,7 +123,7 @@ def check_outputs(*paths: Path | None, replace: bool) -> None:
 
 
 def check_new_folder(path: Path) -> None:
-    """Refuse a folder that exists, or whose parent's parent does not."""
+    """Refuse an existing folder, or one whose grandparent is missing."""
     refuse_existing(path)
     if not path.parent.exists():
         _require_parent(path.parent)
@@ -147,7 +147,7 @@ def _require_parent(path: Path) -> None:
     elif not parent.is_dir():
         why = f"{parent} is not a folder"
     elif not os.access(parent, os.W_OK):
-        why, hint = f"no right to write in {parent}", "name another folder"
+        why, hint = f"no permission to write in {parent}", "name another folder"
     else:
         return
     raise ConfigurationError(f"{path}: cannot be written ({why})", hint)
@@ -198,7 +198,7 @@ def atomic_output(path: Path, replace: bool = False) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file, complete or not at all."""
+    """Write a text file atomically."""
     with atomic_output(path) as staging:
         staging.write_text(text, encoding="utf-8")
 

@@ -123,7 +123,7 @@ def check_scheduling(testbed: Testbed) -> Iterator[Outcome]:
     if len(urgent):
         found += f", with real-time priority {wanted or _DEFAULT_PRIORITY} {_late(urgent)}"
     else:
-        found += "; no right to a real-time priority"
+        found += "; no permission for a real-time priority"
     used = urgent if wanted and len(urgent) else ordinary
     enough = np.percentile(used, 99) <= min(LATEST, _MAX_LATENESS / rate)
     found += f": {'soon enough' if enough else 'too late'} for {rate:g} Hz"
@@ -251,21 +251,21 @@ def press_test(testbed: Testbed, ask: Callable[[str], None]) -> Iterator[Outcome
             raise DeviceError(f"cluster {dead[0]} gives no reading", hint)
         threshold = np.maximum(_MIN_PRESSURE, _SIGMAS * noise)
 
-        def pushed(reading: FloatArray) -> FloatArray:  # or pulled
+        def pressure(reading: FloatArray) -> FloatArray:  # of either sign, relative to a press
             return np.abs(reading - zero)[:-3] / threshold
 
         for number, name in enumerate(names):
             ask(f"press on {name}")
-            pressed = _wait(read, lambda reading: bool((pushed(reading) > 1.0).any()))
+            pressed = _wait(read, lambda reading: bool((pressure(reading) > 1.0).any()))
             if pressed is None:
                 found = f"no cluster answered within {_PRESS_TIMEOUT:g} s"
                 yield Outcome(f"press on {name}", found, _UNFELT)
                 continue
-            answered = int(pushed(pressed).argmax())
+            answered = int(pressure(pressed).argmax())
             yield _judge(names, number, answered, pressed - zero, outward[number])
             ask("let go")
             # NaN fails the test: all clusters must be read, and none pressed.
-            _wait(read, lambda reading: bool((pushed(reading) <= _RELEASE_RATIO).all()))
+            _wait(read, lambda reading: bool((pressure(reading) <= _RELEASE_RATIO).all()))
 
 
 def _mean(readings: list[FloatArray]) -> FloatArray:

@@ -244,8 +244,8 @@ class OnlineEstimator:
         try:
             refit = started.result()
         except (CancelledError, BrokenProcessPool):
-            raise IdentificationError("the fit was ended", "ask again") from None
-        assert refit is not None  # only where no data is steady
+            raise IdentificationError("the fit was aborted", "ask again") from None
+        assert refit is not None  # None only for automatic fits
         return refit.fit
 
     def _sample(self, stamp: int, measured: dict[Topic, Any]) -> Samples:
@@ -288,7 +288,7 @@ class OnlineEstimator:
             self._check(stamp)
 
     def _fit_is_due(self) -> bool:
-        """Whether auto fit is on, with enough samples and enough new ones since the last attempt."""
+        """Whether auto fit is on, with enough samples, enough new ones since the last attempt."""
         settings = self._settings()
         due = settings.window.refit_after if self._model is not None else _FIRST_FIT_INTERVAL
         return (
@@ -299,7 +299,7 @@ class OnlineEstimator:
         )
 
     def _start_fit(self, steady: bool) -> Future[Refit | None] | None:
-        """Start a fit on the window's newest steady stretch, or on all of it."""
+        """Start a fit on the window's newest plateau, or on all of it."""
         settings = self._settings()
         with self._lock:
             if self._fitting:
@@ -335,7 +335,7 @@ class OnlineEstimator:
             return
         if refit.is_worse:
             self._counts["refused"] += 1
-            self._state = (0, f"{self._origin}; it stays: {refit.contest}")
+            self._state = (0, f"{self._origin}; kept: {refit.contest}")
             return
         fit = refit.fit
         self._model, self._last_stamp = fit.model, fit.last_stamp
@@ -347,7 +347,7 @@ class OnlineEstimator:
         )
         if refit.cause:
             self._origin += f"; older samples left out: {refit.cause}"
-        judged = f"; it replaced another: {refit.contest}" if refit.contest else ""
+        judged = f"; it replaced the previous model: {refit.contest}" if refit.contest else ""
         self._state = (0, self._origin + judged)
         self._notify(fit)
 

@@ -36,7 +36,7 @@ from socket_testbed.settings.identification import IdentificationSettings, Plate
 from socket_testbed.trials.segment import find_newest_plateaus
 
 HELD_OUT = 0.2  # [-]; newest share of a plateau, held out to judge a refit
-LEAST_HELD_OUT = 10  # [1]
+LEAST_HELD_OUT = 10  # [samples]
 _NICENESS = 10
 
 T = TypeVar("T")

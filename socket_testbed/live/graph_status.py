@@ -78,7 +78,7 @@ class GraphStatus:
             _keep_newest(self._pending)
 
     def _add_trigger(self, stamp: int) -> None:
-        if not self.triggers or stamp < self._last:  # a replay that starts over
+        if not self.triggers or stamp < self._last:  # a replay restarts
             self._first = stamp
             self._pending.clear()
             self._measured.clear()

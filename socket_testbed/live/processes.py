@@ -53,7 +53,7 @@ _SLEEP_TIME = 0.002  # [s]; conversion time of the load cell's converter
 
 
 def end_with_starter() -> None:
-    """End cleanly with the command that started this process, if one did."""
+    """End cleanly with the command that started this process, if any."""
     starter = os.environ.get(PARENT)
     if starter is None:
         return

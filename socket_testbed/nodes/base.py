@@ -1,8 +1,7 @@
 """Base of all nodes of the testbed: settings, topics, services, diagnostics.
 
 A node declares the parameters of its settings class, advertises and subscribes to topics, and
-reports its state on /diagnostics, at 1 Hz and at once on a change of level, under its full name,
-such as /left/cluster_node.
+reports its state on /diagnostics, at 1 Hz and at once on a change of level, under its full name.
 """
 
 from __future__ import annotations
@@ -237,7 +236,7 @@ class TestbedNode(Node, Generic[S]):
         self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def advertise(self, topic: Topic, name: str = "", needed: bool = False) -> Publisher:
-        """A publisher, optionally under another name; `needed` waits for a subscriber."""
+        """A publisher, optionally under another name; if `needed`, it must have a subscriber."""
         publisher = self.create_publisher(
             message_type(topic), name or topic.name, publisher_qos(topic)
         )
@@ -257,7 +256,7 @@ class TestbedNode(Node, Generic[S]):
         needed: bool = True,
         raw: bool = False,
     ) -> None:
-        """Subscribe, optionally under another name; `needed` waits for a publisher.
+        """Subscribe, optionally under another name; if `needed`, there must be a publisher.
 
         The callback gets each message, serialised if `raw`.
         """
@@ -469,8 +468,8 @@ class Followers:
     def await_links(self, patience: float) -> str:
         """Wait until all publishers and subscribers have discovered each other.
 
-        A node may not have discovered a subscriber that others know, or that itself reports it, and
-        would lose its messages. Returns a list of what is not linked in time; empty if all is.
+        A publisher may not have discovered a subscriber that other nodes, or the subscriber itself,
+        know of; its messages would be lost. Returns what is not linked in time, or "".
         """
 
         def linked() -> bool:

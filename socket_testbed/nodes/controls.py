@@ -102,7 +102,7 @@ class Marked:
         if not self.trial:
             found.append("no trial is being recorded: call recorder/record")
         if not self.triggered:
-            found.append("no trigger came: the stamp is the system clock's")
+            found.append("no trigger received: the stamp is the system clock's")
         return found
 
 
@@ -167,7 +167,7 @@ class EventMarker:
         try:
             if not self._wait(self._is_linked, _LINK_TIMEOUT):
                 raise TestbedError(
-                    f"nobody subscribes to {self._publisher.topic_name}", self._where_else()
+                    f"no subscriber to {self._publisher.topic_name}", self._where_else()
                 )
             stamp = self._stamp_of(called)
         finally:
@@ -320,7 +320,7 @@ class ServiceControls:
             hint = f"check that {offered_by} runs"
             if offered_by == "recorder_node":
                 hint = "start 'run' with --record DIR, or 'record DIR' beside it"
-            raise TestbedError(f"nobody offers {name}", hint)
+            raise TestbedError(f"no node offers {name}", hint)
         asked: list[Future] = []
         for _ in range(math.ceil(within / again)):
             asked.append(client.call_async(request))
@@ -379,6 +379,6 @@ class StatusListener:
         return True
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Disconnect from the graph."""
         self._inbox.close()
         rclpy.try_shutdown()

@@ -68,7 +68,7 @@ _CORNERS = ((-1, -1), (-1, 1), (1, 1), (-1, -1), (1, 1), (1, -1))
 
 
 class EstimatorNode(TestbedNode[EstimatorSettings]):
-    """Hands measurements to the online estimator and publishes what it returns."""
+    """Passes measurements to the online estimator and publishes its results."""
 
     def __init__(self) -> None:
         super().__init__("estimator_node", EstimatorSettings)

@@ -222,7 +222,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             self._announce()
             self.report(
                 ERROR,
-                f"recording stopped, {self._path} keeps what it has ({error.strerror}): make space",
+                f"recording stopped, {self._path} keeps its data ({error.strerror}): make space",
             )
 
     def _announce(self) -> None:

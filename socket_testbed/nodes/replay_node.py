@@ -116,7 +116,7 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         self._failure: TestbedError | None = None
         if not settings.trial:
             raise ConfigurationError("replay_node: trial is empty", "give the path of a trial")
-        self._of_sample: set[Topic] = set()  # published since the last trigger
+        self._sample_topics: set[Topic] = set()  # published since the last trigger
         self._published = 0
         self._position = 0.0  # [s]
 
@@ -248,9 +248,9 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         if topic in {SOCKET_POSE, PYLON_POSE} and self._frames is not None and self._frames.wanted:
             stamp, pose = self._readers[topic].read(data)
             self._frames.move(stamp, {topic: pose})
-        self._of_sample.add(topic)
+        self._sample_topics.add(topic)
         if topic is TRIGGER:
-            self._of_sample = {topic}
+            self._sample_topics = {topic}
             self._followers.sent(self._readers[topic].read(data)[0])
             self._catch_up(_MAX_IN_FLIGHT)
         if self._published % _BURST_SIZE == 0:
@@ -284,7 +284,7 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         the publishers end. A trial may end between a trigger and its measurements.
         """
         if self._followers:
-            self._catch_up(int(not self._of_sample.issuperset(REQUIRED)))
+            self._catch_up(int(not self._sample_topics.issuperset(REQUIRED)))
         for publisher in self._by_topic.values():
             self._followers.wait(partial(is_acknowledged, publisher), _PROGRESS_TIMEOUT)
 

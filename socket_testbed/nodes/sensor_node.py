@@ -70,7 +70,7 @@ class SensorNode(TestbedNode[S]):
             level = WARN
             message = (
                 f"the system clock was set by {-shift:.3f} s between the starts of nodes:"
-                " triggers are placed by their arrival, within 1 ms"
+                " triggers are timed by their arrival, within 1 ms"
             )
         self.report(level, message)
 

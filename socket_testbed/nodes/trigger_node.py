@@ -134,7 +134,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         elif self._foreign and clocks.monotonic() - self._foreign < _FOREIGN_DURATION:
             self.report(
                 ERROR,
-                "another trigger comes on this ROS_DOMAIN_ID: end the other testbed, or set"
+                "another trigger is active on this ROS_DOMAIN_ID: end the other testbed, or set"
                 " another ROS_DOMAIN_ID; two testbeds must not mix",
             )
         elif not self._enabled.is_set():
@@ -142,8 +142,8 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         elif abs(step) > _STEP_THRESHOLD:
             self.report(
                 WARN,
-                f"the system clock was set by {step:+.3f} s: stamps go on steadily;"
-                " restart after the trial to take the new time over",
+                f"the system clock was set by {step:+.3f} s: stamps continue steadily;"
+                " restart after the trial to adopt the new time",
             )
         elif self._sequence:
             self.report(OK, f"triggering at {rate:g} Hz")

@@ -96,7 +96,7 @@ class ViewNode(TestbedNode[ViewSettings]):
             self._live.unsubscribe_if_idle()
 
     def close(self) -> None:
-        """End the page."""
+        """Stop the page server."""
         self._server.close()
         super().close()
 
@@ -146,7 +146,7 @@ class LiveSource:
         if self._inbox is None:
             self._inbox = self._subscribe()
         self._take(self._inbox)
-        self._renew(self._inbox)
+        self._update(self._inbox)
         measured, predicted = self._recent(WRENCH), self._recent(ESTIMATED_WRENCH)
         data, sensors = self._state_of_sensors()
         found = {"moment": self._moment(), "sensors": sensors, "recording": self._recording()}
@@ -197,31 +197,31 @@ class LiveSource:
                     self._wrenches.append((stamp, values))
                 self._newest[topic] = stamp, values, now
 
-    def _renew(self, inbox: Inbox) -> None:
+    def _update(self, inbox: Inbox) -> None:
         """Take cluster stresses, and update the page with the outputs by region and their map."""
         now, geometry, places = clocks.monotonic(), self._geometry, self._places
         if now - self._shown_at > _STALE_AFTER:
             self._shown, self._measured = {}, _NO_PRESSURES
         for _, stresses in self._read(inbox, STRESS):
-            of_clusters = [stresses.get(name, _NO_STRESS) for name in geometry.clusters]
-            normal = [s[0] if status == Status.OK else np.nan for s, status in of_clusters]
+            readings = [stresses.get(name, _NO_STRESS) for name in geometry.clusters]
+            normal = [s[0] if status == Status.OK else np.nan for s, status in readings]
             self._measured = np.array(normal)
-        for stamp, (names, outputs) in self._read(inbox, REGIONS):
+        for stamp, (names, fields) in self._read(inbox, REGIONS):
             mapped = self._recent(FORCE_MAP)
             if mapped is None or names != tuple(place.name for place in places):
                 continue
-            of = _region_outputs(outputs)
+            outputs = _region_outputs(fields)
             wrench = dict(self._wrenches).get(stamp, _NO_WRENCH)
-            force = -wrench[3:] @ proximal_direction(geometry)
-            row = (force, of.peak.value[-1], of.peak.low[-1], of.peak.high[-1])
+            force, peak = -wrench[3:] @ proximal_direction(geometry), outputs.peak
+            row = (force, peak.value[-1], peak.low[-1], peak.high[-1])
             self._course.append((1e-9 * (stamp - self._first), *map(float, row)))
             while self._course[-1][0] - self._course[0][0] > _COURSE_DURATION:
                 self._course.popleft()
             time, load, value, low, high = np.array(self._course).T
             self._shown_at = now
             self._shown = {
-                "cards": cards(geometry, places, of, mapped[1]["normal_pressure"][0]),
-                "bars": bars(places, of),
+                "cards": cards(geometry, places, outputs, mapped[1]["normal_pressure"][0]),
+                "bars": bars(places, outputs),
                 "course": course(time, load, Quantity(value, low, high, value), []),
             }
 
@@ -261,7 +261,7 @@ class LiveSource:
         if not rows:
             words = "no data from the testbed"
             return {"title": "Data", "value": "none", "words": words, "bad": True}, rows
-        words = f"all {len(rows)} parts of the testbed are well"
+        words = f"all {len(rows)} nodes report OK"
         return {"title": "Data", "value": "good", "words": words}, rows
 
     def _recording(self) -> Document:

@@ -138,11 +138,11 @@ class BagReader:
                     if content.startswith(_ZSTD_MAGIC):
                         content = zstd.decompress(content)
                     yield connection, time, content
-            except Exception as error:  # the library raises whatever the bytes lead it to
+            except Exception as error:  # the library may raise any exception
                 raise _damaged(file, error) from None
             if lacking := sum(left.values()):
                 raise TrialError(
-                    f"{file}: is damaged: its index lists {lacking} messages more than can be read",
+                    f"{file}: is damaged: its index lists {lacking} more messages than can be read",
                     "copy the trial again if it is whole elsewhere",
                 )
 
@@ -175,10 +175,10 @@ class BagReader:
                 f"{journal.name}, which may hold the newest messages, is not read:"
                 f" 'sqlite3 {file} vacuum' takes them in"
             )
-        self.notes.append(f"{path.name} has no checksums: damage in it cannot be seen")
+        self.notes.append(f"{path.name} has no checksums: damage cannot be detected")
         try:
             return self._stack.enter_context(Reader(path))
-        except Exception as error:  # the library raises whatever the bytes lead it to
+        except Exception as error:  # the library may raise any exception
             raise _damaged(file, error) from None
 
     def _unpack(self, file: Path) -> Path:
@@ -252,7 +252,7 @@ def _read_metadata(bag: Path) -> tuple[list[str], dict[str, int]] | None:
         }
         files = [Path(str(name)).name for name in content.get("relative_file_paths") or []]
         compression = str(content.get("compression_format") or "zstd")
-    except Exception:  # the libraries raise whatever the text leads them to
+    except Exception:  # the libraries may raise any exception
         raise TrialError(
             f"{file}: is not rosbag2 metadata", "write it again with 'ros2 bag reindex'"
         ) from None

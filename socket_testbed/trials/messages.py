@@ -106,7 +106,7 @@ class Reader:
     def _learn(self, data: bytes) -> tuple[Layout, Any]:
         try:
             return Layout(data, self._topic.type), decode(data, self._topic.type)
-        except Exception as error:  # the library raises whatever the bytes lead it to
+        except Exception as error:  # the library may raise any exception
             raise TrialError(
                 f"{self._where}: a message on {self._topic.name} cannot be decoded ({error})",
                 "check that it was recorded or sent with this version's messages",

@@ -1,4 +1,4 @@
-"""Metadata of a trial: who wore which socket, and how; the file `trial.yaml` in its folder."""
+"""Metadata of a trial (subject, socket, conditions), in the file `trial.yaml` of its folder."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class TrialMetadata:
     socket: str | None = None  # such as `PTB 3`
     liner: str | None = None  # or sock
     mass: float | None = None  # of the subject [kg]
-    operator: str | None = None  # initials or a code of who recorded it
+    operator: str | None = None  # initials or a code
     protocol: str | None = None  # that the trial follows
     notes: str | None = None  # further remarks
 
@@ -76,7 +76,7 @@ def _checked(name: str, value: Any) -> Any:
     if name == "mass":
         return convert(plain(value), _MASS, "mass")
     if not isinstance(value, str):
-        raise ConfigurationError(f"{name} is {value}, no text", "give a text, in quotes in YAML")
+        raise ConfigurationError(f"{name} is {value}, not a text", "give a text, in quotes in YAML")
     text = " ".join(value.split())
     longest = _MAX_LENGTHS.get(name, 80)
     if not text:

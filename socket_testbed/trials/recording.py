@@ -82,7 +82,7 @@ class _Chunk:
                     self.definitions.append(_definition(opcode, content[start:end]))
                 elif opcode < _FIRST_PRIVATE_OPCODE:
                     raise ValueError("the chunk holds another record")
-        except Exception:  # the libraries raise whatever the bytes lead them to
+        except Exception:  # the libraries may raise any exception
             self.sound, self.definitions, channels, times = False, [], [], []
         self.counts = Counter(channels)
         self.first_time = min(times, default=0)  # [ns]
@@ -169,10 +169,10 @@ class Recording:
         self.message_count = counts.total()
         self.connections = _connections(definitions, counts)
         if sum(connection.msgcount for connection in self.connections) < self.message_count:
-            raise TrialError(f"{name}: is damaged, what its topics are is lost", _HINT)
+            raise TrialError(f"{name}: is damaged, its topics are lost", _HINT)
         self.notes: list[str] = []
         if not all(chunk.checked for chunk in self._chunks):
-            self.notes.append(f"{self.path.name} has no checksums: damage in it cannot be seen")
+            self.notes.append(f"{self.path.name} has no checksums: damage cannot be detected")
         if self.lacks and (index.ended or len(self._chunks) < len(found)):
             known = complete or bool(index.sound and index.places)
             start = min(self.start_time, index.start_time)
@@ -186,7 +186,7 @@ class Recording:
         self._file.seek(0)
         magic = self._file.read(len(_MAGIC)).rstrip(b"\0")
         if _is_empty(self.path):
-            fact = "holds nothing: its recorder was ended before anything was on the disk"
+            fact = "holds nothing: its recorder ended before any data reached the disk"
             hint = "remove it, or copy the trial again if it is complete elsewhere"
         elif ended:
             fact, hint = "is damaged, nothing in it can be read", _HINT
@@ -222,10 +222,10 @@ class Recording:
                 end = at(after[0].first_time) if after else "the end"
                 gaps.append(f"from {begin} to {end}")
         if not known and found[-1].sound:
-            gaps.append(f"what may follow {at(found[-1].last_time)}")
+            gaps.append(f"anything after {at(found[-1].last_time)}")
         lost = len(found) - len(self._chunks)
         counted = f"{lost} of its {len(found)} chunks cannot be read, " if lost else ""
-        what = f"{counted}what is missing is {', '.join(gaps)}" if gaps else "no message is missing"
+        what = f"{counted}missing: {', '.join(gaps)}" if gaps else "no message is missing"
         return f"the recording {self.path.name} is damaged: {what} ({_HINT})"
 
 
@@ -244,7 +244,7 @@ class _Index:
         if self.ended:
             try:
                 self._read(file, footer_start, *struct.unpack_from("<QQI", end, _RECORD.size))
-            except Exception:  # the library raises whatever the bytes lead it to
+            except Exception:  # the library may raise any exception
                 self.sound, self.start_time = False, math.inf
 
     def _read(self, file: BinaryIO, stop: int, start: int, _: int, checksum: int) -> None:

@@ -51,10 +51,9 @@ def remake_wrenches(
 ) -> Measurements:
     """Recompute wrenches with other load-cell settings or another tare.
 
-    The recorded ratios belong to measured voltages; the given settings may assign other signs,
-    gains, excitation or inputs to them. The converter's own gain was set in hardware and stays. The
-    recorded settings have no matrix if the trial stores none. The tare is that of a `Trial`;
-    `notify` reports the one in use. `where` names the trial in errors.
+    The given settings may assign other signs, gains, excitation or inputs to the measured voltages;
+    the converter's own gain was set in hardware and stays. The recorded settings lack a matrix if
+    the trial stores none. The tare is that of a `Trial`. `where` names the trial in errors.
     """
     offsets = measured.tares
     wrenches = measured.wrench + offsets
@@ -65,7 +64,7 @@ def remake_wrenches(
             off = np.nan_to_num(np.abs(old.wrenches(ratios) - wrenches))
             if (off > _WRENCH_TOLERANCE * old.full_scale).any():
                 raise TrialError(
-                    f"{where}: its testbed.yaml's load cell does not make the recorded wrenches",
+                    f"{where}: its testbed.yaml's load cell does not match the recorded wrenches",
                     "remove load_cell_node from that file: the ratios are then used as they are",
                 )
             offsets = new.wrenches(new.ratios_from(old, old.ratios_at(offsets)))
@@ -83,7 +82,7 @@ def remake_wrenches(
         offsets = np.zeros(6)
     last = np.broadcast_to(offsets, wrenches.shape)[np.isfinite(wrenches).all(axis=1)][-1:]
     used = "".join(map(load_cell.in_words, last))
-    notify(f"the wrenches are made anew from load_cell/raw, with the tare {tare}: {used}")
+    notify(f"the wrenches are recomputed from load_cell/raw, with the tare {tare}: {used}")
     return replace(measured, wrench=wrenches - offsets)
 
 
@@ -159,7 +158,7 @@ def _describe_shift(recorded: Pose, fitted: Pose) -> str:
     """A note on the distance of N fitted poses from the recorded ones."""
     found, known = (np.isfinite(pose.translation[:, 0]) for pose in (fitted, recorded))
     text = (
-        f"poses fitted anew to the recorded markers: {found.sum()} of {len(found)} found,"
+        f"poses refitted to the recorded markers: {found.sum()} of {len(found)} found,"
         f" {(known & ~found).sum()} of the recorded ones refused, {(found & ~known).sum()} new"
     )
     both = found & known

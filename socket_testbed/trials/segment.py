@@ -3,8 +3,7 @@
 Events are marked during a recording, or detected in the load (the magnitude of the force on the
 load cell). The samples are split into two load levels by minimising the variance within each (Otsu,
 IEEE Trans. Syst. Man Cybern. 9 (1979) 62). The load is placed when it rises above 60 % of the way
-from the lower mean to the upper, and removed when it falls below 40 %: the hysteresis suppresses
-noise.
+from the lower mean to the upper, and removed when it falls below 40 %; hysteresis rejects noise.
 
 Steps are also detected: stance begins when the load rises above 10 % of the way from its median in
 the lower level to the upper mean, and swing when it falls below 5 %. This needs at least three
@@ -49,7 +48,7 @@ _STAMP_MARGIN = 10.0  # [s]; maximum distance of an event's stamp from the sampl
 
 @dataclass(frozen=True)
 class Event:
-    """A moment of a trial."""
+    """A labelled moment in a trial."""
 
     label: str
     time: float  # since the first sample [s]
@@ -214,7 +213,7 @@ def event_span(specification: str, events: Sequence[Event]) -> tuple[float, floa
     """
     ends = [end.strip() for end in specification.split(":")[1:]]
     if len(ends) != 2 or not all(ends):
-        raise ConfigurationError(f"the segment '{specification}' has no two ends", _GRAMMAR)
+        raise ConfigurationError(f"the segment '{specification}' does not have two ends", _GRAMMAR)
     start = _moment(ends[0], events, -np.inf)
     end = _moment(ends[1], events, start)
     if not start < end:

@@ -82,9 +82,9 @@ _BLOCK_SIZE = 10_000  # [samples]; bounds the memory for rotation matrices
 _MAX_LISTED = 3  # stamps in a note
 _WIDTHS = {WRENCH: 6, LOAD_CELL_RAW: 12, SOCKET_POSE: 7, PYLON_POSE: 7}
 _MISSING_TOPICS = {
-    LOAD_CELL_RAW: ("its wrenches cannot be made anew", "leave out --load-cell and --tare"),
+    LOAD_CELL_RAW: ("its wrenches cannot be recomputed", "leave out --load-cell and --tare"),
     MARKERS: (
-        "its poses cannot be fitted to other markers",
+        "its poses cannot be refitted to other markers",
         "give --geometry with the trial's own",
     ),
 }

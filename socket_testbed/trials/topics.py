@@ -15,7 +15,7 @@ class Topic:
 
     name: str  # relative to the namespace of the testbed
     type: str  # as `package/msg/Type`
-    required: bool = False  # offline work on a trial needs it
+    required: bool = False  # needed for offline analysis of a trial
     computed: bool = False  # a node computes it from measured topics
     derived: bool = False  # large, and can be recomputed from a trial
     latched: bool = False  # late subscribers get the last message (transient local, depth 1)
@@ -94,7 +94,7 @@ def match_topics(names: Iterable[str], where: str) -> dict[Topic, str]:
                 if topic in found:
                     raise TrialError(
                         f"{where}: two topics are a '{topic.name}': {found[topic]} and {name}",
-                        "record one testbed a trial",
+                        "record one testbed per trial",
                     )
                 found[topic] = name
     return found
@@ -109,5 +109,5 @@ def full_namespace(given: str) -> str:
     """An absolute ROS namespace, such as /left for left."""
     namespace = "/" + given.strip("/")
     if not re.fullmatch(r"/|(/[A-Za-z_][A-Za-z0-9_]*)+", namespace):
-        raise ConfigurationError(f"'{given}' is no namespace", "give one such as /left, / for none")
+        raise ConfigurationError(f"'{given}' is not a namespace", "give one such as /left, or /")
     return namespace

@@ -71,7 +71,7 @@ class Trial:
     notify: Callable[[str], None] | None = None  # called with each note on the bag and on drift
     # Unloaded spans, before and after, from which the clusters' drift is corrected [s]
     unloaded: tuple[tuple[float, float], ...] = ()
-    load_cell_file: Path | None = None  # a `testbed.yaml` whose load cell is used instead
+    load_cell_file: Path | None = None  # a `testbed.yaml` with load-cell settings to use instead
     tare: str = RECORDED  # or `none`, or `T0:T1`, an unloaded span [s]
     _noted: dict[str, None] = field(default_factory=dict, init=False, repr=False, compare=False)
 
@@ -109,7 +109,7 @@ class Trial:
         try:
             recorded = read_socket(self.path / SOCKET_FILE)
         except ConfigurationError as error:
-            self._notify(f"the poses stay as recorded, with markers that are not known: {error}")
+            self._notify(f"the poses stay as recorded, with unknown markers: {error}")
             return ()
         return other_markers(recorded, self.geometry)
 
@@ -251,7 +251,7 @@ class Trial:
                 pass  # raises the proper error if this is not a trial
             raise TrialError(
                 f"{self.path}: no {name} is stored in this trial",
-                "give the files that it lacks with --geometry and --calibration",
+                "give the missing files with --geometry and --calibration",
             )
         return stored
 
@@ -284,7 +284,7 @@ def recorded_namespace(trial: Trial) -> str:
 
 
 def beside(path: Path) -> Path:
-    """The first of the names `path`_2, `path`_3, ... that is free."""
+    """The first free name among `path`_2, `path`_3, ..."""
     names = (path.parent / f"{path.name}_{number}" for number in count(2))
     return next(name for name in names if not name.exists())
 

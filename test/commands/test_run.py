@@ -86,10 +86,10 @@ def test_an_event_that_nobody_hears_is_an_error(
         received = probe.listen(EVENT, "/lab/event")
         with monkeypatch.context() as patch:
             patch.setattr(controls, "_LINK_TIMEOUT", 2.0)
-            refused(capfd, "mark", "push", named=["nobody subscribes", "give --namespace /lab"])
+            refused(capfd, "mark", "push", named=["no subscriber", "give --namespace /lab"])
         code, out, err = call(capfd, "mark", "push", "--namespace", "/lab")
         assert code == 0 and out.startswith("marked 'push' for this graph, acknowledged by 1 sub")
-        assert "no trial is being recorded" in err and "no trigger came" in err
+        assert "no trial is being recorded" in err and "no trigger received" in err
         probe.wait(lambda: len(received) == 1, "the event")
     assert received[0].label == "push"
 

@@ -45,7 +45,7 @@ NO_FIT = EstimatorSettings(auto_fit=False)
 def test_every_sample_of_a_repaired_trial_is_predicted_as_offline(
     hold: Path, hold_model: Path, tmp_path: Path
 ) -> None:
-    """Wrenches and poses are made anew where another geometry or tare is given."""
+    """Wrenches and poses are recomputed where another geometry or tare is given."""
     own = Trial(hold).geometry
     turned = dataclasses.replace(own, socket_markers=own.socket_markers[:, [1, 2, 0]])
     write_socket(turned, tmp_path / "turned.yaml")
