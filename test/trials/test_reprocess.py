@@ -207,7 +207,7 @@ def test_poses_whose_markers_are_not_known_stay_as_recorded(
     unknown = bare(hold, tmp_path / "unknown", "socket.yaml")
     found = Trial(unknown, other, notify=notes.append).measurements()
     np.testing.assert_array_equal(found.socket, Trial(hold).measurements().socket)
-    assert len(notes) == 1 and notes[0].startswith("the poses stay as recorded, with markers")
+    assert len(notes) == 1 and notes[0].startswith("the poses stay as recorded, with unknown")
 
 
 # --- drift of the clusters, by spans without load
