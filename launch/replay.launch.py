@@ -29,8 +29,8 @@ from socket_testbed.trials.trial import Trial
 TEMPORARY = TemporaryFolder()  # until this program ends
 
 ARGUMENTS = {
-    "rate": ("1.0", "speed against the recording"),
-    "loop": ("false", "start again at the end"),
+    "rate": ("1.0", "speed relative to the recording"),
+    "loop": ("false", "restart at the end"),
     "namespace": ("", "of nodes and topics, such as left; empty: as recorded"),
     "geometry": ("", "the socket, a socket.yaml; empty: the trial's own"),
     "calibration": ("", "a calibration.yaml; empty: the trial's own"),
@@ -63,7 +63,7 @@ def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler]:
 def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
-            # It stays on this machine unless the user's own environment says otherwise.
+            # The graph stays on this machine unless the user's environment says otherwise.
             *(SetEnvironmentVariable(*item) for item in local_graph().items()),
             SetEnvironmentVariable(PARENT, str(os.getpid())),  # the nodes end with it
             DeclareLaunchArgument("trial", description="folder of the trial"),

@@ -1,4 +1,4 @@
-"""The testbed on a ROS installation, as `socket-testbed run` starts it: on hardware or simulated.
+"""The testbed on a ROS installation, as started by `socket-testbed run`: on hardware or simulated.
 
 ros2 launch socket_testbed testbed.launch.py params:=/path/of/testbed.yaml record:=/path/of/trial
 ros2 launch socket_testbed testbed.launch.py simulated:=true namespace:=left
@@ -32,8 +32,8 @@ from socket_testbed.live.bringup import (
 )
 from socket_testbed.live.processes import PARENT, Graph, GraphNode, launched
 
-# The simulated world, and a folder for parameters and the tare, until this program ends: a node
-# that is started again finds them.
+# Holds the simulated world and a folder for parameters and the tare until this program ends, so
+# that a restarted node finds them.
 GRAPH = Graph()
 
 ARGUMENTS = {
@@ -42,7 +42,7 @@ ARGUMENTS = {
     "calibration": (str(packaged("config", "calibration.yaml")), "a calibration.yaml"),
     "record": ("", "folder of a new trial; empty: no recording"),
     "namespace": ("", "of nodes and topics, such as left; empty: none"),
-    "time_scale": ("1.0", "speed of the simulated testbed against real time, 1 at most"),
+    "time_scale": ("1.0", "speed of the simulated testbed relative to real time, at most 1"),
 }
 
 
@@ -65,7 +65,7 @@ def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler | SetEn
         testbed, _ = simulate_hardware(GRAPH, testbed, simulation)
     end = OnShutdown(on_shutdown=lambda event, context: GRAPH.stop())
     return [
-        # A node that is started again has the same clock as the others.
+        # A restarted node has the same clock as the others.
         *(SetEnvironmentVariable(*item) for item in shared_environment(testbed.time_scale).items()),
         *(started(node) for node in testbed.nodes(GRAPH.folder)),
         RegisterEventHandler(end),
@@ -73,11 +73,11 @@ def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler | SetEn
 
 
 def started(node: GraphNode) -> Node:
-    return Node(**launched(node, GRAPH.folder), on_exit=partial(start_again, node))
+    return Node(**launched(node, GRAPH.folder), on_exit=partial(restart, node))
 
 
-def start_again(node: GraphNode, event: ProcessExited, context: LaunchContext) -> list[TimerAction]:
-    """A node that was killed or failed comes back; one that was asked to end does not."""
+def restart(node: GraphNode, event: ProcessExited, context: LaunchContext) -> list[TimerAction]:
+    """Restart a node that was killed or failed, but not one that was asked to end."""
     if event.returncode == 0 or context.is_shutdown:
         return []
     return [TimerAction(period=0.5, actions=[started(node)])]
@@ -86,7 +86,7 @@ def start_again(node: GraphNode, event: ProcessExited, context: LaunchContext) -
 def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
-            # It stays on this machine unless the user's own environment says otherwise.
+            # The graph stays on this machine unless the user's environment says otherwise.
             *(SetEnvironmentVariable(*item) for item in local_graph().items()),
             SetEnvironmentVariable(PARENT, str(os.getpid())),  # the nodes end with it
             DeclareLaunchArgument(

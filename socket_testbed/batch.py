@@ -1,4 +1,4 @@
-"""Many trials: found in a folder, worked on in parallel, done once, in one summary table."""
+"""Batches of trials: found in a folder, processed in parallel, summarised in one table."""
 
 from __future__ import annotations
 
@@ -34,26 +34,26 @@ from socket_testbed.trials.trial import Trial
 if TYPE_CHECKING:
     import pandas as pd
 
-_RECORDS = ".done"
-_PATIENCE = "15s"  # for Dask's scheduler to answer and a worker to be there
+_RECORDS_FOLDER = ".done"
+_DASK_TIMEOUT = "15s"  # for the scheduler to answer and a worker to appear
 
 Row: TypeAlias = dict[str, str | int | float | None]
 
 
 def is_trial(folder: Path) -> bool:
-    """Whether a folder is a bag, even a broken one, which must show up as failed."""
+    """Whether a folder is a bag; a broken one counts, so that it is reported as failed."""
     return (folder / "metadata.yaml").exists() or any(is_storage(file) for file in folder.iterdir())
 
 
 def find_trials(folder: Path, notify: Callable[[str], None] = lambda note: None) -> dict[str, Path]:
     """Find the trials below a folder, at any depth.
 
-    Hidden folders and the inside of a trial are passed over; links are followed. Recordings that
-    hold nothing, because their recorder was killed while it started, are left out with a note.
+    Hidden folders and folders inside a trial are skipped; links are followed. Empty recordings,
+    whose recorder was killed during its start, are left out with a note.
 
     Returns:
-        The trials' folders by their names, which are their paths below the folder, such as
-        `s01/hold`. Empty if the folder is a trial itself or no folder.
+        The trials' folders by name, which is the path below the folder, such as `s01/hold`. Empty
+        if the folder is itself a trial or is not a folder.
     """
     try:
         if not folder.is_dir() or is_trial(folder):
@@ -72,7 +72,7 @@ def find_trials(folder: Path, notify: Callable[[str], None] = lambda note: None)
 
 def _walk(folder: Path, above: tuple[Path, ...]) -> Iterator[Path]:
     real = folder.resolve()
-    if real in above:  # a link leads back
+    if real in above:  # a link to a parent
         return
     for path in folder.iterdir():
         if path.name.startswith(".") or not path.is_dir():
@@ -90,24 +90,24 @@ class Job:
     name: str  # its path below the folder of trials, such as `s01/hold`
     trial: Trial
     output: Path
-    files: Mapping[str, Path] = field(default_factory=dict)  # further inputs, by their options
+    files: Mapping[str, Path] = field(default_factory=dict)  # further inputs, by option
 
 
 @dataclass(frozen=True)
 class Task:
-    """What is done with every trial. It is sent to the workers, so it must be picklable.
+    """The work to do on every trial. It is sent to the workers, so it must be picklable.
 
-    The work writes a job's output and returns its row of the summary: figures by column names that
-    end in their unit, such as `Fx_rmse [N]`; None where there is none.
+    The work writes a job's output and returns its summary row: values by column names that end in
+    a unit, such as `Fx_rmse [N]`; None for a missing value.
     """
 
-    verb: str  # that does it
+    verb: str  # the command
     folder: Path  # of the outputs
     work: Callable[[Job], Row]
-    settings: Mapping[str, Any] = field(default_factory=dict)  # that the results depend on
-    metadata: Sequence[str] = ()  # fields that the results depend on
-    again: bool = False  # finished trials are done again
-    replace: bool = False  # files that it did not write are replaced
+    settings: Mapping[str, Any] = field(default_factory=dict)  # that affect the results
+    metadata: Sequence[str] = ()  # fields that affect the results
+    again: bool = False  # repeat finished trials
+    replace: bool = False  # replace files that an earlier run did not write
 
 
 def plan_jobs(
@@ -118,11 +118,11 @@ def plan_jobs(
     unloaded: tuple[tuple[float, float], ...] = (),
     tare: str = RECORDED,
 ) -> list[Job]:
-    """The jobs of a folder of trials; all paths are absolute, as workers elsewhere need them.
+    """The jobs of a folder of trials; all paths are absolute, as remote workers require.
 
     Outputs mirror the folder of the trials, with a suffix such as `.json`. All results depend on
-    `files`, by the options that name them; a folder stands for the file in it that has the trial's
-    name, such as `models/s01/hold.json`.
+    `files`, given by option; a folder stands for the file in it with the trial's name, such as
+    `models/s01/hold.json`.
     """
     given = {option: path.absolute() for option, path in (files or {}).items() if path}
     return [
@@ -151,21 +151,21 @@ def run_batch(
     processes: int | None = None,
     dask: str | None = None,
 ) -> None:
-    """Do a task on every trial, and write `summary.csv` and `.parquet` into the task's folder.
+    """Run a task on every trial, and write `summary.csv` and `.parquet` into the task's folder.
 
-    Finished results stay, even when it is interrupted; the summary then names the trials that were
-    not reached. If any trial failed, a TrialError says so at the end.
+    Finished results are kept, even on interruption; the summary then lists the trials that were
+    not reached. If any trial failed, a TrialError is raised at the end.
 
     Args:
-        task: What is done with a trial.
-        jobs: The trials, by `plan_jobs`.
+        task: The work to do on each trial.
+        jobs: The trials, from `plan_jobs`.
         report: Called with one line per finished trial, and one that names the summary.
-        warn: Called with each note on a trial and, at the end, each trial that failed.
-        processes: Number of processes on this machine; None for one per core, 1 for this one.
-        dask: Address of a Dask scheduler, such as `tcp://host:8786`, whose workers do it instead.
+        warn: Called with each note on a trial and, at the end, each failed trial.
+        processes: Number of processes on this machine; None for one per core, 1 for this process.
+        dask: Address of a Dask scheduler, such as `tcp://host:8786`, whose workers run the jobs.
     """
-    task = replace(task, folder=task.folder.absolute())  # a worker may be elsewhere
-    records = task.folder / _RECORDS / task.verb
+    task = replace(task, folder=task.folder.absolute())  # workers may be remote
+    records = task.folder / _RECORDS_FOLDER / task.verb
     summaries = [task.folder / f"summary{suffix}" for suffix in (".csv", ".parquet")]
     if not task.folder.exists():
         check_new_folder(task.folder)
@@ -174,15 +174,15 @@ def run_batch(
     make_folder(records)
     rows: dict[str, Row] = {}
     try:
-        with closing(_spread(task, jobs, processes, dask)) as done:
+        with closing(_run_jobs(task, jobs, processes, dask)) as done:
             for name, row in done:
                 rows[name] = row
-                report(f"[{len(rows)}/{len(jobs)}] {_line(name, row)}")
+                report(f"[{len(rows)}/{len(jobs)}] {_describe(name, row)}")
                 if row.get("notes"):
                     warn(f"note: {name}: {row['notes']}")
     finally:
-        if rows:  # else an older summary stays, as its results do
-            table = _summary([{"trial": job.name, **rows.get(job.name, _MISSED)} for job in jobs])
+        if rows:  # otherwise an older summary stays, like its results
+            table = _summary([{"trial": job.name, **rows.get(job.name, _PENDING)} for job in jobs])
             for path in summaries:
                 write_table(table, path)
     report(f"summary in {summaries[0]} and summary.parquet")
@@ -196,10 +196,10 @@ def run_batch(
         )
 
 
-_MISSED: Row = {"status": "not reached", "error": None}
+_PENDING: Row = {"status": "not reached", "error": None}
 
 
-def _line(name: str, row: Row) -> str:
+def _describe(name: str, row: Row) -> str:
     if row["error"]:
         return f"{name}: {row['status']}: {row['error']}"
     words = [f"{name}: {row['status']}"]
@@ -212,19 +212,19 @@ def _line(name: str, row: Row) -> str:
 
 
 def _summary(rows: list[Row]) -> pd.DataFrame:
-    """The table; a skipped trial is `ok`: it has a result, whichever run made it."""
+    """The table; a skipped trial is `ok`, because an earlier run produced its result."""
     import pandas as pd
 
-    table = pd.DataFrame(rows, dtype=object)  # counts stay integers even where one is missing
+    table = pd.DataFrame(rows, dtype=object)  # keeps counts integers despite missing values
     table["status"] = table["status"].replace("skipped", "ok")
     return table
 
 
-def _do(task: Task, job: Job) -> tuple[str, Row]:
-    """Do a job unless it is done; an error becomes its row, so that the others go on."""
+def _run_job(task: Task, job: Job) -> tuple[str, Row]:
+    """Run a job unless it is finished; an error becomes its row, so that the others continue."""
     notes: list[str] = []
     trial = replace(job.trial, notify=notes.append)
-    record = task.folder / _RECORDS / task.verb / f"{job.name}.json"
+    record = task.folder / _RECORDS_FOLDER / task.verb / f"{job.name}.json"
     row: Row = {"status": "ok", "error": None}
     try:
         row |= trial.metadata.columns()
@@ -235,7 +235,7 @@ def _do(task: Task, job: Job) -> tuple[str, Row]:
         else:
             _remove_older(job.output, record, task.replace)
             start = time.perf_counter()
-            with threadpool_limits(1):  # the cores are for as many trials
+            with threadpool_limits(1):  # trials run in parallel, one per core
                 figures = task.work(replace(job, trial=trial))
             figures = {**figures, "computing_time [s]": round(time.perf_counter() - start, 3)}
             write_text(record, json.dumps([inputs, _stamp(job.output), figures, notes]))
@@ -253,7 +253,7 @@ def _failure(job: Job, before: str, error: BaseException, after: str) -> Row:
 
 
 def _inputs(task: Task, job: Job) -> str:
-    """What a result depends on: size and date of every file, and the settings, as JSON."""
+    """Everything a result depends on: size and date of every file, and the settings, as JSON."""
     files = [path for path in job.trial.path.iterdir() if path.is_file() and path.name[0] != "."]
     stamps = {path.name: _stamp(path) for path in files if path.name != METADATA_FILE}
     stamps |= {option: _stamp(path) for option, path in job.files.items()}
@@ -262,7 +262,7 @@ def _inputs(task: Task, job: Job) -> str:
 
 
 def _stamp(path: Path) -> list[int]:
-    """Size [byte] and date [ns] of a file; nothing of one that does not exist."""
+    """Size [byte] and modification time [ns] of a file; empty if it does not exist."""
     if not path.exists():
         return []
     status = path.stat()
@@ -270,55 +270,55 @@ def _stamp(path: Path) -> list[int]:
 
 
 def _remove_older(output: Path, record: Path, replace_others: bool) -> None:
-    """Remove an older result, which must not pass for this one if the work now fails."""
+    """Remove an older result, so that it cannot pass for this one if the work fails."""
     make_folder(output.parent)
     make_folder(record.parent)
     check_outputs(output, replace=replace_others or record.exists())
-    record.write_text("")  # the output is ours even if an interruption leaves it without a record
+    record.write_text("")  # marks the output as ours even if the run is interrupted
     output.unlink(missing_ok=True)
 
 
 def _read_record(path: Path) -> list[Any]:
-    """Inputs, stamp of the output, figures and notes of a finished job; empty without any."""
+    """Inputs, output stamp, figures and notes of a finished job; empty if there is none."""
     with suppress(ConfigurationError, TypeError):
         return list(load_json(path, "a record"))
     return []
 
 
-def _spread(
+def _run_jobs(
     task: Task, jobs: Sequence[Job], processes: int | None, dask: str | None
 ) -> Generator[tuple[str, Row], None, None]:
-    """Names and rows of jobs as they come; close it to give up those that are not done."""
+    """Names and rows of jobs as they finish; closing the generator cancels the others."""
     if processes == 1 and dask is None:
-        yield from (_do(task, job) for job in jobs)
+        yield from (_run_job(task, job) for job in jobs)
         return
     from joblib import cpu_count
 
     with _executor(min(processes or cpu_count(), len(jobs)), dask) as executor:
-        futures = {executor.submit(_do, task, job): job for job in jobs}
+        futures = {executor.submit(_run_job, task, job): job for job in jobs}
         for future in as_completed(futures):
             job, error = futures[future], future.exception()
             if error is None:
                 yield future.result()
             elif isinstance(error, BrokenProcessPool) and len(jobs) > 1:
-                # A worker that dies, as for want of memory, takes the others' work with it.
-                yield from _spread(task, [job], processes, dask)
+                # A worker that dies (out of memory, say) breaks the pool for all other jobs.
+                yield from _run_jobs(task, [job], processes, dask)
             else:
-                hint = "): check that it has this package and memory enough, or give fewer --jobs"
+                hint = "): check that it has this package and enough memory, or give fewer --jobs"
                 yield job.name, _failure(job, "its worker failed (", error, hint)
 
 
 @contextmanager
 def _executor(processes: int, dask: str | None) -> Iterator[Executor]:
-    """Processes of this machine, or Dask's workers; what they still do at the end is given up."""
+    """Processes on this machine, or Dask's workers; unfinished work is cancelled on exit."""
     if dask is None:
         from joblib.externals.loky import ProcessPoolExecutor
 
-        here = ProcessPoolExecutor(processes, initializer=_belong_to_the_caller)
+        pool = ProcessPoolExecutor(processes, initializer=_end_with_caller)
         try:
-            yield here
+            yield pool
         finally:
-            here.shutdown(kill_workers=True)
+            pool.shutdown(kill_workers=True)
         return
     try:
         from distributed import Client
@@ -328,18 +328,18 @@ def _executor(processes: int, dask: str | None) -> Iterator[Executor]:
         ) from None
     with ExitStack() as stack:
         try:
-            client = stack.enter_context(Client(dask, timeout=_PATIENCE))
-            client.wait_for_workers(1, timeout=_PATIENCE)
+            client = stack.enter_context(Client(dask, timeout=_DASK_TIMEOUT))
+            client.wait_for_workers(1, timeout=_DASK_TIMEOUT)
         except (OSError, ValueError) as error:
             raise ConfigurationError(
                 f"--dask {dask}: no scheduler with a worker answers ({error})",
                 "give the address of a running one, such as tcp://host:8786",
             ) from None
-        # The files may have changed since an equal call: the work is not pure.
+        # Not pure: the files may have changed since an equal call.
         yield client.get_executor(pure=False)
 
 
-def _belong_to_the_caller() -> None:
-    """In a worker: Ctrl-C reaches the whole process group, and the caller ends its workers."""
+def _end_with_caller() -> None:
+    """In a worker: ignore Ctrl-C, which reaches the process group, and end with the caller."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    end_with_parent(signal.SIGKILL)  # even if it is killed
+    end_with_parent(signal.SIGKILL)  # even if the caller is killed

@@ -17,21 +17,21 @@ from msgspec import Meta, inspect
 from socket_testbed.errors import ConfigurationError, closest
 
 T = TypeVar("T")
-Text: TypeAlias = str | int | float  # YAML reads a name such as 12 as a number
+Text: TypeAlias = str | int | float  # YAML parses a name such as 12 as a number
 FINITE = sys.float_info.max
 
-_LARGEST_DOCUMENT = 2**24  # [bytes]
-_MOST_VALUES = 200_000  # of a YAML document, aliases counted with their content
-_DEEPEST = 50  # [levels]; the C parser of YAML overruns its stack at some ten thousand
-_SHOWN = 60  # [characters] of a value in an error
+_MAX_SIZE = 2**24  # [bytes]
+_MAX_VALUES = 200_000  # in a YAML document, aliases counted with their content
+_MAX_DEPTH = 50  # [levels]; the C parser overflows its stack at about ten thousand
+_MAX_SHOWN = 60  # [characters] of a value in an error
 
 
 class Document(msgspec.Struct, forbid_unknown_fields=True, kw_only=True):
-    """A mapping of a document, declared by its fields: their names, types and ranges."""
+    """A mapping in a document; its fields declare names, types and ranges."""
 
 
 class FieldError(ValueError):
-    """A fact and its hint, raised by a `Document`'s `__post_init__`; `convert` adds the place."""
+    """A fact and a hint, raised in a `Document`'s `__post_init__`; `convert` adds the place."""
 
 
 def read_document(path: Path, kind: type[T]) -> T:
@@ -41,32 +41,32 @@ def read_document(path: Path, kind: type[T]) -> T:
 
 
 def convert(data: Any, kind: type[T], where: str = "", strict: bool = True) -> T:
-    """Check data against a `Document`, or another type that msgspec knows.
+    """Validate data against a `Document` or any other type that msgspec supports.
 
-    Errors name the data as `where`: the file and the field. Strictly, a text such as `1e-8` is no
-    number.
+    Errors name the data by `where`, such as a file and a field. If `strict`, a string such as
+    `1e-8` is not a number.
     """
     try:
         return msgspec.convert(data, kind, strict=strict)
     except msgspec.ValidationError as error:
-        raise _explained(error, data, kind, where, strict) from None
+        raise _explain(error, data, kind, where, strict) from None
 
 
 def check_number(value: Any, where: str, low: float = -FINITE, high: float = FINITE) -> float:
-    """A finite number within [low, high]; whole numbers count as numbers."""
+    """A finite number within [low, high]; integers are accepted."""
     kind: Any = Annotated[float, Meta(ge=low, le=high)]
     return float(convert(plain(value), kind, where))
 
 
 def refuse_unknown(keys: Iterable[str], known: Collection[str], where: str) -> None:
-    """Refuse a key that is not known."""
+    """Refuse unknown keys."""
     for key in keys:
         if key not in known:
             raise ConfigurationError(f"{where}: unknown key '{key}'", closest(key, known))
 
 
 def plain(value: Any) -> Any:
-    """A value with numbers and arrays of numpy as numbers and lists of Python."""
+    """A value with NumPy scalars and arrays converted to Python numbers and lists."""
     if isinstance(value, list | tuple):
         return [plain(each) for each in value]
     return value.tolist() if hasattr(value, "tolist") else value
@@ -75,16 +75,16 @@ def plain(value: Any) -> Any:
 # --- errors
 
 
-def _explained(
+def _explain(
     error: msgspec.ValidationError, data: Any, kind: Any, where: str, strict: bool
 ) -> ConfigurationError:
-    """The error for a person: the innermost part that is wrong, and a hint by its type."""
+    """An error for the user: the innermost invalid part, and a hint from its type."""
     for step, value, own in _parts(data, kind):
         try:
             msgspec.convert(value, own, strict=strict)
         except msgspec.ValidationError as inner:
             named = f"{where}[{step}]" if isinstance(step, int) else f"{where}: {step}".lstrip(": ")
-            return _explained(inner, value, own, named, strict)
+            return _explain(inner, value, own, named, strict)
     if isinstance(error.__cause__, FieldError):
         fact, hint = error.__cause__.args
         return ConfigurationError(f"{where}: {fact}", hint)
@@ -99,7 +99,7 @@ def _explained(
 
 
 def _parts(data: Any, kind: Any) -> list[tuple[str | int, Any, Any]]:
-    """The entries or items of some data, with the types that they are to have."""
+    """The entries or items of the data, each with its declared type."""
     for each in _alternatives(kind):
         origin, types = get_origin(each), get_args(each)
         if isinstance(data, dict) and origin is dict:
@@ -114,7 +114,7 @@ def _parts(data: Any, kind: Any) -> list[tuple[str | int, Any, Any]]:
 
 
 def _alternatives(kind: Any) -> list[Any]:
-    """The types of a union, without what limits them."""
+    """The members of a union, without their constraints."""
     if get_origin(kind) is Annotated:
         return _alternatives(get_args(kind)[0])
     if get_origin(kind) in (Union, UnionType):
@@ -123,15 +123,15 @@ def _alternatives(kind: Any) -> list[Any]:
 
 
 def _fields(kind: Any) -> Sequence[inspect.Field]:
-    """The fields of a document or a dataclass, none of another type."""
+    """The fields of a document or dataclass; empty for other types."""
     return getattr(inspect.type_info(kind), "fields", ())
 
 
-_OF_NUMBERS = (inspect.FloatType, inspect.IntType)
+_NUMBER_TYPES = (inspect.FloatType, inspect.IntType)
 
 
 def _hint(expected: Any, value: Any) -> str:
-    """The hint for a wrong value: the expected type in words."""
+    """The hint for a wrong value: its expected type."""
     if isinstance(expected, inspect.Metadata):
         about = (expected.extra_json_schema or {}).get("description", "")
         return f"{_hint(expected.type, value)}: {about}"
@@ -139,13 +139,13 @@ def _hint(expected: Any, value: Any) -> str:
         return closest(str(value), [str(each) for each in expected.values])
     types = getattr(expected, "types", (expected,))
     if any(isinstance(each, inspect.StrType) for each in types):  # a `Text`
-        types = [each for each in types if not isinstance(each, _OF_NUMBERS)]
-    return f"give {' or '.join(filter(None, map(_named, types)))}"
+        types = [each for each in types if not isinstance(each, _NUMBER_TYPES)]
+    return f"give {' or '.join(filter(None, map(_type_name, types)))}"
 
 
-def _named(expected: Any) -> str:
-    """A type in words."""
-    if isinstance(expected, _OF_NUMBERS):
+def _type_name(expected: Any) -> str:
+    """The name of a type in a hint."""
+    if isinstance(expected, _NUMBER_TYPES):
         number = "a number" if isinstance(expected, inspect.FloatType) else "a whole number"
         low, high = expected.ge, expected.le
         if low is None or high is None or high - low > FINITE:
@@ -158,10 +158,10 @@ def _named(expected: Any) -> str:
     if high := getattr(expected, "max_length", None):
         low = expected.min_length
         return f"a list of {high}" if low == high else f"a list of {low} to {high}"
-    return _WORDS.get(type(expected), "'key: value' lines")
+    return _TYPE_NAMES.get(type(expected), "'key: value' lines")
 
 
-_WORDS: dict[Any, str] = {
+_TYPE_NAMES: dict[Any, str] = {
     inspect.StrType: "a text, in quotes",
     inspect.BoolType: "true or false",
     inspect.DateTimeType: "a date and time with its zone",
@@ -172,7 +172,7 @@ _WORDS: dict[Any, str] = {
 
 
 def shown(value: Any) -> str:
-    """A value of a file as an error shows it."""
+    """A value from a file as shown in an error."""
     if value is None:
         return "empty"
     if isinstance(value, dict):
@@ -180,7 +180,7 @@ def shown(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"a list of {len(value)}"
     text = str(value)
-    text = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+    text = text if len(text) <= _MAX_SHOWN else f"{text[:_MAX_SHOWN]}..."
     return f"'{text}'" if isinstance(value, str) else text
 
 
@@ -188,7 +188,7 @@ def shown(value: Any) -> str:
 
 
 class _Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):  # type: ignore[misc]
-    """YAML with numbers as in 1.2 and no dates; a key is a text and occurs once."""
+    """YAML with numbers as in YAML 1.2 and no dates; keys are unique strings."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[str, Any]:
         """A mapping."""
@@ -229,8 +229,8 @@ def load_yaml(path: Path) -> Any:
 
 
 def _refuse_bombs(text: str) -> None:
-    """Refuse a YAML text that is deep, has tags, or whose aliases stand for very much."""
-    if re.search("^%TAG", text, re.MULTILINE):  # the C parser compares each with all before it
+    """Refuse YAML that is nested too deep, has tags, or expands too far through aliases."""
+    if re.search("^%TAG", text, re.MULTILINE):  # the C parser takes quadratic time on these
         raise yaml.MarkedYAMLError(None, None, "holds a directive %TAG", None)
     above: list[tuple[str | None, int]] = []  # anchor, values before it
     sizes: dict[str | None, int] = {}  # [values] by anchor
@@ -251,10 +251,10 @@ def _refuse_bombs(text: str) -> None:
             else:
                 sizes[event.anchor] = 1
             values += 1
-        if len(above) > _DEEPEST:
+        if len(above) > _MAX_DEPTH:
             raise _fault("lists or mappings are too deep", event)
-        if values > _MOST_VALUES:
-            raise _fault(f"holds more than {_MOST_VALUES} values", event)
+        if values > _MAX_VALUES:
+            raise _fault(f"holds more than {_MAX_VALUES} values", event)
 
 
 def _fault(problem: str, place: Any) -> yaml.MarkedYAMLError:
@@ -265,15 +265,15 @@ def _fault(problem: str, place: Any) -> yaml.MarkedYAMLError:
 
 
 def load_json(path: Path, kind: str) -> Any:
-    """Read a JSON file, named in errors as a kind such as `a model`; its numbers are finite."""
+    """Read a JSON file with finite numbers; errors call it by its kind, such as `a model`."""
     try:
         return msgspec.json.decode(read_text(path, kind))
     except (RecursionError, msgspec.DecodeError) as error:
         raise ConfigurationError(f"{path}: is not {kind} ({error})", "make it again") from None
 
 
-def read_text(path: Path, kind: str = "a file", largest: int = _LARGEST_DOCUMENT) -> str:
-    """Read UTF-8 text, in errors a kind such as `a model`; a larger file [bytes] is refused."""
+def read_text(path: Path, kind: str = "a file", largest: int = _MAX_SIZE) -> str:
+    """Read UTF-8 text of limited size [bytes]; errors call it by its kind, such as `a model`."""
     try:
         with path.open("rb") as stream:
             content = stream.read(largest + 1)
@@ -295,7 +295,7 @@ _DECIMAL = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", flags=re.ASCII)
 
 
 def decimal(text: str) -> float:
-    """A finite number from its decimal digits, or a ValueError: not from nan or 1_000."""
+    """A finite number from decimal digits; a ValueError for anything else, such as nan or 1_000."""
     number = float(text) if _DECIMAL.fullmatch(text) else float("nan")
     if not abs(number) <= FINITE:
         raise ValueError(f"{shown(text)} is not a number")

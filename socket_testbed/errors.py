@@ -1,4 +1,4 @@
-"""The family of errors that users see: each states the fact and the hint in one line."""
+"""Errors shown to users: each states a fact and a hint in one line."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import Any
 
 
 class TestbedError(Exception):
-    """Base of every error of this package that is meant for a person.
+    """Base of all errors of this package that are meant for the user.
 
     Attributes:
         fact: What is wrong, with the name of the file, field, topic or channel.
         hint: What to do about it.
     """
 
-    __test__ = False  # not a test class, whatever pytest makes of its name
+    __test__ = False  # not a test class, despite its name
 
     def __init__(self, fact: str, hint: str) -> None:
         self.fact = _one_line(fact)
@@ -26,18 +26,18 @@ class TestbedError(Exception):
         return f"{self.fact}: {self.hint}"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Errors come back from worker processes whatever their constructors take.
+        # Lets worker processes return errors, whatever arguments their constructors take.
         return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # type: ignore[attr-defined]
 
 
-_LONGEST = 2000  # [characters]
+_MAX_LENGTH = 2000  # [characters]
 
 
 def _one_line(text: str) -> str:
-    """A text on one line that every terminal shows as it is, whatever a file wrote into it."""
+    """A text as one printable line, whatever a file put into it."""
     text = " ".join(text.split())
-    if len(text) > _LONGEST:
-        text = f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 2 :]}"
+    if len(text) > _MAX_LENGTH:
+        text = f"{text[: _MAX_LENGTH // 2]} ... {text[-_MAX_LENGTH // 2 :]}"
     return "".join(
         letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in text
     )
@@ -72,13 +72,13 @@ class RegistrationError(TestbedError):
 
 
 def likely(word: str, known: Collection[str]) -> str:
-    """A hint with the known word that is most like another one; empty if none is."""
-    import difflib  # for an error alone
+    """A hint naming the most similar known word; empty if none is similar."""
+    import difflib  # needed only for errors
 
     found = difflib.get_close_matches(word, list(known), n=1)
     return f"did you mean '{found[0]}'?" if found else ""
 
 
 def closest(word: str, known: Collection[str]) -> str:
-    """A hint for an unknown word: the likely one, or the list of the known ones."""
+    """A hint for an unknown word: a similar known word, or the list of them."""
     return likely(word, known) or "use one of " + (", ".join(sorted(known)) or "(none)")

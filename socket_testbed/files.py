@@ -1,4 +1,4 @@
-"""Files of the package, outputs that are complete or not there, and requests to the system."""
+"""Files of the package, all-or-nothing outputs, and requests to the operating system."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from tempfile import TemporaryDirectory, gettempdir
 from socket_testbed.errors import ConfigurationError
 
 RANGE, _LOCAL = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
-# Of Fast DDS, whose newer versions read another name.
-_PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+# Fast DDS; newer versions read the second name.
+_PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _PR_SET_PDEATHSIG = 1
-_TEMPORARY = "socket_testbed_"
-_NEW = 60.0  # [s]; a folder as new as this may not be held yet
+_TEMPORARY_PREFIX = "socket_testbed_"
+_MIN_AGE = 60.0  # [s]; a younger folder may not be locked yet
 
-_free: set[Path] = set()  # outputs that were not there before the work
+_new_outputs: set[Path] = set()  # outputs that did not exist before the work
 
 
 def packaged(folder: str, name: str) -> Path:
-    """Path of a file that comes with the package: in the checkout, or where it was installed.
+    """Path of a file shipped with the package, in the checkout or the installation.
 
     Args:
         folder: `config` or `msg`.
@@ -46,18 +46,18 @@ def packaged(folder: str, name: str) -> Path:
 
 
 def refuse_existing(path: Path) -> None:
-    """Refuse to write over something."""
+    """Refuse to overwrite anything."""
     if path.exists():
         raise ConfigurationError(f"{path} exists already", "name another output or remove it")
 
 
 def local_graph() -> dict[str, str]:
-    """Variables that keep a ROS graph on this machine; none where the user's own open it."""
+    """Variables that keep a ROS graph on this machine; empty if the user's environment opens it."""
     if os.environ.get(RANGE, _LOCAL) != _LOCAL:
         return {}
     found = {RANGE: _LOCAL}
-    if not any(name in os.environ for name in _PROFILES):
-        found |= dict.fromkeys(_PROFILES, str(packaged("config", "loopback.xml")))
+    if not any(name in os.environ for name in _PROFILE_VARIABLES):
+        found |= dict.fromkeys(_PROFILE_VARIABLES, str(packaged("config", "loopback.xml")))
     return found
 
 
@@ -67,19 +67,19 @@ def end_with_parent(number: signal.Signals) -> None:
 
 
 def hold(folder: Path) -> int:
-    """Hold a folder until the descriptor that it returns is closed, or the process ends."""
+    """Lock a folder until the returned descriptor is closed or the process ends."""
     descriptor = os.open(folder, os.O_RDONLY)
-    with suppress(OSError):  # network drives cannot
+    with suppress(OSError):  # unsupported on network drives
         fcntl.flock(descriptor, fcntl.LOCK_EX)
     return descriptor
 
 
 def is_held(folder: Path) -> bool:
-    """Whether a process of this machine holds a folder."""
+    """Whether a process on this machine has locked a folder."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:  # network drives cannot
+    except OSError as error:  # unsupported on network drives
         return isinstance(error, BlockingIOError)
     finally:
         os.close(descriptor)
@@ -87,28 +87,28 @@ def is_held(folder: Path) -> bool:
 
 
 class TemporaryFolder(TemporaryDirectory[str]):
-    """A folder until it is cleaned up; those that killed processes have left are removed."""
+    """A temporary folder; creating one also removes those left by killed processes."""
 
     def __init__(self) -> None:
-        for left in Path(gettempdir()).glob(f"{_TEMPORARY}*"):
-            with suppress(OSError):  # another's
-                if time.time() - left.stat().st_mtime > _NEW and not is_held(left):
+        for left in Path(gettempdir()).glob(f"{_TEMPORARY_PREFIX}*"):
+            with suppress(OSError):  # another user's
+                if time.time() - left.stat().st_mtime > _MIN_AGE and not is_held(left):
                     shutil.rmtree(left)
-        super().__init__(prefix=_TEMPORARY)
+        super().__init__(prefix=_TEMPORARY_PREFIX)
         self._held = hold(Path(self.name))
 
     def cleanup(self) -> None:
-        """Remove it."""
+        """Remove the folder."""
         super().cleanup()
         os.close(self._held)
 
 
 def check_outputs(*paths: Path | None, replace: bool) -> None:
-    """Refuse output files before any work: none replaces a file unless that is asked for.
+    """Check output files before any work: an existing file is replaced only on request.
 
     Args:
-        paths: The files; None for one that is not wanted.
-        replace: Whether outputs that exist are replaced.
+        paths: The files; None for an output that is not wanted.
+        replace: Whether to replace existing outputs.
     """
     for path in filter(None, paths):
         if path.is_dir():
@@ -119,18 +119,18 @@ def check_outputs(*paths: Path | None, replace: bool) -> None:
             )
         _require_parent(path)
         if not replace:
-            _free.add(path.resolve())
+            _new_outputs.add(path.resolve())
 
 
 def check_new_folder(path: Path) -> None:
-    """Refuse a folder that exists, or whose parent's parent does not."""
+    """Refuse an existing folder, or one whose grandparent is missing."""
     refuse_existing(path)
     if not path.parent.exists():
         _require_parent(path.parent)
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder, and those above it, unless it exists."""
+    """Create a folder and its parents, unless it exists."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -140,22 +140,22 @@ def make_folder(path: Path) -> None:
 
 
 def _require_parent(path: Path) -> None:
-    """Refuse a path in a folder that does not exist, as mistyped, or that cannot be written."""
+    """Refuse a path whose folder does not exist (a typo, say) or is not writable."""
     parent, hint = path.parent, "correct the path, or make the folder first"
     if not parent.exists():
         why = f"no such folder as {parent}"
     elif not parent.is_dir():
         why = f"{parent} is not a folder"
     elif not os.access(parent, os.W_OK):
-        why, hint = f"no right to write in {parent}", "name another folder"
+        why, hint = f"no permission to write in {parent}", "name another folder"
     else:
         return
     raise ConfigurationError(f"{path}: cannot be written ({why})", hint)
 
 
 def check_picture(path: Path) -> None:
-    """Refuse a file whose suffix names no format of a picture."""
-    if path.suffix.lower() not in _PICTURES:
+    """Refuse a file whose suffix is not a picture format."""
+    if path.suffix.lower() not in _PICTURE_SUFFIXES:
         raise ConfigurationError(
             f"{path}: a picture cannot be a '{path.suffix}' file", "name a .png or .pdf file"
         )
@@ -163,13 +163,13 @@ def check_picture(path: Path) -> None:
 
 @contextmanager
 def atomic_output(path: Path, replace: bool = False) -> Iterator[Path]:
-    """Write a file or folder in a folder beside it; it gets its name only when it is complete.
+    """Write a file or folder next to its final place and rename it once it is complete.
 
-    A file replaces an older one, but for one that was not there at `check_outputs`; a folder must
-    not exist yet, unless `replace`. Of several processes that write the same new output the first
-    to finish wins. Yields the path to write to, with the same last part, which does not exist.
+    A file replaces an older one, unless `check_outputs` found none; a folder must not exist yet,
+    unless `replace`. If several processes write the same new output, the first to finish wins.
+    Yields the path to write to, which has the same name and does not exist.
     """
-    path = path.resolve()  # a link stays a link
+    path = path.resolve()  # keep symbolic links
     _require_parent(path)
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise ConfigurationError(f"{path} is not an ordinary file", "name a file for the output")
@@ -179,9 +179,9 @@ def atomic_output(path: Path, replace: bool = False) -> Iterator[Path]:
         ) as staging:
             new = Path(staging) / path.name
             yield new
-            if path in _free and path.exists():
+            if path in _new_outputs and path.exists():
                 raise FileExistsError(errno.EEXIST, "")
-            _free.discard(path)
+            _new_outputs.discard(path)
             if replace and new.is_dir() and path.is_dir():
                 path.replace(Path(staging) / f"older {path.name}")
             new.replace(path)
@@ -198,10 +198,10 @@ def atomic_output(path: Path, replace: bool = False) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file, complete or not at all."""
+    """Write a text file atomically."""
     with atomic_output(path) as staging:
         staging.write_text(text, encoding="utf-8")
 
 
-_PICTURES = (".png", ".pdf")
-WIDTHS = (88, 180)  # [mm]; of a figure: a column of a paper, and its page
+_PICTURE_SUFFIXES = (".png", ".pdf")
+WIDTHS = (88, 180)  # [mm]; figure widths: one column and two columns of a paper

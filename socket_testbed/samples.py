@@ -1,4 +1,4 @@
-"""Synchronised samples, which every consumer of a trial works on."""
+"""Synchronised samples: the data that all analyses of a trial use."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ GRAVITY = 9.81  # [m/s^2]
 
 
 class Status(IntEnum):
-    """Status of a cluster's stress; a channel has one of the first three."""
+    """Status of a cluster's stress; a single channel takes one of the first three."""
 
     OK = 0
     SATURATED = 1
@@ -34,12 +34,12 @@ def channel_names(clusters: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def channel_unit(name: str) -> str:
-    """Unit of a channel by its name."""
+    """Unit of a channel, from its name."""
     return "N m" if name.rpartition(".")[2].startswith("M") else "N"
 
 
 def moments_about(wrench: FloatArray, point: Sequence[float] | None) -> FloatArray:
-    """Wrenches [M; F], shape (N, 6), about a point of their frame, shape (3,) [m]; None: as is."""
+    """Wrenches [M; F], shape (N, 6), about a point in their frame, shape (3,) [m]; None: as is."""
     if point is None:
         return wrench
     return np.hstack([wrench[:, :3] - np.cross(point, wrench[:, 3:]), wrench[:, 3:]])
@@ -47,14 +47,14 @@ def moments_about(wrench: FloatArray, point: Sequence[float] | None) -> FloatArr
 
 @dataclass(frozen=True)
 class Samples:
-    """Measurements that belong to the same triggers, one row per trigger.
+    """Synchronised measurements, one row per trigger.
 
-    What was not measured is NaN, never an older value.
+    Missing values are NaN, never an older value.
 
     Attributes:
         stamps: Times of the triggers since the epoch, shape (N,) [ns].
         position: Limb position q in {S}, shape (N, 3) [m].
-        rotation: Rotation vector of the limb's frame in {S}, shape (N, 3) [rad].
+        rotation: Rotation vector of the limb frame in {S}, shape (N, 3) [rad].
         wrench: Measured wrench [M; F] in {S}, shape (N, 6) [N m, N].
         clusters: Names of the c clusters.
         local_forces: Measured force on each cluster in the cluster's frame, shape
@@ -81,7 +81,7 @@ class Samples:
         )
 
     def __getitem__(self, rows: slice | BoolArray | IntArray) -> Samples:
-        """The samples of some rows."""
+        """The samples in the given rows."""
         return Samples(
             self.stamps[rows], self.position[rows], self.rotation[rows], self.wrench[rows],
             self.clusters, self.local_forces[rows], self.status[rows],
@@ -99,7 +99,7 @@ class Samples:
 
     @property
     def complete(self) -> BoolArray:
-        """Rows with a wrench and a limb position, as a fit needs them, shape (N,)."""
+        """Rows with both a wrench and a limb position, as a fit requires, shape (N,)."""
         needed = np.hstack([self.position, self.wrench])
         return np.asarray(np.isfinite(needed).all(axis=1))
 
@@ -107,14 +107,13 @@ class Samples:
     def trusted_forces(self) -> FloatArray:
         """Local forces whose status is OK, shape (N, c, 3) [N]; the others are NaN.
 
-        A force out of the calibrated range is an extrapolation: nothing is fitted to it or
-        judged by it.
+        Forces outside the calibrated range are extrapolated, so fits and evaluations ignore them.
         """
         return np.where((self.status == 0)[:, :, None], self.local_forces, np.nan)
 
     @property
     def trusted_values(self) -> FloatArray:
-        """All channels, as in `values`, of the clusters the `trusted_forces` alone."""
+        """All channels, as in `values`, with only the `trusted_forces` of the clusters."""
         forces = self.trusted_forces.reshape(len(self), 3 * len(self.clusters))
         return np.hstack([self.wrench, forces])
 
@@ -129,14 +128,13 @@ class Samples:
         return np.hstack([self.wrench, self.local_forces.reshape(len(self), -1)])
 
     def to_dataframe(self) -> pd.DataFrame:
-        """The samples as a pandas table, with the units in the names.
+        """The samples as a pandas table, with units in the column names.
 
         Returns:
             A row per sample, indexed by `time [s]`. Columns: the wrench in {S}, such as `Mx [N m]`
             and `Fz [N]`; the limb position and rotation vector in {S}, such as `q_x [m]` and
             `phi_x [rad]`; for each cluster its force in its own frame, such as `distal.Fx [N]`,
-            and its status, such as `distal.status [-]` (see `Status`). What was not measured is
-            NaN.
+            and its status, such as `distal.status [-]` (see `Status`). Missing values are NaN.
         """
         import pandas as pd
 

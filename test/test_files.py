@@ -59,6 +59,6 @@ def test_an_output_replaces_nothing_and_makes_no_folder_unless_asked(
         with refused(ConfigurationError, fact):
             check_outputs(None, tmp_path / name, replace=replace)
     monkeypatch.setattr("os.access", lambda path, mode: False)
-    with refused(ConfigurationError, "no right to write"), atomic_output(tmp_path / "other.json"):
+    with refused(ConfigurationError, "no permission"), atomic_output(tmp_path / "other.json"):
         pass
     assert list(tmp_path.iterdir()) == [taken]

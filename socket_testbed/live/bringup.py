@@ -1,6 +1,6 @@
-"""Which nodes make a graph, in which order and with which settings; starting and ending it.
+"""The nodes of a graph, their order and settings; starting and ending it.
 
-`run` and `replay` start processes from this description, the launch files their actions.
+`run` and `replay` start processes from this description, the launch files start actions.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ from socket_testbed.trials.metadata import (
 from socket_testbed.trials.topics import full_namespace
 from socket_testbed.trials.trial import Trial, recorded_namespace
 
-_UP_WITHIN = 120.0  # [s]; for the simulation, on a busy machine
-_DRAIN = 1.0  # [s] of the testbed; for the last trigger's sample to pass
+_START_TIMEOUT = 120.0  # [s]; for the simulation, on a busy machine
+_DRAIN_TIME = 1.0  # [s] of the testbed; for the last sample to pass through
 
 
 @dataclass(frozen=True)
 class Testbed:
-    """A testbed to bring up: its nodes' settings, its files, its simulation."""
+    """A testbed to bring up: settings of its nodes, files, simulation."""
 
     __test__ = False
 
@@ -63,9 +63,9 @@ class Testbed:
     calibration: Path = field(default_factory=lambda: packaged("config", "calibration.yaml"))
     simulation: Simulation | None = None  # None on hardware
     record: Path | None = None  # folder of the new trial; None to record nothing
-    at_once: bool = True  # whether it is recorded from the start; else trials in it, when asked
-    one_process: bool = False  # for all nodes but the trigger's and the recorder's
-    # Metadata of the new trial, over those of the recorder's settings
+    at_once: bool = True  # record from the start; otherwise `record` holds trials made on request
+    one_process: bool = False  # for all nodes except trigger_node and recorder_node
+    # Metadata of the new trial; they override those of the recorder's settings
     metadata: TrialMetadata = field(default_factory=TrialMetadata)
     namespace: str = "/"  # namespace of its nodes and topics
 
@@ -87,7 +87,7 @@ class Testbed:
         return self.simulation.time_scale if self.simulation else 1.0
 
     def check_devices(self) -> None:
-        """Check the settings of the devices before anything starts."""
+        """Check the device settings before anything starts."""
         cluster_node = self.settings.cluster_node
         clusters.check_settings(cluster_node, capacitive_chip(cluster_node)[0])
         load_cell.check_settings(self.settings.load_cell_node)
@@ -95,10 +95,10 @@ class Testbed:
             server_address(self.settings.mocap_node)
 
     def nodes(self, folder: Path) -> list[GraphNode]:
-        """The nodes of the testbed, in the order of their start.
+        """The nodes of the testbed, in start order.
 
-        The trigger waits for all others. A node that is started again gets the same settings, and
-        the load-cell node finds its tare, from a folder that exists as long as the testbed runs.
+        The trigger waits for all others. A restarted node gets the same settings, and the load-cell
+        node its tare, from `folder`, which exists as long as the testbed runs.
         """
         given = self.settings
         geometry, calibration = str(self.geometry), str(self.calibration)
@@ -134,7 +134,7 @@ class Testbed:
         return [GraphNode("recorder_node", recorder, namespace), *nodes]
 
     def _store_metadata(self, path: Path) -> str:
-        """Write the new trial's metadata; the path, or nothing where nothing is stated."""
+        """Write the new trial's metadata; returns the path, or "" if nothing is stated."""
         given = self.settings.recorder_node.metadata
         metadata = read_metadata(Path(given)) if given else TrialMetadata()
         metadata = change_metadata(metadata, self.metadata.stated())
@@ -147,7 +147,7 @@ class Testbed:
 def testbed_settings(params: Path | None, simulation: Simulation | None) -> TestbedSettings:
     """Settings of the nodes from a testbed.yaml; None for the defaults.
 
-    A simulated load cell is described by the package; a real one only by its owner.
+    The package describes a simulated load cell; a real one needs its owner's description.
     """
     settings = TestbedSettings()
     if simulation is not None:
@@ -158,7 +158,7 @@ def testbed_settings(params: Path | None, simulation: Simulation | None) -> Test
 def simulated_testbed(
     record: Path | None = None, rate: float = 4.0, simulation: Simulation | None = None
 ) -> Testbed:
-    """The package's own testbed, simulated."""
+    """The package's own simulated testbed."""
     simulation = simulation or Simulation()
     settings = testbed_settings(None, simulation)
     settings = replace(settings, trigger_node=replace(settings.trigger_node, rate=rate))
@@ -177,16 +177,16 @@ def start(graph: Graph, testbed: Testbed) -> World | None:
 
 
 def end(graph: Graph, testbed: Testbed) -> None:
-    """End a testbed so that the last trigger's sample is complete and the trial is closed."""
+    """End a testbed after completing the last sample and closing the trial."""
     graph.stop("trigger_node")
-    graph.pause(_DRAIN / testbed.time_scale)
+    graph.pause(_DRAIN_TIME / testbed.time_scale)
     if testbed.record is not None:
         graph.stop("recorder_node")
     graph.stop()
 
 
 def summary(path: Path) -> str:
-    """The number of triggers and missing measurements of a trial, in a line."""
+    """The numbers of triggers and missing measurements of a trial, in one line."""
     samples = Trial(path).samples()
     missing = {
         "wrench": ~np.isfinite(samples.wrench).all(axis=1),
@@ -201,7 +201,7 @@ def summary(path: Path) -> str:
 def simulate_hardware(
     graph: Graph, testbed: Testbed, simulation: Simulation
 ) -> tuple[Testbed, World]:
-    """Start a simulated world; returns the testbed, with the world in place of hardware, and it."""
+    """Start a simulated world; returns the testbed with simulated hardware, and the world."""
     graph.set_time_scale(simulation.time_scale)
     folder = graph.folder
     world = World(folder, create=True)
@@ -210,12 +210,12 @@ def simulate_hardware(
     described = json.dumps(asdict(simulation))
     arguments = [str(folder), described, str(testbed.geometry), str(testbed.calibration), truth]
     graph.start_program("simulation", "socket_testbed.live.simulated_world", arguments)
-    deadline = time.monotonic() + _UP_WITHIN
+    deadline = time.monotonic() + _START_TIMEOUT
     while not world.port:
         graph.check()
         if time.monotonic() > deadline:
             raise TestbedError(
-                f"the simulation is not up after {_UP_WITHIN:g} s", "see what it printed"
+                f"the simulation is not up after {_START_TIMEOUT:g} s", "see what it printed"
             )
         graph.pause()
     given, place = testbed.settings, str(folder)
@@ -234,7 +234,7 @@ def simulate_hardware(
 def predict_with(
     model: Path, estimator: EstimatorSettings, geometry: SocketGeometry
 ) -> EstimatorSettings:
-    """An estimator's settings with which it predicts with a stored model and fits none."""
+    """Estimator settings to predict with a stored model, without fitting."""
     read_model(model, geometry)
     return replace(estimator, model=str(model.resolve()), auto_fit=False)
 
@@ -242,9 +242,9 @@ def predict_with(
 def replay_nodes(
     trial: Trial, replay: ReplaySettings, estimator: EstimatorSettings
 ) -> list[GraphNode]:
-    """The nodes that replay a trial through calibration and estimator, in the order of their start.
+    """The nodes that replay a trial through calibration and estimator, in start order.
 
-    The trial's geometry, calibration, load cell and tare are used.
+    They use the trial's geometry, calibration, load cell and tare.
     """
     check_names(estimator.identification, trial.check())
     namespace = full_namespace(replay.namespace or recorded_namespace(trial))
@@ -271,11 +271,11 @@ def record_estimates(
     record: Path,
     output: IO[str] | None = None,
 ) -> None:
-    """Replay a trial through the nodes of `replay_nodes`, and record all that they publish."""
+    """Replay a trial through the nodes of `replay_nodes`, and record everything they publish."""
     replay = replace(replay, wait_for=("recorder_node", *replay.wait_for))
     nodes = replay_nodes(trial, replay, estimator)
     recorder = RecorderSettings(directory=str(record.resolve()), record=True, everything=True)
     with Graph(output) as graph:
         graph.start_nodes([GraphNode("recorder_node", recorder, nodes[-1].namespace), *nodes])
         graph.wait("replay_node")
-        graph.pause(_DRAIN)
+        graph.pause(_DRAIN_TIME)

@@ -1,4 +1,4 @@
-"""Checks of the wiring: each device is opened with its own driver and asked, or pressed on."""
+"""Wiring checks: each device is opened with its own driver and queried, or pressed by the user."""
 
 from __future__ import annotations
 
@@ -28,27 +28,27 @@ from socket_testbed.live.simulated_world import LATEST
 
 _FRAMES = 1000
 _PULSES = 5
-_SERVER_WITHIN = 3.0  # [s]
-_READINGS, _MOST_READINGS = 6, 18
-_WATCHED = 1.0  # [s]; of the load cell's conversions
-_LOOK = 0.05  # [s]
-_PRIORITY = 10  # that is tried where none is set
-_MODEL = Path("/proc/device-tree/model")  # of the computer
+_SERVER_TIMEOUT = 3.0  # [s]
+_MIN_READINGS, _MAX_READINGS = 6, 18
+_WATCH_DURATION = 1.0  # [s]; of the load cell's conversions
+_POLL_INTERVAL = 0.05  # [s]
+_DEFAULT_PRIORITY = 10  # tried if none is set
+_MODEL_FILE = Path("/proc/device-tree/model")  # of the computer
 _SOUND_I2C = [6, 6, 28]  # the first packaged kernel with raspberrypi/linux#6071 (March 2024)
-_OF_A_PERIOD = 0.25  # [-]; part of the trigger's period that a reading may be late
+_MAX_LATENESS = 0.25  # [-]; of a reading, as a share of the trigger period
 
-# Of the press test:
-WITHIN = 20.0  # [s]; for a press, and for letting go
-_UNLOADED = 20  # readings before the first press
-_LETS_GO = 1.0  # [s]; until the first of them
-_PERIOD = 0.1  # [s]; between readings, over which the load cell is averaged
-_LEAST = 4e3  # [Pa]; a finger presses with more,
-_SIGMAS = 8.0  # and with more than so many standard deviations of the unloaded readings
-_STEADY = 3  # readings that make a press
-_PATIENCE = 10  # times as many, in which a busy computer missed the load cell's
-_LEAST_FORCE = 1.0  # [N]
-_ALONG = 0.5  # [-]; cosine between the load cell's force and the outward normal, at least
-_RELEASED = 0.5  # [-]; of what makes a press
+# Press test:
+_PRESS_TIMEOUT = 20.0  # [s]; also for the release
+_UNLOADED_READINGS = 20  # before the first press
+_RELEASE_TIME = 1.0  # [s]; before the first unloaded reading
+_READING_PERIOD = 0.1  # [s]; also the averaging period of the load cell
+_MIN_PRESSURE = 4e3  # [Pa]; of a press,
+_SIGMAS = 8.0  # which also exceeds this many standard deviations of the unloaded readings
+_PRESS_READINGS = 3  # readings in a press
+_PATIENCE_FACTOR = 10  # times as many if a busy computer misses those of the load cell
+_MIN_FORCE = 1.0  # [N]
+_MIN_COSINE = 0.5  # [-]; between the load cell's force and the outward normal
+_RELEASE_RATIO = 0.5  # [-]; of the threshold of a press
 _UNFELT = "press in its middle with the thumb; if it stays silent: its cable, its calibration"
 
 
@@ -62,7 +62,7 @@ class Outcome:
 
 
 def examine(testbed: Testbed) -> list[Outcome]:
-    """Look at everything that is configured, one device after the other."""
+    """Check all configured devices, one after the other."""
     outcomes: list[Outcome] = []
     for check in CHECKS:
         try:
@@ -74,19 +74,19 @@ def examine(testbed: Testbed) -> list[Outcome]:
 
 
 def _failure(what: str, message: str) -> Outcome:
-    """A failing outcome from a fact and its hint in one line."""
+    """A failed outcome from a one-line message of fact and hint."""
     fact, _, hint = message.rpartition(": ")
     return Outcome(what, fact or message, hint if fact else "see docs/faults.md")
 
 
 def check_kernel(testbed: Testbed) -> Iterator[Outcome]:
-    """Name the kernel of a Raspberry Pi."""
-    if testbed.simulation is None and _MODEL.is_file():
-        yield kernel_finding(_MODEL.read_text().rstrip("\0"), platform.release())
+    """Report the kernel of a Raspberry Pi."""
+    if testbed.simulation is None and _MODEL_FILE.is_file():
+        yield kernel_finding(_MODEL_FILE.read_text().rstrip("\0"), platform.release())
 
 
 def kernel_finding(model: str, release: str) -> Outcome:
-    """Whether a kernel is one whose buses are known to fail on its Raspberry Pi."""
+    """Check a kernel against known bus faults on its Raspberry Pi."""
     found, version = f"{release} on {model}", re.findall(r"\d+", release)[:3]
     if "Raspberry Pi 5" in model and [*map(int, version)] < _SOUND_I2C:
         return Outcome(
@@ -98,7 +98,7 @@ def kernel_finding(model: str, release: str) -> Outcome:
 
 
 def check_trigger(testbed: Testbed) -> Iterator[Outcome]:
-    """Make pulses and see their edges."""
+    """Fire pulses and detect their edges."""
     settings, delays = testbed.settings.trigger_node, []
     with closing(make_trigger(settings)) as trigger:
         for _ in range(_PULSES):
@@ -115,17 +115,17 @@ def check_trigger(testbed: Testbed) -> Iterator[Outcome]:
 
 
 def check_scheduling(testbed: Testbed) -> Iterator[Outcome]:
-    """Measure how late threads wake up, with a real-time priority too where there is the right."""
+    """Measure how late threads wake up, also with a real-time priority if permitted."""
     settings = testbed.settings.trigger_node
     rate, wanted = settings.rate, settings.scheduling.priority
-    ordinary, urgent = measure_lateness(), measure_lateness(wanted or _PRIORITY)
+    ordinary, urgent = measure_lateness(), measure_lateness(wanted or _DEFAULT_PRIORITY)
     found = f"threads wake up {_late(ordinary)}"
     if len(urgent):
-        found += f", with real-time priority {wanted or _PRIORITY} {_late(urgent)}"
+        found += f", with real-time priority {wanted or _DEFAULT_PRIORITY} {_late(urgent)}"
     else:
-        found += "; no right to a real-time priority"
+        found += "; no permission for a real-time priority"
     used = urgent if wanted and len(urgent) else ordinary
-    enough = np.percentile(used, 99) <= min(LATEST, _OF_A_PERIOD / rate)
+    enough = np.percentile(used, 99) <= min(LATEST, _MAX_LATENESS / rate)
     found += f": {'soon enough' if enough else 'too late'} for {rate:g} Hz"
     hint = ""
     if not enough and testbed.simulation is None:
@@ -141,13 +141,13 @@ def _late(late: FloatArray) -> str:
 
 
 def check_clusters(testbed: Testbed) -> Iterator[Outcome]:
-    """See which chip answers at each cluster's place."""
+    """Check which chip answers at each cluster's address."""
     with closing(make_clusters(testbed.settings.cluster_node)) as reader:
         chips = reader.identify()
-        for count in range(_MOST_READINGS):
+        for count in range(_MAX_READINGS):
             faults = reader.read(clocks.monotonic()).faults
-            # The first ones may find the range of an input, and a busy machine reads some late.
-            if count + 1 >= _READINGS and not faults:
+            # The first readings may set an input's range, and a busy machine may read some late.
+            if count + 1 >= _MIN_READINGS and not faults:
                 break
         for name, found in chips.items():
             if isinstance(found, DeviceError):
@@ -159,7 +159,7 @@ def check_clusters(testbed: Testbed) -> Iterator[Outcome]:
 
 
 def check_load_cell(testbed: Testbed) -> Iterator[Outcome]:
-    """See which converter answers, and whether its frames are intact."""
+    """Check which converter answers, and whether its frames are intact."""
     settings = testbed.settings.load_cell_node
     cell = make_load_cell(settings)
     with closing(cell.converter) as converter:
@@ -168,7 +168,7 @@ def check_load_cell(testbed: Testbed) -> Iterator[Outcome]:
         corrupted = chip.check_frames(_FRAMES)
         hint = CHECK_WIRING if corrupted else ""
         yield Outcome("load cell CRC", f"{corrupted} of {_FRAMES} frames corrupted", hint)
-        ends = clocks.monotonic() + _WATCHED
+        ends = clocks.monotonic() + _WATCH_DURATION
         while clocks.monotonic() < ends:
             converter.poll()
             clocks.sleep(0.5 * converter.period)
@@ -182,16 +182,16 @@ def check_load_cell(testbed: Testbed) -> Iterator[Outcome]:
 
 
 def check_motion_capture(testbed: Testbed) -> Iterator[Outcome]:
-    """See which server answers, how well its clock is known, and whether it has the bodies."""
+    """Check which server answers, how well its clock is known, and whether it tracks the bodies."""
     settings = testbed.settings.mocap_node
     geometry = read_socket(testbed.geometry)
     tracker = BodyTracker(settings, geometry.socket_markers, geometry.pylon_markers)
     client = NatNetClient(settings, tracker.add)
     client.start()
     try:
-        deadline = clocks.monotonic() + _SERVER_WITHIN
+        deadline = clocks.monotonic() + _SERVER_TIMEOUT
         while (health := client.health(clocks.monotonic()))[0] and clocks.monotonic() < deadline:
-            clocks.sleep(_LOOK)
+            clocks.sleep(_POLL_INTERVAL)
         clocks.sleep(settings.stale)
         seen = tracker.sample(clocks.monotonic() - 0.5 * settings.stale)
         server, link = client.server, client.figures()
@@ -225,47 +225,47 @@ CHECKS: tuple[Callable[[Testbed], Iterator[Outcome]], ...] = (
 )
 
 
-# --- the press test: a person presses on each cluster, and its sign, place and order are found.
-# The limb is out of the socket. It finds no gain, nor two clusters that were pressed in each
-# other's place. A reading is the normal stress of the c clusters [Pa] and the force on the load
-# cell [N], shape (c + 3,); NaN where there is none.
+# --- press test: the user presses each cluster, which verifies its sign, place and order. The limb
+# is out of the socket. The test cannot verify gains, nor detect that the user swapped two clusters.
+# A reading holds the normal stress of the c clusters [Pa] and the force on the load cell [N], shape
+# (c + 3,); missing values are NaN.
 
 
 def press_test(testbed: Testbed, ask: Callable[[str], None]) -> Iterator[Outcome]:
-    """Ask for a press on each cluster in turn, and tell what answered; no node runs meanwhile.
+    """Ask for a press on each cluster in turn and report the response; no node may run meanwhile.
 
-    `ask` is called with what the person shall do: `press on NAME` or `let go`. A DeviceError says
-    that a cluster gives no reading.
+    `ask` is called with an instruction to the user: `press on NAME` or `let go`. A DeviceError is
+    raised if a cluster gives no reading.
     """
     geometry = read_socket(testbed.geometry)
     names = tuple(testbed.settings.cluster_node.names)
     outward = [-geometry.rotations[geometry.clusters[name], :, 2] for name in names]
     with _readings(testbed) as read:
         ask("let go")
-        clocks.sleep(_LETS_GO)
-        unloaded = [read() for _ in range(_UNLOADED)]
+        clocks.sleep(_RELEASE_TIME)
+        unloaded = [read() for _ in range(_UNLOADED_READINGS)]
         zero, noise = _mean(unloaded), np.nanstd(unloaded, axis=0)[:-3]
         dead = [name for name, value in zip(names, zero, strict=False) if np.isnan(value)]
         if dead:
             hint = "see what 'doctor' says of it without --press"
             raise DeviceError(f"cluster {dead[0]} gives no reading", hint)
-        threshold = np.maximum(_LEAST, _SIGMAS * noise)
+        threshold = np.maximum(_MIN_PRESSURE, _SIGMAS * noise)
 
-        def pushed(reading: FloatArray) -> FloatArray:  # or pulled
+        def pressure(reading: FloatArray) -> FloatArray:  # of either sign, relative to a press
             return np.abs(reading - zero)[:-3] / threshold
 
         for number, name in enumerate(names):
             ask(f"press on {name}")
-            pressed = _wait(read, lambda reading: bool((pushed(reading) > 1.0).any()))
+            pressed = _wait(read, lambda reading: bool((pressure(reading) > 1.0).any()))
             if pressed is None:
-                found = f"no cluster answered within {WITHIN:g} s"
+                found = f"no cluster answered within {_PRESS_TIMEOUT:g} s"
                 yield Outcome(f"press on {name}", found, _UNFELT)
                 continue
-            answered = int(pushed(pressed).argmax())
+            answered = int(pressure(pressed).argmax())
             yield _judge(names, number, answered, pressed - zero, outward[number])
             ask("let go")
-            # Every cluster is read, and none is pressed.
-            _wait(read, lambda reading: bool((pushed(reading) <= _RELEASED).all()))
+            # NaN fails the test: all clusters must be read, and none pressed.
+            _wait(read, lambda reading: bool((pressure(reading) <= _RELEASE_RATIO).all()))
 
 
 def _mean(readings: list[FloatArray]) -> FloatArray:
@@ -275,9 +275,9 @@ def _mean(readings: list[FloatArray]) -> FloatArray:
 def _judge(
     names: Sequence[str], number: int, answered: int, change: FloatArray, outward: FloatArray
 ) -> Outcome:
-    """What a press on a cluster says of its wiring, from the number of the one that answered.
+    """Judge the wiring from a press on a cluster and the number of the cluster that answered.
 
-    The change is the reading's, the outward normal that of the wall where it was pressed.
+    `change` is that of the reading, `outward` the outward normal of the wall at the press.
     """
     name, felt, what = names[number], names[answered], f"press on {names[number]}"
     found = f"{felt} felt {1e-3 * change[answered]:+.1f} kPa"
@@ -288,13 +288,13 @@ def _judge(
         hint = "its normal is the wrong way round: check its channels' order and its calibration"
         return Outcome(what, found, hint)
     size = float(np.linalg.norm(change[-3:]))
-    if not size >= _LEAST_FORCE:
+    if not size >= _MIN_FORCE:
         hint = "check the load cell's wiring"
         return Outcome(what, f"{found}, the load cell felt nothing", hint)
     along, found = float(change[-3:] @ outward) / size, f"{found}, the load cell {size:.1f} N"
-    if along <= -_ALONG:
+    if along <= -_MIN_COSINE:
         return Outcome(what, f"{found} the other way", "check the load cell's signs and matrix")
-    if along < _ALONG:
+    if along < _MIN_COSINE:
         hint = "check how the load cell is turned, its matrix, and the cluster's place"
         return Outcome(what, f"{found} in another direction", hint)
     return Outcome(what, found)
@@ -302,7 +302,7 @@ def _judge(
 
 @contextmanager
 def _readings(testbed: Testbed) -> Iterator[Callable[[], FloatArray]]:
-    """What reads the clusters and the load cell side by side, by their own drivers."""
+    """A function that reads the clusters and the load cell together, with their own drivers."""
     settings = testbed.settings
     names = tuple(settings.cluster_node.names)
     calibration = read_calibration(testbed.calibration)
@@ -321,11 +321,11 @@ def _readings(testbed: Testbed) -> Iterator[Callable[[], FloatArray]]:
                 clocks.sleep(converter.period)
 
         def read() -> FloatArray:
-            due = clocks.monotonic() + _PERIOD
+            due = clocks.monotonic() + _READING_PERIOD
             reading = clusters.read(clocks.monotonic())
             stress, _ = stacked.apply(reading.capacitance, reading.status)
             clocks.sleep(max(0.0, due - clocks.monotonic()))
-            wrench = cell.wrench_at(due - 0.7 * _PERIOD, 0.5 * _PERIOD).wrench
+            wrench = cell.wrench_at(due - 0.7 * _READING_PERIOD, 0.5 * _READING_PERIOD).wrench
             return np.concatenate([stress[:, 0], wrench[3:]])
 
         polling = threading.Thread(target=poll, daemon=True)
@@ -338,16 +338,16 @@ def _readings(testbed: Testbed) -> Iterator[Callable[[], FloatArray]]:
 
 
 def _wait(read: Callable[[], FloatArray], done: Callable[[FloatArray], bool]) -> FloatArray | None:
-    """Read until something holds in several readings; their mean, or None where it does not."""
-    ends = clocks.monotonic() + WITHIN
+    """Read until a condition holds in several readings; their mean, or None on timeout."""
+    ends = clocks.monotonic() + _PRESS_TIMEOUT
     found: list[FloatArray] = []
     while clocks.monotonic() < ends:
         reading = read()
         if done(reading):
             found.append(reading)
-        elif np.isfinite(reading[:-3]).all():  # a late reading tells nothing
+        elif np.isfinite(reading[:-3]).all():  # ignore late readings
             found.clear()
         felt = sum(np.isfinite(reading[-3:]).all() for reading in found[1:])
-        if felt >= _STEADY or len(found) > _PATIENCE * _STEADY:
-            return _mean(found[1:])  # the first one was on the way
+        if felt >= _PRESS_READINGS or len(found) > _PATIENCE_FACTOR * _PRESS_READINGS:
+            return _mean(found[1:])  # the first one caught the press in motion
     return None

@@ -1,6 +1,6 @@
-"""The online estimates: measurements in, force maps and predictions out, models fitted meanwhile.
+"""Online estimation: measurements in, force maps and predictions out, models fitted meanwhile.
 
-It knows no ROS: the estimator node converts messages for it and publishes what it returns.
+It does not depend on ROS: the estimator node converts its messages and publishes its results.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE, STRESS, WRENCH, Topic
 
-MEASURED = (STRESS, WRENCH, SOCKET_POSE, PYLON_POSE)  # each is part of a sample
+MEASURED = (STRESS, WRENCH, SOCKET_POSE, PYLON_POSE)  # the parts of a sample
 
-_FIRST_ATTEMPT = 10  # samples between attempts at the first model
+_FIRST_FIT_INTERVAL = 10  # samples between attempts at the first model
 _CHECK_PERIOD = 2_000_000_000  # [ns]; between checks of the data
 
 
 class SampleWindow:
-    """The newest samples, up to a duration [s], as bytes: handing them out takes no time."""
+    """The newest samples, up to a duration [s], stored as bytes for fast access."""
 
     def __init__(self, clusters: tuple[str, ...], duration: float) -> None:
         self._clusters = clusters
@@ -68,7 +68,7 @@ class SampleWindow:
         return len(self._rows)
 
     def add(self, sample: Samples) -> None:
-        """Add the newest sample; those older than the window go."""
+        """Add the newest sample; drop those older than the window."""
         values = tuple(getattr(sample, name)[0] for name in self._layout.names or ())
         stamp = int(sample.stamps[0])
         self._rows.append((stamp, np.array(values, self._layout).tobytes()))
@@ -76,7 +76,7 @@ class SampleWindow:
             self._rows.popleft()
 
     def clear(self) -> None:
-        """Forget all samples."""
+        """Drop all samples."""
         self._rows.clear()
 
     def samples(self) -> Samples:
@@ -88,10 +88,10 @@ class SampleWindow:
 
 
 class OnlineMap:
-    """Maps the forces on all tiles from the clusters and the wrench of one sample after the other.
+    """Maps the forces on all tiles, sample by sample, from the clusters and the wrench.
 
-    Channels that are left out of the objective do not count, and neither do values that no limb in
-    a socket gives. The settings may change meanwhile.
+    Channels left out of the objective and physically impossible values are ignored. The settings
+    may change at any time.
     """
 
     def __init__(self, geometry: SocketGeometry, settings: Callable[[], EstimatorSettings]) -> None:
@@ -102,10 +102,10 @@ class OnlineMap:
         self._map = ForceMap(geometry, tuple(geometry.clusters), self._prior)
         self._newest: Samples
         self.count = 0  # of maps
-        self.places = all_regions(geometry)  # of the outputs; the last one is the socket
+        self.places = all_regions(geometry)  # of the outputs; the last is the whole socket
 
     def update(self, sample: Samples) -> MapEstimate:
-        """The map of one sample, with N = 1; it needs no pose."""
+        """The map of one sample, with N = 1; needs no pose."""
         settings = self._settings()
         if settings.force_map != self._prior:
             self._prior = settings.force_map
@@ -119,14 +119,14 @@ class OnlineMap:
         return self._map.update(self._newest)
 
     def outputs(self) -> PressureOutputs | None:
-        """The outputs of the sample that was mapped last, from joint draws; None if it is empty."""
+        """The outputs of the last mapped sample, from joint draws; None if it is empty."""
         if not measured_rows(self._newest)[0]:
             return None
         return pressure_outputs(self._map, self._newest, self._geometry, self.places, THRESHOLD)
 
 
 class Estimates(NamedTuple):
-    """What a measurement completes, if anything."""
+    """The estimates that a measurement completes, if any."""
 
     force_map: MapEstimate | None = None  # with N = 1
     wrench: FloatArray | None = None  # predicted [M; F] in {S}, shape (6,) [N m, N]
@@ -134,12 +134,12 @@ class Estimates(NamedTuple):
 
 
 class OnlineEstimator:
-    """Maps and predicts every sample, and has models fitted.
+    """Maps and predicts every sample, and starts fits.
 
-    Measurements with equal stamps belong together; nothing is matched by nearest. The clusters and
-    the wrench make a map, with both poses the newest model predicts. The settings are asked for as
-    they are now. `notify` is called with each new model: a `Fit`, in a thread of the fitter's, or
-    the `StoredModel` that was loaded.
+    Measurements are matched by equal stamps, never by nearest ones. The clusters and the wrench
+    give a map; both poses are needed to predict with the newest model. `settings` returns the
+    current settings. `notify` is called with each new model: a `Fit`, in a thread of the fitter, or
+    a loaded `StoredModel`.
     """
 
     def __init__(
@@ -155,15 +155,15 @@ class OnlineEstimator:
         self._notify = notify
         self._clusters = tuple(geometry.clusters)
         self._window = SampleWindow(self._clusters, settings().window.duration)
-        self._open: OrderedDict[int, dict[Topic, Any]] = OrderedDict()  # what is there, by stamp
-        self._lock = threading.Lock()  # of the window, and of the fit that runs
+        self._open: OrderedDict[int, dict[Topic, Any]] = OrderedDict()  # incomplete, by stamp
+        self._lock = threading.Lock()  # for the window and `_fitting`
         self._fitting = False
         self._since_attempt = 0  # samples
         self._last_trigger = 0
         self._model: ContactModel | None = None
-        self._last_stamp = 0  # of the samples that the model was fitted on [ns]
+        self._last_stamp = 0  # of the samples behind the model [ns]
         self._fitted_with = settings().identification
-        self._origin = ""  # of the model, in words
+        self._origin = ""  # description of the model
         self._checking = False
         self._last_check = 0  # [ns]
         self._findings: tuple[str, ...] = ()  # on the data of the window
@@ -171,11 +171,11 @@ class OnlineEstimator:
         self._counts = dict.fromkeys(names, 0)
         self._state = (0, "no model yet: waiting for steady data or estimator/fit")
         self.map = OnlineMap(geometry, settings)
-        self.newest = 0  # stamp of a complete sample [ns]; 0 also after a jump back in time
+        self.newest = 0  # newest stamp of a complete sample [ns]; 0 after a jump back in time
 
     @property
     def state(self) -> tuple[int, str]:
-        """0 OK, 1 warning or 2 error, and why, in one line."""
+        """Level (0 OK, 1 warning, 2 error) and its reason in one line."""
         level, text = self._state
         if not self._findings:
             return level, text
@@ -195,7 +195,7 @@ class OnlineEstimator:
         self._notify(stored)
 
     def trigger(self, stamp: int) -> None:
-        """Count a trigger; after a jump back in time [ns] forget all measurements."""
+        """Count a trigger; after a jump back in time [ns], drop all measurements."""
         if stamp < self._last_trigger:
             self._open.clear()
             with self._lock:
@@ -216,8 +216,8 @@ class OnlineEstimator:
                 quaternion (x, y, z, w), shape (7,).
 
         Returns:
-            The map if this completes the clusters and the wrench, the prediction if it completes
-            the sample and there is a model.
+            The map if this completes the clusters and the wrench; the prediction if it completes
+            the sample and a model exists.
         """
         measured = self._open.setdefault(stamp, {})
         measured[topic] = cluster_forces(self._geometry, value) if topic is STRESS else value
@@ -244,12 +244,12 @@ class OnlineEstimator:
         try:
             refit = started.result()
         except (CancelledError, BrokenProcessPool):
-            raise IdentificationError("the fit was ended", "ask again") from None
-        assert refit is not None  # only where no data is steady
+            raise IdentificationError("the fit was aborted", "ask again") from None
+        assert refit is not None  # None only for automatic fits
         return refit.fit
 
     def _sample(self, stamp: int, measured: dict[Topic, Any]) -> Samples:
-        """The sample of a stamp; without both poses the limb's is unknown."""
+        """The sample at a stamp; the limb pose is NaN without both body poses."""
         forces, status = measured[STRESS]
         position = rotation = np.full(3, np.nan)
         if len(measured) == len(MEASURED):
@@ -275,7 +275,7 @@ class OnlineEstimator:
         return model.wrench(sample.pose)[0], model.forces(sample.pose)[0]
 
     def _keep(self, sample: Samples) -> None:
-        """Keep a complete sample; a fit and a check of the data may be due."""
+        """Keep a complete sample; start a fit and a data check when due."""
         stamp = int(sample.stamps[0])
         self._counts["samples"] += 1
         self.newest = max(self.newest, stamp)
@@ -288,9 +288,9 @@ class OnlineEstimator:
             self._check(stamp)
 
     def _fit_is_due(self) -> bool:
-        """Auto fit is on, with enough samples, and enough new ones since the last attempt."""
+        """Whether auto fit is on, with enough samples, enough new ones since the last attempt."""
         settings = self._settings()
-        due = settings.window.refit_after if self._model is not None else _FIRST_ATTEMPT
+        due = settings.window.refit_after if self._model is not None else _FIRST_FIT_INTERVAL
         return (
             settings.auto_fit
             and not self._fitting
@@ -299,7 +299,7 @@ class OnlineEstimator:
         )
 
     def _start_fit(self, steady: bool) -> Future[Refit | None] | None:
-        """Start a fit on the window's newest steady stretch, or on all of it."""
+        """Start a fit on the window's newest plateau, or on all of it."""
         settings = self._settings()
         with self._lock:
             if self._fitting:
@@ -309,7 +309,7 @@ class OnlineEstimator:
             samples = self._window.samples()
         chosen, condition = settings.identification, None
         if steady:
-            # With changed settings it is compared with no model.
+            # After a change of settings, models are not comparable.
             changed = chosen != self._fitted_with
             condition = Steady(
                 plateau=settings.plateau,
@@ -322,7 +322,7 @@ class OnlineEstimator:
         return future
 
     def _take_over(self, settings: IdentificationSettings, future: Future[Refit | None]) -> None:
-        """Predict with a fitted model from now on, unless the present one predicts better."""
+        """Switch to a fitted model, unless the current one predicts better."""
         self._fitting = False
         if future.cancelled():
             return
@@ -335,7 +335,7 @@ class OnlineEstimator:
             return
         if refit.is_worse:
             self._counts["refused"] += 1
-            self._state = (0, f"{self._origin}; it stays: {refit.contest}")
+            self._state = (0, f"{self._origin}; kept: {refit.contest}")
             return
         fit = refit.fit
         self._model, self._last_stamp = fit.model, fit.last_stamp
@@ -347,12 +347,12 @@ class OnlineEstimator:
         )
         if refit.cause:
             self._origin += f"; older samples left out: {refit.cause}"
-        judged = f"; it replaced another: {refit.contest}" if refit.contest else ""
+        judged = f"; it replaced the previous model: {refit.contest}" if refit.contest else ""
         self._state = (0, self._origin + judged)
         self._notify(fit)
 
     def _check(self, stamp: int) -> None:
-        """Have the data of the window checked."""
+        """Start a check of the window's data."""
         self._checking, self._last_check = True, stamp
         with self._lock:
             samples = self._window.samples()
@@ -369,9 +369,9 @@ class OnlineEstimator:
 def cluster_forces(
     geometry: SocketGeometry, stresses: Mapping[str, tuple[FloatArray, int]]
 ) -> tuple[FloatArray, StatusArray]:
-    """The forces on a socket's c clusters, in their tiles' frames {L}, shape (c, 3) [N]; statuses.
+    """Forces on a socket's c clusters in their tile frames {L}, shape (c, 3) [N], and statuses.
 
-    A cluster that is not there is missing; what is missing is NaN.
+    An absent cluster has the status missing and NaN forces.
     """
     missing = (np.full(3, np.nan), Status.MISSING)
     found = [stresses.get(name, missing) for name in geometry.clusters]

@@ -1,4 +1,4 @@
-"""Fits in a separate process, so that no fit delays a prediction."""
+"""Fits models in a separate process, so that they never delay predictions."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
 from socket_testbed.trials.segment import find_newest_plateaus
 
-HELD_OUT = 0.2  # [-]; newest share of a steady stretch, by which a refit is judged
-LEAST_HELD_OUT = 10  # [1]
+HELD_OUT = 0.2  # [-]; newest share of a plateau, held out to judge a refit
+LEAST_HELD_OUT = 10  # [samples]
 _NICENESS = 10
 
 T = TypeVar("T")
@@ -47,21 +47,20 @@ class Steady:
     """Conditions of an automatic fit, on steady data."""
 
     plateau: PlateauSettings  # how steady the data must be
-    least_samples: int  # smallest number of samples to fit on
-    after: int = 0  # stamp that the newest of these samples has to exceed [ns]
-    # The model that the fit is to replace, if the two are to be compared
-    rival: ContactModel | None = None
+    least_samples: int  # minimum number of samples to fit on
+    after: int = 0  # the newest of these samples must have a later stamp [ns]
+    rival: ContactModel | None = None  # model to be replaced, if the two are to be compared
 
 
 @dataclass(frozen=True)
 class Contest:
-    """Two models judged by the newest samples, which the fit of the new one left out."""
+    """Comparison of two models on the newest samples, held out from the fit of the new one."""
 
     samples: int  # number of these samples
-    # Error of the model to be replaced [-]: root mean square over the channels of the objective,
-    # relative to the size of their group, the wrench and the clusters weighed by theta
+    # Error of the model to be replaced [-]: RMS over the channels of the objective, relative to the
+    # size of their group, with wrench and clusters weighted by theta
     old: float
-    new: float  # the same of the new one [-]
+    new: float  # likewise of the new model [-]
 
     def __str__(self) -> str:
         return (
@@ -72,30 +71,28 @@ class Contest:
 
 @dataclass(frozen=True)
 class Refit:
-    """A fit on a steady stretch or on all samples."""
+    """A fit on a plateau or on all samples."""
 
     fit: Fit
-    contest: Contest | None = None  # of the fit beside the model that it is to replace
-    # Why the stretch begins where it does, if a channel slipped or drifts, in words
-    cause: str = ""
+    contest: Contest | None = None  # against the model to be replaced
+    cause: str = ""  # why earlier samples were excluded, if a channel slipped or drifted
 
     @property
     def is_worse(self) -> bool:
-        """Whether it predicts the newest samples worse than the model that it is to replace."""
+        """Whether it predicts the newest samples worse than the model to be replaced."""
         return self.contest is not None and self.contest.new > self.contest.old
 
 
 class FitWorker:
-    """One process that fits one model at a time."""
+    """A process that fits one model at a time."""
 
     def __init__(self) -> None:
         self._open()
 
     def _open(self) -> None:
-        self._pool = ProcessPoolExecutor(
-            max_workers=1, mp_context=multiprocessing.get_context("spawn"), initializer=_step_back
-        )
-        # The libraries load now rather than within the first fit.
+        spawn = multiprocessing.get_context("spawn")
+        self._pool = ProcessPoolExecutor(1, spawn, initializer=_lower_priority)
+        # Load the libraries now rather than during the first fit.
         self._loaded = self._pool.submit(os.getpid)
 
     @property
@@ -104,24 +101,24 @@ class FitWorker:
         return self._loaded.done()
 
     def run(self, work: Callable[[*Ts], T], *arguments: *Ts) -> Future[T]:
-        """Have a function of a module called in the process."""
+        """Call a module-level function in the process."""
         try:
             return self._pool.submit(work, *arguments)
-        except BrokenProcessPool:  # it was killed: the next one takes its place
+        except BrokenProcessPool:  # it was killed: start a new one
             self._open()
             return self._pool.submit(work, *arguments)
 
     def close(self) -> None:
-        """End the process, whatever it is doing."""
+        """End the process at once, even during a fit."""
         for process in list((self._pool._processes or {}).values()):
             process.terminate()
-        # Joined here, the pool's thread is gone before the interpreter ends.
+        # Join the pool's thread before the interpreter ends.
         self._pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _step_back() -> None:
-    """Give way to the predictions, and end with the node even if that is killed."""
-    schedule_ordinarily()  # the node may share a process with one that measures
+def _lower_priority() -> None:
+    """Yield the processor to the predictions, and end with the node even if that is killed."""
+    schedule_ordinarily()  # the node may share a process with a sensor node
     os.nice(_NICENESS)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent(signal.SIGKILL)
@@ -133,11 +130,11 @@ def fit_samples(
     settings: IdentificationSettings,
     steady: Steady | None,
 ) -> Refit | None:
-    """Fit on the newest steady stretch of some samples; without `steady` on all of them.
+    """Fit on the newest plateau of some samples; on all of them if `steady` is None.
 
-    None where there is no steady stretch that is large and new enough.
+    Returns None if there is no plateau that is long and new enough.
     """
-    # Live, a centred window would lag, and the wrench is measured anyway.
+    # In live use, a centred window would lag, and the wrench is measured anyway.
     settings = replace(settings, pose_smoothing=0.0, wrench_sharpness=())
     if steady is None:
         return Refit(_plausible_fit(samples, geometry, settings))
@@ -155,7 +152,7 @@ def fit_samples(
         if used.sum() < max(steady.least_samples, MIN_SAMPLES):
             continue
         if samples.stamps[used][-1] <= steady.after:
-            return None  # and the other stretches are older
+            return None  # the other plateaus are older
         fit = _plausible_fit(samples[used], geometry, settings)
         contest = None
         if steady.rival is not None:
@@ -167,7 +164,7 @@ def fit_samples(
 def _plausible_fit(
     samples: Samples, geometry: SocketGeometry, settings: IdentificationSettings
 ) -> Fit:
-    """A fit that refuses a negated wrench: live, nobody reads a note before the model is used."""
+    """A fit that refuses a negated wrench: nobody would read a note before the model is used."""
     fit = fit_contact_model(samples, geometry, settings)
     note = sign_note(samples, geometry)
     if note is not None:
@@ -178,7 +175,7 @@ def _plausible_fit(
 def _judge(
     old: ContactModel, new: ContactModel, samples: Samples, settings: IdentificationSettings
 ) -> Contest:
-    """Judge two models by their errors on samples, relative to the size of each group."""
+    """Compare the errors of two models on samples, relative to the size of each group."""
     measured = samples.trusted_values
     counts = np.array([name not in settings.leave_out for name in samples.channels])
     measured[:, ~counts] = np.nan
@@ -199,7 +196,7 @@ def _judge(
 def check_samples(
     samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Say what to look at in some samples, the worst first, but for channels left out."""
+    """Problems in some samples, worst first, except in channels left out."""
     if len(samples) < LEAST_CHECKED:
         return ()
     found = check_data(samples, geometry, leave_out=leave_out, whole=False)

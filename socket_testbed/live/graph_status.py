@@ -19,8 +19,8 @@ from socket_testbed.trials.topics import (
     Topic,
 )
 
-_PENDING = 1000  # stamps kept while their measurements come in
-_JUDGED = 10.0  # [s]; over which predictions are compared with measurements
+_MAX_PENDING = 1000  # stamps whose measurements are incomplete
+_ERROR_WINDOW = 10.0  # [s]; averaging window of the prediction errors
 
 
 class GraphStatus:
@@ -28,11 +28,11 @@ class GraphStatus:
 
     def __init__(self) -> None:
         self.triggers = 0
-        self.complete = 0  # triggers of which every measurement has come and none is missing
+        self.complete = 0  # triggers with all measurements present and valid
         self.wrench: FloatArray | None = None  # the newest [M; F], shape (6,) [N m, N]
-        self.variant = ""  # of the model that predicts; empty before any
-        self.trial = ""  # that is being recorded; empty if none is
-        self.heard: float | None = None  # when the newest trigger arrived [s], monotonic clock
+        self.variant = ""  # of the predicting model; empty before the first
+        self.trial = ""  # being recorded; empty if none
+        self.heard: float | None = None  # arrival of the newest trigger [s], monotonic clock
         self._first = self._last = 0  # stamps of triggers [ns]
         self._pending: dict[int, set[Topic]] = {}
         self._measured: dict[int, FloatArray] = {}
@@ -40,15 +40,15 @@ class GraphStatus:
 
     @property
     def elapsed(self) -> float:
-        """Time from the first trigger to the newest [s]; since the last jump back, if any."""
+        """Time from the first trigger (or the last jump back) to the newest [s]."""
         return 1e-9 * (self._last - self._first)
 
     def errors(self) -> tuple[float, float] | None:
         """RMSE of the predicted forces [N] and moments [N m] over the last seconds; None: unknown.
 
-        Each sample is predicted before it is fitted to: the model has not seen it.
+        The model has not seen these samples: each is predicted before it is used in a fit.
         """
-        errors = list(self._errors)  # another thread adds
+        errors = list(self._errors)  # another thread appends
         if not errors:
             return None
         squares = np.square([error for _, error in errors]).reshape(-1, 2, 3)
@@ -56,12 +56,12 @@ class GraphStatus:
         return float(force), float(moment)
 
     def add(self, topic: Topic, stamp: int, values: Any) -> None:
-        """Take what was read of a message with a stamp [ns], see `Reader`."""
+        """Process the values of a message with a stamp [ns], see `Reader`."""
         if topic is ESTIMATED_WRENCH:
             error = values - self._measured.get(stamp, np.nan)
             if np.isfinite(error).all():
                 self._errors.append((stamp, error))
-            while self._errors and self._errors[0][0] < stamp - _JUDGED * 1e9:
+            while self._errors and self._errors[0][0] < stamp - _ERROR_WINDOW * 1e9:
                 self._errors.popleft()
             return
         if topic is TRIGGER:
@@ -78,7 +78,7 @@ class GraphStatus:
             _keep_newest(self._pending)
 
     def _add_trigger(self, stamp: int) -> None:
-        if not self.triggers or stamp < self._last:  # a replay that starts over
+        if not self.triggers or stamp < self._last:  # a replay restarts
             self._first = stamp
             self._pending.clear()
             self._measured.clear()
@@ -89,5 +89,5 @@ class GraphStatus:
 
 
 def _keep_newest(entries: dict[int, Any]) -> None:
-    while len(entries) > _PENDING:
+    while len(entries) > _MAX_PENDING:
         del entries[next(iter(entries))]

@@ -1,6 +1,6 @@
-"""The graph as processes: each is started with its settings, watched, and ended cleanly.
+"""The graph as processes: each is started with its settings, monitored, and ended cleanly.
 
-They end with the command that started them, even if that is killed.
+They end with the command that started them, even if it is killed.
 """
 
 from __future__ import annotations
@@ -30,48 +30,48 @@ from socket_testbed.files import TemporaryFolder, end_with_parent
 from socket_testbed.settings.acquisition import SchedulingSettings
 from socket_testbed.settings.fields import Settings, parameter_values
 
-# Each testbed has transforms of its own: in a namespace they are beside its other topics.
+# Each testbed has its own transforms, in the namespace of its other topics.
 REMAPPINGS = (("/tf", "tf"), ("/tf_static", "tf_static"))
 
 # Environment variables of the processes:
 PARENT = "SOCKET_TESTBED_PARENT"  # the process that started this one
-RESTARTED = "SOCKET_TESTBED_RESTARTED"  # set where another did this one's work before
+RESTARTED = "SOCKET_TESTBED_RESTARTED"  # set if this process replaces another
 
-SPARE = "spare"  # name of the process that takes the place of a node that was killed
+SPARE = "spare"  # name of the process that stands by to replace a killed node
 
 _NODES = "socket_testbed.nodes"
-_GRACE = 60.0  # [s]; for a node to end by itself
-_LOOK = 0.05  # [s]
-_EARLY = 10.0  # [s]; a process that fails within this time was given something wrong
-_LONGEST_WAIT = 10.0  # [s]; before a process that ends again and again is started again
-_CALM = 3.0  # [s]; how long all processes have run before a spare one takes processor time
+_STOP_TIMEOUT = 60.0  # [s]; for a clean end of a node
+_POLL_INTERVAL = 0.05  # [s]
+_EARLY_FAILURE = 10.0  # [s]; an earlier failure means wrong input
+_MAX_BACKOFF = 10.0  # [s]; before restarting a process that ends repeatedly
+_CALM_AFTER = 3.0  # [s]; all processes have run this long before a spare one is started
 
-_LIMITS = "/etc/security/limits.d/socket_testbed.conf"
-# Of mlockall: present and future memory, each page only once it is used.
+_LIMITS_FILE = "/etc/security/limits.d/socket_testbed.conf"
+# mlockall: current and future memory, each page on first use.
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
-_NAP = 0.002  # [s]; a conversion of the load cell's converter
+_SLEEP_TIME = 0.002  # [s]; conversion time of the load cell's converter
 
 
 def end_with_starter() -> None:
-    """End cleanly with the command that started this process, if one did."""
+    """End cleanly with the command that started this process, if any."""
     starter = os.environ.get(PARENT)
     if starter is None:
         return
     end_with_parent(signal.SIGTERM)
-    if os.getppid() != int(starter):  # it ended before the kernel was asked
+    if os.getppid() != int(starter):  # it ended before the request to the kernel
         os.kill(os.getpid(), signal.SIGTERM)
 
 
 @dataclass(frozen=True)
 class GraphNode:
-    """A node and how it is started."""
+    """A node and its start options."""
 
-    name: str  # and that of its module, such as estimator_node
+    name: str  # of the node and its module, such as estimator_node
     settings: Settings
     namespace: str = "/"
-    use_sim_time: bool = False  # whether it takes its time from /clock
-    process: str = ""  # name of the process that it shares with others; empty for one of its own
-    optional: bool = False  # whether the graph starts without it, too
+    use_sim_time: bool = False  # take the time from /clock
+    process: str = ""  # name of a process shared with other nodes; empty for its own process
+    optional: bool = False  # whether the graph can start without it
 
     @property
     def full_name(self) -> str:
@@ -80,7 +80,7 @@ class GraphNode:
 
 
 def write_parameters(nodes: Iterable[GraphNode], path: Path) -> Path:
-    """Write the ROS parameter file that nodes start with, in any namespace; returns its path."""
+    """Write the ROS parameter file of some nodes, for any namespace; returns its path."""
     document = {}
     for node in nodes:
         values = {"use_sim_time": node.use_sim_time, **parameter_values(node.settings)}
@@ -90,7 +90,7 @@ def write_parameters(nodes: Iterable[GraphNode], path: Path) -> Path:
 
 
 def launched(node: GraphNode, folder: Path) -> dict[str, Any]:
-    """Keywords of the action that starts a node from a launch file; a folder for its parameters."""
+    """Keywords of the launch action of a node; its parameters are written to `folder`."""
     return {
         "package": "socket_testbed",
         "executable": node.name,
@@ -103,7 +103,7 @@ def launched(node: GraphNode, folder: Path) -> dict[str, Any]:
 
 
 def require_ros() -> None:
-    """Refuse to go on without ROS 2 and the messages."""
+    """Refuse to continue without ROS 2 and the messages."""
     for package in ("rclpy", "socket_testbed_msgs"):
         if importlib.util.find_spec(package) is None:
             raise ConfigurationError(
@@ -114,18 +114,18 @@ def require_ros() -> None:
 
 @dataclass
 class _Member:
-    """A process of the graph, and when it was started [s]."""
+    """A process of the graph, and its start time [s]."""
 
     command: list[str]
     process: subprocess.Popen[bytes]
     started: float
     optional: bool
-    backoff: Backoff = field(default_factory=lambda: Backoff(_LONGEST_WAIT))
+    backoff: Backoff = field(default_factory=lambda: Backoff(_MAX_BACKOFF))
 
     def exit_code(self) -> int | None:
-        """Its exit code, minus the signal that ended it, or None while it runs.
+        """Its exit code (negative: the signal that ended it), or None while it runs.
 
-        Popen.poll keeps a lock for ever if Ctrl-C strikes within it; this keeps none.
+        Popen.poll can hold its lock forever if Ctrl-C interrupts it; this takes no lock.
         """
         if self.process.returncode is not None:
             return self.process.returncode
@@ -139,7 +139,7 @@ class _Member:
 class Graph:
     """Node processes that live and end together; a context manager.
 
-    The nodes print to `output`, None for this process's own. `meanwhile` is called all the time
+    The nodes print to `output`, by default that of this process. `meanwhile` is called repeatedly
     while the graph waits.
     """
 
@@ -149,9 +149,9 @@ class Graph:
         self._output = output
         self._meanwhile = meanwhile
         self._members: dict[str, _Member] = {}
-        self._spare: list[str] = []  # its arguments; empty for none
+        self._spare: list[str] = []  # arguments of the spare process; empty for none
         self._temporary = TemporaryFolder()
-        self.folder = Path(self._temporary.name)  # it exists as long as the graph
+        self.folder = Path(self._temporary.name)  # exists as long as the graph
         self._environment = {**os.environ, PARENT: str(os.getpid()), **shared_environment()}
 
     def __enter__(self) -> Self:
@@ -163,7 +163,7 @@ class Graph:
         self._temporary.cleanup()
 
     def set_time_scale(self, scale: float) -> None:
-        """Start further processes with a testbed clock of this scale, in (0, 1] [-]."""
+        """Start all further processes with this scale of the testbed clock, in (0, 1] [-]."""
         self._environment |= shared_environment(scale)
 
     def start(
@@ -173,7 +173,7 @@ class Graph:
         self.start_nodes([GraphNode(node, settings, namespace, use_sim_time)])
 
     def start_nodes(self, nodes: Iterable[GraphNode]) -> None:
-        """Start nodes in their order; those of a shared process together with its first."""
+        """Start nodes in order; those of a shared process together with its first."""
         processes: dict[str, list[GraphNode]] = {}
         for node in nodes:
             processes.setdefault(node.process or node.name, []).append(node)
@@ -185,23 +185,23 @@ class Graph:
             self.start_program(name, _NODES, [*names, *ros], optional)
 
     def keep_spare(self, namespace: str = "/") -> None:
-        """Keep a process beside the nodes that takes the place of one that is killed.
+        """Keep a process on standby to replace a killed one.
 
         It has imported the node libraries and been discovered, so it takes over at once. A fresh
-        process needs 2 to 5 s: Fast DDS looks for others every 3 s, and for as long sends data for
-        the new process to the shared memory of the killed one.
+        process needs 2 to 5 s: Fast DDS runs discovery every 3 s, and until then sends data for the
+        new process to the shared memory of the killed one.
         """
         self._spare = [SPARE, *_ros_arguments(namespace)]
 
     def start_program(
         self, name: str, module: str, arguments: list[str], optional: bool = False
     ) -> None:
-        """Start a module of this package as a process, which `watch` may do without."""
+        """Start a module of this package as a process; `watch` tolerates failures if optional."""
         command = [sys.executable, "-m", module, *arguments]
         self._members[name] = _Member(command, self._spawn(command), time.monotonic(), optional)
 
     def _spawn(self, command: list[str], again: bool = False) -> subprocess.Popen[bytes]:
-        # In a session of its own, Ctrl-C reaches a node once: from this process.
+        # In its own session, a node gets Ctrl-C only once: from this process.
         return subprocess.Popen(
             command,
             stdin=subprocess.PIPE,
@@ -212,7 +212,7 @@ class Graph:
         )
 
     def _replace(self, ended: _Member) -> subprocess.Popen[bytes]:
-        """A process that does the work of one that ended: the spare one, or a new one."""
+        """A replacement for an ended process: the spare one, or a new one."""
         spare = self._members.get(SPARE, ended)
         if spare is not ended and spare.exit_code() is None and _NODES in ended.command:
             assert spare.process.stdin is not None
@@ -224,7 +224,7 @@ class Graph:
         return self._spawn(ended.command, again=True)
 
     def wait(self, node: str) -> None:
-        """Wait until a node has done its work; an error if one ends with one."""
+        """Wait until a node has finished; raises an error if any process fails."""
         while (code := self._members[node].exit_code()) is None:
             self.check(but=node)
             self.pause()
@@ -232,40 +232,40 @@ class Graph:
             raise _failure(node, code)
 
     def pause(self, duration: float = 0.0) -> None:
-        """Let the processes work for a moment, or for a duration [s]."""
+        """Wait for a moment, or for a duration [s], while the processes work."""
         ends = time.monotonic() + duration
         while True:
             self._meanwhile()
-            time.sleep(_LOOK)
+            time.sleep(_POLL_INTERVAL)
             if time.monotonic() >= ends:
                 return
 
     def check(self, but: str = "") -> None:
-        """Raise an error if a process has ended, but for one."""
+        """Raise an error if a process has ended, except `but`."""
         for name, member in self._members.items():
             if name != but and (code := member.exit_code()) is not None:
                 raise _failure(name, code)
 
     def watch(self, done: Callable[[], bool], notify: Callable[[str], None]) -> None:
-        """Keep the processes running until something is done; `notify` gets a line per restart.
+        """Keep the processes running until `done()`; `notify` gets a line per restart.
 
-        A process that is killed is started again; one that fails at first is an error.
+        Ended processes are restarted; one that fails soon after the start raises an error.
         """
         began = time.monotonic()
         while not done():
             now = time.monotonic()
-            calm = all(now - member.started > _CALM for member in self._members.values())
+            calm = all(now - member.started > _CALM_AFTER for member in self._members.values())
             if self._spare and SPARE not in self._members and calm:
                 self.start_program(SPARE, _NODES, self._spare, optional=True)
             for name, member in list(self._members.items()):
                 code = member.exit_code()
                 if name not in self._members:
-                    continue  # the spare one, which has taken a place
+                    continue  # the spare process has replaced another
                 if code is None:
-                    if now - member.started > _EARLY:
+                    if now - member.started > _EARLY_FAILURE:
                         member.backoff.succeeded()
                     continue
-                if code > 0 and now - began < _EARLY and not member.optional:
+                if code > 0 and now - began < _EARLY_FAILURE and not member.optional:
                     raise _failure(name, code)
                 if member.backoff.due(now):
                     notify(f"{name} {_ending(code)}: started again")
@@ -275,23 +275,23 @@ class Graph:
             self.pause()
 
     def stop(self, *names: str) -> None:
-        """End some processes, or all of them: ask, then insist."""
+        """End some processes, or all of them: first SIGTERM, then SIGKILL."""
         members = [self._members[name] for name in names] or self._members.values()
-        # Before ROS has taken over, SIGTERM ends a node at once; afterwards cleanly.
+        # SIGTERM ends a node cleanly once ROS handles signals, and at once before that.
         for number in (signal.SIGTERM, signal.SIGKILL):
             running = [member for member in members if member.exit_code() is None]
             for member in running:
                 with suppress(ProcessLookupError):
                     os.kill(member.process.pid, number)
-            deadline = time.monotonic() + _GRACE
+            deadline = time.monotonic() + _STOP_TIMEOUT
             while time.monotonic() < deadline and any(m.exit_code() is None for m in running):
                 self.pause()
         for member in members:
-            member.process.poll()  # the system forgets it
+            member.process.poll()  # reap it
 
 
 def _ros_arguments(namespace: str) -> list[str]:
-    """ROS arguments of nodes in a namespace, but for their parameters."""
+    """ROS arguments of nodes in a namespace, except their parameters."""
     rules = (f"__ns:={namespace}", *(f"{a}:={b}" for a, b in REMAPPINGS))
     return ["--ros-args", *(word for rule in rules for word in ("-r", rule))]
 
@@ -310,9 +310,9 @@ def _ending(code: int) -> str:
 
 
 def schedule(settings: SchedulingSettings) -> list[str]:
-    """Schedule all threads of this process as its settings want it; later threads inherit it.
+    """Apply scheduling settings to all threads of this process; later threads inherit them.
 
-    Returns what was refused, a line each: the fact, and how to get the right to it.
+    Returns a line for each refused setting: the fact, and how to get the permission.
     """
     cores, priority = settings.cores, settings.priority
     refused = []
@@ -320,7 +320,7 @@ def schedule(settings: SchedulingSettings) -> list[str]:
     def change(what: str, hint: str, call: Callable[..., None], *values: Any) -> None:
         try:
             for thread in Path("/proc/self/task").iterdir():
-                with suppress(ProcessLookupError):  # it has ended meanwhile
+                with suppress(ProcessLookupError):  # it has ended
                     call(int(thread.name), *values)
         except OSError as error:
             refused.append(f"scheduling.{what} is refused ({error.strerror}): {hint}")
@@ -340,18 +340,18 @@ def schedule(settings: SchedulingSettings) -> list[str]:
 
 
 def _right(limit: str, capability: str) -> str:
-    return f"put 'USER - {limit}' into {_LIMITS} and log in anew, or give the right {capability}"
+    return f"put 'USER - {limit}' into {_LIMITS_FILE} and log in again, or grant {capability}"
 
 
 def schedule_ordinarily() -> None:
-    """Give a real-time priority that was inherited back."""
+    """Give up an inherited real-time priority."""
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def measure_lateness(priority: int = 0, duration: float = 1.0) -> FloatArray:
-    """Measure for a while [s] how late a thread wakes up from short sleeps, each time [s].
+    """Measure the wake-up delays of a thread from short sleeps [s], over a duration [s].
 
-    Its real-time priority is 0 for an ordinary thread; without the right to one there is no value.
+    Priority 0 is an ordinary thread; without permission for a real-time priority, returns none.
     """
     late: list[float] = []
 
@@ -364,7 +364,7 @@ def measure_lateness(priority: int = 0, duration: float = 1.0) -> FloatArray:
         due = time.perf_counter()
         ends = due + duration
         while due < ends:
-            due = max(due + _NAP, time.perf_counter())
+            due = max(due + _SLEEP_TIME, time.perf_counter())
             time.sleep(max(0.0, due - time.perf_counter()))
             late.append(time.perf_counter() - due)
 

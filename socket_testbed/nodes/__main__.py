@@ -1,10 +1,10 @@
-"""Runs nodes: one executor, clean ends, errors in one line.
+"""Runs nodes: one executor, clean shutdown, one-line errors.
 
-`python -m socket_testbed.nodes NODE... --ros-args ...` runs one node or several in one process; a
-program with the name of a node, such as `ros2 run socket_testbed cluster_node`, runs that node.
+`python -m socket_testbed.nodes NODE... --ros-args ...` runs one or more nodes in one process; a
+program named after a node, such as `ros2 run socket_testbed cluster_node`, runs that node.
 
-`python -m socket_testbed.nodes spare --ros-args ...` waits, ready for the place of a node that is
-killed: its standard input then gets that one's arguments, as a JSON list.
+`python -m socket_testbed.nodes spare --ros-args ...` stands by to replace a killed node, whose
+arguments it then reads from standard input as a JSON list.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ except ModuleNotFoundError as error:
         " requirements/runtime.txt is installed in (README, colcon workspace)"
     )
 
-_RARE = ("view_node",)  # its imports take as much memory as all others
-_POLL = 0.2  # [s]
-_SWITCH = 5e-4  # [s]; a thread that is due waits no longer for one that computes
+_NOT_PRELOADED = ("view_node",)  # its imports need as much memory as all others together
+_POLL_INTERVAL = 0.2  # [s]
+_SWITCH_INTERVAL = 5e-4  # [s]; longest wait of a thread for one that computes
 
 
 def main() -> None:
-    """Run the nodes that are named until one has finished or the process is to end, and exit."""
+    """Run the named nodes until one finishes or the process is asked to end, and exit."""
     program, *words = sys.argv
     if Path(program).name in TestbedSettings().nodes():
         words = [Path(program).name, *words]
@@ -51,13 +51,13 @@ def main() -> None:
 
 
 def _split(words: list[str]) -> tuple[list[str], list[str]]:
-    """The names of nodes, and the ROS arguments after them."""
+    """The node names and the ROS arguments that follow."""
     names = words.index("--ros-args") if "--ros-args" in words else len(words)
     return words[:names], words[names:]
 
 
 def _node_class(name: str) -> Callable[[], TestbedNode[Any]]:
-    """Class of a node: CalibrationNode of calibration_node."""
+    """Class of a node, such as CalibrationNode for calibration_node."""
     known = TestbedSettings().nodes()
     if name not in known:
         raise ConfigurationError(f"there is no node '{name}'", closest(name, known))
@@ -69,27 +69,27 @@ def _node_class(name: str) -> Callable[[], TestbedNode[Any]]:
 
 
 def _run(names: list[str]) -> int:
-    # ROS ends its context on SIGINT. Python's KeyboardInterrupt on top of it could strike in the
-    # middle of a callback, where nothing can catch it.
+    # ROS shuts its context down on SIGINT. An additional KeyboardInterrupt could strike inside a
+    # callback, where nothing can catch it.
     signal.signal(signal.SIGINT, lambda number, frame: None)
-    sys.setswitchinterval(_SWITCH)
+    sys.setswitchinterval(_SWITCH_INTERVAL)
     rclpy.init()
     end_with_starter()
     try:
         with ExitStack() as stack:
             ready = None
             if names == [SPARE]:
-                # The others know a process that has a node, and as long as it has one.
+                # Other processes discover a process only while it has a node.
                 ready = rclpy.create_node(
                     "_spare", start_parameter_services=False, enable_rosout=False
                 )
-                names, TestbedNode.arguments = _split(_await_place())
+                names, TestbedNode.arguments = _split(_await_replacement())
             nodes = []
             for name in names:
                 nodes.append(_node_class(name)())
                 stack.callback(nodes[-1].destroy_node)
                 stack.callback(nodes[-1].close)
-                # As a node that measures wants it; without the right, it goes on.
+                # Nodes that measure set their scheduling; without permission, they continue.
                 wanted = getattr(nodes[-1].settings, "scheduling", SchedulingSettings())
                 for line in schedule(wanted):
                     nodes[-1].get_logger().warning(line)
@@ -101,7 +101,7 @@ def _run(names: list[str]) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 1
     except Exception:
-        # Ended while it starts or closes, a node finds ROS gone at any of its calls.
+        # During start or shutdown, any ROS call fails once ROS has ended.
         if rclpy.ok():
             raise
     finally:
@@ -109,12 +109,12 @@ def _run(names: list[str]) -> int:
     return 0
 
 
-def _await_place() -> list[str]:
-    """Be ready until another process's place is to be taken: its arguments; empty if ROS ends."""
+def _await_replacement() -> list[str]:
+    """Preload the nodes and wait for the arguments of a process to replace; empty if ROS ends."""
     for name in TestbedSettings().nodes():
-        if name not in _RARE:
+        if name not in _NOT_PRELOADED:
             _node_class(name)
-    while rclpy.ok() and not select.select([sys.stdin], [], [], _POLL)[0]:
+    while rclpy.ok() and not select.select([sys.stdin], [], [], _POLL_INTERVAL)[0]:
         pass
     words = json.loads(sys.stdin.read() or "[]") if rclpy.ok() else []
     os.environ[RESTARTED] = "1"
@@ -122,17 +122,17 @@ def _await_place() -> list[str]:
 
 
 def _spin(nodes: list[TestbedNode[Any]]) -> None:
-    # What is there now stays: looking through it for garbage would hold up a trigger by 30 ms.
+    # Scanning these long-lived objects for garbage would delay a trigger by 30 ms.
     gc.collect()
     gc.freeze()
     executor = EventsExecutor()
     for node in nodes:
         executor.add_node(node)
     with suppress(ExternalShutdownException):
-        # spin() of the events executor overflows its wait in Jazzy's release; this does not. The
-        # end of the first node is noticed at once.
+        # In Jazzy, the wait of the events executor's spin() overflows; this call's does not. It
+        # notices the end of the first node at once.
         while rclpy.ok() and not any(node.finished.done() for node in nodes):
-            executor.spin_until_future_complete(nodes[0].finished, timeout_sec=_POLL)
+            executor.spin_until_future_complete(nodes[0].finished, timeout_sec=_POLL_INTERVAL)
 
 
 if __name__ == "__main__":

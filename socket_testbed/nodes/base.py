@@ -1,8 +1,7 @@
-"""What every node of the testbed shares: settings, topics, services, diagnostics.
+"""Base of all nodes of the testbed: settings, topics, services, diagnostics.
 
-A node declares the parameters of its settings class, advertises and listens to topics, and reports
-how it is: on /diagnostics at 1 Hz, and at once on a change of level, under its full name such as
-/left/cluster_node.
+A node declares the parameters of its settings class, advertises and subscribes to topics, and
+reports its state on /diagnostics, at 1 Hz and at once on a change of level, under its full name.
 """
 
 from __future__ import annotations
@@ -52,19 +51,19 @@ from socket_testbed.trials.topics import DIAGNOSTICS, PUBLISHER_DEPTH, Topic
 
 OK, WARN, ERROR = 0, 1, 2  # as in DiagnosticStatus
 
-# Keys of the diagnostics that other nodes read.
+# Diagnostics keys that other nodes read.
 WAITING_FOR = "waiting_for"
 NEWEST_STAMP = "newest_stamp"
 ELAPSED = "elapsed"  # [s]; of the recording
-FREE = "free"  # [bytes]; of the recorder's disk
+FREE = "free"  # [bytes]; on the recorder's disk
 LINKS = "links"  # topic=number of matched subscribers, separated by blanks
-HEARS = "hears"  # topics that it is linked only with a publisher of, separated by blanks
+HEARS = "hears"  # topics from which it needs a publisher, separated by blanks
 
-_SUBSCRIBER_DEPTH = 2000  # [messages]; a fast replay or a busy moment loses nothing
-_PERIOD = 1.0  # [s]
-_CHECKED = 0.1  # [s]; how often the links and the node are checked
-_RECENT = 0.5  # [s]
-_POLL = 0.02  # [s]
+_SUBSCRIBER_DEPTH = 2000  # [messages]; enough for a fast replay or a busy moment
+_REPORT_PERIOD = 1.0  # [s]
+_CHECK_PERIOD = 0.1  # [s]; of links and node
+_FAULT_DURATION = 0.5  # [s]
+_POLL_INTERVAL = 0.02  # [s]
 
 S = TypeVar("S", bound=Settings)
 
@@ -80,14 +79,14 @@ def publisher_qos(topic: Topic) -> QoSProfile:
 
 
 def subscriber_qos(topic: Topic) -> QoSProfile:
-    """Quality of service of the testbed's own subscribers: as offered, with a deep queue."""
+    """Quality of service of the testbed's own subscribers: as published, with a deep queue."""
     qos = publisher_qos(topic)
     qos.depth = _SUBSCRIBER_DEPTH
     return qos
 
 
 def file_or_packaged(given: str, name: str) -> Path:
-    """The file that a setting gives or, where it is empty, the package's own of this name."""
+    """The file given by a setting or, if empty, the package's own file of this name."""
     return Path(given) if given else packaged("config", name)
 
 
@@ -98,7 +97,7 @@ def message_type(topic: Topic) -> Any:
 
 
 def stamp_to_ros(stamp: int) -> Time:
-    """A time since the epoch [ns] as ROS has it."""
+    """A time since the epoch [ns] as a ROS message."""
     seconds, nanoseconds = divmod(stamp, 1_000_000_000)
     return Time(sec=seconds, nanosec=nanoseconds)
 
@@ -109,17 +108,17 @@ def header_to_ros(stamp: int, frame: str = LOAD_CELL_FRAME) -> Header:
 
 
 def is_acknowledged(publisher: Publisher) -> bool:
-    """Whether all subscribers have acknowledged all that was published.
+    """Whether all subscribers have acknowledged all messages.
 
-    It waits for none: rclpy holds the interpreter, all threads of the process, while it waits.
+    Does not wait: rclpy would hold the GIL, and so block all threads of the process.
     """
     return bool(publisher.wait_for_all_acked(Duration()))
 
 
 class Inbox:
-    """Messages of a hidden node that no executor serves: kept as the QoS says, until asked for.
+    """A hidden node without an executor: the middleware queues messages until they are taken.
 
-    At 100 Hz that takes 2 % of a core, where an executor takes 4 %.
+    At 100 Hz this needs 2 % of a core; an executor needs 4 %.
     """
 
     def __init__(self, name: str, namespace: str, topics: Mapping[Topic, QoSProfile]) -> None:
@@ -138,7 +137,7 @@ class Inbox:
         }
 
     def take(self, topic: Topic) -> list[bytes]:
-        """The serialised messages that have come since the last call, in their order."""
+        """The serialised messages received since the last call, in order."""
         found, subscription = [], self._subscriptions[topic]
         with subscription.handle:
             while taken := subscription.handle.take_message(subscription.msg_type, True):
@@ -146,7 +145,7 @@ class Inbox:
         return found
 
     def close(self) -> None:
-        """Unsubscribe, and end the node."""
+        """Unsubscribe and destroy the node."""
         self.node.destroy_node()
 
 
@@ -154,14 +153,14 @@ class RecentFault:
     """The last fault in a node's thread."""
 
     def __init__(self) -> None:
-        self._last = ("", 0.0)  # one value: it is written in one thread and read in another
+        self._last = ("", 0.0)  # one tuple, because threads share it without a lock
 
     def note(self, text: str) -> None:
-        """Note a fault that happens now."""
+        """Note a fault that occurs now."""
         self._last = (text, clocks.monotonic())
 
-    def text(self, recent: float = _RECENT) -> str:
-        """The fault, empty when it was longer ago than this [s]."""
+    def text(self, recent: float = _FAULT_DURATION) -> str:
+        """The fault; empty if it is older than `recent` [s]."""
         text, when = self._last
         return text if clocks.monotonic() - when < recent else ""
 
@@ -169,23 +168,23 @@ class RecentFault:
 class TestbedNode(Node, Generic[S]):
     """A node with settings, topics, services and diagnostics.
 
-    Nodes override `figures`, `check`, `ready` and `close` as they need. The parameters
-    are the settings of `kind`; a change that these refuse is refused, with the reason. For `settle`
-    [s] a node that has not reported OK counts as starting.
+    Nodes override `figures`, `check`, `ready` and `close` as needed. The parameters are the
+    settings of `kind`, which also validate changes. For `settle` [s], a node that has not reported
+    OK counts as starting.
     """
 
     __test__ = False
-    arguments: ClassVar[list[str]] = []  # of ROS, beside those of the process
+    arguments: ClassVar[list[str]] = []  # ROS arguments in addition to those of the process
 
     def __init__(self, name: str, kind: type[S], settle: float = 0.0) -> None:
         super().__init__(name, cli_args=self.arguments)
-        self.device = ""  # that it works with, if any
-        self.finished = Future()  # set when it has done its work
+        self.device = ""  # attached device, if any
+        self.finished = Future()  # set when the work is done
         self._kind = kind
         fields = kind.flat()
         for parameter, value in parameter_values(kind()).items():
             self.declare_parameter(parameter, value, _descriptor(parameter, fields[parameter]))
-        self.settings = self._read_settings({})  # as they are now
+        self.settings = self._read_settings({})  # kept current
         self.add_on_set_parameters_callback(self._check_settings)
         self.add_post_set_parameters_callback(self._change_settings)
 
@@ -201,9 +200,9 @@ class TestbedNode(Node, Generic[S]):
         self._diagnostics = self.create_publisher(
             DiagnosticArray, DIAGNOSTICS.name, publisher_qos(DIAGNOSTICS)
         )
-        self.repeat(_CHECKED, self._check)
+        self.repeat(_CHECK_PERIOD, self._check)
 
-    # What a node overrides.
+    # Nodes override these.
 
     def figures(self) -> dict[str, object]:
         """Figures for the diagnostics, by name."""
@@ -217,15 +216,15 @@ class TestbedNode(Node, Generic[S]):
         return True
 
     def close(self) -> None:
-        """End what the node has begun: called once, before it is destroyed."""
+        """Release the node's resources; called once, before it is destroyed."""
         for thread in self._service_threads:
             thread.shutdown()
 
-    # What a node calls.
+    # Nodes call these.
 
     @contextmanager
     def until_ros_ends(self) -> Iterator[None]:
-        """Errors count while ROS runs: after Ctrl-C publishers go before threads and callbacks."""
+        """Ignore errors once ROS has ended: Ctrl-C destroys publishers before threads end."""
         try:
             yield
         except Exception:
@@ -233,11 +232,11 @@ class TestbedNode(Node, Generic[S]):
                 raise
 
     def repeat(self, period: float, callback: Callable[[], None]) -> None:
-        """Call back at every period [s]; even when the system clock jumps or a replay pauses."""
+        """Call back periodically [s], even if the system clock jumps or a replay pauses."""
         self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def advertise(self, topic: Topic, name: str = "", needed: bool = False) -> Publisher:
-        """A publisher, under another name if given; needed, it is linked only with a subscriber."""
+        """A publisher, optionally under another name; if `needed`, it must have a subscriber."""
         publisher = self.create_publisher(
             message_type(topic), name or topic.name, publisher_qos(topic)
         )
@@ -245,7 +244,7 @@ class TestbedNode(Node, Generic[S]):
         return publisher
 
     def sender(self, topic: Topic, pack: Callable[..., bytes]) -> Callable[..., None]:
-        """What publishes the message that a packer makes of the same arguments."""
+        """A function that publishes the message packed from its arguments."""
         publisher = self.advertise(topic)
         return lambda *values: publisher.publish(pack(*values))
 
@@ -257,17 +256,17 @@ class TestbedNode(Node, Generic[S]):
         needed: bool = True,
         raw: bool = False,
     ) -> None:
-        """Subscribe, under another name if given; needed, it is linked only with a publisher.
+        """Subscribe, optionally under another name; if `needed`, there must be a publisher.
 
-        The callback gets each message, serialised if raw.
+        The callback gets each message, serialised if `raw`.
         """
 
-        def hear(message: Any) -> None:
+        def receive(message: Any) -> None:
             with self.until_ros_ends():
                 callback(message)
 
         subscription = self.create_subscription(
-            message_type(topic), name or topic.name, hear, subscriber_qos(topic), raw=raw
+            message_type(topic), name or topic.name, receive, subscriber_qos(topic), raw=raw
         )
         if needed:
             self._inputs.append(subscription)
@@ -275,15 +274,15 @@ class TestbedNode(Node, Generic[S]):
     def follow(
         self, topic: Topic, callback: Callable[[int, Any], None], needed: bool = True
     ) -> None:
-        """Subscribe: the callback gets stamp [ns] and values of each message, see `Reader`."""
+        """Subscribe; the callback gets the stamp [ns] and values of each message, see `Reader`."""
         read = Reader(topic).read
         self.listen(topic, lambda data: callback(*read(data)), needed=needed, raw=True)
 
     def serve(self, kind: Any, name: str, answer: Callable[..., str], slow: bool = False) -> None:
-        """Offer a service of the type SetBool or Trigger; a slow one has a thread of its own.
+        """Offer a SetBool or Trigger service; a slow one runs in its own thread.
 
-        The answer is called with the request's data, if it has any, and returns the response's
-        message. A TestbedError makes the response a failure with this message.
+        `answer` is called with the request's data, if any, and returns the response's message. A
+        TestbedError makes the response a failure with that message.
         """
 
         def respond(request: Any, response: Any) -> Any:
@@ -298,8 +297,8 @@ class TestbedNode(Node, Generic[S]):
         if not slow:
             self.create_service(kind, name, respond)
             return
-        # The events executor knows no coroutines. It answers with what the callback returns,
-        # through `send_response`: both only pass the request on to the thread, which answers.
+        # The events executor does not support coroutines. It passes the callback's result to
+        # `send_response`; here both only forward the request to the thread, which answers.
         thread = ThreadPoolExecutor(1, thread_name_prefix=name)
         service = self.create_service(kind, name, lambda *given: given)
         send = service.send_response
@@ -308,14 +307,14 @@ class TestbedNode(Node, Generic[S]):
             with self.until_ros_ends():
                 send(respond(*given), header)
 
-        # The result of an answer raises what went wrong, and so prints it.
+        # `result` raises an error of the answer, so that it is printed.
         service.send_response = lambda given, header: thread.submit(
             answer_later, given, header
         ).add_done_callback(lambda done: done.result())
         self._service_threads.append(thread)
 
     def report(self, level: int, message: str) -> None:
-        """Report how the node is, fact and hint in one line; what is new goes out at once."""
+        """Report the node's state, fact and hint in one line; a change is published at once."""
         if level != OK and clocks.monotonic() < self._settled_at:
             level, message = WARN, f"starting: {message}"
         before = self._level, self._message
@@ -327,14 +326,14 @@ class TestbedNode(Node, Generic[S]):
             self._settled_at = 0.0
             self._has_worked = True
         logger = self.get_logger()
-        if not self.context.ok():  # ROS has ended: only the terminal is left
+        if not self.context.ok():  # ROS has ended; only the terminal remains
             print(f"[{logger.name}]: {message}", file=sys.stderr)
             return
         if level != before[0]:
             self._publish_diagnostics()
         elif _without_figures(message) == _without_figures(before[1]):
-            return  # figures change all the time: they are no news for the log
-        # A line each: rclpy refuses another severity from the same line.
+            return  # only numbers changed: do not log
+        # Separate lines: rclpy refuses different severities from one line.
         if level == ERROR:
             logger.error(message)
         elif level == WARN:
@@ -367,23 +366,24 @@ class TestbedNode(Node, Generic[S]):
     def _check(self) -> None:
         with self.until_ros_ends():
             self.check()
-            waiting = self._unlinked()
+            waiting = self._waiting_for()
             self._checks += 1
-            # A replay goes on as the nodes that it waits for report how far they are.
+            # A replay advances with the progress that its followers report.
             replayed = self.count_publishers("/clock") > 0
-            if replayed or waiting != self._waiting or self._checks * _CHECKED >= _PERIOD:
+            due = self._checks * _CHECK_PERIOD >= _REPORT_PERIOD
+            if replayed or due or waiting != self._waiting:
                 self._waiting = waiting
                 self._publish_diagnostics()
 
     def links(self) -> dict[str, tuple[int, int]]:
-        """By the topic of each publisher: matched subscribers, and how many there should be."""
-        there = {
+        """Numbers of matched and of expected subscribers, by the topic of each publisher."""
+        expected = {
             p: max(needed, self.count_subscribers(p.topic_name)) for p, needed in self._outputs
         }
-        return {p.topic_name: (p.get_subscription_count(), count) for p, count in there.items()}
+        return {p.topic_name: (p.get_subscription_count(), n) for p, n in expected.items()}
 
-    def _unlinked(self) -> list[str]:
-        """Topics without a counterpart in the graph, and the node while it starts."""
+    def _waiting_for(self) -> list[str]:
+        """Topics without a counterpart in the graph, and the node itself while it starts."""
         waiting = [
             s.topic_name
             for s in self._inputs
@@ -420,7 +420,7 @@ def _descriptor(name: str, item: dataclasses.Field[Any]) -> ParameterDescriptor:
     text = limits["description"]
     if limits["choices"]:
         text += "; one of " + ", ".join(limits["choices"])
-    # Dynamic typing lets a whole number stand for a double; the settings check the rest.
+    # Dynamic typing allows an integer for a double; the settings check everything else.
     descriptor = ParameterDescriptor(
         name=name, description=text, dynamic_typing=True, read_only=limits["fixed"]
     )
@@ -441,10 +441,10 @@ def _from_ros(value: Any) -> Any:
 
 
 class Followers:
-    """Nodes that a trigger or a replay waits for: linked at its start, never left far behind.
+    """Nodes that a trigger or a replay waits for: linked at the start, never left far behind.
 
-    How they are is what their diagnostics report. Their names are in the waiting node's namespace
-    or absolute; `stopped` says whether waiting has become pointless.
+    Their state comes from their diagnostics. Their names are relative to the waiting node's
+    namespace or absolute; waiting ends once `stopped` returns true.
     """
 
     def __init__(
@@ -466,21 +466,21 @@ class Followers:
         return len(self._waiting)
 
     def await_links(self, patience: float) -> str:
-        """Wait until all that publish and subscribe have found each other.
+        """Wait until all publishers and subscribers have discovered each other.
 
-        A node may not know yet of a subscriber that another knows of, or of one that says so
-        itself, and would publish past it. Returns what is not linked in time, if anything.
+        A publisher may not have discovered a subscriber that other nodes, or the subscriber itself,
+        know of; its messages would be lost. Returns what is not linked in time, or "".
         """
 
         def linked() -> bool:
             heard = Counter(chain.from_iterable(self._hears.values()))
-            own = [(name, known, there) for name, (known, there) in self._node.links().items()]
+            own = [(name, known, count) for name, (known, count) in self._node.links().items()]
             theirs = [
                 (name, known, self._node.count_subscribers(name))
                 for links in self._links.values()
                 for name, known in links.items()
             ]
-            found = all(known >= max(heard[name], there) for name, known, there in own + theirs)
+            found = all(known >= max(heard[name], count) for name, known, count in own + theirs)
             return found and not any(self._waiting.values())
 
         if self.wait(linked, patience) or self._stopped():
@@ -489,30 +489,30 @@ class Followers:
         return ", ".join(waiting) or "subscribers"
 
     def sent(self, stamp: int) -> None:
-        """A sample with this stamp [ns] was sent to them."""
+        """Note that a sample with this stamp [ns] was sent to them."""
         self._sent.append(stamp)
 
     def start_over(self) -> None:
-        """Time jumps back: what they had processed says nothing any more."""
+        """Forget their progress, because time jumps back."""
         with self._news:
             self._newest = dict.fromkeys(self._newest, 0)
             self._sent.clear()
 
     def wait(self, condition: Callable[[], bool], duration: float) -> bool:
-        """Wait until a condition holds; returns whether it does after a duration [s]."""
+        """Wait until a condition holds, at most a duration [s]; returns whether it does."""
         deadline = time.monotonic() + duration
         with self._news:
             while not condition():
                 left = deadline - time.monotonic()
                 if left <= 0.0 or self._stopped():
                     return False
-                self._news.wait(min(left, _POLL))
+                self._news.wait(min(left, _POLL_INTERVAL))
         return True
 
     def catch_up(self, behind: int, patience: float) -> int:
-        """Wait until they are at most so many samples behind, while there is progress in time.
+        """Wait until they are at most `behind` samples behind; `patience` limits a standstill [s].
 
-        Returns how many samples they are still behind, 0 if they caught up.
+        Returns the number of samples they are still behind, 0 if they caught up.
         """
         while self._newest and len(self._sent) > behind:
             before = len(self._sent)

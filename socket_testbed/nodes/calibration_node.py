@@ -1,4 +1,4 @@
-"""Calibration node: capacitances of the clusters to stresses.
+"""Calibration node: converts the clusters' capacitances to stresses.
 
 Subscribes: clusters/capacitance. Publishes: clusters/stress, /diagnostics.
 """
@@ -16,7 +16,7 @@ from socket_testbed.trials.topics import CAPACITANCE, STRESS
 
 
 class CalibrationNode(TestbedNode[CalibrationNodeSettings]):
-    """Applies the calibration to every message of capacitances."""
+    """Applies the calibration to every capacitance message."""
 
     def __init__(self) -> None:
         super().__init__("calibration_node", CalibrationNodeSettings)
@@ -51,7 +51,7 @@ class CalibrationNode(TestbedNode[CalibrationNodeSettings]):
             self.report(*self._health(read.names, states))
 
     def _prepare(self, names: tuple[str, ...]) -> None:
-        """Take other clusters over; those without a calibration stay missing."""
+        """Switch to other clusters; those without a calibration stay missing."""
         self._names = names
         self._known = [i for i, name in enumerate(names) if name in self._calibration.clusters]
         if self._known:

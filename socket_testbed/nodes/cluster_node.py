@@ -1,4 +1,4 @@
-"""Cluster node: the capacitances of all clusters at each trigger.
+"""Cluster node: measures the capacitances of all clusters at each trigger.
 
 Subscribes: trigger. Publishes: clusters/capacitance, /diagnostics.
 """
@@ -14,11 +14,11 @@ from socket_testbed.settings.acquisition import ClusterSettings
 from socket_testbed.trials.messages import capacitance_packer
 from socket_testbed.trials.topics import CAPACITANCE
 
-_STUCK = 0.5  # [s]; a reading that takes longer hangs
+_READ_TIMEOUT = 0.5  # [s]; a longer reading means a hanging bus
 
 
 class ClusterNode(SensorNode[ClusterSettings]):
-    """Reads the clusters at each trigger; what fails is missing, the others go on."""
+    """Reads the clusters at each trigger; a failed cluster is missing, the others continue."""
 
     def __init__(self) -> None:
         super().__init__("cluster_node", ClusterSettings)
@@ -34,7 +34,7 @@ class ClusterNode(SensorNode[ClusterSettings]):
         self._reader.close()
 
     def figures(self) -> dict[str, object]:
-        """Number of measurements, and of channels that are missing."""
+        """Numbers of measurements and of missing channels."""
         return {"samples": self.samples, "missing_channels": self.missing}
 
     def measure(self, stamp: int, moment: float) -> None:
@@ -44,7 +44,7 @@ class ClusterNode(SensorNode[ClusterSettings]):
         self._send(stamp, reading.capacitance, reading.status)
 
     def idle(self) -> None:
-        """See how the clusters are."""
+        """Check the clusters."""
         self._read(clocks.monotonic())
 
     def _read(self, moment: float) -> ClusterReading:
@@ -55,9 +55,9 @@ class ClusterNode(SensorNode[ClusterSettings]):
         return reading
 
     def health(self) -> tuple[int, str] | None:
-        """A bus that hangs, what the last readings lack, or that all answer."""
+        """A hanging bus, the latest fault, or OK once the clusters have answered."""
         since = self.busy_since
-        if since is not None and clocks.monotonic() - since > _STUCK:
+        if since is not None and clocks.monotonic() - since > _READ_TIMEOUT:
             return ERROR, "a bus hangs: check the clusters' wires and supply"
         if fault := self.fault.text():
             return ERROR, fault

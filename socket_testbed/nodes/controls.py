@@ -1,4 +1,4 @@
-"""What a person does to a running testbed, and sees of it: events, services, the status line."""
+"""User controls of a running testbed: events, services, and data for the status line."""
 
 from __future__ import annotations
 
@@ -49,27 +49,27 @@ from socket_testbed.trials.topics import (
     namespace_of,
 )
 
-_POLL = 0.02  # [s]
+_POLL_INTERVAL = 0.02  # [s]
 
-_WATCHED = (*REQUIRED, ESTIMATED_WRENCH)  # what is measured, and then what was predicted of it
+_STATUS_TOPICS = (*REQUIRED, ESTIMATED_WRENCH)  # measurements before their predictions
 
-# Of an event, in real time:
-_LINKED_WITHIN = 6.0  # [s]; for a subscriber to be found on a busy machine
-_TRIGGERED_WITHIN = 5.0  # [s]; for enough triggers
-_LEAST = 1.0  # [s]; from the first trigger to the last
-_SLOW = 3.0  # [-]; how much longer than the call is ago the triggers of a slow testbed are heard
-_LONGEST = 12.0  # [s]; but no longer
-_HEARD_WITHIN = 5.0  # [s]; for the event to be acknowledged
+# Events, in real time:
+_LINK_TIMEOUT = 6.0  # [s]; to discover a subscriber on a busy machine
+_TRIGGER_TIMEOUT = 5.0  # [s]; for enough triggers
+_MIN_SPAN = 1.0  # [s]; from the first trigger to the last
+_SPAN_FACTOR = 3.0  # [-]; span of a slow testbed's triggers, relative to the age of the call
+_MAX_SPAN = 12.0  # [s]; upper limit of that span
+_ACKNOWLEDGE_TIMEOUT = 5.0  # [s]
 _REAL_TIME = 1e9  # [ns/s]
-_ABOUT = 0.1  # [-]; triggers whose speed differs less from real time come in real time
+_SPEED_TOLERANCE = 0.1  # [-]; a smaller deviation from real time is noise
 
-# Of a service:
-_FOUND_WITHIN = 3.0  # [s]
-_ANSWERS_WITHIN = 5.0  # [s] of the testbed; a tare averages one
-_FITS_WITHIN = 120.0  # [s]
-_ASK_AGAIN = 2.5  # [s] of the testbed; the middleware can lose an answer
+# Services:
+_DISCOVERY_TIMEOUT = 3.0  # [s]
+_ANSWER_TIMEOUT = 5.0  # [s] of the testbed; a tare averages for one
+_FIT_TIMEOUT = 120.0  # [s]
+_RETRY_INTERVAL = 2.5  # [s] of the testbed; the middleware can lose an answer
 
-# Type of each service, and the node that offers it.
+# Type of each service and the node that offers it.
 _NEXT_TRIAL = "recorder_node/set_parameters_atomically"
 _SERVICES = {
     "load_cell/tare": (Trigger, "load_cell_node"),
@@ -78,7 +78,7 @@ _SERVICES = {
     "recorder/record": (SetBool, "recorder_node"),
     _NEXT_TRIAL: (SetParametersAtomically, "recorder_node"),
 }
-# The services that controls call as they are.
+# Services that controls call with a fixed request.
 _CALLS = {
     "tare": ("load_cell/tare", Trigger.Request()),
     "fit": ("estimator/fit", Trigger.Request()),
@@ -93,32 +93,32 @@ class Marked:
     """An event that was published and acknowledged."""
 
     subscribers: int  # programs that acknowledged it
-    trial: str  # the trial that is being recorded; empty if none is
-    triggered: bool  # whether its stamp is in the time of triggers; else it is the system clock's
+    trial: str  # the trial being recorded; empty if none
+    triggered: bool  # whether its stamp follows the triggers; otherwise the system clock
 
     def notes(self) -> list[str]:
-        """What the person who marked it should know."""
+        """Remarks for the user."""
         found = []
         if not self.trial:
             found.append("no trial is being recorded: call recorder/record")
         if not self.triggered:
-            found.append("no trigger came: the stamp is the system clock's")
+            found.append("no trigger received: the stamp is the system clock's")
         return found
 
 
 def publish_event(label: str, called: float, namespace: str = "/") -> Marked:
-    """Publish an event, and wait until all subscribers have acknowledged it.
+    """Publish an event and wait until all subscribers have acknowledged it.
 
-    Its stamp is when it was called, by this machine's monotonic clock [s], in the time of the
-    triggers: a testbed may run on another computer, slower than real time, or be replayed, and its
-    clock stays when the system's is set.
+    Its stamp is the time of the call, on this machine's monotonic clock [s], converted to trigger
+    time: a testbed may run on another computer, slower than real time, or as a replay, and its
+    clock does not follow changes of the system clock.
     """
     namespace = full_namespace(namespace)
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C is the verb's
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # the verb handles Ctrl-C
     node = rclpy.create_node("event_marker", namespace=namespace)
 
     def step() -> None:
-        rclpy.spin_once(node, timeout_sec=_POLL)
+        rclpy.spin_once(node, timeout_sec=_POLL_INTERVAL)
 
     try:
         return EventMarker(node, partial(_wait, step=step)).mark(label, called)
@@ -130,9 +130,9 @@ def publish_event(label: str, called: float, namespace: str = "/") -> Marked:
 def _wait(
     condition: Callable[[], bool],
     duration: float,
-    step: Callable[[], None] = lambda: time.sleep(_POLL),
+    step: Callable[[], None] = lambda: time.sleep(_POLL_INTERVAL),
 ) -> bool:
-    """Wait until a condition holds; returns whether it does within a duration [s]."""
+    """Wait until a condition holds, at most a duration [s]; returns whether it does."""
     deadline = time.monotonic() + duration
     while not condition():
         if time.monotonic() > deadline:
@@ -144,8 +144,8 @@ def _wait(
 class EventMarker:
     """Publishes events, one after the other, for the life of a node.
 
-    `wait` waits until a condition holds, while the node is spun; it returns whether it does within
-    a duration [s].
+    `wait` waits until a condition holds, at most a duration [s], while the node is spun; it returns
+    whether it does.
     """
 
     def __init__(self, node: Node, wait: Callable[[Callable[[], bool], float], bool]) -> None:
@@ -159,37 +159,37 @@ class EventMarker:
         )
 
     def mark(self, label: str, called: float) -> Marked:
-        """Publish an event, see `publish_event`; only meanwhile are triggers heard."""
+        """Publish an event, see `publish_event`; subscribes to triggers only meanwhile."""
         self._triggers.clear()
         subscription = self._node.create_subscription(
             message_type(TRIGGER), TRIGGER.name, self._on_trigger, subscriber_qos(TRIGGER)
         )
         try:
-            if not self._wait(self._is_linked, _LINKED_WITHIN):
+            if not self._wait(self._is_linked, _LINK_TIMEOUT):
                 raise TestbedError(
-                    f"nobody subscribes to {self._publisher.topic_name}", self._where_else()
+                    f"no subscriber to {self._publisher.topic_name}", self._where_else()
                 )
             stamp = self._stamp_of(called)
         finally:
             self._node.destroy_subscription(subscription)
         self._publisher.publish(Event(header=header_to_ros(stamp), label=label))
-        if not self._wait(partial(is_acknowledged, self._publisher), _HEARD_WITHIN):
+        if not self._wait(partial(is_acknowledged, self._publisher), _ACKNOWLEDGE_TIMEOUT):
             raise TestbedError(
-                f"the event was not acknowledged within {_HEARD_WITHIN:g} s",
+                f"the event was not acknowledged within {_ACKNOWLEDGE_TIMEOUT:g} s",
                 "check that the recorder runs, and 'info' of its trial for the event",
             )
         count = self._publisher.get_subscription_count()
         return Marked(count, self._trial or "", bool(self._triggers))
 
     def _stamp_of(self, called: float) -> int:
-        """Stamp [ns] of a time of the monotonic clock [s], from the triggers that come now."""
-        # The longer ago the call, the longer the triggers from which its time is reckoned.
+        """Stamp [ns] of a time on the monotonic clock [s], from the triggers that arrive now."""
+        # The older the call, the longer the span of triggers to extrapolate from.
         since = time.monotonic() - called
-        self._wait(lambda: self._has_triggers(max(_LEAST, 0.5 * since)), _TRIGGERED_WITHIN)
+        self._wait(lambda: self._has_triggers(max(_MIN_SPAN, 0.5 * since)), _TRIGGER_TIMEOUT)
         if not self._triggers:
             return time.time_ns() - round((time.monotonic() - called) * 1e9)
         if len(self._triggers) > 1 and _speed(self._triggers) != _REAL_TIME:
-            span = min(_SLOW * since, _LONGEST)
+            span = min(_SPAN_FACTOR * since, _MAX_SPAN)
             self._wait(lambda: self._has_triggers(span), span)
         return stamp_by_triggers(called, self._triggers)
 
@@ -203,7 +203,7 @@ class EventMarker:
         return answered and known >= max(1, self._node.count_subscribers(EVENT.name))
 
     def _where_else(self) -> str:
-        """A hint at where an event would be heard."""
+        """A hint naming namespaces with a subscriber for events."""
         others = [
             namespace_of(name, EVENT)
             for name, _ in self._node.get_topic_names_and_types()
@@ -224,11 +224,11 @@ class EventMarker:
 
 
 def stamp_by_triggers(called: float, triggers: Sequence[tuple[float, int]]) -> int:
-    """Stamp [ns] of a time of the monotonic clock [s] in the time of triggers.
+    """Convert a time on the monotonic clock [s] to a stamp in trigger time [ns].
 
-    Of each trigger, one at least, there are arrival [s] and stamp [ns]. Their clock may run at
-    another speed. A busy machine holds triggers up, none comes early: the one that was held up
-    least says how far the clocks are apart.
+    Takes arrival [s] and stamp [ns] of at least one trigger. The triggers' clock may run at another
+    speed. A busy machine delays triggers and none arrives early, so the least delayed trigger
+    gives the offset between the clocks.
     """
     arrivals, stamps = (np.array(values) for values in zip(*triggers, strict=True))
     ahead = np.round(_speed(triggers) * (called - arrivals)).astype(np.int64)
@@ -236,21 +236,21 @@ def stamp_by_triggers(called: float, triggers: Sequence[tuple[float, int]]) -> i
 
 
 def _speed(triggers: Sequence[tuple[float, int]]) -> float:
-    """How fast the clock of triggers runs [ns/s]; exactly real time if it is about that.
+    """Speed of the triggers' clock [ns/s]; exactly real time if close to it.
 
-    It is the median between all triggers that arrived long enough one after the other.
+    The median over all pairs of triggers that arrived far enough apart.
     """
     arrivals, stamps = (np.array(values) for values in zip(*triggers, strict=True))
     passed = arrivals - arrivals[:, None]
-    apart = passed >= max(0.5 * passed.max(), _POLL)
+    apart = passed >= max(0.5 * passed.max(), _POLL_INTERVAL)
     if not apart.any():
         return _REAL_TIME
     speed = float(np.median((stamps - stamps[:, None])[apart] / passed[apart]))
-    return _REAL_TIME if abs(speed - _REAL_TIME) < _ABOUT * _REAL_TIME else speed
+    return _REAL_TIME if abs(speed - _REAL_TIME) < _SPEED_TOLERANCE * _REAL_TIME else speed
 
 
 class ServiceControls:
-    """What a person does to the testbed in a node's namespace, from any thread but the node's.
+    """Controls the testbed in a node's namespace, from any thread except the node's.
 
     The node is spun elsewhere.
     """
@@ -263,10 +263,10 @@ class ServiceControls:
         self._marking, self._recording = threading.Lock(), threading.Lock()
 
     def act(self, what: str, given: Mapping[str, str]) -> str:
-        """Do what a button says, with what it needs as text; returns what came of it, in one line.
+        """Perform a button's action, with its arguments as text; returns the outcome in one line.
 
-        `mark` takes a `label` and the time of this call; `record` the `trial`, without which it is
-        named by date and time, and metadata. A TestbedError says that a service refuses, does not
+        `mark` takes a `label` and uses the time of this call; `record` takes a `trial` (by default
+        named by date and time) and metadata. Raises a TestbedError if a service refuses, does not
         answer, or is not offered.
         """
         if what in _CALLS:
@@ -280,7 +280,7 @@ class ServiceControls:
     def _mark(self, label: str) -> str:
         called = time.monotonic()
         label = check_label(label)
-        with self._marking:  # a later one waits, and keeps its time
+        with self._marking:  # a later call waits but keeps its time
             marked = self._marker.mark(label, called)
         where = f" in the trial {marked.trial}" if marked.trial else ""
         return "; ".join([f"marked '{label}'{where}", *marked.notes()])
@@ -298,29 +298,29 @@ class ServiceControls:
             for name, value in wanted.items()
         ]
         request = SetParametersAtomically.Request(parameters=parameters)
-        with self._recording:  # what one browser sets is not for the trial of another
+        with self._recording:  # one browser's settings must not reach another's trial
             result = self._call(_NEXT_TRIAL, request).result
             if not result.successful:
                 raise _refusal(result.reason)
             return self._ask("recorder/record", SetBool.Request(data=True))
 
     def _ask(self, name: str, request: Any) -> str:
-        """Call a service that answers whether it did, and what it did or why not."""
+        """Call a service that returns success and a message; a failure becomes an error."""
         answer = self._call(name, request)
         if not answer.success:
             raise _refusal(answer.message)
         return str(answer.message)
 
     def _call(self, name: str, request: Any) -> Any:
-        within, again = clocks.real(_ANSWERS_WITHIN), clocks.real(_ASK_AGAIN)
-        if name == "estimator/fit":  # a second fit would take its time
-            within = again = clocks.real(_FITS_WITHIN)
+        within, again = clocks.real(_ANSWER_TIMEOUT), clocks.real(_RETRY_INTERVAL)
+        if name == "estimator/fit":  # slow, so no retry
+            within = again = clocks.real(_FIT_TIMEOUT)
         client, (_, offered_by) = self._clients[name], _SERVICES[name]
-        if not _wait(client.service_is_ready, _FOUND_WITHIN):
+        if not _wait(client.service_is_ready, _DISCOVERY_TIMEOUT):
             hint = f"check that {offered_by} runs"
             if offered_by == "recorder_node":
                 hint = "start 'run' with --record DIR, or 'record DIR' beside it"
-            raise TestbedError(f"nobody offers {name}", hint)
+            raise TestbedError(f"no node offers {name}", hint)
         asked: list[Future] = []
         for _ in range(math.ceil(within / again)):
             asked.append(client.call_async(request))
@@ -336,7 +336,7 @@ class ServiceControls:
 
 
 def _refusal(words: str) -> TestbedError:
-    """What a service or a node said, fact and hint, as an error."""
+    """A refusal by a service or node, fact and hint, as an error."""
     fact, _, hint = words.rpartition(": ")
     return TestbedError(fact, hint) if fact else TestbedError("refused", words)
 
@@ -344,26 +344,26 @@ def _refusal(words: str) -> TestbedError:
 class StatusListener:
     """Feeds a graph's status with serialised messages; `pause` names a replay's service, if any.
 
-    The program that draws the status line takes what has come, twenty times a second.
+    The program that draws the status line calls `take` twenty times a second.
     """
 
     def __init__(self, status: GraphStatus, namespace: str = "/", pause: str = "") -> None:
         self._status = status
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C is the verb's
-        self._readers = {topic: Reader(topic) for topic in _WATCHED}
-        self._topics = (*_WATCHED, PARAMETERS, RECORDED_TRIAL)
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)  # the verb's task
+        self._readers = {topic: Reader(topic) for topic in _STATUS_TOPICS}
+        self._topics = (*_STATUS_TOPICS, PARAMETERS, RECORDED_TRIAL)
         qos = {topic: subscriber_qos(topic) for topic in self._topics}
         self._inbox = Inbox("status_listener", namespace, qos)
         self._pause = self._inbox.node.create_client(SetBool, pause) if pause else None
 
     def take(self) -> None:
-        """Take what has come since the last call."""
+        """Process the messages received since the last call."""
         for topic in self._topics:
             for data in self._inbox.take(topic):
                 self.add(topic, data)
 
     def add(self, topic: Topic, data: bytes) -> None:
-        """Feed a serialised message of a topic."""
+        """Process a serialised message of a topic."""
         if topic is PARAMETERS:
             self._status.variant = deserialize_message(data, ContactModel).variant
         elif topic is RECORDED_TRIAL:
@@ -372,13 +372,13 @@ class StatusListener:
             self._status.add(topic, *self._readers[topic].read(data))
 
     def set_paused(self, paused: bool) -> bool:
-        """Pause the replay or let it go on; returns whether it was there to be asked."""
+        """Pause or resume the replay; returns whether its service was available."""
         if self._pause is None or not self._pause.service_is_ready():
             return False
         self._pause.call_async(SetBool.Request(data=paused))
         return True
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Disconnect from the graph."""
         self._inbox.close()
         rclpy.try_shutdown()

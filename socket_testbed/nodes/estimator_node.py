@@ -1,12 +1,12 @@
-"""Estimator node: measurements to a force map, samples to predicted wrench and local forces.
+"""Estimator node: force maps from measurements, predicted wrench and local forces from samples.
 
 Subscribes: trigger, clusters/stress, load_cell/wrench, mocap/socket/pose, mocap/pylon/pose.
 Publishes: estimate/force_map, estimate/wrench, estimate/local_forces, estimate/parameters
 (latched), estimate/pressure_map, /diagnostics. Service: estimator/fit.
 
-It maps the forces on all tiles as soon as the clusters and the wrench of a trigger are in.
-It predicts every synchronised sample with the newest model. It fits on its window by itself
-when enough steady data is in, or on request; a fit runs in a process of its own.
+It maps the forces on all tiles as soon as the clusters and the wrench of a trigger have arrived. It
+predicts every synchronised sample with the newest model. It fits a model on its window once enough
+steady data has arrived, or on request, in a separate process.
 """
 
 from __future__ import annotations
@@ -57,18 +57,18 @@ from socket_testbed.trials.topics import (
 _PICTURE_PERIOD = 100_000_000  # [ns]; RViz needs no more
 _REGIONS_PERIOD = 500_000_000  # [ns]; joint draws take 15 ms
 _ARROW_SCALE = 0.002  # [m/N]
-_FULL_COLOUR = 30e3  # [Pa]; normal pressure
-_FAINT = 10e3  # [Pa]; standard deviation of the normal pressure
-_FAINTEST = 0.1  # [-]; opacity of a tile with this deviation or more
-_LIFETIME = 3  # [s]; a stopped estimator leaves no picture
+_MAX_PRESSURE = 30e3  # [Pa]; end of the colour scale, normal pressure
+_MAX_DEVIATION = 10e3  # [Pa]; standard deviation of the normal pressure at the minimum opacity
+_MIN_OPACITY = 0.1  # [-]
+_LIFETIME = 3  # [s]; then the picture of a stopped estimator disappears
 
-# Corners of the two triangles of a tile, in halves of its side along its x and y. They face
-# outwards, where one looks from.
+# Corners of a tile's two triangles, in half side lengths along its x and y. They face outwards,
+# towards the viewer.
 _CORNERS = ((-1, -1), (-1, 1), (1, 1), (-1, -1), (1, 1), (1, -1))
 
 
 class EstimatorNode(TestbedNode[EstimatorSettings]):
-    """Hands measurements to the online estimator and publishes what it returns."""
+    """Passes measurements to the online estimator and publishes its results."""
 
     def __init__(self) -> None:
         super().__init__("estimator_node", EstimatorSettings)
@@ -81,7 +81,7 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
             self.sender(PARAMETERS, model_message),
         )
         self._picture = PressureMap(self._geometry)
-        self._drawn = 0  # [ns]; stamp of the last picture
+        self._last_picture = 0  # [ns]
         names = self._geometry.names
         self._send_wrench = self.sender(ESTIMATED_WRENCH, wrench_packer())
         self._send_forces = self.sender(LOCAL_FORCES, local_forces_packer(names))
@@ -89,7 +89,7 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         self._pressure_map = self.advertise(PRESSURE_MAP)
         self._regions = self.advertise(REGIONS)
         self._pack_regions = regions_packer([place.name for place in self._estimator.map.places])
-        self._read = 0  # [ns]; stamp of the last outputs of the regions
+        self._last_regions = 0  # [ns]
         for topic in (STRESS, WRENCH, SOCKET_POSE, PYLON_POSE):
             self.follow(topic, partial(self._on_measured, topic))
         self.follow(TRIGGER, lambda stamp, sequence: self._estimator.trigger(stamp))
@@ -103,7 +103,7 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         return settings
 
     def close(self) -> None:
-        """End the process of the fits and the service that waits for them."""
+        """End the fit process and the service that waits for it."""
         self._worker.close()
         super().close()
 
@@ -116,7 +116,7 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         self.report(*self._estimator.state)
 
     def ready(self) -> bool:
-        """Whether the process of the fits runs."""
+        """Whether the fit process runs."""
         return self._worker.ready
 
     def _on_measured(self, topic: Topic, stamp: int, value: Any) -> None:
@@ -129,25 +129,25 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
 
     def _publish_map(self, stamp: int, estimate: MapEstimate) -> None:
         self._send_map(stamp, estimate)
-        due = abs(stamp - self._drawn) >= _PICTURE_PERIOD
+        due = abs(stamp - self._last_picture) >= _PICTURE_PERIOD
         if due and self._pressure_map.get_subscription_count() > 0:
-            self._drawn = stamp
+            self._last_picture = stamp
             self._pressure_map.publish(self._picture.serialised(stamp, estimate))
-        due = abs(stamp - self._read) >= _REGIONS_PERIOD
+        due = abs(stamp - self._last_regions) >= _REGIONS_PERIOD
         if due and self._regions.get_subscription_count() > 0:
-            self._read = stamp
+            self._last_regions = stamp
             outputs = self._estimator.map.outputs()
             if outputs is not None:
                 self._regions.publish(self._pack_regions(stamp, outputs.regions))
 
     def _on_fit(self) -> str:
-        """Fit on the complete window, and answer when it is done."""
+        """Fit on the complete window; returns when it is done."""
         fit = self._estimator.fit()
         return f"fitted {fit.samples} samples; {fit.status}"
 
 
 def model_message(fitted: Fit | StoredModel) -> bytes:
-    """A serialised ContactModel of a fit, or of a model read from its file."""
+    """A serialised ContactModel of a fit or a stored model."""
     if isinstance(fitted, Fit):
         rmse = np.array([error.rmse for error in fitted.errors[:6]])
     else:
@@ -177,12 +177,12 @@ def _wrench(values: FloatArray) -> dict[str, Any]:
 
 
 def _named(values: FloatArray) -> dict[str, float]:
-    """Components of a vector, a point or a quaternion by their names."""
+    """Components of a vector, point or quaternion, by name."""
     return dict(zip("xyzw", values.tolist(), strict=False))
 
 
 class PressureMap:
-    """The markers of a force map: a tile is two triangles in its own frame, its force an arrow."""
+    """The markers of a force map: two triangles per tile, in its own frame, and a force arrow."""
 
     def __init__(self, geometry: SocketGeometry) -> None:
         self._anchors = geometry.anchors
@@ -210,15 +210,15 @@ class PressureMap:
         self._tips = [arrow["points"][1] for arrow in records[1::2]]
 
     def serialised(self, stamp: int, estimate: MapEstimate) -> bytes:
-        """The message of a map with N = 1: a MarkerArray with a tile and an arrow for each force.
+        """The MarkerArray of a map with N = 1: a tile and an arrow for each force.
 
-        The colour is the normal pressure, from pale to dark red at 30 kPa; what is uncertain is
-        faint, from opaque to a tenth where the pressure's standard deviation is 10 kPa.
+        Colour shows the normal pressure, from pale to dark red at 30 kPa. Uncertain tiles fade, to
+        an opacity of 0.1 at a standard deviation of 10 kPa.
         """
         tips = self._anchors + _ARROW_SCALE * estimate.forces[0]
-        shares = np.clip(estimate.normal_pressure[0] / _FULL_COLOUR, 0.0, 1.0)
-        deviations = estimate.normal_pressure_standard_deviation[0]
-        opacities = np.clip(1.0 - (1.0 - _FAINTEST) * deviations / _FAINT, _FAINTEST, 1.0)
+        shares = np.clip(estimate.normal_pressure[0] / _MAX_PRESSURE, 0.0, 1.0)
+        sigma = estimate.normal_pressure_standard_deviation[0]
+        opacities = np.clip(1.0 - (1.0 - _MIN_OPACITY) * sigma / _MAX_DEVIATION, _MIN_OPACITY, 1.0)
         other = 0.9 * (1.0 - shares)
         colours = np.column_stack([1.0 - 0.4 * shares, other, other, opacities])
         time = divmod(stamp, 1_000_000_000)

@@ -1,4 +1,4 @@
-"""Load-cell node: the wrench at each trigger, averaged around it.
+"""Load-cell node: measures the wrench, averaged around each trigger.
 
 Subscribes: trigger, recorder/trial. Publishes: load_cell/wrench, load_cell/raw, event,
 /diagnostics. Services: load_cell/tare, load_cell/force_tare.
@@ -23,11 +23,11 @@ from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.trials.messages import load_cell_raw_packer, wrench_packer
 from socket_testbed.trials.topics import EVENT, LOAD_CELL_RAW, RECORDED_TRIAL, TARE, WRENCH
 
-_PATIENCE = 0.05  # [s]; for the conversions after a trigger
+_CONVERSION_TIMEOUT = 0.05  # [s]; for the conversions after a trigger
 
 
 class LoadCellNode(SensorNode[LoadCellSettings]):
-    """Reads the converter all the time and averages around each trigger."""
+    """Reads the converter continuously and averages around each trigger."""
 
     def __init__(self) -> None:
         super().__init__("load_cell_node", LoadCellSettings)
@@ -42,7 +42,7 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         self._polling.start()
         self.follow_triggers()
         self._events = self.advertise(EVENT)
-        self._trial = ""  # that is being recorded
+        self._trial = ""  # being recorded
         self.listen(RECORDED_TRIAL, self._on_recorded, needed=False)
         self.serve(TriggerService, "load_cell/tare", self._tare, slow=True)
         forced = partial(self._tare, forced=True)
@@ -56,12 +56,12 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         self._cell.converter.close()
 
     def figures(self) -> dict[str, object]:
-        """Those of the measurements and of the converter, and what the last wrench averages."""
+        """Figures of the measurements and the converter, and conversions in the last wrench."""
         own = {"averaged_conversions": self._averaged}
         return {**super().figures(), **own, **self._cell.figures()}
 
     def _poll(self) -> None:
-        """Read the converter at its pace; a pause costs nothing but conversions."""
+        """Read the converter at its own rate; a pause only loses conversions."""
         due, period = clocks.monotonic(), self._cell.converter.period
         while not self._stopping.is_set():
             self._cell.converter.poll()
@@ -75,7 +75,7 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         span = averaging_span(self.settings.average_over, self.period)
         over = self._cell.end_time(moment, span)
         clocks.sleep(max(0.0, over - clocks.monotonic()))
-        left = over + _PATIENCE - clocks.monotonic()
+        left = over + _CONVERSION_TIMEOUT - clocks.monotonic()
         with self._polled:
             self._polled.wait_for(lambda: self._cell.ready(moment, span), clocks.real(left))
         reading = self._cell.wrench_at(moment, span)
@@ -87,7 +87,7 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         self._send_raw(stamp, reading.ratios, reading.tare, reading.tared, reading.status)
 
     def _tare(self, forced: bool = False) -> str:
-        """Tare, and tell whoever records."""
+        """Tare, and publish it as an event for the recorder."""
         if self._trial and not forced:
             raise DeviceError(
                 f"cannot tare: the trial {self._trial} is being recorded",
@@ -102,9 +102,9 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         self._trial = message.data
 
     def health(self) -> tuple[int, str]:
-        """That of the converter, or what the last wrenches lack."""
+        """The converter's health, or the latest fault."""
         self._cell.settings = self.settings
         level, message = self._cell.health(clocks.monotonic())
         if level == OK and (fault := self.fault.text()):
-            return WARN, f"{fault}: missing; relieve the computer if this comes often"
+            return WARN, f"{fault}: missing; relieve the computer if this happens often"
         return level, message

@@ -1,10 +1,10 @@
-"""Motion-capture node: the bodies' markers and poses at each trigger, from NatNet.
+"""Motion-capture node: measures the bodies' markers and poses at each trigger, from NatNet.
 
 Subscribes: trigger, recorder/trial. Publishes: mocap/socket/pose, mocap/pylon/pose,
 mocap/markers, /tf, /tf_static, /diagnostics.
 
-A pose is the mean of the frames in a window centred on the trigger, and published half a window
-after it; the markers are interpolated at the trigger.
+A pose is the mean over the frames in a window centred on the trigger, and is published half a
+window later; the markers are interpolated at the trigger.
 """
 
 from __future__ import annotations
@@ -52,11 +52,11 @@ from socket_testbed.trials.topics import (
 )
 
 SOCKET_FRAME = "socket"  # the socket's marker body
-LIMB_FRAME = "limb"  # its origin is the lumped mass
+LIMB_FRAME = "limb"  # origin at the lumped mass
 
 
 class MocapNode(SensorNode[MocapSettings]):
-    """Averages the bodies' poses around each trigger; what is not seen is missing."""
+    """Averages the bodies' poses around each trigger; an unseen body is missing."""
 
     def __init__(self) -> None:
         super().__init__("mocap_node", MocapSettings)
@@ -74,21 +74,21 @@ class MocapNode(SensorNode[MocapSettings]):
         self._send_markers = self.sender(MARKERS, markers_packer(counts))
         self._frames = FrameBroadcaster(self, geometry)
         self._averaged, self._delay = 0, 0.0
-        self._refused = ""  # why a take's name was not taken
+        self._refused = ""  # why a take's name was refused
         self._client.start()
         self.follow_triggers()
         self.listen(RECORDED_TRIAL, self._on_recorded, needed=False)
 
     def close(self) -> None:
-        """Stop following and leave the server."""
+        """Stop measuring and disconnect from the server."""
         super().close()
         self._client.close()
 
     def figures(self) -> dict[str, object]:
-        """Those of the measurements, of the stream and of the last poses.
+        """Figures of the measurements, the stream and the last poses.
 
-        `averaged_frames` is the number of frames that made them, the smaller one of the bodies;
-        `delay` is how long after its trigger the last pose was published [s].
+        `averaged_frames` is the number of averaged frames, of the body with fewer; `delay` is the
+        time from the trigger to the last pose's publication [s].
         """
         last = {"averaged_frames": self._averaged, "delay": round(self._delay, 4)}
         return {**super().figures(), **last, **self._client.figures()}
@@ -109,7 +109,7 @@ class MocapNode(SensorNode[MocapSettings]):
         self.missing += any(body.fault for body in sample)
 
     def idle(self) -> None:
-        """See how the bodies are."""
+        """Check the bodies."""
         self._sample(clocks.monotonic() - self._stale)
 
     def _sample(self, moment: float, window: float = 0.0) -> tuple[SeenBody, ...]:
@@ -129,7 +129,7 @@ class MocapNode(SensorNode[MocapSettings]):
             self._refused = f"no take is recorded: {error}"
 
     def health(self) -> tuple[int, str]:
-        """That of the stream, what the last samples lack, or of Motive's recording."""
+        """Health of the stream, the latest fault, or health of Motive's recording."""
         level, message = self._client.health(clocks.monotonic())
         if level < ERROR and (faults := [f for f in (self.fault.text(), self._refused) if f]):
             return WARN, "; ".join(faults)
@@ -139,13 +139,13 @@ class MocapNode(SensorNode[MocapSettings]):
 
 
 class FrameBroadcaster:
-    """Publishes where socket, load cell, clusters and limb are, as transforms for RViz and others.
+    """Publishes the transforms of socket, load cell, clusters and limb, for RViz and others.
 
         world -> socket -> load_cell -> each cluster      world -> limb
 
-    What moves follows the poses of the motion capture, on /tf; the rest is the socket's geometry,
-    on /tf_static. mocap_node publishes them at the testbed, replay_node when a trial is replayed.
-    Without a namespace of their own, the topics are as the node's are remapped.
+    Moving frames follow the motion capture, on /tf; fixed frames come from the socket's geometry,
+    on /tf_static. mocap_node publishes them live, replay_node during a replay. Without an own
+    namespace, the topics follow the node's remappings.
     """
 
     def __init__(
@@ -169,9 +169,9 @@ class FrameBroadcaster:
         return bool(self._publisher.get_subscription_count())
 
     def move(self, stamp: int, poses: Mapping[Topic, FloatArray]) -> None:
-        """Publish where socket and limb are; what the motion capture did not see is left out.
+        """Publish the poses of socket and limb; unseen bodies are left out.
 
-        The poses of a stamp [ns], of SOCKET_POSE, PYLON_POSE or both, are position [m] and
+        The poses at a stamp [ns], for SOCKET_POSE, PYLON_POSE or both, are position [m] and
         quaternion (x, y, z, w), shape (7,).
         """
         if not self.wanted:
@@ -187,7 +187,7 @@ class FrameBroadcaster:
 
 
 def fixed_frames(geometry: SocketGeometry) -> list[tuple[str, str, Pose]]:
-    """The frames that do not move: parent, name, and pose in the parent."""
+    """The fixed frames: parent, name, and pose in the parent."""
     rotations = geometry.square_frames()
     clusters = [
         (LOAD_CELL_FRAME, name, Pose(rotations[tile], geometry.anchors[tile]))

@@ -1,18 +1,17 @@
-"""Recorder node: all topics of the testbed as raw bytes into a trial (MCAP).
+"""Recorder node: records all topics of the testbed as raw bytes into a trial (MCAP).
 
 Subscribes: every topic of the testbed. Service: recorder/record. Publishes: /diagnostics, and
-recorder/trial (std_msgs/String, latched): the name, that is the last part of the path, of the
-trial being recorded, empty while there is none.
+recorder/trial (std_msgs/String, latched): the name (last path component) of the trial being
+recorded, empty if none.
 
-The recording times are the system clock's at the start of the recording, advanced steadily: a step
-of the system clock reorders no messages. With use_sim_time they are those of /clock.
+Recording times start from the system clock and advance steadily, so that a step of the system clock
+does not reorder messages. With use_sim_time, they follow /clock.
 
-A recorder that finds a trial in its folder, such as one that is started again after it was killed,
-leaves it as it is and records beside it into DIRECTORY_2, DIRECTORY_3, ... While another recorder
-writes that trial, it refuses.
+If its folder already holds a trial, for example after a restart, the recorder keeps it and records
+into DIRECTORY_2, DIRECTORY_3, ... instead. It refuses while another recorder writes that trial.
 
-What goes into a trial beside the messages is read at the start and cannot be changed afterwards;
-the parameters `next.*` give the trial that is asked for next its name and metadata.
+The other files of a trial are read at the start and cannot be changed afterwards; the parameters
+`next.*` set the name and metadata of the next requested trial.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ from socket_testbed.trials.metadata import (
 from socket_testbed.trials.topics import RECORDED_TRIAL, TOPICS
 from socket_testbed.trials.trial import beside, read_configuration, store_configuration
 
-_SILENCE = 10.0  # [s]; for a graph to come up
+_SILENCE_TIMEOUT = 10.0  # [s]; for a graph to start
 
 
 class RecorderNode(TestbedNode[RecorderSettings]):
@@ -55,7 +54,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
 
     def __init__(self) -> None:
         super().__init__("recorder_node", RecorderSettings)
-        os.umask(os.umask(0) | 0o007)  # a trial is of a person: for its owner and group only
+        os.umask(os.umask(0) | 0o007)  # personal data: for owner and group only
         settings = self.settings
         self._directory = Path(settings.directory).absolute()
         files = (settings.geometry, settings.calibration, settings.parameters)
@@ -84,15 +83,15 @@ class RecorderNode(TestbedNode[RecorderSettings]):
 
     def _read_settings(self, changes: dict[str, Any]) -> RecorderSettings:
         settings = super()._read_settings(changes)
-        _metadata_of(settings.next)  # refuses what no trial may state
+        _metadata_of(settings.next)  # refuses invalid metadata
         return settings
 
     def check(self) -> None:
-        """Report the topics on which nothing arrives."""
+        """Report topics without messages."""
         if self._bag is None:
             return
         silent = self._silent_topics()
-        if silent and clocks.monotonic() - self._began > _SILENCE:
+        if silent and clocks.monotonic() - self._began > _SILENCE_TIMEOUT:
             what = "" if silent == self._required else f" on {', '.join(silent)}"
             self.report(
                 WARN,
@@ -105,11 +104,11 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             self.report(OK, f"recording {self._path}")
 
     def _silent_topics(self) -> list[str]:
-        """The topics a trial needs of which the recording has no message."""
+        """The required topics of which the recording has no message."""
         return [name for name in self._required if not self._counts[name]]
 
     def figures(self) -> dict[str, object]:
-        """The trial, how long it has been recorded [s], the free space, the messages by topic."""
+        """The trial, its recorded duration [s], the free space, and message counts by topic."""
         elapsed = clocks.monotonic() - self._began if self._bag is not None else 0.0
         place = self._path or self._directory
         made = next(path for path in (place, *place.parents) if path.exists())
@@ -123,7 +122,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             self._start(self._next_path(given.name), stated)
             self._forget_next()
         elif wanted and self._path is not None and given != NextTrialSettings():
-            self._forget_next()  # they were for this request
+            self._forget_next()  # meant for this request only
             raise ConfigurationError(f"{self._path.name} is being recorded", "stop it first")
         elif not wanted:
             self.close()
@@ -132,12 +131,12 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         return f"{'recording' if self._bag else 'recorded'} {self._path}"
 
     def _forget_next(self) -> None:
-        """The name and the metadata of the next trial are for one trial."""
+        """Reset the name and metadata of the next trial, which apply to one trial only."""
         blank = NextTrialSettings().to_flat("next.")
         self.set_parameters([Parameter(name, value=value) for name, value in blank.items()])
 
     def _next_path(self, name: str) -> Path:
-        """Where a requested recording goes: into the folder, or beside it if it is a trial."""
+        """Path of a requested recording: in the folder, or next to it if it holds a trial."""
         directory = self._directory
         if any(directory.glob("*.mcap")):
             path = directory.with_name(f"{directory.name}_{name}") if name else directory
@@ -146,7 +145,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         return beside(path) if path.exists() else path
 
     def _start_over(self) -> None:
-        """Record into the folder, or beside it where there is a trial."""
+        """Record into the folder, or next to it if it holds a trial."""
         directory = self._directory
         holds_trial = any(directory.glob("*.mcap"))
         if holds_trial and is_held(directory):
@@ -172,7 +171,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             store_configuration(path, contents)
         except OSError as error:
             bag.abandon()
-            shutil.rmtree(path, ignore_errors=True)  # made here: nothing was recorded into it
+            shutil.rmtree(path, ignore_errors=True)  # created above and still empty
             raise ConfigurationError(
                 f"{path}: cannot be written ({error.strerror})", "check the folder and the space"
             ) from None
@@ -214,7 +213,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
 
     @contextmanager
     def _until_full(self, bag: BagWriter) -> Iterator[None]:
-        """End the recording if the disk is full: keep what is on it and report it."""
+        """End the recording if the disk is full; keep the data on it and report the fault."""
         try:
             yield
         except OSError as error:
@@ -223,17 +222,17 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             self._announce()
             self.report(
                 ERROR,
-                f"recording stopped, {self._path} keeps what it has ({error.strerror}): make space",
+                f"recording stopped, {self._path} keeps its data ({error.strerror}): make space",
             )
 
     def _announce(self) -> None:
-        """Say which trial is being recorded."""
+        """Publish the name of the trial being recorded."""
         if self.context.ok():
             name = self._path.name if self._bag and self._path else ""
             self._announcer.publish(String(data=name))
 
 
 def _metadata_of(given: NextTrialSettings) -> TrialMetadata:
-    """The metadata of the next trial; a ConfigurationError if no trial may state them."""
+    """The metadata of the next trial; a ConfigurationError if they are invalid."""
     stated = {name: value for name, value in vars(given).items() if name != "name" and value}
     return TrialMetadata(**stated)

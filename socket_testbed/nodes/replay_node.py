@@ -1,6 +1,6 @@
-"""Replay node: a trial published again as raw bytes, in its order and timing, with /clock.
+"""Replay node: republishes a trial as raw bytes, in its order and timing, with /clock.
 
-Wrenches and poses that another load cell, tare or geometry changes are made anew.
+Wrenches and poses affected by another load cell, tare or geometry are recomputed.
 
 Publishes: the topics of the trial under their recorded names or in another namespace, /clock,
 /tf, /tf_static, /diagnostics. Service: replay/pause.
@@ -47,21 +47,21 @@ from socket_testbed.trials.topics import (
 )
 from socket_testbed.trials.trial import Trial
 
-_READY_WITHIN = 180.0  # [s]; for the nodes waited for to start and find each other
-_DISCOVERY = 3.0  # [s]; DDS takes 5 ms or more than 2 s, at random
-_DONE_WITHIN = 60.0  # [s]; for them to make any progress
-_IN_FLIGHT = PUBLISHER_DEPTH // 2  # triggers ahead of the nodes waited for
-_BURST = 50  # messages sent at once, half of what a writer keeps to send again
-_BREATH = 0.002  # [s]; after a burst
+_READY_TIMEOUT = 180.0  # [s]; for the followers to start and discover each other
+_DISCOVERY_TIME = 3.0  # [s]; DDS takes 5 ms or more than 2 s, at random
+_PROGRESS_TIMEOUT = 60.0  # [s]; without any progress of the followers
+_MAX_IN_FLIGHT = PUBLISHER_DEPTH // 2  # triggers ahead of the followers
+_BURST_SIZE = 50  # messages sent at once, half of what a writer keeps for retransmission
+_BURST_PAUSE = 0.002  # [s]; after a burst
 
-_TICK_PERIOD = 0.02  # [s]; of the clock between messages
+_TICK_PERIOD = 0.02  # [s]; of /clock between messages
 
 
 class Pacer:
-    """Waits until each message of a recording is due, at a rate against the recording [-].
+    """Waits until each message of a recording is due, at a rate relative to the recording [-].
 
-    `tick` is called with the time of the recording [ns] as it passes. `stopped` says whether it is;
-    `rest` waits a while [s], or until it is.
+    `tick` is called with the time of the recording [ns] as it passes. `stopped` returns whether the
+    pacer is stopped; `sleep` waits for a duration [s], or until it is.
     """
 
     def __init__(self, rate: float, tick: Callable[[int], None], paused: bool = False) -> None:
@@ -69,31 +69,31 @@ class Pacer:
         self._tick = tick
         self._stopping = threading.Event()
         self._going = threading.Event()
-        self.stopped, self.rest = self._stopping.is_set, self._stopping.wait
+        self.stopped, self.sleep = self._stopping.is_set, self._stopping.wait
         self.pause(paused)
         self._first = 0
         self._start = 0.0
 
     def pause(self, paused: bool) -> None:
-        """Let no further message become due, or go on where it was paused."""
+        """Pause before the next message, or resume."""
         if paused:
             self._going.clear()
         else:
             self._going.set()
 
     def stop(self) -> None:
-        """Wait for nothing any more."""
+        """End all waiting."""
         self._stopping.set()
         self._going.set()
 
     def begin(self, first: int) -> None:
-        """Begin a pass over the recording, whose first message is from `first` [ns]."""
+        """Begin a pass over the recording, whose first message has the time `first` [ns]."""
         self._first, self._start = first, time.monotonic()
 
     def wait_for(self, stamp: int) -> bool:
-        """Wait until the message of a time [ns] is due, the clock ticking; False if stopped."""
+        """Wait until the message at a time [ns] is due, while /clock ticks; False if stopped."""
         while True:
-            if not self._going.is_set():  # a pause moves everything that follows
+            if not self._going.is_set():  # a pause shifts all later messages
                 before = time.monotonic()
                 self._going.wait()
                 self._start += time.monotonic() - before
@@ -108,7 +108,7 @@ class Pacer:
 
 
 class ReplayNode(TestbedNode[ReplaySettings]):
-    """Publishes a trial from a thread of its own, so that services answer meanwhile."""
+    """Publishes a trial from a separate thread, so that services stay responsive."""
 
     def __init__(self) -> None:
         super().__init__("replay_node", ReplaySettings)
@@ -116,7 +116,7 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         self._failure: TestbedError | None = None
         if not settings.trial:
             raise ConfigurationError("replay_node: trial is empty", "give the path of a trial")
-        self._of_sample: set[Topic] = set()  # published since the last trigger
+        self._sample_topics: set[Topic] = set()  # published since the last trigger
         self._published = 0
         self._position = 0.0  # [s]
 
@@ -131,7 +131,7 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         self._bag = BagReader(self._trial.path)
         self._bag.__enter__()
         self._topics = self._replayed_topics()
-        waits = bool(settings.wait_for)  # then what is required goes to somebody
+        waits = bool(settings.wait_for)  # then required topics must have a subscriber
         wanted = f"{full_namespace(settings.namespace).rstrip('/')}/" if settings.namespace else ""
         self._by_topic = {
             name: self.advertise(
@@ -150,7 +150,7 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         self._thread.start()
 
     def figures(self) -> dict[str, object]:
-        """Number of messages published, and where in the trial the replay is [s]."""
+        """Number of published messages, and position in the trial [s]."""
         return {
             "published": self._published,
             "position": f"{self._position:.1f}",
@@ -166,13 +166,13 @@ class ReplayNode(TestbedNode[ReplaySettings]):
             raise self._failure
 
     def _replayed_topics(self) -> dict[str, Topic]:
-        """The testbed's topics of the trial by their recorded names."""
+        """The testbed's topics in the trial, by recorded name."""
         counts = self._bag.counts
         topics = {
             name: topic
             for topic, name in match_topics(counts, self.settings.trial).items()
             if counts[name] > 0
-            and topic is not DIAGNOSTICS  # this graph's own nodes say how they are
+            and topic is not DIAGNOSTICS  # this graph's nodes report their own state
             and not (topic.computed and self.settings.measured_only)
         }
         if not topics:
@@ -183,7 +183,7 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         return topics
 
     def _remake(self) -> dict[Topic, tuple[VectorPacker, dict[int, FloatArray]]]:
-        """Numbers by stamp that replace the recorded ones; none where all stays as recorded."""
+        """Packers and rows by stamp that replace recorded measurements; empty if none do."""
         if not self._trial.remade:
             return {}
         found = self._trial.measurements()
@@ -193,7 +193,7 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         }
 
     def _broadcaster(self) -> FrameBroadcaster | None:
-        """What publishes the transforms; None, with a warning, without the socket's geometry."""
+        """The publisher of the transforms; None, with a warning, without the socket's geometry."""
         try:
             geometry = self._trial.geometry
         except TestbedError as error:
@@ -204,7 +204,7 @@ class ReplayNode(TestbedNode[ReplaySettings]):
 
     def _on_pause(self, paused: bool) -> str:
         self._pacer.pause(paused)
-        return "paused" if paused else "going on"
+        return "paused" if paused else "resumed"
 
     def _replay(self) -> None:
         try:
@@ -224,7 +224,7 @@ class ReplayNode(TestbedNode[ReplaySettings]):
             self.finished.set_result(None)
 
     def _publish_once(self) -> None:
-        """Publish every message of the trial in its order, each at its time."""
+        """Publish every message of the trial in order, each at its time."""
         first: int | None = None
         for raw in self._bag.messages(self._topics):
             if first is None:
@@ -241,20 +241,20 @@ class ReplayNode(TestbedNode[ReplaySettings]):
             pack, rows = self._remade[topic]
             stamp, _ = self._readers[topic].read(data)
             if stamp not in rows:
-                return  # the trial lacks its trigger
+                return  # its trigger is missing in the trial
             data = pack(stamp, rows[stamp])
         self._by_topic[raw.topic].publish(data)
         self._published += 1
         if topic in {SOCKET_POSE, PYLON_POSE} and self._frames is not None and self._frames.wanted:
             stamp, pose = self._readers[topic].read(data)
             self._frames.move(stamp, {topic: pose})
-        self._of_sample.add(topic)
+        self._sample_topics.add(topic)
         if topic is TRIGGER:
-            self._of_sample = {topic}
+            self._sample_topics = {topic}
             self._followers.sent(self._readers[topic].read(data)[0])
-            self._catch_up(_IN_FLIGHT)
-        if self._published % _BURST == 0:
-            self._pacer.rest(_BREATH)
+            self._catch_up(_MAX_IN_FLIGHT)
+        if self._published % _BURST_SIZE == 0:
+            self._pacer.sleep(_BURST_PAUSE)
 
     def _tick(self, stamp: int) -> None:
         self._clock_publisher.publish(Clock(clock=stamp_to_ros(max(stamp, 0))))
@@ -262,9 +262,8 @@ class ReplayNode(TestbedNode[ReplaySettings]):
     def _await_ready(self) -> None:
         """Wait until the subscribers are linked, so that they miss no message."""
         if not self._followers:
-            # Subscribers are found within the time of a discovery.
-            self._pacer.rest(_DISCOVERY)
-        lacking = self._followers.await_links(_READY_WITHIN)
+            self._pacer.sleep(_DISCOVERY_TIME)
+        lacking = self._followers.await_links(_READY_TIMEOUT)
         for name, publisher in self._by_topic.items():
             topic = publisher.topic_name
             if self._topics[name].required and self.count_publishers(topic) > 1:
@@ -274,22 +273,22 @@ class ReplayNode(TestbedNode[ReplaySettings]):
                 )
         if lacking:
             raise TrialError(
-                f"after {_READY_WITHIN:g} s not ready: {lacking}",
+                f"after {_READY_TIMEOUT:g} s not ready: {lacking}",
                 "see what these nodes print; is another graph on this ROS_DOMAIN_ID?",
             )
 
     def _await_done(self) -> None:
         """Wait until the last message is received and processed.
 
-        Not every follower reports how far it is, and what is not acknowledged when the publishers
-        go is lost. A trial may end between a trigger and what it asked for.
+        Not every follower reports its progress, and messages without acknowledgement are lost when
+        the publishers end. A trial may end between a trigger and its measurements.
         """
         if self._followers:
-            self._catch_up(int(not self._of_sample.issuperset(REQUIRED)))
+            self._catch_up(int(not self._sample_topics.issuperset(REQUIRED)))
         for publisher in self._by_topic.values():
-            self._followers.wait(partial(is_acknowledged, publisher), _DONE_WITHIN)
+            self._followers.wait(partial(is_acknowledged, publisher), _PROGRESS_TIMEOUT)
 
     def _catch_up(self, behind: int) -> None:
-        left = self._followers.catch_up(behind, _DONE_WITHIN)
+        left = self._followers.catch_up(behind, _PROGRESS_TIMEOUT)
         if left:
             self.report(WARN, f"{left} triggers were not processed in time")

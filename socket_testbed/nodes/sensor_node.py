@@ -1,4 +1,4 @@
-"""The base of the nodes that measure at each trigger, in a thread of their own."""
+"""Base of the nodes that measure at each trigger, in a thread of their own."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from socket_testbed.clocks import SteadyClock, TriggerPeriod, TriggerTime
 from socket_testbed.nodes.base import OK, WARN, RecentFault, S, TestbedNode
 from socket_testbed.trials.topics import TRIGGER
 
-_IDLE = 0.3  # [s]; without a trigger
-_LONGEST_SPAN = 0.25  # [s]; of the default
-_SETTLE = 5.0  # [s]; for a device to answer before the testbed starts without it
+_IDLE_AFTER = 0.3  # [s]; without a trigger
+_MAX_SPAN = 0.25  # [s]; of the default averaging span
+_SETTLING_TIME = 5.0  # [s]; for a device to answer; then the testbed starts without it
 
 
 class SensorNode(TestbedNode[S]):
-    """Measures at each trigger, one after the other, in their order.
+    """Measures at each trigger, one after the other, in order.
 
-    A node overrides `measure` and `health`, and `idle` as it needs.
+    Subclasses override `measure` and `health`, and `idle` as needed.
     """
 
     def __init__(self, name: str, kind: type[S]) -> None:
-        super().__init__(name, kind, settle=_SETTLE)
+        super().__init__(name, kind, settle=_SETTLING_TIME)
         self.fault = RecentFault()  # of a measurement
         self.samples = 0  # measurements
-        self.missing = 0  # of them, or of their channels
-        self.busy_since: float | None = None  # when the one in hand began on the steady clock [s]
-        self.period = 0.0  # between the triggers up to the one in hand [s]; 0: not known yet
+        self.missing = 0  # measurements or channels
+        self.busy_since: float | None = None  # start of the current one on the steady clock [s]
+        self.period = 0.0  # of the triggers up to the current one [s]; 0: not known yet
         self._trigger_time = TriggerTime(SteadyClock())
         self._trigger_period = TriggerPeriod()
         self._due: queue.SimpleQueue[tuple[int, float, float] | None] = queue.SimpleQueue()
         self._measuring = threading.Thread(target=self._run, name="measure")
 
     def measure(self, stamp: int, moment: float) -> None:
-        """Measure and publish, in the thread; the moment is the stamp [ns] in steady time [s]."""
+        """Measure and publish, in the thread; `moment` is the stamp [ns] in steady time [s]."""
         raise NotImplementedError
 
     def health(self) -> tuple[int, str] | None:
@@ -43,26 +43,26 @@ class SensorNode(TestbedNode[S]):
         raise NotImplementedError
 
     def idle(self) -> None:
-        """Look at the device while no trigger comes; called in the thread now and then."""
+        """Check the device while no trigger comes; called in the thread now and then."""
 
     def follow_triggers(self) -> None:
-        """Measure from now on."""
+        """Start measuring."""
         self.follow(TRIGGER, self._on_trigger)
         self._measuring.start()
 
     def close(self) -> None:
-        """Stop measuring; triggers that have come are processed."""
+        """Stop measuring, after all received triggers are processed."""
         if self._measuring.is_alive():
             self._due.put(None)
             self._measuring.join()
         super().close()
 
     def figures(self) -> dict[str, object]:
-        """Number of measurements, and of those that are missing."""
+        """Numbers of measurements and of missing ones."""
         return {"samples": self.samples, "missing": self.missing}
 
     def check(self) -> None:
-        """Report the device's health, or that triggers had to be placed by their arrival."""
+        """Report the device's health, or that triggers had to be timed by their arrival."""
         if (health := self.health()) is None:
             return
         level, message = health
@@ -70,7 +70,7 @@ class SensorNode(TestbedNode[S]):
             level = WARN
             message = (
                 f"the system clock was set by {-shift:.3f} s between the starts of nodes:"
-                " triggers are placed by their arrival, within 1 ms"
+                " triggers are timed by their arrival, within 1 ms"
             )
         self.report(level, message)
 
@@ -82,7 +82,7 @@ class SensorNode(TestbedNode[S]):
         with self.until_ros_ends():
             while True:
                 try:
-                    entry = self._due.get(timeout=clocks.real(_IDLE))
+                    entry = self._due.get(timeout=clocks.real(_IDLE_AFTER))
                 except queue.Empty:
                     self.idle()
                     continue
@@ -98,7 +98,7 @@ class SensorNode(TestbedNode[S]):
 def averaging_span(wanted: float, period: float) -> float:
     """Span around a trigger to average over [s].
 
-    A negative setting [s] stands for the trigger's period [s], 0 if it is not known yet; 0.25 s at
-    most.
+    A negative setting [s] stands for the trigger period [s], at most 0.25 s, or 0 if it is not
+    known yet.
     """
-    return wanted if wanted >= 0.0 else min(period, _LONGEST_SPAN)
+    return wanted if wanted >= 0.0 else min(period, _MAX_SPAN)

@@ -1,10 +1,9 @@
-"""Trigger node: one trigger for all sensors, with the stamp that all measurements carry.
+"""Trigger node: one trigger for all sensors, with the timestamp of all measurements.
 
 Publishes: trigger, /diagnostics. Service: trigger/enable.
 
-The stamp is the system clock as it was when the testbed started, advanced by the steady clock: the
-system clock may be set while a trial runs. The sequence counts pulses: one that is not seen
-leaves a gap in it.
+The stamp is the system clock at the start of the testbed, advanced by the steady clock, because the
+system clock may be set during a trial. The sequence counts pulses: an unseen pulse leaves a gap.
 """
 
 from __future__ import annotations
@@ -24,16 +23,16 @@ from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.trials.messages import trigger_packer
 from socket_testbed.trials.topics import TRIGGER
 
-_READY_WITHIN = 60.0  # [s] of real time; for the nodes waited for
-_RECENT = 0.5  # [s]; how long a fault is reported after its last trigger, at least
-_FOREIGN = 5.0  # [s]; how long another testbed is reported
-_REMEMBERED = 200  # triggers, to know them again
-_STEP = 0.01  # [s]; of the system clock that is reported
-_REOPEN = 0.3  # [s]
+_READY_TIMEOUT = 60.0  # [s] of real time; for the other nodes
+_FAULT_DURATION = 0.5  # [s]; a fault is reported at least this long
+_FOREIGN_DURATION = 5.0  # [s]; how long another testbed is reported
+_MAX_REMEMBERED = 200  # own triggers, to recognise foreign ones
+_STEP_THRESHOLD = 0.01  # [s]; smallest reported step of the system clock
+_REOPEN_INTERVAL = 0.3  # [s]
 
 
 class TriggerNode(TestbedNode[TriggerSettings]):
-    """Triggers from a thread of its own, at an even pace on the steady clock."""
+    """Triggers from a thread of its own, at a constant rate on the steady clock."""
 
     def __init__(self) -> None:
         super().__init__("trigger_node", TriggerSettings)
@@ -50,7 +49,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         if settings.enabled:
             self._enabled.set()
         self._stopping = threading.Event()
-        self._own: deque[int] = deque(maxlen=_REMEMBERED)
+        self._own: deque[int] = deque(maxlen=_MAX_REMEMBERED)
         self._foreign = 0.0
         self._send = self.sender(TRIGGER, trigger_packer())
         self.follow(TRIGGER, self._on_trigger, needed=False)
@@ -66,7 +65,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         self._thread.join()
 
     def figures(self) -> dict[str, object]:
-        """Numbers of pulses, and of those that went wrong."""
+        """Numbers of pulses and of faults."""
         return {
             "pulses": self._sequence,
             "unseen": self._unseen,
@@ -75,7 +74,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         }
 
     def _on_trigger(self, stamp: int, sequence: int) -> None:
-        """Hear whether another testbed triggers the same nodes."""
+        """Detect another testbed that triggers the same nodes."""
         if stamp not in self._own:
             self._foreign = clocks.monotonic()
 
@@ -88,8 +87,8 @@ class TriggerNode(TestbedNode[TriggerSettings]):
 
     def _run(self) -> None:
         with self.until_ros_ends():
-            # The nodes that measure are linked before the first trigger.
-            if lacking := self._followers.await_links(_READY_WITHIN):
+            # The first trigger must reach all nodes that measure.
+            if lacking := self._followers.await_links(_READY_TIMEOUT):
                 self.get_logger().warning(f"triggering without waiting any longer for {lacking}")
             due = clocks.monotonic()
             while not self._stopping.is_set():
@@ -119,7 +118,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
             self._unseen += self._trigger is not None
             self._fault.note(str(error))
             if self._trigger is None:
-                self._stopping.wait(clocks.real(_REOPEN))
+                self._stopping.wait(clocks.real(_REOPEN_INTERVAL))
         else:
             self._own.append(stamp)
             self._send(stamp, self._sequence)
@@ -127,24 +126,24 @@ class TriggerNode(TestbedNode[TriggerSettings]):
             self._trigger.end_pulse()
 
     def check(self) -> None:
-        """Report what the last pulses lacked, another trigger, or a clock that was set."""
+        """Report a fault of recent pulses, a foreign trigger, or a step of the system clock."""
         step = self._epoch.step()
         rate = self.settings.rate
-        if fault := self._fault.text(max(_RECENT, 1.5 / rate)):
+        if fault := self._fault.text(max(_FAULT_DURATION, 1.5 / rate)):
             self.report(ERROR, fault)
-        elif self._foreign and clocks.monotonic() - self._foreign < _FOREIGN:
+        elif self._foreign and clocks.monotonic() - self._foreign < _FOREIGN_DURATION:
             self.report(
                 ERROR,
-                "another trigger comes on this ROS_DOMAIN_ID: end the other testbed, or set"
+                "another trigger is active on this ROS_DOMAIN_ID: end the other testbed, or set"
                 " another ROS_DOMAIN_ID; two testbeds must not mix",
             )
         elif not self._enabled.is_set():
             self.report(WARN, "not enabled: call trigger/enable")
-        elif abs(step) > _STEP:
+        elif abs(step) > _STEP_THRESHOLD:
             self.report(
                 WARN,
-                f"the system clock was set by {step:+.3f} s: stamps go on steadily;"
-                " restart after the trial to take the new time over",
+                f"the system clock was set by {step:+.3f} s: stamps continue steadily;"
+                " restart after the trial to adopt the new time",
             )
         elif self._sequence:
             self.report(OK, f"triggering at {rate:g} Hz")

@@ -1,10 +1,10 @@
-"""View node: serves the page on which the running testbed is seen in a browser.
+"""View node: serves a page that shows the running testbed in a browser.
 
 Subscribes, while a browser asks: estimate/force_map, estimate/regions, load_cell/wrench,
 estimate/wrench, clusters/stress. Always: /diagnostics, recorder/trial. Publishes: /diagnostics.
 
-No executor serves the subscriptions of the page: whoever asks takes the newest messages. At 100 Hz
-most of them are never decoded.
+The page's subscriptions have no executor: each request takes the newest messages. At 100 Hz most
+messages are never decoded.
 """
 
 from __future__ import annotations
@@ -60,9 +60,9 @@ from socket_testbed.trials.topics import (
     Topic,
 )
 
-_OLD = 2.0  # [s]; what came longer ago is not shown as if it were now
-_SILENT = 3.0  # [s]; a node that reported longer ago is silent
-_IDLE = 3.0  # [s] without a question: no browser is open
+_STALE_AFTER = 2.0  # [s]; older data is not shown as current
+_SILENT_AFTER = 3.0  # [s]; a node without a report for longer is silent
+_IDLE_AFTER = 3.0  # [s]; without a request for longer, no browser is open
 _DEPTHS = {
     FORCE_MAP: 1,
     WRENCH: 50,
@@ -70,11 +70,11 @@ _DEPTHS = {
     STRESS: 1,
     REGIONS: 5,
 }
-_MOST_WRENCHES = 200  # kept to find that of the regions
-_HISTORY = 30.0  # [s]; of the course
+_MAX_WRENCHES = 200  # kept to match those of the regions
+_COURSE_DURATION = 30.0  # [s]
 _NO_PRESSURES, _NO_WRENCH = np.zeros(0), np.full(6, np.nan)
-_NOTHING = (np.full(3, np.nan), Status.MISSING)  # stress and status of no cluster
-_COUNTS = ("samples", "triggers", "messages", "maps")  # among the figures of a node
+_NO_STRESS = (np.full(3, np.nan), Status.MISSING)  # stress and status of no cluster
+_COUNT_KEYS = ("samples", "triggers", "messages", "maps")  # figures that give a node's rate
 _SIGNS = ("\N{BLACK CIRCLE}", "\N{BLACK UP-POINTING TRIANGLE}", "\N{BLACK SQUARE}")
 
 
@@ -88,15 +88,15 @@ class ViewNode(TestbedNode[ViewSettings]):
         allowed = settings.buttons or is_local(settings.host)
         self._live = LiveSource(self, geometry, ServiceControls(self) if allowed else None)
         self._server = PageServer(self._live, settings.host, settings.port, settings.names)
-        self.report(OK, f"the testbed is seen at {self._server.url}")
+        self.report(OK, f"the testbed is shown at {self._server.url}")
 
     def check(self) -> None:
-        """Unsubscribe when no browser is open any more."""
+        """Unsubscribe once no browser is open."""
         with self._server.asking:
-            self._live.rest()
+            self._live.unsubscribe_if_idle()
 
     def close(self) -> None:
-        """End the page."""
+        """Stop the page server."""
         self._server.close()
         super().close()
 
@@ -114,22 +114,22 @@ class LiveSource:
         self._readers = {topic: Reader(topic) for topic in _DEPTHS}
         self._asked_at = 0.0  # [s]; when a browser last asked
         self._newest: dict[Topic, tuple[int, Any, float]] = {}  # stamp [ns], values, arrival [s]
-        self._wrenches: deque[tuple[int, FloatArray]] = deque(maxlen=_MOST_WRENCHES)  # by stamp
+        self._wrenches: deque[tuple[int, FloatArray]] = deque(maxlen=_MAX_WRENCHES)  # by stamp
         self._first = 0  # [ns]
-        self._foreign = False  # whether the newest map is of another socket
+        self._foreign = False  # whether the newest map belongs to another socket
         self._sensors: dict[str, tuple[DiagnosticArray, float]] = {}
         self._rates: dict[str, tuple[float, float, float]] = {}  # count, time [s], rate [Hz]
         self._trial = ("", 0.0)
         self._places = all_regions(geometry)
         self._measured = _NO_PRESSURES  # by cluster [Pa]
-        self._shown: Document = {}  # cards but for the data, bars, course
+        self._shown: Document = {}  # cards (except the data's), bars, course
         self._shown_at = -math.inf  # [s]
         self._course: deque[tuple[float, ...]] = deque()  # time [s], force [N], peak and ends [Pa]
         node.listen(DIAGNOSTICS, self._on_diagnostics, needed=False)
         node.listen(RECORDED_TRIAL, self._on_trial, needed=False)
 
     def start(self) -> Document:
-        """The socket, and whether buttons may be pressed."""
+        """The socket, and whether buttons are enabled."""
         return {
             "title": "socket_testbed, live",
             "facts": {},
@@ -140,13 +140,13 @@ class LiveSource:
         }
 
     def now(self, time: float | None) -> Document:
-        """The newest sample; cards, bars and course are renewed as the regions come."""
+        """The newest sample; cards, bars and course are updated with the regions."""
         del time
         self._asked_at = clocks.monotonic()
         if self._inbox is None:
             self._inbox = self._subscribe()
         self._take(self._inbox)
-        self._renew(self._inbox)
+        self._update(self._inbox)
         measured, predicted = self._recent(WRENCH), self._recent(ESTIMATED_WRENCH)
         data, sensors = self._state_of_sensors()
         found = {"moment": self._moment(), "sensors": sensors, "recording": self._recording()}
@@ -162,21 +162,21 @@ class LiveSource:
             what, {name: str(value) for name, value in given.items() if value}
         )
 
-    def rest(self) -> None:
-        """Unsubscribe when nobody has asked for a while."""
-        if self._inbox is not None and clocks.monotonic() - self._asked_at > _IDLE:
+    def unsubscribe_if_idle(self) -> None:
+        """Unsubscribe if no browser has asked for a while."""
+        if self._inbox is not None and clocks.monotonic() - self._asked_at > _IDLE_AFTER:
             self._inbox.close()
             self._inbox, self._foreign = None, False
             self._newest.clear()
 
     def _subscribe(self) -> Inbox:
-        # Whoever publishes waits for no page: a message that is lost is not sent again.
+        # Publishers never wait for this page: lost messages are not retransmitted.
         lost = ReliabilityPolicy.BEST_EFFORT
         qos = {topic: QoSProfile(depth=n, reliability=lost) for topic, n in _DEPTHS.items()}
         return Inbox(f"{self._node.get_name()}_inbox", self._node.get_namespace(), qos)
 
     def _read(self, inbox: Inbox, topic: Topic) -> list[tuple[int, Any]]:
-        """Stamps and values of what has come, in its order; at most as many as are kept."""
+        """Stamps and values of the queued messages of a topic, in order."""
         return [self._readers[topic].read(data) for data in inbox.take(topic)]
 
     def _take(self, inbox: Inbox) -> None:
@@ -190,38 +190,38 @@ class LiveSource:
                         continue
                 elif topic is WRENCH:
                     if self._wrenches and stamp < self._wrenches[0][0]:
-                        self._wrenches.clear()  # a graph that was started again
+                        self._wrenches.clear()  # the graph was restarted
                         self._course.clear()
                         self._first = 0
                     self._first = self._first or stamp
                     self._wrenches.append((stamp, values))
                 self._newest[topic] = stamp, values, now
 
-    def _renew(self, inbox: Inbox) -> None:
-        """Take what the clusters measure, and the outputs by region with their map."""
+    def _update(self, inbox: Inbox) -> None:
+        """Take cluster stresses, and update the page with the outputs by region and their map."""
         now, geometry, places = clocks.monotonic(), self._geometry, self._places
-        if now - self._shown_at > _OLD:
+        if now - self._shown_at > _STALE_AFTER:
             self._shown, self._measured = {}, _NO_PRESSURES
         for _, stresses in self._read(inbox, STRESS):
-            of_clusters = [stresses.get(name, _NOTHING) for name in geometry.clusters]
-            normal = [s[0] if status == Status.OK else np.nan for s, status in of_clusters]
+            readings = [stresses.get(name, _NO_STRESS) for name in geometry.clusters]
+            normal = [s[0] if status == Status.OK else np.nan for s, status in readings]
             self._measured = np.array(normal)
-        for stamp, (names, outputs) in self._read(inbox, REGIONS):
+        for stamp, (names, fields) in self._read(inbox, REGIONS):
             mapped = self._recent(FORCE_MAP)
             if mapped is None or names != tuple(place.name for place in places):
                 continue
-            of = _region_outputs(outputs)
+            outputs = _region_outputs(fields)
             wrench = dict(self._wrenches).get(stamp, _NO_WRENCH)
-            force = -wrench[3:] @ proximal_direction(geometry)
-            row = (force, of.peak.value[-1], of.peak.low[-1], of.peak.high[-1])
+            force, peak = -wrench[3:] @ proximal_direction(geometry), outputs.peak
+            row = (force, peak.value[-1], peak.low[-1], peak.high[-1])
             self._course.append((1e-9 * (stamp - self._first), *map(float, row)))
-            while self._course[-1][0] - self._course[0][0] > _HISTORY:
+            while self._course[-1][0] - self._course[0][0] > _COURSE_DURATION:
                 self._course.popleft()
             time, load, value, low, high = np.array(self._course).T
             self._shown_at = now
             self._shown = {
-                "cards": cards(geometry, places, of, mapped[1]["normal_pressure"][0]),
-                "bars": bars(places, of),
+                "cards": cards(geometry, places, outputs, mapped[1]["normal_pressure"][0]),
+                "bars": bars(places, outputs),
                 "course": course(time, load, Quantity(value, low, high, value), []),
             }
 
@@ -236,16 +236,16 @@ class LiveSource:
         return moment(time, pressure, deviation, shear, self._measured)
 
     def _recent(self, topic: Topic) -> Any:
-        """The newest values; None where they came long ago."""
+        """The newest values of a topic; None if stale."""
         _, values, arrival = self._newest.get(topic, (0, None, -math.inf))
-        return values if clocks.monotonic() - arrival < _OLD else None
+        return values if clocks.monotonic() - arrival < _STALE_AFTER else None
 
     def _state_of_sensors(self) -> tuple[Document, list[list[str]]]:
-        """The card of the data, and a row per node: sign, name, words, rate and age."""
+        """The data card, and a row per node: sign, name, message and rate."""
         now, rows, bad = clocks.monotonic(), [], []
         for name, (status, arrival) in sorted(self._sensors.items()):
             level, words = int.from_bytes(status.level, "little"), status.message
-            if now - arrival > _SILENT:
+            if now - arrival > _SILENT_AFTER:
                 level, words = 2, f"silent for {now - arrival:.0f} s; it said: {words}"
             title = name.removeprefix(self._prefix).removesuffix("_node").replace("_", " ")
             rate = self._rates.get(name, (0.0, 0.0, math.nan))[2]
@@ -261,11 +261,11 @@ class LiveSource:
         if not rows:
             words = "no data from the testbed"
             return {"title": "Data", "value": "none", "words": words, "bad": True}, rows
-        words = f"all {len(rows)} parts of the testbed are well"
+        words = f"all {len(rows)} nodes report OK"
         return {"title": "Data", "value": "good", "words": words}, rows
 
     def _recording(self) -> Document:
-        """The trial that is being recorded, and the free space."""
+        """The trial being recorded, and the free space."""
         trial, since = self._trial
         now = clocks.monotonic()
         recorder, arrival = self._sensors.get(f"{self._prefix}recorder_node", (None, now))
@@ -286,7 +286,7 @@ class LiveSource:
                 continue
             self._sensors[status.name] = status, now
             values = {entry.key: entry.value for entry in status.values}
-            count = next((float(values[key]) for key in _COUNTS if key in values), math.nan)
+            count = next((float(values[key]) for key in _COUNT_KEYS if key in values), math.nan)
             before, since, _ = self._rates.setdefault(status.name, (count, now, math.nan))
             if now - since > 0.5:
                 self._rates[status.name] = count, now, (count - before) / (now - since)
@@ -296,7 +296,7 @@ class LiveSource:
 
 
 def _region_outputs(fields: dict[str, FloatArray]) -> RegionOutputs:
-    """The outputs of R regions of a RegionPressures; what it does not hold is NaN."""
+    """The outputs of R regions from a RegionPressures; quantities not in it are NaN."""
     found: dict[str, Any] = {field.name: np.nan for field in dataclasses.fields(RegionOutputs)}
     for name, field in REGION_FIELDS.items():
         found[name] = Quantity(*(fields[field + end] for end in ("", "_low", "_high", "")))

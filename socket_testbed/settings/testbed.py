@@ -129,7 +129,7 @@ class ReplaySettings(Settings):
     load_cell: str = fixed("", "path of testbed.yaml for the wrenches; empty: the trial's own [-]")
     tare: str = fixed("recorded", "tare of the wrenches: recorded, none, or T0:T1 without load [s]")
     rate: float = fixed(1.0, "speed of the replay relative to the recording [-]", 1e-3, 1e4)
-    loop: bool = fixed(False, "start again at the end [-]")
+    loop: bool = fixed(False, "restart at the end [-]")
     paused: bool = fixed(False, "start paused; see the service replay/pause [-]")
     measured_only: bool = fixed(False, "leave out topics that other nodes recompute [-]")
     wait_for: tuple[str, ...] = fixed((), "nodes that must be ready before the first message [-]")

@@ -1,1 +1,1 @@
-"""Trials: recorded bags that explain themselves, read as synchronised samples."""
+"""Trials: self-describing recorded bags, read as synchronised samples."""

@@ -1,8 +1,7 @@
 """Bags: rosbag2 folders (MCAP or SQLite) and their message types, without ROS.
 
-A folder's storage files are read directly, because a reader that trusts `metadata.yaml`
-yields nothing, without an error, if the two disagree on a topic's quality of service.
-Their counts are compared instead.
+Storage files are read directly: a reader that trusts `metadata.yaml` silently yields nothing if
+the two disagree on a topic's quality of service. Their message counts are compared instead.
 """
 
 from __future__ import annotations
@@ -36,22 +35,22 @@ from socket_testbed.trials.layout import typestore
 from socket_testbed.trials.recording import Recording
 from socket_testbed.trials.topics import PUBLISHER_DEPTH, REQUIRED, TOPICS, Topic, match_topics
 
-_PACKED = ".zstd"
-_STORAGE = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
-_ZSTD = b"\x28\xb5\x2f\xfd"  # a message as it was recorded begins with a zero
-_LARGEST = 2**28  # [bytes] of a packed file once unpacked, or
-_LARGEST_RATIO = 500  # times its size; recorders come to 20
-_BLOCK = 4096  # messages that are decoded at once
+_COMPRESSED_SUFFIX = ".zstd"
+_STORAGE_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # an uncompressed message begins with a zero
+_MAX_UNPACKED = 2**28  # [bytes]; size limit of an unpacked file, or
+_MAX_RATIO = 500  # times the packed size; recorders reach 20
+_BLOCK_SIZE = 4096  # messages decoded at once
 _FOREVER = QosTime(2147483647, 4294967295)
-_CHUNK = 2**20 - 2**10  # [bytes]; the library closes a chunk at 1 MiB
-_CHUNK_SPAN = 10**9  # [ns]; damage costs a chunk
-_CHECKSUM_BEFORE = 4 + 8  # [bytes] from the end of the file: that of the index
-_CHECKSUM_AT = 9 + 3 * 8  # [bytes] from the start of a chunk's record
+_CHUNK_SIZE = 2**20 - 2**10  # [bytes]; the library closes a chunk at 1 MiB
+_CHUNK_SPAN = 10**9  # [ns]; damage loses a whole chunk
+_INDEX_CHECKSUM_OFFSET = 4 + 8  # [bytes] from the end of the file
+_CHUNK_CHECKSUM_OFFSET = 9 + 3 * 8  # [bytes] from the start of a chunk's record
 
 
 @dataclass(frozen=True)
 class RawMessage:
-    """A message as it was recorded."""
+    """A recorded message."""
 
     topic: str
     type: str  # as `package/msg/Type`
@@ -60,12 +59,12 @@ class RawMessage:
 
 
 class BagReader:
-    """A bag, its folder or one storage file, read in the order of the recording; a context manager.
+    """A bag (folder or one storage file), read in recording order; a context manager.
 
-    Of a recording that was cut short or damaged every sound chunk is read. From its entry on, the
-    `notes` say so, and what else the user should know of the bag, one line each. A TrialError is
-    raised on entry if it is missing, unreadable, holds other counts than its metadata lists, or was
-    cut short before its first complete chunk.
+    Every intact chunk of a truncated or damaged recording is read. After entry, `notes` report such
+    damage and other remarks for the user, one line each. Entry raises a TrialError if the bag is
+    missing, unreadable, truncated before its first complete chunk, or its message counts differ
+    from its metadata.
     """
 
     def __init__(self, path: Path) -> None:
@@ -91,7 +90,7 @@ class BagReader:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Number of messages by topic, as the storage files hold them."""
+        """Number of messages by topic, from the storage files."""
         counts: dict[str, int] = defaultdict(int)
         for _, reader in self._readers:
             for connection in reader.connections:
@@ -112,16 +111,16 @@ class BagReader:
         return (max(end for _, end in spans) - min(start for start, _ in spans) - 1) * 1e-9
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
-        """The messages of some topics, or of all, in the order of the recording."""
+        """The messages of some topics, or of all, in recording order."""
         for connection, time, data in self._entries(topics):
             yield RawMessage(connection.topic, connection.msgtype, time, data)
 
     def blocks(self, topics: Collection[str]) -> Iterator[tuple[str, list[bytes]]]:
-        """The messages of some topics in blocks of a few thousand, each topic's in their order."""
+        """The messages of some topics in blocks of a few thousand, in order within each topic."""
         blocks: dict[str, list[bytes]] = defaultdict(list)
         for connection, _, data in self._entries(topics):
             blocks[connection.topic].append(data)
-            if len(blocks[connection.topic]) == _BLOCK:
+            if len(blocks[connection.topic]) == _BLOCK_SIZE:
                 yield connection.topic, blocks.pop(connection.topic)
         yield from blocks.items()
 
@@ -136,14 +135,14 @@ class BagReader:
                 for connection, time, data in reader.messages(connections):
                     left[connection.id] -= 1
                     content = bytes(data)
-                    if content.startswith(_ZSTD):
+                    if content.startswith(_ZSTD_MAGIC):
                         content = zstd.decompress(content)
                     yield connection, time, content
-            except Exception as error:  # the library raises whatever the bytes lead it to
+            except Exception as error:  # the library may raise any exception
                 raise _damaged(file, error) from None
             if lacking := sum(left.values()):
                 raise TrialError(
-                    f"{file}: is damaged: its index lists {lacking} messages more than can be read",
+                    f"{file}: is damaged: its index lists {lacking} more messages than can be read",
                     "copy the trial again if it is whole elsewhere",
                 )
 
@@ -152,7 +151,7 @@ class BagReader:
             return [self.path]
         if metadata is None:
             found = sorted(filter(is_storage, self.path.iterdir()))
-            files = [file for file in found if file.suffix != _PACKED] or found
+            files = [file for file in found if file.suffix != _COMPRESSED_SUFFIX] or found
             self.notes.append("no metadata.yaml: the storage files were read as they are")
         else:
             files = [self.path / name for name in metadata[0]]
@@ -165,7 +164,7 @@ class BagReader:
         return files
 
     def _open(self, file: Path) -> Reader | Recording:
-        path = self._unpack(file) if file.suffix == _PACKED else file
+        path = self._unpack(file) if file.suffix == _COMPRESSED_SUFFIX else file
         if path.suffix == ".mcap":
             recording = self._stack.enter_context(Recording(path, file))
             self.notes += recording.notes
@@ -176,17 +175,17 @@ class BagReader:
                 f"{journal.name}, which may hold the newest messages, is not read:"
                 f" 'sqlite3 {file} vacuum' takes them in"
             )
-        self.notes.append(f"{path.name} has no checksums: damage in it cannot be seen")
+        self.notes.append(f"{path.name} has no checksums: damage cannot be detected")
         try:
             return self._stack.enter_context(Reader(path))
-        except Exception as error:  # the library raises whatever the bytes lead it to
+        except Exception as error:  # the library may raise any exception
             raise _damaged(file, error) from None
 
     def _unpack(self, file: Path) -> Path:
-        """A storage file unpacked into a folder that goes with this reader."""
+        """A storage file, unpacked into a folder that lives as long as this reader."""
         folder = self._stack.enter_context(TemporaryFolder())
         unpacked = Path(folder) / file.stem
-        left = max(_LARGEST, _LARGEST_RATIO * file.stat().st_size)
+        left = max(_MAX_UNPACKED, _MAX_RATIO * file.stat().st_size)
         try:
             with zstd.open(file, "rb") as source, unpacked.open("wb") as target:
                 while content := source.read(2**20):
@@ -200,9 +199,9 @@ class BagReader:
         return unpacked
 
     def _compare(self, promised: Mapping[str, int]) -> None:
-        """Compare the counts of metadata.yaml with those of the files."""
+        """Compare the counts in metadata.yaml with those of the files."""
         counts = self.counts
-        # A recording that was cut short or damaged has fewer; a note says so.
+        # A truncated or damaged recording has fewer messages, which its note reports.
         lacks = any(isinstance(r, Recording) and r.lacks for _, r in self._readers)
         for name, count in promised.items():
             held = counts.get(name, 0)
@@ -220,7 +219,7 @@ class BagReader:
 
 
 def required_topics(bag: BagReader) -> dict[Topic, str]:
-    """Names in the bag of the testbed's topics; a TrialError unless the required ones are there."""
+    """The bag's names of the testbed's topics; a TrialError if a required topic is missing."""
     topics, counts, types = match_topics(bag.counts, str(bag.path)), bag.counts, bag.types
     if not any(counts.values()):
         raise TrialError(f"{bag.path}: holds no message", "record the trial again")
@@ -238,7 +237,7 @@ def required_topics(bag: BagReader) -> dict[Topic, str]:
 
 
 def _read_metadata(bag: Path) -> tuple[list[str], dict[str, int]] | None:
-    """Names of a bag's files, and counts of messages by topic; None without metadata.yaml."""
+    """Names of a bag's files and message counts by topic; None without metadata.yaml."""
     if not (bag.is_dir() or bag.is_file()):
         fact = "is neither a folder nor a file" if bag.exists() else "no such trial"
         raise TrialError(f"{bag}: {fact}", "check the path")
@@ -253,7 +252,7 @@ def _read_metadata(bag: Path) -> tuple[list[str], dict[str, int]] | None:
         }
         files = [Path(str(name)).name for name in content.get("relative_file_paths") or []]
         compression = str(content.get("compression_format") or "zstd")
-    except Exception:  # the libraries raise whatever the text leads them to
+    except Exception:  # the libraries may raise any exception
         raise TrialError(
             f"{file}: is not rosbag2 metadata", "write it again with 'ros2 bag reindex'"
         ) from None
@@ -266,8 +265,8 @@ def _read_metadata(bag: Path) -> tuple[list[str], dict[str, int]] | None:
 
 
 def is_storage(file: Path) -> bool:
-    """Whether a file is a bag's storage, by its name."""
-    return file.name.endswith(_STORAGE)
+    """Whether a file's name is that of a bag's storage."""
+    return file.name.endswith(_STORAGE_SUFFIXES)
 
 
 def _damaged(file: Path, error: Exception) -> TrialError:
@@ -276,50 +275,50 @@ def _damaged(file: Path, error: Exception) -> TrialError:
 
 
 class BagWriter:
-    """A new MCAP bag in a folder that must not exist, written by messages; a context manager."""
+    """Writes a new MCAP bag into a folder that must not exist; a context manager."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
         self._connections: dict[str, Connection] = {}
         self._chunk_time: int | None = None  # [ns]; of its first message
-        self._lock = -1  # of the folder, as long as it is written
+        self._lock = -1  # descriptor that locks the folder while it is written
 
     def __enter__(self) -> Self:
         self._writer.open()
         self._lock = hold(self.path)
-        with suppress(OSError):  # network drives cannot
+        with suppress(OSError):  # unsupported on network drives
             sync(self.path)
             sync(self.path.parent)
         return self
 
     def __exit__(self, *error: object) -> None:
-        # Even after an error: what was recorded so far is a complete bag.
+        # Even after an error: the messages so far make a complete bag.
         self._close_chunk()
         self._writer.close()
         recording = self.path / f"{self.path.name}.mcap"
-        self._sign(recording)
+        self._write_index_checksum(recording)
         for file in (recording, self._writer.metapath):
             sync(file)
         os.close(self._lock)
 
-    def _sign(self, file: Path) -> None:
-        """Write the checksum of the index, for which the library writes zero: unchecked."""
+    def _write_index_checksum(self, file: Path) -> None:
+        """Write the checksum of the index; the library leaves it zero (unchecked)."""
         with file.open("r+b") as stream:
-            place = stream.seek(-_CHECKSUM_BEFORE, os.SEEK_END)
+            place = stream.seek(-_INDEX_CHECKSUM_OFFSET, os.SEEK_END)
             stream.seek(place - 16)
             start = int.from_bytes(stream.read(8), "little")
             stream.seek(start)
             stream.write(zlib.crc32(stream.read(place - start)).to_bytes(4, "little"))
 
     def abandon(self) -> None:
-        """Leave the bag without an end after its storage failed; a reader salvages its content."""
+        """Leave the bag unfinished after its storage failed; readers recover its content."""
         for end in (self._writer.abort, partial(os.close, self._lock)):
             with suppress(OSError):
                 end()
 
     def add_topic(self, name: str, topic: Topic) -> None:
-        """Declare a topic under the name it has in the graph."""
+        """Declare a topic under its name in the graph."""
         qos = Qos(
             QosHistory.KEEP_LAST,
             1 if topic.latched else PUBLISHER_DEPTH,
@@ -338,7 +337,7 @@ class BagWriter:
     def write(self, name: str, time: int, data: bytes) -> None:
         """Append a serialised message, recorded at a time since the epoch [ns]."""
         since = time if self._chunk_time is None else self._chunk_time
-        full = self._storage.chunk.bio.tell() + len(data) > _CHUNK
+        full = self._storage.chunk.bio.tell() + len(data) > _CHUNK_SIZE
         if full or abs(time - since) >= _CHUNK_SPAN:
             self._close_chunk()
         if self._chunk_time is None:
@@ -346,18 +345,18 @@ class BagWriter:
         self._writer.write(self._connections[name], time, data)
 
     def flush(self) -> None:
-        """Write all so far to the disk, as a chunk that no power cut loses."""
+        """Flush all messages so far to the disk as a chunk that survives a power cut."""
         self._close_chunk()
         self._storage.bio.flush()
         os.fsync(self._storage.bio.fileno())
 
     @property
     def _storage(self) -> Any:
-        """What the library writes to; its version is pinned, because this uses it directly."""
+        """The library's internal storage; its version is pinned because this is not public API."""
         return self._writer.storage
 
     def _close_chunk(self) -> None:
-        """Write the chunk with its checksum, for which the library writes zero: unchecked."""
+        """Write the chunk and its checksum, which the library leaves zero (unchecked)."""
         self._chunk_time = None
         storage = self._storage
         if not storage.chunk.bio.tell():
@@ -365,7 +364,7 @@ class BagWriter:
         checksum = zlib.crc32(storage.chunk.bio.getbuffer())
         start = storage.bio.tell()
         storage.close_chunk()
-        storage.bio.seek(start + _CHECKSUM_AT)
+        storage.bio.seek(start + _CHUNK_CHECKSUM_OFFSET)
         storage.bio.write(checksum.to_bytes(4, "little"))
         storage.bio.seek(0, os.SEEK_END)
 

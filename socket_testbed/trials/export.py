@@ -1,14 +1,14 @@
-"""What is exported of a trial: the table of its samples, and files for other programs.
+"""Exports of a trial: the table of its samples, and files for other programs.
 
-- `.mot`, `.sto`: the wrench of the limb on the socket as OpenSim's external load, in the frame of
-  the load cell and about its origin, or a given point: `socket_force_v*` [N], the point
-  `socket_force_p*` [m], and `socket_torque_*` [N m]. In OpenSim, it is expressed in the body that
+- `.mot`, `.sto`: the wrench of the limb on the socket as an OpenSim external load, in the frame of
+  the load cell and about its origin or a given point: `socket_force_v*` [N], the point
+  `socket_force_p*` [m], and `socket_torque_*` [N m]. In OpenSim, express it in the body that
   carries the load cell.
-- `.trc`: the markers of the bodies in the motion capture's frame [mm].
-- `.c3d`: both; the wrench as six analog channels. It needs the library ezc3d.
+- `.trc`: the markers of the bodies in the motion-capture frame [mm].
+- `.c3d`: both; the wrench as six analog channels. Requires the library ezc3d.
 - `.mcap`: `load_cell/wrench` (geometry_msgs/WrenchStamped), `mocap/*/pose` (PoseStamped), and a
   std_msgs/Float64 for every column of the table that `export` writes, such as
-  `/distal/normal_Pa`: plotting tools show them by their names, without our messages.
+  `/distal/normal_Pa`, so that plotting tools need none of our message types.
 """
 
 from __future__ import annotations
@@ -45,12 +45,10 @@ from socket_testbed.trials.trial import Trial
 if TYPE_CHECKING:
     import pandas as pd
 
-_CDR = b"\x00\x01\x00\x00"  # before a message, least significant byte first
+_CDR_HEADER = b"\x00\x01\x00\x00"  # little endian
 GAIT_FORMATS = (".mot", ".sto", ".trc", ".c3d")
-_LOADS = [f"socket_{part}{axis}" for part in ("force_v", "force_p", "torque_") for axis in "xyz"]
-
-
-_SHARED = 1 + 6 + 6  # columns besides the clusters': time, wrench, the limb's pose
+_LOAD_COLUMNS = [f"socket_{name}{i}" for name in ("force_v", "force_p", "torque_") for i in "xyz"]
+_SHARED_COLUMNS = 1 + 6 + 6  # columns before those of the clusters: time, wrench, limb pose
 
 
 def sample_table(
@@ -60,21 +58,21 @@ def sample_table(
     segment: Segment,
     predicted: FloatArray | None = None,
 ) -> pd.DataFrame:
-    """The samples of a segment as a table, with what the clusters' forces were computed from.
+    """The samples of a segment as a table, with the readings behind the clusters' forces.
 
-    It is made of all that was measured, corrected for drift, all samples, and what a model predicts
-    for all of them, (N, 6 + 3c), shown as `predicted.*`. A row per sample, with the units in the
-    titles: stamp [ns], time since the trial's first sample [s], wrench and the limb's pose in {S};
-    for each cluster its capacitances by the converter's input [pF], its status (0 ok, 1 saturated,
-    2 missing, 3 out of the calibrated range), its stress along its own axes [Pa] and force in {L}
-    [N]. NaN where there is none.
+    Takes all drift-corrected measurements of a trial, all its samples, and a model's predictions
+    for them, shape (N, 6 + 3c), which become `predicted.*`. One row per sample, with units in the
+    titles: stamp [ns], time since the trial's first sample [s], wrench and limb pose in {S}; for
+    each cluster its capacitances by converter input [pF], its status (0 ok, 1 saturated, 2 missing,
+    3 out of the calibrated range), its stress along its own axes [Pa] and force in {L} [N].
+    Missing values are NaN.
     """
     import pandas as pd
 
     table = samples.to_dataframe().iloc[segment.rows].reset_index()
     stamps = samples.stamps[segment.rows]
     capacitance, status = measured.capacitance[segment.rows], measured.status[segment.rows]
-    columns: dict[str, Any] = {"stamp [ns]": stamps, **table.iloc[:, :_SHARED]}
+    columns: dict[str, Any] = {"stamp [ns]": stamps, **table.iloc[:, :_SHARED_COLUMNS]}
     for number, name in enumerate(samples.clusters):
         readings = capacitance[:, number]
         stress, _ = calibration.clusters[name].apply(readings, status[:, number])
@@ -91,10 +89,10 @@ def sample_table(
 def write_gait_file(
     trial: Trial, rows: slice, path: Path, about: Sequence[float] | None = None
 ) -> pd.DataFrame:
-    """Write some samples of a trial, moments about a point [m], in the format of the suffix.
+    """Write some samples of a trial, with moments about a point [m], in the suffix's format.
 
     Returns:
-        What was written, a row per sample, indexed by `time [s]`: loads [N, m, N m], markers [mm],
+        The written table, a row per sample, indexed by `time [s]`: loads [N, m, N m], markers [mm],
         or both, with the wrench as six channels [N m, N].
     """
     import pandas as pd
@@ -106,7 +104,7 @@ def write_gait_file(
     if suffix in {".mot", ".sto"}:
         places = np.broadcast_to(np.zeros(3) if about is None else about, (len(wrench), 3))
         loads = np.hstack([wrench[:, 3:], places, wrench[:, :3]])
-        table = pd.DataFrame(loads, columns=_LOADS, index=time)
+        table = pd.DataFrame(loads, columns=_LOAD_COLUMNS, index=time)
         write_text(path, _storage(table))
         return table
     labels, points = _markers(trial)
@@ -123,9 +121,9 @@ def write_gait_file(
 def write_standard_bag(
     measured: Measurements, rows: slice, table: pd.DataFrame, path: Path
 ) -> None:
-    """Write some samples as one MCAP file of standard messages; what is missing is left out.
+    """Write some samples as one MCAP file of standard messages, without missing values.
 
-    Of all measurements `rows` are written; the table has a row for each of these.
+    Writes the given rows of all measurements; the table has one row for each of them.
     """
     stamps = measured.stamps[rows].tolist()
     standard = [(topic, pack, vectors[rows]) for topic, pack, vectors in measured.packed()]
@@ -149,18 +147,19 @@ def write_standard_bag(
                     writer.add_message(channel, stamp, pack(stamp, vectors[row]), stamp)
             for channel, values in columns:
                 if np.isfinite(values[row]):
-                    writer.add_message(channel, stamp, _CDR + struct.pack("<d", values[row]), stamp)
+                    data = _CDR_HEADER + struct.pack("<d", values[row])
+                    writer.add_message(channel, stamp, data, stamp)
         writer.finish()  # type: ignore[no-untyped-call]
 
 
 def _topic_name(title: str) -> str:
-    """Name of a topic by the title of a column: /distal/normal_Pa of distal.normal [Pa]."""
+    """Topic name from a column title: distal.normal [Pa] gives /distal/normal_Pa."""
     name, unit = (re.sub(r"[^\w.]+", "_", part) for part in split_unit(title))
     return "/" + f"{name.replace('.', '/')}_{unit}".strip("_")
 
 
 def _markers(trial: Trial) -> tuple[list[str], FloatArray]:
-    """Names of the m markers, and where they were at every sample, shape (N, m, 3) [mm]."""
+    """Names of the m markers and their positions at every sample, shape (N, m, 3) [mm]."""
     with trial.open() as bag:
         more = [MARKERS] if bag.counts.get(required_topics(bag).get(MARKERS, "")) else []
         bodies = read_measurements(bag, lambda note: None, more=more).markers
@@ -175,12 +174,12 @@ def _markers(trial: Trial) -> tuple[list[str], FloatArray]:
 
 
 def _rate(table: pd.DataFrame) -> float:
-    """Samples a second [Hz]."""
+    """Sample rate [Hz]."""
     return 1.0 / usual_period(table.index.to_numpy()) if len(table) > 1 else 1.0
 
 
 def _storage(table: pd.DataFrame) -> str:
-    """A storage file of OpenSim."""
+    """The text of an OpenSim storage file."""
     columns = len(table.columns) + 1
     header = ["socket", "version=1", f"nRows={len(table)}", f"nColumns={columns}", "inDegrees=no"]
     rows = table.to_csv(sep="\t", index_label="time", float_format="%.6f", na_rep="nan")
@@ -188,7 +187,7 @@ def _storage(table: pd.DataFrame) -> str:
 
 
 def _markers_text(table: pd.DataFrame, labels: list[str], name: str) -> str:
-    """A TRC file; a marker that was not seen is blank."""
+    """The text of a TRC file; unseen markers are blank."""
     rate, count = f"{_rate(table):.6g}", len(table)
     fields = "DataRate CameraRate NumFrames NumMarkers Units OrigDataRate OrigDataStartFrame"
     values = [rate, rate, count, len(labels), "mm", rate, 1, count]

@@ -1,13 +1,13 @@
-"""Message types and layouts: where the numbers of a serialised message are, as a numpy type.
+"""Message types and layouts: the positions of the numbers in a serialised message, as a dtype.
 
-Messages of one type whose strings and sequences are as long as each other's have every number at
-the same byte. A `Layout` is found from one such message; it then reads any number of them at once
-without building message objects. Whether a message has the layout is checked byte by byte: all that
-is neither number nor alignment has to be as in the sample.
+Messages of one type with strings and sequences of equal lengths hold each number at the same
+offset. A `Layout` is derived from one such message; it then reads many of them at once without
+building message objects. A message has the layout if all bytes that are neither numbers nor
+padding equal those of the first message.
 
-The types are those of the rosbags library and this testbed's. The encoding is plain CDR, big or
-little endian (OMG formal/02-06-51, 15.3): every number is aligned to its size, counted from behind
-the four bytes of the encapsulation.
+The types are those of the rosbags library and of this testbed. The encoding is plain CDR, big or
+little endian (OMG formal/02-06-51, 15.3): every number is aligned to its size, counted from the end
+of the four-byte encapsulation header.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from socket_testbed.files import packaged
 
 Record: TypeAlias = NDArray[np.void]
 
-_HEADER = 4  # [bytes] of the encapsulation: two of its kind, two of options
-_PADDING = 3  # [bytes] that may follow a message
-_NUMBERS = {
+_HEADER_SIZE = 4  # [bytes]; encapsulation header: two for the kind, two for options
+_MAX_PADDING = 3  # [bytes] after a message
+_NUMBER_TYPES = {
     **{name: name for name in ("int8", "int16", "int32", "int64", "float32", "float64")},
     **{name: name for name in ("uint8", "uint16", "uint32", "uint64", "bool")},
     **{"byte": "int8", "char": "uint8"},
@@ -55,12 +55,12 @@ def message_class(name: str) -> Any:
 
 
 def decode(raw: bytes | memoryview, message_type: str) -> Any:
-    """A message from its serialised bytes."""
+    """Deserialise a message."""
     return typestore().deserialize_cdr(raw, message_type)
 
 
 def encode(message: Any, message_type: str) -> bytes:
-    """The serialised bytes of a message."""
+    """Serialise a message."""
     return bytes(typestore().serialize_cdr(message, message_type))
 
 
@@ -70,7 +70,7 @@ def stamp_of(message: Any) -> int:
 
 
 def nanoseconds(time: Any) -> int:
-    """A builtin_interfaces/Time, the library's or ROS's, since the epoch [ns]."""
+    """A builtin_interfaces/Time, from rosbags or ROS, since the epoch [ns]."""
     return int(time.sec) * 1_000_000_000 + int(time.nanosec)
 
 
@@ -79,7 +79,7 @@ class Field(NamedTuple):
 
     name: str
     type: str  # a number such as `float64`, `string`, or a message type
-    number: int | None = None  # how many; 0 for a sequence of any length; None for one
+    number: int | None = None  # array length; 0 for a sequence of any length; None for a scalar
 
 
 @cache
@@ -89,7 +89,7 @@ def fields_of(message_type: str) -> tuple[Field, ...]:
 
 
 def _field(name: str, described: Any, number: int | None = None) -> Field:
-    """A field as the library describes it: by its kind, and what that takes."""
+    """A field from the library's description: its kind and the arguments of that kind."""
     kind, content = described
     if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE):
         element, bound = content
@@ -98,9 +98,9 @@ def _field(name: str, described: Any, number: int | None = None) -> Field:
 
 
 def make_message(message_type: str, **given: Any) -> Any:
-    """A message with some of its fields given, those of a message in it as a dictionary.
+    """A message with some fields given; nested messages are given as dictionaries.
 
-    All other fields are zero or empty. `[None] * n` are n blank elements of a sequence.
+    All other fields are zero or empty. `[None] * n` stands for n blank elements of a sequence.
     """
     content = {}
     for name, kind, number in fields_of(message_type):
@@ -108,24 +108,24 @@ def make_message(message_type: str, **given: Any) -> Any:
             content[name] = _made(kind, given.get(name))
         else:
             many = [_made(kind, value) for value in given.get(name, [None] * number)]
-            content[name] = np.array(many, _NUMBERS[kind]) if kind in _NUMBERS else many
+            content[name] = np.array(many, _NUMBER_TYPES[kind]) if kind in _NUMBER_TYPES else many
     return message_class(message_type)(**content)
 
 
 def _made(kind: str, given: Any) -> Any:
     if kind == "string":
         return given or ""
-    return (given or 0) if kind in _NUMBERS else make_message(kind, **(given or {}))
+    return (given or 0) if kind in _NUMBER_TYPES else make_message(kind, **(given or {}))
 
 
 class Layout:
-    """The layout that a serialised message and others of its type share.
+    """The layout that a serialised message shares with others of its type.
 
-    Its `dtype` has the numbers by the names of their fields, in the message's byte order. A message
-    in it is a field of fields. One of several equal numbers, such as a vector, a point or a
-    quaternion, is an array of them. So are arrays and sequences of numbers or of such messages,
-    shape (n,) or (n, k); other ones have a field for each element: "0", "1", ... Strings are left
-    out. A ValueError is raised if the bytes are not such a message.
+    Its `dtype` holds the numbers by field name, in the message's byte order. A nested message is a
+    structured field; one whose fields are numbers of one type, such as a vector, a point or a
+    quaternion, is an array. So are arrays and sequences of numbers or of such messages, shape (n,)
+    or (n, k); other sequences have a field for each element: "0", "1", ... Strings are left out.
+    A ValueError is raised if the bytes are not such a message.
     """
 
     def __init__(self, sample: bytes | bytearray, message_type: str) -> None:
@@ -138,10 +138,7 @@ class Layout:
         self._masked = int.from_bytes(sample, "little") & self._mask
 
     def record(self, message: bytes | bytearray) -> Record | None:
-        """The numbers of one message, shape (); None if it has another layout.
-
-        They are views of the message: what changes it changes them.
-        """
+        """The numbers of one message, shape (), as a view of it; None if its layout differs."""
         if len(message) != self._size:
             return None
         if int.from_bytes(message, "little") & self._mask != self._masked:
@@ -152,8 +149,8 @@ class Layout:
         """The numbers of many messages.
 
         Returns:
-            Those of the messages that have this layout, in their order, shape (k,); and which of
-            the messages have it.
+            The numbers of the messages with this layout, in order, shape (k,), and a mask of these
+            messages.
         """
         fits = np.fromiter(map(len, messages), np.int64, len(messages)) == self._size
         joined = b"".join(messages if fits.all() else compress(messages, fits))
@@ -165,13 +162,13 @@ class Layout:
 
 
 def blank(message_type: str, **content: Any) -> tuple[bytearray, Record]:
-    """A serialised message to be filled, and its numbers as views of it; see `make_message`."""
+    """A serialised message to fill in, and its numbers as a view of it; see `make_message`."""
     serialised = bytearray(encode(make_message(message_type, **content), message_type))
     return serialised, np.ndarray((), Layout(serialised, message_type).dtype, serialised)
 
 
 def elements(records: Record, field: str) -> list[Record]:
-    """The numbers of the messages in a sequence, none where it is empty."""
+    """The numbers of each message in a sequence; empty for an empty sequence."""
     if field not in (records.dtype.names or ()):
         return []
     sequence = records[field]
@@ -179,31 +176,31 @@ def elements(records: Record, field: str) -> list[Record]:
 
 
 def stamps_of(records: Record) -> IntArray:
-    """Stamps of messages' headers since the epoch, of the records' shape [ns]."""
+    """Header stamps of messages since the epoch [ns], with the shape of the records."""
     stamp = records["header"]["stamp"]
     return np.asarray(stamp["sec"].astype(np.int64) * 1_000_000_000 + stamp["nanosec"])
 
 
 _Placed: TypeAlias = tuple[int, np.dtype[Any]] | None
-"""Where in a message [bytes] a part of it is, and its type; None if there is no number in it."""
+"""Offset of a part in its message [bytes], and its type; None if it holds no number."""
 
 
 class _Walk:
-    """Goes through a message once; `fixed` are the bytes that are neither numbers nor alignment."""
+    """Parses a message once; `fixed` marks the bytes that are neither numbers nor padding."""
 
     def __init__(self, content: bytes) -> None:
         if content[:2] not in (b"\0\0", b"\0\1"):
             raise ValueError("the message is not plain CDR")
         self._order: Literal["<", ">"] = "<" if content[1] else ">"
         self._content = content
-        self._at = _HEADER
+        self._position = _HEADER_SIZE
         self.fixed = np.zeros(len(content), dtype=bool)
         self.fixed[:2] = True
 
     def message(self, message_type: str) -> np.dtype[Any]:
         """The type of the whole message."""
         placed = self._message(message_type)
-        if placed is None or not 0 <= len(self._content) - self._at <= _PADDING:
+        if placed is None or not 0 <= len(self._content) - self._position <= _MAX_PADDING:
             raise ValueError(f"not a {message_type}: the message has another length")
         return placed[1]
 
@@ -214,7 +211,7 @@ class _Walk:
         if field.number is None:
             return self._one(field.type)
         count = field.number or self._length()
-        if field.type in _NUMBERS:
+        if field.type in _NUMBER_TYPES:
             return self._numbers(field.type, count)
         if count > len(self._content):
             raise ValueError("a sequence is longer than the message")
@@ -225,43 +222,43 @@ class _Walk:
         return self._group({str(number): part for number, part in enumerate(parts)})
 
     def _one(self, name: str) -> _Placed:
-        if name in _NUMBERS:
+        if name in _NUMBER_TYPES:
             return self._numbers(name)
         if name == "string":
             length = self._length()
             if length == 0 or self._take(length)[-1:] != b"\0":
                 raise ValueError("a string has no end")
-            self.fixed[self._at - length : self._at] = True
+            self.fixed[self._position - length : self._position] = True
             return None
         fields = fields_of(name)
         kinds = {field.type for field in fields}
         single = all(field.number is None for field in fields)
-        if single and len(fields) > 1 and len(kinds) == 1 and kinds <= _NUMBERS.keys():
+        if single and len(fields) > 1 and len(kinds) == 1 and kinds <= _NUMBER_TYPES.keys():
             return self._numbers(fields[0].type, len(fields))
         return self._message(name)
 
     def _numbers(self, name: str, count: int | None = None) -> tuple[int, np.dtype[Any]]:
-        dtype = np.dtype(_NUMBERS[name]).newbyteorder(self._order)
+        dtype = np.dtype(_NUMBER_TYPES[name]).newbyteorder(self._order)
         if count != 0:
-            self._at += -(self._at - _HEADER) % dtype.itemsize
-        start = self._at
+            self._position += -(self._position - _HEADER_SIZE) % dtype.itemsize
+        start = self._position
         placed = dtype if count is None else np.dtype((dtype, (count,)))
         self._take(placed.itemsize)
         return start, placed
 
     def _length(self) -> int:
         start, dtype = self._numbers("uint32")
-        self.fixed[start : self._at] = True
+        self.fixed[start : self._position] = True
         return int(np.frombuffer(self._content, dtype, 1, start)[0])
 
     def _take(self, size: int) -> bytes:
-        self._at += size
-        if self._at > len(self._content):
+        self._position += size
+        if self._position > len(self._content):
             raise ValueError("the message is too short")
-        return self._content[self._at - size : self._at]
+        return self._content[self._position - size : self._position]
 
     def _group(self, parts: dict[str, _Placed]) -> _Placed:
-        """A type of named parts; as long as the message, so that its parts are where they are."""
+        """A type with named parts at their offsets; as long as the message."""
         placed = {name: part for name, part in parts.items() if part is not None}
         if not placed:
             return None

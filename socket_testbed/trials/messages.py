@@ -1,8 +1,7 @@
-"""Messages of the testbed and their numbers: how each type is read and packed.
+"""Reads and packs the numbers in the testbed's messages, without ROS.
 
-What `Reader` reads has the layout of a message before it; the rosbags library decodes the first
-one, and so every message that deviates. What is packed fills a serialised blank message. No ROS is
-needed.
+A `Reader` reuses the layouts of earlier messages; the rosbags library decodes only the first one
+of each layout. Packing fills in a serialised blank message.
 """
 
 from __future__ import annotations
@@ -44,21 +43,21 @@ if TYPE_CHECKING:
     from socket_testbed.identification.force_map import MapEstimate
     from socket_testbed.identification.pressure import RegionOutputs
 
-WORLD_FRAME = "world"  # the motion capture's
+WORLD_FRAME = "world"  # of the motion capture
 LOAD_CELL_FRAME = "load_cell"  # the paper's {S}
 
-_LAYOUTS = 8  # of a topic that are remembered; what has another is read message by message
+_MAX_LAYOUTS = 8  # remembered per topic; messages of other layouts are decoded one by one
 
 Values: TypeAlias = Callable[[Record, Any], Any]
-"""Gives the values of messages of one layout, from their numbers and one of them as the library
-decodes it: names and lengths are the same in all. Their shapes begin with that of the records."""
+"""Values of messages of one layout, from their numbers and one decoded sample: names and lengths
+are equal in all. Shapes begin with that of the records."""
 
 
 class Reader:
-    """Reads serialised messages of a topic, those of one layout at once.
+    """Reads serialised messages of a topic, all of one layout at once.
 
-    A message that cannot be decoded is a TrialError, which says where it is from. Unless `values`
-    is given, the topic's type says what is read, see `VALUES`.
+    A message that cannot be decoded raises a TrialError that names `where` it came from. Without
+    `values`, the topic's type determines the values, see `VALUES`.
     """
 
     def __init__(
@@ -67,25 +66,25 @@ class Reader:
         self._topic = topic
         self._where = where
         self._values = values or VALUES[topic.type]
-        fields_of(topic.type)  # prepared now: no node's first message waits for it
+        fields_of(topic.type)  # cached now, so that a node's first message is not delayed
         self._known: list[tuple[Layout, Any]] = []
 
     def read(self, data: bytes) -> tuple[int, Any]:
         """Stamp since the epoch [ns] and values of one message."""
         for layout, sample in self._known:
             if (record := layout.record(data)) is not None:
-                stamp = record["header"]["stamp"]  # not by `stamps_of`, which takes 10 us
+                stamp = record["header"]["stamp"]  # `stamps_of` takes 10 us
                 nanoseconds = int(stamp["sec"]) * 1_000_000_000 + int(stamp["nanosec"])
                 return nanoseconds, self._values(record, sample)
-        self._known = [self._learn(data), *self._known[: _LAYOUTS - 1]]
+        self._known = [self._learn(data), *self._known[: _MAX_LAYOUTS - 1]]
         return self.read(data)
 
     def parts(self, messages: Sequence[bytes]) -> Iterator[tuple[IntArray, IntArray, Any]]:
         """Many messages in parts, each of one layout.
 
         Yields:
-            The part's k places among the messages, shape (k,), the stamps [ns], shape (k,), and
-            the values.
+            Indices of the part's k messages, shape (k,), their stamps [ns], shape (k,), and their
+            values.
         """
         left, tried = np.arange(len(messages)), 0
         while len(left):
@@ -94,7 +93,7 @@ class Reader:
                 layout, sample = self._known[tried]
             else:
                 layout, sample = self._learn(messages[left[0]])
-                if tried < _LAYOUTS:
+                if tried < _MAX_LAYOUTS:
                     self._known.append((layout, sample))
                 else:
                     chosen = left[:1]
@@ -107,7 +106,7 @@ class Reader:
     def _learn(self, data: bytes) -> tuple[Layout, Any]:
         try:
             return Layout(data, self._topic.type), decode(data, self._topic.type)
-        except Exception as error:  # the library raises whatever the bytes lead it to
+        except Exception as error:  # the library may raise any exception
             raise TrialError(
                 f"{self._where}: a message on {self._topic.name} cannot be decoded ({error})",
                 "check that it was recorded or sent with this version's messages",
@@ -115,10 +114,10 @@ class Reader:
 
 
 class Template:
-    """A message with a header, of which all but the numbers stays: filled and sent as bytes.
+    """A serialised message with a header, in which only the numbers change.
 
-    It is made of its strings and as many elements as its sequences have, see `make_message`. Its
-    `numbers` are to be filled, see `Layout`.
+    The content sets its strings and the lengths of its sequences, see `make_message`. Callers fill
+    in its `numbers`, see `Layout`.
     """
 
     def __init__(self, message_type: str, frame: str = LOAD_CELL_FRAME, **content: Any) -> None:
@@ -126,14 +125,14 @@ class Template:
         self._stamp = self.numbers["header"]["stamp"]
 
     def serialised(self, stamp: int, **numbers: Any) -> bytes:
-        """The message with some fields filled now, and a stamp since the epoch [ns]."""
+        """The message with the given fields and a stamp since the epoch [ns]."""
         self._stamp[()] = divmod(stamp, 1_000_000_000)
         for field, values in numbers.items():
             self.numbers[field] = values
         return bytes(self._content)
 
 
-# What the testbed's messages say, type by type: how it is read, and how it is packed.
+# Readers and packers of the testbed's messages, by type.
 
 
 def trigger_packer() -> Callable[[int, int], bytes]:
@@ -143,7 +142,7 @@ def trigger_packer() -> Callable[[int, int], bytes]:
 
 
 VectorPacker: TypeAlias = Callable[[int, FloatArray], bytes]
-"""Makes a serialised message of a stamp since the epoch [ns] and its numbers."""
+"""Packs a serialised message from a stamp since the epoch [ns] and its numbers."""
 
 
 def wrench_packer() -> VectorPacker:
@@ -181,8 +180,8 @@ def _raw(records: Record, sample: Any) -> FloatArray:
 def load_cell_raw_packer() -> Callable[[int, FloatArray, FloatArray, int, int], bytes]:
     """Packs a LoadCellRaw.
 
-    From its stamp [ns], the ratios, shape (6,) [mV/V], the tare [M; F], shape (6,) [N m, N], when
-    that was taken [ns], and a `Status`.
+    From its stamp [ns], the ratios, shape (6,) [mV/V], the tare [M; F], shape (6,) [N m, N], the
+    tare's time [ns], and a `Status`.
     """
     template = Template(LOAD_CELL_RAW.type)
 
@@ -233,7 +232,7 @@ def capacitance_packer(
 def _stress(records: Record, sample: Any) -> dict[str, tuple[FloatArray, int]]:
     """Normal stress, shear x and y [Pa], and status by cluster, of one message.
 
-    Two clusters of one name are missing: which of them is meant, nobody knows.
+    Clusters that share a name are ambiguous and count as missing.
     """
     found = {}
     for cluster, own in zip(sample.clusters, elements(records, "clusters"), strict=True):
@@ -261,7 +260,7 @@ def stress_packer(names: Sequence[str]) -> Callable[[int, FloatArray, StatusArra
 
 
 def _markers(records: Record, sample: Any) -> list[tuple[str, FloatArray]]:
-    """Name and m markers, shape (..., m, 3) [m] in the world, of each body."""
+    """Name of each body, and its m markers in the world, shape (..., m, 3) [m]."""
     found = []
     for number, body in enumerate(sample.bodies):
         markers = np.empty((*records.shape, len(body.markers), 3))
@@ -272,7 +271,7 @@ def _markers(records: Record, sample: Any) -> list[tuple[str, FloatArray]]:
 
 
 def markers_packer(counts: Mapping[str, int]) -> Callable[[int, Sequence[FloatArray]], bytes]:
-    """Packs a RigidBodyMarkersArray of bodies with so many markers.
+    """Packs a RigidBodyMarkersArray, given each body's marker count.
 
     From its stamp [ns] and the markers of each body, shape (m, 3) [m] in the world.
     """
@@ -289,7 +288,7 @@ def markers_packer(counts: Mapping[str, int]) -> Callable[[int, Sequence[FloatAr
 
 
 def _per_name(topic: Topic, names: Sequence[str], fields: Sequence[str], **more: Any) -> Template:
-    """A template whose fields have an element for each of the names."""
+    """A template whose fields have one element per name."""
     blanks: dict[str, Any] = dict.fromkeys(fields, [None] * len(names))
     return Template(topic.type, names=names, **blanks, **more)
 
@@ -307,7 +306,7 @@ _MAP_FIELDS = (
 
 
 def _force_map(records: Record, sample: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
-    """Names of the n tiles; and the fields of N maps, as `MapEstimate` takes them."""
+    """Names of the n tiles, and the fields of N maps for a `MapEstimate`."""
     records = np.atleast_1d(records)
     fields: dict[str, Any] = {name: records[name].astype(np.float64) for name in _MAP_FIELDS}
     return tuple(sample.names), {**fields, "source": sample.source}
@@ -315,7 +314,7 @@ def _force_map(records: Record, sample: Any) -> tuple[tuple[str, ...], dict[str,
 
 def force_map_packer(names: Sequence[str]) -> Callable[[int, MapEstimate], bytes]:
     """Packs a ForceMap of n tiles from its stamp [ns] and an estimate with N = 1."""
-    # Few: by the channels that are there.
+    # One for each combination of available channels; there are few.
     template_of = cache(lambda source: _per_name(FORCE_MAP, names, _MAP_FIELDS, source=source))
 
     def pack(stamp: int, estimate: MapEstimate) -> bytes:
@@ -326,7 +325,7 @@ def force_map_packer(names: Sequence[str]) -> Callable[[int, MapEstimate], bytes
 
 
 REGION_FIELDS = {"mean": "mean", "peak": "peak", "shear": "shear", "share": "load_share"}
-"""Outputs of regions, and the fields of RegionPressures that hold them."""
+"""Region outputs and their fields in a RegionPressures."""
 _REGION_COLUMNS = [
     f"{name}{end}" for name in REGION_FIELDS.values() for end in ("", "_low", "_high")
 ]

@@ -1,4 +1,4 @@
-"""Metadata of a trial: who wore which socket, and how; the file `trial.yaml` in its folder."""
+"""Metadata of a trial (subject, socket, conditions), in the file `trial.yaml` of its folder."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ _MASS: Any = Annotated[
     float, Meta(ge=MASS_RANGE[0], le=MASS_RANGE[1], description="the body mass [kg]")
 ]
 
-_LONGEST = {"notes": 2000}  # [characters]; 80 otherwise
+_MAX_LENGTHS = {"notes": 2000}  # [characters]; 80 for other fields
 _CODES = {"subject": "a code such as S01, never a name", "operator": "initials or a code"}
 _HEADER = "# Metadata of this trial; the mass in kg. 'socket-testbed annotate' changes it.\n"
 
 
 @dataclass(frozen=True, repr=False)
 class TrialMetadata:
-    """What a person states about a trial; None for what is not stated.
+    """Metadata stated by a person; None for an unstated field.
 
-    Runs of white space in a text become one space.
+    Whitespace in a text is collapsed to single spaces.
     """
 
     subject: str | None = None  # a code such as `S01`; never a name
@@ -41,9 +41,9 @@ class TrialMetadata:
     socket: str | None = None  # such as `PTB 3`
     liner: str | None = None  # or sock
     mass: float | None = None  # of the subject [kg]
-    operator: str | None = None  # initials or a code of who recorded it
-    protocol: str | None = None  # that it follows
-    notes: str | None = None  # anything else
+    operator: str | None = None  # initials or a code
+    protocol: str | None = None  # that the trial follows
+    notes: str | None = None  # further remarks
 
     def __post_init__(self) -> None:
         for name, value in self.stated().items():
@@ -54,21 +54,21 @@ class TrialMetadata:
         return f"TrialMetadata({stated})"
 
     def stated(self) -> dict[str, Any]:
-        """The values that are stated, by their fields."""
+        """The stated values, by field."""
         return {name: value for name in FIELDS if (value := getattr(self, name)) is not None}
 
     def described(self) -> dict[str, str]:
-        """The values that are stated as text with units, by their fields."""
+        """The stated values as text with units, by field."""
         texts = {name: str(value) for name, value in self.stated().items()}
         return texts if self.mass is None else texts | {"mass": f"{self.mass:g} kg"}
 
     def columns(self) -> dict[str, str | float | None]:
-        """All values by the names of a summary's columns; None where nothing is stated."""
+        """All values by column name of a summary; None for an unstated field."""
         return {COLUMNS[name]: getattr(self, name) for name in FIELDS}
 
 
 FIELDS = tuple(item.name for item in dataclasses.fields(TrialMetadata))
-# The software's own notes on a trial are a summary's `notes`.
+# In a summary, `notes` are those of the software.
 COLUMNS = {name: name for name in FIELDS} | {"mass": "mass [kg]", "notes": "trial_notes"}
 
 
@@ -76,9 +76,9 @@ def _checked(name: str, value: Any) -> Any:
     if name == "mass":
         return convert(plain(value), _MASS, "mass")
     if not isinstance(value, str):
-        raise ConfigurationError(f"{name} is {value}, no text", "give a text, in quotes in YAML")
+        raise ConfigurationError(f"{name} is {value}, not a text", "give a text, in quotes in YAML")
     text = " ".join(value.split())
-    longest = _LONGEST.get(name, 80)
+    longest = _MAX_LENGTHS.get(name, 80)
     if not text:
         raise ConfigurationError(f"{name} is empty", "give a text or leave it out")
     if not text.isprintable():
@@ -103,13 +103,13 @@ def read_metadata(path: Path) -> TrialMetadata:
 
 
 def write_metadata(metadata: TrialMetadata, path: Path) -> None:
-    """Write the metadata to a `trial.yaml`; the file is complete or the older one stays."""
+    """Write the metadata to a `trial.yaml`, atomically: on failure, the older file stays."""
     write_text(path, metadata_text(metadata))
 
 
 def metadata_text(metadata: TrialMetadata) -> str:
     """The text of a `trial.yaml`."""
-    # A JSON text is a quoted YAML text: '007' and '1e3' stay texts.
+    # JSON strings are quoted YAML strings: '007' and '1e3' stay strings.
     lines = [
         f"{name}: {json.dumps(value, ensure_ascii=False)}\n"
         for name, value in metadata.stated().items()
@@ -120,7 +120,7 @@ def metadata_text(metadata: TrialMetadata) -> str:
 def change_metadata(
     metadata: TrialMetadata, changes: Mapping[str, Any], remove: Iterable[str] = ()
 ) -> TrialMetadata:
-    """Metadata with some fields changed, unless the value is None, and others removed."""
+    """Metadata with some fields changed (None keeps a field) and others removed."""
     removed = dict.fromkeys(remove)
     for name in removed:
         if name not in FIELDS:

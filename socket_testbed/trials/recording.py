@@ -1,10 +1,10 @@
-"""MCAP recordings: every sound chunk is read, however the file ends and whatever is damaged in it.
+"""MCAP recordings: reads every intact chunk of a file, even if it is truncated or damaged.
 
-A recorder that was killed, a power cut or a full disk leaves an MCAP file without its index and
-end, often with a torn chunk last; a bad disk or copy changes bytes anywhere. The chunks are found
-by their headers, or by the file's index where that has more of them. The MCAP library unpacks each
-and checks its checksum; a chunk without one has to consist of whole records. Lengths are checked
-before anything is read. The file is only read. The format: https://mcap.dev/spec.
+A killed recorder, a power cut or a full disk leaves an MCAP file without index and end, often with
+a torn last chunk; a bad disk or copy changes bytes anywhere. Chunks are found by their headers, or
+by the file's index if that lists more of them. The MCAP library unpacks each chunk and verifies its
+checksum; a chunk without one must consist of whole records. Lengths are checked before reading.
+The file is never modified. The format: https://mcap.dev/spec.
 """
 
 from __future__ import annotations
@@ -32,28 +32,28 @@ from socket_testbed.errors import TrialError
 _MAGIC = b"\x89MCAP0\r\n"
 _RECORD = struct.Struct("<BQ")  # opcode, length of the content [bytes]
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, times of recording and publishing [ns]
-_IS_MESSAGE = int(Opcode.MESSAGE)  # looked up for every message
+_MESSAGE_OPCODE = int(Opcode.MESSAGE)  # looked up once, compared for every record
 _FOOTER = _RECORD.pack(Opcode.FOOTER, 20)
 _END_SIZE = _RECORD.size + 20 + len(_MAGIC)
-_CHUNK_FIELDS = 8 + 8 + 8 + 4 + 4 + 8  # [bytes] of a chunk besides its data and a name
-_LARGEST_CHUNK = 2**28  # [bytes]; recorders write 1 MiB, a larger length is a lie
-_LOOSE = 2**20  # [bytes] of messages outside chunks that are taken for one
-_OF_APPLICATIONS = 0x80  # opcodes from here on
+_CHUNK_OVERHEAD = 8 + 8 + 8 + 4 + 4 + 8  # [bytes] of a chunk without its data and compression name
+_MAX_CHUNK_SIZE = 2**28  # [bytes]; recorders write 1 MiB, a larger length is corrupt
+_MAX_LOOSE_SIZE = 2**20  # [bytes] of messages outside chunks that are grouped into one
+_FIRST_PRIVATE_OPCODE = 0x80  # applications may use opcodes from here on
 
 _HINT = "copy the trial again if it is whole elsewhere"
 
 
 class _Place(NamedTuple):
-    """Where a chunk is in its file, or messages outside of one, as some recorders write them."""
+    """Location of a chunk in its file, or of messages that some recorders write outside chunks."""
 
     start: int  # [bytes]; of its content
     end: int
-    index_end: int  # and of its messages' indexes behind it
+    index_end: int  # end of the message indexes that follow it
     packed: bool = True
 
 
 class Connection(NamedTuple):
-    """A topic of a recording, with the names that rosbags gives to its parts."""
+    """A topic of a recording, with the field names of rosbags."""
 
     id: int
     topic: str
@@ -62,17 +62,17 @@ class Connection(NamedTuple):
 
 
 class _Chunk:
-    """What a chunk holds."""
+    """The content of a chunk."""
 
     def __init__(self, file: BinaryIO, place: _Place) -> None:
         self.place = place
         self.definitions: list[Schema | Channel] = []
-        self.sound, self.checked = True, True  # all of it can be read; by a checksum
+        self.sound, self.checked = True, True  # fully readable; verified by a checksum
         channels, times = [], []
         try:
             content, self.checked = _unpack(file, place)
             for opcode, start, end in _records(content):
-                if opcode == _IS_MESSAGE:
+                if opcode == _MESSAGE_OPCODE:
                     if end - start < _MESSAGE.size:
                         raise ValueError("the chunk holds a torn message")
                     channel, _, time, _ = _MESSAGE.unpack_from(content, start)
@@ -80,9 +80,9 @@ class _Chunk:
                     times.append(time)
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self.definitions.append(_definition(opcode, content[start:end]))
-                elif opcode < _OF_APPLICATIONS:
+                elif opcode < _FIRST_PRIVATE_OPCODE:
                     raise ValueError("the chunk holds another record")
-        except Exception:  # the libraries raise whatever the bytes lead them to
+        except Exception:  # the libraries may raise any exception
             self.sound, self.definitions, channels, times = False, [], [], []
         self.counts = Counter(channels)
         self.first_time = min(times, default=0)  # [ns]
@@ -90,11 +90,11 @@ class _Chunk:
 
 
 class Recording:
-    """What can be read of a recording; it is used like a reader of rosbags.
+    """The readable part of a recording; used like a reader of rosbags.
 
-    A TrialError, which gives the file a name, is raised if one that was cut short or damaged holds
-    no complete chunk with a message, or what its topics are is lost. What else was not read, or
-    cannot be checked, is in `notes`, one line each; `lacks` is whether messages may be missing.
+    A TrialError, which calls the file by `name`, is raised if a truncated or damaged file holds no
+    complete chunk of messages, or its topics are lost. `notes` report all else that was not read or
+    cannot be checked, one line each; `lacks` tells whether messages may be missing.
     """
 
     def __init__(self, path: Path, name: Path) -> None:
@@ -120,7 +120,7 @@ class Recording:
         chunks = [chunk for chunk in self._chunks if wanted.keys() & chunk.counts.keys()]
         chunks.sort(key=lambda chunk: chunk.first_time)
         next_times = (*(chunk.first_time for chunk in chunks[1:]), math.inf)
-        waiting: list[tuple[int, int, Connection, bytes]] = []  # for those of chunks that overlap
+        waiting: list[tuple[int, int, Connection, bytes]] = []  # chunks may overlap in time
         for chunk, next_time in zip(chunks, next_times, strict=False):
             waiting += self._messages_of(chunk.place, wanted)
             waiting.sort(key=itemgetter(0, 1))
@@ -132,10 +132,10 @@ class Recording:
     def _messages_of(
         self, place: _Place, wanted: Mapping[int, Connection]
     ) -> Iterator[tuple[int, int, Connection, bytes]]:
-        """The messages of a chunk: time [ns], where the chunk starts, connection and content."""
+        """The messages of a chunk: time [ns], start of the chunk, connection and content."""
         content, _ = _unpack(self._file, place)
         for opcode, start, end in _records(content):
-            if opcode == _IS_MESSAGE:
+            if opcode == _MESSAGE_OPCODE:
                 channel, _, time, _ = _MESSAGE.unpack_from(content, start)
                 if channel in wanted:
                     yield time, place.start, wanted[channel], content[start + _MESSAGE.size : end]
@@ -150,8 +150,8 @@ class Recording:
             listed = [_Chunk(self._file, place) for place in index.places]
             found = max(found, listed, key=lambda each: sum(c.counts.total() for c in each))
         if not index.ended:
-            # Before its size reaches the disk, a chunk may have zeros or old blocks for content.
-            # That is so only for what was not flushed: from the back, the first sound one ends it.
+            # An unflushed chunk at the end may hold zeros or old disk blocks. Chunks before the
+            # last intact one were flushed.
             while found and not found[-1].sound:
                 found.pop()
                 complete = False
@@ -161,18 +161,18 @@ class Recording:
         whole = index.sound and complete and index.places in ([], walked)
         self.lacks = not whole or len(self._chunks) < len(found)
         if self.lacks and not self._chunks:
-            raise self._nothing(name, index.ended)
-        # As rosbags has it, the end is a nanosecond behind the last message.
+            raise self._unreadable(name, index.ended)
+        # As in rosbags, the end is one nanosecond after the last message.
         self.start_time = min((chunk.first_time for chunk in self._chunks), default=0)
         self.end_time = max((chunk.last_time for chunk in self._chunks), default=-1) + 1
         counts = sum((chunk.counts for chunk in self._chunks), Counter[int]())
         self.message_count = counts.total()
         self.connections = _connections(definitions, counts)
         if sum(connection.msgcount for connection in self.connections) < self.message_count:
-            raise TrialError(f"{name}: is damaged, what its topics are is lost", _HINT)
+            raise TrialError(f"{name}: is damaged, its topics are lost", _HINT)
         self.notes: list[str] = []
         if not all(chunk.checked for chunk in self._chunks):
-            self.notes.append(f"{self.path.name} has no checksums: damage in it cannot be seen")
+            self.notes.append(f"{self.path.name} has no checksums: damage cannot be detected")
         if self.lacks and (index.ended or len(self._chunks) < len(found)):
             known = complete or bool(index.sound and index.places)
             start = min(self.start_time, index.start_time)
@@ -181,12 +181,12 @@ class Recording:
             torn = size - self._chunks[-1].place.index_end
             self.notes.append(self._describe_cut(torn, complete))
 
-    def _nothing(self, name: Path, ended: bool) -> TrialError:
-        """Why there is no complete chunk of messages."""
+    def _unreadable(self, name: Path, ended: bool) -> TrialError:
+        """The error for a file without a complete chunk of messages."""
         self._file.seek(0)
         magic = self._file.read(len(_MAGIC)).rstrip(b"\0")
-        if _is_bare(self.path):
-            fact = "holds nothing: its recorder was ended before anything was on the disk"
+        if _is_empty(self.path):
+            fact = "holds nothing: its recorder ended before any data reached the disk"
             hint = "remove it, or copy the trial again if it is complete elsewhere"
         elif ended:
             fact, hint = "is damaged, nothing in it can be read", _HINT
@@ -199,7 +199,7 @@ class Recording:
         return TrialError(f"{name}: {fact}", hint)
 
     def _describe_cut(self, torn: int, complete: bool) -> str:
-        """What was saved and what was not; torn is what follows the chunks [bytes]."""
+        """A note on saved and lost messages; `torn` is the size of the unread end [bytes]."""
         until = datetime.fromtimestamp((self.end_time - 1) * 1e-9).strftime("%H:%M:%S")
         unread = f" ({torn} bytes cannot be read)" if torn else ""
         return (
@@ -209,7 +209,7 @@ class Recording:
         )
 
     def _describe_damage(self, found: list[_Chunk], start: float, known: bool) -> str:
-        """What is missing of a recording from a start on [ns]; known is whether all were found."""
+        """A note on missing parts, with times from `start` [ns]; `known`: all chunks were found."""
 
         def at(time: int) -> str:
             return f"{1e-9 * (time - start):.2f} s"
@@ -222,29 +222,29 @@ class Recording:
                 end = at(after[0].first_time) if after else "the end"
                 gaps.append(f"from {begin} to {end}")
         if not known and found[-1].sound:
-            gaps.append(f"what may follow {at(found[-1].last_time)}")
+            gaps.append(f"anything after {at(found[-1].last_time)}")
         lost = len(found) - len(self._chunks)
         counted = f"{lost} of its {len(found)} chunks cannot be read, " if lost else ""
-        what = f"{counted}what is missing is {', '.join(gaps)}" if gaps else "no message is missing"
+        what = f"{counted}missing: {', '.join(gaps)}" if gaps else "no message is missing"
         return f"the recording {self.path.name} is damaged: {what} ({_HINT})"
 
 
 class _Index:
-    """What the end of a file says of its chunks and topics; nothing where it cannot be read."""
+    """The index of chunks and topics at the end of a file; empty if it cannot be read."""
 
     def __init__(self, file: BinaryIO) -> None:
-        self.places: list[_Place] = []  # its chunks
-        self.start_time = math.inf  # of the first message [ns]; infinite if it is not sure
+        self.places: list[_Place] = []  # of the chunks
+        self.start_time = math.inf  # of the first message [ns]; infinite if unknown
         self.definitions: list[Schema | Channel] = []
         footer_start = max(0, file.seek(0, io.SEEK_END) - _END_SIZE)
         file.seek(footer_start)
         end = file.read()
         self.ended = end.startswith(_FOOTER) and end.endswith(_MAGIC)
-        self.sound = self.ended  # with the right checksum, if it has one
+        self.sound = self.ended  # and its checksum, if any, is correct
         if self.ended:
             try:
                 self._read(file, footer_start, *struct.unpack_from("<QQI", end, _RECORD.size))
-            except Exception:  # the library raises whatever the bytes lead it to
+            except Exception:  # the library may raise any exception
                 self.sound, self.start_time = False, math.inf
 
     def _read(self, file: BinaryIO, stop: int, start: int, _: int, checksum: int) -> None:
@@ -268,7 +268,7 @@ class _Index:
 
 
 def _walk(file: BinaryIO, size: int) -> tuple[list[_Place], bool]:
-    """The chunks by the headers of the records, and whether all messages are before the end."""
+    """The chunks found by record headers, and whether the walk reached the end of the data."""
     places: list[_Place] = []
     chunked = False
     position = len(_MAGIC)
@@ -276,8 +276,8 @@ def _walk(file: BinaryIO, size: int) -> tuple[list[_Place], bool]:
         file.seek(position)
         opcode, length = _RECORD.unpack(file.read(_RECORD.size))
         start, position = position, position + _RECORD.size + length
-        # A recorder that writes chunks writes no messages beside them.
-        if position > size or opcode == 0 or (chunked and opcode == _IS_MESSAGE):
+        # A recorder that writes chunks writes no messages outside them.
+        if position > size or opcode == 0 or (chunked and opcode == _MESSAGE_OPCODE):
             break
         if opcode in (Opcode.DATA_END, Opcode.FOOTER):
             return places, True
@@ -286,9 +286,9 @@ def _walk(file: BinaryIO, size: int) -> tuple[list[_Place], bool]:
             places.append(_Place(start + _RECORD.size, position, position))
         elif opcode == Opcode.MESSAGE_INDEX and places:
             places[-1] = places[-1]._replace(index_end=position)
-        elif opcode in (_IS_MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
+        elif opcode in (_MESSAGE_OPCODE, Opcode.SCHEMA, Opcode.CHANNEL):
             last = places.pop() if places else _Place(start, start, start, packed=False)
-            if last.packed or last.end != start or last.end - last.start > _LOOSE:
+            if last.packed or last.end != start or last.end - last.start > _MAX_LOOSE_SIZE:
                 places.append(last)
                 last = _Place(start, start, start, packed=False)
             places.append(last._replace(end=position, index_end=position))
@@ -296,17 +296,17 @@ def _walk(file: BinaryIO, size: int) -> tuple[list[_Place], bool]:
 
 
 def holds_nothing(folder: Path) -> bool:
-    """Whether a recording was cut short before anything of a message was on the disk.
+    """Whether a recording was truncated before any message reached the disk.
 
-    So does a recorder leave it that is killed while it starts. A folder with a `metadata.yaml` is
-    none of them: its files may be complete elsewhere.
+    This happens when a recorder is killed during its start. A folder with a `metadata.yaml` does
+    not count: its files may be complete elsewhere.
     """
     files = list(folder.glob("*.mcap"))
-    return bool(files) and not (folder / "metadata.yaml").exists() and all(map(_is_bare, files))
+    return bool(files) and not (folder / "metadata.yaml").exists() and all(map(_is_empty, files))
 
 
-def _is_bare(path: Path) -> bool:
-    """Whether there is no more of an MCAP file than its first record, or a part of that."""
+def _is_empty(path: Path) -> bool:
+    """Whether an MCAP file holds at most its first record, or a part of it."""
     with path.open("rb") as file:
         start = file.read(len(_MAGIC) + _RECORD.size)
     if len(start) < len(_MAGIC) + _RECORD.size:
@@ -317,17 +317,17 @@ def _is_bare(path: Path) -> bool:
 
 
 def _unpack(file: BinaryIO, place: _Place) -> tuple[bytes, bool]:
-    """The records of a chunk, and whether a checksum says that they are right."""
-    if not 0 <= place.end - place.start <= _LARGEST_CHUNK:
+    """The records of a chunk, and whether a checksum confirms them."""
+    if not 0 <= place.end - place.start <= _MAX_CHUNK_SIZE:
         raise ValueError("the chunk is too large")
     file.seek(place.start)
     content = file.read(place.end - place.start)
     if not place.packed:
         return content, False
     chunk = Chunk.read(ReadDataStream(io.BytesIO(content)))
-    if _CHUNK_FIELDS + len(chunk.compression) + len(chunk.data) != len(content):
+    if _CHUNK_OVERHEAD + len(chunk.compression) + len(chunk.data) != len(content):
         raise ValueError("the chunk does not fill its record")
-    if chunk.uncompressed_size > _LARGEST_CHUNK:
+    if chunk.uncompressed_size > _MAX_CHUNK_SIZE:
         raise ValueError("the chunk is too large once unpacked")
     stream, length = get_chunk_data_stream(chunk, validate_crc=True)
     if length != chunk.uncompressed_size:
@@ -336,7 +336,7 @@ def _unpack(file: BinaryIO, place: _Place) -> tuple[bytes, bool]:
 
 
 def _records(content: bytes) -> Iterator[tuple[int, int, int]]:
-    """Opcode, start and end of every record; raises where one is torn."""
+    """Opcode, start and end of every record; raises an error if one is torn."""
     end = 0
     while end < len(content):
         opcode, size = _RECORD.unpack_from(content, end)
@@ -353,9 +353,9 @@ def _definition(opcode: int, content: bytes) -> Schema | Channel:
 
 
 def _connections(definitions: list[Schema | Channel], counts: Counter[int]) -> list[Connection]:
-    """The channels whose types are known, with their counts."""
+    """The channels of known type, with their counts."""
     schemas = {record.id: record.name for record in definitions if isinstance(record, Schema)}
-    schemas.setdefault(0, "none")  # says the format
+    schemas.setdefault(0, "none")  # 0: no schema, by the format
     channels = {record.id: record for record in definitions if isinstance(record, Channel)}
     return [
         Connection(channel.id, channel.topic, schemas[channel.schema_id], counts[channel.id])

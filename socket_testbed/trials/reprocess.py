@@ -1,4 +1,4 @@
-"""Measurements made anew from what was recorded raw: wrenches from ratios, poses from markers."""
+"""Measurements recomputed from raw data: wrenches from bridge ratios, poses from markers."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.trials.synchronise import Measurements, marker_count, parse_span
 
 RECORDED, NO_TARE = "recorded", "none"
-_SAME_MARKER = 1e-6  # [m]
-_SAME_WRENCH = 1e-6  # of the full scale
+_MARKER_TOLERANCE = 1e-6  # [m]
+_WRENCH_TOLERANCE = 1e-6  # [-]; relative to full scale
 
 
 def parse_tare(tare: str) -> tuple[float, float] | None:
-    """The span of a tare written as `T0:T1` [s]; None for `recorded` and `none`."""
+    """The span of a tare given as `T0:T1` [s]; None for `recorded` and `none`."""
     fixed = tare in (RECORDED, NO_TARE)
     return None if fixed else parse_span(tare, "--tare", ", or none, recorded")
 
 
 def read_load_cell(path: Path) -> LoadCellSettings:
-    """The load cell's settings in a `testbed.yaml`."""
+    """Read the load cell's settings from a `testbed.yaml`."""
     settings = read_testbed(path).load_cell_node
     try:
         load_cell.check_settings(settings)
@@ -49,12 +49,11 @@ def remake_wrenches(
     where: str,
     notify: Callable[[str], None],
 ) -> Measurements:
-    """Wrenches by another load cell's settings, or with another tare.
+    """Recompute wrenches with other load-cell settings or another tare.
 
-    The ratios are those of the voltages that were measured: by the given settings they have other
-    signs, gains, excitation or inputs. The converter's own gain was set in it, and stays. The
-    recorded settings have no matrix if the trial stores none. The tare is as of a `Trial`; the one
-    in use is notified. `where` names the trial in an error.
+    The given settings may assign other signs, gains, excitation or inputs to the measured voltages;
+    the converter's own gain was set in hardware and stays. The recorded settings lack a matrix if
+    the trial stores none. The tare is that of a `Trial`. `where` names the trial in errors.
     """
     offsets = measured.tares
     wrenches = measured.wrench + offsets
@@ -63,9 +62,9 @@ def remake_wrenches(
         if recorded.matrix:
             old = Bridges(recorded)
             off = np.nan_to_num(np.abs(old.wrenches(ratios) - wrenches))
-            if (off > _SAME_WRENCH * old.full_scale).any():
+            if (off > _WRENCH_TOLERANCE * old.full_scale).any():
                 raise TrialError(
-                    f"{where}: its testbed.yaml's load cell does not make the recorded wrenches",
+                    f"{where}: its testbed.yaml's load cell does not match the recorded wrenches",
                     "remove load_cell_node from that file: the ratios are then used as they are",
                 )
             offsets = new.wrenches(new.ratios_from(old, old.ratios_at(offsets)))
@@ -83,7 +82,7 @@ def remake_wrenches(
         offsets = np.zeros(6)
     last = np.broadcast_to(offsets, wrenches.shape)[np.isfinite(wrenches).all(axis=1)][-1:]
     used = "".join(map(load_cell.in_words, last))
-    notify(f"the wrenches are made anew from load_cell/raw, with the tare {tare}: {used}")
+    notify(f"the wrenches are recomputed from load_cell/raw, with the tare {tare}: {used}")
     return replace(measured, wrench=wrenches - offsets)
 
 
@@ -94,7 +93,7 @@ def _mean_load(
     limits: LoadCellSettings,
     where: str,
 ) -> FloatArray:
-    """Mean of the wrenches in a span [s], shape (6,) [N m, N], where the load must not move."""
+    """Mean of the wrenches in a span [s], shape (6,) [N m, N]; the load must be at rest there."""
     start, end = span
     rows = (time >= start) & (time <= end) & np.isfinite(wrenches).all(axis=1)
     if not rows.any():
@@ -115,11 +114,11 @@ def _mean_load(
 
 
 def other_markers(recorded: SocketGeometry, given: SocketGeometry) -> tuple[str, ...]:
-    """The bodies, of `socket` and `pylon`, whose markers differ between two geometries."""
+    """The bodies (`socket`, `pylon`) whose markers differ between two geometries."""
 
     def differs(body: str) -> bool:
         old, new = (getattr(geometry, f"{body}_markers") for geometry in (recorded, given))
-        return old.shape != new.shape or not np.allclose(old, new, rtol=0.0, atol=_SAME_MARKER)
+        return old.shape != new.shape or not np.allclose(old, new, rtol=0.0, atol=_MARKER_TOLERANCE)
 
     return tuple(filter(differs, ("socket", "pylon")))
 
@@ -131,10 +130,10 @@ def refit_poses(
     where: str,
     notify: Callable[[str], None],
 ) -> Measurements:
-    """Poses of bodies fitted to their recorded markers, as mocap_node fits them to a frame's.
+    """Refit poses of bodies to their recorded markers, as mocap_node fits those of a frame.
 
-    A recorded pose is a mean of frames; a new one is that of the markers at the trigger. `where`
-    names the trial in an error; `notify` is called with how far the poses of a body moved.
+    A recorded pose is a mean over frames; a new one follows the markers at the trigger. `where`
+    names the trial in errors; `notify` reports how far the poses of each body moved.
     """
     for body in bodies:
         reference = getattr(geometry, f"{body}_markers")
@@ -148,17 +147,18 @@ def refit_poses(
             )
         fitted = fit_body(reference, seen[:, : len(reference)]).pose
         recorded = getattr(measured, body)
-        notify(f"{body}: {_moved(Pose.from_quaternion(recorded[:, :3], recorded[:, 3:]), fitted)}")
+        old = Pose.from_quaternion(recorded[:, :3], recorded[:, 3:])
+        notify(f"{body}: {_describe_shift(old, fitted)}")
         pose = np.hstack([fitted.translation, fitted.quaternion()])
         measured = replace(measured, **{body: pose})  # type: ignore[arg-type]
     return measured
 
 
-def _moved(recorded: Pose, fitted: Pose) -> str:
-    """How far N poses are from the recorded ones, in words."""
+def _describe_shift(recorded: Pose, fitted: Pose) -> str:
+    """A note on the distance of N fitted poses from the recorded ones."""
     found, known = (np.isfinite(pose.translation[:, 0]) for pose in (fitted, recorded))
     text = (
-        f"poses fitted anew to the recorded markers: {found.sum()} of {len(found)} found,"
+        f"poses refitted to the recorded markers: {found.sum()} of {len(found)} found,"
         f" {(known & ~found).sum()} of the recorded ones refused, {(found & ~known).sum()} new"
     )
     both = found & known

@@ -1,14 +1,13 @@
-"""Events of a trial, and the part of it that is used: a plateau, what is under load, or a span.
+"""Events of a trial, and selection of a segment: a plateau, the part under load, or a span.
 
-Events are marked while a trial is recorded, or found in its load, the size of the force on the load
-cell. The samples are split into two levels of load, such that the loads within each are as alike as
-possible (Otsu, IEEE Trans. Syst. Man Cybern. 9 (1979) 62). The load is placed when it rises above
-60 % of the way from the lower mean to the upper, and removed when it falls below 40 %: noise in
-between makes no event.
+Events are marked during a recording, or detected in the load (the magnitude of the force on the
+load cell). The samples are split into two load levels by minimising the variance within each (Otsu,
+IEEE Trans. Syst. Man Cybern. 9 (1979) 62). The load is placed when it rises above 60 % of the way
+from the lower mean to the upper, and removed when it falls below 40 %; hysteresis rejects noise.
 
-Steps are found without marks, too: stance begins when the load rises above 10 % of the way from its
-median in the lower level to the upper mean, and swing when it falls below 5 %, where that happens
-three times at least, at most 3 s apart.
+Steps are also detected: stance begins when the load rises above 10 % of the way from its median in
+the lower level to the upper mean, and swing when it falls below 5 %. This needs at least three
+steps, at most 3 s apart.
 """
 
 from __future__ import annotations
@@ -35,64 +34,64 @@ PLACED, REMOVED = "placed", "removed"
 STANCE, SWING = "stance", "swing"
 Source = Literal["recorded", "found"]
 
-_RISEN, _FALLEN = 0.6, 0.4  # [-]; of the way from the lower level of load to the upper
-_STRUCK, _OFF = 0.1, 0.05  # the same of a step, from the usual load in swing
-_STEPS, _STRIDE = 3, 3.0  # of a walk: number at least, time between them at most [s]
-_LONGEST_LABEL = 99  # characters
+_RISE_SHARE, _FALL_SHARE = 0.6, 0.4  # [-]; of the way between the two load levels
+_STANCE_SHARE, _SWING_SHARE = 0.1, 0.05  # [-]; from the median swing load
+_MIN_STEPS, _MAX_STRIDE = 3, 3.0  # of a walk; the stride is the median time [s]
+_MAX_LABEL = 99  # [characters]
 _LABEL = re.compile(r"[^\W\d_](?:[\w. ]|-(?=[^\W\d_]))*")
 _NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)"
 _END = re.compile(rf"(?P<label>.+?)(?:#(?P<number>\d+))?(?P<offset>[+-]{_NUMBER})?")
 _GRAMMAR = "give event:A:B, such as event:placed+5:removed-2 or event:push#2:80"
-_TARED = 1.0  # [s]; around a tare nothing is found in the load
-_EDGE = 10.0  # [s]; how far outside the samples a stamp may be
+_TARE_MARGIN = 1.0  # [s]; no event is detected this close to a tare
+_STAMP_MARGIN = 10.0  # [s]; maximum distance of an event's stamp from the samples
 
 
 @dataclass(frozen=True)
 class Event:
-    """A moment of a trial."""
+    """A labelled moment in a trial."""
 
     label: str
     time: float  # since the first sample [s]
-    source: Source  # recorded with the trial, or found in its load
+    source: Source  # recorded with the trial, or detected in its load
 
     def __str__(self) -> str:
         return f"{self.label} at {self.time:.2f} s ({self.source})"
 
 
 def check_label(label: str) -> str:
-    """Refuse a label that a segment could not name; returns it.
+    """Refuse a label that a segment specification could not name; returns it.
 
     It begins with a letter. Letters, digits, blanks, `_`, `.`, and hyphens before a letter follow.
     """
-    if len(label) > _LONGEST_LABEL or not _LABEL.fullmatch(label) or label != label.strip():
+    if len(label) > _MAX_LABEL or not _LABEL.fullmatch(label) or label != label.strip():
         raise ConfigurationError(
             f"{label!r} is not a label of an event",
             "begin with a letter; letters, digits, blanks, '_', '.' and hyphens before a letter"
-            f" may follow, such as 'heel-strike 2', {_LONGEST_LABEL} characters at most",
+            f" may follow, such as 'heel-strike 2', {_MAX_LABEL} characters at most",
         )
     return label
 
 
 def join_events(recorded: Sequence[Event], found: Sequence[Event]) -> list[Event]:
-    """Recorded events, and found ones of other labels, in the order of their times.
+    """Recorded events, and detected ones with other labels, in the order of their times.
 
-    At a tare the load jumps, but nobody placed or removed it.
+    The load also jumps at a tare, so detected events near a tare are dropped.
     """
     known = {event.label for event in recorded}
     tared = [event.time for event in recorded if event.label.partition(" ")[0] == TARE]
     others = [
         event
         for event in found
-        if event.label not in known and all(abs(event.time - time) > _TARED for time in tared)
+        if event.label not in known and all(abs(event.time - time) > _TARE_MARGIN for time in tared)
     ]
     return sorted([*recorded, *others], key=lambda event: event.time)
 
 
 def read_events(bag: BagReader, samples: Samples) -> list[Event]:
-    """Read the events that were recorded with a trial; its first sample is the zero of time.
+    """Read the events recorded with a trial; times count from its first sample.
 
-    An event whose stamp is far outside the samples' time, such as zero, counts at the time at which
-    it was recorded between the triggers.
+    If a stamp is far outside the samples' times, such as zero, the time when the event was recorded
+    between the triggers is used.
     """
     topics = match_topics(bag.counts, str(bag.path))
     name = topics.get(EVENT)
@@ -103,7 +102,7 @@ def read_events(bag: BagReader, samples: Samples) -> list[Event]:
     found = [reader.read(raw.data) for raw in raws]
     first, last = int(samples.stamps[0]), int(samples.stamps[-1])
     time = np.array([(stamp - first) * 1e-9 for stamp, _ in found])
-    apart = (time < -_EDGE) | (time > (last - first) * 1e-9 + _EDGE)
+    apart = (time < -_STAMP_MARGIN) | (time > (last - first) * 1e-9 + _STAMP_MARGIN)
     if apart.any():
         triggers = list(bag.messages([topics[TRIGGER]]))
         reader = Reader(TRIGGER, bag.path)
@@ -122,11 +121,10 @@ def _printable(label: str) -> str:
 
 
 def find_events(samples: Samples, settings: PlateauSettings) -> list[Event]:
-    """Find when the load was placed and removed, from its two levels (see the module).
+    """Detect when the load was placed and removed, from its two levels (see the module).
 
-    The events are `placed` and `removed` in turns, when the load passes the threshold, linear
-    between samples; none if its levels differ by less than `least_force`. In a walk there are also
-    `stance` and `swing`.
+    Events `placed` and `removed` alternate, at threshold crossings interpolated between samples;
+    none if the levels differ by less than `least_force`. Walking also gives `stance` and `swing`.
     """
     time, load = _load(samples)
     if len(load) < 2:
@@ -134,21 +132,21 @@ def find_events(samples: Samples, settings: PlateauSettings) -> list[Event]:
     lower, upper = _levels(load)
     if upper - lower < settings.least_force:
         return []
-    risen, fallen = (lower + share * (upper - lower) for share in (_RISEN, _FALLEN))
-    events = _passes(time, load, (PLACED, risen), (REMOVED, fallen))
+    risen, fallen = (lower + share * (upper - lower) for share in (_RISE_SHARE, _FALL_SHARE))
+    events = _crossings(time, load, (PLACED, risen), (REMOVED, fallen))
     swing = float(np.median(load[load < 0.5 * (lower + upper)]))
-    struck, off = (swing + share * (upper - swing) for share in (_STRUCK, _OFF))
-    steps = _passes(time, load, (STANCE, struck), (SWING, off))
+    struck, off = (swing + share * (upper - swing) for share in (_STANCE_SHARE, _SWING_SHARE))
+    steps = _crossings(time, load, (STANCE, struck), (SWING, off))
     strikes = [step.time for step in steps if step.label == STANCE]
-    if len(strikes) >= _STEPS and np.median(np.diff(strikes)) <= _STRIDE:
+    if len(strikes) >= _MIN_STEPS and np.median(np.diff(strikes)) <= _MAX_STRIDE:
         events = sorted([*events, *steps], key=lambda event: event.time)
     return events
 
 
-def _passes(
+def _crossings(
     time: FloatArray, load: FloatArray, rise: tuple[str, float], fall: tuple[str, float]
 ) -> list[Event]:
-    """When a load rises above one threshold and falls below another, in turns, by its labels."""
+    """Events where a load rises above one threshold and falls below another, alternately."""
     (_, risen), (_, fallen) = rise, fall
     decided = np.flatnonzero((load >= risen) | (load <= fallen))
     above = load[decided] >= risen
@@ -163,7 +161,7 @@ def _passes(
 
 
 def is_loaded(events: Sequence[Event], time: float) -> bool:
-    """Whether the load is placed at a time [s], by the events that `find_events` found."""
+    """Whether the load is placed at a time [s], by the events from `find_events`."""
     changes = [event for event in events if event.label in (PLACED, REMOVED)]
     before = [event for event in changes if event.time <= time]
     if before:
@@ -172,10 +170,10 @@ def is_loaded(events: Sequence[Event], time: float) -> bool:
 
 
 def loaded_span(samples: Samples, settings: PlateauSettings) -> tuple[float, float] | None:
-    """Start and end of a trial's part under load since the first sample [s]; None without load.
+    """Start and end of the part under load, since the first sample [s]; None without load.
 
-    A sample is under load above a tenth of the way from the least load to the largest, and above
-    `least_force` in any case.
+    A sample is under load if its load exceeds a tenth of the range from the minimum to the maximum,
+    and `least_force`.
     """
     time, load = _load(samples)
     if len(load) == 0:
@@ -188,14 +186,14 @@ def loaded_span(samples: Samples, settings: PlateauSettings) -> tuple[float, flo
 
 
 def _load(samples: Samples) -> tuple[FloatArray, FloatArray]:
-    """Times [s] and sizes [N] of the known forces, without single values far from both beside."""
+    """Times [s] and magnitudes [N] of the known forces, without single-sample outliers."""
     load = np.linalg.norm(samples.wrench[:, 3:], axis=1)
     known = np.isfinite(load)
     return samples.time[known], np.asarray(median_filter(load[known], 3, mode="nearest"))
 
 
 def _levels(load: FloatArray) -> tuple[float, float]:
-    """Means of the two levels of a load of two values at least [N]."""
+    """Means of the two levels of a load with at least two values [N]."""
     ordered = np.sort(load)
     count = np.arange(1, len(load))
     sums = np.cumsum(ordered)
@@ -207,15 +205,15 @@ def _levels(load: FloatArray) -> tuple[float, float]:
 def event_span(specification: str, events: Sequence[Event]) -> tuple[float, float]:
     """Start and end [s] of a segment `event:A:B` between events in the order of their times.
 
-    Each end is a label, as the second occurrence `label#2`, with seconds before or after it,
-    `label-2` or `label+5`; or seconds since the first sample. Without a number the start is the
-    first occurrence, and the end its first occurrence after the start. A
-    ConfigurationError is raised if it cannot be read, a TrialError if there is no such event, or
-    the end is not after the start.
+    Each end is a label, optionally with an occurrence, `label#2`, and an offset in seconds,
+    `label-2` or `label+5`; or seconds since the first sample. Without a number, the start is the
+    first occurrence, and the end the first occurrence after the start. Raises a ConfigurationError
+    if the specification cannot be parsed, a TrialError if there is no such event or the end is not
+    after the start.
     """
     ends = [end.strip() for end in specification.split(":")[1:]]
     if len(ends) != 2 or not all(ends):
-        raise ConfigurationError(f"the segment '{specification}' has no two ends", _GRAMMAR)
+        raise ConfigurationError(f"the segment '{specification}' does not have two ends", _GRAMMAR)
     start = _moment(ends[0], events, -np.inf)
     end = _moment(ends[1], events, start)
     if not start < end:
@@ -227,11 +225,11 @@ def event_span(specification: str, events: Sequence[Event]) -> tuple[float, floa
 
 
 def _moment(end: str, events: Sequence[Event], after: float) -> float:
-    """Time of one end of a segment [s], the first after a time unless it is numbered."""
+    """Time of one end of a segment [s]; the first after a given time unless it is numbered."""
     if re.fullmatch(_NUMBER, end):
         return float(end)
     parts = _END.fullmatch(end)
-    assert parts is not None  # it takes anything
+    assert parts is not None  # matches any text
     label, offset = parts["label"], float(parts["offset"] or 0.0)
     times = [event.time for event in _labelled(label, events)]
     if parts["number"] is not None:
@@ -251,7 +249,7 @@ def _moment(end: str, events: Sequence[Event], after: float) -> float:
 
 
 def _labelled(label: str, events: Sequence[Event]) -> list[Event]:
-    """The events of a label; a TrialError that suggests others if there are none."""
+    """The events with a label; a TrialError that suggests others if there are none."""
     found = [event for event in events if event.label == label]
     if found:
         return found
@@ -266,10 +264,10 @@ def _times(count: int) -> str:
 
 
 def cycle_spans(events: Sequence[Event], by: str = PLACED) -> list[tuple[float, float]]:
-    """Starts and ends of the cycles that events delimit, since the first sample [s].
+    """Starts and ends of cycles between events, since the first sample [s].
 
-    By a label, cycles run from each such event to the next; by two, `A:B`, from each A to the next
-    B, if no other A is between.
+    With one label, cycles run from each such event to the next; with two, `A:B`, from each A to the
+    next B, unless another A lies between.
     """
     start, _, end = (part.strip() for part in by.partition(":"))
     end = end or start
@@ -293,11 +291,11 @@ def cycle_spans(events: Sequence[Event], by: str = PLACED) -> list[tuple[float, 
 class Segment:
     """A part of a trial."""
 
-    kind: str  # plateau, hold, loaded, all, span, or the events that it lies between
+    kind: str  # plateau, hold, loaded, all, span, or the events that delimit it
     start: float  # since the first sample [s]
     end: float  # since the first sample [s]
     rows: slice  # of the samples
-    cause: str = ""  # why it begins where it does, if a channel slipped or drifts before it
+    cause: str = ""  # why earlier samples are excluded, if a channel slipped or drifted
 
     def __str__(self) -> str:
         return f"{self.kind} {self.start:.2f} s to {self.end:.2f} s"
@@ -318,19 +316,18 @@ def select_segment(
     Args:
         samples: The samples of the trial.
         specification: One of these:
-            `plateau`: the longest steady stretch;
-            `hold`: the longest one while the load is placed, see `find_events`;
-            `auto`: the hold or, without one, all from the first to the last load, see
-            `loaded_span`;
+            `plateau`: the longest plateau;
+            `hold`: the longest plateau while the load is placed, see `find_events`;
+            `auto`: the hold or, without one, the whole part under load, see `loaded_span`;
             `all`: all samples;
             `T0:T1`: seconds since the first sample;
             `event:A:B`: between events, see `event_span`.
-        settings: What counts as a plateau.
-        leave_out: Channels of clusters that do not count for a plateau.
-        events: Gives the events of the trial; None for those that are found in the load.
+        settings: Criteria of a plateau.
+        leave_out: Channels of clusters that plateaus ignore.
+        events: Returns the events of the trial; None for those detected in the load.
 
     Raises:
-        ConfigurationError: If the specification cannot be read.
+        ConfigurationError: If the specification cannot be parsed.
         TrialError: If there is no such part.
     """
     if len(samples) == 0:
@@ -362,7 +359,7 @@ def select_segment(
 
 
 def first_frames(segment: Segment, samples: Samples, frames: int) -> Segment:
-    """The first samples of a segment, so many at most; 0 for all of it."""
+    """At most the given number of first samples of a segment; 0 for all."""
     start, stop = segment.rows.start, segment.rows.stop
     if not 0 < frames < stop - start:
         return segment
@@ -403,14 +400,13 @@ def _span(samples: Samples, start: float, end: float, kind: str) -> Segment:
 def find_plateaus(
     samples: Samples, settings: PlateauSettings, leave_out: tuple[str, ...] = ()
 ) -> list[Segment]:
-    """Find the steady stretches of a trial, the longest first.
+    """Find the plateaus of a trial, longest first.
 
-    The three criteria of the published study: no intended change of load (the means before and
-    after a sample agree), a steady mean wrench (its spread over the stretch is small) and few
-    missing channels. Two are added: the force on every cluster is as steady, because a cluster
-    that slips or drifts is no longer described by the same offset; and the stretch is under load,
-    because one without load says nothing about the contact.
-    Channels of clusters that are left out, such as distal.Fz, do not count.
+    Three criteria come from the published study: no intended change of load (the means before and
+    after a sample agree), a steady mean wrench (small spread over the plateau) and few missing
+    channels. Two are added: every cluster's force is steady too, because a constant offset no
+    longer describes a cluster that slips or drifts; and the plateau is under load, because it tells
+    nothing about the contact otherwise. Channels in `leave_out`, such as distal.Fz, are ignored.
     """
     steady = _steadiness(samples, settings, leave_out)
     found = []
@@ -424,10 +420,10 @@ def find_plateaus(
 def find_newest_plateaus(
     samples: Samples, settings: PlateauSettings, leave_out: tuple[str, ...] = ()
 ) -> list[Segment]:
-    """Find the steady stretches of a trial that runs, the newest first, as in `find_plateaus`.
+    """Find the plateaus of a running trial, newest first, as in `find_plateaus`.
 
-    Of a stretch that drifts, the newest part counts rather than the longest. The cause names the
-    channels that drift, or the clusters' channels that slipped under a steady wrench.
+    If a plateau drifts, its newest part is kept rather than its longest. The cause names the
+    channels that drift, or the cluster channels that slipped under a steady wrench.
     """
     steady = _steadiness(samples, settings, leave_out)
     found = []
@@ -445,13 +441,13 @@ def find_newest_plateaus(
 
 
 class _Steadiness(NamedTuple):
-    """Where samples are steady."""
+    """Steady runs of samples, and the data behind them."""
 
     runs: list[tuple[int, int]]  # half-open index ranges without a change of load
     names: tuple[str, ...]  # the m channels that must not drift: the wrench's, then the clusters'
     mean: FloatArray  # their moving means, shape (N, m) [N m, N]
-    limits: FloatArray  # largest spread of each over a plateau, shape (m,) [N m, N]
-    width: int  # samples of the moving mean
+    limits: FloatArray  # maximum spread of each over a plateau, shape (m,) [N m, N]
+    width: int  # of the moving mean [samples]
 
 
 def _steadiness(
@@ -463,13 +459,13 @@ def _steadiness(
     limits = np.repeat(
         [settings.moment_drift, settings.force_drift, settings.cluster_drift], [3, 3, counts.sum()]
     )
-    width = _width(samples, settings.smoothing)
+    width = _window_width(samples, settings.smoothing)
     if 2 * width > len(samples):
         return _Steadiness([], names, np.empty((0, len(limits))), limits, width)
-    # A channel without any value shows no change of load; it counts as missing.
+    # A channel without any value counts as missing, not as a change of load.
     dead = np.isnan(samples.wrench).all(axis=0)
     wrench = moving_mean(np.where(dead, 0.0, samples.wrench), width)
-    clusters = _held(moving_mean(np.where(counts, local, 0.0), width))
+    clusters = _fill_gaps(moving_mean(np.where(counts, local, 0.0), width))
     change = _differences(wrench, width)
     steady = np.linalg.norm(change[:, :3], axis=1) <= settings.moment_change
     steady &= np.linalg.norm(change[:, 3:], axis=1) <= settings.force_change
@@ -485,8 +481,8 @@ def _steadiness(
 
 
 def _slips(steady: _Steadiness, start: int, settings: PlateauSettings) -> str:
-    """Channels of clusters that changed before a run while the wrench did not, in words."""
-    before = start - 2 * steady.width  # the moving means at the two do not overlap
+    """Describe cluster channels that changed before a run while the wrench did not."""
+    before = start - 2 * steady.width  # so that the two moving means do not overlap
     if before < 0:
         return ""
     change = steady.mean[start] - steady.mean[before]
@@ -500,7 +496,7 @@ def _slips(steady: _Steadiness, start: int, settings: PlateauSettings) -> str:
 
 
 def moving_mean(values: FloatArray, width: int) -> FloatArray:
-    """Centred moving mean over the finite values of each column; the window is cut at the ends."""
+    """Centred moving mean of each column's finite values; the window is truncated at the ends."""
     finite = np.isfinite(values)
     mean = partial(uniform_filter1d, size=width, axis=0, mode="constant")
     share = mean(finite.astype(float))  # [-] of the window
@@ -509,15 +505,15 @@ def moving_mean(values: FloatArray, width: int) -> FloatArray:
         return np.where(share > 0.5 / width, total / share, np.nan)
 
 
-def _width(samples: Samples, duration: float) -> int:
-    """Number of samples that last so long [s], three at least."""
+def _window_width(samples: Samples, duration: float) -> int:
+    """Number of samples in a duration [s], at least three."""
     if len(samples) < 3:
         return 3
     return max(3, round(duration / (usual_period(samples.stamps) * 1e-9)))
 
 
-def _held(values: FloatArray) -> FloatArray:
-    """The values of each column; over a gap the last one before it, at the start the first one."""
+def _fill_gaps(values: FloatArray) -> FloatArray:
+    """Fill gaps in each column with the last value before them, or the first value at the start."""
     known = np.isfinite(values)
     last = np.maximum.accumulate(np.where(known, np.arange(len(values))[:, None], 0), axis=0)
     first = values[known.argmax(axis=0), np.arange(values.shape[1])]
@@ -526,17 +522,17 @@ def _held(values: FloatArray) -> FloatArray:
 
 
 def _differences(mean: FloatArray, width: int) -> FloatArray:
-    """Means after a sample less those before it, of the same shape."""
+    """Mean after each sample minus the mean before it, of the same shape."""
     before = mean[np.maximum(np.arange(len(mean)) - (width + 1) // 2, 0)]
     after = mean[np.minimum(np.arange(len(mean)) + (width + 1) // 2, len(mean) - 1)]
     return np.asarray(after - before)
 
 
 def longest_within(values: FloatArray, limits: FloatArray) -> tuple[int, int]:
-    """First of the longest half-open ranges over which no column spreads by more than its limit.
+    """First of the longest half-open ranges in which no column's spread exceeds its limit.
 
-    The values have no gaps, shape (N, m). Whatever is within the limits over a range is so over
-    each part of it: the length is bisected.
+    The values have no gaps, shape (N, m). A range within the limits contains only ranges within the
+    limits, so the length is found by bisection.
     """
     found, fits, too_long = 0, 0, len(values) + 1
     length = len(values)
@@ -551,7 +547,7 @@ def longest_within(values: FloatArray, limits: FloatArray) -> tuple[int, int]:
 
 
 def _starts_within(values: FloatArray, limits: FloatArray, length: int) -> IntArray:
-    """Where ranges of a length start over which every column is within its limit."""
+    """Starts of the ranges of a given length in which every column is within its limit."""
     starts = slice(length // 2, length // 2 + len(values) - length + 1)
     spread = maximum_filter1d(values, length, axis=0) - minimum_filter1d(values, length, axis=0)
     return np.flatnonzero((spread[starts] <= limits).all(axis=1))

@@ -1,9 +1,9 @@
-"""Samples of a trial: the recorded values, put together by the stamp of the trigger.
+"""Samples of a trial: recorded values, matched by trigger timestamp.
 
-`read_measurements` puts the recorded values in rows, one per trigger. `correct_measurements`
-removes the drift of the clusters, if spans without load are known. `make_samples` computes the
-stresses and forces, with a calibration, and the limb position. `Trial.samples` does
-it all with the trial's own configuration.
+`read_measurements` arranges the recorded values in rows, one per trigger. `correct_measurements`
+removes the clusters' drift, if unloaded spans are known. `make_samples` computes the stresses and
+forces, with a calibration, and the limb position. `Trial.samples` does all of this with the trial's
+own configuration.
 """
 
 from __future__ import annotations
@@ -48,18 +48,18 @@ from socket_testbed.trials.topics import (
 
 @dataclass(frozen=True)
 class Measurements:
-    """Measurements as they were recorded, one row per trigger; what is missing is NaN."""
+    """Measurements as recorded, one row per trigger; missing values are NaN."""
 
     stamps: IntArray  # times of the triggers since the epoch, shape (N,) [ns]
     wrench: FloatArray  # [M; F], shape (N, 6) [N m, N]
     socket: FloatArray  # position [m] and quaternion (x, y, z, w) of the body, shape (N, 7)
-    pylon: FloatArray  # the same of the pylon's body
+    pylon: FloatArray  # likewise of the pylon
     clusters: tuple[str, ...]  # names of the c clusters
-    capacitance: FloatArray  # by the converter's input, shape (N, c, 4) [pF]
-    status: StatusArray  # of each of them, shape (N, c, 4)
-    # These are empty unless they were asked for: ratios of the load cell's bridges, shape (N, 6)
-    # [-], the tares that were subtracted, [M; F], shape (N, 6) [N m, N], and the markers in the
-    # world by body, shape (N, k, 3) [m], with k the most of any body.
+    capacitance: FloatArray  # by converter input, shape (N, c, 4) [pF]
+    status: StatusArray  # of each capacitance, shape (N, c, 4)
+    # Empty unless requested: ratios of the load cell's bridges, shape (N, 6) [-], the subtracted
+    # tares [M; F], shape (N, 6) [N m, N], and the markers in the world by body, shape (N, k, 3)
+    # [m], with k the maximum number of any body.
     ratios: FloatArray = field(default_factory=lambda: np.empty((0, 6)))
     tares: FloatArray = field(default_factory=lambda: np.empty((0, 6)))
     markers: dict[str, FloatArray] = field(default_factory=dict)
@@ -70,7 +70,7 @@ class Measurements:
         return (self.stamps - self.stamps[0]) * 1e-9
 
     def packed(self) -> tuple[tuple[Topic, VectorPacker, FloatArray], ...]:
-        """Wrenches and poses with their topics, and what makes a message of a row."""
+        """Topic, packer of a row, and rows of the wrenches and poses."""
         return (
             (WRENCH, wrench_packer(), self.wrench),
             (SOCKET_POSE, pose_packer(), self.socket),
@@ -78,20 +78,20 @@ class Measurements:
         )
 
 
-_AT_ONCE = 10_000  # samples; their rotations take more memory than they themselves
-_NAMED = 3  # how many stamps a note names
+_BLOCK_SIZE = 10_000  # [samples]; bounds the memory for rotation matrices
+_MAX_LISTED = 3  # stamps in a note
 _WIDTHS = {WRENCH: 6, LOAD_CELL_RAW: 12, SOCKET_POSE: 7, PYLON_POSE: 7}
-_NEEDED_FOR = {
-    LOAD_CELL_RAW: ("its wrenches cannot be made anew", "leave out --load-cell and --tare"),
+_MISSING_TOPICS = {
+    LOAD_CELL_RAW: ("its wrenches cannot be recomputed", "leave out --load-cell and --tare"),
     MARKERS: (
-        "its poses cannot be fitted to other markers",
+        "its poses cannot be refitted to other markers",
         "give --geometry with the trial's own",
     ),
 }
-_IMPOSSIBLE = 1e6  # [N m, N, m, pF]; no sensor of the testbed reads it
+_MAX_VALUE = 1e6  # [N m, N, m, pF]; beyond any sensor of the testbed
 
 _Columns: TypeAlias = list[NDArray[Any]]
-"""Columns of values in the order of the recording, the first of which are stamps [ns]."""
+"""Columns of values in recording order; the first holds stamps [ns]."""
 
 
 def read_measurements(
@@ -99,13 +99,13 @@ def read_measurements(
 ) -> Measurements:
     """Read the measurements of a bag; a TrialError if it cannot be read or lacks a topic.
 
-    `more` are which of LOAD_CELL_RAW and MARKERS to read as well. Stamps that jump back, and stamps
-    that a topic holds more than once, are notified.
+    `more` selects LOAD_CELL_RAW and MARKERS in addition. `notify` reports stamps that jump back or
+    occur more than once in a topic.
     """
     topics = required_topics(bag)
     for topic in more:
         if not bag.counts.get(topics.get(topic, "")):
-            why, hint = _NEEDED_FOR[topic]
+            why, hint = _MISSING_TOPICS[topic]
             raise TrialError(f"{bag.path}: holds no '{topic.name}', so {why}", hint)
     series = _read_series(bag, {topics[t]: t for t in topics if t.required or t in more})
     clusters = tuple(name for topic, name in series if topic is CAPACITANCE)
@@ -113,7 +113,7 @@ def read_measurements(
         notify(note)
     stamps = np.empty(0, dtype=np.int64)
     for found, *_ in series.values():
-        if not np.array_equal(found, stamps):  # most are equal, and a union takes long
+        if not np.array_equal(found, stamps):  # most are equal, and a union is slow
             stamps = np.union1d(stamps, found)
     capacitance = np.empty((len(stamps), len(clusters), 4))
     status = np.empty(capacitance.shape, dtype=np.uint8)
@@ -127,11 +127,11 @@ def read_measurements(
             (tables[topic],) = _rows(series.pop((topic, topic.name), nothing), stamps)
     raw = tables.pop(LOAD_CELL_RAW, np.empty((0, 12)))
     for topic, values in tables.items():
-        impossible = (values > _IMPOSSIBLE) | (values < -_IMPOSSIBLE)
+        impossible = (values > _MAX_VALUE) | (values < -_MAX_VALUE)
         if impossible.any():
             values[impossible] = np.nan
             notify(
-                f"{topic.name} holds {int(impossible.sum())} values beyond {_IMPOSSIBLE:g}, which"
+                f"{topic.name} holds {int(impossible.sum())} values beyond {_MAX_VALUE:g}, which"
                 " count as missing: check the recording"
             )
     return Measurements(
@@ -153,12 +153,12 @@ def read_measurements(
 
 
 def marker_count(seen: FloatArray) -> int:
-    """How many markers a body has, by those that were ever seen, of shape (N, k, 3)."""
+    """Number of a body's markers: up to the last one ever seen in an array of shape (N, k, 3)."""
     return int(np.flatnonzero(np.isfinite(seen).any(axis=(0, 2))).max(initial=-1)) + 1
 
 
 def _read_series(bag: BagReader, topics: dict[str, Topic]) -> dict[tuple[Topic, str], _Columns]:
-    """What was recorded of each topic, and of each cluster or body by its name."""
+    """Recorded columns by topic and name: of a cluster, a body, or the topic itself."""
     readers = {topic: Reader(topic, bag.path) for topic in topics.values()}
     parts: dict[tuple[Topic, str], list[_Columns]] = defaultdict(list)
     for topic_name, messages in bag.blocks(topics):
@@ -179,7 +179,7 @@ def _joined(parts: list[_Columns]) -> _Columns:
 
 
 def _columns(topic: Topic, values: Any) -> Iterator[tuple[str, _Columns]]:
-    """Values of messages, a row each, by the name of the cluster, the body or the topic."""
+    """Values of messages, one row each, by name of the cluster, body or topic."""
     if topic is CAPACITANCE:
         for number, name in enumerate(values.names):
             yield name, [values.capacitance[:, number], values.status[:, number]]
@@ -193,7 +193,7 @@ def _columns(topic: Topic, values: Any) -> Iterator[tuple[str, _Columns]]:
 
 
 def _rows(columns: _Columns, stamps: IntArray) -> _Columns:
-    """The values for sorted stamps, missing where there is none; the last one of a stamp counts."""
+    """The values at sorted stamps, missing where there is none; of duplicates the last is used."""
     own, *values = columns
     if np.array_equal(stamps, own):
         return values
@@ -207,7 +207,7 @@ def _rows(columns: _Columns, stamps: IntArray) -> _Columns:
 
 
 def _stamp_notes(series: dict[tuple[Topic, str], _Columns]) -> Iterator[str]:
-    """Notes on stamps out of order and on doubled stamps, one for all topics that are alike."""
+    """Notes on out-of-order and duplicate stamps, one for all topics with the same problem."""
     first = min(int(stamps.min()) for stamps, *_ in series.values())
     found: dict[str, list[str]] = defaultdict(list)
     for (topic, name), (stamps, *_) in series.items():
@@ -231,9 +231,9 @@ def _stamp_notes(series: dict[tuple[Topic, str], _Columns]) -> Iterator[str]:
 
 
 def _listed(parts: list[str]) -> str:
-    more = f" and {len(parts) - _NAMED} more" if len(parts) > _NAMED else ""
+    more = f" and {len(parts) - _MAX_LISTED} more" if len(parts) > _MAX_LISTED else ""
     times = "once" if len(parts) == 1 else f"{len(parts)} times"
-    return f"{times} ({', '.join(parts[:_NAMED])}{more})"
+    return f"{times} ({', '.join(parts[:_MAX_LISTED])}{more})"
 
 
 def correct_measurements(
@@ -244,15 +244,15 @@ def correct_measurements(
     where: str,
     notify: Callable[[str], None],
 ) -> Measurements:
-    """Bring the clusters' readings to the baseline of their calibration.
+    """Shift the clusters' readings to the baseline of their calibration.
 
-    The drift is linear between two spans without load [s]. The baseline of a calibration is that of
+    The drift is taken as linear between two unloaded spans [s]. A calibration's baseline is that of
     an unloaded cluster. If it stores none, or the load cell measured more than `least_force` [N] in
-    the first span (a pylon alone has a weight, too), only the drift since that span is corrected.
-    `notify` is called with the drift between two spans, a large one flagged, and with what is not
-    corrected; `where` names the trial in an error.
+    the first span (even a pylon alone has weight), only the drift since that span is corrected.
+    `notify` reports the drift between two spans, flags a large one, and lists uncorrected clusters;
+    `where` names the trial in errors.
     """
-    loads = _loads_without_load(measured, spans, least_force, where)
+    loads = _unloaded_forces(measured, spans, least_force, where)
     stored = any(calibration.clusters[name].baseline is not None for name in measured.clusters)
     free = not loads or loads[0] <= least_force
     if not free and stored:
@@ -290,19 +290,19 @@ def correct_measurements(
     return dataclasses.replace(measured, capacitance=capacitance)
 
 
-_REST = 1.0  # [s]; what is shorter is no rest
+_MIN_REST = 1.0  # [s]; shorter pauses are not unloaded spans
 
 
-def _loads_without_load(
+def _unloaded_forces(
     measured: Measurements, spans: Sequence[tuple[float, float]], least_force: float, where: str
 ) -> list[float]:
-    """Median force in every span [N], nothing if none is known; a loaded span is refused."""
+    """Median force in each span [N], empty if no force is known; refuses a loaded span."""
     force = np.linalg.norm(measured.wrench[:, 3:], axis=1)
     known = np.isfinite(force)
     time, force = measured.time[known], force[known]
     if len(force) == 0:
         return []
-    width = max(3, int(_REST * len(time) / max(float(time[-1] - time[0]), _REST)))
+    width = max(3, int(_MIN_REST * len(time) / max(float(time[-1] - time[0]), _MIN_REST)))
     steady = median_filter(force, width, mode="nearest")
     least = float(steady.min())
     loads = []
@@ -331,10 +331,10 @@ def _describe(drift: Drift) -> str:
 def make_samples(
     measured: Measurements, calibration: Calibration, geometry: SocketGeometry
 ) -> Samples:
-    """Samples from the corrected measurements of a trial, whose clusters both others know."""
+    """Samples from corrected measurements; calibration and geometry must know all clusters."""
     position, rotation = np.empty((2, len(measured.stamps), 3))
-    for start in range(0, len(position), _AT_ONCE):
-        rows = slice(start, start + _AT_ONCE)
+    for start in range(0, len(position), _BLOCK_SIZE):
+        rows = slice(start, start + _BLOCK_SIZE)
         socket, pylon = (
             Pose.from_quaternion(pose[rows, :3], pose[rows, 3:])
             for pose in (measured.socket, measured.pylon)
@@ -360,7 +360,7 @@ def make_samples(
 
 
 def check_unloaded(spans: tuple[tuple[float, float], ...]) -> None:
-    """Refuse spans without load [s] that are more than two, reversed, overlapping or unsorted."""
+    """Refuse unloaded spans [s]: more than two, reversed, overlapping or unsorted ones."""
     if len(spans) > 2:
         raise ConfigurationError(
             f"--unloaded has {len(spans)} spans", "give one before, or one before and one after"
@@ -376,14 +376,14 @@ def check_unloaded(spans: tuple[tuple[float, float], ...]) -> None:
 
 
 def parse_unloaded(spans: list[str]) -> tuple[tuple[float, float], ...]:
-    """Spans without load written as `T0:T1`, in seconds since the trial's first sample."""
+    """Unloaded spans given as `T0:T1`, in seconds since the trial's first sample."""
     parsed = tuple(parse_span(span, "--unloaded") for span in spans)
     check_unloaded(parsed)
     return parsed
 
 
 def parse_span(span: str, option: str, others: str = "") -> tuple[float, float]:
-    """A span written as `T0:T1` [s]; the option, and what else it takes, are for the error."""
+    """A span given as `T0:T1` [s]; errors name the option and its other accepted values."""
     try:
         start, end = (float(part) for part in span.split(":"))
     except ValueError:

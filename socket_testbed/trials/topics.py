@@ -1,4 +1,4 @@
-"""The topics of the testbed: their names, types and whether a trial needs them."""
+"""The topics of the testbed: names, types, and whether a trial needs them."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ class Topic:
 
     name: str  # relative to the namespace of the testbed
     type: str  # as `package/msg/Type`
-    required: bool = False  # offline work on a trial needs it
+    required: bool = False  # needed for offline analysis of a trial
     computed: bool = False  # a node computes it from measured topics
-    derived: bool = False  # it can be computed again from a trial, and is large
+    derived: bool = False  # large, and can be recomputed from a trial
     latched: bool = False  # late subscribers get the last message (transient local, depth 1)
 
 
@@ -31,7 +31,7 @@ SOCKET_POSE = Topic("mocap/socket/pose", "geometry_msgs/msg/PoseStamped", requir
 PYLON_POSE = Topic("mocap/pylon/pose", "geometry_msgs/msg/PoseStamped", required=True)
 MARKERS = Topic("mocap/markers", "socket_testbed_msgs/msg/RigidBodyMarkersArray")
 EVENT = Topic("event", "socket_testbed_msgs/msg/Event")
-TARE = "tare"  # first word of the label of a tare's event
+TARE = "tare"  # first word in the label of a tare event
 STRESS = Topic("clusters/stress", "socket_testbed_msgs/msg/ClusterStressArray", computed=True)
 ESTIMATED_WRENCH = Topic("estimate/wrench", "geometry_msgs/msg/WrenchStamped", computed=True)
 LOCAL_FORCES = Topic(
@@ -71,22 +71,21 @@ TOPICS = (
 )
 REQUIRED = tuple(topic for topic in TOPICS if topic.required)
 
-PUBLISHER_DEPTH = 100  # [messages]; of every publisher but the latched
+PUBLISHER_DEPTH = 100  # [messages]; of all publishers except latched ones
 
-# Where everything is, for RViz and others. It follows from the poses and the geometry in a trial:
-# it is not recorded, and a replay computes it anew.
+# Transforms for RViz and others. They follow from the poses and the geometry in a trial, so they
+# are not recorded, and a replay recomputes them.
 TF = Topic("/tf", "tf2_msgs/msg/TFMessage")
 TF_STATIC = Topic("/tf_static", "tf2_msgs/msg/TFMessage", latched=True)
 
-# Name of the trial being recorded, empty when there is none. It is no measurement: it is not
-# recorded.
+# Name of the trial being recorded; empty if none. Not a measurement, so not recorded.
 RECORDED_TRIAL = Topic("recorder/trial", "std_msgs/msg/String", latched=True)
 
 
 def match_topics(names: Iterable[str], where: str) -> dict[Topic, str]:
-    """The bag's name of each topic of the testbed, in whatever namespace it was recorded.
+    """The bag's name of each topic of the testbed, in any namespace.
 
-    `where` names the bag in the TrialError for a topic that is there in two namespaces.
+    A topic in two namespaces raises a TrialError, in which `where` names the bag.
     """
     found: dict[Topic, str] = {}
     for name in names:
@@ -95,20 +94,20 @@ def match_topics(names: Iterable[str], where: str) -> dict[Topic, str]:
                 if topic in found:
                     raise TrialError(
                         f"{where}: two topics are a '{topic.name}': {found[topic]} and {name}",
-                        "record one testbed a trial",
+                        "record one testbed per trial",
                     )
                 found[topic] = name
     return found
 
 
 def namespace_of(name: str, topic: Topic) -> str:
-    """Namespace of a topic in a graph, such as /lab of /lab/trigger; empty for none."""
+    """Namespace of a topic in a graph, such as /lab for /lab/trigger; empty for none."""
     return name.removesuffix(topic.name).rstrip("/")
 
 
 def full_namespace(given: str) -> str:
-    """A namespace of ROS from its root, such as /left from left."""
+    """An absolute ROS namespace, such as /left for left."""
     namespace = "/" + given.strip("/")
     if not re.fullmatch(r"/|(/[A-Za-z_][A-Za-z0-9_]*)+", namespace):
-        raise ConfigurationError(f"'{given}' is no namespace", "give one such as /left, / for none")
+        raise ConfigurationError(f"'{given}' is not a namespace", "give one such as /left, or /")
     return namespace

@@ -1,4 +1,4 @@
-"""A trial: a bag with the geometry, calibration and parameters it was recorded with."""
+"""A trial: a bag with the geometry, calibration and parameters of its recording."""
 
 from __future__ import annotations
 
@@ -64,15 +64,15 @@ class Trial:
     """
 
     path: Path  # its folder
-    # A `socket.yaml` instead of the trial's own. Poses of a body whose markers differ are fitted
-    # anew to its recorded markers
+    # A `socket.yaml` instead of the trial's own. Poses of a body whose markers differ are refitted
+    # to its recorded markers
     socket_file: Path | None = None
     calibration_file: Path | None = None  # a `calibration.yaml` instead of the trial's own
     notify: Callable[[str], None] | None = None  # called with each note on the bag and on drift
-    # Spans without load, before and after, by which the clusters' drift is corrected [s]
+    # Unloaded spans, before and after, from which the clusters' drift is corrected [s]
     unloaded: tuple[tuple[float, float], ...] = ()
-    load_cell_file: Path | None = None  # a `testbed.yaml` whose load cell is used instead
-    tare: str = RECORDED  # or `none`, or `T0:T1`, a span without load [s]
+    load_cell_file: Path | None = None  # a `testbed.yaml` with load-cell settings to use instead
+    tare: str = RECORDED  # or `none`, or `T0:T1`, an unloaded span [s]
     _noted: dict[str, None] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -84,12 +84,12 @@ class Trial:
 
     @property
     def name(self) -> str:
-        """Name of the trial: that of its folder."""
+        """Name of the trial's folder."""
         return self.path.resolve().name
 
     @contextmanager
     def open(self) -> Iterator[BagReader]:
-        """The trial's bag, open; its notes go to `notify`."""
+        """Open the trial's bag; its notes go to `notify`."""
         with BagReader(self.path) as bag:
             for note in bag.notes:
                 self._notify(note)
@@ -97,31 +97,31 @@ class Trial:
 
     @property
     def remade(self) -> tuple[Topic, ...]:
-        """The raw topics that measurements are made anew from, as the files or the tare differ."""
+        """The raw topics that replace recorded measurements, because files or tare differ."""
         other_wrenches = self.load_cell_file is not None or self.tare != RECORDED
         return (LOAD_CELL_RAW,) * other_wrenches + (MARKERS,) * bool(self._other_markers)
 
     @cached_property
     def _other_markers(self) -> tuple[str, ...]:
-        """The bodies whose markers in the geometry are not those of the recording."""
+        """The bodies whose markers in the geometry differ from those of the recording."""
         if self.socket_file is None:
             return ()
         try:
             recorded = read_socket(self.path / SOCKET_FILE)
         except ConfigurationError as error:
-            self._notify(f"the poses stay as recorded, with markers that are not known: {error}")
+            self._notify(f"the poses stay as recorded, with unknown markers: {error}")
             return ()
         return other_markers(recorded, self.geometry)
 
     def measurements(self) -> Measurements:
-        """The measurements, with what is replaced made anew, corrected for drift; read anew.
+        """The measurements, recomputed where `remade` says so, corrected for drift; not cached.
 
         Raises:
-            TrialError: If the trial cannot be read or lacks a topic, the load cell measured a
-                load in a span without load, or what is replaced cannot be made anew.
-            ConfigurationError: If a file that is used is wrong.
-            CalibrationError: If the calibration lacks a cluster of the trial, or a span without
-                load holds too few readings.
+            TrialError: If the trial cannot be read or lacks a topic, an unloaded span is under
+                load, or measurements cannot be recomputed.
+            ConfigurationError: If an input file is wrong.
+            CalibrationError: If the calibration lacks a cluster of the trial, or an unloaded span
+                holds too few readings.
         """
         with self.open() as bag:
             measured = read_measurements(bag, self._notify, self.remade)
@@ -143,13 +143,13 @@ class Trial:
         )
 
     def samples(self) -> Samples:
-        """The synchronised samples, one per trigger, in the order of their stamps; read once.
+        """The synchronised samples, one per trigger, in the order of their stamps; cached.
 
-        The stresses are computed from the capacitances with the trial's calibration. What is
-        missing at a trigger is NaN.
+        The stresses are computed from the capacitances with the trial's calibration. Missing values
+        are NaN.
 
         Raises:
-            TestbedError: As `measurements`, or if a cluster of the trial is on no tile.
+            TestbedError: As in `measurements`, or if a cluster of the trial is on no tile.
         """
         return self._samples
 
@@ -159,8 +159,8 @@ class Trial:
 
     @cached_property
     def findings(self) -> tuple[DataFinding, ...]:
-        """What to look at in its data, the worst first; empty if it is good: see `check_data`."""
-        from socket_testbed.identification.data_check import check_data  # a replay needs it not
+        """Problems in the data, worst first; empty if it is good, see `check_data`."""
+        from socket_testbed.identification.data_check import check_data  # not needed by a replay
 
         return check_data(self.samples(), self.geometry, self.metadata.mass)
 
@@ -176,9 +176,9 @@ class Trial:
         return measured, self.__dict__.setdefault("_samples", samples)
 
     def check(self) -> tuple[str, ...]:
-        """Refuse a trial that cannot be worked on, before long work or a graph is started.
+        """Refuse an unusable trial before long work or the start of a graph.
 
-        It raises what `samples` would; it returns the names of the trial's clusters.
+        Raises the errors of `samples`; returns the names of the trial's clusters.
         """
         with self.open() as bag:
             name = required_topics(bag)[CAPACITANCE]
@@ -199,7 +199,7 @@ class Trial:
 
     @property
     def notes(self) -> list[str]:
-        """The notes on the trial so far, each once."""
+        """The notes on the trial so far, without duplicates."""
         return [*self._noted]
 
     def _notify(self, note: str) -> None:
@@ -209,7 +209,7 @@ class Trial:
 
     @property
     def metadata(self) -> TrialMetadata:
-        """What is stated about the trial now; nothing, with a note, if `trial.yaml` is broken."""
+        """The current metadata of the trial; empty, with a note, if `trial.yaml` is invalid."""
         stored = self.path / METADATA_FILE
         if not stored.is_file():
             return TrialMetadata()
@@ -222,8 +222,8 @@ class Trial:
     def events(self) -> list[Event]:
         """The events in the order of their times.
 
-        Recorded ones, which anybody may mark while a trial is recorded, and those found in the
-        load: `placed` and `removed`. Found ones of a label that was recorded are left out.
+        Events marked during the recording, and those detected in the load: `placed`, `removed`.
+        Detected events whose label was also recorded are left out.
         """
         return list(self._events)
 
@@ -248,10 +248,10 @@ class Trial:
         stored = self.path / name
         if not stored.is_file():
             with self.open():
-                pass  # says what is wrong if it is not a trial
+                pass  # raises the proper error if this is not a trial
             raise TrialError(
                 f"{self.path}: no {name} is stored in this trial",
-                "give the files that it lacks with --geometry and --calibration",
+                "give the missing files with --geometry and --calibration",
             )
         return stored
 
@@ -267,7 +267,7 @@ class Trial:
 
     @cached_property
     def estimator(self) -> EstimatorSettings:
-        """Settings of the estimator with which the trial was recorded, or the defaults."""
+        """The estimator settings stored with the trial, or the defaults."""
         return self._parameters.estimator_node
 
     @cached_property
@@ -277,14 +277,14 @@ class Trial:
 
 
 def recorded_namespace(trial: Trial) -> str:
-    """Namespace of the testbed in the graph that was recorded, such as / or /lab."""
+    """Namespace of the testbed in the recorded graph, such as / or /lab."""
     with trial.open() as bag:
         name = required_topics(bag)[TRIGGER]
     return namespace_of(name, TRIGGER) or "/"
 
 
 def beside(path: Path) -> Path:
-    """The first of the names `path`_2, `path`_3, ... that is free."""
+    """The first free name among `path`_2, `path`_3, ..."""
     names = (path.parent / f"{path.name}_{number}" for number in count(2))
     return next(name for name in names if not name.exists())
 
@@ -292,9 +292,9 @@ def beside(path: Path) -> Path:
 def read_configuration(
     geometry: Path | None = None, calibration: Path | None = None, parameters: Path | None = None
 ) -> dict[str, bytes]:
-    """The configuration that trials are recorded with: the files' contents by their names in one.
+    """The configuration to store in new trials: contents of its files, by name.
 
-    A `socket.yaml`, `calibration.yaml` or `testbed.yaml` that is not given is the package's own.
+    The package's own `socket.yaml`, `calibration.yaml` or `testbed.yaml` replaces a missing one.
     """
     files: tuple[tuple[str, Path | None, Callable[[Path], object]], ...] = (
         (SOCKET_FILE, geometry, read_socket),
@@ -304,13 +304,13 @@ def read_configuration(
     contents = {}
     for name, given, read in files:
         source = given or packaged("config", name)
-        read(source)  # refuses any other file
+        read(source)  # refuses an invalid file
         contents[name] = source.read_bytes()
     return contents
 
 
 def store_configuration(folder: Path, contents: Mapping[str, bytes]) -> None:
-    """Store files in a trial's folder, given by their names, on the disk before it returns."""
+    """Store named files in a trial's folder, flushed to the disk."""
     for name, content in contents.items():
         (folder / name).write_bytes(content)
         sync(folder / name)

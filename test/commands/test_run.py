@@ -77,15 +77,15 @@ def test_run_records_a_trial_and_marked_events_until_ctrl_c(
 def test_an_event_that_nobody_hears_is_an_error(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(controls, "_TRIGGERED_WITHIN", 0.0)
+    monkeypatch.setattr(controls, "_TRIGGER_TIMEOUT", 0.0)
     with Probe() as probe:
         received = probe.listen(topics.EVENT, "/lab/event")
         with monkeypatch.context() as patch:
-            patch.setattr(controls, "_LINKED_WITHIN", 2.0)
-            refused(capfd, "mark", "push", named=["nobody subscribes", "give --namespace /lab"])
+            patch.setattr(controls, "_LINK_TIMEOUT", 2.0)
+            refused(capfd, "mark", "push", named=["no subscriber", "give --namespace /lab"])
         code, out, err = call(capfd, "mark", "push", "--namespace", "/lab")
         assert code == 0 and out.startswith("marked 'push' for this graph, acknowledged by 1 sub")
-        assert "no trial is being recorded" in err and "no trigger came" in err
+        assert "no trial is being recorded" in err and "no trigger received" in err
         probe.wait(lambda: len(received) == 1, "the event")
     assert received[0].label == "push"
 
@@ -119,7 +119,7 @@ def test_doctor_finds_all_that_is_simulated_and_names_what_fails(capsys, monkeyp
     ):
         assert found in table
 
-    monkeypatch.setattr(doctor, "_SERVER_WITHIN", 0.1)
+    monkeypatch.setattr(doctor, "_SERVER_TIMEOUT", 0.1)
     faults = ["trigger.missing=1", "clusters.nack=2", "load_cell.unplugged=1", "mocap.unplugged=1"]
     words = [word for fault in faults for word in ("--fault", fault)]
     code, out, err = call(capsys, "doctor", "--simulated", *words)
@@ -136,7 +136,7 @@ def test_doctor_finds_all_that_is_simulated_and_names_what_fails(capsys, monkeyp
 
 
 def test_doctor_without_hardware(capsys, tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(doctor, "_SERVER_WITHIN", 0.1)
+    monkeypatch.setattr(doctor, "_SERVER_TIMEOUT", 0.1)
     file = simulated_parameters(
         tmp_path,
         mocap_node={"server": "127.0.0.1", "command_port": 9},

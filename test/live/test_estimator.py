@@ -306,7 +306,7 @@ def test_the_model_that_is_better_on_the_newest_samples_stays(trial: Trial, fit:
         assert bench.models == [fit, other][: 2 - worse]
         assert bench.figures("fits", "refused", "predictions") == [2 - worse, worse, 31]
         level, text = bench.estimator.state
-        assert level == 0 and ("it stays" in text) == worse
+        assert level == 0 and ("kept: " in text) == worse
         assert "the newest 24 samples a refit has an error of 0.0" in text
 
 

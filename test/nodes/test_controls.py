@@ -147,7 +147,7 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiveTestbed]:
 def act(live: LiveTestbed) -> Iterator[Callable[..., str]]:
     """Does what a button says."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "_ANSWERS_WITHIN", HANGS)  # on a machine that others use
+        patch.setattr(module, "_ANSWER_TIMEOUT", HANGS)  # on a machine that others use
         controls = ServiceControls(live.probe.node)
         yield lambda what, **given: controls.act(what, given)
 

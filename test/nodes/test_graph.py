@@ -41,7 +41,7 @@ NO_FIT = testbed.EstimatorSettings(auto_fit=False)
 def test_every_sample_of_a_repaired_trial_is_predicted_as_offline(
     hold: Path, hold_model: Path, tmp_path: Path
 ) -> None:
-    """Wrenches and poses are made anew where another geometry or tare is given."""
+    """Wrenches and poses are recomputed where another geometry or tare is given."""
     own = Trial(hold).geometry
     turned = dataclasses.replace(own, socket_markers=own.socket_markers[:, [1, 2, 0]])
     write_socket(turned, tmp_path / "turned.yaml")
@@ -155,7 +155,7 @@ def test_a_map_of_another_socket_is_named_and_not_drawn() -> None:
         probe.wait(lambda: shows(own, True), "the map")
         probe.wait(lambda: shows(other, False), "that it is of another socket")
         source._asked_at -= 60.0  # no browser has asked for a while
-        source.rest()
+        source.unsubscribe_if_idle()
         assert source._inbox is None
         node.destroy_node()
     rclpy.shutdown()

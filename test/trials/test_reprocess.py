@@ -125,7 +125,7 @@ def test_what_cannot_be_repaired_is_refused(
     for path, given, text in (
         (old, {"tare": "none"}, "old: holds no 'load_cell/raw'"),
         (unknown, {"load_cell_file": file}, "does not store the load cell's matrix"),
-        (other, {"load_cell_file": file}, "load cell does not make the recorded wrenches"),
+        (other, {"load_cell_file": file}, "load cell does not match the recorded wrenches"),
         (hold, {"tare": "100:110"}, "holds no wrench: give seconds since the first sample"),
         (hold, {"tare": "0:30"}, "--tare 0:30: Fz moves by"),
     ):
@@ -143,7 +143,7 @@ def test_results_depend_on_load_cell_tare_and_spans_and_models_remember_them(
     words += ["--tare", "0:5", "--unloaded", "0:3"]
     for given, text in (([], "ok, "), ([], "skipped"), (["--load-cell", file], "ok, ")):
         _, out, err = call(capsys, *words, *given)
-        assert f"hold: {text}" in out and "made anew from load_cell/raw" in err
+        assert f"hold: {text}" in out and "recomputed from load_cell/raw" in err
     trial = json.loads(model.read_text())["trial"]
     found = trial["tare"], trial["load_cell"], trial["unloaded"]
     assert found == ("0:5", str(file), [[0.0, 3.0]])
@@ -181,7 +181,7 @@ def test_a_marker_that_was_registered_wrong_is_repaired(hold, geometry, tmp_path
     right = recorded_with(hold, tmp_path / "right", geometry)
     np.testing.assert_allclose(found.socket, Trial(right).measurements().socket, atol=1e-12)
     missing = int(np.isnan(found.socket[:, 0]).sum())
-    text = f"socket: poses fitted anew to the recorded markers: {240 - missing} of 240 found, "
+    text = f"socket: poses refitted to the recorded markers: {240 - missing} of 240 found, "
     assert len(notes) == 1 and notes[0].startswith(text)
     recorded = Trial(path).measurements().socket
     if by > 0.002:
@@ -202,7 +202,7 @@ def test_poses_whose_markers_are_not_known_stay_as_recorded(
     unknown = bare(hold, tmp_path / "unknown", "socket.yaml")
     found = Trial(unknown, other, notify=notes.append).measurements()
     np.testing.assert_array_equal(found.socket, Trial(hold).measurements().socket)
-    assert len(notes) == 1 and notes[0].startswith("the poses stay as recorded, with markers")
+    assert len(notes) == 1 and notes[0].startswith("the poses stay as recorded, with unknown")
 
 
 # --- drift of the clusters, by spans without load

@@ -204,7 +204,7 @@ NO_SPANS = {
     "event:push#3:removed": "no 'push#3': 'push' happens 2 times: give #1 to #2",
     "event:removed:push": "no 'push' is after 41.00 s: the last",
     "event:placed:9": "ends at 9.00 s, its start is at 11.00 s",
-    "event:push": "has no two ends: give event:A:B",
+    "event:push": "does not have two ends: give event:A:B",
 }
 
 

@@ -150,7 +150,7 @@ def test_a_compressed_file_that_was_cut_or_is_too_large_names_itself(
     with refused(TrialError, f"{file}: is truncated"):
         Trial(path).samples()
     file.write_bytes(zstd.compress(bytes(2**25)))
-    monkeypatch.setattr(bag, "_LARGEST", 2**20)
+    monkeypatch.setattr(bag, "_MAX_UNPACKED", 2**20)
     with refused(TrialError, str(file), "too large once unpacked"):
         Trial(path).samples()
 
@@ -161,8 +161,8 @@ def test_a_compressed_file_that_was_cut_or_is_too_large_names_itself(
 @pytest.fixture(autouse=True)
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Blocks end often, and layouts are forgotten."""
-    monkeypatch.setattr(bag, "_BLOCK", 7)
-    monkeypatch.setattr(messages, "_LAYOUTS", 3)
+    monkeypatch.setattr(bag, "_BLOCK_SIZE", 7)
+    monkeypatch.setattr(messages, "_MAX_LAYOUTS", 3)
 
 
 def plainly_read(path: Path) -> dict[str, dict[int, Any]]:
