@@ -20,23 +20,9 @@ from socket_testbed.arrays import FloatArray, usual_period
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.identification import plausibility, validation
 from socket_testbed.identification.noise import channel_noise
-from socket_testbed.identification.plausibility import (
-    find_implausible,
-    find_outliers,
-    finite_quantile,
-    outlier_notes,
-    require_position,
-    require_units,
-    sign_note,
-)
 from socket_testbed.identification.pressure import NORMAL_QUANTILE
-from socket_testbed.identification.validation import (
-    left_out_pressures,
-    loaded_rows,
-    measurement_errors,
-    thinned,
-)
 from socket_testbed.samples import GRAVITY, WRENCH_CHANNELS, Samples, Status, channel_unit
 from socket_testbed.settings.identification import ForceMapSettings
 
@@ -96,25 +82,27 @@ def check_data(
     if whole:
         found += [*_time_series(samples, geometry)] or [*_disagreements(samples, geometry)]
     found += [finding for finding in _channels(samples) if finding.source not in leave_out]
-    spikes = outlier_notes(samples, find_outliers(samples, geometry, leave_out))
+    spikes = plausibility.outlier_notes(
+        samples, plausibility.find_outliers(samples, geometry, leave_out)
+    )
     found += [DataFinding("single values", note, "check cables and connectors") for note in spikes]
     return tuple(found)
 
 
 def _units(samples: Samples, geometry: SocketGeometry, mass: float | None) -> Iterator[DataFinding]:
     """Units and frames."""
-    for require in (require_position, require_units):
+    for require in (plausibility.require_position, plausibility.require_units):
         try:
             require(samples, geometry)
         except IdentificationError as error:
             yield DataFinding("the units", error.fact, error.hint)
             return
-    for found in find_implausible(samples, geometry):
+    for found in plausibility.find_implausible(samples, geometry):
         if found.channel in WRENCH_CHANNELS:
             hint = "check that moments are in N m and forces in N, and the load cell's channels"
             yield DataFinding("the wrench", f"{found.channel}: {found.reason}", hint)
             break
-    size = finite_quantile(_norm(samples.wrench[:, 3:]), 0.95)
+    size = plausibility.finite_quantile(_norm(samples.wrench[:, 3:]), 0.95)
     weights = size / (GRAVITY * mass) if mass else 1.0
     if not LOAD_RANGE[0] <= weights <= LOAD_RANGE[1]:
         yield DataFinding(
@@ -123,7 +111,7 @@ def _units(samples: Samples, geometry: SocketGeometry, mass: float | None) -> It
             "check that forces are in N, and the mass",
         )
     rotation = _known(samples.rotation)
-    angle = finite_quantile(_norm(rotation - rotation.mean(axis=0)), 0.95)
+    angle = plausibility.finite_quantile(_norm(rotation - rotation.mean(axis=0)), 0.95)
     if angle > MAX_ROTATION:
         yield DataFinding(
             "the limb pose",
@@ -153,7 +141,7 @@ def _time_series(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFin
         return
     if not changes[1] > MIN_LOAD_CHANGE:
         return
-    note = sign_note(samples, geometry)
+    note = plausibility.sign_note(samples, geometry)
     follows = [_correlation(column, load) for column in pressing.T]
     opposite = sum(value < REVERSED for value in follows)
     if note or (opposite > 1 and 2 * opposite > len(follows)):
@@ -207,12 +195,14 @@ def _time_series(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFin
 
 def _disagreements(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFinding]:
     """The cluster, if any, that contradicts the others and the wrench most."""
-    rows = thinned(loaded_rows(samples, MIN_LOAD_CHANGE), _COMPARED_SAMPLES)
+    rows = validation.thinned(validation.loaded_rows(samples, MIN_LOAD_CHANGE), _COMPARED_SAMPLES)
     if not len(rows):
         return
-    noise = measurement_errors(samples, channel_noise(samples).local_forces, ForceMapSettings())
+    noise = validation.measurement_errors(
+        samples, channel_noise(samples).local_forces, ForceMapSettings()
+    )
     worst = (MAX_INNOVATION, "", "")
-    compared = left_out_pressures(samples[rows], geometry)
+    compared = validation.left_out_pressures(samples[rows], geometry)
     for error, (name, measured, expected, deviation) in zip(noise, compared, strict=True):
         if np.isfinite(measured).any():
             own = np.nan_to_num(error[2]) / geometry.areas[geometry.clusters[name]]

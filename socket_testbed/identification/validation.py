@@ -24,24 +24,13 @@ from scipy.special import ndtri
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, evenly, rms
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.identification import fit
 from socket_testbed.identification.contact import ContactModel, wrench_map
-from socket_testbed.identification.fit import (
-    REGRESSION,
-    ChannelErrors,
-    evaluate,
-    finite_mean,
-    fit_contact_model,
-    regress_wrench,
-)
 from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.noise import channel_noise, smooth_poses
 from socket_testbed.identification.problem import MIN_SAMPLES
 from socket_testbed.samples import Samples, Status
-from socket_testbed.settings.identification import (
-    VARIANTS,
-    ForceMapSettings,
-    IdentificationSettings,
-)
+from socket_testbed.settings import identification
 from socket_testbed.settings.testbed import EstimatorSettings
 
 if TYPE_CHECKING:
@@ -138,10 +127,10 @@ def wrench_predictors(
     samples: Samples, models: Mapping[str, ContactModel]
 ) -> dict[str, WrenchPredictor]:
     """The best constant and linear regression on the pose, fitted on the samples, then models."""
-    mean, (slope, constant) = samples.wrench.mean(axis=0), regress_wrench(samples, samples.pose)
+    mean, (slope, constant) = samples.wrench.mean(axis=0), fit.regress_wrench(samples, samples.pose)
     return {
         CONSTANT: lambda pose: np.tile(mean, (len(pose), 1)),
-        REGRESSION: lambda pose: constant + pose @ slope.T,
+        fit.REGRESSION: lambda pose: constant + pose @ slope.T,
         **{name: partial(m.predict, clusters=()) for name, m in models.items()},
     }
 
@@ -163,8 +152,8 @@ def judge_wrench(
         rmse = np.sqrt(np.mean((predict(samples.pose) - samples.wrench) ** 2, axis=0))
         figures: dict[str, Any] = {"samples": len(samples)}
         for kind, part in (("moment", slice(3)), ("force", slice(3, 6))):
-            error = finite_mean(rmse[part])
-            skill = 1.0 - error / (finite_mean(constant[part]) or np.nan)
+            error = fit.finite_mean(rmse[part])
+            skill = 1.0 - error / (fit.finite_mean(constant[part]) or np.nan)
             figures |= {f"{kind}_rmse": error, f"{kind}_skill": skill}
         found.append(Judgement("wrench", name, test, fitted_on, tested_on, **figures))
     return found
@@ -210,7 +199,7 @@ deviations by axis of {S}, NaN if unknown."""
 
 
 def field_estimators(
-    geometry: SocketGeometry, settings: ForceMapSettings
+    geometry: SocketGeometry, settings: identification.ForceMapSettings
 ) -> dict[str, FieldEstimator]:
     """Estimators of the forces on the tiles that need no fit, by name.
 
@@ -316,16 +305,16 @@ def _judged(judgement: Judgement, compared: Sequence[_Compared], size: float) ->
 def fit_variants(
     samples: Samples,
     geometry: SocketGeometry,
-    settings: IdentificationSettings,
+    settings: identification.IdentificationSettings,
     notify: Callable[[str], None] | None = None,
 ) -> dict[str, ContactModel]:
     """Fit every variant of the contact model, by name; report those that cannot be fitted."""
     models: dict[str, ContactModel] = {}
     errors: dict[str, IdentificationError] = {}
-    for variant in VARIANTS:
+    for variant in identification.VARIANTS:
         chosen = dataclasses.replace(settings, variant=variant)
         try:
-            models[variant] = fit_contact_model(samples, geometry, chosen).model
+            models[variant] = fit.fit_contact_model(samples, geometry, chosen).model
         except IdentificationError as error:
             errors[variant] = error
     if not models:
@@ -351,13 +340,13 @@ def split(samples: Samples, least_force: float) -> tuple[IntArray, IntArray]:
 
 
 def judge_unseen_half(
-    samples: Samples, geometry: SocketGeometry, settings: IdentificationSettings
-) -> tuple[ChannelErrors, ...]:
+    samples: Samples, geometry: SocketGeometry, settings: identification.IdentificationSettings
+) -> tuple[fit.ChannelErrors, ...]:
     """Errors on the second half of the samples of a model fitted on the first half."""
     first, second = split(samples, 0.0)
-    model = fit_contact_model(samples[first], geometry, settings).model
+    model = fit.fit_contact_model(samples[first], geometry, settings).model
     unseen = smooth_poses(samples[second], settings.pose_smoothing)
-    return evaluate(unseen, model, settings.leave_out)
+    return fit.evaluate(unseen, model, settings.leave_out)
 
 
 def thinned(rows: BoolArray, limit: int = MAX_SAMPLES) -> IntArray:
@@ -411,7 +400,7 @@ def judge_map(
 
 
 def measurement_errors(
-    samples: Samples, noise: FloatArray, settings: ForceMapSettings
+    samples: Samples, noise: FloatArray, settings: identification.ForceMapSettings
 ) -> FloatArray:
     r"""Standard deviation of each cluster's measurement error, shape (c, 3) [N].
 

@@ -17,17 +17,11 @@ from socket_testbed.arrays import rms
 from socket_testbed.errors import IdentificationError
 from socket_testbed.files import end_with_parent
 from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.identification import plausibility
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.data_check import MIN_SAMPLES as LEAST_CHECKED
 from socket_testbed.identification.data_check import check_data
 from socket_testbed.identification.fit import Fit, fit_contact_model
-from socket_testbed.identification.plausibility import (
-    MIN_FORCE,
-    MIN_MOMENT,
-    find_outliers,
-    require_load,
-    sign_note,
-)
 from socket_testbed.identification.problem import MIN_SAMPLES
 from socket_testbed.live.processes import schedule_ordinarily
 from socket_testbed.samples import Samples
@@ -139,8 +133,8 @@ def fit_samples(
     if steady is None:
         return Refit(_plausible_fit(samples, geometry, settings))
     if len(samples) and not samples.wrench.any():
-        require_load(samples, np.ones(6, dtype=bool))
-    cleaned = find_outliers(samples, geometry, settings.leave_out).taken_from(samples)
+        plausibility.require_load(samples, np.ones(6, dtype=bool))
+    cleaned = plausibility.find_outliers(samples, geometry, settings.leave_out).taken_from(samples)
     complete = cleaned.complete
     for stretch in find_newest_plateaus(cleaned, steady.plateau, settings.leave_out):
         used = np.zeros(len(samples), dtype=bool)
@@ -166,7 +160,7 @@ def _plausible_fit(
 ) -> Fit:
     """A fit that refuses a negated wrench: nobody would read a note before the model is used."""
     fit = fit_contact_model(samples, geometry, settings)
-    note = sign_note(samples, geometry)
+    note = plausibility.sign_note(samples, geometry)
     if note is not None:
         raise IdentificationError(note, "nothing is fitted until it is right")
     return fit
@@ -180,7 +174,7 @@ def _judge(
     counts = np.array([name not in settings.leave_out for name in samples.channels])
     measured[:, ~counts] = np.nan
     groups = (measured[:, :3], measured[:, 3:6], measured[:, 6:])
-    smallest = (MIN_MOMENT, MIN_FORCE, MIN_FORCE)
+    smallest = (plausibility.MIN_MOMENT, plausibility.MIN_FORCE, plausibility.MIN_FORCE)
     sizes = [max(rms(group, 0.0), least) for group, least in zip(groups, smallest, strict=True)]
     size = np.repeat(sizes, [group.shape[1] for group in groups])
 

@@ -10,14 +10,7 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.samples import Status
-from socket_testbed.trials.topics import (
-    CAPACITANCE,
-    ESTIMATED_WRENCH,
-    REQUIRED,
-    TRIGGER,
-    WRENCH,
-    Topic,
-)
+from socket_testbed.trials import topics
 
 _MAX_PENDING = 1000  # stamps whose measurements are incomplete
 _ERROR_WINDOW = 10.0  # [s]; averaging window of the prediction errors
@@ -34,7 +27,7 @@ class GraphStatus:
         self.trial = ""  # being recorded; empty if none
         self.heard: float | None = None  # arrival of the newest trigger [s], monotonic clock
         self._first = self._last = 0  # stamps of triggers [ns]
-        self._pending: dict[int, set[Topic]] = {}
+        self._pending: dict[int, set[topics.Topic]] = {}
         self._measured: dict[int, FloatArray] = {}
         self._errors: deque[tuple[int, FloatArray]] = deque()
 
@@ -55,24 +48,26 @@ class GraphStatus:
         moment, force = np.sqrt(squares.mean(axis=(0, 2)))
         return float(force), float(moment)
 
-    def add(self, topic: Topic, stamp: int, values: Any) -> None:
+    def add(self, topic: topics.Topic, stamp: int, values: Any) -> None:
         """Process the values of a message with a stamp [ns], see `Reader`."""
-        if topic is ESTIMATED_WRENCH:
+        if topic is topics.ESTIMATED_WRENCH:
             error = values - self._measured.get(stamp, np.nan)
             if np.isfinite(error).all():
                 self._errors.append((stamp, error))
             while self._errors and self._errors[0][0] < stamp - _ERROR_WINDOW * 1e9:
                 self._errors.popleft()
             return
-        if topic is TRIGGER:
+        if topic is topics.TRIGGER:
             self._add_trigger(stamp)
-        elif topic is WRENCH:
+        elif topic is topics.WRENCH:
             self.wrench = self._measured[stamp] = values
             _keep_newest(self._measured)
-        missing = values.status == Status.MISSING if topic is CAPACITANCE else np.isnan(values)
+        missing = (
+            values.status == Status.MISSING if topic is topics.CAPACITANCE else np.isnan(values)
+        )
         if not missing.any():
             self._pending.setdefault(stamp, set()).add(topic)
-            if len(self._pending[stamp]) == len(REQUIRED):
+            if len(self._pending[stamp]) == len(topics.REQUIRED):
                 del self._pending[stamp]
                 self.complete += 1
             _keep_newest(self._pending)

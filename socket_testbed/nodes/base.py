@@ -25,12 +25,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    SetParametersResult,
-)
+from rcl_interfaces import msg
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -348,7 +343,7 @@ class TestbedNode(Node, Generic[S]):
         }
         return self._kind.from_flat(values, self.get_name())
 
-    def _check_settings(self, changes: list[Parameter]) -> SetParametersResult:
+    def _check_settings(self, changes: list[Parameter]) -> msg.SetParametersResult:
         try:
             for change in changes:
                 if change.type_ == Parameter.Type.NOT_SET:
@@ -356,8 +351,8 @@ class TestbedNode(Node, Generic[S]):
                     raise ConfigurationError(f"{change.name} cannot be deleted", hint)
             self._read_settings({change.name: change.value for change in changes})
         except ConfigurationError as error:
-            return SetParametersResult(successful=False, reason=str(error))
-        return SetParametersResult(successful=True)
+            return msg.SetParametersResult(successful=False, reason=str(error))
+        return msg.SetParametersResult(successful=True)
 
     def _change_settings(self, changes: list[Parameter]) -> None:
         del changes
@@ -415,22 +410,22 @@ def _without_figures(message: str) -> str:
     return re.sub(r"\d+(\.\d+)?", "#", message)
 
 
-def _descriptor(name: str, item: dataclasses.Field[Any]) -> ParameterDescriptor:
+def _descriptor(name: str, item: dataclasses.Field[Any]) -> msg.ParameterDescriptor:
     limits = item.metadata
     text = limits["description"]
     if limits["choices"]:
         text += "; one of " + ", ".join(limits["choices"])
     # Dynamic typing allows an integer for a double; the settings check everything else.
-    descriptor = ParameterDescriptor(
+    descriptor = msg.ParameterDescriptor(
         name=name, description=text, dynamic_typing=True, read_only=limits["fixed"]
     )
     kind = type(item.default)
     if kind in (int, float):
         span = {"from_value": kind(limits["low"]), "to_value": kind(limits["high"])}
         if kind is int:
-            descriptor.integer_range = [IntegerRange(**span, step=1)]
+            descriptor.integer_range = [msg.IntegerRange(**span, step=1)]
         else:
-            descriptor.floating_point_range = [FloatingPointRange(**span)]
+            descriptor.floating_point_range = [msg.FloatingPointRange(**span)]
     return descriptor
 
 

@@ -25,14 +25,7 @@ from std_srvs.srv import SetBool, Trigger
 from socket_testbed import clocks
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.live.graph_status import GraphStatus
-from socket_testbed.nodes.base import (
-    Inbox,
-    header_to_ros,
-    is_acknowledged,
-    message_type,
-    publisher_qos,
-    subscriber_qos,
-)
+from socket_testbed.nodes import base
 from socket_testbed.settings.testbed import NextTrialSettings
 from socket_testbed.trials.layout import stamp_of
 from socket_testbed.trials.messages import Reader
@@ -153,16 +146,16 @@ class EventMarker:
         self._wait = wait
         self._triggers: list[tuple[float, int]] = []  # arrival [s] and stamp [ns]
         self._trial: str | None = None
-        self._publisher = node.create_publisher(Event, EVENT.name, publisher_qos(EVENT))
+        self._publisher = node.create_publisher(Event, EVENT.name, base.publisher_qos(EVENT))
         node.create_subscription(
-            String, RECORDED_TRIAL.name, self._on_trial, subscriber_qos(RECORDED_TRIAL)
+            String, RECORDED_TRIAL.name, self._on_trial, base.subscriber_qos(RECORDED_TRIAL)
         )
 
     def mark(self, label: str, called: float) -> Marked:
         """Publish an event, see `publish_event`; subscribes to triggers only meanwhile."""
         self._triggers.clear()
         subscription = self._node.create_subscription(
-            message_type(TRIGGER), TRIGGER.name, self._on_trigger, subscriber_qos(TRIGGER)
+            base.message_type(TRIGGER), TRIGGER.name, self._on_trigger, base.subscriber_qos(TRIGGER)
         )
         try:
             if not self._wait(self._is_linked, _LINK_TIMEOUT):
@@ -172,8 +165,8 @@ class EventMarker:
             stamp = self._stamp_of(called)
         finally:
             self._node.destroy_subscription(subscription)
-        self._publisher.publish(Event(header=header_to_ros(stamp), label=label))
-        if not self._wait(partial(is_acknowledged, self._publisher), _ACKNOWLEDGE_TIMEOUT):
+        self._publisher.publish(Event(header=base.header_to_ros(stamp), label=label))
+        if not self._wait(partial(base.is_acknowledged, self._publisher), _ACKNOWLEDGE_TIMEOUT):
             raise TestbedError(
                 f"the event was not acknowledged within {_ACKNOWLEDGE_TIMEOUT:g} s",
                 "check that the recorder runs, and 'info' of its trial for the event",
@@ -352,8 +345,8 @@ class StatusListener:
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)  # the verb's task
         self._readers = {topic: Reader(topic) for topic in _STATUS_TOPICS}
         self._topics = (*_STATUS_TOPICS, PARAMETERS, RECORDED_TRIAL)
-        qos = {topic: subscriber_qos(topic) for topic in self._topics}
-        self._inbox = Inbox("status_listener", namespace, qos)
+        qos = {topic: base.subscriber_qos(topic) for topic in self._topics}
+        self._inbox = base.Inbox("status_listener", namespace, qos)
         self._pause = self._inbox.node.create_client(SetBool, pause) if pause else None
 
     def take(self) -> None:

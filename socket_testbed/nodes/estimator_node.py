@@ -31,28 +31,8 @@ from socket_testbed.live.fit_worker import FitWorker
 from socket_testbed.nodes.base import NEWEST_STAMP, TestbedNode, file_or_packaged
 from socket_testbed.settings.identification import check_solver
 from socket_testbed.settings.testbed import EstimatorSettings
+from socket_testbed.trials import messages, topics
 from socket_testbed.trials.layout import blank, elements, encode, make_message
-from socket_testbed.trials.messages import (
-    LOAD_CELL_FRAME,
-    force_map_packer,
-    local_forces_packer,
-    regions_packer,
-    wrench_packer,
-)
-from socket_testbed.trials.topics import (
-    ESTIMATED_WRENCH,
-    FORCE_MAP,
-    LOCAL_FORCES,
-    PARAMETERS,
-    PRESSURE_MAP,
-    PYLON_POSE,
-    REGIONS,
-    SOCKET_POSE,
-    STRESS,
-    TRIGGER,
-    WRENCH,
-    Topic,
-)
 
 _PICTURE_PERIOD = 100_000_000  # [ns]; RViz needs no more
 _REGIONS_PERIOD = 500_000_000  # [ns]; joint draws take 15 ms
@@ -78,21 +58,23 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
             self._geometry,
             lambda: self.settings,
             self._worker,
-            self.sender(PARAMETERS, model_message),
+            self.sender(topics.PARAMETERS, model_message),
         )
         self._picture = PressureMap(self._geometry)
         self._last_picture = 0  # [ns]
         names = self._geometry.names
-        self._send_wrench = self.sender(ESTIMATED_WRENCH, wrench_packer())
-        self._send_forces = self.sender(LOCAL_FORCES, local_forces_packer(names))
-        self._send_map = self.sender(FORCE_MAP, force_map_packer(names))
-        self._pressure_map = self.advertise(PRESSURE_MAP)
-        self._regions = self.advertise(REGIONS)
-        self._pack_regions = regions_packer([place.name for place in self._estimator.map.places])
+        self._send_wrench = self.sender(topics.ESTIMATED_WRENCH, messages.wrench_packer())
+        self._send_forces = self.sender(topics.LOCAL_FORCES, messages.local_forces_packer(names))
+        self._send_map = self.sender(topics.FORCE_MAP, messages.force_map_packer(names))
+        self._pressure_map = self.advertise(topics.PRESSURE_MAP)
+        self._regions = self.advertise(topics.REGIONS)
+        self._pack_regions = messages.regions_packer(
+            [place.name for place in self._estimator.map.places]
+        )
         self._last_regions = 0  # [ns]
-        for topic in (STRESS, WRENCH, SOCKET_POSE, PYLON_POSE):
+        for topic in (topics.STRESS, topics.WRENCH, topics.SOCKET_POSE, topics.PYLON_POSE):
             self.follow(topic, partial(self._on_measured, topic))
-        self.follow(TRIGGER, lambda stamp, sequence: self._estimator.trigger(stamp))
+        self.follow(topics.TRIGGER, lambda stamp, sequence: self._estimator.trigger(stamp))
         self.serve(TriggerService, "estimator/fit", self._on_fit, slow=True)
         if self.settings.model:
             self._estimator.load(Path(self.settings.model))
@@ -119,7 +101,7 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         """Whether the fit process runs."""
         return self._worker.ready
 
-    def _on_measured(self, topic: Topic, stamp: int, value: Any) -> None:
+    def _on_measured(self, topic: topics.Topic, stamp: int, value: Any) -> None:
         force_map, wrench, forces = self._estimator.add(topic, stamp, value)
         if force_map is not None:
             self._publish_map(stamp, force_map)
@@ -156,8 +138,8 @@ def model_message(fitted: Fit | StoredModel) -> bytes:
     seconds, nanoseconds = divmod(fitted.last_stamp, 1_000_000_000)
     stamp = {"sec": seconds, "nanosec": nanoseconds}
     message = make_message(
-        PARAMETERS.type,
-        header={"stamp": stamp, "frame_id": LOAD_CELL_FRAME},
+        topics.PARAMETERS.type,
+        header={"stamp": stamp, "frame_id": messages.LOAD_CELL_FRAME},
         variant=model.variant,
         names=list(model.names),
         stiffness=[_named(row) for row in model.stiffness],
@@ -169,7 +151,7 @@ def model_message(fitted: Fit | StoredModel) -> bytes:
         samples=fitted.samples,
         solver_status=fitted.status,
     )
-    return encode(message, PARAMETERS.type)
+    return encode(message, topics.PARAMETERS.type)
 
 
 def _wrench(values: FloatArray) -> dict[str, Any]:
@@ -187,7 +169,7 @@ class PressureMap:
     def __init__(self, geometry: SocketGeometry) -> None:
         self._anchors = geometry.anchors
         quaternions = Rotation.from_matrix(geometry.square_frames()).as_quat()
-        shared = {"header": {"frame_id": LOAD_CELL_FRAME}, "lifetime": {"sec": _LIFETIME}}
+        shared = {"header": {"frame_id": messages.LOAD_CELL_FRAME}, "lifetime": {"sec": _LIFETIME}}
         markers: list[dict[str, Any]] = []
         for i, (anchor, quaternion) in enumerate(zip(self._anchors, quaternions, strict=True)):
             half = 0.5 * math.sqrt(geometry.areas[i])
@@ -203,7 +185,7 @@ class PressureMap:
                 "pose": {"orientation": {"w": 1.0}}, "points": [_named(anchor)] * 2,
             }  # fmt: skip
             markers += [shared | tile, shared | arrow]
-        self._content, numbers = blank(PRESSURE_MAP.type, markers=markers)
+        self._content, numbers = blank(topics.PRESSURE_MAP.type, markers=markers)
         records = elements(numbers, "markers")
         self._stamps = [record["header"]["stamp"] for record in records]
         self._colours = [record["color"] for record in records]

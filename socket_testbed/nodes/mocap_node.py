@@ -24,32 +24,10 @@ from socket_testbed.drivers.natnet.tracker import BodyTracker, SeenBody
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
-from socket_testbed.nodes.base import (
-    ERROR,
-    OK,
-    WARN,
-    TestbedNode,
-    file_or_packaged,
-    header_to_ros,
-    publisher_qos,
-)
+from socket_testbed.nodes import base
 from socket_testbed.nodes.sensor_node import SensorNode, averaging_span
 from socket_testbed.settings.acquisition import MocapSettings
-from socket_testbed.trials.messages import (
-    LOAD_CELL_FRAME,
-    WORLD_FRAME,
-    markers_packer,
-    pose_packer,
-)
-from socket_testbed.trials.topics import (
-    MARKERS,
-    PYLON_POSE,
-    RECORDED_TRIAL,
-    SOCKET_POSE,
-    TF,
-    TF_STATIC,
-    Topic,
-)
+from socket_testbed.trials import messages, topics
 
 SOCKET_FRAME = "socket"  # the socket's marker body
 LIMB_FRAME = "limb"  # origin at the lumped mass
@@ -62,22 +40,23 @@ class MocapNode(SensorNode[MocapSettings]):
         super().__init__("mocap_node", MocapSettings)
         settings = self.settings
         self.device = f"NatNet {settings.server}"
-        geometry = read_socket(file_or_packaged(settings.geometry, "socket.yaml"))
+        geometry = read_socket(base.file_or_packaged(settings.geometry, "socket.yaml"))
         self._stale = settings.stale
         bodies = (geometry.socket_markers, geometry.pylon_markers)
         self._tracker = BodyTracker(settings, *bodies)
         self._client = NatNetClient(settings, self._tracker.add)
         self._send_pose = {
-            topic: self.sender(topic, pose_packer()) for topic in (SOCKET_POSE, PYLON_POSE)
+            topic: self.sender(topic, messages.pose_packer())
+            for topic in (topics.SOCKET_POSE, topics.PYLON_POSE)
         }
         counts = {"socket": len(bodies[0]), "pylon": len(bodies[1])}
-        self._send_markers = self.sender(MARKERS, markers_packer(counts))
+        self._send_markers = self.sender(topics.MARKERS, messages.markers_packer(counts))
         self._frames = FrameBroadcaster(self, geometry)
         self._averaged, self._delay = 0, 0.0
         self._refused = ""  # why a take's name was refused
         self._client.start()
         self.follow_triggers()
-        self.listen(RECORDED_TRIAL, self._on_recorded, needed=False)
+        self.listen(topics.RECORDED_TRIAL, self._on_recorded, needed=False)
 
     def close(self) -> None:
         """Stop measuring and disconnect from the server."""
@@ -131,10 +110,10 @@ class MocapNode(SensorNode[MocapSettings]):
     def health(self) -> tuple[int, str]:
         """Health of the stream, the latest fault, or health of Motive's recording."""
         level, message = self._client.health(clocks.monotonic())
-        if level < ERROR and (faults := [f for f in (self.fault.text(), self._refused) if f]):
-            return WARN, "; ".join(faults)
-        if level == OK and (fault := self._client.recording_fault):
-            return WARN, fault
+        if level < base.ERROR and (faults := [f for f in (self.fault.text(), self._refused) if f]):
+            return base.WARN, "; ".join(faults)
+        if level == base.OK and (fault := self._client.recording_fault):
+            return base.WARN, fault
         return level, message
 
 
@@ -149,15 +128,15 @@ class FrameBroadcaster:
     """
 
     def __init__(
-        self, node: TestbedNode[Any], geometry: SocketGeometry, namespace: str = ""
+        self, node: base.TestbedNode[Any], geometry: SocketGeometry, namespace: str = ""
     ) -> None:
         self._bodies = {
-            SOCKET_POSE: (SOCKET_FRAME, Pose(np.eye(3), np.zeros(3))),
-            PYLON_POSE: (LIMB_FRAME, geometry.limb),
+            topics.SOCKET_POSE: (SOCKET_FRAME, Pose(np.eye(3), np.zeros(3))),
+            topics.PYLON_POSE: (LIMB_FRAME, geometry.limb),
         }
         self._publisher, static = (
-            node.create_publisher(TFMessage, namespace + topic.name, publisher_qos(topic))
-            for topic in (TF, TF_STATIC)
+            node.create_publisher(TFMessage, namespace + topic.name, base.publisher_qos(topic))
+            for topic in (topics.TF, topics.TF_STATIC)
         )
         now = node.get_clock().now().nanoseconds
         fixed = [_transform(now, *entry) for entry in fixed_frames(geometry)]
@@ -168,7 +147,7 @@ class FrameBroadcaster:
         """Whether anybody subscribes."""
         return bool(self._publisher.get_subscription_count())
 
-    def move(self, stamp: int, poses: Mapping[Topic, FloatArray]) -> None:
+    def move(self, stamp: int, poses: Mapping[topics.Topic, FloatArray]) -> None:
         """Publish the poses of socket and limb; unseen bodies are left out.
 
         The poses at a stamp [ns], for SOCKET_POSE, PYLON_POSE or both, are position [m] and
@@ -181,7 +160,7 @@ class FrameBroadcaster:
             if np.isfinite(vector).all():
                 pose = Pose.from_quaternion(vector[:3], vector[3:])
                 name, in_body = self._bodies[topic]
-                transforms.append(_transform(stamp, WORLD_FRAME, name, pose @ in_body))
+                transforms.append(_transform(stamp, messages.WORLD_FRAME, name, pose @ in_body))
         if transforms:
             self._publisher.publish(TFMessage(transforms=transforms))
 
@@ -190,15 +169,15 @@ def fixed_frames(geometry: SocketGeometry) -> list[tuple[str, str, Pose]]:
     """The fixed frames: parent, name, and pose in the parent."""
     rotations = geometry.square_frames()
     clusters = [
-        (LOAD_CELL_FRAME, name, Pose(rotations[tile], geometry.anchors[tile]))
+        (messages.LOAD_CELL_FRAME, name, Pose(rotations[tile], geometry.anchors[tile]))
         for name, tile in geometry.clusters.items()
     ]
-    return [(SOCKET_FRAME, LOAD_CELL_FRAME, geometry.socket_body.inverse()), *clusters]
+    return [(SOCKET_FRAME, messages.LOAD_CELL_FRAME, geometry.socket_body.inverse()), *clusters]
 
 
 def _transform(stamp: int, parent: str, name: str, pose: Pose) -> TransformStamped:
     return TransformStamped(
-        header=header_to_ros(stamp, parent),
+        header=base.header_to_ros(stamp, parent),
         child_frame_id=name,
         transform=Transform(
             translation=Vector3(**dict(zip("xyz", pose.translation.tolist(), strict=True))),

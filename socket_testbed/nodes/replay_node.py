@@ -19,15 +19,7 @@ from std_srvs.srv import SetBool
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
-from socket_testbed.nodes.base import (
-    ERROR,
-    OK,
-    WARN,
-    Followers,
-    TestbedNode,
-    is_acknowledged,
-    stamp_to_ros,
-)
+from socket_testbed.nodes import base
 from socket_testbed.nodes.mocap_node import FrameBroadcaster
 from socket_testbed.settings.testbed import ReplaySettings
 from socket_testbed.trials.bag import BagReader, RawMessage
@@ -107,7 +99,7 @@ class Pacer:
             self._stopping.wait(min(left, _TICK_PERIOD))
 
 
-class ReplayNode(TestbedNode[ReplaySettings]):
+class ReplayNode(base.TestbedNode[ReplaySettings]):
     """Publishes a trial from a separate thread, so that services stay responsive."""
 
     def __init__(self) -> None:
@@ -144,7 +136,7 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         self._frames = self._broadcaster()
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
         self._pacer = Pacer(settings.rate, self._tick, settings.paused)
-        self._followers = Followers(self, settings.wait_for, self._pacer.stopped)
+        self._followers = base.Followers(self, settings.wait_for, self._pacer.stopped)
         self.serve(SetBool, "replay/pause", self._on_pause)
         self._thread = threading.Thread(target=self._replay, name="replay")
         self._thread.start()
@@ -210,7 +202,7 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         try:
             with self.until_ros_ends():
                 self._await_ready()
-                self.report(OK, f"replaying {self.settings.trial}")
+                self.report(base.OK, f"replaying {self.settings.trial}")
                 self._publish_once()
                 while self.settings.loop and not self._pacer.stopped():
                     self._catch_up(0)
@@ -219,7 +211,7 @@ class ReplayNode(TestbedNode[ReplaySettings]):
                 self._await_done()
         except TestbedError as error:
             self._failure = error
-            self.report(ERROR, str(error))
+            self.report(base.ERROR, str(error))
         finally:
             self.finished.set_result(None)
 
@@ -257,7 +249,7 @@ class ReplayNode(TestbedNode[ReplaySettings]):
             self._pacer.sleep(_BURST_PAUSE)
 
     def _tick(self, stamp: int) -> None:
-        self._clock_publisher.publish(Clock(clock=stamp_to_ros(max(stamp, 0))))
+        self._clock_publisher.publish(Clock(clock=base.stamp_to_ros(max(stamp, 0))))
 
     def _await_ready(self) -> None:
         """Wait until the subscribers are linked, so that they miss no message."""
@@ -286,9 +278,9 @@ class ReplayNode(TestbedNode[ReplaySettings]):
         if self._followers:
             self._catch_up(int(not self._sample_topics.issuperset(REQUIRED)))
         for publisher in self._by_topic.values():
-            self._followers.wait(partial(is_acknowledged, publisher), _PROGRESS_TIMEOUT)
+            self._followers.wait(partial(base.is_acknowledged, publisher), _PROGRESS_TIMEOUT)
 
     def _catch_up(self, behind: int) -> None:
         left = self._followers.catch_up(behind, _PROGRESS_TIMEOUT)
         if left:
-            self.report(WARN, f"{left} triggers were not processed in time")
+            self.report(base.WARN, f"{left} triggers were not processed in time")

@@ -35,40 +35,23 @@ from socket_testbed.nodes.base import (
     file_or_packaged,
 )
 from socket_testbed.nodes.controls import ServiceControls
-from socket_testbed.pages.document import (
-    Document,
-    bars,
-    cards,
-    course,
-    moment,
-    numbers,
-    socket_document,
-)
+from socket_testbed.pages import document
 from socket_testbed.pages.server import PageServer, is_local
 from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import ViewSettings
+from socket_testbed.trials import topics
 from socket_testbed.trials.messages import REGION_FIELDS, Reader
 from socket_testbed.trials.metadata import FIELDS
-from socket_testbed.trials.topics import (
-    DIAGNOSTICS,
-    ESTIMATED_WRENCH,
-    FORCE_MAP,
-    RECORDED_TRIAL,
-    REGIONS,
-    STRESS,
-    WRENCH,
-    Topic,
-)
 
 _STALE_AFTER = 2.0  # [s]; older data is not shown as current
 _SILENT_AFTER = 3.0  # [s]; a node without a report for longer is silent
 _IDLE_AFTER = 3.0  # [s]; without a request for longer, no browser is open
 _DEPTHS = {
-    FORCE_MAP: 1,
-    WRENCH: 50,
-    ESTIMATED_WRENCH: 50,
-    STRESS: 1,
-    REGIONS: 5,
+    topics.FORCE_MAP: 1,
+    topics.WRENCH: 50,
+    topics.ESTIMATED_WRENCH: 50,
+    topics.STRESS: 1,
+    topics.REGIONS: 5,
 }
 _MAX_WRENCHES = 200  # kept to match those of the regions
 _COURSE_DURATION = 30.0  # [s]
@@ -113,7 +96,9 @@ class LiveSource:
         self._inbox: Inbox | None = None
         self._readers = {topic: Reader(topic) for topic in _DEPTHS}
         self._asked_at = 0.0  # [s]; when a browser last asked
-        self._newest: dict[Topic, tuple[int, Any, float]] = {}  # stamp [ns], values, arrival [s]
+        self._newest: dict[
+            topics.Topic, tuple[int, Any, float]
+        ] = {}  # stamp [ns], values, arrival [s]
         self._wrenches: deque[tuple[int, FloatArray]] = deque(maxlen=_MAX_WRENCHES)  # by stamp
         self._first = 0  # [ns]
         self._foreign = False  # whether the newest map belongs to another socket
@@ -122,24 +107,24 @@ class LiveSource:
         self._trial = ("", 0.0)
         self._places = all_regions(geometry)
         self._measured = _NO_PRESSURES  # by cluster [Pa]
-        self._shown: Document = {}  # cards (except the data's), bars, course
+        self._shown: document.Document = {}  # cards (except the data's), bars, course
         self._shown_at = -math.inf  # [s]
         self._course: deque[tuple[float, ...]] = deque()  # time [s], force [N], peak and ends [Pa]
-        node.listen(DIAGNOSTICS, self._on_diagnostics, needed=False)
-        node.listen(RECORDED_TRIAL, self._on_trial, needed=False)
+        node.listen(topics.DIAGNOSTICS, self._on_diagnostics, needed=False)
+        node.listen(topics.RECORDED_TRIAL, self._on_trial, needed=False)
 
-    def start(self) -> Document:
+    def start(self) -> document.Document:
         """The socket, and whether buttons are enabled."""
         return {
             "title": "socket_testbed, live",
             "facts": {},
-            "socket": socket_document(self._geometry),
+            "socket": document.socket_document(self._geometry),
             "live": True,
             "buttons": self._controls is not None,
             "metadata": FIELDS,
         }
 
-    def now(self, time: float | None) -> Document:
+    def now(self, time: float | None) -> document.Document:
         """The newest sample; cards, bars and course are updated with the regions."""
         del time
         self._asked_at = clocks.monotonic()
@@ -147,12 +132,12 @@ class LiveSource:
             self._inbox = self._subscribe()
         self._take(self._inbox)
         self._update(self._inbox)
-        measured, predicted = self._recent(WRENCH), self._recent(ESTIMATED_WRENCH)
+        measured, predicted = self._recent(topics.WRENCH), self._recent(topics.ESTIMATED_WRENCH)
         data, sensors = self._state_of_sensors()
         found = {"moment": self._moment(), "sensors": sensors, "recording": self._recording()}
         found |= self._shown | {"cards": [*self._shown.get("cards", []), data]}
         pair = (_NO_WRENCH if wrench is None else wrench for wrench in (measured, predicted))
-        return found | {"wrench": [numbers(wrench) for wrench in pair]}
+        return found | {"wrench": [document.numbers(wrench) for wrench in pair]}
 
     def act(self, what: str, given: dict[str, Any]) -> str:
         """Call the service of a button."""
@@ -175,20 +160,20 @@ class LiveSource:
         qos = {topic: QoSProfile(depth=n, reliability=lost) for topic, n in _DEPTHS.items()}
         return Inbox(f"{self._node.get_name()}_inbox", self._node.get_namespace(), qos)
 
-    def _read(self, inbox: Inbox, topic: Topic) -> list[tuple[int, Any]]:
+    def _read(self, inbox: Inbox, topic: topics.Topic) -> list[tuple[int, Any]]:
         """Stamps and values of the queued messages of a topic, in order."""
         return [self._readers[topic].read(data) for data in inbox.take(topic)]
 
     def _take(self, inbox: Inbox) -> None:
         """Take maps and wrenches."""
         now = clocks.monotonic()
-        for topic in (FORCE_MAP, WRENCH, ESTIMATED_WRENCH):
+        for topic in (topics.FORCE_MAP, topics.WRENCH, topics.ESTIMATED_WRENCH):
             for stamp, values in self._read(inbox, topic):
-                if topic is FORCE_MAP:
+                if topic is topics.FORCE_MAP:
                     self._foreign = values[0] != self._geometry.names
                     if self._foreign:
                         continue
-                elif topic is WRENCH:
+                elif topic is topics.WRENCH:
                     if self._wrenches and stamp < self._wrenches[0][0]:
                         self._wrenches.clear()  # the graph was restarted
                         self._course.clear()
@@ -202,12 +187,12 @@ class LiveSource:
         now, geometry, places = clocks.monotonic(), self._geometry, self._places
         if now - self._shown_at > _STALE_AFTER:
             self._shown, self._measured = {}, _NO_PRESSURES
-        for _, stresses in self._read(inbox, STRESS):
+        for _, stresses in self._read(inbox, topics.STRESS):
             readings = [stresses.get(name, _NO_STRESS) for name in geometry.clusters]
             normal = [s[0] if status == Status.OK else np.nan for s, status in readings]
             self._measured = np.array(normal)
-        for stamp, (names, fields) in self._read(inbox, REGIONS):
-            mapped = self._recent(FORCE_MAP)
+        for stamp, (names, fields) in self._read(inbox, topics.REGIONS):
+            mapped = self._recent(topics.FORCE_MAP)
             if mapped is None or names != tuple(place.name for place in places):
                 continue
             outputs = _region_outputs(fields)
@@ -220,27 +205,27 @@ class LiveSource:
             time, load, value, low, high = np.array(self._course).T
             self._shown_at = now
             self._shown = {
-                "cards": cards(geometry, places, outputs, mapped[1]["normal_pressure"][0]),
-                "bars": bars(places, outputs),
-                "course": course(time, load, Quantity(value, low, high, value), []),
+                "cards": document.cards(geometry, places, outputs, mapped[1]["normal_pressure"][0]),
+                "bars": document.bars(places, outputs),
+                "course": document.course(time, load, Quantity(value, low, high, value), []),
             }
 
-    def _moment(self) -> Document:
+    def _moment(self) -> document.Document:
         """The newest map."""
-        found = self._recent(FORCE_MAP)
+        found = self._recent(topics.FORCE_MAP)
         if found is None:
             return {"time": 0.0, "words": "no force map"}
         names = ("normal_pressure", "normal_pressure_standard_deviation", "shear")
         pressure, deviation, shear = (found[1][name][0] for name in names)
-        time = 1e-9 * (self._newest[FORCE_MAP][0] - self._first)
-        return moment(time, pressure, deviation, shear, self._measured)
+        time = 1e-9 * (self._newest[topics.FORCE_MAP][0] - self._first)
+        return document.moment(time, pressure, deviation, shear, self._measured)
 
-    def _recent(self, topic: Topic) -> Any:
+    def _recent(self, topic: topics.Topic) -> Any:
         """The newest values of a topic; None if stale."""
         _, values, arrival = self._newest.get(topic, (0, None, -math.inf))
         return values if clocks.monotonic() - arrival < _STALE_AFTER else None
 
-    def _state_of_sensors(self) -> tuple[Document, list[list[str]]]:
+    def _state_of_sensors(self) -> tuple[document.Document, list[list[str]]]:
         """The data card, and a row per node: sign, name, message and rate."""
         now, rows, bad = clocks.monotonic(), [], []
         for name, (status, arrival) in sorted(self._sensors.items()):
@@ -264,7 +249,7 @@ class LiveSource:
         words = f"all {len(rows)} nodes report OK"
         return {"title": "Data", "value": "good", "words": words}, rows
 
-    def _recording(self) -> Document:
+    def _recording(self) -> document.Document:
         """The trial being recorded, and the free space."""
         trial, since = self._trial
         now = clocks.monotonic()

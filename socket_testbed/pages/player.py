@@ -12,15 +12,7 @@ from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.plausibility import require_position
 from socket_testbed.identification.pressure import measured_rows
-from socket_testbed.pages.document import (
-    Document,
-    bars,
-    cards,
-    data_card,
-    moments,
-    numbers,
-    trial_document,
-)
+from socket_testbed.pages import document
 from socket_testbed.trials.pressure import mapped_trial
 from socket_testbed.trials.trial import Trial
 
@@ -36,7 +28,7 @@ class Player:
     def __init__(self, trial: Trial, model: StoredModel | None = None) -> None:
         self._samples = samples = trial.samples()
         self._mapped = mapped_trial(trial, trial.estimator)
-        self._data = data_card(trial.findings)
+        self._data = document.data_card(trial.findings)
         self._holds = BREAK * usual_period(samples.time)  # [s]; a sample
         self._predicted = np.full((len(samples), 6), np.nan)
         if model is not None:
@@ -46,18 +38,18 @@ class Player:
             self._predicted = model.model.wrench(poses)
         rows = evenly(len(samples), _COURSE_SAMPLES)
         time, found = samples.time[rows], self._mapped.course(rows)
-        self._start = trial_document(trial, found, time) | {
+        self._start = document.trial_document(trial, found, time) | {
             "title": trial.name,
             "facts": trial.metadata.described(),
             "start": float(time[found.peak_row]),
             "end": float(samples.time[-1]),
         }
 
-    def start(self) -> Document:
+    def start(self) -> document.Document:
         """The socket, the course, and the time of the peak, where the page opens."""
         return self._start
 
-    def now(self, time: float | None) -> Document:
+    def now(self, time: float | None) -> document.Document:
         """The latest sample at a time since the first one [s]."""
         at, samples, mapped = time or 0.0, self._samples, self._mapped
         row = max(int(np.searchsorted(samples.time, at + 1e-6, "right")) - 1, 0)
@@ -67,12 +59,15 @@ class Player:
             return {"moment": {"time": at}, "cards": [nothing, self._data]}
         found = mapped.outputs(one)
         pressure = found.estimate.normal_pressure[0]
-        shown = cards(mapped.geometry, mapped.places, found.regions, pressure)
+        shown = document.cards(mapped.geometry, mapped.places, found.regions, pressure)
         return {
-            "moment": moments(samples.time[one], found, mapped.geometry)[0],
+            "moment": document.moments(samples.time[one], found, mapped.geometry)[0],
             "cards": [*shown, self._data],
-            "bars": bars(mapped.places, found.regions),
-            "wrench": [numbers(samples.wrench[row]), numbers(self._predicted[row])],
+            "bars": document.bars(mapped.places, found.regions),
+            "wrench": [
+                document.numbers(samples.wrench[row]),
+                document.numbers(self._predicted[row]),
+            ],
         }
 
     def act(self, what: str, given: dict[str, Any]) -> str:

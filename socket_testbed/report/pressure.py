@@ -29,15 +29,7 @@ from socket_testbed.identification.pressure import (
     normal_quantity,
     with_interval,
 )
-from socket_testbed.pages.document import (
-    bars,
-    cards,
-    data_card,
-    measured_pressure,
-    moment,
-    moments,
-    trial_document,
-)
+from socket_testbed.pages import document
 from socket_testbed.report.models import model_values
 from socket_testbed.report.page import Heading, Pictures, ReportFigure, Section
 from socket_testbed.report.results import Results
@@ -73,19 +65,21 @@ def page_data(results: Results) -> dict[str, Any]:
     found, trial, over_trial = results.pressure, results.trial, results.over_trial
     outputs, tiles, geometry = found.outputs, found.outputs.tiles, results.trial.geometry
     time = 1e-9 * (over_trial.samples.stamps - results.samples.stamps[0])
-    measured = measured_pressure(outputs.samples, geometry).mean(axis=0)
+    measured = document.measured_pressure(outputs.samples, geometry).mean(axis=0)
     deviation = (tiles.mean.high - tiles.mean.low) / (2.0 * NORMAL_QUANTILE)
-    mean = moment(found.peak_time, tiles.mean.value, deviation, tiles.shear.value, measured)
+    mean = document.moment(
+        found.peak_time, tiles.mean.value, deviation, tiles.shear.value, measured
+    )
     at_peak = outputs.peak_map.normal_pressure[0]
-    return trial_document(trial, over_trial, time) | {
+    return document.trial_document(trial, over_trial, time) | {
         "start": found.peak_time,
-        "moments": moments(time, over_trial, geometry),
+        "moments": document.moments(time, over_trial, geometry),
         "mean": mean | {"time": None, "words": f"mean over {results.segment}"},
         "cards": [
-            *cards(geometry, found.places, outputs.regions, at_peak),
-            data_card(results.data),
+            *document.cards(geometry, found.places, outputs.regions, at_peak),
+            document.data_card(results.data),
         ],
-        "bars": bars(found.places, outputs.regions),
+        "bars": document.bars(found.places, outputs.regions),
         "extras": {
             f"{candidate.label}: {name}": values
             for candidate in results.candidates

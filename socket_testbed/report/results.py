@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from socket_testbed.arrays import BoolArray, FloatArray, evenly
 from socket_testbed.errors import IdentificationError
+from socket_testbed.identification import plausibility
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.identification.fit import (
@@ -31,13 +32,6 @@ from socket_testbed.identification.information import (
 from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.pareto import Front, pareto_front
-from socket_testbed.identification.plausibility import (
-    Implausible,
-    find_implausible,
-    find_outliers,
-    outlier_notes,
-    sign_note,
-)
 from socket_testbed.identification.pressure import PressureOutputs
 from socket_testbed.identification.validation import Judgement, judge_samples
 from socket_testbed.samples import Samples
@@ -93,7 +87,7 @@ class Results:
     candidates: tuple[Candidate, ...]  # the variants, then the given model, if any
     fronts: dict[Variant, Front]  # may be empty
     no_fronts: str  # reason for empty `fronts`
-    implausible: tuple[Implausible, ...]  # channels proposed to be left out
+    implausible: tuple[plausibility.Implausible, ...]  # channels proposed to be left out
     plateaus: tuple[Segment, ...]  # the longest first
     bag_notes: tuple[str, ...]
     motion: Motion  # of the pose over the segment, relative to its noise
@@ -155,9 +149,9 @@ def compute_results(
     leave_out = identification.leave_out
     segment = select_segment(samples, specification, settings.plateau, leave_out, trial.events)
     segment = first_frames(segment, samples, identification.frames)
-    sign = sign_note(samples[segment.rows], trial.geometry)
-    outliers = find_outliers(samples, trial.geometry, leave_out)
-    notes = [*outlier_notes(samples, outliers), *([sign] if sign else [])]
+    sign = plausibility.sign_note(samples[segment.rows], trial.geometry)
+    outliers = plausibility.find_outliers(samples, trial.geometry, leave_out)
+    notes = [*plausibility.outlier_notes(samples, outliers), *([sign] if sign else [])]
     samples = outliers.taken_from(samples)
     reach(1)
     chosen, candidates = samples[segment.rows], []
@@ -198,7 +192,7 @@ def compute_results(
         candidates=tuple(candidates),
         fronts=fronts,
         no_fronts=no_fronts,
-        implausible=find_implausible(chosen, trial.geometry),
+        implausible=plausibility.find_implausible(chosen, trial.geometry),
         plateaus=tuple(find_plateaus(samples, settings.plateau, leave_out)),
         bag_notes=tuple(dict.fromkeys([*trial.notes, *notes])),
         data=trial.findings,

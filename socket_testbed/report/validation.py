@@ -10,16 +10,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from socket_testbed.identification import validation
 from socket_testbed.identification.information import MIN_RATIO
-from socket_testbed.identification.validation import (
-    CLOSED,
-    FORCE_MAP,
-    INVERSE_DISTANCE,
-    LEVELS,
-    Judgement,
-    judgements_table,
-    summarise_judgements,
-)
 from socket_testbed.report.page import Heading, ReportFigure, Section
 from socket_testbed.report.results import Results
 from socket_testbed.report.style import (
@@ -32,7 +24,11 @@ from socket_testbed.report.style import (
 )
 from socket_testbed.tables import Table, number
 
-_COLOURS = {INVERSE_DISTANCE: "0.75", CLOSED: "0.5", FORCE_MAP: LINE_STYLES[1]["color"]}
+_COLOURS = {
+    validation.INVERSE_DISTANCE: "0.75",
+    validation.CLOSED: "0.5",
+    validation.FORCE_MAP: LINE_STYLES[1]["color"],
+}
 _QUESTIONS = {"cluster": "all clusters", "tiles": "tiles without a sensor"}
 _MARKERS = {"cluster": "o", "tiles": "s"}
 _CAPTIONS = {
@@ -62,7 +58,7 @@ def section(results: Results) -> Section:
             lambda style: validation_figure(
                 results.validation, f"{results.trial.name}: Validation", style
             ),
-            judgements_table(results.validation),
+            validation.judgements_table(results.validation),
         )
         judged = [
             "Estimates judged on held-out data, against rivals that need no model.",
@@ -100,18 +96,18 @@ def section(results: Results) -> Section:
     )
 
 
-def judged_tables(judgements: Sequence[Judgement]) -> list[Table]:
+def judged_tables(judgements: Sequence[validation.Judgement]) -> list[Table]:
     """A table per question and test, a row per predictor: means over the trials.
 
     With several trials, skills are medians, because a single trial may spoil a mean.
     """
-    summary = summarise_judgements(judgements)
+    summary = validation.summarise_judgements(judgements)
     counts = summary["judged [1]"]
     several = bool((counts > 1).any())
     for_wrench = {"moment RMSE [N m]": ".3f", "force RMSE [N]": ".2f"}
     for_wrench |= {f"{'median ' * several}{kind} skill [-]": "z.2f" for kind in ("moment", "force")}
     for_forces = dict.fromkeys(["error [-]", *["worst error [-]"] * several], ".2f")
-    for level in LEVELS:
+    for level in validation.LEVELS:
         title = f"in {100 * level:g} % [%]"
         summary[title] = 100.0 * summary[f"within {100 * level:g} % [-]"]
         for_forces[title] = ".0f"
@@ -143,7 +139,7 @@ def _shares(results: Results) -> Table:
 
 @in_style
 def validation_figure(
-    judgements: Sequence[Judgement], title: str, style: FigureStyle = DEFAULT_STYLE
+    judgements: Sequence[validation.Judgement], title: str, style: FigureStyle = DEFAULT_STYLE
 ) -> Figure:
     """Draw force errors by left-out cluster, and the coverage of the map's intervals.
 
@@ -159,7 +155,7 @@ def validation_figure(
     return lay_out(figure)
 
 
-def _draw_errors(axes: Axes, judgements: Sequence[Judgement]) -> None:
+def _draw_errors(axes: Axes, judgements: Sequence[validation.Judgement]) -> None:
     rows = [
         (judged.cluster or _QUESTIONS[judged.question], judged.predictor, judged.error)
         for judged in judgements
@@ -180,15 +176,15 @@ def _draw_errors(axes: Axes, judgements: Sequence[Judgement]) -> None:
     axes.legend()
 
 
-def _draw_coverage(axes: Axes, judgements: Sequence[Judgement]) -> None:
-    levels = 100.0 * np.array(LEVELS)
+def _draw_coverage(axes: Axes, judgements: Sequence[validation.Judgement]) -> None:
+    levels = 100.0 * np.array(validation.LEVELS)
     axes.plot([40.0, 100.0], [40.0, 100.0], color="0.3", linewidth=0.8)
-    judged = [j for j in judgements if j.predictor == FORCE_MAP and not j.cluster]
+    judged = [j for j in judgements if j.predictor == validation.FORCE_MAP and not j.cluster]
     for question, label in _QUESTIONS.items():
         coverages = [j.coverage for j in judged if j.question == question]
         if coverages:
             shares = 100.0 * np.mean(coverages, axis=0)
-            look = {"color": _COLOURS[FORCE_MAP], "markerfacecolor": "white"}
+            look = {"color": _COLOURS[validation.FORCE_MAP], "markerfacecolor": "white"}
             axes.plot(levels, shares, marker=_MARKERS[question], label=label, **look)
     axes.set_xlabel("stated probability of the interval [%]")
     axes.set_ylabel("values within the force map's\ninterval [%]")

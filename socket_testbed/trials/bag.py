@@ -17,15 +17,7 @@ from pathlib import Path
 from typing import Any, Self
 
 from backports import zstd
-from rosbags.interfaces import (
-    Connection,
-    Qos,
-    QosDurability,
-    QosHistory,
-    QosLiveliness,
-    QosReliability,
-    QosTime,
-)
+from rosbags import interfaces
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from socket_testbed.documents import load_yaml
@@ -41,7 +33,7 @@ _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # an uncompressed message begins with a zero
 _MAX_UNPACKED = 2**28  # [bytes]; size limit of an unpacked file, or
 _MAX_RATIO = 500  # times the packed size; recorders reach 20
 _BLOCK_SIZE = 4096  # messages decoded at once
-_FOREVER = QosTime(2147483647, 4294967295)
+_FOREVER = interfaces.QosTime(2147483647, 4294967295)
 _CHUNK_SIZE = 2**20 - 2**10  # [bytes]; the library closes a chunk at 1 MiB
 _CHUNK_SPAN = 10**9  # [ns]; damage loses a whole chunk
 _INDEX_CHECKSUM_OFFSET = 4 + 8  # [bytes] from the end of the file
@@ -280,7 +272,7 @@ class BagWriter:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
-        self._connections: dict[str, Connection] = {}
+        self._connections: dict[str, interfaces.Connection] = {}
         self._chunk_time: int | None = None  # [ns]; of its first message
         self._lock = -1  # descriptor that locks the folder while it is written
 
@@ -319,14 +311,16 @@ class BagWriter:
 
     def add_topic(self, name: str, topic: Topic) -> None:
         """Declare a topic under its name in the graph."""
-        qos = Qos(
-            QosHistory.KEEP_LAST,
+        qos = interfaces.Qos(
+            interfaces.QosHistory.KEEP_LAST,
             1 if topic.latched else PUBLISHER_DEPTH,
-            QosReliability.RELIABLE,
-            QosDurability.TRANSIENT_LOCAL if topic.latched else QosDurability.VOLATILE,
+            interfaces.QosReliability.RELIABLE,
+            interfaces.QosDurability.TRANSIENT_LOCAL
+            if topic.latched
+            else interfaces.QosDurability.VOLATILE,
             _FOREVER,
             _FOREVER,
-            QosLiveliness.AUTOMATIC,
+            interfaces.QosLiveliness.AUTOMATIC,
             _FOREVER,
             False,
         )

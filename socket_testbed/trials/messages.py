@@ -15,6 +15,7 @@ import numpy as np
 from socket_testbed.arrays import FloatArray, IntArray, StatusArray
 from socket_testbed.errors import TrialError
 from socket_testbed.samples import Status
+from socket_testbed.trials import topics
 from socket_testbed.trials.layout import (
     Layout,
     Record,
@@ -23,20 +24,6 @@ from socket_testbed.trials.layout import (
     elements,
     fields_of,
     stamps_of,
-)
-from socket_testbed.trials.topics import (
-    CAPACITANCE,
-    EVENT,
-    FORCE_MAP,
-    LOAD_CELL_RAW,
-    LOCAL_FORCES,
-    MARKERS,
-    REGIONS,
-    SOCKET_POSE,
-    STRESS,
-    TRIGGER,
-    WRENCH,
-    Topic,
 )
 
 if TYPE_CHECKING:
@@ -61,7 +48,7 @@ class Reader:
     """
 
     def __init__(
-        self, topic: Topic, where: object = "this graph", values: Values | None = None
+        self, topic: topics.Topic, where: object = "this graph", values: Values | None = None
     ) -> None:
         self._topic = topic
         self._where = where
@@ -137,7 +124,7 @@ class Template:
 
 def trigger_packer() -> Callable[[int, int], bytes]:
     """Packs a Trigger from its stamp [ns] and sequence."""
-    template = Template(TRIGGER.type)
+    template = Template(topics.TRIGGER.type)
     return lambda stamp, sequence: template.serialised(stamp, sequence=sequence)
 
 
@@ -147,13 +134,13 @@ VectorPacker: TypeAlias = Callable[[int, FloatArray], bytes]
 
 def wrench_packer() -> VectorPacker:
     """Packs a WrenchStamped from its stamp [ns] and [M; F], shape (6,) [N m, N]."""
-    return _vector_packer(Template(WRENCH.type), "wrench", "torque", "force")
+    return _vector_packer(Template(topics.WRENCH.type), "wrench", "torque", "force")
 
 
 def pose_packer() -> VectorPacker:
     """Packs a PoseStamped from its stamp [ns], and position [m] and quaternion, shape (7,)."""
     return _vector_packer(
-        Template(SOCKET_POSE.type, WORLD_FRAME), "pose", "position", "orientation"
+        Template(topics.SOCKET_POSE.type, WORLD_FRAME), "pose", "position", "orientation"
     )
 
 
@@ -183,7 +170,7 @@ def load_cell_raw_packer() -> Callable[[int, FloatArray, FloatArray, int, int], 
     From its stamp [ns], the ratios, shape (6,) [mV/V], the tare [M; F], shape (6,) [N m, N], the
     tare's time [ns], and a `Status`.
     """
-    template = Template(LOAD_CELL_RAW.type)
+    template = Template(topics.LOAD_CELL_RAW.type)
 
     def pack(stamp: int, ratios: FloatArray, tare: FloatArray, tared: int, status: int) -> bytes:
         own = template.numbers["tare"]
@@ -218,7 +205,7 @@ def capacitance_packer(
 
     From its stamp [ns], and capacitances [pF] and statuses, shape (c, 4).
     """
-    template = Template(CAPACITANCE.type, clusters=[{"name": name} for name in names])
+    template = Template(topics.CAPACITANCE.type, clusters=[{"name": name} for name in names])
     clusters = elements(template.numbers, "clusters")
 
     def pack(stamp: int, capacitance: FloatArray, status: StatusArray) -> bytes:
@@ -248,7 +235,7 @@ def stress_packer(names: Sequence[str]) -> Callable[[int, FloatArray, StatusArra
 
     From its stamp [ns], normal stress, shear x and y, shape (c, 3) [Pa], and statuses, shape (c,).
     """
-    template = Template(STRESS.type, clusters=[{"name": name} for name in names])
+    template = Template(topics.STRESS.type, clusters=[{"name": name} for name in names])
     clusters = elements(template.numbers, "clusters")
 
     def pack(stamp: int, stress: FloatArray, status: StatusArray) -> bytes:
@@ -276,7 +263,7 @@ def markers_packer(counts: Mapping[str, int]) -> Callable[[int, Sequence[FloatAr
     From its stamp [ns] and the markers of each body, shape (m, 3) [m] in the world.
     """
     bodies = [{"name": name, "markers": [None] * count} for name, count in counts.items()]
-    template = Template(MARKERS.type, WORLD_FRAME, bodies=bodies)
+    template = Template(topics.MARKERS.type, WORLD_FRAME, bodies=bodies)
     numbers = elements(template.numbers, "bodies")
 
     def pack(stamp: int, markers: Sequence[FloatArray]) -> bytes:
@@ -287,7 +274,9 @@ def markers_packer(counts: Mapping[str, int]) -> Callable[[int, Sequence[FloatAr
     return pack
 
 
-def _per_name(topic: Topic, names: Sequence[str], fields: Sequence[str], **more: Any) -> Template:
+def _per_name(
+    topic: topics.Topic, names: Sequence[str], fields: Sequence[str], **more: Any
+) -> Template:
     """A template whose fields have one element per name."""
     blanks: dict[str, Any] = dict.fromkeys(fields, [None] * len(names))
     return Template(topic.type, names=names, **blanks, **more)
@@ -295,7 +284,7 @@ def _per_name(topic: Topic, names: Sequence[str], fields: Sequence[str], **more:
 
 def local_forces_packer(names: Sequence[str]) -> VectorPacker:
     """Packs a LocalForceArray from its stamp [ns] and forces in {S}, shape (n, 3) [N]."""
-    template = _per_name(LOCAL_FORCES, names, ["forces"])
+    template = _per_name(topics.LOCAL_FORCES, names, ["forces"])
     return lambda stamp, values: template.serialised(stamp, forces=values)
 
 
@@ -315,7 +304,9 @@ def _force_map(records: Record, sample: Any) -> tuple[tuple[str, ...], dict[str,
 def force_map_packer(names: Sequence[str]) -> Callable[[int, MapEstimate], bytes]:
     """Packs a ForceMap of n tiles from its stamp [ns] and an estimate with N = 1."""
     # One for each combination of available channels; there are few.
-    template_of = cache(lambda source: _per_name(FORCE_MAP, names, _MAP_FIELDS, source=source))
+    template_of = cache(
+        lambda source: _per_name(topics.FORCE_MAP, names, _MAP_FIELDS, source=source)
+    )
 
     def pack(stamp: int, estimate: MapEstimate) -> bytes:
         numbers = {field: getattr(estimate, field)[0] for field in _MAP_FIELDS}
@@ -338,7 +329,7 @@ def _regions(records: Record, sample: Any) -> tuple[tuple[str, ...], dict[str, F
 
 def regions_packer(names: Sequence[str]) -> Callable[[int, RegionOutputs], bytes]:
     """Packs a RegionPressures of R regions from its stamp [ns] and outputs with N = 1."""
-    template = _per_name(REGIONS, names, _REGION_COLUMNS)
+    template = _per_name(topics.REGIONS, names, _REGION_COLUMNS)
 
     def pack(stamp: int, outputs: RegionOutputs) -> bytes:
         quantities = [getattr(outputs, output) for output in REGION_FIELDS]
@@ -349,18 +340,20 @@ def regions_packer(names: Sequence[str]) -> Callable[[int, RegionOutputs], bytes
 
 
 VALUES: dict[str, Values] = {
-    TRIGGER.type: lambda records, sample: records["sequence"],
+    topics.TRIGGER.type: lambda records, sample: records["sequence"],
     # [M; F], shape (..., 6) [N m, N]
-    WRENCH.type: lambda records, sample: _joined(records["wrench"], "torque", "force"),
-    LOAD_CELL_RAW.type: _raw,
+    topics.WRENCH.type: lambda records, sample: _joined(records["wrench"], "torque", "force"),
+    topics.LOAD_CELL_RAW.type: _raw,
     # Position [m] and quaternion (x, y, z, w), shape (..., 7)
-    SOCKET_POSE.type: lambda records, sample: _joined(records["pose"], "position", "orientation"),
-    CAPACITANCE.type: _capacitances,
-    STRESS.type: _stress,
-    MARKERS.type: _markers,
+    topics.SOCKET_POSE.type: lambda records, sample: _joined(
+        records["pose"], "position", "orientation"
+    ),
+    topics.CAPACITANCE.type: _capacitances,
+    topics.STRESS.type: _stress,
+    topics.MARKERS.type: _markers,
     # Forces in {S}, shape (..., n, 3) [N]
-    LOCAL_FORCES.type: lambda records, sample: records["forces"].astype(np.float64),
-    FORCE_MAP.type: _force_map,
-    REGIONS.type: _regions,
-    EVENT.type: lambda records, sample: str(sample.label),
+    topics.LOCAL_FORCES.type: lambda records, sample: records["forces"].astype(np.float64),
+    topics.FORCE_MAP.type: _force_map,
+    topics.REGIONS.type: _regions,
+    topics.EVENT.type: lambda records, sample: str(sample.label),
 }

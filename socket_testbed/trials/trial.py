@@ -16,33 +16,11 @@ from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, TestbedSettings, read_testbed
+from socket_testbed.trials import reprocess, synchronise, topics
 from socket_testbed.trials.bag import BagReader, required_topics, sync
 from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.metadata import METADATA_FILE, TrialMetadata, read_metadata
-from socket_testbed.trials.reprocess import (
-    RECORDED,
-    other_markers,
-    parse_tare,
-    read_load_cell,
-    refit_poses,
-    remake_wrenches,
-)
 from socket_testbed.trials.segment import Event, find_events, join_events, read_events
-from socket_testbed.trials.synchronise import (
-    Measurements,
-    check_unloaded,
-    correct_measurements,
-    make_samples,
-    read_measurements,
-)
-from socket_testbed.trials.topics import (
-    CAPACITANCE,
-    LOAD_CELL_RAW,
-    MARKERS,
-    TRIGGER,
-    Topic,
-    namespace_of,
-)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -72,12 +50,12 @@ class Trial:
     # Unloaded spans, before and after, from which the clusters' drift is corrected [s]
     unloaded: tuple[tuple[float, float], ...] = ()
     load_cell_file: Path | None = None  # a `testbed.yaml` with load-cell settings to use instead
-    tare: str = RECORDED  # or `none`, or `T0:T1`, an unloaded span [s]
+    tare: str = reprocess.RECORDED  # or `none`, or `T0:T1`, an unloaded span [s]
     _noted: dict[str, None] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        check_unloaded(self.unloaded)
-        parse_tare(self.tare)
+        synchronise.check_unloaded(self.unloaded)
+        reprocess.parse_tare(self.tare)
 
     def __repr__(self) -> str:
         return f"Trial({str(self.path)!r})"
@@ -96,10 +74,12 @@ class Trial:
             yield bag
 
     @property
-    def remade(self) -> tuple[Topic, ...]:
+    def remade(self) -> tuple[topics.Topic, ...]:
         """The raw topics that replace recorded measurements, because files or tare differ."""
-        other_wrenches = self.load_cell_file is not None or self.tare != RECORDED
-        return (LOAD_CELL_RAW,) * other_wrenches + (MARKERS,) * bool(self._other_markers)
+        other_wrenches = self.load_cell_file is not None or self.tare != reprocess.RECORDED
+        return (topics.LOAD_CELL_RAW,) * other_wrenches + (topics.MARKERS,) * bool(
+            self._other_markers
+        )
 
     @cached_property
     def _other_markers(self) -> tuple[str, ...]:
@@ -111,9 +91,9 @@ class Trial:
         except ConfigurationError as error:
             self._notify(f"the poses stay as recorded, with unknown markers: {error}")
             return ()
-        return other_markers(recorded, self.geometry)
+        return reprocess.other_markers(recorded, self.geometry)
 
-    def measurements(self) -> Measurements:
+    def measurements(self) -> synchronise.Measurements:
         """The measurements, recomputed where `remade` says so, corrected for drift; not cached.
 
         Raises:
@@ -124,21 +104,23 @@ class Trial:
                 holds too few readings.
         """
         with self.open() as bag:
-            measured = read_measurements(bag, self._notify, self.remade)
+            measured = synchronise.read_measurements(bag, self._notify, self.remade)
         where = str(self.path)
-        if LOAD_CELL_RAW in self.remade:
-            given = read_load_cell(self.load_cell_file) if self.load_cell_file else None
+        if topics.LOAD_CELL_RAW in self.remade:
+            given = reprocess.read_load_cell(self.load_cell_file) if self.load_cell_file else None
             recorded = self._parameters.load_cell_node
-            measured = remake_wrenches(measured, recorded, given, self.tare, where, self._notify)
+            measured = reprocess.remake_wrenches(
+                measured, recorded, given, self.tare, where, self._notify
+            )
         if self._other_markers:
-            measured = refit_poses(
+            measured = reprocess.refit_poses(
                 measured, self.geometry, self._other_markers, where, self._notify
             )
         if not self.unloaded:
             return measured
         self._require_clusters(measured.clusters)
         least_force = self.estimator.plateau.least_force
-        return correct_measurements(
+        return synchronise.correct_measurements(
             measured, self.unloaded, self.calibration, least_force, where, self._notify
         )
 
@@ -168,11 +150,11 @@ class Trial:
         """The samples as a pandas table, see `Samples.to_dataframe`."""
         return self.samples().to_dataframe()
 
-    def measurements_and_samples(self) -> tuple[Measurements, Samples]:
+    def measurements_and_samples(self) -> tuple[synchronise.Measurements, Samples]:
         """`measurements` and `samples` from one reading."""
         measured = self.measurements()
         self._require_clusters(measured.clusters)
-        samples = make_samples(measured, self.calibration, self.geometry)
+        samples = synchronise.make_samples(measured, self.calibration, self.geometry)
         return measured, self.__dict__.setdefault("_samples", samples)
 
     def check(self) -> tuple[str, ...]:
@@ -181,9 +163,9 @@ class Trial:
         Raises the errors of `samples`; returns the names of the trial's clusters.
         """
         with self.open() as bag:
-            name = required_topics(bag)[CAPACITANCE]
+            name = required_topics(bag)[topics.CAPACITANCE]
             first = next(bag.messages([name]))
-        clusters: tuple[str, ...] = Reader(CAPACITANCE, self.path).read(first.data)[1].names
+        clusters: tuple[str, ...] = Reader(topics.CAPACITANCE, self.path).read(first.data)[1].names
         self._require_clusters(clusters)
         return clusters
 
@@ -279,8 +261,8 @@ class Trial:
 def recorded_namespace(trial: Trial) -> str:
     """Namespace of the testbed in the recorded graph, such as / or /lab."""
     with trial.open() as bag:
-        name = required_topics(bag)[TRIGGER]
-    return namespace_of(name, TRIGGER) or "/"
+        name = required_topics(bag)[topics.TRIGGER]
+    return topics.namespace_of(name, topics.TRIGGER) or "/"
 
 
 def beside(path: Path) -> Path:

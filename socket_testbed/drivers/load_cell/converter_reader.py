@@ -16,15 +16,7 @@ import numpy as np
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.drivers.gpio import EdgeLine
-from socket_testbed.drivers.load_cell.ads131m0x import (
-    CHECK_WIRING,
-    Ads131m0x,
-    ChecksumError,
-    ConverterFrame,
-    SpiDevice,
-    conversion_period,
-    group_delay,
-)
+from socket_testbed.drivers.load_cell import ads131m0x
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import LoadCellSettings
 
@@ -104,22 +96,22 @@ class ConverterReader:
     def __init__(
         self,
         settings: LoadCellSettings,
-        open_device: Callable[[], SpiDevice],
+        open_device: Callable[[], ads131m0x.SpiDevice],
         open_line: Callable[[], EdgeLine] | None = None,
     ) -> None:
         # time between conversions [s]; poll as often
-        self.period = conversion_period(settings.clock_in, settings.oversampling)
+        self.period = ads131m0x.conversion_period(settings.clock_in, settings.oversampling)
         self.open_line = open_line
         self._silence = max(_SILENCE_TIMEOUT, 5.0 * self.period)  # error without a conversion [s]
-        self._delay = group_delay(settings.clock_in, settings.oversampling)
+        self._delay = ads131m0x.group_delay(settings.clock_in, settings.oversampling)
         self._settings = settings
         self._open_device = open_device
         self._name = f"spidev{settings.device}"
 
         self._line: EdgeLine | None = None
         self._synchronised = False  # with DRDY: every waiting conversion still has its edge
-        self._spi: SpiDevice | None = None
-        self._converter: Ads131m0x | None = None
+        self._spi: ads131m0x.SpiDevice | None = None
+        self._converter: ads131m0x.Ads131m0x | None = None
         self._backoff = clocks.Backoff()
         self._ends = ConversionClock(self.period)
         self._connected = -np.inf  # [s]
@@ -156,13 +148,13 @@ class ConverterReader:
         except DeviceError as error:
             self._fail(error)
 
-    def connect(self) -> Ads131m0x:
+    def connect(self) -> ads131m0x.Ads131m0x:
         """Connect and configure the converter; not for use while another thread polls."""
         if self._converter is None:
             settings = self._settings
             self.close()
             self._spi = self._open_device()
-            converter = Ads131m0x(self._spi, settings.channels, settings.crc, self._name)
+            converter = ads131m0x.Ads131m0x(self._spi, settings.channels, settings.crc, self._name)
             converter.reset_and_configure(settings.oversampling, settings.gain, settings.clock_in)
             if self.open_line is not None:
                 self._line, self._synchronised = self.open_line(), False
@@ -222,7 +214,7 @@ class ConverterReader:
                 found = 1, DeviceError(f"{fault.fact}, but has recovered", fault.hint)
             elif now - self._corrupted < RECENT:
                 fact = "frames do not match their checksums and are left out"
-                found = 1, self._error(fact, CHECK_WIRING)
+                found = 1, self._error(fact, ads131m0x.CHECK_WIRING)
             elif not self._counts["conversions"]:
                 found = 1, self._error("no conversion yet", "wait for the first")
         return found
@@ -230,7 +222,7 @@ class ConverterReader:
     def _error(self, fact: str, hint: str) -> DeviceError:
         return DeviceError(f"{self._name}: {fact}", hint)
 
-    def _read_waiting(self, converter: Ads131m0x) -> None:
+    def _read_waiting(self, converter: ads131m0x.Ads131m0x) -> None:
         for _ in range(_MAX_FRAMES):
             begin = clocks.monotonic()
             if (frame := self._read(converter, begin)) is None:
@@ -245,11 +237,13 @@ class ConverterReader:
             self._take(frame, self._ends.conversion_end(self._matched))
         self._expect_conversions()
 
-    def _read(self, converter: Ads131m0x, begin: float) -> ConverterFrame | None:
+    def _read(
+        self, converter: ads131m0x.Ads131m0x, begin: float
+    ) -> ads131m0x.ConverterFrame | None:
         """Read a frame, starting at a time [s]; None if it is corrupted."""
         try:
             frame = converter.read()
-        except ChecksumError:
+        except ads131m0x.ChecksumError:
             with self._lock:
                 self._corrupted = begin
                 self._counts["checksum_errors"] += 1
@@ -257,7 +251,7 @@ class ConverterReader:
         self._matched = clocks.monotonic()
         return frame
 
-    def _read_edges(self, converter: Ads131m0x, line: EdgeLine) -> None:
+    def _read_edges(self, converter: ads131m0x.Ads131m0x, line: EdgeLine) -> None:
         """Read a frame for each edge; drops ambiguous ones."""
         begin = clocks.monotonic()
         edges = self._edges(line)
@@ -278,7 +272,7 @@ class ConverterReader:
             self._emptied = begin
         self._expect_conversions()
 
-    def _synchronise(self, converter: Ads131m0x, line: EdgeLine) -> None:
+    def _synchronise(self, converter: ads131m0x.Ads131m0x, line: EdgeLine) -> None:
         """Drop all waiting conversions (datasheet SBAS950B, 8.5.1.9) between two edges."""
         for _ in range(_MAX_ATTEMPTS):
             converter.check_frames(_FIFO_SIZE)
@@ -293,7 +287,7 @@ class ConverterReader:
             fact = f"DRDY's line fails ({error.strerror or error})"
             raise self._error(fact, "check that no other program holds it") from None
 
-    def _take(self, frame: ConverterFrame, end: float | None) -> None:
+    def _take(self, frame: ads131m0x.ConverterFrame, end: float | None) -> None:
         """Store the conversion just read, with its end time [s]; None: unknown."""
         with self._lock:
             self._arrived = self._matched
@@ -316,7 +310,7 @@ class ConverterReader:
                 "check the wire from DRDY, or set load_cell_node's data_ready_line to -1",
             )
         if self._line is None and now - self._matched > self._silence:
-            raise self._error("no frame matches its checksum", CHECK_WIRING)
+            raise self._error("no frame matches its checksum", ads131m0x.CHECK_WIRING)
         raise self._error("no longer converts", _CHECK_CLOCK)
 
     def _fail(self, error: DeviceError) -> None:

@@ -15,16 +15,8 @@ from typing import TypeAlias
 
 from socket_testbed import clocks
 from socket_testbed.clocks import Backoff
-from socket_testbed.drivers.natnet import messages
+from socket_testbed.drivers.natnet import connection, messages
 from socket_testbed.drivers.natnet.clock import EchoClock
-from socket_testbed.drivers.natnet.connection import (
-    Answer,
-    CommandQueue,
-    NatNetSockets,
-    TakeKeeper,
-    bitstream_version,
-    server_address,
-)
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import MocapSettings
 
@@ -112,12 +104,12 @@ class NatNetClient:
     def __init__(self, settings: MocapSettings, on_frame: OnFrame) -> None:
         self._settings = settings
         self._on_frame = on_frame
-        self._address = server_address(settings)
+        self._address = connection.server_address(settings)
         self._where = f"{self._address[0]}:{self._address[1]}"
-        self._bitstream = bitstream_version(settings)
-        self._sockets = NatNetSockets(settings, self._address)
-        self._commands = CommandQueue()
-        self._takes = TakeKeeper(self._commands.submit)
+        self._bitstream = connection.bitstream_version(settings)
+        self._sockets = connection.NatNetSockets(settings, self._address)
+        self._commands = connection.CommandQueue()
+        self._takes = connection.TakeKeeper(self._commands.submit)
         self._statistics = LinkStatistics()
         self._sessions = 0  # number of sessions started
         self._stranger = ""  # last host, other than the server, that sent a datagram
@@ -135,9 +127,11 @@ class NatNetClient:
             messages.MODELDEF: self._handle_models,
             messages.ECHORESPONSE: self._handle_echo,
             messages.DISCONNECT: lambda payload, now: self._restart(),
-            messages.RESPONSE: lambda payload, now: self._commands.answer(Answer(payload), now),
+            messages.RESPONSE: lambda payload, now: self._commands.answer(
+                connection.Answer(payload), now
+            ),
             messages.UNRECOGNIZED: lambda payload, now: self._commands.answer(
-                Answer(payload, recognized=False), now
+                connection.Answer(payload, recognized=False), now
             ),
         }
         self._closing = threading.Event()
@@ -372,7 +366,7 @@ class NatNetClient:
         wanted = min(self._bitstream, info.version)
         self._version = None
 
-        def settle(answer: Answer) -> None:
+        def settle(answer: connection.Answer) -> None:
             named = re.search(r"(\d+)\.(\d+)", answer.text)
             granted = (int(named[1]), int(named[2])) if named else wanted
             self._version = info.version if answer.fault("Bitstream") else granted
@@ -381,11 +375,13 @@ class NatNetClient:
 
         self._command(f"Bitstream,{wanted[0]}.{wanted[1]}", settle)
 
-    def _command(self, text: str, then: Callable[[Answer], None] = lambda answer: None) -> None:
+    def _command(
+        self, text: str, then: Callable[[connection.Answer], None] = lambda answer: None
+    ) -> None:
         """Send a command until it is answered, within this session."""
         session = self._sessions
 
-        def done(answer: Answer) -> None:
+        def done(answer: connection.Answer) -> None:
             if session != self._sessions or self._server is None:
                 return
             if answer.raw is None:
