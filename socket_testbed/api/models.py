@@ -19,6 +19,7 @@ from socket_testbed.api.result import Result, origin
 from socket_testbed.api.trials import PathLike, as_path, as_trial, note, select
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.identification import plausibility
 from socket_testbed.identification.fit import (
     ChannelErrors,
     Fit,
@@ -44,11 +45,6 @@ from socket_testbed.identification.model_file import (
 )
 from socket_testbed.identification.model_file import read_model as _read_model
 from socket_testbed.identification.noise import smooth_poses
-from socket_testbed.identification.plausibility import (
-    find_outliers,
-    implausible_notes,
-    require_position,
-)
 from socket_testbed.identification.validation import judge_unseen_half
 from socket_testbed.samples import Samples, channel_unit, moments_about
 from socket_testbed.settings.identification import IdentificationSettings, Variant, Weights
@@ -155,7 +151,7 @@ class TrialFit(Result):
         """Samples of the segment without outliers."""
         chosen = self.trial.samples()[self.segment.rows]
         leave_out = self.fit.settings.leave_out
-        return find_outliers(chosen, self.trial.geometry, leave_out).taken_from(chosen)
+        return plausibility.find_outliers(chosen, self.trial.geometry, leave_out).taken_from(chosen)
 
     def to_dataframe(self) -> pd.DataFrame:
         """In-sample errors, one row per channel in the channel's unit."""
@@ -342,7 +338,7 @@ def note_implausible(
 ) -> None:
     """Report implausible channels of a segment."""
     start, chosen = int(samples.stamps[0]), samples[segment.rows]
-    for text in implausible_notes(chosen, trial.geometry, leave_out, start):
+    for text in plausibility.implausible_notes(chosen, trial.geometry, leave_out, start):
         note(trial, text)
 
 
@@ -404,7 +400,7 @@ def predict(trial: Trial | PathLike, model: Model) -> pd.DataFrame:
 
     stored = model_for(trial, model)
     samples = trial.samples()
-    require_position(samples, trial.geometry)
+    plausibility.require_position(samples, trial.geometry)
     values = _predictions(samples, stored)
     names = [f"{name} [{channel_unit(name)}]" for name in samples.channels]
     return pd.DataFrame(values, pd.Index(samples.time, name="time [s]"), names)
@@ -444,9 +440,9 @@ def evaluate(
     samples, leave_out = trial.samples(), stored.settings.leave_out
     chosen = select(trial, segment, trial.estimator)
     rows = samples[chosen.rows]
-    require_position(rows, trial.geometry)
+    plausibility.require_position(rows, trial.geometry)
     note_implausible(trial, samples, chosen, leave_out)
-    rows = find_outliers(rows, trial.geometry, leave_out).taken_from(rows)
+    rows = plausibility.find_outliers(rows, trial.geometry, leave_out).taken_from(rows)
     if bool(trial.unloaded) != bool(stored.unloaded):
         fitted = "with" if stored.unloaded else "without"
         note(trial, f"the model was fitted {fitted} --unloaded: its offsets differ")

@@ -25,23 +25,11 @@ from socket_testbed.api.trials import (
 )
 from socket_testbed.arrays import evenly
 from socket_testbed.errors import ConfigurationError, IdentificationError, TrialError
+from socket_testbed.identification import validation
 from socket_testbed.identification.model_file import record
 from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.plausibility import find_outliers, require_position
 from socket_testbed.identification.problem import MIN_SAMPLES
-from socket_testbed.identification.validation import (
-    LEVELS,
-    Judgement,
-    fit_variants,
-    judge_map,
-    judge_samples,
-    judge_wrench,
-    judgements_by_trial,
-    judgements_table,
-    loaded_rows,
-    summarise_judgements,
-    wrench_predictors,
-)
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
 from socket_testbed.simulation.trial import read_true_forces
@@ -63,7 +51,7 @@ class Validation(Result):
 
     trials: tuple[str, ...]  # names
     fitted: tuple[str, ...]  # names of the trials that models were fitted on
-    judgements: tuple[Judgement, ...]
+    judgements: tuple[validation.Judgement, ...]
     metadata: tuple[TrialMetadata, ...]  # of each trial
 
     def __repr__(self) -> str:
@@ -74,11 +62,11 @@ class Validation(Result):
 
     def to_dataframe(self) -> pd.DataFrame:
         """A row per judgement, see `judgements_table`."""
-        return judgements_table(self.judgements)
+        return validation.judgements_table(self.judgements)
 
     def summary(self) -> pd.DataFrame:
         """Means over the trials, a row per question, test and predictor."""
-        return summarise_judgements(self.judgements)
+        return validation.summarise_judgements(self.judgements)
 
     def by_trial(self) -> pd.DataFrame:
         """A row per trial with its metadata and judgements, see `judgements_by_trial`.
@@ -89,7 +77,7 @@ class Validation(Result):
 
         stated = [metadata.columns() for metadata in self.metadata]
         table = pd.DataFrame(stated, index=pd.Index(self.trials, name="trial"), dtype=object)
-        return table.join(judgements_by_trial(self.judgements))
+        return table.join(validation.judgements_by_trial(self.judgements))
 
     def _saved_table(self) -> pd.DataFrame:
         return self.by_trial()
@@ -107,7 +95,7 @@ class Validation(Result):
         return {
             "trials": list(self.trials),
             "fitted": list(self.fitted),
-            "levels": list(LEVELS),
+            "levels": list(validation.LEVELS),
             "judgements": [record(judgement) for judgement in self.judgements],
         }
 
@@ -150,7 +138,7 @@ def validate(
     several, chosen = len(trials) > 1, _selected(recordings)
     report, done = started(progress, "validating"), count(1)
     total = len(recordings) + several * len(chosen)
-    judgements: list[Judgement] = []
+    judgements: list[validation.Judgement] = []
     fitted: list[_Recording] = []
     with threadpool_limits(1):
         for recording in recordings:
@@ -196,21 +184,23 @@ class _Recording:
     settings: EstimatorSettings
     samples: Samples
 
-    def judge(self, with_models: bool) -> list[Judgement]:
+    def judge(self, with_models: bool) -> list[validation.Judgement]:
         """Judgements on this trial alone, with or without model fits."""
         geometry = self.trial.geometry
         if not with_models:
-            return judge_map(self.samples, geometry, self.settings, self.name)
+            return validation.judge_map(self.samples, geometry, self.settings, self.name)
         truth = read_true_forces(self.trial.path, self.samples.stamps, geometry.names)
-        return judge_samples(self.samples, geometry, self.settings, truth, self.name, self._note)
+        return validation.judge_samples(
+            self.samples, geometry, self.settings, truth, self.name, self._note
+        )
 
-    def judge_others(self, others: Sequence[_Recording]) -> list[Judgement]:
+    def judge_others(self, others: Sequence[_Recording]) -> list[validation.Judgement]:
         """Judgements of predictions for other trials by models fitted on all of this one."""
         settings = self.settings.identification
-        models = fit_variants(self.loaded, self.trial.geometry, settings, self._note)
-        predictors = wrench_predictors(self.smooth, models)
+        models = validation.fit_variants(self.loaded, self.trial.geometry, settings, self._note)
+        predictors = validation.wrench_predictors(self.smooth, models)
         found = (
-            judge_wrench(other.smooth, predictors, "other trial", self.name, other.name)
+            validation.judge_wrench(other.smooth, predictors, "other trial", self.name, other.name)
             for other in others
             if len(other.loaded) >= MIN_SAMPLES
         )
@@ -222,7 +212,7 @@ class _Recording:
     @property
     def loaded(self) -> Samples:
         """The samples under load."""
-        return self.samples[loaded_rows(self.samples, self.settings.plateau.least_force)]
+        return self.samples[validation.loaded_rows(self.samples, self.settings.plateau.least_force)]
 
     @property
     def smooth(self) -> Samples:

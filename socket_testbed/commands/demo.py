@@ -17,29 +17,14 @@ from socket_testbed.commands.terminal import Progress, number, table
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import TemporaryFolder, check_new_folder, make_folder
 from socket_testbed.geometry.axis import all_regions
+from socket_testbed.identification import validation
 from socket_testbed.identification.fit import REGRESSION
 from socket_testbed.identification.pressure import NORMAL_QUANTILE
-from socket_testbed.identification.validation import (
-    CLOSED,
-    FORCE_MAP,
-    left_out_pressures,
-)
-from socket_testbed.live.bringup import (
-    end,
-    record_estimates,
-    simulated_testbed,
-    start,
-    summary,
-)
+from socket_testbed.live import bringup
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.simulated_world import SLOWEST, Simulation, busy_note, measure_speed, pace
 from socket_testbed.pages.document import part_of
-from socket_testbed.report.style import (
-    LINE_STYLES,
-    add_legend,
-    save_figure,
-    style_axes,
-)
+from socket_testbed.report import style
 from socket_testbed.report.tiles import tile_map_figure
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
@@ -88,7 +73,7 @@ def demo(*, output: Path = Path("demo"), seed: int = 0) -> None:
     for line in conclusion.sentences():
         print(f"- {line}")
     figure = output / "force_map.png"
-    save_figure(conclusion.draw(), figure)
+    style.save_figure(conclusion.draw(), figure)
     print(f"\ntrial {trial.path}, figure {figure} ({time.monotonic() - started:.0f} s)")
     print(f"look at the trial: {_program()} view {shlex.quote(str(trial.path))}")
 
@@ -122,7 +107,7 @@ def _record(trial: Trial, seed: int, log: Path) -> tuple[Samples, float]:
         scale = max(0.5 * scale, SLOWEST)
         print(f"   only {complete:.0%} of the samples are complete: again at {pace(scale)}")
         shutil.rmtree(trial.path, ignore_errors=True)
-    print("   " + summary(trial.path))
+    print("   " + bringup.summary(trial.path))
     return trial.samples(), scale
 
 
@@ -139,10 +124,10 @@ def _complete(trial: Trial) -> float:
 
 def _run_live(path: Path, seed: int, scale: float, log: Path) -> None:
     protocol = Simulation("protocol", _DURATION, seed, pace=_PACE, time_scale=scale)
-    testbed = simulated_testbed(record=path, rate=_TRIGGER_RATE, simulation=protocol)
+    testbed = bringup.simulated_testbed(record=path, rate=_TRIGGER_RATE, simulation=protocol)
     progress = Progress("   running")
     with log.open("w", encoding="utf-8") as output, Graph(output) as graph:
-        start(graph, testbed)
+        bringup.start(graph, testbed)
         began = time.monotonic()
 
         def done() -> bool:
@@ -151,7 +136,7 @@ def _run_live(path: Path, seed: int, scale: float, log: Path) -> None:
             return elapsed >= _DURATION
 
         graph.watch(done, lambda line: print(line, file=output))
-        end(graph, testbed)
+        bringup.end(graph, testbed)
 
 
 def _prepare_folder(folder: Path) -> None:
@@ -179,7 +164,7 @@ def _estimate(trial: Trial, samples: Samples, speed: float, log: Path) -> FloatA
     topic, pressures = topics.FORCE_MAP, {}
     with log.open("w", encoding="utf-8") as output, TemporaryFolder() as folder:
         path = Path(folder) / "replay"
-        record_estimates(trial, replay, EstimatorSettings(), path, output)
+        bringup.record_estimates(trial, replay, EstimatorSettings(), path, output)
         with BagReader(path) as bag:
             models = bag.counts[f"/{topics.PARAMETERS.name}"]
             reader = Reader(topic, path)
@@ -197,7 +182,7 @@ def _estimate(trial: Trial, samples: Samples, speed: float, log: Path) -> FloatA
     return np.stack([pressures.get(stamp, none) for stamp in samples.stamps.tolist()], axis=1)
 
 
-_ESTIMATES = (FORCE_MAP, CLOSED, "rigid_bias", REGRESSION)
+_ESTIMATES = (validation.FORCE_MAP, validation.CLOSED, "rigid_bias", REGRESSION)
 # For each column: query of the judgements, column of the judgements, decimals.
 _COLUMNS = {
     "tiles without sensor": ("question == 'tiles'", "error [-]", 2),
@@ -238,7 +223,7 @@ class _Conclusion:
             1e-3 * np.nanmean(values, axis=0) for values in (*live[:, rows], pressed)
         )
         self._error, self._reach = self._estimate - self._truth, NORMAL_QUANTILE * deviation
-        left_out = [*left_out_pressures(self._hold, self._geometry)]
+        left_out = [*validation.left_out_pressures(self._hold, self._geometry)]
         self._names = [name for name, *_ in left_out]
         # By cluster: measured pressure, the map's without it, and half-width of its interval.
         self._left_out = 1e-3 * np.nanmean([values for _, *values in left_out], axis=-1)
@@ -289,15 +274,15 @@ class _Conclusion:
     def _draw_left_out(self, part: SubFigure) -> None:
         axis, places = part.subplots(), np.arange(len(self._names))
         measured, predicted, reach = self._left_out.T
-        predicted_style = {"fmt": "s", "capsize": 3, "color": LINE_STYLES[1]["color"]}
+        predicted_style = {"fmt": "s", "capsize": 3, "color": style.LINE_STYLES[1]["color"]}
         label = "estimated without the cluster, 95 % interval"
         axis.errorbar(predicted, places, xerr=reach, label=label, **predicted_style)
-        axis.plot(measured, places, "o", color=LINE_STYLES[0]["color"], label="measured")
+        axis.plot(measured, places, "o", color=style.LINE_STYLES[0]["color"], label="measured")
         axis.set_yticks(places, [f" {name}" for name in self._names], parse_math=False)
         axis.set_ylim(len(places) - 0.5, -0.5)
         axis.set_xlabel("normal pressure [kPa]")
-        style_axes(axis)
-        add_legend(axis, ncols=2)
+        style.style_axes(axis)
+        style.add_legend(axis, ncols=2)
 
 
 def _interval(value: float, reach: float) -> str:

@@ -27,16 +27,7 @@ from socket_testbed.errors import ConfigurationError, DeviceError, TrialError, c
 from socket_testbed.files import check_new_folder, check_outputs, is_held, make_folder, packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.fit import check_names
-from socket_testbed.live.bringup import (
-    Testbed,
-    end,
-    predict_with,
-    replay_nodes,
-    simulate_hardware,
-    start,
-    summary,
-    testbed_settings,
-)
+from socket_testbed.live import bringup
 from socket_testbed.live.doctor import examine, press_test
 from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.live.simulated_world import Simulation, busy_note, measure_speed, pace
@@ -109,7 +100,7 @@ def configured(
     calibration: Path | None = None,
     params: Path | None = None,
     **others: Any,
-) -> Testbed:
+) -> bringup.Testbed:
     """The configured testbed; errors in its files are reported before any node starts.
 
     Args:
@@ -123,8 +114,8 @@ def configured(
             f"{geometry}: the marker bodies are nominal: register them before relying on the limb's"
             " position"
         )
-    return Testbed(
-        settings=testbed_settings(params, simulation),
+    return bringup.Testbed(
+        settings=bringup.testbed_settings(params, simulation),
         geometry=geometry,
         calibration=(calibration or packaged("config", "calibration.yaml")).resolve(),
         simulation=simulation,
@@ -147,7 +138,7 @@ def doctor(*, press: bool = False, **options: Any) -> None:
             # The drivers run in this process, so the simulation follows its clock.
             simulation = dataclasses.replace(simulation, time_scale=clocks.time_scale())
             graph = stack.enter_context(Graph())
-            testbed, world = simulate_hardware(graph, testbed, simulation)
+            testbed, world = bringup.simulate_hardware(graph, testbed, simulation)
             for name, value in faults.items():
                 world.faults.switch(name, value)
         if press:
@@ -225,7 +216,7 @@ def run(
         StatusLine(record.parent if record else None) as status,
         Graph(status.output, status.renew) as graph,
     ):
-        world = start(graph, testbed)
+        world = bringup.start(graph, testbed)
         if page is not None:
             graph.start_nodes([page])
         for name, value in faults.items():
@@ -246,10 +237,10 @@ def run(
             graph.watch(over, status.say)
         except KeyboardInterrupt:
             status.say("ending")
-        end(graph, testbed)
+        bringup.end(graph, testbed)
     # A recorder that was restarted or asked for another trial has recorded several.
     for trial in sorted(_trials(*place) - older):
-        print(summary(trial))
+        print(bringup.summary(trial))
         _require_end(trial)
 
 
@@ -295,7 +286,7 @@ def _testbed(
     model: Path | None,
     rate: float | None,
     options: Mapping[str, Any],
-) -> Testbed:
+) -> bringup.Testbed:
     testbed = configured(simulation, **options)
     trigger = testbed.settings.trigger_node
     if rate is not None:
@@ -304,7 +295,7 @@ def _testbed(
     estimator = estimator_settings(testbed.settings.estimator_node, **chosen)
     check_names(estimator.identification, testbed.settings.cluster_node.names)
     if model is not None:
-        estimator = predict_with(model, estimator, read_socket(testbed.geometry))
+        estimator = bringup.predict_with(model, estimator, read_socket(testbed.geometry))
     metadata = check_metadata(options)
     if record is None:
         refuse_given(metadata.stated(), "a recorded trial", "add --record DIR")
@@ -312,7 +303,9 @@ def _testbed(
     return dataclasses.replace(testbed, settings=settings, record=record, metadata=metadata)
 
 
-def _page(testbed: Testbed, view: bool, host: str | None, port: int | None) -> GraphNode | None:
+def _page(
+    testbed: bringup.Testbed, view: bool, host: str | None, port: int | None
+) -> GraphNode | None:
     """The node that serves the page, which the testbed survives; None without --view."""
     if not view:
         refuse_given({"view_host": host, "view_port": port}, "a page", "add --view")
@@ -407,8 +400,8 @@ def replay(
         chosen = given(options, IdentificationSettings)
         estimator = estimator_settings(opened.estimator, options["params"], **chosen)
         if model is not None:
-            estimator = predict_with(model, estimator, opened.geometry)
-        nodes = replay_nodes(opened, replayed, estimator)
+            estimator = bringup.predict_with(model, estimator, opened.geometry)
+        nodes = bringup.replay_nodes(opened, replayed, estimator)
     else:
         refuse_given({"model": model, **options}, "the estimator", "add --estimate")
         nodes = [GraphNode("replay_node", replayed)]

@@ -10,7 +10,7 @@ from support.problems import make_samples, random_socket
 from support.wording import refused
 
 from socket_testbed.errors import IdentificationError
-from socket_testbed.identification import validation
+from socket_testbed.identification import fit, validation
 from socket_testbed.identification.contact import wrench_map
 from socket_testbed.settings.identification import ForceMapSettings
 
@@ -66,7 +66,7 @@ def test_the_regression_finds_a_linear_law_and_ignores_a_pose_that_does_not_move
     samples.rotation[:, 2] = 2.0 * samples.position[:, 0]  # another's multiple
     samples.wrench[:] = samples.pose[:, :4] @ slope[:4]
     predict, moved = (
-        validation.wrench_predictors(samples[:30], {})[validation.REGRESSION],
+        validation.wrench_predictors(samples[:30], {})[fit.REGRESSION],
         samples.pose,
     )
     assert np.allclose(predict(moved), samples.wrench)
@@ -80,8 +80,8 @@ def test_the_wrench_s_rivals_have_the_skill_that_they_must(rng):
     found = {j.predictor: j for j in validation.judge_wrench(samples, predictors, "in-sample")}
     constant = found[validation.CONSTANT]
     assert (constant.moment_skill, constant.force_skill) == pytest.approx((0.0, 0.0), abs=1e-12)
-    assert found[validation.REGRESSION].force_rmse == pytest.approx(0.5, rel=0.1)
-    assert found[validation.REGRESSION].moment_skill > 0.9
+    assert found[fit.REGRESSION].force_rmse == pytest.approx(0.5, rel=0.1)
+    assert found[fit.REGRESSION].moment_skill > 0.9
     other, _ = moving_samples(rng, slope=slope)
     rmse = np.sqrt(np.mean((other.wrench - samples.wrench.mean(axis=0)) ** 2, axis=0))
     other.wrench[:, 2] = np.nan  # Mz was never measured: the others count
