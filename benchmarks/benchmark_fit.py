@@ -39,11 +39,7 @@ from socket_testbed.identification.pareto import pareto_front
 from socket_testbed.identification.problem import Objective, Problem, build_objective
 from socket_testbed.identification.solver import solve_box_qp
 from socket_testbed.samples import Samples
-from socket_testbed.settings.identification import (
-    PAPER_VARIANTS,
-    VARIANTS,
-    IdentificationSettings,
-)
+from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS, IdentificationSettings
 
 # The default, with which hardly a stiffness of a hold is at its bound, and one so weak that a
 # third and more are: a solver has to find them.

@@ -10,12 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.models import fit, prepare_fit
 from socket_testbed.api.result import Result, origin, records
-from socket_testbed.api.trials import (
-    PathLike,
-    Progress,
-    as_trial,
-    started,
-)
+from socket_testbed.api.trials import PathLike, Progress, as_trial, started
 from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import check_number
 from socket_testbed.identification.pareto import (

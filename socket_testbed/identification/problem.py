@@ -42,17 +42,9 @@ from scipy.linalg import block_diag
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, rms
 from socket_testbed.errors import ConfigurationError, IdentificationError, closest
 from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.identification import plausibility
 from socket_testbed.identification.contact import LAWS, ContactModel, Loading
 from socket_testbed.identification.noise import ChannelNoise, channel_noise, smooth_poses
-from socket_testbed.identification.plausibility import (
-    MAX_OUTLIERS,
-    MIN_FORCE,
-    MIN_MOMENT,
-    find_outliers,
-    outlier_notes,
-    require_load,
-    require_units,
-)
 from socket_testbed.identification.solver import BoxQP
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
 from socket_testbed.settings.identification import BIAS_VARIANTS, IdentificationSettings, Variant
@@ -156,20 +148,20 @@ def build_objective(
     counts = np.array([name not in settings.leave_out for name in samples.channels])
     wrench_counts, cluster_counts = counts[:6], counts[6:].reshape(-1, 3)
     _usable_rows(samples, wrench_counts)
-    require_units(samples, geometry, settings.leave_out)
-    outliers = find_outliers(samples, geometry, settings.leave_out)
+    plausibility.require_units(samples, geometry, settings.leave_out)
+    outliers = plausibility.find_outliers(samples, geometry, settings.leave_out)
     count = int(outliers.rows.sum())
-    if count > MAX_OUTLIERS * len(samples):
+    if count > plausibility.MAX_OUTLIERS * len(samples):
         raise IdentificationError(
             f"{count} of {len(samples)} samples are outliers:"
-            f" {'; '.join(outlier_notes(samples, outliers))}",
+            f" {'; '.join(plausibility.outlier_notes(samples, outliers))}",
             "check these channels, leave them out (--leave-out), or give another segment",
         )
     samples = outliers.taken_from(samples)
     noise = channel_noise(samples) if settings.weights == "noise" else None
     samples = smooth_poses(samples, settings.pose_smoothing)
     samples = samples[_usable_rows(samples, wrench_counts)]
-    require_load(samples, wrench_counts)
+    plausibility.require_load(samples, wrench_counts)
     wrench = np.where(wrench_counts, samples.wrench, 0.0)
     channels = _cluster_channels(samples, geometry, cluster_counts)
     if not wrench_counts.any() and not channels:
@@ -211,18 +203,20 @@ def _shares(objective: Objective, noise: ChannelNoise | None) -> tuple[FloatArra
     The noise is given only for the weights `noise`.
     """
     channels, wrench_counts = objective.channels, objective.wrench_counts
-    least = np.repeat([MIN_MOMENT, MIN_FORCE], 3)
+    least = np.repeat([plausibility.MIN_MOMENT, plausibility.MIN_FORCE], 3)
     power = (objective.wrench**2).mean(axis=0)
     local_power = np.array([np.mean(channel.force**2) for channel in channels])
     if objective.settings.weights == "raw":
-        factor = 2.0 / max(power.sum() + local_power.sum(), MIN_FORCE**2)
+        factor = 2.0 / max(power.sum() + local_power.sum(), plausibility.MIN_FORCE**2)
         return factor * wrench_counts, np.full(len(channels), factor)
 
     # The mean square of each channel's group, with a lower limit.
     moment, force = (
         max(power[g].sum() / max(wrench_counts[g].sum(), 1), least[g][0] ** 2) for g in _GROUPS
     )
-    local = max(rms(np.concatenate([c.force for c in channels] or [np.zeros(1)])), MIN_FORCE)
+    local = max(
+        rms(np.concatenate([c.force for c in channels] or [np.zeros(1)])), plausibility.MIN_FORCE
+    )
     if noise is None:
         shares = wrench_counts / np.repeat([moment, force], 3)
         local_shares = np.full(len(channels), 1.0 / local**2)
@@ -235,7 +229,9 @@ def _shares(objective: Objective, noise: ChannelNoise | None) -> tuple[FloatArra
     deviations = np.array([noise.local_forces[clusters.index(c.cluster), c.axis] for c in channels])
     local_shares = 1.0 / (np.nan_to_num(deviations) ** 2 + (MODEL_ERROR * local) ** 2)
     zero = max(shares @ power, shares @ least**2, _JITTER)
-    local_zero = max(local_shares @ local_power, local_shares.sum() * MIN_FORCE**2, _JITTER)
+    local_zero = max(
+        local_shares @ local_power, local_shares.sum() * plausibility.MIN_FORCE**2, _JITTER
+    )
     return shares / zero, local_shares / local_zero
 
 

@@ -26,14 +26,7 @@ from socket_testbed.geometry.axis import all_regions, proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.data_check import LOOK
 from socket_testbed.identification.pressure import Quantity, RegionOutputs
-from socket_testbed.nodes.base import (
-    ELAPSED,
-    FREE,
-    OK,
-    Inbox,
-    TestbedNode,
-    file_or_packaged,
-)
+from socket_testbed.nodes import base
 from socket_testbed.nodes.controls import ServiceControls
 from socket_testbed.pages import document
 from socket_testbed.pages.server import PageServer, is_local
@@ -61,17 +54,17 @@ _COUNT_KEYS = ("samples", "triggers", "messages", "maps")  # figures that give a
 _SIGNS = ("\N{BLACK CIRCLE}", "\N{BLACK UP-POINTING TRIANGLE}", "\N{BLACK SQUARE}")
 
 
-class ViewNode(TestbedNode[ViewSettings]):
+class ViewNode(base.TestbedNode[ViewSettings]):
     """Shows the running testbed in browsers."""
 
     def __init__(self) -> None:
         super().__init__("view_node", ViewSettings)
         settings = self.settings
-        geometry = read_socket(file_or_packaged(settings.geometry, "socket.yaml"))
+        geometry = read_socket(base.file_or_packaged(settings.geometry, "socket.yaml"))
         allowed = settings.buttons or is_local(settings.host)
         self._live = LiveSource(self, geometry, ServiceControls(self) if allowed else None)
         self._server = PageServer(self._live, settings.host, settings.port, settings.names)
-        self.report(OK, f"the testbed is shown at {self._server.url}")
+        self.report(base.OK, f"the testbed is shown at {self._server.url}")
 
     def check(self) -> None:
         """Unsubscribe once no browser is open."""
@@ -88,12 +81,15 @@ class LiveSource:
     """The running testbed, a `Source` of the page; without controls its buttons are off."""
 
     def __init__(
-        self, node: TestbedNode[Any], geometry: SocketGeometry, controls: ServiceControls | None
+        self,
+        node: base.TestbedNode[Any],
+        geometry: SocketGeometry,
+        controls: ServiceControls | None,
     ) -> None:
         self._geometry, self._controls, self._node = geometry, controls, node
         self._own = node.get_fully_qualified_name()
         self._prefix = self._own.removesuffix(node.get_name())
-        self._inbox: Inbox | None = None
+        self._inbox: base.Inbox | None = None
         self._readers = {topic: Reader(topic) for topic in _DEPTHS}
         self._asked_at = 0.0  # [s]; when a browser last asked
         self._newest: dict[
@@ -154,17 +150,17 @@ class LiveSource:
             self._inbox, self._foreign = None, False
             self._newest.clear()
 
-    def _subscribe(self) -> Inbox:
+    def _subscribe(self) -> base.Inbox:
         # Publishers never wait for this page: lost messages are not retransmitted.
         lost = ReliabilityPolicy.BEST_EFFORT
         qos = {topic: QoSProfile(depth=n, reliability=lost) for topic, n in _DEPTHS.items()}
-        return Inbox(f"{self._node.get_name()}_inbox", self._node.get_namespace(), qos)
+        return base.Inbox(f"{self._node.get_name()}_inbox", self._node.get_namespace(), qos)
 
-    def _read(self, inbox: Inbox, topic: topics.Topic) -> list[tuple[int, Any]]:
+    def _read(self, inbox: base.Inbox, topic: topics.Topic) -> list[tuple[int, Any]]:
         """Stamps and values of the queued messages of a topic, in order."""
         return [self._readers[topic].read(data) for data in inbox.take(topic)]
 
-    def _take(self, inbox: Inbox) -> None:
+    def _take(self, inbox: base.Inbox) -> None:
         """Take maps and wrenches."""
         now = clocks.monotonic()
         for topic in (topics.FORCE_MAP, topics.WRENCH, topics.ESTIMATED_WRENCH):
@@ -182,7 +178,7 @@ class LiveSource:
                     self._wrenches.append((stamp, values))
                 self._newest[topic] = stamp, values, now
 
-    def _update(self, inbox: Inbox) -> None:
+    def _update(self, inbox: base.Inbox) -> None:
         """Take cluster stresses, and update the page with the outputs by region and their map."""
         now, geometry, places = clocks.monotonic(), self._geometry, self._places
         if now - self._shown_at > _STALE_AFTER:
@@ -258,9 +254,9 @@ class LiveSource:
         if recorder is not None:
             figures = {entry.key: entry.value for entry in recorder.values}
             if trial:
-                elapsed = float(figures[ELAPSED]) + now - max(arrival, since)
+                elapsed = float(figures[base.ELAPSED]) + now - max(arrival, since)
                 words += f" for {elapsed // 60:.0f}:{elapsed % 60:02.0f}"
-            words += f", {1e-9 * float(figures[FREE]):.1f} GB free"
+            words += f", {1e-9 * float(figures[base.FREE]):.1f} GB free"
         return {"on": bool(trial), "words": words}
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:

@@ -13,13 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.identification.pareto import (
-    KNEE,
-    SENSOR_ONLY,
-    WRENCH_ONLY,
-    Front,
-    front_table,
-)
+from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front, front_table
 from socket_testbed.pages.document import numbers
 from socket_testbed.report.page import ReportFigure, Section
 from socket_testbed.report.results import Results

@@ -14,29 +14,14 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from socket_testbed.arrays import (
-    GAP,
-    BoolArray,
-    FloatArray,
-    StatusArray,
-    gaps,
-    runs,
-    usual_period,
-)
+from socket_testbed.arrays import GAP, BoolArray, FloatArray, StatusArray, gaps, runs, usual_period
 from socket_testbed.identification.fit import summarise_errors
 from socket_testbed.identification.information import share_warning
 from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.identification.noise import channel_noise, noise_groups
 from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart
 from socket_testbed.report.results import Results
-from socket_testbed.report.style import (
-    THINNED,
-    FigureStyle,
-    in_style,
-    lay_out,
-    style_axes,
-    thin,
-)
+from socket_testbed.report.style import THINNED, FigureStyle, in_style, lay_out, style_axes, thin
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status
 from socket_testbed.tables import Table, number, pairs_table
 from socket_testbed.trials.segment import Segment

@@ -32,18 +32,9 @@ from socket_testbed.geometry.marker_bodies import MAX_MARKERS
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import Samples, Status
+from socket_testbed.trials import topics
 from socket_testbed.trials.bag import BagReader, required_topics
 from socket_testbed.trials.messages import Reader, VectorPacker, pose_packer, wrench_packer
-from socket_testbed.trials.topics import (
-    CAPACITANCE,
-    LOAD_CELL_RAW,
-    MARKERS,
-    PYLON_POSE,
-    SOCKET_POSE,
-    TRIGGER,
-    WRENCH,
-    Topic,
-)
 
 
 @dataclass(frozen=True)
@@ -69,21 +60,21 @@ class Measurements:
         """Time since the first trigger, shape (N,) [s]."""
         return (self.stamps - self.stamps[0]) * 1e-9
 
-    def packed(self) -> tuple[tuple[Topic, VectorPacker, FloatArray], ...]:
+    def packed(self) -> tuple[tuple[topics.Topic, VectorPacker, FloatArray], ...]:
         """Topic, packer of a row, and rows of the wrenches and poses."""
         return (
-            (WRENCH, wrench_packer(), self.wrench),
-            (SOCKET_POSE, pose_packer(), self.socket),
-            (PYLON_POSE, pose_packer(), self.pylon),
+            (topics.WRENCH, wrench_packer(), self.wrench),
+            (topics.SOCKET_POSE, pose_packer(), self.socket),
+            (topics.PYLON_POSE, pose_packer(), self.pylon),
         )
 
 
 _BLOCK_SIZE = 10_000  # [samples]; bounds the memory for rotation matrices
 _MAX_LISTED = 3  # stamps in a note
-_WIDTHS = {WRENCH: 6, LOAD_CELL_RAW: 12, SOCKET_POSE: 7, PYLON_POSE: 7}
+_WIDTHS = {topics.WRENCH: 6, topics.LOAD_CELL_RAW: 12, topics.SOCKET_POSE: 7, topics.PYLON_POSE: 7}
 _MISSING_TOPICS = {
-    LOAD_CELL_RAW: ("its wrenches cannot be recomputed", "leave out --load-cell and --tare"),
-    MARKERS: (
+    topics.LOAD_CELL_RAW: ("its wrenches cannot be recomputed", "leave out --load-cell and --tare"),
+    topics.MARKERS: (
         "its poses cannot be refitted to other markers",
         "give --geometry with the trial's own",
     ),
@@ -95,20 +86,20 @@ _Columns: TypeAlias = list[NDArray[Any]]
 
 
 def read_measurements(
-    bag: BagReader, notify: Callable[[str], None], more: Collection[Topic] = ()
+    bag: BagReader, notify: Callable[[str], None], more: Collection[topics.Topic] = ()
 ) -> Measurements:
     """Read the measurements of a bag; a TrialError if it cannot be read or lacks a topic.
 
     `more` selects LOAD_CELL_RAW and MARKERS in addition. `notify` reports stamps that jump back or
     occur more than once in a topic.
     """
-    topics = required_topics(bag)
+    recorded = required_topics(bag)
     for topic in more:
-        if not bag.counts.get(topics.get(topic, "")):
+        if not bag.counts.get(recorded.get(topic, "")):
             why, hint = _MISSING_TOPICS[topic]
             raise TrialError(f"{bag.path}: holds no '{topic.name}', so {why}", hint)
-    series = _read_series(bag, {topics[t]: t for t in topics if t.required or t in more})
-    clusters = tuple(name for topic, name in series if topic is CAPACITANCE)
+    series = _read_series(bag, {recorded[t]: t for t in recorded if t.required or t in more})
+    clusters = tuple(name for topic, name in series if topic is topics.CAPACITANCE)
     for note in _stamp_notes(series):
         notify(note)
     stamps = np.empty(0, dtype=np.int64)
@@ -118,14 +109,14 @@ def read_measurements(
     capacitance = np.empty((len(stamps), len(clusters), 4))
     status = np.empty(capacitance.shape, dtype=np.uint8)
     for number, name in enumerate(clusters):
-        own = series.pop((CAPACITANCE, name))
+        own = series.pop((topics.CAPACITANCE, name))
         capacitance[:, number], status[:, number] = _rows(own, stamps)
-    tables = {CAPACITANCE: capacitance}
+    tables = {topics.CAPACITANCE: capacitance}
     for topic, width in _WIDTHS.items():
         if topic.required or topic in more:
             nothing = [np.empty(0, dtype=np.int64), np.empty((0, width))]
             (tables[topic],) = _rows(series.pop((topic, topic.name), nothing), stamps)
-    raw = tables.pop(LOAD_CELL_RAW, np.empty((0, 12)))
+    raw = tables.pop(topics.LOAD_CELL_RAW, np.empty((0, 12)))
     for topic, values in tables.items():
         impossible = (values > _MAX_VALUE) | (values < -_MAX_VALUE)
         if impossible.any():
@@ -136,9 +127,9 @@ def read_measurements(
             )
     return Measurements(
         stamps=stamps,
-        wrench=tables[WRENCH],
-        socket=tables[SOCKET_POSE],
-        pylon=tables[PYLON_POSE],
+        wrench=tables[topics.WRENCH],
+        socket=tables[topics.SOCKET_POSE],
+        pylon=tables[topics.PYLON_POSE],
         clusters=clusters,
         capacitance=capacitance,
         status=status,
@@ -147,7 +138,7 @@ def read_measurements(
         markers={
             name: _rows(own, stamps)[0].reshape(-1, MAX_MARKERS, 3)
             for (topic, name), own in series.items()
-            if topic is MARKERS
+            if topic is topics.MARKERS
         },
     )
 
@@ -157,12 +148,14 @@ def marker_count(seen: FloatArray) -> int:
     return int(np.flatnonzero(np.isfinite(seen).any(axis=(0, 2))).max(initial=-1)) + 1
 
 
-def _read_series(bag: BagReader, topics: dict[str, Topic]) -> dict[tuple[Topic, str], _Columns]:
+def _read_series(
+    bag: BagReader, wanted: dict[str, topics.Topic]
+) -> dict[tuple[topics.Topic, str], _Columns]:
     """Recorded columns by topic and name: of a cluster, a body, or the topic itself."""
-    readers = {topic: Reader(topic, bag.path) for topic in topics.values()}
-    parts: dict[tuple[Topic, str], list[_Columns]] = defaultdict(list)
-    for topic_name, messages in bag.blocks(topics):
-        topic = topics[topic_name]
+    readers = {topic: Reader(topic, bag.path) for topic in wanted.values()}
+    parts: dict[tuple[topics.Topic, str], list[_Columns]] = defaultdict(list)
+    for topic_name, messages in bag.blocks(wanted):
+        topic = wanted[topic_name]
         found: dict[str, list[_Columns]] = defaultdict(list)
         for places, stamps, values in readers[topic].parts(messages):
             for name, columns in _columns(topic, values):
@@ -178,18 +171,18 @@ def _joined(parts: list[_Columns]) -> _Columns:
     return [np.concatenate(column) for column in zip(*parts, strict=True)]
 
 
-def _columns(topic: Topic, values: Any) -> Iterator[tuple[str, _Columns]]:
+def _columns(topic: topics.Topic, values: Any) -> Iterator[tuple[str, _Columns]]:
     """Values of messages, one row each, by name of the cluster, body or topic."""
-    if topic is CAPACITANCE:
+    if topic is topics.CAPACITANCE:
         for number, name in enumerate(values.names):
             yield name, [values.capacitance[:, number], values.status[:, number]]
-    elif topic is MARKERS:
+    elif topic is topics.MARKERS:
         for name, markers in values:
             seen = np.full((len(markers), MAX_MARKERS, 3), np.nan)
             seen[:, : markers.shape[1]] = markers
             yield name, [seen.reshape(len(markers), -1)]
     else:
-        yield topic.name, [] if topic is TRIGGER else [values]
+        yield topic.name, [] if topic is topics.TRIGGER else [values]
 
 
 def _rows(columns: _Columns, stamps: IntArray) -> _Columns:
@@ -206,12 +199,12 @@ def _rows(columns: _Columns, stamps: IntArray) -> _Columns:
     return tables
 
 
-def _stamp_notes(series: dict[tuple[Topic, str], _Columns]) -> Iterator[str]:
+def _stamp_notes(series: dict[tuple[topics.Topic, str], _Columns]) -> Iterator[str]:
     """Notes on out-of-order and duplicate stamps, one for all topics with the same problem."""
     first = min(int(stamps.min()) for stamps, *_ in series.values())
     found: dict[str, list[str]] = defaultdict(list)
     for (topic, name), (stamps, *_) in series.items():
-        own = f"{MARKERS.name} of {name}" if topic is MARKERS else name
+        own = f"{topics.MARKERS.name} of {name}" if topic is topics.MARKERS else name
         time = (stamps - first) * 1e-9
         back = np.flatnonzero(np.diff(stamps) < 0)
         if len(back):

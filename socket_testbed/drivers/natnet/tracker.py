@@ -15,12 +15,7 @@ from scipy.spatial.transform import Rotation
 from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, line_weights
 from socket_testbed.drivers.natnet.messages import BodiesByName, MocapFrame
-from socket_testbed.geometry.marker_bodies import (
-    EDGE_TOLERANCE,
-    MIN_MARKERS,
-    distances,
-    fit_body,
-)
+from socket_testbed.geometry.marker_bodies import EDGE_TOLERANCE, MIN_MARKERS, distances, fit_body
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.settings.acquisition import MocapSettings
 
