@@ -18,7 +18,7 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import WIDTHS, atomic_output, check_picture
 
-SCALE = "viridis"  # perceptually uniform, safe for colour-blind readers; as on the pages
+SCALE = "viridis"  # perceptually uniform, safe for colour-blind readers
 
 
 # Okabe & Ito's colours also differ in lightness, and each line has its own dashes.
