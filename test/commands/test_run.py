@@ -26,7 +26,7 @@ from socket_testbed.trials.trial import Trial
 
 pytestmark = pytest.mark.graph
 
-SIMULATED = ("--simulated", "--time-scale", "auto")
+SIMULATED = ("--simulated", "--time-scale", "0.25")  # slow enough for a busy machine
 
 
 def start(*words: object, folder: Path) -> subprocess.Popen[str]:
@@ -64,11 +64,11 @@ def test_run_records_a_trial_and_marked_events_until_ctrl_c(
     samples = trial.samples()
     assert out.startswith(f"{path}: {len(samples)} triggers, ") and out.count("\n") == 1
     recorded = Recorded(path)
-    assert not recorded.notes and max(recorded.lacking().values()) <= 2  # on a busy machine
+    assert not recorded.notes and not any(recorded.lacking().values())
     (step,) = (event for event in trial.events() if event.source == "recorded")
     begin = int(samples.stamps[0])
-    # In slow time the speed of the testbed's clock is estimated, roughly on a busy machine.
-    assert 1e-9 * (before - begin) - 2.0 < step.time < 1e-9 * (after - begin)
+    # A message that a busy machine held up is late, never early.
+    assert 1e-9 * (before - begin) - 0.3 < step.time < 1e-9 * (after - begin)
     assert trial.metadata == TrialMetadata("S01", "left")
     assert trial.estimator.identification.variant == "stiffness"
     assert read_testbed(path / "testbed.yaml").trigger_node.rate == 20.0
