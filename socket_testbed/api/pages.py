@@ -22,7 +22,6 @@ from socket_testbed.api.trials import (
     started,
 )
 from socket_testbed.geometry.socket import SOCKET
-from socket_testbed.identification.pressure import NORMAL_QUANTILE
 from socket_testbed.pages.document import check_page, moment, socket_document
 from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.tables import Table, pairs_table
@@ -199,17 +198,19 @@ def _map_data(found: Comparison) -> tuple[dict[str, Any], dict[str, str]]:
         return {}, {}
     (values, reaches), (differences, spreads) = map(found.tile_pressures, (VALUE, DIFFERENCE))
     names = [*found.items, *map(found.difference_title, found.items[1:])]
-    both = zip([*values, *differences[1:]], [*reaches, *spreads[1:]], strict=True)
+    unclear = [1.0 * (np.abs(by) < reach) for by, reach in zip(differences, spreads, strict=True)]
+    greys = [*[None] * len(values), *unclear[1:]]
+    both = zip([*values, *differences[1:]], [*reaches, *spreads[1:]], greys, strict=True)
     limit = float(np.abs(differences[1:]).max()) or 1.0
     nothing = np.zeros(0)
     maps: list[dict[str, Any]] = [
         {
             "box": f"map-{number}",
-            "moment": moment(0.0, 1e3 * value, 1e3 * reach / NORMAL_QUANTILE, nothing, nothing),
-            "range": limit if number >= len(found.items) else None,
-            "diverging": number >= len(found.items),
+            "moment": moment(0.0, 1e3 * value, 1e3 * reach, nothing, nothing, grey),
+            "range": None if grey is None else limit,
+            "diverging": grey is not None,
         }
-        for number, (value, reach) in enumerate(both)
+        for number, (value, reach, grey) in enumerate(both)
     ]
     data = {
         "socket": socket_document(found.geometry, found.side),

@@ -26,6 +26,7 @@ from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.fit import Fit
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.model_file import StoredModel
+from socket_testbed.identification.pressure import NORMAL_QUANTILE, greyness
 from socket_testbed.live.estimator import OnlineEstimator
 from socket_testbed.live.fit_worker import FitWorker
 from socket_testbed.nodes.base import NEWEST_STAMP, TestbedNode, file_or_packaged
@@ -38,7 +39,6 @@ _PICTURE_PERIOD = 100_000_000  # [ns]; RViz needs no more
 _REGIONS_PERIOD = 500_000_000  # [ns]; joint draws take 15 ms
 _ARROW_SCALE = 0.002  # [m/N]
 _MAX_PRESSURE = 30e3  # [Pa]; end of the colour scale, normal pressure
-_MAX_DEVIATION = 10e3  # [Pa]; standard deviation of the normal pressure at the minimum opacity
 _MIN_OPACITY = 0.1  # [-]
 _LIFETIME = 3  # [s]; then the picture of a stopped estimator disappears
 
@@ -194,13 +194,14 @@ class PressureMap:
     def serialised(self, stamp: int, estimate: MapEstimate) -> bytes:
         """The MarkerArray of a map with N = 1: a tile and an arrow for each force.
 
-        Colour shows the normal pressure, from pale to dark red at 30 kPa. Uncertain tiles fade, to
-        an opacity of 0.1 at a standard deviation of 10 kPa.
+        Colour shows the normal pressure, from pale to dark red at 30 kPa. Uncertain tiles fade
+        where they turn grey on pages.
         """
         tips = self._anchors + _ARROW_SCALE * estimate.forces[0]
-        shares = np.clip(estimate.normal_pressure[0] / _MAX_PRESSURE, 0.0, 1.0)
-        sigma = estimate.normal_pressure_standard_deviation[0]
-        opacities = np.clip(1.0 - (1.0 - _MIN_OPACITY) * sigma / _MAX_DEVIATION, _MIN_OPACITY, 1.0)
+        pressure = estimate.normal_pressure[0]
+        shares = np.clip(pressure / _MAX_PRESSURE, 0.0, 1.0)
+        reach = NORMAL_QUANTILE * estimate.normal_pressure_standard_deviation[0]
+        opacities = 1.0 - (1.0 - _MIN_OPACITY) * greyness(pressure, reach)
         other = 0.9 * (1.0 - shares)
         colours = np.column_stack([1.0 - 0.4 * shares, other, other, opacities])
         time = divmod(stamp, 1_000_000_000)

@@ -25,7 +25,7 @@ from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.axis import all_regions, proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.data_check import LOOK
-from socket_testbed.identification.pressure import Quantity, RegionOutputs
+from socket_testbed.identification.pressure import NORMAL_QUANTILE, Quantity, RegionOutputs
 from socket_testbed.nodes import base
 from socket_testbed.nodes.controls import ServiceControls
 from socket_testbed.pages import document
@@ -214,7 +214,7 @@ class LiveSource:
         names = ("normal_pressure", "normal_pressure_standard_deviation", "shear")
         pressure, deviation, shear = (found[1][name][0] for name in names)
         time = 1e-9 * (self._newest[topics.FORCE_MAP][0] - self._first)
-        return document.moment(time, pressure, deviation, shear, self._measured)
+        return document.moment(time, pressure, NORMAL_QUANTILE * deviation, shear, self._measured)
 
     def _recent(self, topic: topics.Topic) -> Any:
         """The newest values of a topic; None if stale."""

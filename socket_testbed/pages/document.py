@@ -23,6 +23,7 @@ from socket_testbed.identification.pressure import (
     PressureOutputs,
     Quantity,
     RegionOutputs,
+    greyness,
     read_column,
 )
 from socket_testbed.pages.wall import Patch, patches, side_names, unrolled_tiles
@@ -33,16 +34,7 @@ _BAR_TITLES = ("mean pressure [kPa]", "peak pressure [kPa]", "share of load [%]"
 _MAX_MARKS = 20  # per event label
 _WEIGHT = 1.0 / 8192.0  # [-]; unit of the stored weights, 16-bit integers
 _CLOSED = [0, 1, 2, 3, 0]  # corners of a square
-# Uncertain pressures turn grey: full colour up to a ratio `certain` of interval reach to value,
-# the greyest from `unknown` on. Values below `least` [kPa] are treated as `least`.
-GREYING: dict[str, Any] = {
-    "certain": 1.0,
-    "unknown": 2.5,
-    "least": 5.0,
-    "colour": [150, 150, 150],
-    "greyest": 0.85,
-    "quantile": NORMAL_QUANTILE,
-}
+GREY: dict[str, Any] = {"colour": [150, 150, 150], "greyest": 0.85}  # of uncertain pressures
 
 Document = dict[str, Any]
 
@@ -62,13 +54,6 @@ def numbers(values: FloatArray, decimals: int = 2) -> list[Any]:
     return list(rounded.tolist())
 
 
-def greyness(value: FloatArray, reach: FloatArray) -> FloatArray:
-    """Greyness by the reach of 95 % intervals [kPa]: 0 full colour, 1 greyest."""
-    share = reach / np.maximum(np.abs(value), GREYING["least"])
-    certain, unknown = GREYING["certain"], GREYING["unknown"]
-    return np.asarray(np.clip((share - certain) / (unknown - certain), 0.0, 1.0))
-
-
 def socket_document(geometry: SocketGeometry, side: Side | None = None) -> Document:
     """The socket: surface grids, tiles, clusters and names of its parts."""
     tiles = unrolled_tiles(geometry)
@@ -83,7 +68,7 @@ def socket_document(geometry: SocketGeometry, side: Side | None = None) -> Docum
         "heights": list(reversed(HEIGHTS)),
         "proximal": numbers(tiles.around.proximal, 4),
         "regions": {name: list(map(int, tiles)) for name, tiles in geometry.regions.items()},
-        "greying": GREYING,
+        "grey": GREY,
         "patches": [_patch(patch) for patch in patches(geometry)],
     }
 
@@ -102,15 +87,20 @@ def _patch(patch: Patch) -> Document:
 def moment(
     time: float,
     pressure: FloatArray,
-    deviation: FloatArray,
+    reach: FloatArray,
     shear: FloatArray,
     measured: FloatArray,
+    grey: FloatArray | None = None,
 ) -> Document:
-    """Stresses on tiles (n,) [Pa] and measured cluster pressures (c,) [Pa] at a time [s]."""
+    """Stresses on tiles (n,) [Pa] and measured cluster pressures (c,) [Pa] at a time [s].
+
+    `reach` is that of the 95 % intervals of the pressures, `grey` their `greyness` by default.
+    """
     return {
         "time": round(time, 3),
         "pressure": numbers(1e-3 * pressure),
-        "deviation": numbers(1e-3 * deviation),
+        "reach": numbers(1e-3 * reach),
+        "grey": numbers(greyness(pressure, reach) if grey is None else grey),
         "shear": numbers(1e-3 * shear),
         "measured": numbers(1e-3 * measured, 1),
     }
@@ -119,7 +109,8 @@ def moment(
 def moments(time: FloatArray, outputs: PressureOutputs, geometry: SocketGeometry) -> list[Document]:
     """A moment for each of the N samples of some outputs, at times [s]."""
     found, measured = outputs.estimate, measured_pressure(outputs.samples, geometry)
-    stresses = found.normal_pressure, found.normal_pressure_standard_deviation, found.shear
+    reach = NORMAL_QUANTILE * found.normal_pressure_standard_deviation
+    stresses = found.normal_pressure, reach, found.shear
     return [moment(*row) for row in zip(time.tolist(), *stresses, measured, strict=True)]
 
 

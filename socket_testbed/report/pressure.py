@@ -66,10 +66,8 @@ def page_data(results: Results) -> dict[str, Any]:
     outputs, tiles, geometry = found.outputs, found.outputs.tiles, results.trial.geometry
     time = 1e-9 * (over_trial.samples.stamps - results.samples.stamps[0])
     measured = document.measured_pressure(outputs.samples, geometry).mean(axis=0)
-    deviation = (tiles.mean.high - tiles.mean.low) / (2.0 * NORMAL_QUANTILE)
-    mean = document.moment(
-        found.peak_time, tiles.mean.value, deviation, tiles.shear.value, measured
-    )
+    reach = 0.5 * (tiles.mean.high - tiles.mean.low)
+    mean = document.moment(found.peak_time, tiles.mean.value, reach, tiles.shear.value, measured)
     at_peak = outputs.peak_map.normal_pressure[0]
     return document.trial_document(trial, over_trial, time) | {
         "start": found.peak_time,

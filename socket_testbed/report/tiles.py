@@ -11,14 +11,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import Normalize, to_rgba
+from matplotlib.colors import PowerNorm, to_rgba
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Patch as Swatch
 from matplotlib.patheffects import withStroke
 
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.pages.document import GREYING, greyness
+from socket_testbed.identification.pressure import greyness
+from socket_testbed.pages.document import GREY
 from socket_testbed.pages.wall import Patch, UnrolledTiles, patches, side_names, unrolled_tiles
 from socket_testbed.report.style import (
     DEFAULT_STYLE,
@@ -42,6 +43,7 @@ _WALL_SHARE = 3.4  # [-]; width of the wall over that of the distal end
 _MIN_FONT = 3.0  # [pt]; of a name on a tile
 _LINE_LENGTH = 9  # characters
 _CHARACTER, _LINE = 0.62, 1.25  # [-]; character width, line height, over the font size
+_SPREAD = 0.5  # [-]; exponent of the colour scale, finer at low values, as on pages
 _IMAGE_STEP = 0.12  # [-]; between the points of an image, over the tiles' edge
 _MAX_RANGE_RATIO = 2.0  # [-]; of ranges on a common scale
 _AXIS, _BAR = 12.0, 15.0  # [mm]; widths of a map's axis and of a colour bar
@@ -91,16 +93,16 @@ def paint_tiles(
     they are drawn smooth over the surface, and turn grey as on pages.
     """
     tiles, unknown = unrolled_tiles(geometry), np.isnan(values)
-    scale = ScalarMappable(Normalize(*(limits or value_range(values))), SCALE)
+    scale = ScalarMappable(PowerNorm(_SPREAD, *(limits or value_range(values))), SCALE)
     fills = np.where(unknown[:, None], to_rgba(_NO_VALUE), scale.to_rgba(values))
     if reach is None or unknown.any():
         return TilePaint(geometry, tiles, fills, unknown, scale)
     images = []
     for patch in patches(geometry, _IMAGE_STEP):
-        value, doubt = patch.weights @ values, np.maximum(patch.weights @ reach, 0.0)
-        grey = GREYING["greyest"] * greyness(value, doubt)[..., None]
-        image = np.asarray(scale.to_rgba(value))
-        image[..., :3] += grey * (np.array(GREYING["colour"]) / 255.0 - image[..., :3])
+        image = np.asarray(scale.to_rgba(patch.weights @ values))
+        grey = np.clip(patch.weights @ greyness(1e3 * values, 1e3 * reach), 0.0, 1.0)
+        veil = GREY["greyest"] * grey[..., None]
+        image[..., :3] += veil * (np.array(GREY["colour"]) / 255.0 - image[..., :3])
         image[..., 3] = np.isfinite(patch.points[..., 0])
         images.append((patch, image))
     return TilePaint(geometry, tiles, np.zeros_like(fills), unknown, scale, images)

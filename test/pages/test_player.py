@@ -27,10 +27,13 @@ def test_an_instant_is_that_of_the_verbs(hold: Path, hold_model: Path) -> None:
         assert moment["time"] == pytest.approx(samples.time[row], abs=1e-3)
         for name, known in (
             ("pressure", estimate.normal_pressure),
-            ("deviation", estimate.normal_pressure_standard_deviation),
+            ("reach", 1.96 * estimate.normal_pressure_standard_deviation),
             ("shear", estimate.shear),
         ):
             np.testing.assert_allclose(moment[name], 1e-3 * known[row], atol=5.1e-3)
+        pressure, reach, grey = (np.array(moment[name]) for name in ("pressure", "reach", "grey"))
+        ratio = reach / np.maximum(np.abs(pressure), 5.0)
+        np.testing.assert_allclose(grey, np.clip((ratio - 1.0) / 1.5, 0.0, 1.0), atol=0.02)
         np.testing.assert_allclose(moment["measured"], 1e-3 * measured[row], atol=0.051)
         wrenches = [samples.wrench[row], predicted[row, :6]]
         np.testing.assert_allclose(shown["wrench"], wrenches, atol=5.1e-3)

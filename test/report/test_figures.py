@@ -9,7 +9,7 @@ import pytest
 from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import Normalize
+from matplotlib.colors import PowerNorm
 from matplotlib.text import Text
 from support.problems import random_socket, ring_socket
 
@@ -64,7 +64,7 @@ def test_tiles_have_the_colours_of_their_values_on_one_scale_unless_their_ranges
         maps = [axis for axis in figure.axes if axis.get_xlim()[0] < -180.0]
         for axis, row, scale in zip(maps, values.values(), [*ends, *ends], strict=False):
             squares = next(c for c in axis.collections if isinstance(c, PolyCollection))
-            expected = colormaps[style.SCALE](Normalize(*scale)(row))
+            expected = colormaps[style.SCALE](PowerNorm(0.5, *scale)(row))
             np.testing.assert_allclose(squares.get_facecolors(), expected)
         assert figure.get_supxlabel() == f"1 {NASTY}"
     # What has no value is hatched.
@@ -80,7 +80,7 @@ def test_a_map_with_intervals_is_smooth_and_greyer_where_they_reach_far():
     geometry = ring_socket()
     values, known = np.full(len(geometry), 20.0), {"x": np.zeros(len(geometry))}
     unknown = {"x": np.full(len(geometry), 60.0)}
-    colour = colormaps[style.SCALE](Normalize(0.0, 40.0)(20.0))[:3]
+    colour = colormaps[style.SCALE](PowerNorm(0.5, 0.0, 40.0)(20.0))[:3]
     for reach, expected in ((known, colour), (unknown, 0.15 * np.array(colour) + 0.85 * 150 / 255)):
         figure = tile_map_figure(geometry, {"x": values}, UNIT, limits=(0.0, 40.0), reach=reach)
         for panel in figure.axes[:2]:  # wall and end

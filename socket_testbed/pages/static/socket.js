@@ -29,11 +29,6 @@ function viridis(share) {  // finer steps at low pressures
 const COLOURS = VIRIDIS.map((rgb, i) => [(i / 10) ** 2, `rgb(${rgb})`]);
 const DIVERGING = [[0, "#2166ac"], [0.25, "#67a9cf"], [0.5, "#f7f7f7"], [0.75, "#f4a582"], [1, "#b2182b"]];
 
-function greyness({certain, unknown, least}, value, reach) {  // as in document.py
-  const share = reach / Math.max(Math.abs(value), least);
-  return Math.min(Math.max((share - certain) / (unknown - certain), 0), 1);
-}
-
 function unpack(patch, tiles) {
   const bytes = Uint8Array.from(atob(patch.weights), (letter) => letter.charCodeAt(0));
   const stored = new Int16Array(bytes.buffer), flat = patch.points.flat();
@@ -71,20 +66,19 @@ class SocketMap {
     return this.scale;
   }
 
-  // Values shown on the tiles, and the reach of their 95 % intervals.
+  // Values shown on the tiles, the reach of their 95 % intervals, and their greyness.
   shown() {
     const extra = this.extras[this.kind];
-    if (extra) { return {values: extra.values, reach: null, unit: extra.unit}; }
-    const values = this.moment?.[this.kind] ?? null;
-    const reach = this.kind === "pressure" ? this.moment?.deviation?.map((sd) => this.socket.greying.quantile * sd) : null;
-    return {values, reach, unit: "kPa"};
+    if (extra) { return {values: extra.values, unit: extra.unit}; }
+    const {[this.kind]: values = null, reach, grey} = this.moment ?? {};
+    return {values, unit: "kPa", ...(this.kind === "pressure" ? {reach, grey} : {})};
   }
 
   show(moment = this.moment) {
     this.moment = moment;
-    const {values, reach, unit} = this.shown();
+    const {values, unit, ...doubt} = this.shown();
     const ink = getComputedStyle(this.box).color;
-    const paint = values && this.paint(values, reach, unit);
+    const paint = values && this.paint(values, unit, doubt);
     this.drawMap(paint, values, unit, ink);
     const now = performance.now();
     if (this.solid && !(now - this.drawnSolid < SOLID_PERIOD)) {
@@ -93,23 +87,21 @@ class SocketMap {
     }
   }
 
-  paint(values, reach, unit) {
+  paint(values, unit, {reach, grey}) {
     const extra = unit !== "kPa";
     const finite = values.filter(known);
     const low = extra ? Math.min(...finite, 0) : 0;
     const high = extra ? Math.max(...finite, low + 1e-9) : this.range(values);
     const of = (patch) => {
       const z = patch.at(values.map((value) => value ?? 0));
-      const r = reach ? patch.at(reach).map((v) => (v === null ? null : Math.max(v, 0))) : null;
-      const grey = (v, reach) => (this.diverging ? Number(Math.abs(v) < reach)
-        : greyness(this.socket.greying, v, reach));
-      return {z, r, veil: r && z.map((v, i) => (v === null ? null : grey(v, r[i])))};
+      const within = (given, end) => given && patch.at(given).map((v) => v && Math.min(Math.max(v, 0), end));
+      return {z, r: within(reach, Infinity), veil: within(grey, 1)};
     };
     return {low: this.diverging ? -high : low, high, patches: new Map(this.socket.patches.map((patch) => [patch, of(patch)]))};
   }
 
   drawMap(paint, values, unit, ink) {
-    const {socket, wall, end, narrow} = this, {colour, greyest} = socket.greying;
+    const {socket, wall, end, narrow} = this, {colour, greyest} = socket.grey;
     const veils = [[0, `rgba(${colour},0)`], [1, `rgba(${colour},${greyest})`]], traces = [], notes = [];
     const axes = (patch) => (patch === wall ? {xaxis: "x", yaxis: "y"} : {xaxis: "x2", yaxis: "y2"});
     for (const [patch, {z, r, veil}] of paint?.patches ?? []) {
@@ -197,7 +189,7 @@ class SocketMap {
   }
 
   drawSolid(paint, ink) {
-    const {socket} = this, {colour, greyest} = socket.greying;
+    const {socket} = this, {colour, greyest} = socket.grey;
     const traces = socket.patches.map((patch) => {
       const wide = patch.x.length, faces = [[], [], []];
       for (let row = 0; row + 1 < patch.y.length; row++) {
