@@ -25,8 +25,8 @@ from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.nodes import base
-from socket_testbed.nodes.sensor_node import SensorNode, averaging_span
-from socket_testbed.settings.acquisition import MocapSettings
+from socket_testbed.nodes.sensor_node import SensorNode
+from socket_testbed.settings.acquisition import MocapSettings, averaging_span
 from socket_testbed.trials import messages, topics
 
 SOCKET_FRAME = "socket"  # the socket's marker body

@@ -12,7 +12,6 @@ from socket_testbed.nodes.base import OK, WARN, RecentFault, S, TestbedNode
 from socket_testbed.trials.topics import TRIGGER
 
 _IDLE_AFTER = 0.3  # [s]; without a trigger
-_MAX_SPAN = 0.25  # [s]; of the default averaging span
 _SETTLING_TIME = 5.0  # [s]; for a device to answer; then the testbed starts without it
 
 
@@ -93,12 +92,3 @@ class SensorNode(TestbedNode[S]):
                 self.measure(stamp, moment)
                 self.samples += 1
                 self.busy_since = None
-
-
-def averaging_span(wanted: float, period: float) -> float:
-    """Span around a trigger to average over [s].
-
-    A negative setting [s] stands for the trigger period [s], at most 0.25 s, or 0 if it is not
-    known yet.
-    """
-    return wanted if wanted >= 0.0 else min(period, _MAX_SPAN)

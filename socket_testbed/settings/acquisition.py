@@ -6,6 +6,17 @@ from dataclasses import dataclass
 
 from socket_testbed.settings.fields import Settings, fixed, setting
 
+MAX_SPAN = 0.25  # [s]; of the default averaging around a trigger
+
+
+def averaging_span(wanted: float, period: float) -> float:
+    """Span around a trigger to average over [s].
+
+    A negative setting [s] stands for the trigger period [s], at most `MAX_SPAN`, or 0 if it is not
+    known yet.
+    """
+    return wanted if wanted >= 0.0 else min(period, MAX_SPAN)
+
 
 @dataclass(frozen=True)
 class SchedulingSettings(Settings):
@@ -100,7 +111,7 @@ class LoadCellSettings(Settings):
     )
     average_over: float = setting(
         -1.0, "span centred on a trigger to average its wrench, if the window is shorter;"
-        " negative: the trigger's period, at most 0.25; 0: the window alone [s]", -1.0, 0.5,
+        f" negative: the trigger's period, at most {MAX_SPAN}; 0: the window alone [s]", -1.0, 0.5,
     )  # fmt: skip
     tare_duration: float = setting(1.0, "averaging time of a tare [s]", 0.1, 60.0)
     tare_force: float = setting(2.0, "largest deviation of a force while taring [N]", 1e-3, 1e3)
@@ -128,7 +139,7 @@ class MocapSettings(Settings):
     )
     window: float = setting(
         -1.0, "span of frames centred on a trigger to average for its pose; negative: the trigger's"
-        " period, at most 0.25; 0: between the two frames around it [s]", -1.0, 0.5,
+        f" period, at most {MAX_SPAN}; 0: between the two frames around it [s]", -1.0, 0.5,
     )  # fmt: skip
     clock_uncertainty: float = fixed(
         2e-3, "uncertainty of Motive's clock above which poses are missing [s]", 1e-5, 0.1

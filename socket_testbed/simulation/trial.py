@@ -21,6 +21,7 @@ from socket_testbed.geometry.marker_bodies import fit_body, nearest_rotations
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import Status
+from socket_testbed.settings.acquisition import averaging_span
 from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.simulation import sensors
 from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, load_history
@@ -90,7 +91,7 @@ def simulate(
     errors: sensors.SensorErrors | None = None,
     progress: Progress | None = None,
     tissue: TissueKind = "soft",
-    mocap_window: float = 0.25,
+    mocap_window: float = -1.0,
 ) -> SimulatedTrial:
     """Simulate a trial.
 
@@ -104,7 +105,7 @@ def simulate(
         errors: Sizes of the sensors' errors; None for the defaults.
         progress: Called with the steps done and the total.
         tissue: Kind of the limb's tissue, see `make_tissue`.
-        mocap_window: Span of the frames averaged around a trigger, at most its period; 0 for a
+        mocap_window: Span of the frames averaged around a trigger, see `averaging_span`; 0 for a
             single frame [s].
     """
     calibration.require(geometry.clusters, "the socket")
@@ -131,12 +132,12 @@ def simulate(
         stress += sensors.vibration(size, time, shake_rng)
         capacitance[cluster] = sensor.read(stress, time, cluster_rng)
     felt = load + sensors.wrench_offset(errors, cell_rng)
-    noise = errors.wrench_noise(min(sensors.MAX_MEAN_SPAN, 1.0 / rate))
+    noise = errors.wrench_noise(averaging_span(-1.0, 1.0 / rate))
     felt += cell_rng.normal(0.0, 1.0, load.shape) * noise
     felt += sensors.wrench_creep(errors, load, time, cell_rng)
     felt += sensors.vibration(errors.force_vibration * sensors.VIBRATION_SHAPE, time, shake_rng)
 
-    window = min(mocap_window, 1.0 / rate)
+    window = averaging_span(mocap_window, 1.0 / rate)
     markers, poses = _motion_capture(geometry, truth, rate, window, errors, marker_rng)
     stamps = _START + np.round(time * 1e9).astype(np.int64)
     return SimulatedTrial(stamps, capacitance, felt, markers, poses, truth)

@@ -22,9 +22,8 @@ from socket_testbed.drivers.load_cell import ads131m0x, converter_reader
 from socket_testbed.drivers.load_cell.converter_reader import ConversionClock, ConverterReader
 from socket_testbed.drivers.load_cell.load_cell import LoadCell, check_settings
 from socket_testbed.errors import ConfigurationError, DeviceError
-from socket_testbed.nodes.sensor_node import averaging_span
 from socket_testbed.samples import Status
-from socket_testbed.settings.acquisition import LoadCellSettings
+from socket_testbed.settings.acquisition import LoadCellSettings, averaging_span
 from socket_testbed.simulation.devices.ads131m0x import SimulatedAds131m0x, simulated_load_cell
 
 _RNG = np.random.default_rng(7)

@@ -132,8 +132,8 @@ def test_the_noise_of_a_marker_is_that_of_a_real_take(shared_data: Path) -> None
 def test_the_mean_over_the_window_averages_the_cameras_noise_and_does_not_lag() -> None:
     _, single = measure(0.0, marker_noise=5e-5)
     for rate, window in ((4.0, 0.25), (20.0, 0.05)):
-        _, perfect = measure(0.25, rate)
-        _, averaged = measure(0.25, rate, marker_noise=5e-5)
+        _, perfect = measure(window, rate)
+        _, averaged = measure(-1.0, rate, marker_noise=5e-5)
         frames = 2 * int(0.5 * window * CAMERA_RATE) + 1
         expected = single.std(axis=0) / np.sqrt(frames)
         np.testing.assert_allclose((averaged - perfect).std(axis=0), expected, rtol=0.35)
