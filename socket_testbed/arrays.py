@@ -14,11 +14,19 @@ StatusArray: TypeAlias = NDArray[np.uint8]
 GAP = 1.5  # lacks a sample, which counts as lost, and what differs across it is no noise;
 BREAK = 3.0  # lacks several: neither the last value nor a line holds across it.
 
+_TOLERANCE = 1e-6  # [s]; of a time
+_MEDIAN = 0.67449  # [-]; median magnitude of a standard normal variable
+
 
 def rms(values: FloatArray, empty: float = float("nan")) -> float:
     """Root mean square of the finite values; `empty` without any."""
     finite = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(finite**2))) if len(finite) else empty
+
+
+def robust_deviation(errors: FloatArray) -> FloatArray:
+    """Standard deviation of normal errors from their median magnitude, along the first axis."""
+    return np.asarray(np.median(np.abs(errors), axis=0) / _MEDIAN)
 
 
 def runs(flags: BoolArray) -> IntArray:
@@ -35,6 +43,13 @@ def usual_period(time: FloatArray | IntArray) -> float:
 def gaps(time: FloatArray | IntArray, longer: float = GAP) -> BoolArray:
     """Steps between samples that are longer than so many usual ones, shape (max(N - 1, 0),)."""
     return np.asarray(np.diff(time) > longer * usual_period(time))
+
+
+def sample_at(time: FloatArray, when: float) -> int | None:
+    """Index of the latest of some samples at a time; None before the first and after a break."""
+    row = int(np.searchsorted(time, when + _TOLERANCE, "right")) - 1
+    holds = BREAK * np.nan_to_num(usual_period(time)) + _TOLERANCE
+    return row if row >= 0 and when - time[row] <= holds else None
 
 
 def evenly(count: int, most: int) -> IntArray:

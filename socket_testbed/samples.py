@@ -98,10 +98,26 @@ class Samples:
         return np.hstack([self.position, self.rotation])
 
     @property
+    def has_pose(self) -> BoolArray:
+        """Rows with a limb pose, shape (N,)."""
+        return np.asarray(np.isfinite(self.pose).all(axis=1))
+
+    @property
+    def has_wrench(self) -> BoolArray:
+        """Rows with a whole wrench, shape (N,)."""
+        return np.asarray(np.isfinite(self.wrench).all(axis=1))
+
+    @property
     def complete(self) -> BoolArray:
-        """Rows with both a wrench and a limb position, as a fit requires, shape (N,)."""
-        needed = np.hstack([self.position, self.wrench])
-        return np.asarray(np.isfinite(needed).all(axis=1))
+        """Rows with both a wrench and a limb pose, as a fit requires, shape (N,)."""
+        return self.has_pose & self.has_wrench
+
+    @property
+    def states(self) -> dict[str, StatusArray]:
+        """Status of the wrench, the limb position and each cluster, shape (N,) each."""
+        present = {"wrench": self.has_wrench, "limb position": self.has_pose}
+        found = {name: np.where(rows, Status.OK, Status.MISSING) for name, rows in present.items()}
+        return found | dict(zip(self.clusters, self.status.T, strict=True))
 
     @property
     def trusted_forces(self) -> FloatArray:

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.result import Result, origin, records
 from socket_testbed.api.trials import PathLike, as_path, as_trial, select
-from socket_testbed.arrays import FloatArray
+from socket_testbed.arrays import FloatArray, sample_at
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.socket import SocketGeometry, find_regions
@@ -113,8 +113,8 @@ class TrialMap(Result):
 
     def at(self, time: float) -> TrialMap:
         """The map of the latest sample at a time since the first sample [s]."""
-        row = int(np.searchsorted(self.time, time + 1e-6, "right")) - 1
-        if row < 0 or time > self.time[-1] + np.ptp(self.time[-2:]):
+        row = sample_at(self.time, time)
+        if row is None:
             raise TrialError(
                 f"the map has no sample at {time:g} s",
                 f"give a time between {self.time[0]:.2f} s and {self.time[-1]:.2f} s",
@@ -419,5 +419,5 @@ def pressure(
         geometry = dataclasses.replace(geometry, regions=own)
     chosen, mapped = _mapped(trial, segment, settings, geometry)
     with threadpool_limits(1):
-        outputs = mapped.outputs(chosen.rows, 1e3 * threshold)
-    return TrialPressure(trial, chosen, mapped.places, outputs, threshold, share)
+        found = mapped.over(chosen, 1e3 * threshold)
+    return TrialPressure(**vars(found), threshold=threshold, share=share)

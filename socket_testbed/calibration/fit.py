@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray, robust_deviation
 from socket_testbed.calibration.bench_data import STRESSES, BenchData, scaled_stress
 from socket_testbed.calibration.model import ClusterCalibration, channel_features, shear_terms
 from socket_testbed.errors import CalibrationError
@@ -196,8 +196,7 @@ def require_wiring(bench: BenchData, wiring: IntArray) -> None:
         )
 
 
-_OUTLIER_LIMIT = 5.0  # [-]; in scaled median absolute deviations
-_MAD_TO_SIGMA = 1.4826  # [-]; for normal noise
+_OUTLIER_LIMIT = 5.0  # [-]; in robust standard deviations
 _MIN_RESIDUAL = 0.05  # of full scale; smaller residuals are harmless
 _MIN_LOAD = 0.1  # of full scale; with many unloaded rows any load would be an outlier
 _KEPT_FRACTION = 0.9  # of the rows, used by the robust fit
@@ -270,10 +269,10 @@ def _fit_least_trimmed(basis: FloatArray, target: FloatArray) -> FloatArray:
 def _limits(residual: FloatArray, stress: FloatArray) -> FloatArray:
     """Residual limits for sound readings, shape (3,) [Pa]."""
     loaded = (np.abs(scaled_stress(stress)) > _MIN_LOAD).any(axis=1)
-    limits = _OUTLIER_LIMIT * _MAD_TO_SIGMA * np.median(residual[loaded], axis=0)
+    limits = _OUTLIER_LIMIT * robust_deviation(residual[loaded])
     # Repeat without the outliers, because a wrong stress distorts the full scale.
     for _ in range(2):
-        floor = _MIN_RESIDUAL * np.abs(stress).max(axis=0)
-        sound = (residual <= np.maximum(limits, floor)).all(axis=1)
+        harmless = _MIN_RESIDUAL * np.abs(stress).max(axis=0)
+        sound = (residual <= np.maximum(limits, harmless)).all(axis=1)
         stress, residual = stress[sound], residual[sound]
     return np.maximum(limits, _MIN_RESIDUAL * np.abs(stress).max(axis=0))

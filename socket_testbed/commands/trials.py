@@ -137,13 +137,11 @@ def _triggers(samples: Samples) -> str:
 
 
 def _missing(samples: Samples) -> str:
-    rows = [
-        [name, str(int(np.isnan(values).any(axis=1).sum())), "", ""]
-        for name, values in (("wrench", samples.wrench), ("limb position", samples.position))
-    ]
     states = (Status.MISSING, Status.SATURATED, Status.OUT_OF_RANGE)
-    for cluster, status in zip(samples.clusters, samples.status.T, strict=True):
-        rows.append([cluster, *(str(int((status == state).sum())) for state in states)])
+    rows = []
+    for name, status in samples.states.items():
+        counts = [str((status == state).sum()) for state in states]
+        rows.append([name, *(counts if name in samples.clusters else [counts[0], "", ""])])
     return table(["measurement", "missing", "saturated", "out of range"], rows)
 
 

@@ -162,7 +162,7 @@ def _time_series(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFin
             yield DataFinding(name, how, "check the clocks and the delays of the sources")
             return
     noises = channel_noise(samples).local_forces[:, 2]
-    posed = np.isfinite(samples.pose).any()
+    posed = samples.has_pose.any()
     causes = np.hstack([samples.wrench, samples.pose]) if posed else samples.wrench
     for name, value, column, noise in zip(
         samples.clusters, follows, pressing.T, noises, strict=True
@@ -222,8 +222,8 @@ def _channels(samples: Samples) -> Iterator[DataFinding]:
     """Sources and channels that are missing, frozen, clipped or noisy."""
     period = usual_period(samples.time)
     sources = {
-        "the wrench": np.isfinite(samples.wrench).all(axis=1),
-        "the limb pose": np.isfinite(samples.pose).all(axis=1),
+        "the wrench": samples.has_wrench,
+        "the limb pose": samples.has_pose,
         **{name: samples.status[:, k] == Status.OK for k, name in enumerate(samples.clusters)},
     }
     for name, present in sources.items():

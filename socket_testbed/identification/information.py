@@ -31,7 +31,6 @@ from socket_testbed.identification.contact import ContactModel, relative_pose, w
 from socket_testbed.identification.noise import (
     ChannelNoise,
     channel_noise,
-    pose_covariance,
     smooth_poses,
     smoothing_gain,
 )
@@ -139,9 +138,8 @@ def known_directions(
 def _noise(samples: Samples, window: float) -> tuple[ChannelNoise, FloatArray]:
     """Noise of the channels, and the covariance of the averaged poses' noise, shape (6, 6)."""
     noise = channel_noise(samples)
-    gain = smoothing_gain(samples, window)
     spread = np.maximum(np.nan_to_num(noise.pose, nan=_UNKNOWN_NOISE), _MIN_NOISE)
-    return noise, gain * noise.pose_correlation * np.outer(spread, spread)
+    return noise, replace(noise, pose=spread).pose_covariance(smoothing_gain(samples, window))
 
 
 def _moving_directions(deviation: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -212,8 +210,7 @@ class Motion:
 def measure_motion(samples: Samples, geometry: SocketGeometry, window: float = 0.0) -> Motion:
     """Compare the motion of the limb with the noise of its pose, averaged over a window [s]."""
     noise, covariance = _noise(samples, window)
-    pose = smooth_poses(samples, window).pose
-    pose = pose[np.isfinite(pose).all(axis=1)]
+    pose = smooth_poses(samples, window).pose[samples.has_pose]
     deviation = pose - pose.mean(axis=0)
     spread = np.sqrt(np.diag(covariance))
     motion = np.sqrt(np.maximum((deviation**2).mean(axis=0) - spread**2, 0.0))
@@ -253,15 +250,17 @@ def engagement(
     """
     relative = relative_pose(samples.pose, model.reference_pose)
     motion = replace(samples, position=relative[:, :3], rotation=relative[:, 3:])
-    noise = pose_covariance(motion, window)
+    noise = channel_noise(motion)
+    noise.pose[3:] = np.nan_to_num(noise.pose[3:])  # a constant rotation has none
+    covariance = noise.pose_covariance(smoothing_gain(motion, window))
     pose = smooth_poses(samples, window).pose
-    known = np.asarray(np.isfinite(pose).all(axis=1))
+    known = samples.has_pose
     chosen = np.zeros(len(pose), dtype=bool)
     chosen[rows] = known[rows]
     engaged, uncertain, times = [], [], []
     for first in range(0, len(pose), _BLOCK):
         block = slice(first, first + _BLOCK)
-        displacement, deviation = model.gate_displacements(pose[block], noise)
+        displacement, deviation = model.gate_displacements(pose[block], covariance)
         pressed = displacement < 0.0
         engaged.append(pressed.sum(axis=(1, 2)))
         uncertain.append((np.abs(displacement) < deviation).sum(axis=(1, 2)))
@@ -320,7 +319,7 @@ class Suspension:
 def find_suspension(samples: Samples, geometry: SocketGeometry) -> Suspension | None:
     """The suspension over some samples; None if too few have a pose and a wrench."""
     noise = channel_noise(samples).wrench
-    known = np.isfinite(samples.pose).all(axis=1) & np.isfinite(samples.wrench).all(axis=1)
+    known = samples.complete
     if known.sum() < _MIN_SAMPLES:
         return None
     centre, pose = geometry.anchors.mean(axis=0), samples.pose[known]

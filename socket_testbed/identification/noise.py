@@ -23,13 +23,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from socket_testbed.arrays import BoolArray, FloatArray, IntArray, gaps
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray, gaps, robust_deviation
 from socket_testbed.samples import Samples
 
 MIN_DIFFERENCES = 12  # [1]; of a channel, for an estimate
 CUT = 3.0  # [-]; largest magnitude of a difference, in standard deviations
 _GAIN = math.sqrt(20.0)  # [-]; root sum of squares of a third difference's weights
-_MEDIAN = 0.67449  # [-]; median magnitude of a standard normal variable
 _TRUNCATED = 0.98658  # [-]; standard deviation of a standard normal variable within +-CUT
 _QUANTISED = math.sqrt(1.0 / 12.0)  # [-]; standard deviation of rounding, in steps
 _ROUNDING = 1e-12  # [-]; smallest step of a channel, relative to its largest value
@@ -52,6 +51,10 @@ class ChannelNoise:
         """Noise in the order of `Samples.channels`, shape (6 + 3c,) [N m, N]."""
         return np.concatenate([self.wrench, self.local_forces.reshape(-1)])
 
+    def pose_covariance(self, gain: float) -> FloatArray:
+        """Covariance of averaged poses, (6, 6) [m^2, m rad, rad^2]; see `smoothing_gain`."""
+        return gain * self.pose_correlation * np.outer(self.pose, self.pose)
+
 
 def channel_noise(samples: Samples) -> ChannelNoise:
     """Estimate the noise of every channel from its third differences: see the module.
@@ -70,20 +73,6 @@ def channel_noise(samples: Samples) -> ChannelNoise:
         pose=pose,
         pose_correlation=_correlation(samples.pose, regular, pose),
     )
-
-
-def pose_covariance(samples: Samples, window: float) -> FloatArray:
-    """Covariance of the noise of a pose averaged over a window [s], see `smooth_poses`.
-
-    Its shape is (6, 6) [m^2, m rad, rad^2]. It is NaN for a position of unknown noise, and zero for
-    a constant rotation.
-    """
-    noise = channel_noise(samples)
-    covariance = noise.pose_correlation * np.outer(noise.pose, noise.pose)
-    covariance *= smoothing_gain(samples, window)
-    still = np.isnan(np.diag(covariance)) & (np.arange(6) >= 3)
-    covariance[still] = covariance[:, still] = 0.0
-    return np.asarray(covariance)
 
 
 def noise_groups(noise: ChannelNoise, clusters: tuple[str, ...]) -> dict[str, FloatArray]:
@@ -113,7 +102,7 @@ def _deviation(values: FloatArray, regular: BoolArray) -> float:
     if len(sizes) < MIN_DIFFERENCES or step == 0.0:
         return float("nan")
     rounding = _QUANTISED * step
-    rough = max(float(np.median(sizes)) / _MEDIAN, rounding)
+    rough = max(float(robust_deviation(sizes)), rounding)
     kept = sizes[sizes <= CUT * rough]
     return max(float(np.sqrt(np.mean(kept**2))) / _TRUNCATED, rounding)
 
@@ -144,7 +133,7 @@ def smooth_poses(samples: Samples, window: float) -> Samples:
     it is shorter on both sides. Missing poses stay missing. Rotations are averaged about the mean
     of all samples, so the frames may have any orientation.
     """
-    known = _known(samples)
+    known = samples.has_pose
     if window == 0.0 or not known.any():
         return samples
     middle = Rotation.from_rotvec(samples.rotation[known]).mean()
@@ -161,15 +150,10 @@ def smooth_poses(samples: Samples, window: float) -> Samples:
 
 def smoothing_gain(samples: Samples, window: float) -> float:
     """Mean share of white noise's variance left by `smooth_poses` with a window [s]."""
-    known = _known(samples)
+    known = samples.has_pose
     if window == 0.0 or not known.any():
         return 1.0
     return float(np.mean(1.0 / _sums(known, *_windows(samples, window))[known]))
-
-
-def _known(samples: Samples) -> BoolArray:
-    """Samples with a pose, shape (N,)."""
-    return np.asarray(np.isfinite(samples.pose).all(axis=1))
 
 
 def _windows(samples: Samples, window: float) -> tuple[IntArray, IntArray]:

@@ -241,7 +241,7 @@ def _peak(values: FloatArray) -> float:
 
 def require_position(samples: Samples, geometry: SocketGeometry) -> None:
     """Refuse limb positions in another unit or frame."""
-    position = samples.position[np.isfinite(samples.position).all(axis=1)]
+    position = samples.position[samples.has_pose]
     if not len(position):
         return
     centre, reach = np.median(position, axis=0), _reach(geometry)

@@ -118,7 +118,6 @@ def check_channels(leave_out: tuple[str, ...], names: tuple[str, ...]) -> None:
 
 def _usable_rows(samples: Samples, wrench_counts: BoolArray) -> BoolArray:
     """Samples with a limb position and every wrench channel of the objective, shape (N,)."""
-    position = np.isfinite(samples.position).all(axis=1)
     measured = np.isfinite(samples.wrench)
     dead = wrench_counts & ~measured.any(axis=0) & (len(samples) > 0)
     for channel in np.flatnonzero(dead).tolist():
@@ -127,11 +126,11 @@ def _usable_rows(samples: Samples, wrench_counts: BoolArray) -> BoolArray:
             f"{name} of the load cell has no value in any of the {len(samples)} samples",
             f"leave it out of the objective (--leave-out {name}) or check the load cell",
         )
-    rows = np.asarray(position & (measured | ~wrench_counts).all(axis=1))
+    rows = np.asarray(samples.has_pose & (measured | ~wrench_counts).all(axis=1))
     if rows.sum() < MIN_SAMPLES:
         raise IdentificationError(
             f"only {int(rows.sum())} of {len(samples)} samples have a limb position"
-            f" ({int(position.sum())}) and a wrench, and a fit needs {MIN_SAMPLES}",
+            f" ({int(samples.has_pose.sum())}) and a wrench, and a fit needs {MIN_SAMPLES}",
             "check the markers and the load cell with 'info', or give another segment",
         )
     return rows

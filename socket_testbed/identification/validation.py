@@ -171,8 +171,7 @@ def loaded_rows(samples: Samples, least_force: float) -> BoolArray:
     measured = np.isfinite(samples.wrench)
     measured |= ~measured.any(axis=0)
     force = np.linalg.norm(np.nan_to_num(samples.wrench[:, 3:]), axis=1)
-    posed = np.isfinite(samples.pose).all(axis=1)
-    return np.asarray(posed & measured.all(axis=1) & (force >= least_force))
+    return np.asarray(samples.has_pose & measured.all(axis=1) & (force >= least_force))
 
 
 def without_cluster(samples: Samples, cluster: str) -> Samples:

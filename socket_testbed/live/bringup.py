@@ -11,8 +11,6 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import IO
 
-import numpy as np
-
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.drivers.clusters import reader as clusters
 from socket_testbed.drivers.load_cell import load_cell
@@ -188,12 +186,8 @@ def end(graph: Graph, testbed: Testbed) -> None:
 def summary(path: Path) -> str:
     """The numbers of triggers and missing measurements of a trial, in one line."""
     samples = Trial(path).samples()
-    missing = {
-        "wrench": ~np.isfinite(samples.wrench).all(axis=1),
-        "limb position": ~np.isfinite(samples.position).all(axis=1),
-        **{name: samples.status[:, i] == Status.MISSING for i, name in enumerate(samples.clusters)},
-    }
-    lacking = [f"{name} missing {count}" for name, rows in missing.items() if (count := rows.sum())]
+    missing = {name: (state == Status.MISSING).sum() for name, state in samples.states.items()}
+    lacking = [f"{name} missing {count}" for name, count in missing.items() if count]
     found = ", ".join(lacking) if lacking else f"all {len(samples)} complete"
     return f"{path}: {len(samples)} triggers, {found}"
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from socket_testbed.arrays import BREAK, evenly, usual_period
+from socket_testbed.arrays import evenly, sample_at
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.identification.noise import smooth_poses
@@ -29,7 +29,6 @@ class Player:
         self._samples = samples = trial.samples()
         self._mapped = mapped_trial(trial, trial.estimator)
         self._data = document.data_card(trial.findings)
-        self._holds = BREAK * usual_period(samples.time)  # [s]; a sample
         self._predicted = np.full((len(samples), 6), np.nan)
         if model is not None:
             model.require_socket(trial.geometry)
@@ -52,11 +51,11 @@ class Player:
     def now(self, time: float | None) -> document.Document:
         """The latest sample at a time since the first one [s]."""
         at, samples, mapped = time or 0.0, self._samples, self._mapped
-        row = max(int(np.searchsorted(samples.time, at + 1e-6, "right")) - 1, 0)
-        one = slice(row, row + 1)
-        if at - samples.time[row] > self._holds or not measured_rows(mapped.samples[one])[0]:
+        row = sample_at(samples.time, at)
+        if row is None or not measured_rows(mapped.samples[row : row + 1])[0]:
             nothing = {"title": "Peak", "value": "none", "words": "no sample at this time"}
             return {"moment": {"time": at}, "cards": [nothing, self._data]}
+        one = slice(row, row + 1)
         found = mapped.outputs(one)
         pressure = found.estimate.normal_pressure[0]
         shown = document.cards(mapped.geometry, mapped.places, found.regions, pressure)

@@ -88,12 +88,11 @@ def states(samples: Samples) -> dict[str, StatusArray]:
     A cluster's channels share its status; other measurements are present or missing.
     """
     lost = {name: np.isnan(samples.wrench[:, i]) for i, name in enumerate(WRENCH_CHANNELS)}
-    lost["limb position"] = np.asarray(np.isnan(samples.position).any(axis=1))
     found = {name: np.where(rows, Status.MISSING, Status.OK) for name, rows in lost.items()}
-    return found | {
-        f"{name} ({', '.join(LOCAL_CHANNELS)})": samples.status[:, column]
-        for column, name in enumerate(samples.clusters)
-    }
+    for name, state in samples.states.items():
+        label = f"{name} ({', '.join(LOCAL_CHANNELS)})" if name in samples.clusters else name
+        found |= {label: state} if name != "wrench" else {}
+    return found
 
 
 def find_drop_outs(samples: Samples, segment: Segment) -> pd.DataFrame:

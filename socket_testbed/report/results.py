@@ -179,8 +179,8 @@ def compute_results(
         no_validation = str(error)
     reach(4)
     mapped = mapped_trial(trial, settings)
-    outputs = mapped.outputs(segment.rows)
-    peak = segment.rows.start + outputs.peak_row
+    pressure = mapped.over(segment)
+    peak = segment.rows.start + pressure.outputs.peak_row
     over_trial = mapped.course(np.union1d(evenly(len(samples), _PRESSURE_SAMPLES), [peak]))
     reach(_STAGES)
     return Results(
@@ -199,7 +199,7 @@ def compute_results(
         motion=measure_motion(chosen, trial.geometry, identification.pose_smoothing),
         validation=tuple(validation),
         no_validation=no_validation,
-        pressure=SegmentPressure(trial, segment, mapped.places, outputs),
+        pressure=pressure,
         over_trial=over_trial,
     )
 

@@ -53,6 +53,7 @@ INLINE = "{} ({})"  # a value and its interval
 class MappedTrial:
     """The force map of a trial."""
 
+    trial: Trial
     geometry: SocketGeometry
     places: tuple[Region, ...]  # the last one is the socket
     force_map: ForceMap
@@ -62,6 +63,11 @@ class MappedTrial:
         """Outputs over some rows of the samples, with a contact threshold [Pa]."""
         samples, places = self.samples[rows], self.places
         return pressure_outputs(self.force_map, samples, self.geometry, places, threshold)
+
+    def over(self, segment: Segment, threshold: float = THRESHOLD) -> SegmentPressure:
+        """Outputs over a segment, with a contact threshold [Pa]."""
+        outputs = self.outputs(segment.rows, threshold)
+        return SegmentPressure(self.trial, segment, self.places, outputs)
 
     def course(self, rows: Any) -> PressureOutputs:
         """Outputs of the whole socket only, five times as fast as with its regions."""
@@ -77,7 +83,7 @@ def mapped_trial(
     places = all_regions(geometry, trial.metadata.side)
     left_out = settings.identification.leave_out
     found = map_trial(trial.samples(), geometry, settings.force_map, left_out)
-    return MappedTrial(geometry, places, *found)
+    return MappedTrial(trial, geometry, places, *found)
 
 
 @dataclass(frozen=True, repr=False)
