@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import glob
 import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -246,7 +247,7 @@ def run(
 
 def _trials(folder: Path, name: str) -> set[Path]:
     """Trials in a folder with this name prefix that are not being written."""
-    found = {file.parent for file in folder.glob(f"{name}*/*.mcap")}
+    found = {file.parent for file in folder.glob(f"{glob.escape(name)}*/*.mcap")}
     return {trial for trial in found if not is_held(trial)}
 
 

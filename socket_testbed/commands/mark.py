@@ -21,7 +21,7 @@ def mark(label: str, *, namespace: str = "/") -> None:
     require_ros()
     from socket_testbed.nodes.controls import publish_event
 
-    marked = publish_event(label, called, f"/{namespace.strip('/')}")
+    marked = publish_event(label, called, namespace)
     where = f"in the trial {marked.trial}" if marked.trial else "for this graph"
     count = "1 subscriber" if marked.subscribers == 1 else f"{marked.subscribers} subscribers"
     print(f"marked '{label}' {where}, acknowledged by {count}")

@@ -38,6 +38,7 @@ from socket_testbed.live.processes import Graph
 from socket_testbed.pages.document import PAGES
 from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.trials.metadata import FIELDS
+from socket_testbed.trials.topics import full_namespace
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -219,7 +220,7 @@ def _follow(
 
     listen(settings.host, settings.port).close()  # fails before any node starts
     with Graph() as graph:
-        graph.start("view_node", settings, namespace=f"/{(namespace or '').strip('/')}")
+        graph.start("view_node", settings, namespace=full_namespace(namespace or ""))
         say("Ctrl-C ends it")
         with suppress(KeyboardInterrupt):
             graph.watch(lambda: time.monotonic() >= ends, say)

@@ -26,7 +26,7 @@ from socket_testbed.commands.options import (
     report_data,
     segment_columns,
 )
-from socket_testbed.commands.terminal import Progress, number, text_of
+from socket_testbed.commands.terminal import Progress, number, say, text_of
 from socket_testbed.errors import ConfigurationError, IdentificationError
 from socket_testbed.geometry.socket import PARTS_OF_SECTORS
 from socket_testbed.identification.fit import ChannelErrors, errors_to_dataframe, summarise_errors
@@ -345,7 +345,7 @@ def _bring_to_cycles(
     """Write all outputs normalised to cycles, and draw the mean pressure of the regions."""
     table, to_cycles = found.over_time(), partial(api.cycles, found.trial, by=cycles)
     outputs = to_cycles(table, segment=found.segment)
-    print(f"{outputs}\n")
+    say(f"{outputs}\n")
     if output is not None:
         outputs.save(output)
     names = [place.name for place in found.places if place.name not in PARTS_OF_SECTORS]

@@ -90,8 +90,8 @@ def read_measurements(
 ) -> Measurements:
     """Read the measurements of a bag; a TrialError if it cannot be read or lacks a topic.
 
-    `more` selects LOAD_CELL_RAW and MARKERS in addition. `notify` reports stamps that jump back or
-    occur more than once in a topic.
+    Samples are the stamps of the required topics. `more` selects LOAD_CELL_RAW and MARKERS in
+    addition. `notify` reports stamps that jump back or occur more than once in a topic.
     """
     recorded = required_topics(bag)
     for topic in more:
@@ -103,8 +103,9 @@ def read_measurements(
     for note in _stamp_notes(series):
         notify(note)
     stamps = np.empty(0, dtype=np.int64)
-    for found, *_ in series.values():
-        if not np.array_equal(found, stamps):  # most are equal, and a union is slow
+    for (topic, _), (found, *_) in series.items():
+        # Most are equal, and a union is slow.
+        if topic.required and not np.array_equal(found, stamps):
             stamps = np.union1d(stamps, found)
     capacitance = np.empty((len(stamps), len(clusters), 4))
     status = np.empty(capacitance.shape, dtype=np.uint8)
@@ -186,16 +187,20 @@ def _columns(topic: topics.Topic, values: Any) -> Iterator[tuple[str, _Columns]]
 
 
 def _rows(columns: _Columns, stamps: IntArray) -> _Columns:
-    """The values at sorted stamps, missing where there is none; of duplicates the last is used."""
+    """The values at sorted stamps, missing where there is none; of duplicates the last is used.
+
+    Values at other stamps are left out.
+    """
     own, *values = columns
     if np.array_equal(stamps, own):
         return values
-    rows = np.searchsorted(stamps, own)
+    kept = np.isin(own, stamps)
+    rows = np.searchsorted(stamps, own[kept])
     tables = []
     for column in values:
         missing = Status.MISSING if column.dtype == np.uint8 else np.nan
         tables.append(np.full((len(stamps), column.shape[1]), missing, column.dtype))
-        tables[-1][rows] = column
+        tables[-1][rows] = column[kept]
     return tables
 
 

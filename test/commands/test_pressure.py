@@ -84,8 +84,8 @@ def test_own_regions_are_given_or_stored(hold: Path, tmp_path: Path) -> None:
 def test_cycles_are_written_and_drawn_and_a_folder_gives_a_summary(tmp_path: Path, capsys) -> None:
     trial = st.simulate(tmp_path / "trials" / "ramp", "ramp", duration=130, seed=1)
     words = ("--segment", "all", "--cycles", "placed", "-o", tmp_path / "c.csv")
-    code, out, _ = call(capsys, "pressure", trial.path, *words)
-    assert code == 0 and "4 cycles from each 'placed'" in out
+    code, out, err = call(capsys, "pressure", trial.path, *words, "--json")
+    assert code == 0 and "4 cycles from each 'placed'" in err and json.loads(out)["regions"]
     table = pd.read_csv(tmp_path / "c.csv", index_col=0)
     every = st.pressure(trial, "all").over_time()["socket.mean pressure [kPa]"]
     expected = st.cycles(trial, every.to_frame()).mean[:, 0]

@@ -170,6 +170,17 @@ def test_gait_laboratories_read_loads_and_markers(hold: Path, tmp_path: Path) ->
     np.testing.assert_allclose(*map(pdist, triads), atol=1.0)
 
 
+def test_markers_stay_with_their_samples_if_the_others_begin_later(hold: Path, tmp_path: Path):
+    first = Trial(hold).samples().stamps[0]
+
+    def late(topic: str, message):
+        return message if topic == "/mocap/markers" or stamp_of(message) > first else None
+
+    trials = hold, rewrite(hold, tmp_path / "late", late)
+    whole, rest = (st.export(trial, tmp_path / f"{trial.name}.trc") for trial in trials)
+    np.testing.assert_array_equal(whole.iloc[1:], rest)
+
+
 def test_plotting_tools_read_standard_messages_by_their_names(hold: Path, tmp_path: Path) -> None:
     path = tmp_path / "hold.mcap"
     table = st.export(hold, path, segment="10:20", pressure=True)
