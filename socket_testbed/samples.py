@@ -138,6 +138,10 @@ class Samples:
         """Names of all channels: the wrench's, then three per cluster."""
         return channel_names(self.clusters)
 
+    def counted(self, leave_out: Sequence[str]) -> BoolArray:
+        """Which of the `channels` are not left out, shape (6 + 3c,)."""
+        return np.isin(self.channels, leave_out, invert=True)
+
     @property
     def values(self) -> FloatArray:
         """All channels in the order of `channels`, shape (N, 6 + 3c) [N m, N]."""

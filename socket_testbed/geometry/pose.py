@@ -81,8 +81,11 @@ _TOLERANCE = 1e-6  # [-]; files have at least seven digits
 _Cosine = Annotated[float, Meta(ge=-2.0, le=2.0)]
 _Row = tuple[_Cosine, _Cosine, _Cosine]
 RotationRows = tuple[_Row, _Row, _Row]
+# Larger coordinates are in another unit.
 _Metres = Annotated[float, Meta(ge=-2.0, le=2.0, description="coordinates [m]")]
 Point = tuple[_Metres, _Metres, _Metres]
+_Scanned = Annotated[float, Meta(ge=-1e6, le=1e6)]  # in the scan's unit
+ScanPoint = tuple[_Scanned, _Scanned, _Scanned]
 
 
 class PoseDocument(Document):

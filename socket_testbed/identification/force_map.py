@@ -442,7 +442,7 @@ def map_trial(
 ) -> tuple[ForceMap, Samples]:
     """The map of a trial, and its samples without outliers and `leave_out`."""
     ignored = find_outliers(samples, geometry, leave_out).values
-    ignored[:, [name in leave_out for name in samples.channels]] = True
+    ignored[:, ~samples.counted(leave_out)] = True
     trusted = Outliers(np.zeros(len(samples), bool), ignored).taken_from(samples)
     return ForceMap(geometry, samples.clusters, settings, trusted), trusted
 

@@ -327,5 +327,4 @@ def channel_limits(geometry: SocketGeometry, clusters: tuple[str, ...]) -> Float
 def _counted(samples: Samples, leave_out: tuple[str, ...]) -> FloatArray:
     """Values of the channels not in `leave_out`, NaN elsewhere, shape (N, 6 + 3c) [N m, N]."""
     values = samples.trusted_values
-    counts = np.array([name not in leave_out for name in samples.channels])
-    return np.where(counts & np.isfinite(values), values, np.nan)
+    return np.where(samples.counted(leave_out) & np.isfinite(values), values, np.nan)

@@ -144,7 +144,7 @@ def build_objective(
     Skips outliers (see `plausibility`) and samples without a wrench or a limb position.
     """
     check_channels(settings.leave_out, samples.channels)
-    counts = np.array([name not in settings.leave_out for name in samples.channels])
+    counts = samples.counted(settings.leave_out)
     wrench_counts, cluster_counts = counts[:6], counts[6:].reshape(-1, 3)
     _usable_rows(samples, wrench_counts)
     plausibility.require_units(samples, geometry, settings.leave_out)

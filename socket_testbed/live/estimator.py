@@ -112,7 +112,7 @@ class OnlineMap:
             self._map = ForceMap(self._geometry, sample.clusters, self._prior)
         values = sample.values
         values[~(np.abs(values) <= self._limits)] = np.nan
-        values[:, np.isin(sample.channels, settings.identification.leave_out)] = np.nan
+        values[:, ~sample.counted(settings.identification.leave_out)] = np.nan
         forces = values[:, 6:].reshape(1, -1, 3)
         self._newest = replace(sample, wrench=values[:, :6], local_forces=forces)
         self.count += 1

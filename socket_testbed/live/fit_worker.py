@@ -171,8 +171,7 @@ def _judge(
 ) -> Contest:
     """Compare the errors of two models on samples, relative to the size of each group."""
     measured = samples.trusted_values
-    counts = np.array([name not in settings.leave_out for name in samples.channels])
-    measured[:, ~counts] = np.nan
+    measured[:, ~samples.counted(settings.leave_out)] = np.nan
     groups = (measured[:, :3], measured[:, 3:6], measured[:, 6:])
     smallest = (plausibility.MIN_MOMENT, plausibility.MIN_FORCE, plausibility.MIN_FORCE)
     sizes = [max(rms(group, 0.0), least) for group, least in zip(groups, smallest, strict=True)]

@@ -15,17 +15,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 import trimesh
-from msgspec import Meta
 from trimesh.triangles import closest_point
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.documents import Document, FieldError, read_document
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.geometry.pose import Point, RotationRows, about_z, check_rotation
+from socket_testbed.geometry.pose import Point, RotationRows, ScanPoint, about_z, check_rotation
 from socket_testbed.geometry.socket import ScanFrame, SocketGeometry
 from socket_testbed.identification.force_map import Prior, hypotheses
 from socket_testbed.settings.identification import ForceMapSettings
@@ -37,8 +35,6 @@ from socket_testbed.socket_design.squares import (
     roughly_fit,
     squares_at,
 )
-
-_Scanned = Annotated[float, Meta(ge=-1e5, le=1e5)]  # in the scan's unit
 
 
 @dataclass(frozen=True)
@@ -77,7 +73,7 @@ def read_cluster_places(path: Path) -> list[ClusterPlace]:
 
 class _Place(Document):
     point: Point | None = None
-    scan: tuple[_Scanned, _Scanned, _Scanned] | None = None
+    scan: ScanPoint | None = None
     anchor: Point | None = None
     frame: RotationRows | None = None
 

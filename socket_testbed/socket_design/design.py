@@ -10,17 +10,15 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 import trimesh
-from msgspec import Meta
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import Document, read_document
 from socket_testbed.errors import ConfigurationError, RegistrationError
 from socket_testbed.geometry.axis import SocketAxis, axis_through
-from socket_testbed.geometry.pose import Pose, about_z
+from socket_testbed.geometry.pose import Point, Pose, ScanPoint, about_z
 from socket_testbed.geometry.socket import ScanFrame, SocketGeometry
 from socket_testbed.socket_design.clusters import ClusterPlace
 from socket_testbed.socket_design.interior import find_interior
@@ -114,13 +112,9 @@ def place_by_points(points: FloatArray) -> Placement:
     return Placement(Pose(rotation, -rotation @ points[0]), "three picked points")
 
 
-_Scanned = Annotated[float, Meta(ge=-1e6, le=1e6)]  # in the scan's unit
-_Metres = Annotated[float, Meta(ge=-10.0, le=10.0)]
-
-
 class _PickedLandmark(Document):
-    scan: tuple[_Scanned, _Scanned, _Scanned]
-    load_cell: tuple[_Metres, _Metres, _Metres]
+    scan: ScanPoint
+    load_cell: Point
 
 
 class _PickedLandmarks(Document):

@@ -38,7 +38,7 @@ from socket_testbed.geometry.marker_bodies import (
     misfit,
     pose_uncertainty,
 )
-from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.pose import Point, Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.socket_design.motive import MotiveTake
 
@@ -63,9 +63,6 @@ With three, or with more in one plane, a wrong sign has no residual: add another
 
 _MIN_LANDMARKS = 3
 _TOO_FEW = f"give {_MIN_LANDMARKS} or more that are not on one line"
-_MAX_COORDINATE = 2.0  # [m]; larger coordinates are in another unit
-_Metres = Annotated[float, Meta(ge=-_MAX_COORDINATE, le=_MAX_COORDINATE)]
-_Coordinates = dict[str, tuple[_Metres, _Metres, _Metres]]
 _Names = Annotated[list[Text], Meta(min_length=MIN_MARKERS, max_length=MAX_MARKERS)]
 
 
@@ -85,8 +82,8 @@ class _Bodies(Document):
 
 class _LandmarkFile(Document):
     bodies: _Bodies
-    load_cell: _Coordinates
-    limb: _Coordinates
+    load_cell: dict[str, Point]
+    limb: dict[str, Point]
 
     def __post_init__(self) -> None:
         for frame, known in (("load_cell", self.load_cell), ("limb", self.limb)):

@@ -454,7 +454,7 @@ def _steadiness(
     samples: Samples, settings: PlateauSettings, leave_out: tuple[str, ...]
 ) -> _Steadiness:
     local = samples.trusted_forces.reshape(len(samples), 3 * len(samples.clusters))
-    counts = np.array([name not in leave_out for name in samples.channels[6:]], dtype=bool)
+    counts = samples.counted(leave_out)[6:]
     names = (*samples.channels[:6], *(n for n in samples.channels[6:] if n not in leave_out))
     limits = np.repeat(
         [settings.moment_drift, settings.force_drift, settings.cluster_drift], [3, 3, counts.sum()]
