@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.cycles import cycles as cycles_of
@@ -112,7 +111,7 @@ class TrialFit(Result):
             settings=fit.settings,
             samples=fit.samples,
             last_stamp=fit.last_stamp,
-            wrench_rmse=np.array([error.rmse for error in fit.errors[:6]]),
+            wrench_rmse=fit.wrench_rmse,
             errors=fit.errors,
             status=fit.status,
             trial=self.trial.name,

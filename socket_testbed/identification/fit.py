@@ -162,6 +162,11 @@ class Fit:
     wrench: str = ""  # what predicts the wrench, if not the model's own springs
 
     @property
+    def wrench_rmse(self) -> FloatArray:
+        """In-sample errors of the wrench [M; F], shape (6,) [N m, N]."""
+        return np.array([error.rmse for error in self.errors[:6]])
+
+    @property
     def status(self) -> str:
         """Solver and certificate of both stages and of their refinement, in words."""
         stages = f"stage 1 {self.stage_one.status}; stage 2 {self.stage_two.status}"

@@ -95,7 +95,7 @@ def write_model(
             "last_stamp": fit.last_stamp,
             "determined_directions": fit.determined,
             "status": fit.status,
-            "wrench_rmse": [finite_or_null(error.rmse) for error in fit.errors[:6]],
+            "wrench_rmse": [*map(finite_or_null, fit.wrench_rmse.tolist())],
             "stage_1": record(fit.stage_one.certificate),
             "stage_2": record(fit.stage_two.certificate),
             "joint": None if fit.joint is None else record(fit.joint.certificate),

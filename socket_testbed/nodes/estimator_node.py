@@ -21,11 +21,8 @@ from scipy.spatial.transform import Rotation
 from std_srvs.srv import Trigger as TriggerService
 from visualization_msgs.msg import Marker
 
-from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
-from socket_testbed.identification.fit import Fit
 from socket_testbed.identification.force_map import MapEstimate
-from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.identification.pressure import NORMAL_QUANTILE, greyness
 from socket_testbed.live.estimator import OnlineEstimator
 from socket_testbed.live.fit_worker import FitWorker
@@ -33,7 +30,8 @@ from socket_testbed.nodes.base import NEWEST_STAMP, TestbedNode, file_or_package
 from socket_testbed.settings.identification import check_solver
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials import messages, topics
-from socket_testbed.trials.layout import blank, elements, encode, make_message
+from socket_testbed.trials.layout import blank, elements
+from socket_testbed.trials.messages import named
 
 _PICTURE_PERIOD = 100_000_000  # [ns]; RViz needs no more
 _REGIONS_PERIOD = 500_000_000  # [ns]; joint draws take 15 ms
@@ -58,7 +56,7 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
             self._geometry,
             lambda: self.settings,
             self._worker,
-            self.sender(topics.PARAMETERS, model_message),
+            self.sender(topics.PARAMETERS, messages.model_message),
         )
         self._picture = PressureMap(self._geometry)
         self._last_picture = 0  # [ns]
@@ -128,41 +126,6 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         return f"fitted {fit.samples} samples; {fit.status}"
 
 
-def model_message(fitted: Fit | StoredModel) -> bytes:
-    """A serialised ContactModel of a fit or a stored model."""
-    if isinstance(fitted, Fit):
-        rmse = np.array([error.rmse for error in fitted.errors[:6]])
-    else:
-        rmse = fitted.wrench_rmse
-    model = fitted.model
-    seconds, nanoseconds = divmod(fitted.last_stamp, 1_000_000_000)
-    stamp = {"sec": seconds, "nanosec": nanoseconds}
-    message = make_message(
-        topics.PARAMETERS.type,
-        header={"stamp": stamp, "frame_id": messages.LOAD_CELL_FRAME},
-        variant=model.variant,
-        names=list(model.names),
-        stiffness=[_named(row) for row in model.stiffness],
-        rest_positions=[_named(row) for row in model.rest_positions],
-        wrench_bias=_wrench(model.wrench_bias),
-        bias_names=list(model.force_bias),
-        force_bias=[_named(row) for row in model.force_bias.values()],
-        wrench_rmse=_wrench(rmse),
-        samples=fitted.samples,
-        solver_status=fitted.status,
-    )
-    return encode(message, topics.PARAMETERS.type)
-
-
-def _wrench(values: FloatArray) -> dict[str, Any]:
-    return {"torque": _named(values[:3]), "force": _named(values[3:])}
-
-
-def _named(values: FloatArray) -> dict[str, float]:
-    """Components of a vector, point or quaternion, by name."""
-    return dict(zip("xyzw", values.tolist(), strict=False))
-
-
 class PressureMap:
     """The markers of a force map: two triangles per tile, in its own frame, and a force arrow."""
 
@@ -175,14 +138,14 @@ class PressureMap:
             half = 0.5 * math.sqrt(geometry.areas[i])
             tile = {
                 "ns": "tiles", "id": i, "type": Marker.TRIANGLE_LIST, "action": Marker.ADD,
-                "pose": {"position": _named(anchor), "orientation": _named(quaternion)},
+                "pose": {"position": named(anchor), "orientation": named(quaternion)},
                 "scale": {"x": 1.0, "y": 1.0, "z": 1.0},
                 "points": [{"x": half * x, "y": half * y} for x, y in _CORNERS],
             }  # fmt: skip
             arrow = {
                 "ns": "forces", "id": i, "type": Marker.ARROW, "action": Marker.ADD,
                 "scale": {"x": 0.002, "y": 0.004},
-                "pose": {"orientation": {"w": 1.0}}, "points": [_named(anchor)] * 2,
+                "pose": {"orientation": {"w": 1.0}}, "points": [named(anchor)] * 2,
             }  # fmt: skip
             markers += [shared | tile, shared | arrow]
         self._content, numbers = blank(topics.PRESSURE_MAP.type, markers=markers)

@@ -22,12 +22,16 @@ from socket_testbed.trials.layout import (
     blank,
     decode,
     elements,
+    encode,
     fields_of,
+    make_message,
     stamps_of,
 )
 
 if TYPE_CHECKING:
+    from socket_testbed.identification.fit import Fit
     from socket_testbed.identification.force_map import MapEstimate
+    from socket_testbed.identification.model_file import StoredModel
     from socket_testbed.identification.pressure import RegionOutputs
 
 WORLD_FRAME = "world"  # of the motion capture
@@ -43,16 +47,13 @@ are equal in all. Shapes begin with that of the records."""
 class Reader:
     """Reads serialised messages of a topic, all of one layout at once.
 
-    A message that cannot be decoded raises a TrialError that names `where` it came from. Without
-    `values`, the topic's type determines the values, see `VALUES`.
+    A message that cannot be decoded raises a TrialError that names `where` it came from.
     """
 
-    def __init__(
-        self, topic: topics.Topic, where: object = "this graph", values: Values | None = None
-    ) -> None:
+    def __init__(self, topic: topics.Topic, where: object = "this graph") -> None:
         self._topic = topic
         self._where = where
-        self._values = values or VALUES[topic.type]
+        self._values = VALUES[topic.type]
         fields_of(topic.type)  # cached now, so that a node's first message is not delayed
         self._known: list[tuple[Layout, Any]] = []
 
@@ -337,6 +338,37 @@ def regions_packer(names: Sequence[str]) -> Callable[[int, RegionOutputs], bytes
         return template.serialised(stamp, **dict(zip(_REGION_COLUMNS, values, strict=True)))
 
     return pack
+
+
+def model_message(fitted: Fit | StoredModel) -> bytes:
+    """A serialised ContactModel of a fit or a stored model."""
+    model = fitted.model
+    seconds, nanoseconds = divmod(fitted.last_stamp, 1_000_000_000)
+    stamp = {"sec": seconds, "nanosec": nanoseconds}
+    message = make_message(
+        topics.PARAMETERS.type,
+        header={"stamp": stamp, "frame_id": LOAD_CELL_FRAME},
+        variant=model.variant,
+        names=list(model.names),
+        stiffness=[named(row) for row in model.stiffness],
+        rest_positions=[named(row) for row in model.rest_positions],
+        wrench_bias=_named_wrench(model.wrench_bias),
+        bias_names=list(model.force_bias),
+        force_bias=[named(row) for row in model.force_bias.values()],
+        wrench_rmse=_named_wrench(fitted.wrench_rmse),
+        samples=fitted.samples,
+        solver_status=fitted.status,
+    )
+    return encode(message, topics.PARAMETERS.type)
+
+
+def _named_wrench(values: FloatArray) -> dict[str, Any]:
+    return {"torque": named(values[:3]), "force": named(values[3:])}
+
+
+def named(values: FloatArray) -> dict[str, float]:
+    """Components of a vector, point or quaternion, by name."""
+    return dict(zip("xyzw", values.tolist(), strict=False))
 
 
 VALUES: dict[str, Values] = {

@@ -24,7 +24,6 @@ from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.nodes.base import header_to_ros, message_type
-from socket_testbed.nodes.estimator_node import model_message
 from socket_testbed.nodes.mocap_node import FrameBroadcaster, fixed_frames
 from socket_testbed.samples import Status
 from socket_testbed.trials import layout, messages, topics
@@ -177,7 +176,10 @@ def xyz(vectors: Any) -> np.ndarray:
 
 def test_a_model_is_sent_as_it_is_stored(hold_model: Path) -> None:
     stored = read_model(hold_model)
-    model, sent = stored.model, deserialize_message(model_message(stored), msg.ContactModel)
+    model, sent = (
+        stored.model,
+        deserialize_message(messages.model_message(stored), msg.ContactModel),
+    )
     assert sent.header == header_to_ros(stored.last_stamp) and sent.variant == model.variant
     assert (tuple(sent.names), list(sent.bias_names)) == (model.names, list(model.force_bias))
     np.testing.assert_array_equal(xyz(sent.stiffness), model.stiffness)
