@@ -25,9 +25,8 @@ from socket_testbed.files import (
     write_text,
 )
 from socket_testbed.tables import split_unit, write_table
-from socket_testbed.trials.bag import is_storage
+from socket_testbed.trials.bag import holds_nothing, is_bag
 from socket_testbed.trials.metadata import METADATA_FILE
-from socket_testbed.trials.recording import holds_nothing
 from socket_testbed.trials.reprocess import RECORDED
 from socket_testbed.trials.trial import Trial
 
@@ -38,11 +37,6 @@ _RECORDS_FOLDER = ".done"
 _DASK_TIMEOUT = "15s"  # for the scheduler to answer and a worker to appear
 
 Row: TypeAlias = dict[str, str | int | float | None]
-
-
-def is_trial(folder: Path) -> bool:
-    """Whether a folder is a bag; a broken one counts, so that it is reported as failed."""
-    return (folder / "metadata.yaml").exists() or any(is_storage(file) for file in folder.iterdir())
 
 
 def find_trials(folder: Path, notify: Callable[[str], None] = lambda note: None) -> dict[str, Path]:
@@ -56,7 +50,7 @@ def find_trials(folder: Path, notify: Callable[[str], None] = lambda note: None)
         if the folder is itself a trial or is not a folder.
     """
     try:
-        if not folder.is_dir() or is_trial(folder):
+        if not folder.is_dir() or is_bag(folder):
             return {}
         found = {path.relative_to(folder).as_posix(): path for path in _walk(folder, ())}
         empty = sorted(name for name, path in found.items() if holds_nothing(path))
@@ -77,7 +71,7 @@ def _walk(folder: Path, above: tuple[Path, ...]) -> Iterator[Path]:
     for path in folder.iterdir():
         if path.name.startswith(".") or not path.is_dir():
             continue
-        if is_trial(path):
+        if is_bag(path):
             yield path
         else:
             yield from _walk(path, (*above, real))

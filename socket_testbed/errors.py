@@ -30,6 +30,12 @@ class TestbedError(Exception):
         return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # type: ignore[attr-defined]
 
 
+def fact_and_hint(line: str) -> tuple[str, str]:
+    """The parts of a `TestbedError`'s line; without a hint all of it is the fact."""
+    fact, _, hint = line.rpartition(": ")
+    return (fact, hint) if fact else (hint, "")
+
+
 _MAX_LENGTH = 2000  # [characters]
 
 

@@ -45,6 +45,11 @@ def packaged(folder: str, name: str) -> Path:
     )
 
 
+def file_or_packaged(given: Path | str | None, name: str) -> Path:
+    """The given file or, without one, the package's own of this name."""
+    return Path(given) if given else packaged("config", name)
+
+
 def refuse_existing(path: Path) -> None:
     """Refuse to overwrite anything."""
     if path.exists():

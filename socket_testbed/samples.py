@@ -120,6 +120,11 @@ class Samples:
         return found | dict(zip(self.clusters, self.status.T, strict=True))
 
     @property
+    def whole(self) -> BoolArray:
+        """Rows of which nothing is missing, shape (N,)."""
+        return np.all([state != Status.MISSING for state in self.states.values()], axis=0)
+
+    @property
     def trusted_forces(self) -> FloatArray:
         """Local forces whose status is OK, shape (N, c, 3) [N]; the others are NaN.
 

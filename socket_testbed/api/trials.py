@@ -9,11 +9,10 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
-from socket_testbed.batch import is_trial
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, TrialError, closest
-from socket_testbed.files import check_new_folder, packaged
+from socket_testbed.files import check_new_folder, file_or_packaged, packaged
 from socket_testbed.geometry.axis import Side
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.data_check import DataFinding
@@ -21,6 +20,7 @@ from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials import segment as segments
+from socket_testbed.trials.bag import is_bag
 from socket_testbed.trials.metadata import (
     METADATA_FILE,
     TrialMetadata,
@@ -29,7 +29,7 @@ from socket_testbed.trials.metadata import (
     write_metadata,
 )
 from socket_testbed.trials.segment import Segment
-from socket_testbed.trials.trial import Trial
+from socket_testbed.trials.trial import CALIBRATION_FILE, SOCKET_FILE, Trial
 
 if TYPE_CHECKING:
     from socket_testbed.simulation.limb import Scenario, TissueKind
@@ -179,7 +179,7 @@ def annotate(
         "protocol": protocol,
         "notes": notes,
     }
-    if not (trial.path.is_dir() and is_trial(trial.path)):
+    if not is_bag(trial.path):
         raise TrialError(f"{trial.path}: is not a trial folder", "give the folder of one trial")
     path = trial.path / METADATA_FILE
     stored = read_metadata(path) if path.exists() else TrialMetadata()
@@ -301,8 +301,8 @@ def simulate(
     if like_paper and calibration_file is None:
         calibration_file = packaged("config", "like_paper.yaml")
     simulated = simulate_trial(
-        read_socket(socket_file or packaged("config", "socket.yaml")),
-        read_calibration(calibration_file or packaged("config", "calibration.yaml")),
+        read_socket(file_or_packaged(socket_file, SOCKET_FILE)),
+        read_calibration(file_or_packaged(calibration_file, CALIBRATION_FILE)),
         scenario,
         duration,
         rate,

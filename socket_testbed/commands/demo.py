@@ -117,9 +117,8 @@ def _complete(trial: Trial) -> float:
         samples = Trial(trial.path).samples()  # `trial` itself would cache them
     except TrialError:  # the nodes did not start in time
         return 0.0
-    forces = np.isfinite(samples.local_forces).all(axis=(1, 2))
     expected = _TRIGGER_RATE * (_DURATION - _MAX_START_UP)
-    return float((samples.complete & forces).sum() / max(expected, len(samples)))
+    return float(samples.whole.sum() / max(expected, len(samples)))
 
 
 def _run_live(path: Path, seed: int, scale: float, log: Path) -> None:

@@ -25,7 +25,13 @@ from socket_testbed.commands.options import (
 from socket_testbed.commands.terminal import StatusLine, say, table
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, DeviceError, TrialError, closest
-from socket_testbed.files import check_new_folder, check_outputs, is_held, make_folder, packaged
+from socket_testbed.files import (
+    check_new_folder,
+    check_outputs,
+    file_or_packaged,
+    is_held,
+    make_folder,
+)
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.fit import check_names
 from socket_testbed.live import bringup
@@ -42,9 +48,10 @@ from socket_testbed.settings.testbed import (
 )
 from socket_testbed.simulation.limb import Scenario, TissueKind
 from socket_testbed.simulation.world import FAULTS, World
+from socket_testbed.trials.bag import METADATA
 from socket_testbed.trials.metadata import METADATA_FILE, write_metadata
 from socket_testbed.trials.topics import full_namespace
-from socket_testbed.trials.trial import recorded_namespace
+from socket_testbed.trials.trial import CALIBRATION_FILE, SOCKET_FILE, recorded_namespace
 
 _START_TIMEOUT = 60.0  # [s]; --duration counts from the first trigger or the end of this time
 _DEFAULT_FOLDER = Path("trials")  # recordings started from the page without --record
@@ -109,7 +116,7 @@ def configured(
         calibration: A `calibration.yaml` (default: the package's own).
         params: A `testbed.yaml` with the parameters of the nodes.
     """
-    geometry = (geometry or packaged("config", "socket.yaml")).resolve()
+    geometry = file_or_packaged(geometry, SOCKET_FILE).resolve()
     if simulation is None and not read_socket(geometry).registration:
         print_note(
             f"{geometry}: the marker bodies are nominal: register them before relying on the limb's"
@@ -118,7 +125,7 @@ def configured(
     return bringup.Testbed(
         settings=bringup.testbed_settings(params, simulation),
         geometry=geometry,
-        calibration=(calibration or packaged("config", "calibration.yaml")).resolve(),
+        calibration=file_or_packaged(calibration, CALIBRATION_FILE).resolve(),
         simulation=simulation,
     )
 
@@ -253,7 +260,7 @@ def _trials(folder: Path, name: str) -> set[Path]:
 
 def _require_end(trial: Path) -> None:
     """Raise an error if a recording is incomplete."""
-    if not (trial / "metadata.yaml").exists():
+    if not (trial / METADATA).exists():
         raise TrialError(
             f"{trial}: the recording stopped early; the trial keeps the data so far",
             "free disk space, and read the recorder's messages",

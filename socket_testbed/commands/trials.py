@@ -131,8 +131,8 @@ def _triggers(samples: Samples) -> str:
         return "1 sample"
     return (
         f"{len(samples)} samples at {1.0 / usual_period(samples.time):.2f} Hz,"
-        f" {samples.complete.sum()} complete; {gaps(samples.time).sum()} gaps, the largest"
-        f" {periods.max():.3f} s"
+        f" {samples.complete.sum()} with a wrench and a pose; {gaps(samples.time).sum()} gaps,"
+        f" the largest {periods.max():.3f} s"
     )
 
 

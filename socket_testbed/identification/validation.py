@@ -190,7 +190,7 @@ def left_out_pressures(
     force_map = ForceMap(geometry, samples.clusters)
     for column, name in enumerate(samples.clusters):
         tile = geometry.clusters[name]
-        measured = -samples.trusted_forces[:, column, 2] / geometry.areas[tile]
+        measured = geometry.cluster_stress(name, samples.trusted_forces[:, column])[:, 0]
         others = force_map.estimate(without_cluster(samples, name))
         deviation = others.normal_pressure_standard_deviation[:, tile]
         yield name, measured, others.normal_pressure[:, tile], deviation

@@ -18,7 +18,7 @@ from socket_testbed.calibration.model import read_calibration
 from socket_testbed.drivers.load_cell.ads131m0x import CHECK_WIRING
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker
-from socket_testbed.errors import DeviceError, TestbedError
+from socket_testbed.errors import DeviceError, TestbedError, fact_and_hint
 from socket_testbed.geometry.marker_bodies import MIN_MARKERS
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.bringup import Testbed
@@ -75,8 +75,8 @@ def examine(testbed: Testbed) -> list[Outcome]:
 
 def _failure(what: str, message: str) -> Outcome:
     """A failed outcome from a one-line message of fact and hint."""
-    fact, _, hint = message.rpartition(": ")
-    return Outcome(what, fact or message, hint if fact else "see docs/faults.md")
+    fact, hint = fact_and_hint(message)
+    return Outcome(what, fact, hint or "see docs/faults.md")
 
 
 def check_kernel(testbed: Testbed) -> Iterator[Outcome]:

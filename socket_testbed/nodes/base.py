@@ -20,7 +20,6 @@ from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
 from itertools import chain
-from pathlib import Path
 from typing import Any, ClassVar, Generic, TypeVar
 
 from builtin_interfaces.msg import Time
@@ -38,7 +37,6 @@ from std_msgs.msg import Header
 
 from socket_testbed import clocks
 from socket_testbed.errors import ConfigurationError, TestbedError
-from socket_testbed.files import packaged
 from socket_testbed.live.processes import RESTARTED
 from socket_testbed.settings.fields import Settings, parameter_values
 from socket_testbed.trials.messages import LOAD_CELL_FRAME, Reader
@@ -78,11 +76,6 @@ def subscriber_qos(topic: Topic) -> QoSProfile:
     qos = publisher_qos(topic)
     qos.depth = _SUBSCRIBER_DEPTH
     return qos
-
-
-def file_or_packaged(given: str, name: str) -> Path:
-    """The file given by a setting or, if empty, the package's own file of this name."""
-    return Path(given) if given else packaged("config", name)
 
 
 def message_type(topic: Topic) -> Any:

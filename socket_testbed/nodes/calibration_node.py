@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from socket_testbed.calibration.model import read_calibration
-from socket_testbed.nodes.base import ERROR, NEWEST_STAMP, OK, WARN, TestbedNode, file_or_packaged
+from socket_testbed.files import file_or_packaged
+from socket_testbed.nodes.base import ERROR, NEWEST_STAMP, OK, WARN, TestbedNode
 from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import CalibrationNodeSettings
 from socket_testbed.trials.messages import Capacitances, stress_packer

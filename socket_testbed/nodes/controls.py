@@ -23,7 +23,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from socket_testbed import clocks
-from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.errors import ConfigurationError, TestbedError, fact_and_hint
 from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.nodes import base
 from socket_testbed.settings.testbed import NextTrialSettings
@@ -330,8 +330,8 @@ class ServiceControls:
 
 def _refusal(words: str) -> TestbedError:
     """A refusal by a service or node, fact and hint, as an error."""
-    fact, _, hint = words.rpartition(": ")
-    return TestbedError(fact, hint) if fact else TestbedError("refused", words)
+    fact, hint = fact_and_hint(words)
+    return TestbedError(fact, hint) if hint else TestbedError("refused", words)
 
 
 class StatusListener:

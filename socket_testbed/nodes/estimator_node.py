@@ -21,12 +21,13 @@ from scipy.spatial.transform import Rotation
 from std_srvs.srv import Trigger as TriggerService
 from visualization_msgs.msg import Marker
 
+from socket_testbed.files import file_or_packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import NORMAL_QUANTILE, greyness
-from socket_testbed.live.estimator import OnlineEstimator
+from socket_testbed.live.estimator import MEASURED, OnlineEstimator
 from socket_testbed.live.fit_worker import FitWorker
-from socket_testbed.nodes.base import NEWEST_STAMP, TestbedNode, file_or_packaged
+from socket_testbed.nodes.base import NEWEST_STAMP, TestbedNode
 from socket_testbed.settings.identification import check_solver
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials import messages, topics
@@ -70,7 +71,7 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
             [place.name for place in self._estimator.map.places]
         )
         self._last_regions = 0  # [ns]
-        for topic in (topics.STRESS, topics.WRENCH, topics.SOCKET_POSE, topics.PYLON_POSE):
+        for topic in MEASURED:
             self.follow(topic, partial(self._on_measured, topic))
         self.follow(topics.TRIGGER, lambda stamp, sequence: self._estimator.trigger(stamp))
         self.serve(TriggerService, "estimator/fit", self._on_fit, slow=True)

@@ -22,6 +22,7 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker, SeenBody
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import file_or_packaged
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.nodes import base
@@ -40,7 +41,7 @@ class MocapNode(SensorNode[MocapSettings]):
         super().__init__("mocap_node", MocapSettings)
         settings = self.settings
         self.device = f"NatNet {settings.server}"
-        geometry = read_socket(base.file_or_packaged(settings.geometry, "socket.yaml"))
+        geometry = read_socket(file_or_packaged(settings.geometry, "socket.yaml"))
         self._stale = settings.stale
         bodies = (geometry.socket_markers, geometry.pylon_markers)
         self._tracker = BodyTracker(settings, *bodies)

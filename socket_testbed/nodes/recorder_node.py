@@ -35,7 +35,7 @@ from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import is_held, refuse_existing
 from socket_testbed.nodes.base import ELAPSED, ERROR, FREE, OK, WARN, TestbedNode
 from socket_testbed.settings.testbed import NextTrialSettings, RecorderSettings, check_take_name
-from socket_testbed.trials.bag import BagWriter
+from socket_testbed.trials.bag import BagWriter, is_bag
 from socket_testbed.trials.metadata import (
     METADATA_FILE,
     TrialMetadata,
@@ -138,7 +138,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
     def _next_path(self, name: str) -> Path:
         """Path of a requested recording: in the folder, or next to it if it holds a trial."""
         directory = self._directory
-        if any(directory.glob("*.mcap")):
+        if is_bag(directory):
             path = directory.with_name(f"{directory.name}_{name}") if name else directory
         else:
             path = directory / (name or datetime.now().strftime("trial_%Y%m%d_%H%M%S"))
@@ -147,7 +147,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
     def _start_over(self) -> None:
         """Record into the folder, or next to it if it holds a trial."""
         directory = self._directory
-        holds_trial = any(directory.glob("*.mcap"))
+        holds_trial = is_bag(directory)
         if holds_trial and is_held(directory):
             raise ConfigurationError(
                 f"{directory} is being written by another recorder", "end it, or name a new folder"

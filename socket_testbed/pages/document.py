@@ -117,10 +117,10 @@ def moments(time: FloatArray, outputs: PressureOutputs, geometry: SocketGeometry
 def measured_pressure(samples: Samples, geometry: SocketGeometry) -> FloatArray:
     """Measured pressure of every cluster of the socket, NaN where missing, (N, c) [Pa]."""
     found = np.full((len(samples), len(geometry.clusters)), np.nan)
-    for column, (name, tile) in enumerate(geometry.clusters.items()):
+    for column, name in enumerate(geometry.clusters):
         if name in samples.clusters:
-            forces = samples.trusted_forces[:, samples.clusters.index(name), 2]
-            found[:, column] = -forces / geometry.areas[tile]
+            forces = samples.trusted_forces[:, samples.clusters.index(name)]
+            found[:, column] = geometry.cluster_stress(name, forces)[:, 0]
     return found
 
 

@@ -24,7 +24,7 @@ from socket_testbed.documents import load_yaml
 from socket_testbed.errors import TrialError
 from socket_testbed.files import TemporaryFolder, hold
 from socket_testbed.trials.layout import typestore
-from socket_testbed.trials.recording import Recording
+from socket_testbed.trials.mcap_file import McapFile, is_empty
 from socket_testbed.trials.topics import PUBLISHER_DEPTH, REQUIRED, TOPICS, Topic, match_topics
 
 _COMPRESSED_SUFFIX = ".zstd"
@@ -62,7 +62,7 @@ class BagReader:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._stack = ExitStack()
-        self._readers: list[tuple[Path, Any]] = []  # of rosbags, or a Recording
+        self._readers: list[tuple[Path, Any]] = []  # of rosbags, or an McapFile
         self.notes: list[str] = []
 
     def __enter__(self) -> Self:
@@ -155,10 +155,10 @@ class BagReader:
                 raise TrialError(f"{file}: is named in metadata.yaml but is not there", hint)
         return files
 
-    def _open(self, file: Path) -> Reader | Recording:
+    def _open(self, file: Path) -> Reader | McapFile:
         path = self._unpack(file) if file.suffix == _COMPRESSED_SUFFIX else file
         if path.suffix == ".mcap":
-            recording = self._stack.enter_context(Recording(path, file))
+            recording = self._stack.enter_context(McapFile(path, file))
             self.notes += recording.notes
             return recording
         journal = file.with_name(file.name + "-wal")  # of SQLite
@@ -194,7 +194,7 @@ class BagReader:
         """Compare the counts in metadata.yaml with those of the files."""
         counts = self.counts
         # A truncated or damaged recording has fewer messages, which its note reports.
-        lacks = any(isinstance(r, Recording) and r.lacks for _, r in self._readers)
+        lacks = any(isinstance(r, McapFile) and r.lacks for _, r in self._readers)
         for name, count in promised.items():
             held = counts.get(name, 0)
             if held != count and not (lacks and held < count):
@@ -233,7 +233,7 @@ def _read_metadata(bag: Path) -> tuple[list[str], dict[str, int]] | None:
     if not (bag.is_dir() or bag.is_file()):
         fact = "is neither a folder nor a file" if bag.exists() else "no such trial"
         raise TrialError(f"{bag}: {fact}", "check the path")
-    file = bag / "metadata.yaml"
+    file = bag / METADATA
     if not file.exists():
         return None
     try:
@@ -254,6 +254,26 @@ def _read_metadata(bag: Path) -> tuple[list[str], dict[str, int]] | None:
             "unpack it with 'ros2 bag convert', to zstd or to no compression",
         )
     return files, counts
+
+
+METADATA = "metadata.yaml"  # of a closed bag
+
+
+def is_bag(folder: Path) -> bool:
+    """Whether a folder is a bag, even if broken or still written."""
+    if not folder.is_dir():
+        return False
+    return (folder / METADATA).exists() or any(map(is_storage, folder.iterdir()))
+
+
+def holds_nothing(folder: Path) -> bool:
+    """Whether a recording was truncated before any message reached the disk.
+
+    This happens when a recorder is killed during its start. A folder with a `metadata.yaml` does
+    not count: its files may be complete elsewhere.
+    """
+    files = list(folder.glob("*.mcap"))
+    return bool(files) and not (folder / METADATA).exists() and all(map(is_empty, files))
 
 
 def is_storage(file: Path) -> bool:

@@ -18,7 +18,8 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.settings.testbed import read_testbed
-from socket_testbed.trials.synchronise import Measurements, marker_count, parse_span
+from socket_testbed.trials.segment import parse_span
+from socket_testbed.trials.synchronise import Measurements, marker_count
 
 RECORDED, NO_TARE = "recorded", "none"
 _MARKER_TOLERANCE = 1e-6  # [m]

@@ -347,15 +347,23 @@ def select_segment(
     if specification.startswith("event:"):
         known = find_events(samples, settings) if events is None else events()
         return _span(samples, *event_span(specification, known), specification)
-    try:
-        start, end = (float(part) for part in specification.split(":"))
-    except ValueError:
+    if ":" not in specification:
         near = likely(specification, ("plateau", "hold", "auto", "all"))
         hint = "give plateau, hold, auto, all, T0:T1 in seconds, or event:A:B"
-        raise ConfigurationError(
-            f"unknown segment '{specification}'", f"{near} {hint}".strip()
-        ) from None
-    return _span(samples, start, end, "span")
+        raise ConfigurationError(f"unknown segment '{specification}'", f"{near} {hint}".strip())
+    return _span(samples, *parse_span(specification, "the segment"), "span")
+
+
+def parse_span(span: str, option: str, others: str = "") -> tuple[float, float]:
+    """A span given as `T0:T1` [s]; errors name the option and its other accepted values."""
+    try:
+        start, end = (float(part) for part in span.split(":"))
+    except ValueError:
+        start = end = 0.0
+    if not start < end:
+        hint = f"give seconds as T0:T1, with T0 before T1{others}"
+        raise ConfigurationError(f"{option} is '{span}'", hint)
+    return start, end
 
 
 def first_frames(segment: Segment, samples: Samples, frames: int) -> Segment:

@@ -35,6 +35,7 @@ from socket_testbed.samples import Samples, Status
 from socket_testbed.trials import topics
 from socket_testbed.trials.bag import BagReader, required_topics
 from socket_testbed.trials.messages import Reader, VectorPacker, pose_packer, wrench_packer
+from socket_testbed.trials.segment import parse_span
 
 
 @dataclass(frozen=True)
@@ -378,15 +379,3 @@ def parse_unloaded(spans: list[str]) -> tuple[tuple[float, float], ...]:
     parsed = tuple(parse_span(span, "--unloaded") for span in spans)
     check_unloaded(parsed)
     return parsed
-
-
-def parse_span(span: str, option: str, others: str = "") -> tuple[float, float]:
-    """A span given as `T0:T1` [s]; errors name the option and its other accepted values."""
-    try:
-        start, end = (float(part) for part in span.split(":"))
-    except ValueError:
-        start = end = 0.0
-    if not start < end:
-        hint = f"give seconds as T0:T1, with T0 before T1{others}"
-        raise ConfigurationError(f"{option} is '{span}'", hint)
-    return start, end

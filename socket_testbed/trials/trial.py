@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.files import packaged
+from socket_testbed.files import file_or_packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, TestbedSettings, read_testbed
@@ -285,7 +285,7 @@ def read_configuration(
     )
     contents = {}
     for name, given, read in files:
-        source = given or packaged("config", name)
+        source = file_or_packaged(given, name)
         read(source)  # refuses an invalid file
         contents[name] = source.read_bytes()
     return contents

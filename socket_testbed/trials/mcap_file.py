@@ -89,7 +89,7 @@ class _Chunk:
         self.last_time = max(times, default=0)  # [ns]
 
 
-class Recording:
+class McapFile:
     """The readable part of a recording; used like a reader of rosbags.
 
     A TrialError, which calls the file by `name`, is raised if a truncated or damaged file holds no
@@ -185,7 +185,7 @@ class Recording:
         """The error for a file without a complete chunk of messages."""
         self._file.seek(0)
         magic = self._file.read(len(_MAGIC)).rstrip(b"\0")
-        if _is_empty(self.path):
+        if is_empty(self.path):
             fact = "holds nothing: its recorder ended before any data reached the disk"
             hint = "remove it, or copy the trial again if it is complete elsewhere"
         elif ended:
@@ -295,17 +295,7 @@ def _walk(file: BinaryIO, size: int) -> tuple[list[_Place], bool]:
     return places, False
 
 
-def holds_nothing(folder: Path) -> bool:
-    """Whether a recording was truncated before any message reached the disk.
-
-    This happens when a recorder is killed during its start. A folder with a `metadata.yaml` does
-    not count: its files may be complete elsewhere.
-    """
-    files = list(folder.glob("*.mcap"))
-    return bool(files) and not (folder / "metadata.yaml").exists() and all(map(_is_empty, files))
-
-
-def _is_empty(path: Path) -> bool:
+def is_empty(path: Path) -> bool:
     """Whether an MCAP file holds at most its first record, or a part of it."""
     with path.open("rb") as file:
         start = file.read(len(_MAGIC) + _RECORD.size)

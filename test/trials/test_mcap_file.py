@@ -20,8 +20,7 @@ from mcap.writer import IndexType, Writer
 from support.verbs import call
 
 from socket_testbed.errors import TrialError
-from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage
-from socket_testbed.trials.recording import holds_nothing
+from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage, holds_nothing
 from socket_testbed.trials.topics import CAPACITANCE, WRENCH
 from socket_testbed.trials.trial import Trial
 
