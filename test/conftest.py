@@ -52,7 +52,7 @@ _SLOW_WITHIN = 400.0  # [s]; with a module's fixtures, on a machine that others 
 # What runs whole verbs, or spoils whole files and scans: `make quick` leaves them out.
 LONG = {
     *("commands", "test_api.py", "test_damaged_files.py"),
-    *("test_trials.py", "test_export.py", "test_recording.py"),
+    *("test_trials.py", "test_export.py", "test_mcap_file.py"),
     *("test_registration.py", "test_tiling.py"),
     *("test_report.py", "test_server.py", "test_player.py", "test_natnet_client.py"),
 }

@@ -7,7 +7,6 @@ Without a terminal, nodes print to the output directly, and the status follows o
 
 from __future__ import annotations
 
-import math
 import os
 import select
 import shutil
@@ -23,7 +22,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Self
 
 from socket_testbed.live.graph_status import GraphStatus
-from socket_testbed.tables import NOTHING, Table
+from socket_testbed.tables import NOTHING, Table, number
 from socket_testbed.trials.topics import full_namespace
 
 if TYPE_CHECKING:
@@ -53,7 +52,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def text_of(found: Table) -> str:
     """A table of a page as text for the terminal."""
     header = [found.frame.index.name or "", *(title for _, title, _ in found.columns)]
-    rows = [[str(name), *("-" if c == NOTHING else c for c in cells)] for name, cells in found.rows]
+    rows = [[str(name), *map(_in_ascii, cells)] for name, cells in found.rows]
     return table(header, rows)
 
 
@@ -61,11 +60,13 @@ def _is_number(cell: str) -> bool:
     return cell in {"", "-"} or cell.lstrip("-").replace(".", "", 1).isdigit()
 
 
-def number(value: float | None, digits: int = 3) -> str:
-    """A number for a table; a dash for a missing one."""
-    if value is None or not math.isfinite(value):
-        return "-"
-    return f"{round(value, digits) + 0.0:.{digits}f}"
+def decimal(value: float, digits: int = 3) -> str:
+    """A number with fixed decimals; a dash for a missing one."""
+    return _in_ascii(number(value, f"z.{digits}f"))
+
+
+def _in_ascii(cell: str) -> str:
+    return "-" if cell == NOTHING else cell
 
 
 def say(line: str) -> None:

@@ -157,7 +157,7 @@ class PressureOutputs:
     peak_row: int  # index of the sample with the highest pressure of a tile
     force_map: ForceMap
     samples: Samples
-    reader: _Reader  # of the regions
+    by_region: _Regions
     threshold: float  # pressure above which a tile is in contact [Pa]
 
     @property
@@ -180,23 +180,23 @@ class PressureOutputs:
         """Outputs of the regions at every sample, shape (N, R); NaN where nothing was measured."""
         kept = np.flatnonzero(measured_rows(self.samples))
         series: dict[str, Quantity] = {}
-        drawn = _expanded(self.force_map, self.samples[kept], self.reader.areas, self.threshold)
+        drawn = _expanded(self.force_map, self.samples[kept], self.by_region.areas, self.threshold)
         for some, alone, instants in drawn:
-            for name, quantity in vars(self.reader.outputs(alone, instants)).items():
+            for name, quantity in vars(self.by_region.outputs(alone, instants)).items():
                 shape = (len(self.samples), *quantity.value.shape[1:])
                 _store(series.setdefault(name, _unknown(shape)), quantity, kept[some])
         return RegionOutputs(**series)
 
     def mean_pressure(self) -> Quantity:
         """Mean pressure of the regions at every sample, as in `series`, shape (N, R) [Pa]."""
-        mapping = self.reader.mean_pressure
+        mapping = self.by_region.mean_pressure
         found = _unknown((len(self.samples), mapping.shape[1]))
         kept = np.flatnonzero(measured_rows(self.samples))
         for draws in self.force_map.sample(self.samples[kept], _DRAWS):
             regional = draws.mapped(mapping)
             for start in range(0, len(draws.rows), _EXPANDED_BATCH):
                 some = regional[start : start + _EXPANDED_BATCH]
-                part = self.reader.interval("mean", some.mean(), some.values())
+                part = self.by_region.interval("mean", some.mean(), some.values())
                 _store(found, part, kept[some.rows])
         return found
 
@@ -213,7 +213,7 @@ class _Fields:
     integral: FloatArray | None = None
 
 
-class _Reader:
+class _Regions:
     """Computes the outputs of regions from fields."""
 
     def __init__(self, geometry: SocketGeometry, regions: Sequence[Region]) -> None:
@@ -376,15 +376,15 @@ def pressure_outputs(
             drawn.raise_peaks(instants)
     each = [Region(name, np.array([tile])) for tile, name in enumerate(geometry.names)]
     over_span = alone.fields(), drawn.fields()
-    reader = _Reader(geometry, regions)
+    by_region = _Regions(geometry, regions)
     return PressureOutputs(
-        regions=reader.outputs(*over_span),
-        tiles=_Reader(geometry, each).outputs(*over_span),
+        regions=by_region.outputs(*over_span),
+        tiles=_Regions(geometry, each).outputs(*over_span),
         integrated=float(weights.sum()),
         peak_row=int(kept[peaks[alone.peak[0].argmax()]]),
         force_map=force_map,
         samples=samples,
-        reader=reader,
+        by_region=by_region,
         threshold=threshold,
     )
 
@@ -405,7 +405,7 @@ def outputs_of(
     local = np.einsum("nij,kni->knj", geometry.rotations, forces)
     span = _Span(1, geometry.areas)
     span.add(_instants(local[:, None], geometry.areas, threshold), integration_weights(time))
-    found = _Reader(geometry, regions).read(span.fields())
+    found = _Regions(geometry, regions).read(span.fields())
     return {name: values[0] for name, values in found.items()}
 
 

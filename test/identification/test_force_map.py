@@ -232,7 +232,7 @@ def test_what_was_not_measured_counts_in_nothing() -> None:
 def test_a_value_is_certain_by_its_interval_which_is_narrow_for_directions_near_half_a_turn():
     value, low, high = np.array([[10.0, 5.0, 15.0], [10.0, 4.9, 12.0], [0.0, -1.0, 1.0]]).T
     assert Quantity(value, low, high, value).certain(0.5).tolist() == [True, False, False]
-    reader = pressure._Reader(RING, all_regions(RING)[:1])
+    reader = pressure._Regions(RING, all_regions(RING)[:1])
     drawn = np.radians(np.tile([[179.0], [-179.0]], (100, 1)))  # 2 degrees apart
     direction = reader.interval("direction", np.radians([179.0]), drawn)
     np.testing.assert_allclose(np.degrees([*direction.low, *direction.high]), [179.0, 181.0])
