@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 from collections.abc import Collection, Iterable, Sequence
@@ -300,3 +301,10 @@ def decimal(text: str) -> float:
     if not abs(number) <= FINITE:
         raise ValueError(f"{shown(text)} is not a number")
     return number
+
+
+def finite_or_null(value: Any) -> Any:
+    """A value for JSON, with None in place of NaN, also in a tuple."""
+    if isinstance(value, tuple):
+        return [*map(finite_or_null, value)]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

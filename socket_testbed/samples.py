@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import TYPE_CHECKING
 
@@ -146,6 +146,12 @@ class Samples:
     def counted(self, leave_out: Sequence[str]) -> BoolArray:
         """Which of the `channels` are not left out, shape (6 + 3c,)."""
         return np.isin(self.channels, leave_out, invert=True)
+
+    def blanked(self, missing: BoolArray) -> Samples:
+        """The samples with some values of the `channels`, (N, 6 + 3c), marked as not measured."""
+        values = np.where(missing, np.nan, self.values)
+        forces = values[:, 6:].reshape(self.local_forces.shape)
+        return replace(self, wrench=values[:, :6], local_forces=forces)
 
     @property
     def values(self) -> FloatArray:

@@ -48,6 +48,8 @@ def test_mean_and_deviation_are_those_of_the_cycles(walk: Trial) -> None:
     assert np.allclose(found["sine sd [kPa]"][inner], offsets.std(ddof=1), atol=2e-4)
     assert np.allclose(found["ramp mean [-]"][inner], percent[inner] / 100, atol=1e-3)
     assert found["ramp n [-]"].min() == 5 and (found["sine n [-]"] == 6).all()
+    torn = table[(table.index < 15.0) | (table.index > 15.9)]  # no line across it
+    assert st.cycles(walk, torn, by="step").to_dataframe()["sine n [-]"].min() == 5
     two = st.cycles(walk, table, by="step", segment="4:12")
     assert len(two) == 2  # which make no band
     assert np.isnan(two.deviation).all() and np.isfinite(two.mean).all()

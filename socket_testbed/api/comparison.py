@@ -48,7 +48,7 @@ from socket_testbed.api.trials import (
 )
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.geometry.axis import Side
+from socket_testbed.geometry.axis import SECTOR_TURNS, Side
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.pressure import NORMAL_QUANTILE, THRESHOLD
 from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
@@ -277,7 +277,7 @@ class Comparison(Result):
     def document(self) -> dict[str, Any]:
         """The comparison for JSON: the rows of `to_dataframe`, null where there is no value."""
         return {
-            "kind": "trials",
+            "kind": "trials",  # also if they are grouped by conditions
             "items": list(self.items),
             **({"conditions": self.conditions} if self.kind == "conditions" else {}),
             "title": self.title,
@@ -298,7 +298,7 @@ class Comparison(Result):
             "mean pressure [kPa]",
             style=style,
             limits=(pressures.min(), pressures.max()),
-            side=self.side or "",
+            side=self.side,
             reach=dict(zip(self.items, reaches, strict=True)),
         )
 
@@ -463,9 +463,10 @@ def _without_side(name: str, side: Side | None) -> str:
     """A region's name in terms of left and right, for either leg."""
     if side is None:
         return name
-    other = {"left": "right", "right": "left"}[side]
+    names = {turn: name for name, turn in SECTOR_TURNS[None].items()}
     sector, _, height = name.partition(" ")
-    return " ".join([{"lateral": side, "medial": other}.get(sector, sector), height]).strip()
+    turn = SECTOR_TURNS[side].get(sector)
+    return " ".join([sector if turn is None else names[turn], height]).strip()
 
 
 def _wrench_rows(found: TrialPressure) -> Rows:

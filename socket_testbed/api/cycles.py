@@ -10,7 +10,7 @@ import numpy as np
 
 from socket_testbed.api.result import Result
 from socket_testbed.api.trials import PathLike, as_trial, note, select
-from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.arrays import BREAK, FloatArray, IntArray, gaps
 from socket_testbed.errors import ConfigurationError, TrialError, closest
 from socket_testbed.tables import split_unit
 from socket_testbed.trials.segment import PLACED, Segment, cycle_spans
@@ -159,7 +159,7 @@ def cycles(
     """Normalise quantities to 0 to 100 % of each cycle, interpolating linearly between samples.
 
     A cycle longer than twice the median duration contains a pause and is left out. A missing value
-    affects only its own cycle.
+    or a break affects only its own cycle.
 
     Args:
         trial: The trial.
@@ -197,6 +197,9 @@ def cycles(
     spans = spans[kept]
     shares = np.linspace(0.0, 1.0, _POINTS)
     moments = spans[:, :1] + shares * (spans[:, 1:] - spans[:, :1])
+    breaks = np.flatnonzero(gaps(time, BREAK)) + 1  # no line holds across them
+    time = np.insert(time, breaks, 0.5 * (time[breaks - 1] + time[breaks]))
+    values = np.insert(values, breaks, np.nan, axis=0)
     curves = np.stack([np.interp(moments, time, column) for column in values.T], axis=-1)
     samples = np.median(np.diff(np.searchsorted(time, spans), axis=1))
     if samples < _MIN_SAMPLES:

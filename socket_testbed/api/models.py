@@ -370,9 +370,8 @@ def model_for(trial: Trial, model: Model) -> StoredModel:
 
 def _predictions(samples: Samples, stored: StoredModel) -> FloatArray:
     """Predictions of a model, shape (N, 6 + 3c), with poses averaged as in its fit."""
-    smooth = smooth_poses(samples, stored.settings.pose_smoothing)
     with threadpool_limits(1):
-        return stored.model.predict(smooth.pose, samples.clusters)
+        return stored.predictions(samples)
 
 
 def predict(trial: Trial | PathLike, model: Model) -> pd.DataFrame:

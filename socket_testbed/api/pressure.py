@@ -15,11 +15,10 @@ from threadpoolctl import threadpool_limits
 from socket_testbed.api.result import Result, origin, records
 from socket_testbed.api.trials import PathLike, as_path, as_trial, select
 from socket_testbed.arrays import FloatArray, sample_at
-from socket_testbed.documents import check_number
+from socket_testbed.documents import check_number, finite_or_null
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.socket import SocketGeometry, find_regions
 from socket_testbed.identification.force_map import ForceMap, MapEstimate
-from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.pressure import (
     NORMAL_QUANTILE,
     SHARE,
@@ -101,7 +100,7 @@ class TrialMap(Result):
         geometry, mean = self.trial.geometry, self.estimate.mean()
         table = pd.DataFrame(
             {
-                "cluster": _clusters_by_tile(geometry),
+                "cluster": geometry.cluster_names,
                 "pressure [kPa]": 1e-3 * mean.normal_pressure[0],
                 "pressure sd [kPa]": 1e-3 * mean.normal_pressure_standard_deviation[0],
                 "shear [kPa]": 1e-3 * mean.shear[0],
@@ -298,7 +297,7 @@ class TrialPressure(SegmentPressure, Result):
         geometry = self.trial.geometry
         names = pd.Index(geometry.names, name="tile")
         table = pd.DataFrame(columns_of(self.outputs.tiles, TILE_TITLES), index=names)
-        table.insert(0, "cluster", _clusters_by_tile(geometry))
+        table.insert(0, "cluster", geometry.cluster_names)
         return table
 
     def to_dataframe(self) -> pd.DataFrame:
@@ -369,11 +368,6 @@ class TrialPressure(SegmentPressure, Result):
 
     def _draw_into(self, ax: Axes) -> None:
         self.map._draw_into(ax)
-
-
-def _clusters_by_tile(geometry: SocketGeometry) -> list[str]:
-    clusters = {tile: cluster for cluster, tile in geometry.clusters.items()}
-    return [clusters.get(tile, "") for tile in range(len(geometry))]
 
 
 def pressure(

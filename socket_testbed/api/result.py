@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from socket_testbed.api.trials import PathLike
+from socket_testbed.documents import finite_or_null
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import check_picture, write_text
-from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.tables import write_table
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial

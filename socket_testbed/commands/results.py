@@ -27,11 +27,12 @@ from socket_testbed.commands.options import (
     segment_columns,
 )
 from socket_testbed.commands.terminal import Progress, decimal, say, text_of
+from socket_testbed.documents import finite_or_null
 from socket_testbed.errors import ConfigurationError, IdentificationError
 from socket_testbed.geometry.socket import PARTS_OF_SECTORS
 from socket_testbed.identification.fit import ChannelErrors, errors_to_dataframe, summarise_errors
 from socket_testbed.identification.information import MIN_RATIO, share_warning
-from socket_testbed.identification.model_file import finite_or_null, quoted_figures
+from socket_testbed.identification.model_file import quoted_figures
 from socket_testbed.identification.pareto import Front
 from socket_testbed.identification.pressure import TITLES, interval_end
 from socket_testbed.settings.identification import PAPER_VARIANTS

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.geometry.socket import HEIGHTS, SOCKET, SocketGeometry
+from socket_testbed.geometry.socket import HEIGHTS, SOCKET, UNMEASURED, SocketGeometry
 
 _MIN_ALIGNMENT = 0.5  # [-]; cosine between a tile's x axis and the proximal direction
 _FACES_UP = np.sqrt(0.5)  # [-]; z of normals that point up at 45 degrees or more
@@ -20,11 +20,9 @@ _X, _Z = np.eye(3)[[0, 2]]
 
 Side = Literal["left", "right"]
 
-UNMEASURED = "unmeasured wall"
-"""The tiles without a cluster."""
 _TINY = 1e-9  # [m]
 # Quarter turns about the axis from anterior towards left, by leg.
-_SECTORS: dict[Side | None, dict[str, int]] = {
+SECTOR_TURNS: dict[Side | None, dict[str, int]] = {
     "right": {"anterior": 0, "posterior": 2, "medial": 1, "lateral": 3},
     "left": {"anterior": 0, "posterior": 2, "medial": 3, "lateral": 1},
     None: {"anterior": 0, "posterior": 2, "left": 1, "right": 3},
@@ -89,6 +87,11 @@ def proximal_direction(geometry: SocketGeometry) -> FloatArray:
     return np.asarray(mean / np.linalg.norm(mean))
 
 
+def axial_force(geometry: SocketGeometry, wrench: FloatArray) -> FloatArray:
+    """Force of wrenches (..., 6) along the socket, positive under load, (...) [N]."""
+    return np.asarray(-wrench[..., 3:] @ proximal_direction(geometry))
+
+
 def socket_axis(geometry: SocketGeometry) -> SocketAxis:
     """The axis of a socket, centred between the anchors of its tiles, from the lowest one up.
 
@@ -130,7 +133,7 @@ def anatomical_regions(geometry: SocketGeometry, side: Side | None = None) -> tu
     heights = axis.heights(geometry.anchors)
     depth = (heights.max() - heights) / max(np.ptp(heights), _TINY)
     thirds = np.minimum(np.floor(3.0 * depth), 2.0)
-    sectors = {name: turns == turn for name, turn in _SECTORS[side].items()}
+    sectors = {name: turns == turn for name, turn in SECTOR_TURNS[side].items()}
     levels = {name: thirds == third for third, name in enumerate(HEIGHTS)}
     fields = {
         f"{sector} {height}": inside & level
@@ -147,8 +150,8 @@ def all_regions(geometry: SocketGeometry, side: Side | None = None) -> tuple[Reg
     In this order; the unmeasured region is left out if every tile has a cluster.
     """
     own = [Region(name, np.array(tiles)) for name, tiles in geometry.regions.items()]
-    every = np.arange(len(geometry))
-    bare = np.setdiff1d(every, [*geometry.clusters.values()])
+    bare = np.flatnonzero(~geometry.covered)
     if len(bare):
         own.append(Region(UNMEASURED, bare))
-    return (*anatomical_regions(geometry, side), *own, Region(SOCKET, every))
+    every = Region(SOCKET, np.arange(len(geometry)))
+    return (*anatomical_regions(geometry, side), *own, every)

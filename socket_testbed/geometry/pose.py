@@ -115,9 +115,9 @@ def check_rotation(rows: RotationRows, field: str) -> None:
 
 def pose_document(pose: Pose) -> dict[str, Any]:
     """The document of a pose."""
-    return {"rotation": plain(pose.rotation), "translation": plain(pose.translation)}
+    return {"rotation": rounded(pose.rotation), "translation": rounded(pose.translation)}
 
 
-def plain(array: FloatArray) -> Any:
+def rounded(array: FloatArray) -> Any:
     """Nested lists, rounded to nine digits: nm and nrad."""
     return (np.round(array, 9) + 0.0).tolist()

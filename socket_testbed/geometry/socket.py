@@ -14,7 +14,7 @@ import yaml
 from msgspec import Meta
 from scipy.spatial import cKDTree
 
-from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.documents import Document, FieldError, Text, convert, load_yaml
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import write_text
@@ -26,16 +26,17 @@ from socket_testbed.geometry.pose import (
     RotationRows,
     about_z,
     check_rotation,
-    plain,
     pose_document,
+    rounded,
 )
 
 HEIGHTS = ("proximal", "middle", "distal")
 SECTORS = ("anterior", "posterior", "medial", "lateral", "left", "right")
 PARTS_OF_SECTORS = [f"{sector} {height}" for sector in SECTORS for height in HEIGHTS]
 SOCKET = "socket"  # the region of all tiles
+UNMEASURED = "unmeasured wall"  # the region of the tiles without a cluster
 
-_STANDARD_REGIONS = {SOCKET, *SECTORS, *HEIGHTS, *PARTS_OF_SECTORS}
+_STANDARD_REGIONS = {SOCKET, UNMEASURED, *SECTORS, *HEIGHTS, *PARTS_OF_SECTORS}
 _SAME_PLACE = 1e-4  # [m]
 _MAX_GAP_RATIO, _MAX_GAP = 4.0, 0.06  # over the median gap [-], and [m]; beyond both: off the wall
 _FromScan = Annotated[float, Meta(ge=-100.0, le=100.0)]  # [m]; the scanner's origin is arbitrary
@@ -97,6 +98,17 @@ class SocketGeometry:
         """
         return self.socket_body @ socket_in_world.inverse() @ pylon_in_world @ self.limb
 
+    @property
+    def cluster_names(self) -> list[str]:
+        """Name of the cluster on each of the n tiles; empty without one."""
+        clusters = {tile: cluster for cluster, tile in self.clusters.items()}
+        return [clusters.get(tile, "") for tile in range(len(self))]
+
+    @property
+    def covered(self) -> BoolArray:
+        """Tiles with a cluster, shape (n,)."""
+        return np.array([bool(name) for name in self.cluster_names])
+
     def cluster_force(self, cluster: str, stress: FloatArray) -> FloatArray:
         """Force on a cluster in its tile's frame {L}, ``A Rz(turned) [tau_x, tau_y, -sigma]`` [N].
 
@@ -125,7 +137,7 @@ class SocketGeometry:
             pose = pose_document(self.scan.in_load_cell)
             document["scan"] = {"unit": self.scan.unit, "in_load_cell": pose}
         document["tiles"] = {
-            name: {"anchor": plain(anchor), "frame": plain(frame), "area": float(area)}
+            name: {"anchor": rounded(anchor), "frame": rounded(frame), "area": float(area)}
             for name, anchor, frame, area in zip(
                 self.names, self.anchors, self.rotations, self.areas, strict=True
             )
@@ -139,8 +151,8 @@ class SocketGeometry:
         pylon = {"limb_in_body": pose_document(self.limb)}
         document["bodies"] = {
             **({"registration": self.registration} if self.registration else {}),
-            "socket": {"markers": plain(self.socket_markers)} | socket,
-            "pylon": {"markers": plain(self.pylon_markers)} | pylon,
+            "socket": {"markers": rounded(self.socket_markers)} | socket,
+            "pylon": {"markers": rounded(self.pylon_markers)} | pylon,
         }
         return document
 

@@ -13,12 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 
 from socket_testbed.arrays import FloatArray, usual_period
 from socket_testbed.errors import IdentificationError
-from socket_testbed.geometry.axis import proximal_direction
+from socket_testbed.geometry.axis import axial_force, proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import plausibility, validation
 from socket_testbed.identification.noise import channel_noise
@@ -71,16 +72,17 @@ def check_data(
 ) -> tuple[DataFinding, ...]:
     """Defects of a trial's data, the worst first; empty if it is good.
 
-    The mass is that of the person [kg], if stated. Channels in `leave_out` are not checked
-    individually. In a window instead of a `whole` trial the limb may just be pushed, so sources are
+    The mass is that of the person [kg], if stated. Channels in `leave_out` are not checked. In a
+    window instead of a `whole` trial the limb may just be pushed, so sources are
     not compared over time.
     """
     if len(samples) < MIN_SAMPLES:
         fact = f"{len(samples)} samples are too few to judge it"
         return (DataFinding("the trial", fact, f"record {MIN_SAMPLES} or more"),)
-    found = [*_units(samples, geometry, mass)]
+    counted = samples.blanked(~samples.counted(leave_out))
+    found = [*_units(counted, geometry, mass)]
     if whole:
-        found += [*_time_series(samples, geometry)] or [*_disagreements(samples, geometry)]
+        found += [*_time_series(counted, geometry)] or [*_disagreements(counted, geometry)]
     found += [finding for finding in _channels(samples) if finding.source not in leave_out]
     spikes = plausibility.outlier_notes(
         samples, plausibility.find_outliers(samples, geometry, leave_out)
@@ -123,7 +125,7 @@ def _units(samples: Samples, geometry: SocketGeometry, mass: float | None) -> It
 def _time_series(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFinding]:
     """Signs, lags, and whether each source follows the load."""
     proximal = proximal_direction(geometry)
-    load = -samples.wrench[:, 3:] @ proximal
+    load = axial_force(geometry, samples.wrench)
     pressing = -samples.trusted_forces[:, :, 2]
     period = usual_period(samples.time)
     together = np.nansum(pressing, axis=1)
@@ -246,12 +248,13 @@ def _channels(samples: Samples) -> Iterator[DataFinding]:
         if len(known) < MIN_SAMPLES:
             continue
         still = period * _longest_run(known)
-        at_end = max(np.mean(known == known.max()), np.mean(known == known.min()))
+        at_ends = {end: np.mean(known == end) for end in (known.min(), known.max())}
+        end, at_end = max(at_ends.items(), key=itemgetter(1))
         unit = channel_unit(name)
         if still > max(MAX_STILL, 4.0 * period):
             fact, hint = f"it does not change for {still:.1f} s", "check the sensor and its driver"
         elif at_end > MAX_CLIPPED:
-            fact = f"{100.0 * at_end:.0f} % of its values are at one end, {known.max():.3g} {unit}"
+            fact = f"{100.0 * at_end:.0f} % of its values are at one end, {end:.3g} {unit}"
             hint = "check the sensor's range: it is clipped"
         elif noise > MAX_NOISE[unit]:
             fact = f"its noise is {noise:.3g} {unit}"

@@ -229,7 +229,7 @@ def _with_wrench_model(
     """
     middle = used.stamps[len(used) // 2]
     first, unseen = used[used.stamps < middle], used[used.stamps >= middle]
-    complete = np.isfinite(used.wrench).all()  # no channel is left out
+    complete = np.isfinite(used.wrench).all() and used.counted(settings.leave_out)[:6].all()
     if settings.variant != "rigid_bias" or not settings.wrench_sharpness or not complete:
         return model, ""
     force = used.wrench[:, 3:]

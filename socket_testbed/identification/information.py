@@ -215,7 +215,7 @@ def measure_motion(samples: Samples, geometry: SocketGeometry, window: float = 0
     spread = np.sqrt(np.diag(covariance))
     motion = np.sqrt(np.maximum((deviation**2).mean(axis=0) - spread**2, 0.0))
     spread[np.isnan(noise.pose)] = math.nan
-    axis = int(np.abs(geometry.rotations[:, :, 0].mean(axis=0)).argmax())  # of the socket
+    axis = int(np.abs(proximal_direction(geometry)).argmax())  # of the socket
     excitations = tuple(
         Excitation(f"{kind} {x}", unit, float(motion[i]), float(spread[i]), advice[i % 3 != axis])
         for i, ((kind, unit, *advice), x) in enumerate(product(_COMPONENTS, "xyz"))

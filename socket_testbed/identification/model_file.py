@@ -20,6 +20,7 @@ from socket_testbed.documents import (
     Document,
     Text,
     convert,
+    finite_or_null,
     load_json,
     plain,
     refuse_unknown,
@@ -30,6 +31,8 @@ from socket_testbed.files import write_text
 from socket_testbed.geometry.socket import SocketGeometry, socket_from_document
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import ChannelErrors, Fit, summarise_errors
+from socket_testbed.identification.noise import smooth_poses
+from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, Variant
 
 _FORMAT = "socket_testbed model 1"
@@ -53,6 +56,11 @@ class StoredModel:
     # spans of the trial used to correct the clusters' drift [s]
     unloaded: tuple[tuple[float, float], ...]
     segment: str  # of the trial, such as `plateau 12.00 s to 31.50 s`
+
+    def predictions(self, samples: Samples) -> FloatArray:
+        """Predictions of all channels, (N, 6 + 3c), with poses averaged as in the fit."""
+        smooth = smooth_poses(samples, self.settings.pose_smoothing)
+        return self.model.predict(smooth.pose, samples.clusters)
 
     @property
     def span(self) -> tuple[float, float]:
@@ -131,13 +139,6 @@ def quoted_figures(errors: Sequence[ChannelErrors]) -> dict[str, Any]:
         "median_local_rmse [N]": summary.local_rmse,
     }
     return {name: finite_or_null(value) for name, value in figures.items()}
-
-
-def finite_or_null(value: Any) -> Any:
-    """A value for JSON, with None in place of NaN, also in a tuple."""
-    if isinstance(value, tuple):
-        return [*map(finite_or_null, value)]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 _Parameter = Annotated[float, Meta(ge=-1e9, le=1e9)]  # [N/m, N, N m]; far beyond any real one

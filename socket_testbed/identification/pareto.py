@@ -29,11 +29,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray, evenly, usual_period
+from socket_testbed.documents import finite_or_null
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import ChannelErrors, evaluate, summarise_errors
-from socket_testbed.identification.model_file import finite_or_null
 from socket_testbed.identification.problem import Objective, Problem, build_objective
 from socket_testbed.identification.solver import (
     BoxQP,

@@ -39,6 +39,7 @@ import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.errors import IdentificationError
+from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status, channel_unit
 
@@ -79,13 +80,8 @@ class Outliers:
 
     def taken_from(self, samples: Samples) -> Samples:
         """The samples with their outliers marked as not measured."""
-        shape = samples.local_forces.shape
-        return dataclasses.replace(
-            samples,
-            position=np.where(self.position[:, None], np.nan, samples.position),
-            wrench=np.where(self.values[:, :6], np.nan, samples.wrench),
-            local_forces=np.where(self.values[:, 6:].reshape(shape), np.nan, samples.local_forces),
-        )
+        position = np.where(self.position[:, None], np.nan, samples.position)
+        return dataclasses.replace(samples.blanked(self.values), position=position)
 
 
 def find_outliers(
@@ -133,7 +129,7 @@ def sign_note(samples: Samples, geometry: SocketGeometry) -> str | None:
 
     The x axes of the socket's tiles point to the proximal end.
     """
-    proximal = geometry.rotations[:, :, 0].mean(axis=0)
+    proximal = proximal_direction(geometry)
     opening = geometry.rotations[:, :, 2].mean(axis=0) @ proximal
     force = samples.wrench[:, 3:]
     force = force[np.isfinite(force).all(axis=1)]
@@ -141,7 +137,7 @@ def sign_note(samples: Samples, geometry: SocketGeometry) -> str | None:
     pressed = [-float(np.median(f[np.isfinite(f)])) for f in normal.T if np.isfinite(f).any()]
     if not len(force) or not pressed or opening <= 0.0:
         return None
-    pull = float(np.median(force @ proximal / np.linalg.norm(proximal)))
+    pull = float(np.median(force @ proximal))
     pressing = sum(p > 0.0 for p in pressed)
     if pull <= HANGING_WEIGHT or 2 * pressing <= len(pressed) or sum(pressed) <= 0.0:
         return None

@@ -274,7 +274,7 @@ def judge_tiles(
     tested_on: str = "",
 ) -> list[Judgement]:
     """Judge the forces on tiles without a sensor against the truth, (N, n, 3) in {S} [N]."""
-    bare = np.setdiff1d(np.arange(len(geometry)), [*geometry.clusters.values()])
+    bare = np.flatnonzero(~geometry.covered)
     if not len(bare):
         return []
     truth = truth[:, bare]

@@ -10,7 +10,6 @@ from collections import OrderedDict, deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError, Future
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -110,11 +109,9 @@ class OnlineMap:
         if settings.force_map != self._prior:
             self._prior = settings.force_map
             self._map = ForceMap(self._geometry, sample.clusters, self._prior)
-        values = sample.values
-        values[~(np.abs(values) <= self._limits)] = np.nan
-        values[:, ~sample.counted(settings.identification.leave_out)] = np.nan
-        forces = values[:, 6:].reshape(1, -1, 3)
-        self._newest = replace(sample, wrench=values[:, :6], local_forces=forces)
+        usable = np.abs(sample.values) <= self._limits
+        usable &= sample.counted(settings.identification.leave_out)
+        self._newest = sample.blanked(~usable)
         self.count += 1
         return self._map.update(self._newest)
 

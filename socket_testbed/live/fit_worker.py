@@ -170,8 +170,7 @@ def _judge(
     old: ContactModel, new: ContactModel, samples: Samples, settings: IdentificationSettings
 ) -> Contest:
     """Compare the errors of two models on samples, relative to the size of each group."""
-    measured = samples.trusted_values
-    measured[:, ~samples.counted(settings.leave_out)] = np.nan
+    measured = samples.blanked(~samples.counted(settings.leave_out)).trusted_values
     groups = (measured[:, :3], measured[:, 3:6], measured[:, 6:])
     smallest = (plausibility.MIN_MOMENT, plausibility.MIN_FORCE, plausibility.MIN_FORCE)
     sizes = [max(rms(group, 0.0), least) for group, least in zip(groups, smallest, strict=True)]

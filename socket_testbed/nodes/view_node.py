@@ -23,7 +23,7 @@ from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import file_or_packaged
-from socket_testbed.geometry.axis import all_regions, proximal_direction
+from socket_testbed.geometry.axis import all_regions, axial_force
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.data_check import LOOK
 from socket_testbed.identification.pressure import NORMAL_QUANTILE, Quantity, RegionOutputs
@@ -194,8 +194,8 @@ class LiveSource:
                 continue
             outputs = _region_outputs(fields)
             wrench = dict(self._wrenches).get(stamp, _NO_WRENCH)
-            force, peak = -wrench[3:] @ proximal_direction(geometry), outputs.peak
-            row = (force, peak.value[-1], peak.low[-1], peak.high[-1])
+            peak = outputs.peak
+            row = (axial_force(geometry, wrench), peak.value[-1], peak.low[-1], peak.high[-1])
             self._course.append((1e-9 * (stamp - self._first), *map(float, row)))
             while self._course[-1][0] - self._course[0][0] > _COURSE_DURATION:
                 self._course.popleft()

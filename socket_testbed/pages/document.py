@@ -15,8 +15,14 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.geometry.axis import UNMEASURED, Region, Side, proximal_direction
-from socket_testbed.geometry.socket import HEIGHTS, PARTS_OF_SECTORS, SOCKET, SocketGeometry
+from socket_testbed.geometry.axis import Region, Side, axial_force
+from socket_testbed.geometry.socket import (
+    HEIGHTS,
+    PARTS_OF_SECTORS,
+    SOCKET,
+    UNMEASURED,
+    SocketGeometry,
+)
 from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.identification.pressure import (
     NORMAL_QUANTILE,
@@ -126,7 +132,7 @@ def measured_pressure(samples: Samples, geometry: SocketGeometry) -> FloatArray:
 
 def trial_document(trial: Trial, outputs: PressureOutputs, time: FloatArray) -> Document:
     """The socket of a trial, and its course from outputs at some times [s]."""
-    force = -outputs.samples.wrench[:, 3:] @ proximal_direction(trial.geometry)
+    force = axial_force(trial.geometry, outputs.samples.wrench)
     peak = outputs.series.peak.part((..., -1))
     events = [(event.time, event.label) for event in trial.events()]
     return {
@@ -175,10 +181,10 @@ def cards(
 
     `outputs` holds R regions; `pressure` is that on the tiles at the peak, shape (n,) [Pa].
     """
-    clusters = {tile: name for name, tile in geometry.clusters.items()}
     names = [place.name for place in places]
     peak = int(pressure.argmax())
-    source = f"measured by {clusters[peak]}" if peak in clusters else "estimated"
+    cluster = geometry.cluster_names[peak]
+    source = f"measured by {cluster}" if cluster else "estimated"
     shown = [("Peak", SOCKET, f"{part_of(places, peak)}, {source}")]
     if UNMEASURED in names:
         bare = places[names.index(UNMEASURED)].tiles

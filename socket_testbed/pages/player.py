@@ -9,7 +9,6 @@ import numpy as np
 from socket_testbed.arrays import evenly, sample_at
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.model_file import StoredModel
-from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.plausibility import require_position
 from socket_testbed.identification.pressure import measured_rows
 from socket_testbed.pages import document
@@ -33,8 +32,7 @@ class Player:
         if model is not None:
             model.require_socket(trial.geometry)
             require_position(samples, trial.geometry)
-            poses = smooth_poses(samples, model.settings.pose_smoothing).pose
-            self._predicted = model.model.wrench(poses)
+            self._predicted = model.predictions(samples)[:, :6]
         rows = evenly(len(samples), _COURSE_SAMPLES)
         time, found = samples.time[rows], self._mapped.course(rows)
         self._start = document.trial_document(trial, found, time) | {

@@ -106,19 +106,19 @@ class _Handler(BaseHTTPRequestHandler):
         """Serve the page, its files, and data of the source."""
         if self._is_refused():
             return
-        address = urlsplit(self.path)
+        address, source = urlsplit(self.path), self.server.source
+        if address.path not in ("/start", "/now"):
+            self._answer_file(address.path)
+            return
+        asked = parse_qs(address.query).get("t")
         try:
-            if address.path == "/start":
-                with self.server.asking:
-                    self._answer_json(self.server.source.start())
-            elif address.path == "/now":
-                asked = parse_qs(address.query).get("t")
-                with self.server.asking:
-                    self._answer_json(self.server.source.now(float(asked[0]) if asked else None))
-            else:
-                self._answer_file(address.path)
+            time = float(asked[0]) if asked else None
         except ValueError:
             self._answer(HTTPStatus.BAD_REQUEST, b"the time is not a number\n")
+            return
+        with self.server.asking:  # not while it is sent: a browser may be slow to take it
+            found = source.start() if address.path == "/start" else source.now(time)
+        self._answer_json(found)
 
     def do_POST(self) -> None:
         """Press a button."""

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from socket_testbed.arrays import BoolArray, FloatArray
-from socket_testbed.geometry.axis import SocketAxis, socket_axis, wall_tiles
+from socket_testbed.geometry.axis import SECTOR_TURNS, Side, SocketAxis, socket_axis, wall_tiles
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.force_map import matern
@@ -18,15 +18,14 @@ STEP = 0.35  # [-]; of the grid, relative to the edge of a tile
 _MAX_DISTANCE = 1.3  # [-]; likewise; farther from the nearest tile there is no wall
 _KERNEL_WIDTH = 0.7  # [-]; likewise; for smoothing the wall's shape
 _NUGGET = 3e-3  # [-]; keeps weights small beyond the outermost tiles
-_SIDES = {"left": ("lateral", "medial"), "right": ("medial", "lateral")}
 # Corners of a square of edge 1 in {L}, counter-clockwise about the inward normal.
 _SQUARE = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) / 2.0
 
 
-def side_names(side: str | None) -> list[str]:
+def side_names(side: Side | None) -> list[str]:
     """Directions at -180, -90, 0, 90 and 180 degrees on the unrolled wall, by side of the leg."""
-    left, right = _SIDES.get(side or "", ("left", "right"))
-    return ["posterior", right, "anterior", left, "posterior"]
+    names = {turn: name for name, turn in SECTOR_TURNS[side].items()}
+    return [names[turn] for turn in (2, 3, 0, 1, 2)]
 
 
 @dataclass(frozen=True, eq=False)

@@ -336,11 +336,9 @@ def _tile_map(
 ) -> ReportFigure:
     """Maps of a quantity on the tiles along x, y, z, shape (n, 3)."""
     geometry, frame = results.trial.geometry, _frame(candidate)
-    clusters = {tile: cluster for cluster, tile in geometry.clusters.items()}
     described, unit = split_unit(quantity)
     columns = {f"anchor {axis} in S [m]": column for axis, column in _by_axis(geometry.anchors)}
     columns |= {f"{described} {axis} [{unit}]": column for axis, column in _by_axis(values)}
-    names = [clusters.get(tile, "") for tile in range(len(geometry))]
     maps = {f"{symbol} along {axis} of {frame}": column for axis, column in _by_axis(values)}
     heading = f"{results.trial.name}: {title}"
     return ReportFigure(
@@ -348,7 +346,7 @@ def _tile_map(
         f"{title}, along the axes of {frame}; the wall is unrolled and seen from outside. Tiles"
         " with a cluster are outlined.",
         lambda style: tile_map_figure(geometry, maps, quantity, heading, style),
-        pd.DataFrame({"tile": geometry.names, "cluster": names, **columns}),
+        pd.DataFrame({"tile": geometry.names, "cluster": geometry.cluster_names, **columns}),
     )
 
 

@@ -11,12 +11,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.geometry.axis import UNMEASURED
 from socket_testbed.geometry.socket import (
     HEIGHTS,
     PARTS_OF_SECTORS,
     SECTORS,
     SOCKET,
+    UNMEASURED,
     SocketGeometry,
 )
 from socket_testbed.identification.force_map import MapEstimate
@@ -65,9 +65,10 @@ def page_data(results: Results) -> dict[str, Any]:
     found, trial, over_trial = results.pressure, results.trial, results.over_trial
     outputs, tiles, geometry = found.outputs, found.outputs.tiles, results.trial.geometry
     time = 1e-9 * (over_trial.samples.stamps - results.samples.stamps[0])
-    measured = document.measured_pressure(outputs.samples, geometry).mean(axis=0)
+    measured = pd.DataFrame(document.measured_pressure(outputs.samples, geometry))
     reach = 0.5 * (tiles.mean.high - tiles.mean.low)
-    mean = document.moment(found.peak_time, tiles.mean.value, reach, tiles.shear.value, measured)
+    means = tiles.mean.value, reach, tiles.shear.value, measured.mean().to_numpy()
+    mean = document.moment(found.peak_time, *means)
     at_peak = outputs.peak_map.normal_pressure[0]
     return document.trial_document(trial, over_trial, time) | {
         "start": found.peak_time,

@@ -17,6 +17,7 @@ from matplotlib.patches import Patch as Swatch
 from matplotlib.patheffects import withStroke
 
 from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed.geometry.axis import Side
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.pressure import greyness
 from socket_testbed.pages.document import GREY
@@ -75,11 +76,6 @@ class TilePaint:
     scale: ScalarMappable
     images: Sequence[tuple[Patch, FloatArray]] = ()  # parts of the surface, RGBA, (h, w, 4)
 
-    @property
-    def covered(self) -> BoolArray:
-        """Tiles covered by a cluster, shape (n,)."""
-        return np.isin(np.arange(len(self.geometry)), [*self.geometry.clusters.values()])
-
 
 def paint_tiles(
     geometry: SocketGeometry,
@@ -116,7 +112,7 @@ def _measures(tiles: UnrolledTiles) -> tuple[float, float, float]:
     return heights.min(), heights.max(), float(np.radians(1e3 * max(radius, 1e-3)))
 
 
-def _draw_wall(axis: Axes, paint: TilePaint, labels: Sequence[str], side: str | None) -> None:
+def _draw_wall(axis: Axes, paint: TilePaint, labels: Sequence[str], side: Side | None) -> None:
     """Draw the wall as seen from outside: anterior, left, posterior, right.
 
     Lengths across are true only at the tiles' median radius.
@@ -153,7 +149,7 @@ def _draw_part(axis: Axes, paint: TilePaint, name: str, labels: Sequence[str]) -
             axis.set(**limits)
     tiles = np.flatnonzero(paint.tiles.on_wall == (name == "wall"))
     corners: Any = paint.tiles.corners[tiles]  # matplotlib's types name sequences only
-    covered, hatched = paint.covered[tiles], paint.hatched[tiles]
+    covered, hatched = paint.geometry.covered[tiles], paint.hatched[tiles]
     edge = to_rgba(_EDGE, 0.0 if paint.images else 1.0)
     edges = np.where(covered[:, None], to_rgba(_CLUSTER), edge)
     widths = np.where(covered, 1.6, 0.6)
@@ -226,7 +222,7 @@ def _draw_maps(
     scales: Sequence[tuple[float, float]],
     columns: int,
     style: FigureStyle,
-    side: str | None,
+    side: Side | None,
     reach: Mapping[str, FloatArray],
 ) -> None:
     """Draw maps in rows, with a single colour bar if they share a scale, and a key below."""
@@ -268,7 +264,7 @@ def draw_wall(
     values: FloatArray,
     unit: str,
     reach: FloatArray | None = None,
-    side: str | None = None,
+    side: Side | None = None,
 ) -> None:
     """Draw values on the wall, shape (n,), with a colour bar, into the caller's axes.
 
@@ -297,7 +293,7 @@ def tile_map_figure(
     limits: tuple[float, float] | Mapping[str, tuple[float, float]] | None = None,
     from_zero: bool = False,
     below: tuple[float, Callable[[SubFigure], None]] | None = None,
-    side: str | None = None,
+    side: Side | None = None,
     reach: Mapping[str, FloatArray] | None = None,
 ) -> Figure:
     """Maps of tiles coloured by their values, in colours that print well in grey.
@@ -348,7 +344,7 @@ def socket_figure(geometry: SocketGeometry, title: str = "") -> Figure:
     for cluster, tile in geometry.clusters.items():
         labels[tile] += f" ({cluster})" * (cluster != labels[tile])
     paint = paint_tiles(geometry, np.full(len(geometry), np.nan))
-    fills = np.where(paint.covered[:, None], to_rgba(_CLUSTER), to_rgba(_TILE))
+    fills = np.where(geometry.covered[:, None], to_rgba(_CLUSTER), to_rgba(_TILE))
     paint = replace(paint, fills=fills, hatched=np.zeros_like(paint.hatched))
     wall, end = figure.subplots(1, 2, width_ratios=(_WALL_SHARE, 1.0))
     _draw_wall(wall, paint, labels, None)

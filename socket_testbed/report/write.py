@@ -7,6 +7,7 @@ from datetime import datetime
 from pathlib import Path
 
 from socket_testbed.files import atomic_output, check_outputs, refuse_existing
+from socket_testbed.identification.data_check import GOOD
 from socket_testbed.pages.document import check_page
 from socket_testbed.report import fronts, models, pressure, quality, validation
 from socket_testbed.report.page import Section, write_page
@@ -90,6 +91,6 @@ def summarise(results: Results) -> list[str]:
     """One statement each on the pressure, the data, the segment and every model."""
     return [
         pressure.describe_pressure(results.pressure),
-        "; ".join(map(str, results.data)).capitalize() or "Data: good.",
+        "; ".join(map(str, results.data)) or GOOD,
         *models.describe_models(results),
     ]

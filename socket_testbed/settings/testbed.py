@@ -212,17 +212,19 @@ def estimator_settings(
 
 
 def write_testbed(nodes: dict[str, Settings], path: Path) -> None:
-    """Write settings by node name as a `testbed.yaml` for other runs and machines."""
-    document = {
-        node: {
-            "ros__parameters": {
-                name: value
-                for name, value in settings.to_flat().items()
-                if name not in _RUN_SPECIFIC and value != []
-            }
+    """Write settings by node name as a `testbed.yaml` for other runs and machines.
+
+    An empty list is left out where it is the default: ROS does not know its type.
+    """
+    document = {}
+    for node, settings in nodes.items():
+        usual = type(settings)().to_flat()
+        written = {
+            name: value
+            for name, value in settings.to_flat().items()
+            if name not in _RUN_SPECIFIC and not value == usual[name] == []
         }
-        for node, settings in nodes.items()
-    }
+        document[node] = {"ros__parameters": written}
     write_text(path, yaml.safe_dump(document, sort_keys=False))
 
 

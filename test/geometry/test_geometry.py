@@ -133,6 +133,7 @@ BAD = [
     (("clusters",), {"a": "tile_0_0", "b": "tile_0_0"}, "on 'tile_0_0': give each its own tile"),
     (("bodies", "socket", "markers"), LINE, "the markers are on one line"),
     (("regions",), {"socket": ["tile_0_0"]}, "name of a standard region"),
+    (("regions",), {"unmeasured wall": ["tile_0_0"]}, "name of a standard region"),
 ]
 
 

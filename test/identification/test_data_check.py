@@ -90,6 +90,13 @@ def test_a_reversed_cluster_another_size_and_few_samples_are_named(sound: dict[s
     assert "weights of the stated 5 kg" in heavy.fact
     (few,) = check_data(samples[:20], trial.geometry)
     assert "20 samples are too few" in few.fact
+    spoilt = replace(samples, wrench=samples.wrench * [1, 1, 1e4, 1, 1, 1])
+    assert check_data(spoilt, trial.geometry)
+    assert not check_data(spoilt, trial.geometry, leave_out=("Mz",))
+    clipped = samples.wrench.copy()
+    clipped[::4, 3] = low = clipped[:, 3].min()
+    (found,) = check_data(replace(samples, wrench=clipped), trial.geometry)
+    assert found.source == "Fx" and f"are at one end, {low:.3g} N" in found.fact
     samples.local_forces[:, 0] *= -1.0
     (found,) = check_data(samples, trial.geometry)
     assert found.source == samples.clusters[0] and "sign" in found.hint

@@ -278,6 +278,8 @@ def test_the_wrench_is_taken_from_what_predicts_the_unseen_half_best(tmp_path):
     fit = fit_contact_model(samples, geometry, settings)
     assert fit.wrench.startswith("linear regression on the pose: ")
     np.testing.assert_allclose(fit.model.wrench(samples.pose), samples.wrench, atol=0.5)
+    # A channel that is left out decides nothing.
+    assert fit_contact_model(samples, geometry, replace(settings, leave_out=("Mz",))).wrench == ""
     alone = replace(fit.model, of_wrench=None)
     np.testing.assert_array_equal(alone.forces(samples.pose), fit.model.forces(samples.pose))
     path = tmp_path / "model.json"

@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.bags import add_events, rewrite
+from support.wording import refused
 
 import socket_testbed as st
+from socket_testbed.errors import TrialError
 from socket_testbed.pages.player import Player
 from socket_testbed.trials.segment import Segment
 
@@ -63,6 +65,8 @@ def test_events_are_marks_and_nothing_is_shown_in_a_gap(hold: Path, tmp_path: Pa
     played = Player(add_events(path, tmp_path / "marked", [("push", 30.0, 30.0)]))
     (event,) = [e for e in played.start()["course"]["events"] if e["label"] == "push"]
     assert event["time"] == pytest.approx(30.0, abs=0.3)
+    with refused(TrialError, "no sample at 26.2 s"):
+        st.force_map(path, "all").at(26.2)
     shown = played.now(26.2)
     assert "pressure" not in shown["moment"] and shown["cards"][0]["value"] == "none"
     assert "pressure" in played.now(20.0)["moment"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import json
+import socket
 from collections.abc import Iterator
 from typing import Any
 
@@ -22,7 +23,7 @@ class Still:
         return {"title": "still"}
 
     def now(self, time: float | None) -> dict[str, Any]:
-        return {"asked": time}
+        return {"asked": time, **({"long": "x" * 2**23} if time == 8.0 else {})}
 
     def act(self, what: str, given: dict[str, Any]) -> str:
         if what == "tare":
@@ -96,6 +97,9 @@ def test_the_source_is_asked_and_buttons_say_what_came_of_them(server: PageServe
     ):
         status, _, text = answer(server, "/do", "POST", json.dumps(given).encode())
         assert (status, json.loads(text)) == (200, expected)
+    with socket.create_connection(("127.0.0.1", port_of(server))) as slow:  # reads no further
+        slow.sendall(b"GET /now?t=8 HTTP/1.1\r\nHost: 127.0.0.1:%d\r\n\r\n" % port_of(server))
+        assert slow.recv(1) and not server.asking.locked()
     # Nonsense is refused, and the page goes on.
     assert answer(server, "/now?t=soon")[0] == 400
     for body in (b"", b"tare", b"[]", b"{}", b"7", b"\xff", b'{"do"'):

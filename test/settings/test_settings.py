@@ -87,7 +87,8 @@ def test_a_file_of_parameters_gives_the_settings_of_its_nodes_over_those_of_anot
 def test_what_is_written_comes_back_but_for_what_belongs_to_one_run(tmp_path):
     path = tmp_path / "testbed.yaml"
     estimator = testbed.EstimatorSettings(
-        geometry="socket.yaml", identification=IdentificationSettings(leave_out=("Mz",), theta=0.3)
+        geometry="socket.yaml",
+        identification=IdentificationSettings(leave_out=("Mz",), theta=0.3, wrench_sharpness=()),
     )
     trigger = TriggerSettings(rate=20.0, wait_for=("mocap_node",), simulation="world")
     testbed.write_testbed({"estimator_node": estimator, "trigger_node": trigger}, path)

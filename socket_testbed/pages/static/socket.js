@@ -80,9 +80,13 @@ class SocketMap {
     const ink = getComputedStyle(this.box).color;
     const paint = values && this.paint(values, unit, doubt);
     this.drawMap(paint, values, unit, ink);
-    const now = performance.now();
-    if (this.solid && !(now - this.drawnSolid < SOLID_PERIOD)) {
-      this.drawnSolid = now;
+    if (!this.solid) { return; }
+    const wait = SOLID_PERIOD - (performance.now() - (this.drawnSolid ?? -SOLID_PERIOD));
+    clearTimeout(this.later);
+    if (wait > 0) {
+      this.later = setTimeout(() => this.show(), wait);
+    } else {
+      this.drawnSolid = performance.now();
       this.drawSolid(paint, ink);
     }
   }
