@@ -13,15 +13,8 @@ from socket_testbed.api.result import Result, origin, records
 from socket_testbed.api.trials import PathLike, Progress, as_trial, started
 from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import check_number
-from socket_testbed.identification.pareto import (
-    PUBLISHED_FRAMES,
-    THEIRS,
-    Front,
-    beside_published,
-    front_document,
-    front_table,
-    pareto_front,
-)
+from socket_testbed.identification.paper import PUBLISHED_FRAMES, THEIRS, beside_published
+from socket_testbed.identification.pareto import Front, front_document, front_table, pareto_front
 from socket_testbed.settings.identification import (
     PAPER_VARIANTS,
     IdentificationSettings,

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure, SubFigure
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.identification.fit import ChannelErrors, summarise_errors
-from socket_testbed.identification.pareto import THEIRS, beside_published
+from socket_testbed.identification.paper import THEIRS, beside_published
 from socket_testbed.pages.document import numbers
 from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart
 from socket_testbed.report.quality import mean_and_sigma
