@@ -18,7 +18,7 @@ from socket_testbed.api.result import Result, origin
 from socket_testbed.api.trials import PathLike, as_path, as_trial, note, select
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.identification import plausibility
+from socket_testbed.identification import information, plausibility
 from socket_testbed.identification.fit import (
     ChannelErrors,
     Fit,
@@ -26,15 +26,6 @@ from socket_testbed.identification.fit import (
     evaluate_predictions,
     fit_contact_model,
     summarise_errors,
-)
-from socket_testbed.identification.information import (
-    Engagement,
-    LoadShare,
-    Motion,
-    engagement,
-    known_directions,
-    load_shares,
-    measure_motion,
 )
 from socket_testbed.identification.model_file import (
     StoredModel,
@@ -119,21 +110,21 @@ class TrialFit(Result):
             segment=str(self.segment),
         )
 
-    def load_shares(self) -> tuple[LoadShare, ...]:
+    def load_shares(self) -> tuple[information.LoadShare, ...]:
         """Shares of Fz, force and moment carried by springs and offsets."""
         smooth = smooth_poses(self._samples(), self.fit.settings.pose_smoothing)
-        return load_shares(smooth, self.fit.model)
+        return information.load_shares(smooth, self.fit.model)
 
-    def motion(self) -> Motion:
+    def motion(self) -> information.Motion:
         """Motion of the pose over the segment, relative to its noise."""
-        return measure_motion(
+        return information.measure_motion(
             self._samples(), self.trial.geometry, self.fit.settings.pose_smoothing
         )
 
     def known_directions(self) -> float:
         """Stiffness directions with a standard deviation below `stiffness_difference` [-]."""
         used = self.fit.settings
-        return known_directions(
+        return information.known_directions(
             self._samples(), self.fit.model, used.stiffness_difference, used.pose_smoothing
         )
 
@@ -203,10 +194,12 @@ class Evaluation(Result):
         """Errors, one row per channel in the channel's unit."""
         return errors_to_dataframe(self.errors)
 
-    def engagement(self) -> Engagement:
+    def engagement(self) -> information.Engagement:
         """Engaged springs at every sample of the trial, and their share of the segment's time."""
         window = self.model.settings.pose_smoothing
-        return engagement(self.trial.samples(), self.model.model, window, self.segment.rows)
+        return information.engagement(
+            self.trial.samples(), self.model.model, window, self.segment.rows
+        )
 
     def document(self) -> dict[str, Any]:
         """The evaluation for JSON."""
@@ -511,7 +504,7 @@ def export(
     if stored is not None:
         predicted = _predictions(samples, stored)
         predicted[:, :6] = moments_about(predicted[:, :6], about)
-        engaged = engagement(samples, stored.model, stored.settings.pose_smoothing)
+        engaged = information.engagement(samples, stored.model, stored.settings.pose_smoothing)
         added.append(pd.DataFrame(engaged.columns("springs."))[chosen.rows])
     if force_map:
         mapped = force_map_of(trial, chosen).estimate

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from socket_testbed.arrays import BoolArray, FloatArray, evenly
 from socket_testbed.errors import IdentificationError
-from socket_testbed.identification import plausibility
+from socket_testbed.identification import information, plausibility
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.identification.fit import (
@@ -19,15 +19,6 @@ from socket_testbed.identification.fit import (
     Fit,
     evaluate_predictions,
     fit_contact_model,
-)
-from socket_testbed.identification.information import (
-    Engagement,
-    LoadShare,
-    Motion,
-    engagement,
-    known_directions,
-    load_shares,
-    measure_motion,
 )
 from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.identification.noise import smooth_poses
@@ -60,9 +51,9 @@ class Candidate:
     predicted: FloatArray  # (N, 6 + 3c) [N m, N], over the trial
     errors: tuple[ChannelErrors, ...]  # over the segment
     held_out: tuple[ChannelErrors, ...]  # over the rest; empty with too few samples
-    shares: tuple[LoadShare, ...]  # of the load over the segment
+    shares: tuple[information.LoadShare, ...]  # of the load over the segment
     known: float  # [-], stiffness directions identifiable from the segment despite noise
-    engagement: Engagement  # of the springs over the trial
+    engagement: information.Engagement  # of the springs over the trial
 
     @property
     def model(self) -> ContactModel:
@@ -90,7 +81,7 @@ class Results:
     implausible: tuple[plausibility.Implausible, ...]  # channels proposed to be left out
     plateaus: tuple[Segment, ...]  # the longest first
     bag_notes: tuple[str, ...]
-    motion: Motion  # of the pose over the segment, relative to its noise
+    motion: information.Motion  # of the pose over the segment, relative to its noise
     validation: tuple[Judgement, ...]  # may be empty
     no_validation: str  # reason for empty `validation`
     pressure: SegmentPressure
@@ -196,7 +187,7 @@ def compute_results(
         plateaus=tuple(find_plateaus(samples, settings.plateau, leave_out)),
         bag_notes=tuple(dict.fromkeys([*trial.notes, *notes])),
         data=trial.findings,
-        motion=measure_motion(chosen, trial.geometry, identification.pose_smoothing),
+        motion=information.measure_motion(chosen, trial.geometry, identification.pose_smoothing),
         validation=tuple(validation),
         no_validation=no_validation,
         pressure=pressure,
@@ -218,7 +209,7 @@ def _judge(samples: Samples, segment: Segment, label: str, source: Fit | StoredM
         predicted=predicted,
         errors=evaluate_predictions(chosen, predicted[segment.rows], leave_out),
         held_out=held_out if enough else (),
-        shares=load_shares(smooth[segment.rows], model),
-        known=known_directions(chosen, model, settings.stiffness_difference, window),
-        engagement=engagement(samples, model, window, segment.rows),
+        shares=information.load_shares(smooth[segment.rows], model),
+        known=information.known_directions(chosen, model, settings.stiffness_difference, window),
+        engagement=information.engagement(samples, model, window, segment.rows),
     )
