@@ -142,11 +142,11 @@ def write_comparison(
     >>> st.write_comparison(found, "liners.html")
     """
     # matplotlib is slow to import.
-    from socket_testbed.report.page import Maps, Section, write_page
+    from socket_testbed.report.page import Maps, Section, utc, write_page
 
     path = Path(page)
     check_page(path, "comparison")
-    made = datetime.now(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+    made = utc(datetime.now(UTC))
     origin = [("page made", made), ("command", command)]
     count, *clearest = found.differing()
     data, titles = _map_data(found)

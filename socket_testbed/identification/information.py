@@ -35,7 +35,7 @@ from socket_testbed.identification.noise import (
     smoothing_gain,
 )
 from socket_testbed.identification.pressure import Quantity
-from socket_testbed.samples import Samples, moments_about
+from socket_testbed.samples import FORCES, MOMENTS, Samples, moments_about
 from socket_testbed.settings.identification import BIAS_VARIANTS
 
 MIN_SHARE = 0.5  # [-]; of the load, carried by the springs
@@ -78,7 +78,7 @@ def load_shares(samples: Samples, model: ContactModel) -> tuple[LoadShare, ...]:
     springs = alone.predict(samples.pose, ())
     offsets = bed.predict(samples.pose, ()) - springs
     found = []
-    for name, part in (("Fz", slice(5, 6)), ("force", slice(3, 6)), ("moment", slice(0, 3))):
+    for name, part in (("Fz", slice(5, 6)), ("force", FORCES), ("moment", MOMENTS)):
         measured = samples.wrench[:, part]
         rows = np.isfinite(measured + springs[:, part]).all(axis=1)
         power = float(np.sum(measured[rows] ** 2))

@@ -41,7 +41,15 @@ from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status, channel_unit
+from socket_testbed.samples import (
+    FORCES,
+    LOCAL_CHANNELS,
+    MOMENTS,
+    WRENCH_CHANNELS,
+    Samples,
+    Status,
+    channel_unit,
+)
 
 MAX_FORCE = 5000.0  # [N]; three times the weight of a person of 170 kg
 MAX_MOMENT = 500.0  # [N m]; more than a leg transmits below the knee
@@ -62,7 +70,6 @@ LEVER_FACTOR = 2.0  # [-]; of the farthest tile's distance
 TENSION_SHARE = 0.05  # [-]; of the load
 MIN_TENSION = 10.0  # [N]; 11 kPa on a cluster of 9 cm^2, more than a sensor's usual offset
 OUTSIDE_SHARE = 0.5  # [-]; of the samples
-_WRENCH_GROUPS = (slice(0, 3), slice(3, 6))  # moments, forces
 _MAX_NAMED = 3  # outliers of a channel in a note
 
 
@@ -95,7 +102,7 @@ def find_outliers(
         for column, limit in zip(values.T, limits, strict=True)
     ]
     found = (np.abs(values) > limits) & single  # else the unit is wrong: see `require_units`
-    for group in (*_WRENCH_GROUPS, slice(6, None)):
+    for group in (MOMENTS, FORCES, slice(6, None)):
         squares = np.where(found[:, group], 0.0, np.nan_to_num(values[:, group])) ** 2
         count = int(np.count_nonzero(squares))
         share = min(OUTLIER_SHARE, OUTLIER_RATIO / max(count, 1))
@@ -282,8 +289,8 @@ def require_load(samples: Samples, wrench_counts: BoolArray) -> None:
     if not wrench_counts.any():
         return
     sizes = np.where(wrench_counts, np.abs(samples.wrench).max(axis=0), 0.0)
-    moment, force = (float(sizes[group].max()) for group in _WRENCH_GROUPS)
-    dead = [wrench_counts[group].any() and not sizes[group].any() for group in _WRENCH_GROUPS]
+    moment, force = (float(sizes[group].max()) for group in (MOMENTS, FORCES))
+    dead = [wrench_counts[group].any() and not sizes[group].any() for group in (MOMENTS, FORCES)]
     if any(dead) or (moment < MIN_MOMENT and force < MIN_FORCE):
         raise IdentificationError(
             f"the wrench never exceeds {force:.3g} N and {moment:.3g} N m in {len(samples)} samples"

@@ -46,12 +46,11 @@ from socket_testbed.identification import plausibility
 from socket_testbed.identification.contact import LAWS, ContactModel, Loading
 from socket_testbed.identification.noise import ChannelNoise, channel_noise, smooth_poses
 from socket_testbed.identification.solver import BoxQP
-from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
+from socket_testbed.samples import FORCES, LOCAL_CHANNELS, MOMENTS, WRENCH_CHANNELS, Samples
 from socket_testbed.settings.identification import BIAS_VARIANTS, IdentificationSettings, Variant
 
 MODEL_ERROR = 0.01  # [-]; of the RMS of the forces
 MIN_SAMPLES = 12  # [1]; 3 s at the trigger's default rate
-_GROUPS = (slice(0, 3), slice(3, 6))  # moments, forces
 _BLOCK = 512  # samples; keeps products within the cache for any N
 _JITTER = 1e-12  # [-]; regularises flat problems
 
@@ -210,8 +209,9 @@ def _shares(objective: Objective, noise: ChannelNoise | None) -> tuple[FloatArra
         return factor * wrench_counts, np.full(len(channels), factor)
 
     # The mean square of each channel's group, with a lower limit.
+    groups = (MOMENTS, FORCES)
     moment, force = (
-        max(power[g].sum() / max(wrench_counts[g].sum(), 1), least[g][0] ** 2) for g in _GROUPS
+        max(power[g].sum() / max(wrench_counts[g].sum(), 1), least[g][0] ** 2) for g in groups
     )
     local = max(
         rms(np.concatenate([c.force for c in channels] or [np.zeros(1)])), plausibility.MIN_FORCE

@@ -29,7 +29,7 @@ from socket_testbed.identification.contact import ContactModel, wrench_map
 from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.noise import channel_noise, smooth_poses
 from socket_testbed.identification.problem import MIN_SAMPLES
-from socket_testbed.samples import Samples, Status
+from socket_testbed.samples import FORCES, MOMENTS, Samples, Status
 from socket_testbed.settings.identification import (
     VARIANTS,
     ForceMapSettings,
@@ -155,7 +155,7 @@ def judge_wrench(
     for name, predict in predictors.items():
         rmse = np.sqrt(np.mean((predict(samples.pose) - samples.wrench) ** 2, axis=0))
         figures: dict[str, Any] = {"samples": len(samples)}
-        for kind, part in (("moment", slice(3)), ("force", slice(3, 6))):
+        for kind, part in (("moment", MOMENTS), ("force", FORCES)):
             error = fit.finite_mean(rmse[part])
             skill = 1.0 - error / (fit.finite_mean(constant[part]) or np.nan)
             figures |= {f"{kind}_rmse": error, f"{kind}_skill": skill}

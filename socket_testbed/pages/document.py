@@ -38,7 +38,7 @@ from socket_testbed.trials.trial import Trial
 
 _BAR_TITLES = ("mean pressure [kPa]", "peak pressure [kPa]", "share of load [%]", "shear [kPa]")
 _MAX_MARKS = 20  # per event label
-_WEIGHT = 1.0 / 8192.0  # [-]; unit of the stored weights, 16-bit integers
+_UNIT = 1.0 / 8192.0  # [-]; unit of the stored weights, 16-bit integers
 _CLOSED = [0, 1, 2, 3, 0]  # corners of a square
 GREY: dict[str, Any] = {"colour": [150, 150, 150], "greyest": 0.85}  # of uncertain pressures
 
@@ -80,12 +80,13 @@ def socket_document(geometry: SocketGeometry, side: Side | None = None) -> Docum
 
 
 def _patch(patch: Patch) -> Document:
-    weights = (patch.weights / _WEIGHT).round().astype("<i2")
+    weights = (patch.weights / _UNIT).round().astype("<i2")
     return {
         "name": patch.name,
         "x": numbers(patch.x, 1),
         "y": numbers(patch.y, 1),
         "points": numbers(1e3 * patch.points, 1),
+        "unit": _UNIT,
         "weights": base64.b64encode(weights.tobytes()).decode(),
     }
 

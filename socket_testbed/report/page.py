@@ -6,6 +6,7 @@ import base64
 import gzip
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -55,6 +56,11 @@ class ReportFigure:
             figure = self.draw(style)
             for suffix in ("pdf", "png"):
                 save_figure(figure, folder / f"{self.name}.{suffix}")
+
+
+def utc(moment: datetime) -> str:
+    """A time as text."""
+    return moment.astimezone(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
 def line_chart(time: FloatArray, panels: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from socket_testbed.identification.fit import summarise_errors
 from socket_testbed.identification.information import share_warning
 from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.identification.noise import channel_noise, noise_groups
-from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart
+from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart, utc
 from socket_testbed.report.results import Results
 from socket_testbed.report.style import THINNED, FigureStyle, in_style, lay_out, style_axes, thin
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status
@@ -286,11 +286,10 @@ def provenance(results: Results, command: str, made: datetime) -> list[tuple[str
     calibration, stored = trial.calibration, trial.path / PARAMETERS_FILE
     stamps = [int(results.samples.stamps[end]) for end in (0, -1)]
     first, last = (
-        f"{_moment(datetime.fromtimestamp(1e-9 * stamp, UTC))} (stamp {stamp} ns)"
-        for stamp in stamps
+        f"{utc(datetime.fromtimestamp(1e-9 * stamp, UTC))} (stamp {stamp} ns)" for stamp in stamps
     )
     rows = [
-        ("report made", _moment(made)),
+        ("report made", utc(made)),
         ("command", command),
         ("trial", trial.name),
         ("trial, first sample", first),
@@ -320,10 +319,6 @@ def _file(path: Path, given: bool) -> str:
     digest = hashlib.sha256(path.read_bytes()).hexdigest()[:_DIGEST_LENGTH]
     origin = "given on the command line" if given else "stored in the trial"
     return f"{path.name}, {origin}, SHA-256 {digest}..."
-
-
-def _moment(moment: datetime) -> str:
-    return moment.astimezone(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
 def _certificates(results: Results) -> Table:

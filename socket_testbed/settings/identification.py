@@ -13,7 +13,6 @@ Variant = Literal["stiffness", "stiffness_bias", "rigid", "rigid_bias"]
 VARIANTS: tuple[Variant, ...] = get_args(Variant)
 PAPER_VARIANTS: tuple[Variant, ...] = ("stiffness", "stiffness_bias")
 BIAS_VARIANTS: tuple[Variant, ...] = ("stiffness_bias", "rigid_bias")
-RIGID_VARIANTS: tuple[Variant, ...] = ("rigid", "rigid_bias")
 Weights = Literal["size", "noise", "raw"]
 WEIGHTS: tuple[Weights, ...] = get_args(Weights)
 

@@ -36,7 +36,7 @@ function unpack(patch, tiles) {
     if (!known(point[0])) { return null; }
     let sum = 0;
     for (let tile = 0; tile < tiles; tile++) { sum += stored[i * tiles + tile] * values[tile]; }
-    return sum / 8192;
+    return sum * patch.unit;
   });
   patch.rows = (flatValues) => patch.y.map(
     (_, row) => flatValues.slice(row * patch.x.length, (row + 1) * patch.x.length));
