@@ -35,7 +35,7 @@ from socket_testbed.settings.testbed import (
     write_testbed,
 )
 from socket_testbed.simulation.trial import TRUTH_FILE
-from socket_testbed.simulation.world import World
+from socket_testbed.simulation.world import MAX_CLUSTERS, World
 from socket_testbed.trials.metadata import (
     METADATA_FILE,
     TrialMetadata,
@@ -72,6 +72,11 @@ class Testbed:
         names = self.settings.cluster_node.names
         read_calibration(self.calibration).require(names, "cluster_node")
         tiles = read_socket(self.geometry).clusters
+        if self.simulation is not None and len(tiles) > MAX_CLUSTERS:
+            raise ConfigurationError(
+                f"{self.geometry}: has {len(tiles)} clusters, and {MAX_CLUSTERS} can be simulated",
+                "take the others off their tiles",
+            )
         for name in names:
             if name not in tiles:
                 raise ConfigurationError(
