@@ -218,14 +218,16 @@ def simulate_hardware(
             )
         graph.pause()
     given, place = testbed.settings, str(folder)
+    streamed = replace(
+        given.mocap_node, server="127.0.0.1", command_port=world.port, multicast="",
+        socket_body="socket", pylon_body="pylon",  # as the world names them
+    )  # fmt: skip
     settings = replace(
         given,
         trigger_node=replace(given.trigger_node, simulation=place),
         cluster_node=replace(given.cluster_node, simulation=place),
         load_cell_node=replace(given.load_cell_node, simulation=place),
-        mocap_node=replace(
-            given.mocap_node, server="127.0.0.1", command_port=world.port, multicast=""
-        ),
+        mocap_node=streamed,
     )
     return replace(testbed, settings=settings), world
 
