@@ -153,7 +153,7 @@ def check_clusters(testbed: Testbed) -> Iterator[Outcome]:
             if isinstance(found, DeviceError):
                 yield Outcome(f"cluster {name}", found.fact, found.hint)
             elif name in faults:
-                yield _failure(f"cluster {name}", faults[name].partition("; ")[0])
+                yield _failure(f"cluster {name}", faults[name][0])
             else:
                 yield Outcome(f"cluster {name}", found)
 

@@ -50,8 +50,8 @@ class ClusterNode(SensorNode[ClusterSettings]):
     def _read(self, moment: float) -> ClusterReading:
         reading = self._reader.read(moment)
         self._answering = True
-        if reading.faults:
-            self.fault.note("; ".join(dict.fromkeys(reading.faults.values())))
+        if faults := [fault for own in reading.faults.values() for fault in own]:
+            self.fault.note("; ".join(dict.fromkeys(faults)))
         return reading
 
     def health(self) -> tuple[int, str] | None:
