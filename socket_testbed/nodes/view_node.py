@@ -255,7 +255,7 @@ class LiveSource:
             figures = {entry.key: entry.value for entry in recorder.values}
             if trial:
                 elapsed = float(figures[base.ELAPSED]) + now - max(arrival, since)
-                words += f" for {elapsed // 60:.0f}:{elapsed % 60:02.0f}"
+                words += f" for {clocks.duration_text(elapsed)}"
             words += f", {1e-9 * float(figures[base.FREE]):.1f} GB free"
         return {"on": bool(trial), "words": words}
 
