@@ -1,6 +1,6 @@
 """Trigger node: one trigger for all sensors, with the timestamp of all measurements.
 
-Publishes: trigger, /diagnostics. Service: trigger/enable.
+Subscribes: trigger, /diagnostics. Publishes: trigger, /diagnostics. Service: trigger/enable.
 
 The stamp is the system clock at the start of the testbed, advanced by the steady clock, because the
 system clock may be set during a trial. The sequence counts pulses: an unseen pulse leaves a gap.
