@@ -139,6 +139,10 @@ class TriggerTime:
         self.shift = min(self._differences) - _LATENCY
         return plain + self.shift
 
+    def stamp(self, moment: float) -> int:
+        """Stamp [ns] that the trigger would give a time of the steady clock [s]."""
+        return self._clock.to_epoch(moment - self.shift)
+
 
 _MAX_INTERVALS = 5
 _MIN_INTERVALS = 3  # a late trigger makes one of them too long

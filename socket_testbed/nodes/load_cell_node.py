@@ -93,9 +93,10 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
                 f"cannot tare: the trial {self._trial} is being recorded",
                 "stop the recording, or force it (load_cell/force_tare)",
             )
-        said = self._cell.tare(forced=forced)
-        header = header_to_ros(clocks.SteadyClock().to_epoch(clocks.monotonic()))
-        self._events.publish(Event(header=header, label=said.replace("tared:", TARE)))
+        stamp = self.trigger_time.stamp(clocks.monotonic())
+        said = self._cell.tare(stamp, forced)
+        label = said.replace("tared:", TARE)
+        self._events.publish(Event(header=header_to_ros(stamp), label=label))
         return said
 
     def _on_recorded(self, message: String) -> None:

@@ -15,7 +15,6 @@ from msgspec import Meta
 
 from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, line_weights
-from socket_testbed.clocks import SteadyClock
 from socket_testbed.documents import Document, read_document
 from socket_testbed.drivers.load_cell import ads131m0x
 from socket_testbed.drivers.load_cell.converter_reader import RECENT, ConverterReader
@@ -290,10 +289,11 @@ class LoadCell:
         level, text = max(found, key=lambda entry: entry[0])
         return level, text if level else f"spidev{self.settings.device} converts"
 
-    def tare(self, forced: bool = False) -> str:
+    def tare(self, stamp: int, forced: bool = False) -> str:
         """Tare: take the mean over the last `tare_duration` as zero load.
 
-        A load above `tare_load` is removed only if forced; returns a text with the removed load.
+        `stamp` is the present time since the epoch [ns]. A load above `tare_load` is removed only
+        if forced; returns a text with the removed load.
         """
         settings = self.settings
         now = clocks.monotonic()
@@ -332,7 +332,7 @@ class LoadCell:
                 "take the limb out of the socket; if nothing loads the cell, force it"
                 " (load_cell/force_tare)",
             )
-        self._tare.set(offsets, SteadyClock().to_epoch(now))
+        self._tare.set(offsets, stamp)
         return f"tared: removed {in_words(removed)}"
 
     def _between(self, start: float, end: float) -> tuple[FloatArray, FloatArray, BoolArray]:
