@@ -289,11 +289,11 @@ class LoadCell:
         level, text = max(found, key=lambda entry: entry[0])
         return level, text if level else f"spidev{self.settings.device} converts"
 
-    def tare(self, stamp: int, forced: bool = False) -> str:
+    def tare(self, stamp: int, forced: bool = False) -> FloatArray:
         """Tare: take the mean over the last `tare_duration` as zero load.
 
         `stamp` is the present time since the epoch [ns]. A load above `tare_load` is removed only
-        if forced; returns a text with the removed load.
+        if forced. Returns the removed load [M; F], shape (6,) [N m, N].
         """
         settings = self.settings
         now = clocks.monotonic()
@@ -333,7 +333,7 @@ class LoadCell:
                 " (load_cell/force_tare)",
             )
         self._tare.set(offsets, stamp)
-        return f"tared: removed {in_words(removed)}"
+        return removed
 
     def _between(self, start: float, end: float) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Times [s] of conversions; ratios [mV/V] and whether clipped, shape (n, 6) each."""
