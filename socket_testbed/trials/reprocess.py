@@ -15,7 +15,6 @@ from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.trials.synchronise import Measurements, marker_count, parse_span
@@ -101,15 +100,9 @@ def _mean_load(
             f"{where}: --tare {start:g}:{end:g} holds no wrench",
             f"give seconds since the first sample, from 0 to {time[-1]:g}",
         )
-    spread = wrenches[rows].std(axis=0)
-    excess = spread / np.repeat([limits.tare_moment, limits.tare_force], 3)
-    worst = int(excess.argmax())
-    if excess[worst] > 1.0:
-        raise TrialError(
-            f"{where}: --tare {start:g}:{end:g}: {WRENCH_CHANNELS[worst]} moves by"
-            f" {spread[worst]:.3g} {channel_unit(WRENCH_CHANNELS[worst])} (standard deviation)",
-            "give a span without load, at rest",
-        )
+    if unrest := load_cell.moves(wrenches[rows], limits):
+        hint = "give a span without load, at rest"
+        raise TrialError(f"{where}: --tare {start:g}:{end:g}: {unrest}", hint)
     return wrenches[rows].mean(axis=0)
 
 

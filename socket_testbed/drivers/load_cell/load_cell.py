@@ -108,6 +108,20 @@ def in_words(wrench: FloatArray) -> str:
     return ", ".join(f"{axis} {value:.4g} {unit}" for axis, value, unit in values)
 
 
+def moves(wrenches: FloatArray, settings: LoadCellSettings) -> str:
+    """The channel of wrenches (n, 6) that moves too much for a tare; empty if all are at rest."""
+    spread = wrenches.std(axis=0)
+    limits = np.repeat([settings.tare_moment, settings.tare_force], 3)
+    worst = int((spread / limits).argmax())
+    if spread[worst] <= limits[worst]:
+        return ""
+    unit = _UNITS[worst]
+    return (
+        f"{WRENCH_CHANNELS[worst]} moves by {spread[worst]:.3g} {unit} (standard deviation), more"
+        f" than {limits[worst]:g} {unit}"
+    )
+
+
 def check_settings(settings: LoadCellSettings) -> None:
     """Check that the settings fit together, beyond the range of each."""
     ads131m0x.check_device(settings.device)
@@ -313,16 +327,8 @@ class LoadCell:
                 f"cannot tare: {self._saturated(rails)}",
                 "unload the cell, or check the bridge and its wiring",
             )
-        spread = self._bridges.wrenches(ratios).std(axis=0)
-        limits = np.repeat([settings.tare_moment, settings.tare_force], 3)
-        worst = int((spread / limits).argmax())
-        if spread[worst] > limits[worst]:
-            raise DeviceError(
-                f"cannot tare: {WRENCH_CHANNELS[worst]} moves by {spread[worst]:.3g}"
-                f" {_UNITS[worst]} (standard deviation), more than"
-                f" {limits[worst]:g} {_UNITS[worst]}",
-                "hold the cell still and tare again",
-            )
+        if unrest := moves(self._bridges.wrenches(ratios), settings):
+            raise DeviceError(f"cannot tare: {unrest}", "hold the cell still and tare again")
         offsets = ratios.mean(axis=0)
         removed = self._bridges.wrenches(offsets - self._tare.no_load[0])
         force = float(np.linalg.norm(removed[3:]))
