@@ -97,6 +97,10 @@ class SocketGeometry:
         """
         return self.socket_body @ socket_in_world.inverse() @ pylon_in_world @ self.limb
 
+    def limb_of(self, socket: FloatArray, pylon: FloatArray) -> Pose:
+        """`limb_pose` of the bodies' vectors (see `Pose.vector`), shape (7,) or (N, 7) each."""
+        return self.limb_pose(Pose.from_vector(socket), Pose.from_vector(pylon))
+
     def cluster_force(self, cluster: str, stress: FloatArray) -> FloatArray:
         """Force on a cluster in its tile's frame {L}, ``A Rz(turned) [tau_x, tau_y, -sigma]`` [N].
 

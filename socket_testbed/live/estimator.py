@@ -20,7 +20,6 @@ import numpy as np
 from socket_testbed.arrays import FloatArray, StatusArray
 from socket_testbed.errors import IdentificationError, TestbedError
 from socket_testbed.geometry.axis import all_regions
-from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import Fit
@@ -253,9 +252,7 @@ class OnlineEstimator:
         forces, status = measured[STRESS]
         position = rotation = np.full(3, np.nan)
         if len(measured) == len(MEASURED):
-            both = np.array([measured[SOCKET_POSE], measured[PYLON_POSE]])
-            bodies = Pose.from_quaternion(both[:, :3], both[:, 3:])
-            limb = self._geometry.limb_pose(*map(Pose, bodies.rotation, bodies.translation))
+            limb = self._geometry.limb_of(measured[SOCKET_POSE], measured[PYLON_POSE])
             position, rotation = limb.translation, limb.rotation_vector()
         return Samples(
             np.array([stamp]),

@@ -159,10 +159,8 @@ class LiveTestbed:
             ]
         )
         swayed = self._sway * np.sin(2.0 * np.pi * elapsed / np.array([3.0, 4.1, 5.3]))
-        socket, pylon = self._bodies.poses(position[None], rotation[None], load[None], swayed)
-        poses = np.array(
-            [[*pose.translation[0], *pose.quaternion()[0]] for pose in (socket, pylon)]
-        )
+        bodies = self._bodies.poses(position[None], rotation[None], load[None], swayed)
+        poses = np.vstack([pose.vector for pose in bodies])
         self._world.push(moment, capacitance, load + self._offset, poses)
         if not self._remembers:
             return
@@ -209,7 +207,7 @@ def markers_at(geometry: SocketGeometry, poses: FloatArray) -> list[FloatArray]:
     """
     references = (geometry.socket_markers, geometry.pylon_markers)
     return [
-        Pose.from_quaternion(pose[:3], pose[3:]).apply(markers)
+        Pose.from_vector(pose).apply(markers)
         for markers, pose in zip(references, poses, strict=True)
     ]
 

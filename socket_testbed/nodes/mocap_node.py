@@ -158,7 +158,7 @@ class FrameBroadcaster:
         transforms = []
         for topic, vector in poses.items():
             if np.isfinite(vector).all():
-                pose = Pose.from_quaternion(vector[:3], vector[3:])
+                pose = Pose.from_vector(vector)
                 name, in_body = self._bodies[topic]
                 transforms.append(_transform(stamp, messages.WORLD_FRAME, name, pose @ in_body))
         if transforms:

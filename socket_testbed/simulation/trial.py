@@ -269,7 +269,7 @@ def _messages(
     capacitance = np.stack(list(trial.capacitance.values()), axis=1)
     status = np.where(np.isfinite(capacitance), Status.OK, Status.MISSING).astype(np.uint8)
     poses = {
-        topic: np.hstack([trial.poses[name].translation, trial.poses[name].quaternion()])
+        topic: trial.poses[name].vector
         for topic, name in ((topics.SOCKET_POSE, "socket"), (topics.PYLON_POSE, "pylon"))
     }
     for k, stamp in enumerate(trial.stamps.tolist()):

@@ -139,11 +139,9 @@ def refit_poses(
                 "give the socket.yaml of this trial's marker bodies with --geometry",
             )
         fitted = fit_body(reference, seen[:, : len(reference)]).pose
-        recorded = getattr(measured, body)
-        old = Pose.from_quaternion(recorded[:, :3], recorded[:, 3:])
-        notify(f"{body}: {_describe_shift(old, fitted)}")
-        pose = np.hstack([fitted.translation, fitted.quaternion()])
-        measured = replace(measured, **{body: pose})  # type: ignore[arg-type]
+        recorded = Pose.from_vector(getattr(measured, body))
+        notify(f"{body}: {_describe_shift(recorded, fitted)}")
+        measured = replace(measured, **{body: fitted.vector})  # type: ignore[arg-type]
     return measured
 
 

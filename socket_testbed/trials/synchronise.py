@@ -29,7 +29,6 @@ from socket_testbed.calibration.drift import (
 from socket_testbed.calibration.model import Calibration
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.marker_bodies import MAX_MARKERS
-from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import Samples, Status
 from socket_testbed.trials import topics
@@ -328,11 +327,7 @@ def make_samples(
     position, rotation = np.empty((2, len(measured.stamps), 3))
     for start in range(0, len(position), _BLOCK_SIZE):
         rows = slice(start, start + _BLOCK_SIZE)
-        socket, pylon = (
-            Pose.from_quaternion(pose[rows, :3], pose[rows, 3:])
-            for pose in (measured.socket, measured.pylon)
-        )
-        limb = geometry.limb_pose(socket, pylon)
+        limb = geometry.limb_of(measured.socket[rows], measured.pylon[rows])
         position[rows], rotation[rows] = limb.translation, limb.rotation_vector()
     status = np.empty(measured.status.shape[:2], dtype=np.uint8)
     forces = np.empty((*status.shape, 3))

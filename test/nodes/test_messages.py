@@ -248,7 +248,6 @@ def test_the_transforms_compose_to_the_limb_in_the_socket() -> None:
     (fixed,) = node.sent["/lab/tf_static"]
     (load_cell,) = (t for t in fixed.transforms if t.header.frame_id == "socket")
     limb = (pose_of(seen[0]) @ pose_of(load_cell)).inverse() @ pose_of(seen[1])
-    bodies = (Pose.from_quaternion(vector[:3], vector[3:]) for vector in vectors)
-    expected = GEOMETRY.limb_pose(*bodies)
+    expected = GEOMETRY.limb_of(*vectors)
     np.testing.assert_allclose(limb.translation, expected.translation, atol=1e-9)
     np.testing.assert_allclose(limb.rotation, expected.rotation, atol=1e-9)
