@@ -82,6 +82,11 @@ class SocketGeometry:
     def __len__(self) -> int:
         return len(self.names)
 
+    @property
+    def markers(self) -> dict[str, FloatArray]:
+        """Markers in their body's frame by body, `socket` before `pylon`, shape (k, 3) [m]."""
+        return {"socket": self.socket_markers, "pylon": self.pylon_markers}
+
     def same_tiles(self, other: SocketGeometry) -> bool:
         """Whether another geometry has the same tiles in the same places."""
         return (

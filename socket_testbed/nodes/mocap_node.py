@@ -42,14 +42,13 @@ class MocapNode(SensorNode[MocapSettings]):
         self.device = f"NatNet {settings.server}"
         geometry = read_socket(base.file_or_packaged(settings.geometry, "socket.yaml"))
         self._stale = settings.stale
-        bodies = (geometry.socket_markers, geometry.pylon_markers)
-        self._tracker = BodyTracker(settings, *bodies)
+        self._tracker = BodyTracker(settings, *geometry.markers.values())
         self._client = NatNetClient(settings, self._tracker.add)
         self._send_pose = {
             topic: self.sender(topic, messages.pose_packer())
             for topic in (topics.SOCKET_POSE, topics.PYLON_POSE)
         }
-        counts = {"socket": len(bodies[0]), "pylon": len(bodies[1])}
+        counts = {name: len(markers) for name, markers in geometry.markers.items()}
         self._send_markers = self.sender(topics.MARKERS, messages.markers_packer(counts))
         self._frames = FrameBroadcaster(self, geometry)
         self._averaged, self._delay = 0, 0.0

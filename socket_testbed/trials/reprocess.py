@@ -110,10 +110,10 @@ def other_markers(recorded: SocketGeometry, given: SocketGeometry) -> tuple[str,
     """The bodies (`socket`, `pylon`) whose markers differ between two geometries."""
 
     def differs(body: str) -> bool:
-        old, new = (getattr(geometry, f"{body}_markers") for geometry in (recorded, given))
+        old, new = (geometry.markers[body] for geometry in (recorded, given))
         return old.shape != new.shape or not np.allclose(old, new, rtol=0.0, atol=_MARKER_TOLERANCE)
 
-    return tuple(filter(differs, ("socket", "pylon")))
+    return tuple(filter(differs, recorded.markers))
 
 
 def refit_poses(
@@ -129,7 +129,7 @@ def refit_poses(
     names the trial in errors; `notify` reports how far the poses of each body moved.
     """
     for body in bodies:
-        reference = getattr(geometry, f"{body}_markers")
+        reference = geometry.markers[body]
         seen = measured.markers.get(body, np.full((len(measured.stamps), *reference.shape), np.nan))
         count = marker_count(seen)
         if count > len(reference):
