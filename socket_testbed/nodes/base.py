@@ -36,7 +36,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from std_msgs.msg import Header
 
-from socket_testbed import clocks
+from socket_testbed import clocks, drivers
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.files import packaged
 from socket_testbed.live.processes import RESTARTED
@@ -44,7 +44,7 @@ from socket_testbed.settings.fields import Settings, parameter_values
 from socket_testbed.trials.messages import LOAD_CELL_FRAME, Reader
 from socket_testbed.trials.topics import DIAGNOSTICS, PUBLISHER_DEPTH, Topic
 
-OK, WARN, ERROR = 0, 1, 2  # as in DiagnosticStatus
+OK, WARN, ERROR = drivers.OK, drivers.WARN, drivers.ERROR
 
 # Diagnostics keys that other nodes read.
 WAITING_FOR = "waiting_for"
@@ -154,10 +154,10 @@ class RecentFault:
         """Note a fault that occurs now."""
         self._last = (text, clocks.monotonic())
 
-    def text(self, recent: float = _FAULT_DURATION) -> str:
-        """The fault; empty if it is older than `recent` [s]."""
+    def text(self, at_least: float = 0.0) -> str:
+        """The fault; empty if it is older than half a second and than `at_least` [s]."""
         text, when = self._last
-        return text if clocks.monotonic() - when < recent else ""
+        return text if clocks.monotonic() - when < max(_FAULT_DURATION, at_least) else ""
 
 
 class TestbedNode(Node, Generic[S]):

@@ -15,12 +15,11 @@ import numpy as np
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.drivers import RECENT
 from socket_testbed.drivers.gpio import EdgeLine
 from socket_testbed.drivers.load_cell import ads131m0x
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import LoadCellSettings
-
-RECENT = 0.8  # [s]; how long a fault is reported after it has ended
 
 _MAX_FRAMES = 8  # read in a row; two conversions can wait, and frames can be corrupted
 _MAX_READ_TIME = 0.25  # periods; normally a frame takes less

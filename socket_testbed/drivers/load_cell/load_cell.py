@@ -16,8 +16,9 @@ from msgspec import Meta
 from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, line_weights
 from socket_testbed.documents import Document, read_document
+from socket_testbed.drivers import RECENT
 from socket_testbed.drivers.load_cell import ads131m0x
-from socket_testbed.drivers.load_cell.converter_reader import RECENT, ConverterReader
+from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.files import make_folder, write_text
 from socket_testbed.samples import WRENCH_CHANNELS, Status, channel_unit
@@ -35,6 +36,9 @@ _MAX_CONDITION = 1e6  # [-]; of the maker's matrix with normalised rows
 
 _BROKEN_WIRE = 5  # conversions in a row at a rail
 _AFTER = 0.25  # fraction of the window after the trigger
+# Variance of a line's value at the trigger relative to that of the mean, 1 + 12 d^2 with d windows
+# from the middle [-]
+_LINE_VARIANCE = 1.0 + 12.0 * (0.5 - _AFTER) ** 2
 _MAX_VARIANCE = 3.0  # [-]; of a wrench from an incomplete window, relative to a complete one
 _MIN_COMPLETE = 0.9  # fraction of the conversions in a span required for its mean
 
@@ -266,8 +270,7 @@ class LoadCell:
         if span > 0.0 and (rails.any() or count < _MIN_COMPLETE * expected):
             return self.wrench_at(moment)
         weights = line_weights(times - moment)
-        # With all conversions the line's relative variance is 1.75 / expected: see _AFTER.
-        uncertain = weights @ weights > _MAX_VARIANCE * 1.75 / expected
+        uncertain = weights @ weights > _MAX_VARIANCE * _LINE_VARIANCE / expected
         value, status, fault = np.full(6, np.nan), Status.MISSING, ""
         if rails.any():
             status, fault = Status.SATURATED, self._saturated(rails)
