@@ -2,8 +2,8 @@
 
 Wrenches and poses affected by another load cell, tare or geometry are recomputed.
 
-Publishes: the topics of the trial under their recorded names or in another namespace, /clock,
-/tf, /tf_static, /diagnostics. Service: replay/pause.
+Subscribes: /diagnostics. Publishes: the topics of the trial under their recorded names or in
+another namespace, /clock, /tf, /tf_static, /diagnostics. Service: replay/pause.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from std_srvs.srv import SetBool
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
 from socket_testbed.nodes import base
-from socket_testbed.nodes.mocap_node import FrameBroadcaster
+from socket_testbed.nodes.frames import FrameBroadcaster
 from socket_testbed.settings.testbed import ReplaySettings
 from socket_testbed.trials.bag import BagReader, RawMessage
 from socket_testbed.trials.messages import Reader, VectorPacker

@@ -25,7 +25,7 @@ from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.nodes.base import header_to_ros, message_type
 from socket_testbed.nodes.estimator_node import model_message
-from socket_testbed.nodes.mocap_node import FrameBroadcaster, fixed_frames
+from socket_testbed.nodes.frames import FrameBroadcaster, fixed_frames
 from socket_testbed.samples import Status
 from socket_testbed.trials import layout, messages, topics
 
