@@ -73,10 +73,8 @@ class Testbed:
         read_calibration(self.calibration).require(names, "cluster_node")
         tiles = read_socket(self.geometry).clusters
         if self.simulation is not None and len(tiles) > MAX_CLUSTERS:
-            raise ConfigurationError(
-                f"{self.geometry}: has {len(tiles)} clusters, and {MAX_CLUSTERS} can be simulated",
-                "take the others off their tiles",
-            )
+            fact = f"has {len(tiles)} clusters, and {MAX_CLUSTERS} can be simulated"
+            raise ConfigurationError(f"{self.geometry}: {fact}", "take the others off their tiles")
         for name in names:
             if name not in tiles:
                 raise ConfigurationError(

@@ -92,9 +92,8 @@ class LiveSource:
         self._inbox: base.Inbox | None = None
         self._readers = {topic: Reader(topic) for topic in _DEPTHS}
         self._asked_at = 0.0  # [s]; when a browser last asked
-        self._newest: dict[
-            topics.Topic, tuple[int, Any, float]
-        ] = {}  # stamp [ns], values, arrival [s]
+        # stamp [ns], values and arrival [s] of the newest message by topic
+        self._newest: dict[topics.Topic, tuple[int, Any, float]] = {}
         self._wrenches: deque[tuple[int, FloatArray]] = deque(maxlen=_MAX_WRENCHES)  # by stamp
         self._first = 0  # [ns]
         self._foreign = False  # whether the newest map belongs to another socket

@@ -122,9 +122,8 @@ class ConverterReader:
         self._times: list[float] = []
         self._codes: list[IntArray] = []
         self._emptied = self._corrupted = self._failed = -np.inf  # [s]
-        self._arrived = self._stored = (
-            clocks.monotonic()
-        )  # last conversion; last one with a known time [s]
+        # times of the last conversion, and of the last one with a known time [s]
+        self._arrived = self._stored = clocks.monotonic()
         self._fault: DeviceError | None = None
         self._counts = {"conversions": 0, "checksum_errors": 0, "restarts": 0}
         if open_line is not None:
