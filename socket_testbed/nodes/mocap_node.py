@@ -9,7 +9,6 @@ window later; the markers are interpolated at the trigger.
 
 from __future__ import annotations
 
-import numpy as np
 from std_msgs.msg import String
 
 from socket_testbed import clocks
@@ -68,8 +67,7 @@ class MocapNode(SensorNode[MocapSettings]):
         self._tracker.wait(moment, moment + 0.5 * window + self._stale, window)
         sample = self._sample(moment, window)
         self._averaged = min(body.frames for body in sample)
-        vectors = [np.hstack([body.position, body.quaternion]) for body in sample]
-        poses = dict(zip(self._send_pose, vectors, strict=True))
+        poses = {topic: body.pose for topic, body in zip(self._send_pose, sample, strict=True)}
         for topic, pose in poses.items():
             self._send_pose[topic](stamp, pose)
         self._send_markers(stamp, [body.markers for body in sample])
