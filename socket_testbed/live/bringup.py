@@ -77,10 +77,8 @@ class Testbed:
             raise ConfigurationError(f"{self.geometry}: {fact}", "take the others off their tiles")
         for name in names:
             if name not in tiles:
-                raise ConfigurationError(
-                    f"cluster_node: the cluster '{name}' is on no tile of {self.geometry}",
-                    closest(name, tiles),
-                )
+                fact = f"cluster_node: the cluster '{name}' is on no tile of {self.geometry}"
+                raise ConfigurationError(fact, closest(name, tiles))
 
     @property
     def time_scale(self) -> float:
@@ -211,9 +209,8 @@ def simulate_hardware(
     while not world.port:
         graph.check()
         if time.monotonic() > deadline:
-            raise TestbedError(
-                f"the simulation is not up after {_START_TIMEOUT:g} s", "see what it printed"
-            )
+            fact = f"the simulation is not up after {_START_TIMEOUT:g} s"
+            raise TestbedError(fact, "see what it printed")
         graph.pause()
     given, place = testbed.settings, str(folder)
     streamed = replace(

@@ -35,8 +35,7 @@ class MocapNode(SensorNode[MocapSettings]):
         self._tracker = BodyTracker(settings, *geometry.markers.values())
         self._client = NatNetClient(settings, self._tracker.add)
         self._send_pose = {
-            topic: self.sender(topic, messages.pose_packer())
-            for topic in (topics.SOCKET_POSE, topics.PYLON_POSE)
+            topic: self.sender(topic, messages.pose_packer()) for topic in topics.POSES.values()
         }
         counts = {name: len(markers) for name, markers in geometry.markers.items()}
         self._send_markers = self.sender(topics.MARKERS, messages.markers_packer(counts))

@@ -27,7 +27,6 @@ from socket_testbed.trials.bag import BagReader, RawMessage
 from socket_testbed.trials.messages import Reader, VectorPacker
 from socket_testbed.trials.trial import Trial
 
-_POSES = (topics.SOCKET_POSE, topics.PYLON_POSE)
 _READY_TIMEOUT = 180.0  # [s]; for the followers to start and discover each other
 _DISCOVERY_TIME = 3.0  # [s]; DDS takes 5 ms or more than 2 s, at random
 _PROGRESS_TIMEOUT = 60.0  # [s]; without any progress of the followers
@@ -120,7 +119,7 @@ class ReplayNode(base.TestbedNode[ReplaySettings]):
             )
             for name, topic in self._topics.items()
         }
-        decoded = (topics.TRIGGER, topics.WRENCH, *_POSES)
+        decoded = (topics.TRIGGER, topics.WRENCH, *topics.POSES.values())
         self._readers = {topic: Reader(topic, self._trial.path) for topic in decoded}
         self._frames = self._broadcaster()
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
@@ -226,7 +225,7 @@ class ReplayNode(base.TestbedNode[ReplaySettings]):
             data = pack(stamp, rows[stamp])
         self._by_topic[raw.topic].publish(data)
         self._published += 1
-        if topic in _POSES and self._frames is not None and self._frames.wanted:
+        if topic in topics.POSES.values() and self._frames is not None and self._frames.wanted:
             stamp, pose = self._readers[topic].read(data)
             self._frames.move(stamp, {topic: pose})
         self._sample_topics.add(topic)

@@ -267,10 +267,7 @@ def _messages(
     pack_capacitance = messages.capacitance_packer(list(trial.capacitance))
     capacitance = np.stack(list(trial.capacitance.values()), axis=1)
     status = np.where(np.isfinite(capacitance), Status.OK, Status.MISSING).astype(np.uint8)
-    poses = {
-        topic: trial.poses[name].vector
-        for topic, name in ((topics.SOCKET_POSE, "socket"), (topics.PYLON_POSE, "pylon"))
-    }
+    poses = {topic: trial.poses[name].vector for name, topic in topics.POSES.items()}
     for k, stamp in enumerate(trial.stamps.tolist()):
         yield stamp, topics.TRIGGER, pack_trigger(stamp, k)
         yield stamp, topics.WRENCH, pack_wrench(stamp, trial.wrench[k])

@@ -81,10 +81,8 @@ class ClusterReader:
         for row, (name, cluster) in enumerate(self._clusters.items()):
             found, complete = [cluster.fault], not cluster.pending
             if late or (complete and max(entry.read for entry in cluster.inputs) > latest):
-                found = [
-                    f"read more than {self._settings.latest:g} s after the trigger:"
-                    " lower the trigger's rate, or relieve the computer"
-                ]
+                hint = "lower the trigger's rate, or relieve the computer"
+                found = [f"read more than {self._settings.latest:g} s after the trigger: {hint}"]
             elif complete:
                 capacitance[row] = values = [entry.value for entry in cluster.inputs]
                 status[row] = np.where(np.isnan(values), Status.SATURATED, Status.OK)

@@ -120,10 +120,8 @@ def moves(wrenches: FloatArray, settings: LoadCellSettings) -> str:
     if spread[worst] <= limits[worst]:
         return ""
     unit = _UNITS[worst]
-    return (
-        f"{WRENCH_CHANNELS[worst]} moves by {spread[worst]:.3g} {unit} (standard deviation), more"
-        f" than {limits[worst]:g} {unit}"
-    )
+    moved = f"{spread[worst]:.3g} {unit} (standard deviation)"
+    return f"{WRENCH_CHANNELS[worst]} moves by {moved}, more than {limits[worst]:g} {unit}"
 
 
 def check_settings(settings: LoadCellSettings) -> None:
