@@ -165,7 +165,7 @@ def mocap(bench: Bench, testbed: Testbed, world: Callable[[], float]) -> None:
     """Follow the motion capture and place the bodies at each trigger; the server is apart."""
     settings = testbed.settings.mocap_node
     geometry = read_socket(testbed.geometry)
-    tracker = BodyTracker(settings, geometry.socket_markers, geometry.pylon_markers)
+    tracker = BodyTracker(settings, *geometry.markers.values())
     client = NatNetClient(settings, tracker.add)
     window = averaging_span(settings.window, bench.period)
     alone, missing = world(), 0

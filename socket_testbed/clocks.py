@@ -15,6 +15,7 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable
+from datetime import timedelta
 from statistics import median_low
 
 BEGINNING = "SOCKET_TESTBED_BEGINNING"  # of the steady clock, since the epoch [ns]
@@ -64,6 +65,11 @@ def sleep(seconds: float) -> None:
 def real(seconds: float) -> float:
     """Convert testbed seconds to real seconds [s], as for the timeout of an event or a socket."""
     return seconds / _scale
+
+
+def duration_text(seconds: float) -> str:
+    """A duration [s] in whole seconds, such as 0:01:30."""
+    return str(timedelta(seconds=int(seconds)))
 
 
 class SteadyClock:
@@ -132,6 +138,10 @@ class TriggerTime:
             return -math.inf
         self.shift = min(self._differences) - _LATENCY
         return plain + self.shift
+
+    def stamp(self, moment: float) -> int:
+        """Stamp [ns] that the trigger would give a time of the steady clock [s]."""
+        return self._clock.to_epoch(moment - self.shift)
 
 
 _MAX_INTERVALS = 5

@@ -56,6 +56,8 @@ def test_a_stamp_finds_its_time_though_triggers_were_held_up_or_a_clock_was_set(
         assert found[:4] == [-math.inf] * 4
         assert found[4:] == pytest.approx([0.0] * 6, abs=1e-3)
         assert trigger.shift == pytest.approx(-step, abs=1e-3)
+        # What happens between two triggers, such as a tare, gets a stamp between theirs.
+        assert trigger.stamp(24.5) == pytest.approx(stamp + 5e8, abs=1e6)
         # The trigger's node starts again, too: the clocks agree once more.
         assert trigger.steady(START + 30 * 10**9, 35.0004) == pytest.approx(35.0, abs=1e-6)
         assert trigger.shift == 0.0

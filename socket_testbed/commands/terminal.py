@@ -17,10 +17,10 @@ import time
 import tty
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
-from datetime import timedelta
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Self
 
+from socket_testbed.clocks import duration_text
 from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.tables import NOTHING, Table, number
 from socket_testbed.trials.topics import full_namespace
@@ -245,9 +245,9 @@ def status_parts(
     status: GraphStatus, duration: float | None = None, disk: Path | None = None
 ) -> list[str]:
     """A status in words, the most important first; of a replay with its duration [s]."""
-    elapsed = str(timedelta(seconds=int(status.elapsed)))
+    elapsed = duration_text(status.elapsed)
     if duration is not None:
-        elapsed += f" of {timedelta(seconds=int(duration))}"
+        elapsed += f" of {duration_text(duration)}"
     parts = [elapsed, f"{status.triggers} triggers, {status.complete} complete"]
     if status.heard is not None and (silence := time.monotonic() - status.heard) > _SILENCE_LIMIT:
         parts.append(f"no trigger for {silence:.0f} s")

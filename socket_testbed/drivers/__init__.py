@@ -19,6 +19,9 @@ import errno
 
 from socket_testbed.errors import DeviceError
 
+OK, WARN, ERROR = 0, 1, 2  # levels of an instrument's health, as in DiagnosticStatus of ROS
+RECENT = 0.8  # [s]; how long a fault is reported after it has ended
+
 
 def opening_failed(
     path: str, error: OSError, group: str, missing: str, otherwise: str

@@ -33,6 +33,16 @@ class Pose:
             rotation[usable] = Rotation.from_quat(quaternion[usable]).as_matrix()
         return cls(rotation, translation)
 
+    @classmethod
+    def from_vector(cls, vector: FloatArray) -> Pose:
+        """Poses from their vectors, see `vector`; the quaternions may have any length."""
+        return cls.from_quaternion(vector[..., :3], vector[..., 3:])
+
+    @property
+    def vector(self) -> FloatArray:
+        """Positions [m] and quaternions (x, y, z, w), shape (7,) or (N, 7)."""
+        return np.concatenate([self.translation, self.quaternion()], axis=-1)
+
     def quaternion(self) -> FloatArray:
         """Quaternions (x, y, z, w), shape (4,) or (N, 4) [-]; NaN if the pose is NaN."""
         return self._converted(Rotation.as_quat, 4)

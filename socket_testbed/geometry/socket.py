@@ -83,6 +83,11 @@ class SocketGeometry:
     def __len__(self) -> int:
         return len(self.names)
 
+    @property
+    def markers(self) -> dict[str, FloatArray]:
+        """Markers in their body's frame by body, `socket` before `pylon`, shape (k, 3) [m]."""
+        return {"socket": self.socket_markers, "pylon": self.pylon_markers}
+
     def same_tiles(self, other: SocketGeometry) -> bool:
         """Whether another geometry has the same tiles in the same places."""
         return (
@@ -108,6 +113,10 @@ class SocketGeometry:
     def covered(self) -> BoolArray:
         """Tiles with a cluster, shape (n,)."""
         return np.array([bool(name) for name in self.cluster_names])
+
+    def limb_of(self, socket: FloatArray, pylon: FloatArray) -> Pose:
+        """`limb_pose` of the bodies' vectors (see `Pose.vector`), shape (7,) or (N, 7) each."""
+        return self.limb_pose(Pose.from_vector(socket), Pose.from_vector(pylon))
 
     def cluster_force(self, cluster: str, stress: FloatArray) -> FloatArray:
         """Force on a cluster in its tile's frame {L}, ``A Rz(turned) [tau_x, tau_y, -sigma]`` [N].

@@ -35,7 +35,7 @@ from socket_testbed.settings.testbed import (
     write_testbed,
 )
 from socket_testbed.simulation.trial import TRUTH_FILE
-from socket_testbed.simulation.world import World
+from socket_testbed.simulation.world import MAX_CLUSTERS, World
 from socket_testbed.trials.metadata import (
     METADATA_FILE,
     TrialMetadata,
@@ -72,12 +72,13 @@ class Testbed:
         names = self.settings.cluster_node.names
         read_calibration(self.calibration).require(names, "cluster_node")
         tiles = read_socket(self.geometry).clusters
+        if self.simulation is not None and len(tiles) > MAX_CLUSTERS:
+            fact = f"has {len(tiles)} clusters, and {MAX_CLUSTERS} can be simulated"
+            raise ConfigurationError(f"{self.geometry}: {fact}", "take the others off their tiles")
         for name in names:
             if name not in tiles:
-                raise ConfigurationError(
-                    f"cluster_node: the cluster '{name}' is on no tile of {self.geometry}",
-                    closest(name, tiles),
-                )
+                fact = f"cluster_node: the cluster '{name}' is on no tile of {self.geometry}"
+                raise ConfigurationError(fact, closest(name, tiles))
 
     @property
     def time_scale(self) -> float:
@@ -208,19 +209,20 @@ def simulate_hardware(
     while not world.port:
         graph.check()
         if time.monotonic() > deadline:
-            raise TestbedError(
-                f"the simulation is not up after {_START_TIMEOUT:g} s", "see what it printed"
-            )
+            fact = f"the simulation is not up after {_START_TIMEOUT:g} s"
+            raise TestbedError(fact, "see what it printed")
         graph.pause()
     given, place = testbed.settings, str(folder)
+    streamed = replace(
+        given.mocap_node, server="127.0.0.1", command_port=world.port, multicast="",
+        socket_body="socket", pylon_body="pylon",  # as the world names them
+    )  # fmt: skip
     settings = replace(
         given,
         trigger_node=replace(given.trigger_node, simulation=place),
         cluster_node=replace(given.cluster_node, simulation=place),
         load_cell_node=replace(given.load_cell_node, simulation=place),
-        mocap_node=replace(
-            given.mocap_node, server="127.0.0.1", command_port=world.port, multicast=""
-        ),
+        mocap_node=streamed,
     )
     return replace(testbed, settings=settings), world
 

@@ -153,7 +153,7 @@ def check_clusters(testbed: Testbed) -> Iterator[Outcome]:
             if isinstance(found, DeviceError):
                 yield Outcome(f"cluster {name}", found.fact, found.hint)
             elif name in faults:
-                yield _failure(f"cluster {name}", faults[name].partition("; ")[0])
+                yield _failure(f"cluster {name}", faults[name][0])
             else:
                 yield Outcome(f"cluster {name}", found)
 
@@ -185,7 +185,7 @@ def check_motion_capture(testbed: Testbed) -> Iterator[Outcome]:
     """Check which server answers, how well its clock is known, and whether it tracks the bodies."""
     settings = testbed.settings.mocap_node
     geometry = read_socket(testbed.geometry)
-    tracker = BodyTracker(settings, geometry.socket_markers, geometry.pylon_markers)
+    tracker = BodyTracker(settings, *geometry.markers.values())
     client = NatNetClient(settings, tracker.add)
     client.start()
     try:
@@ -207,9 +207,9 @@ def check_motion_capture(testbed: Testbed) -> Iterator[Outcome]:
         yield _failure("motion capture stream", message)
     known = 1e3 * link["clock_uncertainty"]
     yield Outcome("motion capture clock", f"known within {known:.2f} ms")
-    counts = (len(geometry.socket_markers), len(geometry.pylon_markers))
     names = (settings.socket_body, settings.pylon_body)
-    for name, count, body in zip(names, counts, seen, strict=True):
+    for name, markers, body in zip(names, geometry.markers.values(), seen, strict=True):
+        count = len(markers)
         what, number = f"rigid body {name}", "three" if count == MIN_MARKERS else count
         found = f"its {number} markers are seen"
         yield _failure(what, body.fault) if body.fault else Outcome(what, found)

@@ -19,19 +19,13 @@ import numpy as np
 from socket_testbed.arrays import FloatArray, StatusArray
 from socket_testbed.errors import IdentificationError, TestbedError
 from socket_testbed.geometry.axis import all_regions
-from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.identification import pressure
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import Fit
 from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.identification.model_file import StoredModel, read_model
 from socket_testbed.identification.plausibility import channel_limits
-from socket_testbed.identification.pressure import (
-    THRESHOLD,
-    PressureOutputs,
-    measured_rows,
-    pressure_outputs,
-)
 from socket_testbed.live.fit_worker import FitWorker, Refit, Steady, check_samples, fit_samples
 from socket_testbed.samples import Samples, Status
 from socket_testbed.settings.identification import IdentificationSettings
@@ -115,11 +109,13 @@ class OnlineMap:
         self.count += 1
         return self._map.update(self._newest)
 
-    def outputs(self) -> PressureOutputs | None:
+    def outputs(self) -> pressure.PressureOutputs | None:
         """The outputs of the last mapped sample, from joint draws; None if it is empty."""
-        if not measured_rows(self._newest)[0]:
+        if not pressure.measured_rows(self._newest)[0]:
             return None
-        return pressure_outputs(self._map, self._newest, self._geometry, self.places, THRESHOLD)
+        return pressure.pressure_outputs(
+            self._map, self._newest, self._geometry, self.places, pressure.THRESHOLD
+        )
 
 
 class Estimates(NamedTuple):
@@ -250,9 +246,7 @@ class OnlineEstimator:
         forces, status = measured[STRESS]
         position = rotation = np.full(3, np.nan)
         if len(measured) == len(MEASURED):
-            both = np.array([measured[SOCKET_POSE], measured[PYLON_POSE]])
-            bodies = Pose.from_quaternion(both[:, :3], both[:, 3:])
-            limb = self._geometry.limb_pose(*map(Pose, bodies.rotation, bodies.translation))
+            limb = self._geometry.limb_of(measured[SOCKET_POSE], measured[PYLON_POSE])
             position, rotation = limb.translation, limb.rotation_vector()
         return Samples(
             np.array([stamp]),

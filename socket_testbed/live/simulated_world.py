@@ -33,7 +33,6 @@ _PERIOD = 0.04  # [s]; time step of the physics, with linear interpolation
 _LEAD = 0.2  # [s]; of the physics over the clock, as a buffer on busy machines
 _SWITCH_INTERVAL = 5e-4  # [s]; longest wait of a due frame for the physics
 _THUMB_PRESSURE = 15e3  # [Pa]; on a cluster
-_BODIES = ("socket", "pylon")
 
 SCALES = {  # testbed seconds per real second [-]
     1.0: "real time",
@@ -159,10 +158,8 @@ class LiveTestbed:
             ]
         )
         swayed = self._sway * np.sin(2.0 * np.pi * elapsed / np.array([3.0, 4.1, 5.3]))
-        socket, pylon = self._bodies.poses(position[None], rotation[None], load[None], swayed)
-        poses = np.array(
-            [[*pose.translation[0], *pose.quaternion()[0]] for pose in (socket, pylon)]
-        )
+        bodies = self._bodies.poses(position[None], rotation[None], load[None], swayed)
+        poses = np.vstack([pose.vector for pose in bodies])
         self._world.push(moment, capacitance, load + self._offset, poses)
         if not self._remembers:
             return
@@ -175,7 +172,7 @@ class LiveTestbed:
                 "rotation": rotation,
                 "felt_capacitance": capacitance,
                 "felt_wrench": load + self._offset,
-                "felt_markers": _padded(markers_at(self._geometry, poses)),
+                "felt_markers": _padded([*markers_at(self._geometry, poses).values()]),
                 "lateness": clocks.monotonic() - moment,
             }
         )
@@ -202,16 +199,13 @@ class LiveTestbed:
         save_truth(path, stamps, GroundTruth(self._geometry.names, *true), **columns)
 
 
-def markers_at(geometry: SocketGeometry, poses: FloatArray) -> list[FloatArray]:
-    """Markers of socket and pylon in the world, shape (k, 3) each [m].
+def markers_at(geometry: SocketGeometry, poses: FloatArray) -> dict[str, FloatArray]:
+    """Markers of socket and pylon in the world by body, shape (k, 3) each [m].
 
     Poses hold positions [m] and unit quaternions (x, y, z, w) of the two bodies, shape (2, 7).
     """
-    references = (geometry.socket_markers, geometry.pylon_markers)
-    return [
-        Pose.from_quaternion(pose[:3], pose[3:]).apply(markers)
-        for markers, pose in zip(references, poses, strict=True)
-    ]
+    bodies = zip(geometry.markers.items(), poses, strict=True)
+    return {name: Pose.from_vector(pose).apply(markers) for (name, markers), pose in bodies}
 
 
 def _padded(markers: list[FloatArray]) -> FloatArray:
@@ -244,10 +238,8 @@ def main() -> None:
 
     def bodies(moment: float) -> list[tuple[str, FloatArray, FloatArray, FloatArray]]:
         poses = world.poses(moment)
-        return [
-            (name, markers, pose[:3], pose[3:])
-            for name, markers, pose in zip(_BODIES, markers_at(geometry, poses), poses, strict=True)
-        ]
+        seen = markers_at(geometry, poses).items()
+        return [(*body, pose[:3], pose[3:]) for body, pose in zip(seen, poses, strict=True)]
 
     moment = clocks.monotonic()
     testbed.advance(moment)

@@ -35,14 +35,14 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 from std_msgs.msg import Header
 
-from socket_testbed import clocks
+from socket_testbed import clocks, drivers
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.live.processes import RESTARTED
 from socket_testbed.settings.fields import Settings, parameter_values
 from socket_testbed.trials.messages import LOAD_CELL_FRAME, Reader
 from socket_testbed.trials.topics import DIAGNOSTICS, PUBLISHER_DEPTH, Topic
 
-OK, WARN, ERROR = 0, 1, 2  # as in DiagnosticStatus
+OK, WARN, ERROR = drivers.OK, drivers.WARN, drivers.ERROR
 
 # Diagnostics keys that other nodes read.
 WAITING_FOR = "waiting_for"
@@ -147,10 +147,10 @@ class RecentFault:
         """Note a fault that occurs now."""
         self._last = (text, clocks.monotonic())
 
-    def text(self, recent: float = _FAULT_DURATION) -> str:
-        """The fault; empty if it is older than `recent` [s]."""
+    def text(self, at_least: float = 0.0) -> str:
+        """The fault; empty if it is older than half a second and than `at_least` [s]."""
         text, when = self._last
-        return text if clocks.monotonic() - when < recent else ""
+        return text if clocks.monotonic() - when < max(_FAULT_DURATION, at_least) else ""
 
 
 class TestbedNode(Node, Generic[S]):
@@ -178,7 +178,7 @@ class TestbedNode(Node, Generic[S]):
 
         self._inputs: list[Subscription] = []
         self._outputs: list[tuple[Publisher, bool]] = []
-        self._service_threads: list[ThreadPoolExecutor] = []
+        self._slow_services: list[SlowService] = []
         self._settled_at = clocks.monotonic() + settle
         again = RESTARTED in os.environ
         self._level, self._message = (WARN, "started again") if again else (OK, "started")
@@ -205,8 +205,8 @@ class TestbedNode(Node, Generic[S]):
 
     def close(self) -> None:
         """Release the node's resources; called once, before it is destroyed."""
-        for thread in self._service_threads:
-            thread.shutdown()
+        for service in self._slow_services:
+            service.thread.shutdown()
 
     # Nodes call these.
 
@@ -282,24 +282,10 @@ class TestbedNode(Node, Generic[S]):
                 response.message = str(error)
             return response
 
-        if not slow:
+        if slow:
+            self._slow_services.append(SlowService(self, kind, name, respond))
+        else:
             self.create_service(kind, name, respond)
-            return
-        # The events executor does not support coroutines. It passes the callback's result to
-        # `send_response`; here both only forward the request to the thread, which answers.
-        thread = ThreadPoolExecutor(1, thread_name_prefix=name)
-        service = self.create_service(kind, name, lambda *given: given)
-        send = service.send_response
-
-        def answer_later(given: Any, header: Any) -> None:
-            with self.until_ros_ends():
-                send(respond(*given), header)
-
-        # `result` raises an error of the answer, so that it is printed.
-        service.send_response = lambda given, header: thread.submit(
-            answer_later, given, header
-        ).add_done_callback(lambda done: done.result())
-        self._service_threads.append(thread)
 
     def report(self, level: int, message: str) -> None:
         """Report the node's state, fact and hint in one line; a change is published at once."""
@@ -397,6 +383,30 @@ class TestbedNode(Node, Generic[S]):
         message = DiagnosticArray(status=[status])
         message.header = header_to_ros(self.get_clock().now().nanoseconds, "")
         self._diagnostics.publish(message)
+
+
+class SlowService:
+    """A service that answers from its own thread, one request after the other.
+
+    The events executor does not support coroutines. It passes the callback's result to
+    `send_response`; here both only forward the request to the thread, which answers.
+    """
+
+    def __init__(
+        self, node: TestbedNode[Any], kind: Any, name: str, respond: Callable[..., Any]
+    ) -> None:
+        self._node, self._respond = node, respond
+        self.thread = ThreadPoolExecutor(1, thread_name_prefix=name)
+        service = node.create_service(kind, name, lambda *given: given)
+        self._send, service.send_response = service.send_response, self._forward
+
+    def _forward(self, given: Any, header: Any) -> None:
+        answered = self.thread.submit(self._answer, given, header)
+        answered.add_done_callback(lambda done: done.result())  # raises its error, to be printed
+
+    def _answer(self, given: Any, header: Any) -> None:
+        with self._node.until_ros_ends():
+            self._send(self._respond(*given), header)
 
 
 def _without_figures(message: str) -> str:

@@ -34,11 +34,11 @@ class ClusterNode(SensorNode[ClusterSettings]):
         self._reader.close()
 
     def figures(self) -> dict[str, object]:
-        """Numbers of measurements and of missing channels."""
+        """Numbers of measurements, and of channels without a value: missing or saturated."""
         return {"samples": self.samples, "missing_channels": self.missing}
 
     def measure(self, stamp: int, moment: float) -> None:
-        """Read all clusters; `missing` counts channels."""
+        """Read all clusters; `missing` counts channels without a value."""
         reading = self._read(moment)
         self.missing += int((reading.status != 0).sum())
         self._send(stamp, reading.capacitance, reading.status)
@@ -50,8 +50,8 @@ class ClusterNode(SensorNode[ClusterSettings]):
     def _read(self, moment: float) -> ClusterReading:
         reading = self._reader.read(moment)
         self._answering = True
-        if reading.faults:
-            self.fault.note("; ".join(dict.fromkeys(reading.faults.values())))
+        if faults := [fault for own in reading.faults.values() for fault in own]:
+            self.fault.note("; ".join(dict.fromkeys(faults)))
         return reading
 
     def health(self) -> tuple[int, str] | None:

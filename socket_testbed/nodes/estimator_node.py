@@ -2,7 +2,7 @@
 
 Subscribes: trigger, clusters/stress, load_cell/wrench, mocap/socket/pose, mocap/pylon/pose.
 Publishes: estimate/force_map, estimate/wrench, estimate/local_forces, estimate/parameters
-(latched), estimate/pressure_map, /diagnostics. Service: estimator/fit.
+(latched), estimate/pressure_map, estimate/regions, /diagnostics. Service: estimator/fit.
 
 It maps the forces on all tiles as soon as the clusters and the wrench of a trigger have arrived. It
 predicts every synchronised sample with the newest model. It fits a model on its window once enough

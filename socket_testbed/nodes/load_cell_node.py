@@ -15,6 +15,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger as TriggerService
 
 from socket_testbed import clocks
+from socket_testbed.drivers.load_cell.load_cell import in_words
 from socket_testbed.errors import DeviceError
 from socket_testbed.live.hardware import make_load_cell
 from socket_testbed.nodes.base import OK, WARN, header_to_ros
@@ -93,10 +94,10 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
                 f"cannot tare: the trial {self._trial} is being recorded",
                 "stop the recording, or force it (load_cell/force_tare)",
             )
-        said = self._cell.tare(forced=forced)
-        header = header_to_ros(clocks.SteadyClock().to_epoch(clocks.monotonic()))
-        self._events.publish(Event(header=header, label=said.replace("tared:", TARE)))
-        return said
+        stamp = self.trigger_time.stamp(clocks.monotonic())
+        removed = f"removed {in_words(self._cell.tare(stamp, forced))}"
+        self._events.publish(Event(header=header_to_ros(stamp), label=f"{TARE} {removed}"))
+        return f"tared: {removed}"
 
     def _on_recorded(self, message: String) -> None:
         self._trial = message.data

@@ -9,29 +9,19 @@ window later; the markers are interpolated at the trigger.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
-import numpy as np
-from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
 from std_msgs.msg import String
-from tf2_msgs.msg import TFMessage
 
 from socket_testbed import clocks
-from socket_testbed.arrays import FloatArray
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker, SeenBody
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import file_or_packaged
-from socket_testbed.geometry.pose import Pose
-from socket_testbed.geometry.socket import SocketGeometry, read_socket
+from socket_testbed.geometry.socket import read_socket
 from socket_testbed.nodes import base
+from socket_testbed.nodes.frames import FrameBroadcaster
 from socket_testbed.nodes.sensor_node import SensorNode
 from socket_testbed.settings.acquisition import MocapSettings, averaging_span
 from socket_testbed.trials import messages, topics
-
-SOCKET_FRAME = "socket"  # the socket's marker body
-LIMB_FRAME = "limb"  # origin at the lumped mass
 
 
 class MocapNode(SensorNode[MocapSettings]):
@@ -43,14 +33,12 @@ class MocapNode(SensorNode[MocapSettings]):
         self.device = f"NatNet {settings.server}"
         geometry = read_socket(file_or_packaged(settings.geometry, "socket.yaml"))
         self._stale = settings.stale
-        bodies = (geometry.socket_markers, geometry.pylon_markers)
-        self._tracker = BodyTracker(settings, *bodies)
+        self._tracker = BodyTracker(settings, *geometry.markers.values())
         self._client = NatNetClient(settings, self._tracker.add)
         self._send_pose = {
-            topic: self.sender(topic, messages.pose_packer())
-            for topic in (topics.SOCKET_POSE, topics.PYLON_POSE)
+            topic: self.sender(topic, messages.pose_packer()) for topic in topics.POSES.values()
         }
-        counts = {"socket": len(bodies[0]), "pylon": len(bodies[1])}
+        counts = {name: len(markers) for name, markers in geometry.markers.items()}
         self._send_markers = self.sender(topics.MARKERS, messages.markers_packer(counts))
         self._frames = FrameBroadcaster(self, geometry)
         self._averaged, self._delay = 0, 0.0
@@ -79,8 +67,7 @@ class MocapNode(SensorNode[MocapSettings]):
         self._tracker.wait(moment, moment + 0.5 * window + self._stale, window)
         sample = self._sample(moment, window)
         self._averaged = min(body.frames for body in sample)
-        vectors = [np.hstack([body.position, body.quaternion]) for body in sample]
-        poses = dict(zip(self._send_pose, vectors, strict=True))
+        poses = {topic: body.pose for topic, body in zip(self._send_pose, sample, strict=True)}
         for topic, pose in poses.items():
             self._send_pose[topic](stamp, pose)
         self._send_markers(stamp, [body.markers for body in sample])
@@ -116,72 +103,3 @@ class MocapNode(SensorNode[MocapSettings]):
         if level == base.OK and (fault := self._client.recording_fault):
             return base.WARN, fault
         return level, message
-
-
-class FrameBroadcaster:
-    """Publishes the transforms of socket, load cell, clusters and limb, for RViz and others.
-
-        world -> socket -> load_cell -> each cluster      world -> limb
-
-    Moving frames follow the motion capture, on /tf; fixed frames come from the socket's geometry,
-    on /tf_static. mocap_node publishes them live, replay_node during a replay. Without an own
-    namespace, the topics follow the node's remappings.
-    """
-
-    def __init__(
-        self, node: base.TestbedNode[Any], geometry: SocketGeometry, namespace: str = ""
-    ) -> None:
-        self._bodies = {
-            topics.SOCKET_POSE: (SOCKET_FRAME, Pose(np.eye(3), np.zeros(3))),
-            topics.PYLON_POSE: (LIMB_FRAME, geometry.limb),
-        }
-        self._publisher, static = (
-            node.create_publisher(TFMessage, namespace + topic.name, base.publisher_qos(topic))
-            for topic in (topics.TF, topics.TF_STATIC)
-        )
-        now = node.get_clock().now().nanoseconds
-        fixed = [_transform(now, *entry) for entry in fixed_frames(geometry)]
-        static.publish(TFMessage(transforms=fixed))
-
-    @property
-    def wanted(self) -> bool:
-        """Whether anybody subscribes."""
-        return bool(self._publisher.get_subscription_count())
-
-    def move(self, stamp: int, poses: Mapping[topics.Topic, FloatArray]) -> None:
-        """Publish the poses of socket and limb; unseen bodies are left out.
-
-        The poses at a stamp [ns], for SOCKET_POSE, PYLON_POSE or both, are position [m] and
-        quaternion (x, y, z, w), shape (7,).
-        """
-        if not self.wanted:
-            return
-        transforms = []
-        for topic, vector in poses.items():
-            if np.isfinite(vector).all():
-                pose = Pose.from_quaternion(vector[:3], vector[3:])
-                name, in_body = self._bodies[topic]
-                transforms.append(_transform(stamp, messages.WORLD_FRAME, name, pose @ in_body))
-        if transforms:
-            self._publisher.publish(TFMessage(transforms=transforms))
-
-
-def fixed_frames(geometry: SocketGeometry) -> list[tuple[str, str, Pose]]:
-    """The fixed frames: parent, name, and pose in the parent."""
-    rotations = geometry.square_frames()
-    clusters = [
-        (messages.LOAD_CELL_FRAME, name, Pose(rotations[tile], geometry.anchors[tile]))
-        for name, tile in geometry.clusters.items()
-    ]
-    return [(SOCKET_FRAME, messages.LOAD_CELL_FRAME, geometry.socket_body.inverse()), *clusters]
-
-
-def _transform(stamp: int, parent: str, name: str, pose: Pose) -> TransformStamped:
-    return TransformStamped(
-        header=base.header_to_ros(stamp, parent),
-        child_frame_id=name,
-        transform=Transform(
-            translation=Vector3(**dict(zip("xyz", pose.translation.tolist(), strict=True))),
-            rotation=Quaternion(**dict(zip("xyzw", pose.quaternion().tolist(), strict=True))),
-        ),
-    )

@@ -35,14 +35,8 @@ from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import is_held, refuse_existing
 from socket_testbed.nodes.base import ELAPSED, ERROR, FREE, OK, WARN, TestbedNode
 from socket_testbed.settings.testbed import NextTrialSettings, RecorderSettings, check_take_name
+from socket_testbed.trials import metadata
 from socket_testbed.trials.bag import BagWriter, is_bag
-from socket_testbed.trials.metadata import (
-    METADATA_FILE,
-    TrialMetadata,
-    change_metadata,
-    metadata_text,
-    read_metadata,
-)
 from socket_testbed.trials.topics import RECORDED_TRIAL, TOPICS
 from socket_testbed.trials.trial import beside, read_configuration, store_configuration
 
@@ -59,9 +53,9 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         self._directory = Path(settings.directory).absolute()
         files = (settings.geometry, settings.calibration, settings.parameters)
         self._configuration = read_configuration(*(Path(f) if f else None for f in files))
-        self._stated = TrialMetadata()
+        self._stated = metadata.TrialMetadata()
         if settings.metadata:
-            self._stated = read_metadata(Path(settings.metadata))
+            self._stated = metadata.read_metadata(Path(settings.metadata))
         self._bag: BagWriter | None = None
         self._path: Path | None = None
         self._counts: dict[str, int] = {}
@@ -118,7 +112,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
     def _on_record(self, wanted: bool) -> str:
         given = self.settings.next
         if wanted and self._bag is None:
-            stated = change_metadata(self._stated, _metadata_of(given).stated())
+            stated = metadata.change_metadata(self._stated, _metadata_of(given).stated())
             self._start(self._next_path(given.name), stated)
             self._forget_next()
         elif wanted and self._path is not None and given != NextTrialSettings():
@@ -157,12 +151,12 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         if holds_trial:
             self.report(WARN, f"recording {path}: {directory} holds a trial and stays as it is")
 
-    def _start(self, path: Path, metadata: TrialMetadata) -> None:
+    def _start(self, path: Path, stated: metadata.TrialMetadata) -> None:
         check_take_name(path.name)
         refuse_existing(path)
         contents = dict(self._configuration)
-        if metadata.stated():
-            contents[METADATA_FILE] = metadata_text(metadata).encode()
+        if stated.stated():
+            contents[metadata.METADATA_FILE] = metadata.metadata_text(stated).encode()
         bag = BagWriter(path)
         try:
             bag.__enter__()
@@ -232,7 +226,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             self._announcer.publish(String(data=name))
 
 
-def _metadata_of(given: NextTrialSettings) -> TrialMetadata:
+def _metadata_of(given: NextTrialSettings) -> metadata.TrialMetadata:
     """The metadata of the next trial; a ConfigurationError if they are invalid."""
     stated = {name: value for name, value in vars(given).items() if name != "name" and value}
-    return TrialMetadata(**stated)
+    return metadata.TrialMetadata(**stated)

@@ -2,8 +2,8 @@
 
 Wrenches and poses affected by another load cell, tare or geometry are recomputed.
 
-Publishes: the topics of the trial under their recorded names or in another namespace, /clock,
-/tf, /tf_static, /diagnostics. Service: replay/pause.
+Subscribes: /diagnostics. Publishes: the topics of the trial under their recorded names or in
+another namespace, /clock, /tf, /tf_static, /diagnostics. Service: replay/pause.
 """
 
 from __future__ import annotations
@@ -20,29 +20,17 @@ from std_srvs.srv import SetBool
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
 from socket_testbed.nodes import base
-from socket_testbed.nodes.mocap_node import FrameBroadcaster
+from socket_testbed.nodes.frames import FrameBroadcaster
 from socket_testbed.settings.testbed import ReplaySettings
+from socket_testbed.trials import topics
 from socket_testbed.trials.bag import BagReader, RawMessage
 from socket_testbed.trials.messages import Reader, VectorPacker
-from socket_testbed.trials.topics import (
-    DIAGNOSTICS,
-    PUBLISHER_DEPTH,
-    PYLON_POSE,
-    REQUIRED,
-    SOCKET_POSE,
-    TRIGGER,
-    WRENCH,
-    Topic,
-    full_namespace,
-    match_topics,
-    namespace_of,
-)
 from socket_testbed.trials.trial import Trial
 
 _READY_TIMEOUT = 180.0  # [s]; for the followers to start and discover each other
 _DISCOVERY_TIME = 3.0  # [s]; DDS takes 5 ms or more than 2 s, at random
 _PROGRESS_TIMEOUT = 60.0  # [s]; without any progress of the followers
-_MAX_IN_FLIGHT = PUBLISHER_DEPTH // 2  # triggers ahead of the followers
+_MAX_IN_FLIGHT = topics.PUBLISHER_DEPTH // 2  # triggers ahead of the followers
 _BURST_SIZE = 50  # messages sent at once, half of what a writer keeps for retransmission
 _BURST_PAUSE = 0.002  # [s]; after a burst
 
@@ -108,7 +96,7 @@ class ReplayNode(base.TestbedNode[ReplaySettings]):
         self._failure: TestbedError | None = None
         if not settings.trial:
             raise ConfigurationError("replay_node: trial is empty", "give the path of a trial")
-        self._sample_topics: set[Topic] = set()  # published since the last trigger
+        self._sample_topics: set[topics.Topic] = set()  # published since the last trigger
         self._published = 0
         self._position = 0.0  # [s]
 
@@ -124,14 +112,14 @@ class ReplayNode(base.TestbedNode[ReplaySettings]):
         self._bag.__enter__()
         self._topics = self._replayed_topics()
         waits = bool(settings.wait_for)  # then required topics must have a subscriber
-        wanted = f"{full_namespace(settings.namespace).rstrip('/')}/" if settings.namespace else ""
+        wanted = f"{topics.full_namespace(settings.namespace).rstrip('/')}/"
         self._by_topic = {
             name: self.advertise(
-                topic, wanted + topic.name if wanted else name, topic.required and waits
+                topic, wanted + topic.name if settings.namespace else name, topic.required and waits
             )
             for name, topic in self._topics.items()
         }
-        decoded = (TRIGGER, WRENCH, SOCKET_POSE, PYLON_POSE)
+        decoded = (topics.TRIGGER, topics.WRENCH, *topics.POSES.values())
         self._readers = {topic: Reader(topic, self._trial.path) for topic in decoded}
         self._frames = self._broadcaster()
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
@@ -157,24 +145,24 @@ class ReplayNode(base.TestbedNode[ReplaySettings]):
         if self._failure is not None:
             raise self._failure
 
-    def _replayed_topics(self) -> dict[str, Topic]:
+    def _replayed_topics(self) -> dict[str, topics.Topic]:
         """The testbed's topics in the trial, by recorded name."""
         counts = self._bag.counts
-        topics = {
+        found = {
             name: topic
-            for topic, name in match_topics(counts, self.settings.trial).items()
+            for topic, name in topics.match_topics(counts, self.settings.trial).items()
             if counts[name] > 0
-            and topic is not DIAGNOSTICS  # this graph's nodes report their own state
+            and topic is not topics.DIAGNOSTICS  # this graph's nodes report their own state
             and not (topic.computed and self.settings.measured_only)
         }
-        if not topics:
+        if not found:
             raise TrialError(
                 f"{self.settings.trial}: holds no message on any topic of the testbed",
                 "give a trial that 'record' or 'simulate' made",
             )
-        return topics
+        return found
 
-    def _remake(self) -> dict[Topic, tuple[VectorPacker, dict[int, FloatArray]]]:
+    def _remake(self) -> dict[topics.Topic, tuple[VectorPacker, dict[int, FloatArray]]]:
         """Packers and rows by stamp that replace recorded measurements; empty if none do."""
         if not self._trial.remade:
             return {}
@@ -191,7 +179,7 @@ class ReplayNode(base.TestbedNode[ReplaySettings]):
         except TestbedError as error:
             self.get_logger().warning(f"transforms are left out: {error}")
             return None
-        recorded = namespace_of(*next(iter(self._topics.items())))
+        recorded = topics.namespace_of(*next(iter(self._topics.items())))
         return FrameBroadcaster(self, geometry, "" if self.settings.namespace else recorded)
 
     def _on_pause(self, paused: bool) -> str:
@@ -237,11 +225,11 @@ class ReplayNode(base.TestbedNode[ReplaySettings]):
             data = pack(stamp, rows[stamp])
         self._by_topic[raw.topic].publish(data)
         self._published += 1
-        if topic in {SOCKET_POSE, PYLON_POSE} and self._frames is not None and self._frames.wanted:
+        if topic in topics.POSES.values() and self._frames is not None and self._frames.wanted:
             stamp, pose = self._readers[topic].read(data)
             self._frames.move(stamp, {topic: pose})
         self._sample_topics.add(topic)
-        if topic is TRIGGER:
+        if topic is topics.TRIGGER:
             self._sample_topics = {topic}
             self._followers.sent(self._readers[topic].read(data)[0])
             self._catch_up(_MAX_IN_FLIGHT)
@@ -276,7 +264,7 @@ class ReplayNode(base.TestbedNode[ReplaySettings]):
         the publishers end. A trial may end between a trigger and its measurements.
         """
         if self._followers:
-            self._catch_up(int(not self._sample_topics.issuperset(REQUIRED)))
+            self._catch_up(int(not self._sample_topics.issuperset(topics.REQUIRED)))
         for publisher in self._by_topic.values():
             self._followers.wait(partial(base.is_acknowledged, publisher), _PROGRESS_TIMEOUT)
 

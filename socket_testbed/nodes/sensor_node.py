@@ -28,7 +28,7 @@ class SensorNode(TestbedNode[S]):
         self.missing = 0  # measurements or channels
         self.busy_since: float | None = None  # start of the current one on the steady clock [s]
         self.period = 0.0  # of the triggers up to the current one [s]; 0: not known yet
-        self._trigger_time = TriggerTime(SteadyClock())
+        self.trigger_time = TriggerTime(SteadyClock())
         self._trigger_period = TriggerPeriod()
         self._due: queue.SimpleQueue[tuple[int, float, float] | None] = queue.SimpleQueue()
         self._measuring = threading.Thread(target=self._run, name="measure")
@@ -65,7 +65,7 @@ class SensorNode(TestbedNode[S]):
         if (health := self.health()) is None:
             return
         level, message = health
-        if level == OK and (shift := self._trigger_time.shift):
+        if level == OK and (shift := self.trigger_time.shift):
             level = WARN
             message = (
                 f"the system clock was set by {-shift:.3f} s between the starts of nodes:"
@@ -74,7 +74,7 @@ class SensorNode(TestbedNode[S]):
         self.report(level, message)
 
     def _on_trigger(self, stamp: int, sequence: Any) -> None:
-        moment = self._trigger_time.steady(stamp, clocks.monotonic())
+        moment = self.trigger_time.steady(stamp, clocks.monotonic())
         self._due.put((stamp, moment, self._trigger_period.add(stamp, int(sequence))))
 
     def _run(self) -> None:

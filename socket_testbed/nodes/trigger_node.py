@@ -1,6 +1,6 @@
 """Trigger node: one trigger for all sensors, with the timestamp of all measurements.
 
-Publishes: trigger, /diagnostics. Service: trigger/enable.
+Subscribes: trigger, /diagnostics. Publishes: trigger, /diagnostics. Service: trigger/enable.
 
 The stamp is the system clock at the start of the testbed, advanced by the steady clock, because the
 system clock may be set during a trial. The sequence counts pulses: an unseen pulse leaves a gap.
@@ -24,7 +24,6 @@ from socket_testbed.trials.messages import trigger_packer
 from socket_testbed.trials.topics import TRIGGER
 
 _READY_TIMEOUT = 60.0  # [s] of real time; for the other nodes
-_FAULT_DURATION = 0.5  # [s]; a fault is reported at least this long
 _FOREIGN_DURATION = 5.0  # [s]; how long another testbed is reported
 _MAX_REMEMBERED = 200  # own triggers, to recognise foreign ones
 _STEP_THRESHOLD = 0.01  # [s]; smallest reported step of the system clock
@@ -129,7 +128,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         """Report a fault of recent pulses, a foreign trigger, or a step of the system clock."""
         step = self._epoch.step()
         rate = self.settings.rate
-        if fault := self._fault.text(max(_FAULT_DURATION, 1.5 / rate)):
+        if fault := self._fault.text(1.5 / rate):
             self.report(ERROR, fault)
         elif self._foreign and clocks.monotonic() - self._foreign < _FOREIGN_DURATION:
             self.report(

@@ -93,9 +93,8 @@ class LiveSource:
         self._inbox: base.Inbox | None = None
         self._readers = {topic: Reader(topic) for topic in _DEPTHS}
         self._asked_at = 0.0  # [s]; when a browser last asked
-        self._newest: dict[
-            topics.Topic, tuple[int, Any, float]
-        ] = {}  # stamp [ns], values, arrival [s]
+        # stamp [ns], values and arrival [s] of the newest message by topic
+        self._newest: dict[topics.Topic, tuple[int, Any, float]] = {}
         self._wrenches: deque[tuple[int, FloatArray]] = deque(maxlen=_MAX_WRENCHES)  # by stamp
         self._first = 0  # [ns]
         self._foreign = False  # whether the newest map belongs to another socket
@@ -256,7 +255,7 @@ class LiveSource:
             figures = {entry.key: entry.value for entry in recorder.values}
             if trial:
                 elapsed = float(figures[base.ELAPSED]) + now - max(arrival, since)
-                words += f" for {elapsed // 60:.0f}:{elapsed % 60:02.0f}"
+                words += f" for {clocks.duration_text(elapsed)}"
             words += f", {1e-9 * float(figures[base.FREE]):.1f} GB free"
         return {"on": bool(trial), "words": words}
 

@@ -156,19 +156,18 @@ def _motion_capture(
     The limb's motion is linear between triggers and extrapolated at either end.
     """
     bodies = sensors.MarkerBodies(geometry, errors, rng)
-    references = {"socket": geometry.socket_markers, "pylon": geometry.pylon_markers}
     reach = int(0.5 * window * sensors.CAMERA_RATE)
     offsets = np.arange(-reach, reach + 1) * rate / sensors.CAMERA_RATE  # [triggers]
     count = len(truth.wrench)
-    markers = {name: np.empty((count, *own.shape)) for name, own in references.items()}
-    poses = {name: Pose(np.empty((count, 3, 3)), np.empty((count, 3))) for name in references}
+    markers = {name: np.empty((count, *own.shape)) for name, own in geometry.markers.items()}
+    poses = {name: Pose(np.empty((count, 3, 3)), np.empty((count, 3))) for name in markers}
     chunks = 1 + count * len(offsets) // _MAX_FRAMES
     for rows in np.array_split(np.arange(count), chunks):
         at = (rows[:, None] + offsets).ravel()
         after = np.clip(np.ceil(at).astype(int), 1, count - 1)
         moved = (truth.position, truth.rotation, truth.wrench)
         true = bodies.poses(*(_interpolate(values, after, at - after + 1.0) for values in moved))
-        for pose, (name, own) in zip(true, references.items(), strict=True):
+        for pose, (name, own) in zip(true, geometry.markers.items(), strict=True):
             seen = sensors.observe_markers(pose, own, errors, rng)
             markers[name][rows] = seen[reach :: len(offsets)]
             mean = _mean_poses(fit_body(own, seen).pose, len(rows))
@@ -268,10 +267,7 @@ def _messages(
     pack_capacitance = messages.capacitance_packer(list(trial.capacitance))
     capacitance = np.stack(list(trial.capacitance.values()), axis=1)
     status = np.where(np.isfinite(capacitance), Status.OK, Status.MISSING).astype(np.uint8)
-    poses = {
-        topic: np.hstack([trial.poses[name].translation, trial.poses[name].quaternion()])
-        for topic, name in ((topics.SOCKET_POSE, "socket"), (topics.PYLON_POSE, "pylon"))
-    }
+    poses = {topic: trial.poses[name].vector for name, topic in topics.POSES.items()}
     for k, stamp in enumerate(trial.stamps.tolist()):
         yield stamp, topics.TRIGGER, pack_trigger(stamp, k)
         yield stamp, topics.WRENCH, pack_wrench(stamp, trial.wrench[k])

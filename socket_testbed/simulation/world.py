@@ -48,8 +48,8 @@ FAULTS = {
 
 _FILE = "world"
 _STATES = 32  # more than any chip looks back
-_MAX_CLUSTERS = 16
-_CAPACITANCES = 4 * _MAX_CLUSTERS
+MAX_CLUSTERS = 16
+_CAPACITANCES = 4 * MAX_CLUSTERS
 _STATE_SIZE = _CAPACITANCES + 6 + 14
 _LAYOUT = np.dtype(
     [
@@ -133,8 +133,8 @@ class World:
     ) -> None:
         """Add the state at a time of the steady clock [s], later than all before.
 
-        Arguments as returned by the methods below; the capacitances of c <= 16 clusters by input
-        have shape (c, 4) [pF].
+        Arguments as returned by the methods below; the capacitances of c <= `MAX_CLUSTERS`
+        clusters by input have shape (c, 4) [pF].
         """
         state = np.zeros(_STATE_SIZE)
         state[: capacitance.size] = capacitance.ravel()

@@ -15,7 +15,6 @@ from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.trials.segment import parse_span
@@ -102,15 +101,9 @@ def _mean_load(
             f"{where}: --tare {start:g}:{end:g} holds no wrench",
             f"give seconds since the first sample, from 0 to {time[-1]:g}",
         )
-    spread = wrenches[rows].std(axis=0)
-    excess = spread / np.repeat([limits.tare_moment, limits.tare_force], 3)
-    worst = int(excess.argmax())
-    if excess[worst] > 1.0:
-        raise TrialError(
-            f"{where}: --tare {start:g}:{end:g}: {WRENCH_CHANNELS[worst]} moves by"
-            f" {spread[worst]:.3g} {channel_unit(WRENCH_CHANNELS[worst])} (standard deviation)",
-            "give a span without load, at rest",
-        )
+    if unrest := load_cell.moves(wrenches[rows], limits):
+        hint = "give a span without load, at rest"
+        raise TrialError(f"{where}: --tare {start:g}:{end:g}: {unrest}", hint)
     return wrenches[rows].mean(axis=0)
 
 
@@ -118,10 +111,10 @@ def other_markers(recorded: SocketGeometry, given: SocketGeometry) -> tuple[str,
     """The bodies (`socket`, `pylon`) whose markers differ between two geometries."""
 
     def differs(body: str) -> bool:
-        old, new = (getattr(geometry, f"{body}_markers") for geometry in (recorded, given))
+        old, new = (geometry.markers[body] for geometry in (recorded, given))
         return old.shape != new.shape or not np.allclose(old, new, rtol=0.0, atol=_MARKER_TOLERANCE)
 
-    return tuple(filter(differs, ("socket", "pylon")))
+    return tuple(filter(differs, recorded.markers))
 
 
 def refit_poses(
@@ -137,7 +130,7 @@ def refit_poses(
     names the trial in errors; `notify` reports how far the poses of each body moved.
     """
     for body in bodies:
-        reference = getattr(geometry, f"{body}_markers")
+        reference = geometry.markers[body]
         seen = measured.markers.get(body, np.full((len(measured.stamps), *reference.shape), np.nan))
         count = marker_count(seen)
         if count > len(reference):
@@ -147,11 +140,9 @@ def refit_poses(
                 "give the socket.yaml of this trial's marker bodies with --geometry",
             )
         fitted = fit_body(reference, seen[:, : len(reference)]).pose
-        recorded = getattr(measured, body)
-        old = Pose.from_quaternion(recorded[:, :3], recorded[:, 3:])
-        notify(f"{body}: {_describe_shift(old, fitted)}")
-        pose = np.hstack([fitted.translation, fitted.quaternion()])
-        measured = replace(measured, **{body: pose})  # type: ignore[arg-type]
+        recorded = Pose.from_vector(getattr(measured, body))
+        notify(f"{body}: {_describe_shift(recorded, fitted)}")
+        measured = replace(measured, **{body: fitted.vector})  # type: ignore[arg-type]
     return measured
 
 

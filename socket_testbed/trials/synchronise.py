@@ -19,17 +19,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from socket_testbed.arrays import FloatArray, IntArray, StatusArray
-from socket_testbed.calibration.drift import (
-    DRIFT_LIMIT,
-    Drift,
-    average_baseline,
-    correct_drift,
-    measure_drift,
-)
+from socket_testbed.calibration import drift
 from socket_testbed.calibration.model import Calibration
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.marker_bodies import MAX_MARKERS
-from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import Samples, Status
 from socket_testbed.trials import topics
@@ -266,7 +259,7 @@ def correct_measurements(
     for column, name in enumerate(measured.clusters):
         readings = capacitance[:, column]
         baselines = [
-            average_baseline(
+            drift.average_baseline(
                 0.5 * (start + end),
                 readings[(time >= start) & (time <= end)],
                 f"{where}: {name} from {start:g} s to {end:g} s",
@@ -276,9 +269,9 @@ def correct_measurements(
         cluster = calibration.clusters[name]
         before, after = baselines[0], baselines[1] if len(baselines) > 1 else None
         reference = cluster.baseline if free else None
-        capacitance[:, column] = correct_drift(readings, time, before, after, reference)
+        capacitance[:, column] = drift.correct_drift(readings, time, before, after, reference)
         if after is not None:
-            notify(f"{name} {_describe(measure_drift(cluster, before, after))}")
+            notify(f"{name} {_describe(drift.measure_drift(cluster, before, after))}")
         elif reference is None:
             unchanged.append(name)
     if unchanged:
@@ -318,9 +311,9 @@ def _unloaded_forces(
     return loads
 
 
-def _describe(drift: Drift) -> str:
-    normal, shear_x, shear_y = 1e-3 * drift.stress
-    flag = f", more than {1e-3 * DRIFT_LIMIT:g} kPa" if drift.flagged else ""
+def _describe(found: drift.Drift) -> str:
+    normal, shear_x, shear_y = 1e-3 * found.stress
+    flag = f", more than {1e-3 * drift.DRIFT_LIMIT:g} kPa" if found.flagged else ""
     return (
         f"drifted by {normal:+.2f} kPa normal, {shear_x:+.2f} and {shear_y:+.2f} kPa shear without"
         f" load, corrected{flag}"
@@ -334,11 +327,7 @@ def make_samples(
     position, rotation = np.empty((2, len(measured.stamps), 3))
     for start in range(0, len(position), _BLOCK_SIZE):
         rows = slice(start, start + _BLOCK_SIZE)
-        socket, pylon = (
-            Pose.from_quaternion(pose[rows, :3], pose[rows, 3:])
-            for pose in (measured.socket, measured.pylon)
-        )
-        limb = geometry.limb_pose(socket, pylon)
+        limb = geometry.limb_of(measured.socket[rows], measured.pylon[rows])
         position[rows], rotation[rows] = limb.translation, limb.rotation_vector()
     status = np.empty(measured.status.shape[:2], dtype=np.uint8)
     forces = np.empty((*status.shape, 3))

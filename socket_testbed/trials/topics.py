@@ -29,6 +29,7 @@ WRENCH = Topic("load_cell/wrench", "geometry_msgs/msg/WrenchStamped", required=T
 LOAD_CELL_RAW = Topic("load_cell/raw", "socket_testbed_msgs/msg/LoadCellRaw")
 SOCKET_POSE = Topic("mocap/socket/pose", "geometry_msgs/msg/PoseStamped", required=True)
 PYLON_POSE = Topic("mocap/pylon/pose", "geometry_msgs/msg/PoseStamped", required=True)
+POSES = {"socket": SOCKET_POSE, "pylon": PYLON_POSE}  # by body
 MARKERS = Topic("mocap/markers", "socket_testbed_msgs/msg/RigidBodyMarkersArray")
 EVENT = Topic("event", "socket_testbed_msgs/msg/Event")
 TARE = "tare"  # first word in the label of a tare event

@@ -106,8 +106,9 @@ def simulated_parameters(folder: Path, **nodes: dict[str, object]) -> Path:
 
 
 @pytest.mark.usefixtures("manageable_time")
-def test_doctor_finds_all_that_is_simulated_and_names_what_fails(capsys, monkeypatch) -> None:
-    code, table, _ = call(capsys, "doctor", "--simulated")
+def test_doctor_finds_all_simulated_and_names_what_fails(capsys, tmp_path, monkeypatch) -> None:
+    file = simulated_parameters(tmp_path, mocap_node={"socket_body": "Socket"})  # as in a lab
+    code, table, _ = call(capsys, "doctor", "--simulated", "--params", file)
     assert code == 0 and "failed" not in table, table
     for found in (
         *("line 17 to 27", "FDC1004 at 0x50 behind channel 3 of 0x70 on i2c-1", "NatNet 4.1"),

@@ -19,7 +19,8 @@ from socket_testbed.drivers.clusters.fdc1004 import Fdc1004
 from socket_testbed.drivers.clusters.i2c import BusError, Conversion, I2cBus, I2cPort
 from socket_testbed.drivers.clusters.reader import ClusterReader, ClusterReading, check_settings
 from socket_testbed.errors import ConfigurationError, DeviceError
-from socket_testbed.live import hardware
+from socket_testbed.live import doctor, hardware
+from socket_testbed.live.bringup import Testbed
 from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import ClusterSettings
 from socket_testbed.simulation.devices.fdc1004 import SimulatedFdc1004
@@ -80,7 +81,7 @@ class Bench:
         for row, name in enumerate(self.settings.names):
             assert missing[row].all() or not missing[row].any()
             if missing[row].any() or name in reading.faults:
-                check_line(reading.faults[name])
+                list(map(check_line, reading.faults[name]))
         assert (np.isnan(reading.capacitance) == (reading.status != OK)).all()
         cycle = 4 / self.settings.sample_rate
         for (row, n), value in np.ndenumerate(reading.capacitance):
@@ -258,7 +259,7 @@ def test_places_are_identified_late_readings_missing_and_at_the_end_no_chip_is_c
     bench.clock.now += 0.051
     late = bench.read(trigger)
     assert missing(late) == [0, 1, 2, 3]
-    check_line(late.faults["distal"], "read more than 0.05 s after the trigger")
+    check_line(late.faults["distal"][0], "read more than 0.05 s after the trigger")
     bench.reader.close()
     multiplexer = bench.hardware.multiplexers[1, 0x70]
     assert multiplexer.mask == 0
@@ -267,7 +268,7 @@ def test_places_are_identified_late_readings_missing_and_at_the_end_no_chip_is_c
     multiplexer.write = Mock(side_effect=OSError(errno.EREMOTEIO, "x"))
     reading = bench.read()
     assert missing(reading) == [0, 1, 2, 3]
-    (fault,) = set(reading.faults.values())  # once for all
+    ((fault,),) = set(reading.faults.values())  # once for all
     check_line(fault, "no answer at 0x70 on i2c-1", "multiplexer's plug")
 
 
@@ -287,7 +288,8 @@ def test_the_range_follows_an_input_until_it_is_beyond_every_range() -> None:
         bench.offsets[0, 3] = picofarads
         reading = bench.run(4.0, 8)[-1]
         assert reading.status[0].tolist() == [OK, OK, OK, SATURATED]
-        check_line(reading.faults["brim_lateral"], "input 4 is out of range", f"CAPDAC {capdac}: ")
+        (fault,) = reading.faults["brim_lateral"]
+        check_line(fault, "input 4 is out of range", f"CAPDAC {capdac}: ")
 
 
 def test_a_conversion_with_the_former_range_is_not_used(clock: FakeClock) -> None:
@@ -342,6 +344,14 @@ def test_a_chip_that_hangs_gives_nothing_old_and_silences_no_other(monkeypatch) 
         assert bench.clock.now - (START + n) < 0.06
     masks.clear()
     assert is_good(bench.run(4.0, 8, START + 17.0)[-1])
+
+
+def test_doctor_gives_the_whole_hint_of_a_chip(monkeypatch) -> None:
+    bench = Bench(speeds=(0.0, 1.0, 1.0, 1.0))
+    monkeypatch.setattr(doctor, "make_clusters", lambda _: bench.reader)
+    dead, *others = doctor.check_clusters(Testbed())
+    assert dead.hint == "the chip is reset; if this recurs, check its supply"
+    assert not any(other.hint for other in others)
 
 
 def test_random_faults_give_no_wrong_value_and_are_repaired() -> None:

@@ -83,10 +83,10 @@ def errors_of(
     """Errors of position [m], orientation [rad] and the worst marker [m]; NaN if missing."""
     position, rotation = pose(body, moment)
     angle = np.nan
-    if np.isfinite(found.quaternion).all():
-        angle = (Rotation.from_quat(found.quaternion).inv() * rotation).magnitude()
+    if np.isfinite(found.pose[3:]).all():
+        angle = (Rotation.from_quat(found.pose[3:]).inv() * rotation).magnitude()
     off = np.linalg.norm(found.markers - markers_at(body, moment, references, pose), axis=1)
-    away = float(np.linalg.norm(found.position - position))
+    away = float(np.linalg.norm(found.pose[:3] - position))
     return away, float(angle), float(np.nanmax(off, initial=0.0))
 
 
@@ -101,7 +101,7 @@ def seen(found: SeenBody) -> list[bool]:
 
 
 def assert_no_pose(found: SeenBody, fault: str) -> None:
-    assert np.isnan(found.position).all() and np.isnan(found.quaternion).all()
+    assert np.isnan(found.pose).all()
     assert found.frames == 0 and fault in found.fault
 
 
@@ -188,11 +188,11 @@ def test_the_pose_is_the_mean_of_the_frames_in_the_window_and_markers_are_at_the
     socket, pylon = tracker.sample(0.0, 0.251)
     assert (socket.frames, pylon.frames, socket.fault, pylon.fault) == (51, 51, "", "")
     positions, rotations = fitted((markers_at(0, 0.0, pose=steady) + noise)[15:66])
-    np.testing.assert_allclose(socket.position, positions.mean(axis=0), atol=1e-9)
+    np.testing.assert_allclose(socket.pose[:3], positions.mean(axis=0), atol=1e-9)
     # Markley et al. 2007, doi:10.2514/1.28949: largest eigenvector of the sum of q q^T.
     quaternions = np.array([rotation.as_quat() for rotation in rotations])
     mean = Rotation.from_quat(np.linalg.eigh(quaternions.T @ quaternions)[1][:, -1])
-    assert (Rotation.from_quat(socket.quaternion).inv() * mean).magnitude() < 1e-8
+    assert (Rotation.from_quat(socket.pose[3:]).inv() * mean).magnitude() < 1e-8
     between = tracker.sample(0.0, 0.002)[0]  # of a frame or none in the window
     np.testing.assert_array_equal(socket.markers, between.markers)
     assert between.frames == 2
@@ -246,8 +246,8 @@ def test_whatever_happens_to_the_frames_a_pose_is_right_or_missing(seed):
         }
         for body, found in enumerate(tracker.sample(trigger)):
             position, angle, markers_off = errors_of(found, body, trigger)
-            missing = bool(np.isnan(found.position).any())
-            assert missing == bool(found.fault) == bool(np.isnan(found.quaternion).any())
+            missing = bool(np.isnan(found.pose).all())
+            assert missing == bool(found.fault) == bool(np.isnan(found.pose).any())
             if not missing:
                 right += 1
                 assert position < 2e-4 and angle < 2e-3

@@ -46,7 +46,7 @@ def test_quaternions_of_any_length_are_rotations_and_nothing_is_not(rng):
     np.testing.assert_allclose(vectors[~unusable], expected.as_rotvec(), atol=1e-13)
     for values in (pose.rotation[:, 0], pose.quaternion(), vectors):
         np.testing.assert_array_equal(np.isnan(values).all(axis=1), unusable)
-    back = Pose.from_quaternion(pose.translation, pose.quaternion())
+    back = Pose.from_vector(pose.vector)
     np.testing.assert_allclose(back.rotation, pose.rotation, atol=1e-14)
 
 

@@ -23,7 +23,7 @@ from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.live.bringup import record_estimates
 from socket_testbed.live.processes import Graph
-from socket_testbed.nodes.base import TestbedNode
+from socket_testbed.nodes.base import ELAPSED, FREE, TestbedNode
 from socket_testbed.nodes.view_node import LiveSource
 from socket_testbed.settings import testbed
 from socket_testbed.settings.fields import Settings
@@ -154,6 +154,10 @@ def test_a_map_of_another_socket_is_named_and_not_drawn() -> None:
 
         probe.wait(lambda: shows(own, True), "the map")
         probe.wait(lambda: shows(other, False), "that it is of another socket")
+        values = [KeyValue(key=ELAPSED, value="59.6"), KeyValue(key=FREE, value="1e9")]
+        source._sensors["/recorder_node"] = DiagnosticStatus(values=values), source._asked_at
+        source._trial = "walk", 0.0
+        assert "0:60" not in source._recording()["words"]
         source._asked_at -= 60.0  # no browser has asked for a while
         source.unsubscribe_if_idle()
         assert source._inbox is None

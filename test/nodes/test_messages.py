@@ -24,7 +24,7 @@ from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.nodes.base import header_to_ros, message_type
-from socket_testbed.nodes.mocap_node import FrameBroadcaster, fixed_frames
+from socket_testbed.nodes.frames import FrameBroadcaster, fixed_frames
 from socket_testbed.samples import Status
 from socket_testbed.trials import layout, messages, topics
 
@@ -250,7 +250,6 @@ def test_the_transforms_compose_to_the_limb_in_the_socket() -> None:
     (fixed,) = node.sent["/lab/tf_static"]
     (load_cell,) = (t for t in fixed.transforms if t.header.frame_id == "socket")
     limb = (pose_of(seen[0]) @ pose_of(load_cell)).inverse() @ pose_of(seen[1])
-    bodies = (Pose.from_quaternion(vector[:3], vector[3:]) for vector in vectors)
-    expected = GEOMETRY.limb_pose(*bodies)
+    expected = GEOMETRY.limb_of(*vectors)
     np.testing.assert_allclose(limb.translation, expected.translation, atol=1e-9)
     np.testing.assert_allclose(limb.rotation, expected.rotation, atol=1e-9)

@@ -6,12 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.clocks import FakeClock
+from support.wording import refused
 
 import socket_testbed as st
 from socket_testbed.calibration.model import read_calibration
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import packaged
-from socket_testbed.geometry.socket import read_socket
+from socket_testbed.geometry.socket import read_socket, write_socket
 from socket_testbed.identification.fit import summarise_errors
+from socket_testbed.live.bringup import Testbed
 from socket_testbed.live.hardware import make_clusters, make_load_cell
 from socket_testbed.live.simulated_world import LiveTestbed, Simulation
 from socket_testbed.settings.testbed import read_testbed
@@ -89,6 +92,14 @@ def test_perfect_sensors_see_the_truth() -> None:
         assert (status == 0).all()
         actual = trial.truth.forces[:, tile] @ GEOMETRY.rotations[tile]
         np.testing.assert_allclose(GEOMETRY.cluster_force(cluster, stress), actual, atol=2e-3)
+
+
+def test_more_clusters_than_a_simulated_world_holds_are_refused(tmp_path: Path) -> None:
+    free = sorted({*range(len(GEOMETRY))} - {*GEOMETRY.clusters.values()})
+    many = GEOMETRY.clusters | {f"c{tile}": tile for tile in free[:13]}
+    write_socket(dataclasses.replace(GEOMETRY, clusters=many), tmp_path / "socket.yaml")
+    with refused(ConfigurationError, "socket.yaml: has 17 clusters, and 16 can be simulated"):
+        Testbed(geometry=tmp_path / "socket.yaml", simulation=Simulation())
 
 
 def test_a_running_testbed_is_as_noisy_as_a_simulated_trial(tmp_path: Path, monkeypatch) -> None:

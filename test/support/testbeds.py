@@ -184,14 +184,14 @@ class Recorded:
             within = (values > felt.min(axis=0) - 0.012) & (values < felt.max(axis=0) + 0.012)
             assert within[fine].all(), (stamp, values, felt)
             counts[CAPACITANCE.name] += int(fine.sum())
-        triads = (self._geometry.socket_markers, self._geometry.pylon_markers)
-        for k, topic in enumerate((SOCKET_POSE, PYLON_POSE)):
+        triads = self._geometry.markers.values()
+        for k, (topic, triad) in enumerate(zip((SOCKET_POSE, PYLON_POSE), triads, strict=True)):
             for stamp, pose in self.known(topic):
                 if not np.isfinite(pose).all():
                     assert np.isnan(pose).all()
                     continue
                 markers = self.felt("markers", stamp, self._around).mean(axis=0)[k]
-                true = fit_body(triads[k], markers[None]).pose
+                true = fit_body(triad, markers[None]).pose
                 turn = abs(pose[3:] @ true.quaternion()[0])
                 assert np.linalg.norm(pose[:3] - true.translation[0]) < 6e-4, stamp
                 assert 2.0 * np.arccos(min(turn, 1.0)) < 0.01, stamp

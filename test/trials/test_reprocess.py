@@ -158,7 +158,7 @@ def geometry(hold: Path) -> SocketGeometry:
 def recorded_with(hold: Path, path: Path, wrong: SocketGeometry) -> Path:
     """The hold as the node would record it that knows other markers of the socket."""
     pose = fit_body(wrong.socket_markers, measured_of(hold).markers["socket"][:, :3]).pose
-    rows, pack = np.hstack([pose.translation, pose.quaternion()]), pose_packer()
+    rows, pack = pose.vector, pose_packer()
     recorded_as(hold, path, {"/mocap/socket/pose": lambda stamp, row: pack(stamp, rows[row])})
     write_socket(wrong, path / "socket.yaml")
     return path

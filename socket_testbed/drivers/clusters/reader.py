@@ -32,7 +32,7 @@ class ClusterReading:
 
     capacitance: FloatArray  # of c clusters by input, shape (c, 4) [pF]; NaN if missing
     status: StatusArray  # OK, SATURATED or MISSING (`Status`) of each input, shape (c, 4)
-    faults: dict[str, str]  # fault and hint in one line, by the cluster's name
+    faults: dict[str, tuple[str, ...]]  # each with its hint in one line, by the cluster's name
 
 
 class ClusterReader:
@@ -79,18 +79,16 @@ class ClusterReader:
         status = np.full(shape, Status.MISSING, dtype=np.uint8)
         faults = {}
         for row, (name, cluster) in enumerate(self._clusters.items()):
-            fault, complete = cluster.fault, not cluster.pending
+            found, complete = [cluster.fault], not cluster.pending
             if late or (complete and max(entry.read for entry in cluster.inputs) > latest):
-                fault = (
-                    f"read more than {self._settings.latest:g} s after the trigger:"
-                    " lower the trigger's rate, or relieve the computer"
-                )
+                hint = "lower the trigger's rate, or relieve the computer"
+                found = [f"read more than {self._settings.latest:g} s after the trigger: {hint}"]
             elif complete:
                 capacitance[row] = values = [entry.value for entry in cluster.inputs]
                 status[row] = np.where(np.isnan(values), Status.SATURATED, Status.OK)
-                fault = fault or "; ".join(entry.fault for entry in cluster.inputs if entry.fault)
-            if fault:
-                faults[name] = fault
+                found += [entry.fault for entry in cluster.inputs]
+            if told := tuple(filter(None, found)):
+                faults[name] = told
         return ClusterReading(capacitance, status, faults)
 
     def identify(self) -> dict[str, str | DeviceError]:

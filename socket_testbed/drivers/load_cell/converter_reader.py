@@ -15,12 +15,11 @@ import numpy as np
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.drivers import RECENT
 from socket_testbed.drivers.gpio import EdgeLine
 from socket_testbed.drivers.load_cell import ads131m0x
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import LoadCellSettings
-
-RECENT = 0.8  # [s]; how long a fault is reported after it has ended
 
 _MAX_FRAMES = 8  # read in a row; two conversions can wait, and frames can be corrupted
 _MAX_READ_TIME = 0.25  # periods; normally a frame takes less
@@ -123,9 +122,8 @@ class ConverterReader:
         self._times: list[float] = []
         self._codes: list[IntArray] = []
         self._emptied = self._corrupted = self._failed = -np.inf  # [s]
-        self._arrived = self._stored = (
-            clocks.monotonic()
-        )  # last conversion; last one with a known time [s]
+        # times of the last conversion, and of the last one with a known time [s]
+        self._arrived = self._stored = clocks.monotonic()
         self._fault: DeviceError | None = None
         self._counts = {"conversions": 0, "checksum_errors": 0, "restarts": 0}
         if open_line is not None:

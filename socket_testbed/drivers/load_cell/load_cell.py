@@ -15,10 +15,10 @@ from msgspec import Meta
 
 from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, line_weights
-from socket_testbed.clocks import SteadyClock
 from socket_testbed.documents import Document, read_document
+from socket_testbed.drivers import RECENT
 from socket_testbed.drivers.load_cell import ads131m0x
-from socket_testbed.drivers.load_cell.converter_reader import RECENT, ConverterReader
+from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.files import make_folder, write_text
 from socket_testbed.samples import WRENCH_CHANNELS, Status, channel_unit
@@ -36,6 +36,9 @@ _MAX_CONDITION = 1e6  # [-]; of the maker's matrix with normalised rows
 
 _BROKEN_WIRE = 5  # conversions in a row at a rail
 _AFTER = 0.25  # fraction of the window after the trigger
+# Variance of a line's value at the trigger relative to that of the mean, 1 + 12 d^2 with d windows
+# from the middle [-]
+_LINE_VARIANCE = 1.0 + 12.0 * (0.5 - _AFTER) ** 2
 _MAX_VARIANCE = 3.0  # [-]; of a wrench from an incomplete window, relative to a complete one
 _MIN_COMPLETE = 0.9  # fraction of the conversions in a span required for its mean
 
@@ -107,6 +110,18 @@ def in_words(wrench: FloatArray) -> str:
     """The values of [M; F], shape (6,) [N m, N], with their names and units."""
     values = zip(WRENCH_CHANNELS, wrench, _UNITS, strict=True)
     return ", ".join(f"{axis} {value:.4g} {unit}" for axis, value, unit in values)
+
+
+def moves(wrenches: FloatArray, settings: LoadCellSettings) -> str:
+    """The channel of wrenches (n, 6) that moves too much for a tare; empty if all are at rest."""
+    spread = wrenches.std(axis=0)
+    limits = np.repeat([settings.tare_moment, settings.tare_force], 3)
+    worst = int((spread / limits).argmax())
+    if spread[worst] <= limits[worst]:
+        return ""
+    unit = _UNITS[worst]
+    moved = f"{spread[worst]:.3g} {unit} (standard deviation)"
+    return f"{WRENCH_CHANNELS[worst]} moves by {moved}, more than {limits[worst]:g} {unit}"
 
 
 def check_settings(settings: LoadCellSettings) -> None:
@@ -253,8 +268,7 @@ class LoadCell:
         if span > 0.0 and (rails.any() or count < _MIN_COMPLETE * expected):
             return self.wrench_at(moment)
         weights = line_weights(times - moment)
-        # With all conversions the line's relative variance is 1.75 / expected: see _AFTER.
-        uncertain = weights @ weights > _MAX_VARIANCE * 1.75 / expected
+        uncertain = weights @ weights > _MAX_VARIANCE * _LINE_VARIANCE / expected
         value, status, fault = np.full(6, np.nan), Status.MISSING, ""
         if rails.any():
             status, fault = Status.SATURATED, self._saturated(rails)
@@ -290,10 +304,11 @@ class LoadCell:
         level, text = max(found, key=lambda entry: entry[0])
         return level, text if level else f"spidev{self.settings.device} converts"
 
-    def tare(self, forced: bool = False) -> str:
+    def tare(self, stamp: int, forced: bool = False) -> FloatArray:
         """Tare: take the mean over the last `tare_duration` as zero load.
 
-        A load above `tare_load` is removed only if forced; returns a text with the removed load.
+        `stamp` is the present time since the epoch [ns]. A load above `tare_load` is removed only
+        if forced. Returns the removed load [M; F], shape (6,) [N m, N].
         """
         settings = self.settings
         now = clocks.monotonic()
@@ -313,16 +328,8 @@ class LoadCell:
                 f"cannot tare: {self._saturated(rails)}",
                 "unload the cell, or check the bridge and its wiring",
             )
-        spread = self._bridges.wrenches(ratios).std(axis=0)
-        limits = np.repeat([settings.tare_moment, settings.tare_force], 3)
-        worst = int((spread / limits).argmax())
-        if spread[worst] > limits[worst]:
-            raise DeviceError(
-                f"cannot tare: {WRENCH_CHANNELS[worst]} moves by {spread[worst]:.3g}"
-                f" {_UNITS[worst]} (standard deviation), more than"
-                f" {limits[worst]:g} {_UNITS[worst]}",
-                "hold the cell still and tare again",
-            )
+        if unrest := moves(self._bridges.wrenches(ratios), settings):
+            raise DeviceError(f"cannot tare: {unrest}", "hold the cell still and tare again")
         offsets = ratios.mean(axis=0)
         removed = self._bridges.wrenches(offsets - self._tare.no_load[0])
         force = float(np.linalg.norm(removed[3:]))
@@ -332,8 +339,8 @@ class LoadCell:
                 "take the limb out of the socket; if nothing loads the cell, force it"
                 " (load_cell/force_tare)",
             )
-        self._tare.set(offsets, SteadyClock().to_epoch(now))
-        return f"tared: removed {in_words(removed)}"
+        self._tare.set(offsets, stamp)
+        return removed
 
     def _between(self, start: float, end: float) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Times [s] of conversions; ratios [mV/V] and whether clipped, shape (n, 6) each."""

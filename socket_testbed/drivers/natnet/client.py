@@ -15,12 +15,11 @@ from typing import TypeAlias
 
 from socket_testbed import clocks
 from socket_testbed.clocks import Backoff
+from socket_testbed.drivers import ERROR, OK, RECENT, WARN
 from socket_testbed.drivers.natnet import connection, messages
 from socket_testbed.drivers.natnet.clock import EchoClock
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import MocapSettings
-
-OK, WARN, ERROR = 0, 1, 2
 
 _RECEIVE_TIMEOUT = 0.01  # [s]
 _CLOSE_TIMEOUT = 0.3  # [s]; to stop a take
@@ -33,7 +32,6 @@ _MAX_PENDING = 64  # echoes
 _MODELS_RETRY, _MODELS_INTERVAL = 0.1, 1.0  # [s]
 _SUBSCRIPTIONS = ("SubscribeToData,RigidBody,All", "SubscribeToData,LabeledMarkers,All")
 
-_RECENT = 0.8  # [s]; how long a fault is reported after it has ended
 _SPAN = 1.0  # [s]; for the frame rate
 _HISTORY = 2000  # events
 _MAX_AGE, _MAX_AHEAD = 1.0, 0.005  # [s]; of a frame's time relative to its arrival
@@ -83,7 +81,7 @@ class LinkStatistics:
         counts: Counter[str] = Counter()
         with self._lock:
             for at, kind, number in self._events:
-                counts[kind] += number if at > now - _RECENT else 0
+                counts[kind] += number if at > now - RECENT else 0
         found = [f"{counts[kind]} {kind.replace('_', ' ')}" for kind in _FAULTS if counts[kind]]
         last = f" (the last: {self._last_error})" if counts[_BAD] or counts[_FAILED] else ""
         return ", ".join(found) + last

@@ -207,6 +207,10 @@ class CommandQueue:
 class TakeKeeper:
     """Names, starts and stops the requested take, and restarts it after a server restart.
 
+    Idle: none is wanted or started. Naming: one is wanted. Starting: it is started, so it may run.
+    Recording: an answer or a frame has confirmed that. Stopping: a started take is not wanted any
+    more. A restart of the server leads from recording back to naming, unless a frame confirms it.
+
     `request` is thread-safe; the other methods are for one thread.
     """
 

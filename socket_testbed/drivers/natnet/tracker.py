@@ -21,6 +21,7 @@ from socket_testbed.settings.acquisition import MocapSettings
 
 _HISTORY = 1.0  # [s]
 _MAX_VOTES, _MIN_VOTES = 20, 3  # fits that determine the usual order of the labels
+_NOWHERE = np.full(7, np.nan)  # the pose of a body that has none
 _MAX_STEP = 0.01  # [m]; of a marker between two frames, if its body was not fitted
 
 
@@ -30,8 +31,7 @@ class SeenBody(NamedTuple):
     # its k markers in the body's order, or as labelled if they do not fit, shape (k, 3) [m]; NaN
     # if not seen
     markers: FloatArray
-    position: FloatArray  # of its origin in the world, shape (3,) [m]; NaN without a pose
-    quaternion: FloatArray  # orientation (x, y, z, w), shape (4,) [-]; likewise
+    pose: FloatArray  # in the world, as `Pose.vector`, shape (7,); NaN if unknown
     frames: int = 0  # number of frames used for the pose [1]
     fault: str = ""  # why there is no pose; empty if there is one
 
@@ -144,37 +144,48 @@ class _TrackedBody:
         """The body at a trigger [s]."""
         frames, after = self._around(trigger, 0.5 * window)
         offsets = np.array([frame.time - trigger for frame in frames])
-        nowhere = np.full(3, np.nan), np.full(4, np.nan)
-        nothing = SeenBody(np.full((self._count, 3), np.nan), *nowhere)
+        nothing = SeenBody(np.full((self._count, 3), np.nan), _NOWHERE)
         if not 0 < after < len(frames) or offsets[after] - offsets[after - 1] > self._stale:
-            return nothing._replace(
-                fault=f"no two frames within {self._stale:g} s around the trigger"
-            )
+            fault = f"no two frames within {self._stale:g} s around the trigger"
+            return nothing._replace(fault=fault)
         if fault := frames[after - 1].unknown or frames[after].unknown:
             return nothing._replace(fault=fault)
         seen = np.array([frame.markers for frame in frames])
         fit = fit_body(self._reference, seen)
-        pairs = [
+        fitted = self._fitted_pair(fit.found, offsets, after)
+        a, b = pair = list(fitted or (after - 1, after))
+        weight = -offsets[a] / (offsets[b] - offsets[a])
+        markers = self._between(seen[pair], fit.order[pair], weight, fitted is not None)
+        if fitted is None:
+            return SeenBody(markers, _NOWHERE, fault=self._fault(seen[pair]))
+        inside = (np.abs(offsets) <= 0.5 * window) & (window > 0.0)
+        noise = weight**2 + (1.0 - weight) ** 2
+        mean = _mean(fit.pose, offsets, inside & fit.found, noise)
+        return SeenBody(markers, *(mean or _interpolate(fit.pose, pair, weight)))
+
+    def _fitted_pair(
+        self, found: BoolArray, offsets: FloatArray, after: int
+    ) -> tuple[int, int] | None:
+        """The closest frames with a pose before and after the trigger, of the two on each side."""
+        pairs = (
             (a, b)
             for a in range(after - 1, max(after - 3, -1), -1)
-            for b in range(after, min(after + 2, len(frames)))
-            if fit.found[a] and fit.found[b] and offsets[b] - offsets[a] <= self._stale
-        ]
-        a, b = pair = pairs[0] if pairs else (after - 1, after)
-        weight = -offsets[a] / (offsets[b] - offsets[a])
-        if pairs:
-            whole = [fit.order[row] for row in pair if (fit.order[row] >= 0).all()]
-            self._orders += [tuple(order.tolist()) for order in whole]
-        start, end = (self._in_order(seen[row], fit.order[row]) for row in pair)
+            for b in range(after, min(after + 2, len(offsets)))
+            if found[a] and found[b] and offsets[b] - offsets[a] <= self._stale
+        )
+        return next(pairs, None)
+
+    def _between(
+        self, seen: FloatArray, orders: IntArray, weight: float, fitted: bool
+    ) -> FloatArray:
+        """Markers between two frames, shape (k, 3) [m]; unless fitted, those that hardly moved."""
+        if fitted:
+            self._orders += [tuple(order.tolist()) for order in orders if (order >= 0).all()]
+        start, end = map(self._in_order, seen, orders)
         markers = start + weight * (end - start)
-        if pairs:
-            inside = (np.abs(offsets) <= 0.5 * window) & (window > 0.0)
-            noise = weight**2 + (1.0 - weight) ** 2
-            mean = _mean(fit.pose, offsets, inside & fit.found, noise)
-            return SeenBody(markers, *(mean or _interpolate(fit.pose, pair, weight)))
-        near = np.linalg.norm(end - start, axis=1) < _MAX_STEP
-        markers = np.where(near[:, None], markers, np.nan)
-        return SeenBody(markers, *nowhere, fault=self._fault(seen[list(pair)]))
+        if not fitted:
+            markers[np.linalg.norm(end - start, axis=1) >= _MAX_STEP] = np.nan
+        return markers
 
     def _around(self, trigger: float, half: float) -> tuple[list[_Frame], int]:
         """Frames within half a window of a time, at least two on either side if there are."""
@@ -236,21 +247,19 @@ class _TrackedBody:
         )
 
 
-def _interpolate(
-    poses: Pose, pair: tuple[int, int], weight: float
-) -> tuple[FloatArray, FloatArray, int]:
-    """Position [m] and quaternion between two of N poses, and their number (2)."""
-    start, end = poses.translation[list(pair)]
-    before, after = Rotation.from_matrix(poses.rotation[list(pair)])
+def _interpolate(poses: Pose, pair: list[int], weight: float) -> tuple[FloatArray, int]:
+    """The vector of a pose between two of N poses, and their number (2)."""
+    start, end = poses.translation[pair]
+    before, after = Rotation.from_matrix(poses.rotation[pair])
     # Slerp (Shoemake 1985, doi:10.1145/325165.325242).
     between = before * (before.inv() * after) ** weight
-    return start + weight * (end - start), between.as_quat(), 2
+    return np.hstack([start + weight * (end - start), between.as_quat()]), 2
 
 
 def _mean(
     poses: Pose, offsets: FloatArray, usable: BoolArray, max_variance: float
-) -> tuple[FloatArray, FloatArray, int] | None:
-    """Mean of the usable poses, carried to offset 0, and their number; None if too noisy."""
+) -> tuple[FloatArray, int] | None:
+    """Vector of the usable poses' mean at offset 0, and their number; None if too noisy."""
     weights = line_weights(offsets[usable])
     if len(weights) < 2 or weights @ weights > max_variance:
         return None
@@ -258,4 +267,5 @@ def _mean(
     # The chordal mean (Hartley 2013, doi:10.1007/s11263-012-0601-0).
     mean = rotations.mean()
     turn = Rotation.from_rotvec(weights @ (mean.inv() * rotations).as_rotvec())
-    return weights @ poses.translation[usable], (mean * turn).as_quat(), len(weights)
+    vector = np.hstack([weights @ poses.translation[usable], (mean * turn).as_quat()])
+    return vector, len(weights)

@@ -231,6 +231,7 @@ def simulated_load_cell(
     Faults are those of `simulation.world`, read at each frame.
     """
     check_settings(settings)
+    # Apart from the driver's `Bridges`, whose inverse would hide its errors of sign and order.
     to_ratio = np.linalg.inv(np.array(settings.matrix).reshape(6, 6))
     per_bridge = np.array(settings.sign) * settings.excitation * settings.amplifier_gain
     to_volts = np.zeros((settings.channels, 6))  # of [M; F], by channel

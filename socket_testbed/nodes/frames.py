@@ -1,0 +1,87 @@
+"""Transforms of the socket, its load cell and clusters, and the limb, for RViz and others.
+
+    world -> socket -> load_cell -> each cluster      world -> limb
+
+Moving frames follow the motion capture, on /tf; fixed frames come from the socket's geometry, on
+/tf_static. mocap_node publishes them live, replay_node during a replay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from geometry_msgs.msg import Quaternion, Transform, TransformStamped, Vector3
+from tf2_msgs.msg import TFMessage
+
+from socket_testbed.arrays import FloatArray
+from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.nodes import base
+from socket_testbed.trials import messages, topics
+
+SOCKET_FRAME = "socket"  # the socket's marker body
+LIMB_FRAME = "limb"  # origin at the lumped mass
+
+
+class FrameBroadcaster:
+    """Publishes the transforms; without an own namespace, topics follow the node's remappings."""
+
+    def __init__(
+        self, node: base.TestbedNode[Any], geometry: SocketGeometry, namespace: str = ""
+    ) -> None:
+        self._bodies = {
+            topics.SOCKET_POSE: (SOCKET_FRAME, Pose(np.eye(3), np.zeros(3))),
+            topics.PYLON_POSE: (LIMB_FRAME, geometry.limb),
+        }
+        self._publisher, static = (
+            node.create_publisher(TFMessage, namespace + topic.name, base.publisher_qos(topic))
+            for topic in (topics.TF, topics.TF_STATIC)
+        )
+        now = node.get_clock().now().nanoseconds
+        fixed = [_transform(now, *entry) for entry in fixed_frames(geometry)]
+        static.publish(TFMessage(transforms=fixed))
+
+    @property
+    def wanted(self) -> bool:
+        """Whether anybody subscribes."""
+        return bool(self._publisher.get_subscription_count())
+
+    def move(self, stamp: int, poses: Mapping[topics.Topic, FloatArray]) -> None:
+        """Publish the poses of socket and limb; unseen bodies are left out.
+
+        The poses at a stamp [ns], for SOCKET_POSE, PYLON_POSE or both, are position [m] and
+        quaternion (x, y, z, w), shape (7,).
+        """
+        if not self.wanted:
+            return
+        transforms = []
+        for topic, vector in poses.items():
+            if np.isfinite(vector).all():
+                pose = Pose.from_vector(vector)
+                name, in_body = self._bodies[topic]
+                transforms.append(_transform(stamp, messages.WORLD_FRAME, name, pose @ in_body))
+        if transforms:
+            self._publisher.publish(TFMessage(transforms=transforms))
+
+
+def fixed_frames(geometry: SocketGeometry) -> list[tuple[str, str, Pose]]:
+    """The fixed frames: parent, name, and pose in the parent."""
+    rotations = geometry.square_frames()
+    clusters = [
+        (messages.LOAD_CELL_FRAME, name, Pose(rotations[tile], geometry.anchors[tile]))
+        for name, tile in geometry.clusters.items()
+    ]
+    return [(SOCKET_FRAME, messages.LOAD_CELL_FRAME, geometry.socket_body.inverse()), *clusters]
+
+
+def _transform(stamp: int, parent: str, name: str, pose: Pose) -> TransformStamped:
+    return TransformStamped(
+        header=base.header_to_ros(stamp, parent),
+        child_frame_id=name,
+        transform=Transform(
+            translation=Vector3(**dict(zip("xyz", pose.translation.tolist(), strict=True))),
+            rotation=Quaternion(**dict(zip("xyzw", pose.quaternion().tolist(), strict=True))),
+        ),
+    )
