@@ -14,18 +14,8 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta, Struct
 
+from socket_testbed import documents
 from socket_testbed.arrays import FloatArray
-from socket_testbed.documents import (
-    FINITE,
-    Document,
-    Text,
-    convert,
-    finite_or_null,
-    load_json,
-    plain,
-    refuse_unknown,
-    shown,
-)
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import write_text
 from socket_testbed.geometry.socket import SocketGeometry, socket_from_document
@@ -103,7 +93,7 @@ def write_model(
             "last_stamp": fit.last_stamp,
             "determined_directions": fit.determined,
             "status": fit.status,
-            "wrench_rmse": [*map(finite_or_null, fit.wrench_rmse.tolist())],
+            "wrench_rmse": [*map(documents.finite_or_null, fit.wrench_rmse.tolist())],
             "stage_1": record(fit.stage_one.certificate),
             "stage_2": record(fit.stage_two.certificate),
             "joint": None if fit.joint is None else record(fit.joint.certificate),
@@ -117,8 +107,10 @@ _ARRAYS = ("stiffness", "rest_positions", "wrench_bias", "reference_pose", "wren
 
 
 def _parameters(model: ContactModel) -> dict[str, Any]:
-    found = {name: plain(getattr(model, name)) for name in ("variant", "sharpness", *_ARRAYS)}
-    found["force_bias"] = {name: plain(bias) for name, bias in model.force_bias.items()}
+    found = {
+        name: documents.plain(getattr(model, name)) for name in ("variant", "sharpness", *_ARRAYS)
+    }
+    found["force_bias"] = {name: documents.plain(bias) for name, bias in model.force_bias.items()}
     found["clusters"] = list(model.cluster_points)
     if model.of_wrench is not None:
         found["of_wrench"] = _parameters(model.of_wrench)
@@ -127,7 +119,7 @@ def _parameters(model: ContactModel) -> dict[str, Any]:
 
 def record(of: Any) -> dict[str, Any]:
     """A dataclass of numbers and texts for JSON, such as the errors of a channel."""
-    return {key: finite_or_null(value) for key, value in dataclasses.asdict(of).items()}
+    return {key: documents.finite_or_null(value) for key, value in dataclasses.asdict(of).items()}
 
 
 def quoted_figures(errors: Sequence[ChannelErrors]) -> dict[str, Any]:
@@ -138,27 +130,29 @@ def quoted_figures(errors: Sequence[ChannelErrors]) -> dict[str, Any]:
         "mean_force_rmse [N]": summary.force_rmse,
         "median_local_rmse [N]": summary.local_rmse,
     }
-    return {name: finite_or_null(value) for name, value in figures.items()}
+    return {name: documents.finite_or_null(value) for name, value in figures.items()}
 
 
 _Parameter = Annotated[float, Meta(ge=-1e9, le=1e9)]  # [N/m, N, N m]; far beyond any real one
 _Stiffness = Annotated[float, Meta(ge=-1.0, le=1e9)]  # [N/m]; solvers may undershoot zero slightly
 _Place = Annotated[float, Meta(ge=-10.0, le=10.0)]  # [m, rad]
 _Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
-_Figure = Annotated[float, Meta(ge=-FINITE, le=FINITE)] | None  # JSON has no NaN
-_Second = Annotated[float, Meta(ge=-FINITE, le=FINITE)]
+_Figure = (
+    Annotated[float, Meta(ge=-documents.FINITE, le=documents.FINITE)] | None
+)  # JSON has no NaN
+_Second = Annotated[float, Meta(ge=-documents.FINITE, le=documents.FINITE)]
 _Three = tuple[_Parameter, _Parameter, _Parameter]
 _Six = tuple[_Parameter, _Parameter, _Parameter, _Parameter, _Parameter, _Parameter]
 
 
-class _Parameters(Document):
+class _Parameters(documents.Document):
     variant: Variant
     sharpness: Annotated[float, Meta(ge=1.0, le=1e9)]
     stiffness: list[tuple[_Stiffness, _Stiffness, _Stiffness]]
     rest_positions: list[tuple[_Place, _Place, _Place]]
     wrench_bias: _Six
     force_bias: dict[str, _Three]
-    clusters: list[Text]
+    clusters: list[documents.Text]
     # Missing in older files, whose variants need neither:
     reference_pose: tuple[_Place, _Place, _Place, _Place, _Place, _Place] | None = None
     wrench_slope: tuple[_Six, _Six, _Six, _Six, _Six, _Six] | None = None
@@ -172,7 +166,7 @@ class _Parameters(Document):
             if name not in geometry.clusters:
                 hint = closest(name, geometry.clusters)
                 raise ConfigurationError(f"{where}: clusters: no cluster '{name}'", hint)
-        refuse_unknown(self.force_bias, clusters, f"{where}: force_bias")
+        documents.refuse_unknown(self.force_bias, clusters, f"{where}: force_bias")
         for key, rows in (("stiffness", self.stiffness), ("rest_positions", self.rest_positions)):
             if len(rows) != points:
                 fact = f"{where}: {key} has {len(rows)} rows for {points} tiles"
@@ -203,11 +197,11 @@ class _Quality(Struct):  # the certificates are for human readers
 
 
 class _Trial(Struct):  # ignores any further identity
-    name: Text
+    name: documents.Text
     unloaded: list[tuple[_Second, _Second]] = []
 
 
-class _Model(Document):
+class _Model(documents.Document):
     format: str
     trial: _Trial
     settings: dict[str, Any]
@@ -220,14 +214,16 @@ class _Model(Document):
 def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredModel:
     """Read a model; given a geometry, check that the model was fitted on that socket."""
     try:
-        data = load_json(path, "a model")
+        data = documents.load_json(path, "a model")
     except ConfigurationError as error:
         raise ConfigurationError(error.fact, "give a file that 'fit' wrote") from None
     if not isinstance(data, dict) or "format" not in data:
         raise ConfigurationError(f"{path}: is not a model", "give a file that 'fit' wrote")
     if data["format"] != _FORMAT:
-        raise ConfigurationError(f"{path}: is of the format {shown(data['format'])}", _AGAIN)
-    document = convert(data, _Model, str(path))
+        raise ConfigurationError(
+            f"{path}: is of the format {documents.shown(data['format'])}", _AGAIN
+        )
+    document = documents.convert(data, _Model, str(path))
     quality = document.quality
     fitted_on = socket_from_document(document.geometry, f"{path}: geometry")
     # JSON has null in place of NaN.
@@ -239,7 +235,7 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredMode
         samples=quality.samples,
         last_stamp=quality.last_stamp,
         wrench_rmse=np.array(quality.wrench_rmse, dtype=float),
-        errors=convert(errors, tuple[ChannelErrors, ...], f"{path}: quality: errors"),
+        errors=documents.convert(errors, tuple[ChannelErrors, ...], f"{path}: quality: errors"),
         status=quality.status,
         trial=str(document.trial.name),
         unloaded=tuple(document.trial.unloaded),
