@@ -2,8 +2,10 @@
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -32,19 +34,33 @@ from socket_testbed.trials.trial import Trial
 EPOCH = 1_795_000_000_000_000_000  # [ns]
 
 
-def test_the_stamp_is_when_it_was_called_in_the_time_of_triggers() -> None:
-    """Whatever their speed; those that a busy machine held up count little."""
-    late = 0.002 * np.random.default_rng(1).exponential(size=20)
-    burst = np.zeros(20)
-    burst[[3, 4, 5, 9, 14, 17]] = 0.8, 0.55, 0.3, 0.2, 0.4, 0.15
-    for speed, delays, tolerance in ((1.0, late, 2e7), (0.25, late, 2e7), (1.0, burst, 1.0)):
-        sent = 0.25 / speed * np.arange(20)  # 4 Hz in testbed time
-        stamps = EPOCH + np.round(sent * speed * 1e9).astype(np.int64)
+def test_an_event_has_the_testbed_s_time_of_its_call_at_any_scale(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Late triggers count little; those of a testbed before, at another scale, not at all."""
+    rng, node, heard = np.random.default_rng(1), Mock(), []
+    node.count_publishers.return_value, node.count_subscribers.return_value = 0, 1
+    publisher = node.create_publisher.return_value
+    publisher.get_subscription_count.return_value = 1
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: 100.0))
+
+    def wait(condition: Callable[[], bool], _: float) -> bool:
+        while heard and not condition():
+            marker._triggers.append(heard.pop(0))
+        return condition()
+
+    marker = module.EventMarker(node, wait)
+    for scale, late in product((1.0, 0.25, 0.0625, 1.0), (0, 8)):
+        sent = 0.05 / scale * np.arange(400)  # 20 Hz in testbed time
+        delays = 0.002 * rng.exponential(size=400)
+        delays[:late] = 0.9  # as while a busy machine discovers a subscriber
+        delays[8::6] += rng.uniform(0.1, 0.25 + 0.05 / scale, size=66)
         arrivals = np.maximum.accumulate(100.0 + sent + delays)
-        heard = list(zip(arrivals.tolist(), stamps.tolist(), strict=True))
-        for ago in (0.0, 2.0):
-            found = stamp_by_triggers(100.0 - ago, heard)
-            assert abs(found - (EPOCH - round(ago * speed * 1e9))) < tolerance
+        stamps = EPOCH + np.round(sent * scale * 1e9).astype(np.int64)
+        heard[:] = zip(arrivals.tolist(), stamps.tolist(), strict=True)
+        marker.mark("push", 96.0)
+        found = stamp_of(publisher.publish.call_args.args[0])
+        assert found == pytest.approx(EPOCH - 4e9 * scale, abs=1e7 * scale), (scale, late)
     # One, or a burst alone, is in real time.
     assert stamp_by_triggers(99.0, [(100.0, EPOCH)]) == EPOCH - 10**9
     two = [(100.0, EPOCH), (100.0 + 1e-5, EPOCH + 250_000_000)]
