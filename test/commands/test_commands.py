@@ -63,6 +63,8 @@ WRONG = {
     "run --simulated --leave-out distal.Fq": ["distal.F"],
     "run --simulated --view --view-host 192.0.2.1": ["cannot listen on 192.0.2.1"],
     "run --duration 1": ["load_cell_node: "],
+    "run --simulated --time-scale 0": ["--time-scale is 0", "from 0.01 to 1"],
+    "run --simulated --time-scale -1": ["--time-scale is -1", "from 0.01 to 1"],
     "pressure HOLD -o regions.foo": ["'.foo' is not a table format"],
     "compare HOLD": ["1 trials", "2 to 12"],
     "view --tare none": ["--tare is for a trial"],
@@ -144,6 +146,7 @@ def test_a_mistake_is_one_line_with_the_likely_word(capsys) -> None:
         ("fitt", "unknown verb 'fitt': did you mean 'fit'?"),
         ("fit t -o m --varant rigid", "--varant: did you mean '--variant'?"),
         ("fit t -o m --jobs 2 --dask a", "--dask: not allowed with"),
+        ("run --simulated --time-scale abc", "--time-scale: invalid number value: 'abc'"),
     ):
         with pytest.raises(SystemExit) as ended:
             run(line.split())
