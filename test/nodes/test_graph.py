@@ -13,6 +13,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_srvs.srv import Trigger as TriggerService
 from support import HANGS
+from support.bags import copying
 from support.graph import Probe
 from support.problems import ring_socket
 from support.verbs import COMMAND, program
@@ -110,6 +111,18 @@ def test_a_replay_keeps_no_more_ahead_than_writers_send_again(hold: Path) -> Non
             assert len(triggers) == ahead
         probe.wait(partial(has_come, len(stamps), stamps[-1]), "the rest")
         graph.wait("replay_node")
+
+
+def test_a_trial_that_ends_within_a_sample_keeps_nobody_waiting(hold: Path, tmp_path: Path) -> None:
+    """As 'ros2 bag record' leaves it."""
+    with copying(hold, tmp_path / "cut") as (old, new):
+        raws = list(old.messages())[: 7 * 60]
+        while raws[-1].topic != f"/{topics.TRIGGER.name}":
+            raws.pop()
+        for raw in raws:
+            new.write(raw.topic, raw.time, raw.data)
+    code, _, err = program(*COMMAND, "replay", tmp_path / "cut", "--rate", 20, "--estimate")
+    assert code == 0 and "not processed" not in err
 
 
 def test_a_node_that_cannot_start_says_why_in_one_line() -> None:
