@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.srv import DescribeParameters
 from std_srvs.srv import Trigger as TriggerService
 from support import HANGS
 from support.bags import copying
@@ -204,6 +205,26 @@ def test_the_calibration_node_says_which_cluster_it_does_not_know(estimating) ->
     known, unknown = stresses[0].clusters
     assert known.status == 0 and np.isfinite([known.normal, known.shear_x, known.shear_y]).all()
     assert unknown.status == 2 and np.isnan(unknown.normal)
+
+
+def test_parameters_are_described_checked_and_changed_at_run_time(estimating) -> None:
+    _, probe = estimating
+    request = DescribeParameters.Request(names=["identification.theta"])
+    service = "estimator_node/describe_parameters"
+    (described,) = probe.call(DescribeParameters, service, request).descriptors
+    (bounds,) = described.floating_point_range
+    assert "wrench" in described.description
+    assert (bounds.from_value, bounds.to_value) == (0.0, 1.0)
+    for name, value, reason in (
+        ("theta", 1.5, ""),  # the middleware's own words
+        ("variant", "stifness_bias", "did you mean 'stiffness_bias'?"),
+        ("solver", "osqqp", "did you mean 'osqp'?"),
+        ("leave_out", None, "cannot be deleted: set it to another value"),
+    ):
+        (refusal,) = probe.refusals("estimator_node", **{f"identification__{name}": value})
+        assert refusal and reason in refusal
+    for theta in (0.25, 1, 0.5):
+        assert not probe.refusals("estimator_node", identification__theta=theta)
 
 
 def test_a_fit_when_asked_answers_and_predicts(hold: Path, estimating) -> None:

@@ -12,8 +12,6 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import WrenchStamped
-from rcl_interfaces.srv import SetParameters
-from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 from support import HANGS
@@ -215,22 +213,16 @@ def test_the_next_trial_has_the_name_and_metadata_that_were_set_and_nothing_else
     stated, trials = tmp_path / "stated.yaml", tmp_path / "trials"
     stated.write_text("subject: S01\nliner: gel\n")
 
-    def refusals(**values: Any) -> list[str]:
-        given = [Parameter(name.replace("__", "."), value=value) for name, value in values.items()]
-        request = SetParameters.Request(parameters=[entry.to_parameter_msg() for entry in given])
-        results = probe.call(SetParameters, "recorder_node/set_parameters", request).results
-        return [result.reason for result in results if not result.successful]
-
     def recorded_as(**values: Any) -> str:
-        assert not refusals(**values)
+        assert not probe.refusals(NODE, **values)
         answer = record(probe, True)
         record(probe, False)
         return Path(answer.removeprefix("recording ")).name
 
     with Probe() as probe, recorder(f"directory:={trials}", f"metadata:={stated}"):
         fixed = ("geometry", "calibration", "parameters", "metadata", "directory")
-        assert len(refusals(**dict.fromkeys(fixed, "/secret"))) == len(fixed)
-        (reason,) = refusals(next__name="../up")
+        assert len(probe.refusals(NODE, **dict.fromkeys(fixed, "/secret"))) == len(fixed)
+        (reason,) = probe.refusals(NODE, next__name="../up")
         assert "next.name: the trial's name '../up' cannot be" in reason
         assert recorded_as(next__name="stairs", next__subject="S02", next__mass=70) == "stairs"
         stated.unlink()  # it was read at the start
