@@ -1,5 +1,6 @@
 """A person at a testbed: the stamp of an event, each service, the status line."""
 
+import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import product
@@ -194,8 +195,16 @@ def test_a_trial_is_recorded_with_a_name_and_metadata_and_an_event(
         act("record", trial="stairs", mass="heavy")
     assert act("record", trial="stairs", subject="S02", mass="70").endswith("s01_stairs")
     live.wait_for_triggers(5)
-    with ThreadPoolExecutor() as pool:  # at once
-        marked = list(pool.map(lambda label: act("mark", label=label), ("push", "step")))
+    recorder = live.graph._members["recorder_node"].process
+    with ThreadPoolExecutor() as pool:  # at once, while the recorder stands
+        recorder.send_signal(signal.SIGSTOP)
+        try:
+            marking = [pool.submit(act, "mark", label=label) for label in ("push", "step")]
+            live.wait_for_triggers(30)  # nobody else waits for it
+            assert not any(mark.done() for mark in marking)
+        finally:
+            recorder.send_signal(signal.SIGCONT)
+    marked = [mark.result() for mark in marking]
     assert marked == [f"marked '{label}' in the trial s01_stairs" for label in ("push", "step")]
     live.wait_for_triggers(5)
     act("stop recording")
