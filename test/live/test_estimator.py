@@ -410,9 +410,15 @@ def test_the_newest_stretch_since_a_slip_is_fitted_and_judged_by_the_newest_samp
     assert refit(samples[: row + 16], after).is_worse
 
 
-def test_without_enough_steady_data_that_is_newer_than_the_model_s_there_is_no_fit(
-    trial: Trial, samples: Samples
-) -> None:
+def test_outliers_do_not_end_a_stretch(trial: Trial, samples: Samples) -> None:
+    wrench, position = samples.wrench.copy(), samples.position.copy()
+    wrench[[20, 30], 3], position[40] = 1e9, 5.0
+    spoilt = dataclasses.replace(samples, wrench=wrench, position=position)
+    clean, found = (fit_samples(s, trial.geometry, SETTINGS, STEADY) for s in (samples, spoilt))
+    assert found.fit.samples == clean.fit.samples - 3
+
+
+def test_without_enough_newer_steady_data_there_is_no_fit(trial: Trial, samples: Samples) -> None:
     older = dataclasses.replace(STEADY, after=int(samples.stamps[-1]))
     for some, steady in (
         (samples, older),
