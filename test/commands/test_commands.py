@@ -10,7 +10,10 @@ from support.verbs import call, program, refused
 
 import socket_testbed as st
 from socket_testbed.__main__ import EXAMPLES, VERBS, _parse, run
+from socket_testbed.commands import demo
 from socket_testbed.commands.arguments import Parser, add_options
+from socket_testbed.live.simulated_world import MachineSpeed
+from socket_testbed.trials.trial import Trial
 
 
 def test_every_verb_explains_itself_and_each_of_its_options(capsys) -> None:
@@ -51,6 +54,25 @@ def test_all_but_the_graph_works_without_ros(tmp_path: Path) -> None:
     code, _, err = program(sys.executable, "-c", script, folder=tmp_path)
     assert code == 0, err
     assert "rclpy cannot be imported: run 'make setup'" in err
+
+
+def test_the_demo_retries_at_half_speed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[float] = []
+    monkeypatch.setattr(demo, "_run_live", lambda path, seed, scale, log: tried.append(scale))
+    monkeypatch.setattr(demo.bringup, "summary", lambda path: "all there")
+    monkeypatch.setattr(Trial, "samples", lambda trial: None)
+    for speed, complete, scales in (
+        (1.0, [0.4, 0.8, 0.95], [1.0, 0.5, 0.25]),
+        # At the slowest again and again, as a busy moment may pass; then with what there is.
+        (0.04, [0.1, 0.2, 0.3, 0.4, 0.5], [0.25, 0.125, 0.0625, 0.0625, 0.0625]),
+    ):
+        tried.clear()
+        monkeypatch.setattr(demo, "measure_speed", lambda speed=speed: MachineSpeed(0.0, speed))
+        monkeypatch.setattr(demo, "_complete", lambda trial, left=complete: left.pop(0))
+        assert demo._record(Trial(tmp_path), 0, tmp_path)[1] == scales[-1] and tried == scales
+    monkeypatch.setattr(demo, "_complete", lambda trial: 0.0)
+    with pytest.raises(st.TestbedError, match=r"only 0% .* at a sixteenth of real time: this"):
+        demo._record(Trial(tmp_path), 0, tmp_path)
 
 
 WRONG = {
