@@ -30,6 +30,18 @@ def test_every_verb_explains_itself_and_each_of_its_options(capsys) -> None:
             assert "replace" in options, verb
 
 
+def test_the_package_and_the_help_import_no_library() -> None:
+    script = (
+        "import sys, socket_testbed; from socket_testbed.__main__ import run\n"
+        "for words in (['--help'], ['fit', '--help']):\n"
+        "    try: run(words)\n"
+        "    except SystemExit: pass\n"
+        "print({'numpy', 'scipy', 'pandas', 'matplotlib', 'rclpy'} & {*sys.modules})\n"
+    )
+    _, out, _ = program(sys.executable, "-c", script)
+    assert "(default: 0.001)" in out and out.endswith("\nset()\n")
+
+
 def test_info_says_what_a_trial_holds(hold: Path, capsys) -> None:
     code, out, _ = call(capsys, "info", hold)
     assert code == 0
@@ -167,6 +179,9 @@ def test_a_mistake_is_one_line_with_the_likely_word(capsys) -> None:
     for line, named in (
         ("fitt", "unknown verb 'fitt': did you mean 'fit'?"),
         ("fit t -o m --varant rigid", "--varant: did you mean '--variant'?"),
+        ("fit t -o m --variant rigd", "--variant: invalid choice: 'rigd'"),
+        ("fit t -o m --theta x", "--theta: invalid float value: 'x'"),
+        ("pareto t --thetas 3.5", "--thetas: invalid int value: '3.5'"),
         ("fit t -o m --jobs 2 --dask a", "--dask: not allowed with"),
         ("run --simulated --time-scale abc", "--time-scale: invalid number value: 'abc'"),
     ):
@@ -174,23 +189,3 @@ def test_a_mistake_is_one_line_with_the_likely_word(capsys) -> None:
             run(line.split())
         error = capsys.readouterr().err
         assert ended.value.code == 2 and named in error and error.count("\n") == 1
-
-
-def parser_of(verb: str) -> Parser:
-    parser = Parser(prog=verb)
-    add_options(parser, f"commands.results.{verb}")
-    return parser
-
-
-def test_options_are_those_of_the_signature() -> None:
-    """Types, defaults and descriptions of the API, by hand for one verb."""
-    parser = parser_of("pareto")
-    options = {option.dest: option for option in parser._actions}
-    assert options["segment"].default == "plateau" and options["thetas"].default == 101
-    assert options["thetas"].type is int and options["smoothness"].type is float
-    assert options["weights"].choices == ("size", "noise", "raw")
-    assert options["params"].type is Path and options["trial"].option_strings == []
-    text = "weight of the smoothness over neighbouring tiles (default: 0.001)"  # of `fit`
-    assert text in " ".join(parser.format_help().split())
-    given = parser.parse_args(["t", "--initial-stiffness", "auto"])
-    assert given.initial_stiffness == "auto" and given.replace is False
