@@ -303,9 +303,16 @@ def test_settings_that_would_give_wrong_wrenches_are_refused() -> None:
         ("matrix", (1.0,) * 36, " cannot be inverted"),
         ("inputs", (0, 1, 2, 3, 4, 4), " names an input twice"),
         ("gain", 3, " is 3: "),
+        ("matrix", (1.0,) * 35, " has 35 numbers"),
+        ("full_scale", (1.0, 2.0), " has 2 numbers"),
+        ("inputs", (0, 1, 2, 3, 4, 7), " names input 7"),
+        ("channels", 7, " is 7: "),
+        ("sign", (1.0, 1.0, 1.0, 1.0, 1.0, 0.5), " holds"),
+        ("window", 0.001, " is 0.001 s"),
+        ("device", "spi0", " is 'spi0': "),
     ):
         with refused(ConfigurationError, f"load_cell_node: {name}{fact}"):
-            check_settings(dataclasses.replace(SETTINGS, **{name: value}))
+            check_settings(dataclasses.replace(SETTINGS, oversampling=16384, **{name: value}))
 
 
 # --- the converter, byte by byte

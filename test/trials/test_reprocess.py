@@ -17,6 +17,7 @@ from support.wording import refused
 import socket_testbed as st
 from socket_testbed.errors import CalibrationError, ConfigurationError, TestbedError, TrialError
 from socket_testbed.geometry.marker_bodies import fit_body
+from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, read_socket, write_socket
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.settings.testbed import TestbedSettings, read_testbed, write_testbed
@@ -194,9 +195,17 @@ def test_a_marker_that_was_registered_wrong_is_repaired(hold, geometry, tmp_path
     assert np.nanmax(np.abs(shift)) < 2e-4
 
 
-def test_poses_whose_markers_are_not_known_stay_as_recorded(
-    hold: Path, geometry: SocketGeometry, tmp_path: Path
-) -> None:
+def test_a_body_s_frame_moves_no_limb(hold: Path, geometry: SocketGeometry, tmp_path: Path) -> None:
+    turn = Pose.from_quaternion(np.array([0.02, -0.03, 0.05]), np.array([0.2, -0.1, 0.3, 0.9]))
+    markers, body = turn.apply(geometry.socket_markers), geometry.socket_body @ turn.inverse()
+    other = dataclasses.replace(geometry, socket_markers=markers, socket_body=body)
+    write_socket(other, tmp_path / "other.yaml")
+    found, wanted = (Trial(hold, *given).samples() for given in ((tmp_path / "other.yaml",), ()))
+    off = np.abs(found.position - wanted.position)
+    assert np.isfinite(off).mean() > 0.95 and np.nanmax(off) < 2e-4
+
+
+def test_poses_stay_without_markers(hold: Path, geometry: SocketGeometry, tmp_path: Path) -> None:
     other, notes = tmp_path / "other.yaml", []
     write_socket(moved_marker(geometry, 0.005), other)
     unknown = bare(hold, tmp_path / "unknown", "socket.yaml")
