@@ -3,7 +3,7 @@
 import dataclasses
 import json
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -197,9 +197,8 @@ def test_whatever_stands_in_a_field_is_read_or_refused_by_its_name(name, folder,
     value = data.draw(VALUES | draw.just(DELETE) if isinstance(place[-1], str) else VALUES)
     path = folder / f"{name}.yaml"
     wrong = changed(document, place, value)
-    path.write_text(
-        json.dumps(wrong) if name == "model" else yaml.dump(wrong, Dumper=yaml.CSafeDumper)
-    )
+    dump = json.dumps if name == "model" else partial(yaml.dump, Dumper=yaml.CSafeDumper)
+    path.write_text(dump(wrong))
     try:
         found = read(path)
     except TestbedError as error:

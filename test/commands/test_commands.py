@@ -132,9 +132,7 @@ TAKEN = (
 )
 
 
-def test_no_output_replaces_a_file_unless_that_is_asked_for(
-    hold, hold_model, tmp_path, capsys, monkeypatch
-) -> None:
+def test_no_output_replaces_a_file_unasked(hold, hold_model, tmp_path, capsys, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     for suffix in (".csv", ".png", ".html", ".json"):
         (tmp_path / f"bench{suffix}").write_text("data of a day")
@@ -146,9 +144,7 @@ def test_no_output_replaces_a_file_unless_that_is_asked_for(
     assert st.read_model("bench.json").model.variant == "stiffness"
 
 
-def test_a_model_of_another_socket_is_refused_wherever_one_is_given(
-    hold, hold_model, tmp_path, capsys
-) -> None:
+def test_a_model_of_another_socket_is_refused(hold, hold_model, tmp_path, capsys) -> None:
     def move(document) -> None:
         document["tiles"]["distal"]["anchor"][2] += 0.01
 

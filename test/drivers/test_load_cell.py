@@ -27,10 +27,8 @@ from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.simulation.devices.ads131m0x import SimulatedAds131m0x, simulated_load_cell
 
-_RNG = np.random.default_rng(7)
-MATRIX = np.diag([900.0, 950.0, 1800.0, 40.0, 42.0, 60.0]) @ (
-    np.eye(6) + 0.1 * _RNG.standard_normal((6, 6))
-)
+_CROSS_TALK = 0.1 * np.random.default_rng(7).standard_normal((6, 6))
+MATRIX = np.diag([900.0, 950.0, 1800.0, 40.0, 42.0, 60.0]) @ (np.eye(6) + _CROSS_TALK)
 SETTINGS = LoadCellSettings(
     matrix=tuple(MATRIX.ravel()),
     full_scale=(1500.0, 1500.0, 2500.0, 80.0, 80.0, 60.0),

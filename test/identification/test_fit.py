@@ -51,9 +51,7 @@ def test_the_fit_is_both_stages_of_the_stacked_problem(variant, leave_out):
         settings = replace(settings, weights="raw", theta=0.3)
     elif leave_out:  # then about a given reference, and with rest positions at their limit
         centre = centre + np.array([0.003, -0.002, 0.004])
-        settings = replace(
-            settings, reference_position=tuple(centre.tolist()), rest_position_limit=8e-4
-        )
+        settings = replace(settings, reference_position=(*centre,), rest_position_limit=8e-4)
     u = stacked.stack_stage_one(samples, geometry, settings).solve()
     assert not leave_out[1:] or np.isclose(np.abs(u), 0.8).any()
     rest = centre + stacked.MILLIMETRE * u.reshape(-1, 3)
@@ -398,9 +396,8 @@ def test_the_paper_s_model_is_its_springs_with_their_offsets(rng, variant):
 
 def test_a_rigid_model_gates_in_the_tile_s_frame_and_never_pulls(rng):
     """A rigid body about the reference, far from {S}."""
-    bed = replace(
-        problems.random_bed(rng, problems.random_socket(rng), "rigid"), reference_pose=REFERENCE
-    )
+    bed = problems.random_bed(rng, problems.random_socket(rng), "rigid")
+    bed = replace(bed, reference_pose=REFERENCE)
     shifts, turns = rng.normal(0.0, 0.004, (40, 3)), rng.normal(0.0, 0.02, (40, 3))
     turned = Rotation.from_rotvec(turns) * Rotation.from_rotvec(REFERENCE[3:])
     pose = np.hstack([REFERENCE[:3] + shifts, turned.as_rotvec()])

@@ -73,9 +73,8 @@ def test_the_prior_s_parts_are_its_equation_s() -> None:
 def test_a_trial_s_evidence_weighs_the_hypotheses_of_each_of_its_samples() -> None:
     samples = some_samples(30)
     whole = ForceMap(GEOMETRY, CLUSTERS, trial=samples)
-    np.testing.assert_allclose(
-        whole.estimate(samples[4:5]).forces[0], whole.estimate(samples).forces[4]
-    )
+    alone, among = whole.estimate(samples[4:5]).forces[0], whole.estimate(samples).forces[4]
+    np.testing.assert_allclose(alone, among)
     live = ForceMap(GEOMETRY, CLUSTERS)
     for k in range(30):
         last = live.update(samples[k : k + 1])
@@ -280,10 +279,9 @@ def test_a_span_has_the_values_of_its_map_and_the_intervals_of_its_draws():
         np.testing.assert_allclose(ours, (value, *ends), rtol=1e-9, atol=1e-9, err_msg=name)
     # What the channels leave open stays the same: a hold is no better known than a sample.
     spans = (samples_at(0.25 * np.arange(count)) for count in (30, 2))
-    held = (
-        pressure.pressure_outputs(force_map, s, RING, regions, THRESHOLD).regions for s in spans
-    )
-    np.testing.assert_allclose(*(each.mean.high - each.mean.low for each in held), rtol=1e-6)
+    held = (pressure.pressure_outputs(force_map, s, RING, regions, THRESHOLD) for s in spans)
+    widths = (each.regions.mean.high - each.regions.mean.low for each in held)
+    np.testing.assert_allclose(*widths, rtol=1e-6)
 
 
 def test_draws_at_some_samples_of_a_long_span_give_nearly_what_all_give(monkeypatch):

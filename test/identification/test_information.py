@@ -78,9 +78,7 @@ def test_what_is_known_grows_with_motion_and_falls_with_noise_and_offsets(rng):
     )
 
 
-def test_springs_are_engaged_in_compression_and_uncertain_within_the_spread_of_drawn_poses(
-    rng, monkeypatch
-):
+def test_springs_are_engaged_in_compression_within_the_spread_of_drawn_poses(rng, monkeypatch):
     """A limb at rest, turned far from {S}, whose pose has noise: no formula but the motion."""
     monkeypatch.setattr(module, "_BLOCK", 700)
     count, centre = 3000, np.array([0.01, -0.02, 0.13])

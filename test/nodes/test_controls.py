@@ -35,9 +35,7 @@ from socket_testbed.trials.trial import Trial
 EPOCH = 1_795_000_000_000_000_000  # [ns]
 
 
-def test_an_event_has_the_testbed_s_time_of_its_call_at_any_scale(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_an_event_has_the_time_of_its_call_at_any_scale(monkeypatch: pytest.MonkeyPatch) -> None:
     """Late triggers count little; those of a testbed before, at another scale, not at all."""
     rng, node, heard = np.random.default_rng(1), Mock(), []
     node.count_publishers.return_value, node.count_subscribers.return_value = 0, 1
@@ -118,9 +116,8 @@ def test_predictions_are_judged_over_the_last_seconds() -> None:
     for k in range(100):
         off = [0.0, -0.2, 0.0, 30.0 if k < 52 else 3.0, 0.0, 0.0]
         wrenches = {topics.WRENCH: WRENCHES, topics.ESTIMATED_WRENCH: WRENCHES + off}
-        found.append(
-            [(t, messages.wrench_packer()(k * PERIOD, own)) for t, own in wrenches.items()]
-        )
+        pack = messages.wrench_packer()
+        found.append([(topic, pack(k * PERIOD, own)) for topic, own in wrenches.items()])
     assert fed(found[0][:1]).errors() is None
     assert fed(*found).errors() == pytest.approx((np.sqrt(3.0), 0.2 / np.sqrt(3.0)))
 
@@ -177,9 +174,7 @@ def force_tare(live: LiveTestbed) -> None:
 
 
 @pytest.mark.graph
-def test_a_trial_is_recorded_with_a_name_and_metadata_and_an_event(
-    live: LiveTestbed, act: Callable[..., str]
-) -> None:
+def test_a_trial_is_recorded_as_stated(live: LiveTestbed, act: Callable[..., str]) -> None:
     announced = live.probe.listen(topics.RECORDED_TRIAL)
     live.probe.wait(lambda: [m.data for m in announced][-1:] == ["s01"], "the first trial")
     with refused(TestbedError, "cannot tare: the trial s01 is being recorded"):
@@ -223,9 +218,7 @@ def test_a_trial_is_recorded_with_a_name_and_metadata_and_an_event(
 
 
 @pytest.mark.graph
-def test_the_trigger_is_switched_and_a_tare_outlives_its_node(
-    live: LiveTestbed, act: Callable[..., str]
-) -> None:
+def test_triggers_stop_and_tares_outlive_kills(live: LiveTestbed, act: Callable[..., str]) -> None:
     act("stop recording")  # a tare would be refused
     act("trigger-off")
     live.wait_for("trigger_node", "WARN", "not enabled: call trigger/enable")

@@ -85,9 +85,8 @@ class Probe:
 
     def publisher(self, topic: Topic, subscribers: int = 1) -> Any:
         """A publisher, once so many subscribers are matched."""
-        publisher = self.node.create_publisher(
-            message_type(topic), topic.name, publisher_qos(topic)
-        )
+        kind, qos = message_type(topic), publisher_qos(topic)
+        publisher = self.node.create_publisher(kind, topic.name, qos)
         self.wait(lambda: publisher.get_subscription_count() >= subscribers, topic.name)
         return publisher
 

@@ -107,10 +107,8 @@ def test_a_wrong_load_cell_and_tare_are_repaired(
     path = bare(hold, tmp_path / "hold")
     doubled = dataclasses.replace(right, matrix=tuple(2.0 * np.array(right.matrix)))
     file = store(doubled, tmp_path / "doubled.yaml")
-    for given, factor, offset in (
-        ({"load_cell_file": file}, 2.0, 0.0),
-        ({"tare": "0:5"}, 1.0, unloaded),
-    ):
+    cases = ({"load_cell_file": file}, 2.0, 0.0), ({"tare": "0:5"}, 1.0, unloaded)
+    for given, factor, offset in cases:
         wrench = Trial(path, **given).samples().wrench
         np.testing.assert_allclose(wrench, factor * true.wrench - offset, rtol=1e-12, atol=1e-9)
 
@@ -235,9 +233,7 @@ def correct(trial: Trial, measured: synchronise.Measurements) -> synchronise.Mea
     )
 
 
-def test_drift_between_two_spans_is_taken_off(
-    hold: Path, measured: synchronise.Measurements
-) -> None:
+def test_drift_between_spans_is_taken_off(hold: Path, measured: synchronise.Measurements) -> None:
     time, notes = measured.time, []
     end = time[-1]
     trial = Trial(hold, notify=notes.append, unloaded=((0.0, 8.0), (end - 8.0, end)))
@@ -260,9 +256,7 @@ def with_baselines(trial: Trial) -> Trial:
     return trial
 
 
-def test_a_baseline_takes_off_earlier_drift_but_not_what_a_weight_presses(
-    hold: Path, measured: synchronise.Measurements
-) -> None:
+def test_a_baseline_takes_off_earlier_drift(hold: Path, measured: synchronise.Measurements) -> None:
     """A baseline is of a cluster that bears nothing: not even the pylon's weight."""
     trial = with_baselines(Trial(hold, unloaded=((0.0, 8.0),)))
     wrench = np.where(measured.time[:, None] <= 8.0, 0.0, measured.wrench)
@@ -277,9 +271,7 @@ def test_a_baseline_takes_off_earlier_drift_but_not_what_a_weight_presses(
     np.testing.assert_array_equal(corrected.capacitance, expected.capacitance)
 
 
-def test_spans_that_cannot_correct_are_refused_or_reported(
-    hold: Path, measured: synchronise.Measurements
-) -> None:
+def test_spans_under_load_are_refused(hold: Path, measured: synchronise.Measurements) -> None:
     for spans in (((25.0, 30.0),), ((0.0, 5.0), (25.0, 30.0))):
         with refused(TrialError, "25:30 is not without load", "279 N there: ", " 92 N"):
             Trial(hold, unloaded=spans).samples()

@@ -57,9 +57,8 @@ def test_the_longest_range_within_limits_is_that_of_all_ranges() -> None:
         limits = rng.integers(0, 6, size=3).astype(float)
         ranges = [(i, j) for i in range(count) for j in range(i + 1, count + 1)]
         fitting = [(i, j) for i, j in ranges if (np.ptp(values[i:j], axis=0) <= limits).all()]
-        assert segment.longest_within(values, limits) == max(
-            fitting, key=lambda r: (r[1] - r[0], -r[0])
-        )
+        longest = max(fitting, key=lambda r: (r[1] - r[0], -r[0]))
+        assert segment.longest_within(values, limits) == longest
 
 
 def test_plateaus_are_steady_stretches_under_load_the_longest_first() -> None:
