@@ -16,7 +16,7 @@ from nbclient import NotebookClient
 from support import CHECKOUT, meshes
 from support.bags import rewrite
 from support.benches import sensor_bench, write_bench
-from support.motive_takes import make_bench, write_landmarks, write_take
+from support.takes import make_bench, write_landmarks, write_take
 
 import socket_testbed as st
 from socket_testbed.__main__ import run

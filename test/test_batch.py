@@ -41,8 +41,7 @@ def run(study: Path, task: Task, processes: int = 1, **more: object) -> tuple[li
     """States of the trials as they are printed, and warnings."""
     files = {"--calibration": file} if (file := study / "calibration.yaml").exists() else {}
     jobs = plan_jobs(find_trials(study), task.folder, ".json", files)
-    lines: list[str] = []
-    warned: list[str] = []
+    lines, warned = [], []
     try:
         run_batch(task, jobs, lines.append, warned.append, processes, **more)
     finally:

@@ -20,8 +20,8 @@ from support.bags import rewrite, written_by_rosbags
 from support.benches import exact_bench, write_bench
 from support.damage import damaged, numbers_of, without_a_number
 from support.meshes import open_cone, scaled
-from support.motive_takes import Written, write_take
 from support.problems import SOCKET_TRIAD, random_pose
+from support.takes import Written, write_take
 from support.wording import refused
 
 import socket_testbed as st

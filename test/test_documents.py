@@ -3,7 +3,7 @@
 import dataclasses
 import json
 from collections.abc import Callable, Iterator
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -17,16 +17,8 @@ from support.damage import DELETE, changed, numbers_of
 from support.problems import make_case, random_pose, random_socket
 from support.wording import check_line, refused
 
+from socket_testbed import documents
 from socket_testbed.calibration.model import read_calibration
-from socket_testbed.documents import (
-    Document,
-    Text,
-    check_number,
-    convert,
-    load_json,
-    load_yaml,
-    read_document,
-)
 from socket_testbed.drivers.load_cell.load_cell import Tare
 from socket_testbed.errors import ConfigurationError, RegistrationError, TestbedError
 from socket_testbed.files import packaged
@@ -40,12 +32,12 @@ from socket_testbed.socket_design.registration import read_landmarks
 from socket_testbed.trials.metadata import read_metadata
 
 
-class Lamp(Document):
+class Lamp(documents.Document):
     """A document of these tests."""
 
     power: Annotated[float, Meta(ge=0.0, le=100.0, description="what it takes [W]")]
     colour: Literal["red", "green"] = "red"
-    names: list[Text] = []  # noqa: RUF012
+    names: list[documents.Text] = []  # noqa: RUF012
     at: tuple[tuple[float, float], tuple[float, float]] | None = None
     inside: "dict[str, Lamp]" = {}  # noqa: RUF012
 
@@ -64,10 +56,14 @@ WRONG: list[tuple[Any, str]] = [
 def test_an_error_names_the_field_and_tells_what_belongs_there() -> None:
     for data, error in WRONG:
         with refused(ConfigurationError, error):
-            convert(data, Lamp, "lamp")
-    lamp = convert({"power": 2, "names": [12, "a"]}, Lamp, "lamp")
+            documents.convert(data, Lamp, "lamp")
+    lamp = documents.convert({"power": 2, "names": [12, "a"]}, Lamp, "lamp")
     assert isinstance(lamp.power, float) and [str(name) for name in lamp.names] == ["12", "a"]
-    assert check_number(np.float32(0.5), "x") == check_number(np.array(0.5), "x") == 0.5
+    assert (
+        documents.check_number(np.float32(0.5), "x")
+        == documents.check_number(np.array(0.5), "x")
+        == 0.5
+    )
 
 
 # --- YAML
@@ -92,36 +88,36 @@ def test_no_file_that_cannot_be_is_more_than_one_line(tmp_path: Path) -> None:
     for text, problem in BAD_YAML.items():
         path.write_text(text, encoding="utf-8")
         with refused(ConfigurationError, str(path), problem) as caught:
-            load_yaml(path)
+            documents.load_yaml(path)
         assert len(str(caught.value)) < 300
     path.write_bytes(bytes(range(256)))
     for name, problem in ((path.name, "UTF-8"), ("none.yaml", "check the path"), ("", "cannot")):
         with refused(ConfigurationError, str(tmp_path / name), problem):
-            load_yaml(tmp_path / name)
+            documents.load_yaml(tmp_path / name)
     for text in ("[" * 10_000, '{"a": NaN}', '{"a": 1e999}'):
         (tmp_path / "model.json").write_text(text)
         with refused(ConfigurationError, "is not a model"):
-            load_json(tmp_path / "model.json", "a model")
+            documents.load_json(tmp_path / "model.json", "a model")
 
 
 def test_a_number_is_what_ros_reads_as_one_and_not_what_only_yaml_1_1_does(tmp_path: Path) -> None:
     path = tmp_path / "number.yaml"
     for text in ("1e-3", "1E-3", "+1.0e-3", ".001", "1.e-3"):
         path.write_text(f"power: &a {text}\ninside: {{007: {{power: *a}}}}")
-        lamp = read_document(path, Lamp)
+        lamp = documents.read_document(path, Lamp)
         assert lamp.power == lamp.inside["007"].power == 1e-3
     wrong = ("1:30", "010", "1_000", "'1.5'", "true", "9" * 18 + "x", "2026-01-01", "9" * 30)
     for text in (*wrong, ".nan"):
         path.write_text(f"power: {text}")
         with refused(ConfigurationError, "power is ", "give a number"):
-            read_document(path, Lamp)
+            documents.read_document(path, Lamp)
 
 
 # --- every reader
 
 
 @cache
-def documents() -> dict[str, tuple[Any, Callable[[Path], Any]]]:
+def good_documents() -> dict[str, tuple[Any, Callable[[Path], Any]]]:
     """A good document for every reader."""
     rng = np.random.default_rng(0)
     geometry = dataclasses.replace(random_socket(rng), scan=ScanFrame(1e-3, random_pose(rng)))
@@ -191,19 +187,18 @@ VALUES = (
 )
 
 
-@pytest.mark.parametrize("name", documents())
+@pytest.mark.parametrize("name", good_documents())
 @given(data=draw.data())
 @settings(max_examples=120, deadline=None, derandomize=True, database=None)
 def test_whatever_stands_in_a_field_is_read_or_refused_by_its_name(name, folder, data) -> None:
-    document, read = documents()[name]
+    document, read = good_documents()[name]
     document = model(folder) if document is None else document
     place = data.draw(draw.sampled_from([*places(document)]))
     value = data.draw(VALUES | draw.just(DELETE) if isinstance(place[-1], str) else VALUES)
     path = folder / f"{name}.yaml"
     wrong = changed(document, place, value)
-    path.write_text(
-        json.dumps(wrong) if name == "model" else yaml.dump(wrong, Dumper=yaml.CSafeDumper)
-    )
+    dump = json.dumps if name == "model" else partial(yaml.dump, Dumper=yaml.CSafeDumper)
+    path.write_text(dump(wrong))
     try:
         found = read(path)
     except TestbedError as error:
@@ -218,7 +213,7 @@ def test_whatever_stands_in_a_field_is_read_or_refused_by_its_name(name, folder,
 
 
 def test_tiles_in_one_place_or_far_from_all_others_are_named(folder: Path) -> None:
-    document, path = documents()["socket"][0], folder / "tiles.yaml"
+    document, path = good_documents()["socket"][0], folder / "tiles.yaml"
     first, second, *_ = document["tiles"]
     x, y, z = document["tiles"][first]["anchor"]
     for anchor, problem in (([x, y, z], "is at the same place"), ([x, y, -2.0], "from all others")):

@@ -22,9 +22,7 @@ def test_two_writers_of_one_output_do_not_meet_and_an_error_leaves_the_older_fil
     assert path.read_text() == "first" and list(tmp_path.iterdir()) == [path]
 
 
-def test_the_first_of_two_writers_of_a_folder_keeps_it_until_it_is_to_be_replaced(
-    tmp_path: Path,
-) -> None:
+def test_the_first_writer_of_a_folder_keeps_it_until_it_is_replaced(tmp_path: Path) -> None:
     path = tmp_path / "trial"
     with refused(ConfigurationError, "another run wrote it"), atomic_output(path) as second:
         (second / "deep").mkdir(parents=True)
@@ -38,9 +36,7 @@ def test_the_first_of_two_writers_of_a_folder_keeps_it_until_it_is_to_be_replace
     assert [p.name for p in path.iterdir()] == ["newer"] and list(tmp_path.iterdir()) == [path]
 
 
-def test_an_output_replaces_nothing_and_makes_no_folder_unless_asked(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_outputs_replace_nothing_unasked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     taken = tmp_path / "bench.csv"
     taken.write_text("data")
     check_outputs(tmp_path / "new.json", None, replace=False)

@@ -114,9 +114,7 @@ def test_a_simulated_testbed_is_launched_with_its_world(launch, capsys) -> None:
     assert "Traceback" not in capsys.readouterr().err
 
 
-def test_a_trial_is_replayed_through_calibration_and_estimator_in_its_namespace(
-    launch: Launch, hold: Path, tmp_path: Path
-) -> None:
+def test_a_trial_is_replayed_in_its_namespace(launch: Launch, hold: Path, tmp_path: Path) -> None:
     lab = move_to_namespace(hold, tmp_path / "lab", "/lab")
     own = packaged("config", "calibration.yaml")
     actions = launch("replay", trial=lab, rate="2", loop="true", calibration=own)

@@ -91,12 +91,11 @@ class Marked:
 
     def notes(self) -> list[str]:
         """Remarks for the user."""
-        found = []
-        if not self.trial:
-            found.append("no trial is being recorded: call recorder/record")
-        if not self.triggered:
-            found.append("no trigger received: the stamp is the system clock's")
-        return found
+        known = {
+            "no trial is being recorded: call recorder/record": self.trial,
+            "no trigger received: the stamp is the system clock's": self.triggered,
+        }
+        return [note for note, fine in known.items() if not fine]
 
 
 def publish_event(label: str, called: float, namespace: str = "/") -> Marked:
@@ -109,10 +108,7 @@ def publish_event(label: str, called: float, namespace: str = "/") -> Marked:
     namespace = full_namespace(namespace)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # the verb handles Ctrl-C
     node = rclpy.create_node("event_marker", namespace=namespace)
-
-    def step() -> None:
-        rclpy.spin_once(node, timeout_sec=_POLL_INTERVAL)
-
+    step = partial(rclpy.spin_once, node, timeout_sec=_POLL_INTERVAL)
     try:
         return EventMarker(node, partial(_wait, step=step)).mark(label, called)
     finally:
@@ -181,7 +177,7 @@ class EventMarker:
         self._wait(lambda: self._has_triggers(max(_MIN_SPAN, 0.5 * since)), _TRIGGER_TIMEOUT)
         if not self._triggers:
             return time.time_ns() - round((time.monotonic() - called) * 1e9)
-        if len(self._triggers) > 1 and _speed(self._triggers) != _REAL_TIME:
+        if _speed(self._triggers) != _REAL_TIME:
             span = min(_SPAN_FACTOR * since, _MAX_SPAN)
             self._wait(lambda: self._has_triggers(span), span)
         return stamp_by_triggers(called, self._triggers)
@@ -231,14 +227,18 @@ def stamp_by_triggers(called: float, triggers: Sequence[tuple[float, int]]) -> i
 def _speed(triggers: Sequence[tuple[float, int]]) -> float:
     """Speed of the triggers' clock [ns/s]; exactly real time if close to it.
 
-    The median over all pairs of triggers that arrived far enough apart.
+    The slope of the upper hull of stamps over arrivals at the mean arrival: of all lines that no
+    trigger is early on, that of the least total delay (Moon, Skelly and Towsley, 1999).
     """
     arrivals, stamps = (np.array(values) for values in zip(*triggers, strict=True))
-    passed = arrivals - arrivals[:, None]
-    apart = passed >= max(0.5 * passed.max(), _POLL_INTERVAL)
-    if not apart.any():
+    passed, middle = arrivals - arrivals[:, None], arrivals.mean()
+    across = (arrivals[:, None] <= middle) & (arrivals > middle) & (passed >= _POLL_INTERVAL)
+    if not across.any():
         return _REAL_TIME
-    speed = float(np.median((stamps - stamps[:, None])[apart] / passed[apart]))
+    first, last = np.nonzero(across)
+    speeds = (stamps[last] - stamps[first]) / passed[across]
+    highest = (stamps[first] - stamps[0] + speeds * (middle - arrivals[first])).argmax()
+    speed = float(speeds[highest])
     return _REAL_TIME if abs(speed - _REAL_TIME) < _SPEED_TOLERANCE * _REAL_TIME else speed
 
 

@@ -37,9 +37,7 @@ def refusal(path, columns=None, units=None) -> TestbedError:
     blank=st.booleans(),
     bom=st.booleans(),
 )
-def test_a_bench_is_the_same_however_it_is_written(
-    units, order, style, dialect, ending, quoted, blank, bom
-):
+def test_every_way_of_writing_reads_alike(units, order, style, dialect, ending, quoted, blank, bom):
     bench = exact_bench()[np.arange(0, 200, 9)]
     separator, point = dialect
     scales = [table[unit] for table, unit in zip(SCALES, units, strict=True)]

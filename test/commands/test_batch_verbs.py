@@ -77,9 +77,7 @@ def test_the_summary_holds_the_figures_of_single_calls(one_by_one, study, tmp_pa
     assert row["kkt_residual [-]"] < 1e-8
 
 
-def test_trials_are_judged_by_their_own_models_or_all_by_one(
-    study, one_by_one, tmp_path, capsys
-) -> None:
+def test_trials_are_judged_by_own_models_or_all_by_one(study, one_by_one, tmp_path, capsys) -> None:
     for name, models, model in (
         ("own", one_by_one, "s01/hold"),
         ("crossed", one_by_one / "walk.json", "walk"),

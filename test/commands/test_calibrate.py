@@ -7,15 +7,7 @@ import numpy as np
 import pytest
 import yaml
 from support import verbs
-from support.benches import (
-    FULL_SCALE,
-    HEADER,
-    bench_of,
-    load_path,
-    nominal,
-    sensor_bench,
-    write_bench,
-)
+from support.benches import FULL_SCALE, HEADER, bench_of, nominal, sensor_bench, write_bench
 
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.files import packaged
@@ -73,7 +65,7 @@ def test_cross_talk_is_the_coupling_of_the_sensor(call, tmp_path, output):
     """Full shear x feels like so much of the full normal stress, and the other way round."""
     ramp = np.concatenate([np.linspace(0.0, 1.0, 15), np.linspace(1.0, 0.0, 15)])
     pure = [np.outer(ramp, [0.0, side * FULL_SCALE[1], 0.0]) for side in (1.0, -1.0) * 2]
-    applied = np.concatenate([load_path(), *pure])
+    applied = np.concatenate([sensor_bench().stress, *pure])
     felt = applied / FULL_SCALE
     felt[:, :2] += 0.06 * felt[:, 1::-1]
     bench = bench_of(invert_calibration(nominal(), felt * FULL_SCALE), applied)

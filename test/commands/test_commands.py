@@ -10,7 +10,10 @@ from support.verbs import call, program, refused
 
 import socket_testbed as st
 from socket_testbed.__main__ import EXAMPLES, VERBS, _parse, run
+from socket_testbed.commands import demo
 from socket_testbed.commands.arguments import Parser, add_options
+from socket_testbed.live.simulated_world import MachineSpeed
+from socket_testbed.trials.trial import Trial
 
 
 def test_every_verb_explains_itself_and_each_of_its_options(capsys) -> None:
@@ -25,6 +28,18 @@ def test_every_verb_explains_itself_and_each_of_its_options(capsys) -> None:
         assert all(options.values()), (verb, options)
         if options.keys() & {"output", "figure"} and verb not in {"simulate", "demo"}:
             assert "replace" in options, verb
+
+
+def test_the_package_and_the_help_import_no_library() -> None:
+    script = (
+        "import sys, socket_testbed; from socket_testbed.__main__ import run\n"
+        "for words in (['--help'], ['fit', '--help']):\n"
+        "    try: run(words)\n"
+        "    except SystemExit: pass\n"
+        "print({'numpy', 'scipy', 'pandas', 'matplotlib', 'rclpy'} & {*sys.modules})\n"
+    )
+    _, out, _ = program(sys.executable, "-c", script)
+    assert "(default: 0.001)" in out and out.endswith("\nset()\n")
 
 
 def test_info_says_what_a_trial_holds(hold: Path, capsys) -> None:
@@ -53,6 +68,25 @@ def test_all_but_the_graph_works_without_ros(tmp_path: Path) -> None:
     assert "rclpy cannot be imported: run 'make setup'" in err
 
 
+def test_the_demo_retries_at_half_speed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[float] = []
+    monkeypatch.setattr(demo, "_run_live", lambda path, seed, scale, log: tried.append(scale))
+    monkeypatch.setattr(demo.bringup, "summary", lambda path: "all there")
+    monkeypatch.setattr(Trial, "samples", lambda trial: None)
+    for speed, complete, scales in (
+        (1.0, [0.4, 0.8, 0.95], [1.0, 0.5, 0.25]),
+        # At the slowest again and again, as a busy moment may pass; then with what there is.
+        (0.04, [0.1, 0.2, 0.3, 0.4, 0.5], [0.25, 0.125, 0.0625, 0.0625, 0.0625]),
+    ):
+        tried.clear()
+        monkeypatch.setattr(demo, "measure_speed", lambda speed=speed: MachineSpeed(0.0, speed))
+        monkeypatch.setattr(demo, "_complete", lambda trial, left=complete: left.pop(0))
+        assert demo._record(Trial(tmp_path), 0, tmp_path)[1] == scales[-1] and tried == scales
+    monkeypatch.setattr(demo, "_complete", lambda trial: 0.0)
+    with pytest.raises(st.TestbedError, match=r"only 0% .* at a sixteenth of real time: this"):
+        demo._record(Trial(tmp_path), 0, tmp_path)
+
+
 WRONG = {
     "fit HOLD -o m --segment 900:999": ["900:999", "samples"],
     "fit nowhere -o m --theta 1.5": ["theta", "from 0 to 1"],
@@ -63,6 +97,8 @@ WRONG = {
     "run --simulated --leave-out distal.Fq": ["distal.F"],
     "run --simulated --view --view-host 192.0.2.1": ["cannot listen on 192.0.2.1"],
     "run --duration 1": ["load_cell_node: "],
+    "run --simulated --time-scale 0": ["--time-scale is 0", "from 0.01 to 1"],
+    "run --simulated --time-scale -1": ["--time-scale is -1", "from 0.01 to 1"],
     "pressure HOLD -o regions.foo": ["'.foo' is not a table format"],
     "compare HOLD": ["1 trials", "2 to 12"],
     "view --tare none": ["--tare is for a trial"],
@@ -96,9 +132,7 @@ TAKEN = (
 )
 
 
-def test_no_output_replaces_a_file_unless_that_is_asked_for(
-    hold, hold_model, tmp_path, capsys, monkeypatch
-) -> None:
+def test_no_output_replaces_a_file_unasked(hold, hold_model, tmp_path, capsys, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)
     for suffix in (".csv", ".png", ".html", ".json"):
         (tmp_path / f"bench{suffix}").write_text("data of a day")
@@ -110,9 +144,7 @@ def test_no_output_replaces_a_file_unless_that_is_asked_for(
     assert st.read_model("bench.json").model.variant == "stiffness"
 
 
-def test_a_model_of_another_socket_is_refused_wherever_one_is_given(
-    hold, hold_model, tmp_path, capsys
-) -> None:
+def test_a_model_of_another_socket_is_refused(hold, hold_model, tmp_path, capsys) -> None:
     def move(document) -> None:
         document["tiles"]["distal"]["anchor"][2] += 0.01
 
@@ -143,29 +175,13 @@ def test_a_mistake_is_one_line_with_the_likely_word(capsys) -> None:
     for line, named in (
         ("fitt", "unknown verb 'fitt': did you mean 'fit'?"),
         ("fit t -o m --varant rigid", "--varant: did you mean '--variant'?"),
+        ("fit t -o m --variant rigd", "--variant: invalid choice: 'rigd'"),
+        ("fit t -o m --theta x", "--theta: invalid float value: 'x'"),
+        ("pareto t --thetas 3.5", "--thetas: invalid int value: '3.5'"),
         ("fit t -o m --jobs 2 --dask a", "--dask: not allowed with"),
+        ("run --simulated --time-scale abc", "--time-scale: invalid number value: 'abc'"),
     ):
         with pytest.raises(SystemExit) as ended:
             run(line.split())
         error = capsys.readouterr().err
         assert ended.value.code == 2 and named in error and error.count("\n") == 1
-
-
-def parser_of(verb: str) -> Parser:
-    parser = Parser(prog=verb)
-    add_options(parser, f"commands.results.{verb}")
-    return parser
-
-
-def test_options_are_those_of_the_signature() -> None:
-    """Types, defaults and descriptions of the API, by hand for one verb."""
-    parser = parser_of("pareto")
-    options = {option.dest: option for option in parser._actions}
-    assert options["segment"].default == "plateau" and options["thetas"].default == 101
-    assert options["thetas"].type is int and options["smoothness"].type is float
-    assert options["weights"].choices == ("size", "noise", "raw")
-    assert options["params"].type is Path and options["trial"].option_strings == []
-    text = "weight of the smoothness over neighbouring tiles (default: 0.001)"  # of `fit`
-    assert text in " ".join(parser.format_help().split())
-    given = parser.parse_args(["t", "--initial-stiffness", "auto"])
-    assert given.initial_stiffness == "auto" and given.replace is False

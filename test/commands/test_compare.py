@@ -67,9 +67,7 @@ def test_repeated_donnings_give_their_spread_and_what_can_be_seen(folder, trials
     np.testing.assert_allclose(shown["spread"], values.std(axis=0, ddof=1))
 
 
-def test_different_sockets_and_own_regions_are_compared_as_far_as_they_can_be(
-    folder, trials, tmp_path, capsys
-) -> None:
+def test_different_sockets_are_compared_where_alike(folder, trials, tmp_path, capsys) -> None:
     def add_regions(document) -> None:
         number, tiles = len([*tmp_path.iterdir()]) - 1, [*document["tiles"]]
         document["regions"] = {"same": tiles[:3], "other": tiles[number : number + 3]}

@@ -42,9 +42,7 @@ def readme_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize("page", [p for p in PAGES if commands(p)], ids=lambda page: page.name)
-def test_a_page_s_commands_run_in_their_order(
-    page: Path, tmp_path: Path, request: pytest.FixtureRequest
-) -> None:
+def test_commands_of_a_page_run(page: Path, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     """A page that begins as the README does, such as with its scan, goes on where that ran."""
     known, script = commands(PAGES[0]), commands(page)
     left = list(itertools.dropwhile(known.__contains__, script))

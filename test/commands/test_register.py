@@ -5,7 +5,7 @@ import copy
 import numpy as np
 import pytest
 from support import verbs
-from support.motive_takes import Bench, between, make_bench, write_landmarks, write_take
+from support.takes import Bench, between, make_bench, write_landmarks, write_take
 
 from socket_testbed.geometry.socket import read_socket, write_socket
 

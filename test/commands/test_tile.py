@@ -17,9 +17,7 @@ pytestmark = pytest.mark.slow
 
 CUP = meshes.open_cone(0.05, 0.058, 0.12, 0.004)
 # The cup lies: its opening is towards +x, anterior towards -y.
-LYING = meshes.moved(
-    CUP, lambda points: points @ np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]]) + 0.4
-)
+LYING = meshes.moved(CUP, lambda p: p @ np.array([[0, -1, 0], [0, 0, -1], [1, 0, 0]]) + 0.4)
 
 
 @pytest.fixture(scope="module")

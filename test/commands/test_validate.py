@@ -38,9 +38,7 @@ def test_one_trial_is_judged_on_its_other_half(folder: Path, capsys) -> None:
 
 
 @pytest.mark.usefixtures("few_variants")
-def test_several_trials_predict_each_other_and_a_study_has_a_row_per_trial(
-    folder: Path, tmp_path, capsys
-) -> None:
+def test_trials_predict_each_other_in_a_row_of_each_trial(folder: Path, tmp_path, capsys) -> None:
     study, output = shutil.copytree(folder, tmp_path / "study"), tmp_path / "study.csv"
     st.annotate(st.open_trial(study / "s1"), liner="gel", mass=80.0)
     found = st.validate(*(st.open_trial(study / name) for name in ("s0", "s1")))
@@ -55,9 +53,7 @@ def test_several_trials_predict_each_other_and_a_study_has_a_row_per_trial(
 
 
 @pytest.mark.usefixtures("few_variants")
-def test_what_cannot_be_judged_is_refused_alone_and_passed_over_among_others(
-    folder: Path, tmp_path, capsys
-) -> None:
+def test_what_cannot_be_judged_is_refused_or_passed_over(folder: Path, tmp_path, capsys) -> None:
     def move(document) -> None:
         next(iter(document["tiles"].values()))["anchor"][2] += 0.01
 
@@ -76,9 +72,7 @@ def test_what_cannot_be_judged_is_refused_alone_and_passed_over_among_others(
     assert out.startswith("3 trials, means over them; models fitted on 2: s0, s1")
 
 
-def test_the_figures_are_those_of_the_paper_s_variants_on_the_first_frames(
-    hold, tmp_path, capsys
-) -> None:
+def test_the_figures_are_the_paper_s_on_the_first_frames(hold, tmp_path, capsys) -> None:
     """And a printed number stands with the reason why it is not comparable."""
     titles = ("this trial", "without offsets"), ("this trial", "with offsets")
     chosen = {"leave_out": ["distal.Fy"], "initial_stiffness": "auto"}

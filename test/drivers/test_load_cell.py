@@ -23,10 +23,8 @@ from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import LoadCellSettings, averaging_span
 from socket_testbed.simulation.devices.ads131m0x import SimulatedAds131m0x, simulated_load_cell
 
-_RNG = np.random.default_rng(7)
-MATRIX = np.diag([900.0, 950.0, 1800.0, 40.0, 42.0, 60.0]) @ (
-    np.eye(6) + 0.1 * _RNG.standard_normal((6, 6))
-)
+_CROSS_TALK = 0.1 * np.random.default_rng(7).standard_normal((6, 6))
+MATRIX = np.diag([900.0, 950.0, 1800.0, 40.0, 42.0, 60.0]) @ (np.eye(6) + _CROSS_TALK)
 SETTINGS = LoadCellSettings(
     matrix=tuple(MATRIX.ravel()),
     full_scale=(1500.0, 1500.0, 2500.0, 80.0, 80.0, 60.0),
@@ -297,9 +295,16 @@ def test_settings_that_would_give_wrong_wrenches_are_refused() -> None:
         ("matrix", (1.0,) * 36, " cannot be inverted"),
         ("inputs", (0, 1, 2, 3, 4, 4), " names an input twice"),
         ("gain", 3, " is 3: "),
+        ("matrix", (1.0,) * 35, " has 35 numbers"),
+        ("full_scale", (1.0, 2.0), " has 2 numbers"),
+        ("inputs", (0, 1, 2, 3, 4, 7), " names input 7"),
+        ("channels", 7, " is 7: "),
+        ("sign", (1.0, 1.0, 1.0, 1.0, 1.0, 0.5), " holds"),
+        ("window", 0.001, " is 0.001 s"),
+        ("device", "spi0", " is 'spi0': "),
     ):
         with refused(ConfigurationError, f"load_cell_node: {name}{fact}"):
-            check_settings(dataclasses.replace(SETTINGS, **{name: value}))
+            check_settings(dataclasses.replace(SETTINGS, oversampling=16384, **{name: value}))
 
 
 # --- the converter, byte by byte

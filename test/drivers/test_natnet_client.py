@@ -10,7 +10,8 @@ from support.wording import refused
 
 from socket_testbed import clocks
 from socket_testbed.drivers.natnet.client import NatNetClient
-from socket_testbed.errors import DeviceError
+from socket_testbed.errors import ConfigurationError, DeviceError
+from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
 
 ACCURACY = 1e-3  # [m]; of a marker that moves at 0.3 m/s, with the loopback's delays
@@ -64,6 +65,17 @@ def test_frames_of_every_version_come_with_their_exposure_on_the_steady_clock():
     with Link(version=(2, 10)) as link:
         link.until_level(2, "NatNet 2.10 is too old, NatNet 3.0 is needed: update Motive to 2.0")
         assert not link.frames
+
+
+def test_a_wrong_address_is_refused_at_once():
+    for changes, text in (
+        ({"server": ""}, "server is empty"),
+        ({"server": "no such host.invalid"}, "server 'no such host.invalid' is not known"),
+        ({"bitstream": "2.10"}, "bitstream is '2.10', which is too old"),
+        ({"multicast": "10.0.0.1"}, "multicast is '10.0.0.1'"),
+    ):
+        with refused(ConfigurationError, f"mocap_node: {text}"):
+            NatNetClient(MocapSettings(**{"server": "127.0.0.1"} | changes), lambda *_: None)
 
 
 def test_a_server_is_waited_for_and_found():

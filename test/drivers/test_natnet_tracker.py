@@ -109,9 +109,7 @@ def test_of_more_markers_few_make_a_pose_unless_labels_could_be_exchanged() -> N
     """Of the first four, the first and the fourth are as far from the third to within 2 mm."""
     for count, labels in ((8, (0, 7)), (4, (1,))):
         references, hidden = (EIGHT[:count], TRIADS[1]), [(0, label) for label in labels]
-        tracker = tracker_of(
-            frames(), references=references, hidden=lambda _, hidden=hidden: hidden
-        )
+        tracker = tracker_of(frames(), references=references, hidden=lambda _, own=hidden: own)
         socket, pylon = tracker.sample(9.3 * PERIOD, 10.0 * PERIOD)
         assert max(errors_of(pylon, 1, 9.3 * PERIOD)) < 3e-4
         if labels == (1,):

@@ -12,12 +12,7 @@ from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import packaged
-from socket_testbed.geometry.axis import (
-    all_regions,
-    anatomical_regions,
-    proximal_direction,
-    socket_axis,
-)
+from socket_testbed.geometry.axis import all_regions, anatomical_regions, socket_axis
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import HEIGHTS, ScanFrame, read_socket, write_socket
 
@@ -162,11 +157,11 @@ def test_tiles_in_rings_are_at_their_heights_and_angles_however_the_socket_stand
     np.testing.assert_allclose(axis.radii(anchors), np.hypot(*anchors[:, :2].T), atol=0.004)
 
     turn = Rotation.from_euler("xyz", [50.0, -70.0, 120.0], degrees=True).as_matrix()
-    turned = dataclasses.replace(
-        RINGS, rotations=turn @ RINGS.rotations, anchors=RINGS.anchors @ turn.T
-    )
-    np.testing.assert_allclose(proximal_direction(turned), turn @ axis.proximal, atol=1e-12)
-    heights = socket_axis(turned).heights(turned.anchors)
+    places = {"rotations": turn @ RINGS.rotations, "anchors": RINGS.anchors @ turn.T}
+    turned = dataclasses.replace(RINGS, **places)
+    own = socket_axis(turned)
+    np.testing.assert_allclose(own.proximal, turn @ axis.proximal, atol=1e-12)
+    heights = own.heights(turned.anchors)
     np.testing.assert_allclose(heights, axis.heights(RINGS.anchors), atol=1e-12)
 
 

@@ -138,9 +138,8 @@ def test_an_outlier_is_left_out_and_noted_with_channel_and_time_and_many_are_ref
     ):
         samples = make_case(4)[2]
         getattr(samples, array)[place] = value
-        (note,) = [
-            n for n in plausibility.implausible_notes(samples, geometry, ()) if "outlier" in n
-        ]
+        notes = plausibility.implausible_notes(samples, geometry, ())
+        (note,) = [note for note in notes if "outlier" in note]
         assert note.startswith(name) and "at 4.25 s" in note and note.endswith("left out")
         found = fit_contact_model(samples, geometry, settings)
         assert max(error.rmse for error in found.errors) < 100.0
@@ -195,9 +194,8 @@ def test_what_exceeds_the_load_pulls_or_has_no_lever_is_proposed_with_its_number
     for axis in range(3):
         size = np.median(np.abs(samples.local_forces[:, 1, axis]))
         assert found(scaled(samples, 1, axis, 0.99 * load / size)) == []
-        (proposal,) = plausibility.find_implausible(
-            scaled(samples, 1, axis, 10.0 * load / size), GEOMETRY
-        )
+        large = scaled(samples, 1, axis, 10.0 * load / size)
+        (proposal,) = plausibility.find_implausible(large, GEOMETRY)
         assert proposal.channel == f"cluster_1.F{'xyz'[axis]}" and "10 times" in proposal.reason
     unloaded = replace(samples, wrench=samples.wrench * (0.9 * plausibility.MIN_LOAD / LOAD))
     assert found(scaled(unloaded, 1, 0, 1e4)) == []  # nothing is too large for no load

@@ -14,14 +14,8 @@ from support.damage import changed
 from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.identification import fit as fitting
 from socket_testbed.identification.contact import LAWS, ContactModel, wrench_map
-from socket_testbed.identification.fit import (
-    channel_errors,
-    errors_to_dataframe,
-    evaluate,
-    fit_contact_model,
-    summarise_errors,
-)
 from socket_testbed.identification.model_file import read_model, write_model
 from socket_testbed.identification.problem import MIN_SAMPLES, Problem, build_objective
 from socket_testbed.identification.solver import (
@@ -56,14 +50,12 @@ def test_the_fit_is_both_stages_of_the_stacked_problem(variant, leave_out):
         settings = replace(settings, weights="raw", theta=0.3)
     elif leave_out:  # then about a given reference, and with rest positions at their limit
         centre = centre + np.array([0.003, -0.002, 0.004])
-        settings = replace(
-            settings, reference_position=tuple(centre.tolist()), rest_position_limit=8e-4
-        )
+        settings = replace(settings, reference_position=(*centre,), rest_position_limit=8e-4)
     u = stacked.stack_stage_one(samples, geometry, settings).solve()
     assert not leave_out[1:] or np.isclose(np.abs(u), 0.8).any()
     rest = centre + stacked.MILLIMETRE * u.reshape(-1, 3)
     expected = stacked.stack_stage_two(samples, geometry, settings, rest).solve()
-    fit = fit_contact_model(samples, geometry, settings)
+    fit = fitting.fit_contact_model(samples, geometry, settings)
     np.testing.assert_allclose(fit.model.rest_positions, rest, atol=1e-8)
     stiffness = fit.model.stiffness.reshape(-1) / stacked.KILONEWTON_PER_METRE
     assert stacked.relative(stiffness, expected[: len(stiffness)]) < 10.0 * stacked.OPTIMUM
@@ -79,7 +71,7 @@ def test_k0_is_the_slope_of_the_wrench_over_the_position():
     geometry, _, samples, settings = problems.make_case(95, initial_stiffness=0.0)
     moved = np.tile(samples.position, len(geometry))  # every tile with the limb
     samples.wrench[:] = -300.0 + 4e3 * moved @ wrench_map(geometry.anchors).T
-    fit = fit_contact_model(samples, geometry, settings)
+    fit = fitting.fit_contact_model(samples, geometry, settings)
     assert fit.settings.initial_stiffness == pytest.approx(4e3)
 
 
@@ -90,7 +82,7 @@ def test_the_chosen_solver_is_called_for_every_program_and_the_fit_repeats_exact
         geometry, _, samples, settings = problems.make_case(31, solver=solver, wrench_sharpness=())
         settings = replace(settings, variant=variant)
         with patch("qpsolvers.solve_problem", wraps=qpsolvers.solve_problem) as solve:
-            fit, again = (fit_contact_model(samples, geometry, settings) for _ in range(2))
+            fit, again = (fitting.fit_contact_model(samples, geometry, settings) for _ in range(2))
         called = [call.args[1] for call in solve.call_args_list]
         assert called == 2 * [solver] * programs  # both stages, and the refinement's first step
         np.testing.assert_array_equal(fit.model.stiffness, again.model.stiffness)
@@ -113,10 +105,10 @@ def test_weights_by_noise_follow_the_noise_above_the_models_error(rng):
 def test_what_is_left_out_does_not_matter_and_the_fit_says_what_it_rests_on(lost):
     geometry, _, samples, settings = problems.make_case(77, leave_out=(*lost, "cluster_1.Fz"))
     samples.local_forces[:, 1, 2] = np.nan  # a dead channel may be left out
-    expected = fit_contact_model(samples[:-3], geometry, settings)
+    expected = fitting.fit_contact_model(samples[:-3], geometry, settings)
     samples.wrench[:, [samples.channels.index(name) for name in lost]] = np.nan
     samples.position[-3:] = np.nan
-    fit = fit_contact_model(samples, geometry, settings)
+    fit = fitting.fit_contact_model(samples, geometry, settings)
     assert fit.samples == len(samples) - 3 and fit.last_stamp == samples.stamps[-4]
     stiffness = expected.model.stiffness
     np.testing.assert_allclose(fit.model.stiffness, stiffness, rtol=1e-8, atol=1e-6)
@@ -142,7 +134,7 @@ def test_what_cannot_be_fitted_is_refused_with_its_name():
     ):
         with refused(TestbedError, *names):
             spoilt = replace(samples, **arrays)
-            fit_contact_model(spoilt, geometry, replace(settings, leave_out=leave_out))
+            fitting.fit_contact_model(spoilt, geometry, replace(settings, leave_out=leave_out))
 
 
 # --- Stage 2 at given rest positions
@@ -225,7 +217,7 @@ def test_constants_of_the_clusters_move_nothing_but_their_offsets():
     geometry, _, samples, settings = rigid_case(13, "rigid_bias")
     mean = samples.local_forces.mean(axis=0)
     moved = replace(samples, local_forces=samples.local_forces - 2.0 * mean)
-    one, other = (fit_contact_model(s, geometry, settings) for s in (samples, moved))
+    one, other = (fitting.fit_contact_model(s, geometry, settings) for s in (samples, moved))
     np.testing.assert_allclose(other.stage_one.x, one.stage_one.x, atol=1e-9)
     np.testing.assert_allclose(other.model.stiffness, one.model.stiffness, rtol=1e-6)
     for cluster, (name, bias) in enumerate(one.model.force_bias.items()):
@@ -236,7 +228,7 @@ def test_constants_of_the_clusters_move_nothing_but_their_offsets():
 @pytest.mark.parametrize("variant", ("rigid", "rigid_bias"))
 def test_joint_refinement_recovers_what_the_bed_bears(variant):
     geometry, bed, samples, settings = rigid_case(5, variant, prior=1e-6)
-    fit = fit_contact_model(samples, geometry, settings)
+    fit = fitting.fit_contact_model(samples, geometry, settings)
     assert fit.joint is not None and fit.joint.certificate.worst <= settings.solver_tolerance
     unseen = rigid_motion(np.random.default_rng(6), 50, bed)
     error = fit.model.wrench(unseen) - bed.wrench(unseen)
@@ -248,12 +240,12 @@ def test_a_pose_or_a_load_that_stands_still_gives_no_slope():
     geometry, bed, samples, settings = rigid_case(12, "rigid_bias")
     # The mean of the rotation differs from it by rounding.
     still = replace(samples, rotation=np.tile([0.1, -0.2, 0.3], (80, 1)))
-    model = fit_contact_model(still, geometry, settings).model
+    model = fitting.fit_contact_model(still, geometry, settings).model
     assert (model.wrench_slope[:, 3:] == 0.0).all()
     # A limb that creeps while its load stays tells nothing about another load.
     noise = np.random.default_rng(0).normal(0.0, [0.001] * 3 + [0.1] * 3, (80, 6))
     creeping = replace(samples, wrench=samples.wrench.mean(axis=0) + noise)
-    held = fit_contact_model(creeping, geometry, settings).model
+    held = fitting.fit_contact_model(creeping, geometry, settings).model
     size = np.abs(bed.wrench(samples.pose) - bed.wrench(samples.pose).mean(axis=0)).max(axis=0)
     reach = np.abs(samples.pose - held.reference_pose).max(axis=0)
     assert (np.abs(held.wrench_slope) @ reach < 0.1 * size).all()
@@ -262,23 +254,24 @@ def test_a_pose_or_a_load_that_stands_still_gives_no_slope():
 def test_the_wrench_is_taken_from_what_predicts_the_unseen_half_best(tmp_path):
     """A wrench that is linear in the pose is a regression's; the bed keeps the clusters' forces."""
     geometry, bed, samples, settings = rigid_case(4, "rigid_bias", count=160)
-    own = fit_contact_model(samples, geometry, settings)
+    own = fitting.fit_contact_model(samples, geometry, settings)
     assert own.wrench == "" and own.model.of_wrench is None  # the bed is the truth
     soft = {"contact_sharpness": 20.0, "wrench_sharpness": (20.0, bed.sharpness)}
-    fit = fit_contact_model(samples, geometry, replace(settings, **soft))
+    fit = fitting.fit_contact_model(samples, geometry, replace(settings, **soft))
     assert fit.wrench.startswith("springs of sharpness 300 /m: ")
     assert fit.model.sharpness == 20.0 and fit.model.of_wrench.sharpness == bed.sharpness
     change = samples.wrench - samples.wrench.mean(axis=0)  # under one load it says nothing
     held = replace(samples, wrench=np.array([0, 1, 0, 5, 3, -250.0]) + 1e-3 * change)
-    assert fit_contact_model(held, geometry, settings).model.of_wrench is None
+    assert fitting.fit_contact_model(held, geometry, settings).model.of_wrench is None
     slope = np.random.default_rng(2).normal(size=(6, 6)) * np.repeat([[40.0], [2000.0]], 3, axis=0)
     pose = samples.pose - samples.pose.mean(axis=0)
     samples.wrench[:] = [0.5, 1.0, 0.1, 5.0, 3.0, -250.0] + pose @ slope.T
-    fit = fit_contact_model(samples, geometry, settings)
+    fit = fitting.fit_contact_model(samples, geometry, settings)
     assert fit.wrench.startswith("linear regression on the pose: ")
     np.testing.assert_allclose(fit.model.wrench(samples.pose), samples.wrench, atol=0.5)
     # A channel that is left out decides nothing.
-    assert fit_contact_model(samples, geometry, replace(settings, leave_out=("Mz",))).wrench == ""
+    without = replace(settings, leave_out=("Mz",))
+    assert fitting.fit_contact_model(samples, geometry, without).wrench == ""
     alone = replace(fit.model, of_wrench=None)
     np.testing.assert_array_equal(alone.forces(samples.pose), fit.model.forces(samples.pose))
     path = tmp_path / "model.json"
@@ -293,16 +286,16 @@ def test_the_wrench_is_taken_from_what_predicts_the_unseen_half_best(tmp_path):
 def test_errors_are_those_by_hand_of_the_samples_with_a_value_and_a_constant_has_no_skill():
     measured = np.array([1.0, np.nan, 2.0, 3.0, 6.0, 9.0])
     predicted = np.array([2.0, 2.0, 2.0, 1.0, 6.0, np.inf])
-    found = channel_errors("Fx", measured, predicted, in_objective=False)
+    found = fitting.channel_errors("Fx", measured, predicted, in_objective=False)
     # Residuals 1, 0, -2, 0 with mean -1/4; measured with mean 3 and variance 14/4.
     assert found.rmse == pytest.approx(math.sqrt(5.0 / 4.0))
     assert found.mae == pytest.approx(3.0 / 4.0)
     assert found.sigma == pytest.approx(math.sqrt(5.0 / 4.0 - 1.0 / 16.0))
     assert found.skill == pytest.approx(1.0 - math.sqrt(5.0 / 14.0))
     assert (found.name, found.unit, found.samples, found.in_objective) == ("Fx", "N", 4, False)
-    found = channel_errors("Mx", np.full(4, np.nan), np.zeros(4))
+    found = fitting.channel_errors("Mx", np.full(4, np.nan), np.zeros(4))
     assert found.samples == 0 and math.isnan(found.rmse) and math.isnan(found.skill)
-    found = channel_errors("Fx", np.full(1000, 1e-7), np.full(1000, 1.0 + 1e-7))
+    found = fitting.channel_errors("Fx", np.full(1000, 1e-7), np.full(1000, 1.0 + 1e-7))
     assert found.rmse == pytest.approx(1.0) and math.isnan(found.skill)
 
 
@@ -314,7 +307,7 @@ def test_each_error_belongs_to_its_own_channel_whatever_the_chunks(rng, monkeypa
     samples.wrench[:] += shifts[:6]
     samples.local_forces[:] += shifts[6:].reshape(-1, 3)
     samples.position[[2, 9]] = np.nan
-    table = errors_to_dataframe(evaluate(samples, bed, ("My",)))
+    table = fitting.errors_to_dataframe(fitting.evaluate(samples, bed, ("My",)))
     assert tuple(table.index) == samples.channels and (table["samples"] == 28).all()
     np.testing.assert_allclose(table["RMSE"], shifts, rtol=1e-9)
     assert table.index[~table["in objective"]].tolist() == ["My"]
@@ -322,10 +315,10 @@ def test_each_error_belongs_to_its_own_channel_whatever_the_chunks(rng, monkeypa
 
 def test_the_quoted_figures_are_means_and_medians_of_the_channels_in_the_objective(rng):
     names = ("Mx", "My", "Mz", "Fx", "Fy", "Fz", "a.Fx", "a.Fy", "Mid.Fx")
-    errors = [channel_errors(name, *rng.normal(size=(2, 50))) for name in names]
-    left_out = channel_errors("Mx", 1e3 * np.ones(5), np.zeros(5), in_objective=False)
-    dead = channel_errors("Mz", np.full(30, np.nan), np.zeros(30))
-    found = summarise_errors([*errors, left_out, dead])
+    errors = [fitting.channel_errors(name, *rng.normal(size=(2, 50))) for name in names]
+    left_out = fitting.channel_errors("Mx", 1e3 * np.ones(5), np.zeros(5), in_objective=False)
+    dead = fitting.channel_errors("Mz", np.full(30, np.nan), np.zeros(30))
+    found = fitting.summarise_errors([*errors, left_out, dead])
     rmse = np.array([error.rmse for error in errors])
     means = (found.moment_rmse, found.force_rmse, found.local_rmse)
     assert means == pytest.approx((rmse[:3].mean(), rmse[3:6].mean(), np.median(rmse[6:])))
@@ -337,13 +330,13 @@ def test_the_quoted_figures_are_means_and_medians_of_the_channels_in_the_objecti
 
 def test_a_model_reads_back_as_it_was_written(tmp_path):
     geometry, _, samples, settings = problems.make_case(5, leave_out=("cluster_1.Fy",))
-    fit = fit_contact_model(samples, geometry, settings)
+    fit = fitting.fit_contact_model(samples, geometry, settings)
     path = tmp_path / "model.json"
     write_model(fit, geometry, {"name": "hold"}, "plateau", path)
     stored = read_model(path)
     assert (stored.settings, stored.samples, stored.trial) == (fit.settings, fit.samples, "hold")
     assert stored.last_stamp == fit.last_stamp and stored.errors == fit.errors
-    again = evaluate(samples, stored.model)
+    again = fitting.evaluate(samples, stored.model)
     for before, after in zip(fit.errors, again, strict=True):
         assert after.rmse == pytest.approx(before.rmse, abs=1e-5)
 
@@ -405,9 +398,8 @@ def test_the_paper_s_model_is_its_springs_with_their_offsets(rng, variant):
 
 def test_a_rigid_model_gates_in_the_tile_s_frame_and_never_pulls(rng):
     """A rigid body about the reference, far from {S}."""
-    bed = replace(
-        problems.random_bed(rng, problems.random_socket(rng), "rigid"), reference_pose=REFERENCE
-    )
+    bed = problems.random_bed(rng, problems.random_socket(rng), "rigid")
+    bed = replace(bed, reference_pose=REFERENCE)
     shifts, turns = rng.normal(0.0, 0.004, (40, 3)), rng.normal(0.0, 0.02, (40, 3))
     turned = Rotation.from_rotvec(turns) * Rotation.from_rotvec(REFERENCE[3:])
     pose = np.hstack([REFERENCE[:3] + shifts, turned.as_rotvec()])

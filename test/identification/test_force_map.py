@@ -20,13 +20,6 @@ from socket_testbed.identification.force_map import (
     map_trial,
     wall_correlation,
 )
-from socket_testbed.identification.pressure import (
-    Quantity,
-    integration_weights,
-    measured_rows,
-    outputs_of,
-    pressure_outputs,
-)
 from socket_testbed.identification.validation import CLOSED, field_estimators
 from socket_testbed.samples import Samples, Status
 from socket_testbed.settings.identification import ForceMapSettings
@@ -80,9 +73,8 @@ def test_the_prior_s_parts_are_its_equation_s() -> None:
 def test_a_trial_s_evidence_weighs_the_hypotheses_of_each_of_its_samples() -> None:
     samples = some_samples(30)
     whole = ForceMap(GEOMETRY, CLUSTERS, trial=samples)
-    np.testing.assert_allclose(
-        whole.estimate(samples[4:5]).forces[0], whole.estimate(samples).forces[4]
-    )
+    alone, among = whole.estimate(samples[4:5]).forces[0], whole.estimate(samples).forces[4]
+    np.testing.assert_allclose(alone, among)
     live = ForceMap(GEOMETRY, CLUSTERS)
     for k in range(30):
         last = live.update(samples[k : k + 1])
@@ -183,18 +175,18 @@ def test_outputs_of_a_known_field_are_those_of_plain_numpy() -> None:
     local = local * (1.0 + 0.5 * rng.standard_normal((12, 1, 1)))
     regions = all_regions(RING, "left")
     forces = np.einsum("nij,knj->kni", RING.rotations, local)
-    found = outputs_of(forces, times, RING, regions, THRESHOLD)
-    pressure = -local[..., 2] / RING.areas  # (N, n)
+    found = pressure.outputs_of(forces, times, RING, regions, THRESHOLD)
+    pressed = -local[..., 2] / RING.areas  # (N, n)
     axial = forces[..., 2]
-    held = np.where(pressure > THRESHOLD, pressure, 0.0)
+    held = np.where(pressed > THRESHOLD, pressed, 0.0)
     for number, region in enumerate(regions):
         tiles, area = region.tiles, RING.areas[region.tiles]
         push = np.maximum(-local[:, tiles, 2], 0.0).mean(axis=0)
         shear = local[:, tiles, :2].mean(axis=0).sum(axis=0) / area.sum()
         expected = {
-            "mean": np.average(pressure[:, tiles].mean(axis=0), weights=area),
-            "peak": pressure[:, tiles].max(),
-            "area": ((pressure[:, tiles] > THRESHOLD) * area).sum(axis=1).mean(),
+            "mean": np.average(pressed[:, tiles].mean(axis=0), weights=area),
+            "peak": pressed[:, tiles].max(),
+            "area": ((pressed[:, tiles] > THRESHOLD) * area).sum(axis=1).mean(),
             "integral": sum(
                 np.average(np.trapezoid(held[part][:, tiles], times[part], axis=0), weights=area)
                 for part in (slice(6), slice(6, None))
@@ -213,11 +205,11 @@ def test_what_was_not_measured_counts_in_nothing() -> None:
     samples = samples_at(0.25 * np.arange(9))
     samples.wrench[4] = np.nan
     samples.status[4] = Status.SATURATED
-    assert measured_rows(samples).tolist() == [True] * 4 + [False] + [True] * 4
+    assert pressure.measured_rows(samples).tolist() == [True] * 4 + [False] + [True] * 4
     force_map, regions = ForceMap(RING, CLUSTERS), all_regions(RING)
-    found = pressure_outputs(force_map, samples, RING, regions, THRESHOLD)
+    found = pressure.pressure_outputs(force_map, samples, RING, regions, THRESHOLD)
     kept = np.arange(9) != 4
-    fewer = pressure_outputs(force_map, samples[kept], RING, regions, THRESHOLD)
+    fewer = pressure.pressure_outputs(force_map, samples[kept], RING, regions, THRESHOLD)
     np.testing.assert_allclose(found.regions.peak.value, fewer.regions.peak.value)
     np.testing.assert_allclose(found.regions.mean.high, fewer.regions.mean.high)
     assert np.isnan(found.series.mean.high[4]).all()
@@ -226,12 +218,12 @@ def test_what_was_not_measured_counts_in_nothing() -> None:
     samples.wrench[:] = np.nan
     samples.status[:] = Status.MISSING
     with pytest.raises(TrialError, match="no sample of the segment has a wrench or a trusted"):
-        pressure_outputs(force_map, samples, RING, regions, THRESHOLD)
+        pressure.pressure_outputs(force_map, samples, RING, regions, THRESHOLD)
 
 
 def test_a_value_is_certain_by_its_interval_which_is_narrow_for_directions_near_half_a_turn():
     value, low, high = np.array([[10.0, 5.0, 15.0], [10.0, 4.9, 12.0], [0.0, -1.0, 1.0]]).T
-    assert Quantity(value, low, high, value).certain(0.5).tolist() == [True, False, False]
+    assert pressure.Quantity(value, low, high, value).certain(0.5).tolist() == [True, False, False]
     reader = pressure._Regions(RING, all_regions(RING)[:1])
     drawn = np.radians(np.tile([[179.0], [-179.0]], (100, 1)))  # 2 degrees apart
     direction = reader.interval("direction", np.radians([179.0]), drawn)
@@ -256,10 +248,10 @@ def moving_samples(count: int) -> Samples:
 def test_a_span_has_the_values_of_its_map_and_the_intervals_of_its_draws():
     samples = moving_samples(120)
     force_map, regions = ForceMap(RING, CLUSTERS, trial=samples), all_regions(RING)
-    found = pressure_outputs(force_map, samples, RING, regions, THRESHOLD)
+    found = pressure.pressure_outputs(force_map, samples, RING, regions, THRESHOLD)
 
     def outputs(forces):
-        return outputs_of(forces, samples.time, RING, regions, THRESHOLD)
+        return pressure.outputs_of(forces, samples.time, RING, regions, THRESHOLD)
 
     highest = found.estimate.normal_pressure.max(axis=0)
     np.testing.assert_allclose(found.tiles.peak.value, highest, rtol=1e-9)
@@ -287,8 +279,9 @@ def test_a_span_has_the_values_of_its_map_and_the_intervals_of_its_draws():
         np.testing.assert_allclose(ours, (value, *ends), rtol=1e-9, atol=1e-9, err_msg=name)
     # What the channels leave open stays the same: a hold is no better known than a sample.
     spans = (samples_at(0.25 * np.arange(count)) for count in (30, 2))
-    held = (pressure_outputs(force_map, s, RING, regions, THRESHOLD).regions for s in spans)
-    np.testing.assert_allclose(*(each.mean.high - each.mean.low for each in held), rtol=1e-6)
+    held = (pressure.pressure_outputs(force_map, s, RING, regions, THRESHOLD) for s in spans)
+    widths = (each.regions.mean.high - each.regions.mean.low for each in held)
+    np.testing.assert_allclose(*widths, rtol=1e-6)
 
 
 def test_draws_at_some_samples_of_a_long_span_give_nearly_what_all_give(monkeypatch):
@@ -296,10 +289,10 @@ def test_draws_at_some_samples_of_a_long_span_give_nearly_what_all_give(monkeypa
     samples.local_forces[333], samples.wrench[333] = [2.0, -0.8, -80.0], 6.0 * samples.wrench[0]
     samples.status[333] = Status.OK  # a peak of one sample
     force_map, regions = ForceMap(RING, CLUSTERS, trial=samples), all_regions(RING)
-    found = pressure_outputs(force_map, samples, RING, regions, THRESHOLD)
-    assert found.integrated == pytest.approx(integration_weights(samples.time).sum())
+    found = pressure.pressure_outputs(force_map, samples, RING, regions, THRESHOLD)
+    assert found.integrated == pytest.approx(pressure.integration_weights(samples.time).sum())
     monkeypatch.setattr(pressure, "MAX_DRAWN", 100)
-    some = pressure_outputs(force_map, samples, RING, regions, THRESHOLD)
+    some = pressure.pressure_outputs(force_map, samples, RING, regions, THRESHOLD)
     assert some.peak_row == found.peak_row == 333
     for name, quantity in vars(some.regions).items():
         expected = getattr(found.regions, name)
@@ -323,10 +316,10 @@ def test_intervals_hold_the_truth_of_simulated_holds(tissue: TissueKind) -> None
         truth = limb.step(LOAD, 5.0)[None]
         local = np.einsum("cji,kcj->kci", geometry.rotations[tiles], truth[:, tiles])
         samples = replace(samples_at(np.zeros(1)), clusters=clusters, local_forces=local)
-        found = pressure_outputs(force_map, samples, geometry, regions, THRESHOLD)
-        true = outputs_of(truth, np.zeros(1), geometry, regions, THRESHOLD)
+        found = pressure.pressure_outputs(force_map, samples, geometry, regions, THRESHOLD)
+        true = pressure.outputs_of(truth, np.zeros(1), geometry, regions, THRESHOLD)
         for name in ("mean", "peak", "area", "shear", "share"):
-            quantity: Quantity = getattr(found.regions, name)
+            quantity: pressure.Quantity = getattr(found.regions, name)
             low, high = quantity.low - 1e-9, quantity.high + 1e-9
             within += ((low <= true[name]) & (true[name] <= high)).tolist()
         errors = (found.estimate.forces - truth)[:, free]

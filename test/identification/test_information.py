@@ -9,21 +9,15 @@ from support.problems import make_samples, moving_limb, random_bed, random_socke
 
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.identification import information
+from socket_testbed.identification import information, noise
 from socket_testbed.identification import information as module
-from socket_testbed.identification.noise import (
-    MIN_DIFFERENCES,
-    channel_noise,
-    smooth_poses,
-    smoothing_gain,
-)
 from socket_testbed.samples import Samples, Status
 
 
-def moving(rng, geometry, motion, noise, count=400):
-    """Samples whose six pose numbers move slowly by `motion` and have `noise` (sd), (6,) each."""
+def moving(rng, geometry, motion, sd, count=400):
+    """Samples whose six pose numbers move slowly by `motion` and have noise `sd`, (6,) each."""
     phase = np.linspace(0.0, 2.0 * np.pi, count)[:, None] * [3, 4, 5, 6, 7, 8]
-    pose = np.sqrt(2.0) * np.array(motion) * np.sin(phase) + rng.normal(0.0, noise, (count, 6))
+    pose = np.sqrt(2.0) * np.array(motion) * np.sin(phase) + rng.normal(0.0, sd, (count, 6))
     return make_samples(pose, np.zeros((count, 6)), {})
 
 
@@ -50,9 +44,9 @@ def test_the_shares_of_a_bed_are_its_own(rng):
 def test_motion_and_noise_are_told_apart(rng):
     geometry = random_socket(rng)  # along z
     motion = np.array([1e-4, 2e-3, 1e-3, 2e-3, 2e-2, 0.0])
-    noise = np.array([2e-4, 2e-4, 1e-4, 1e-3, 1e-3, 1e-3])
-    found = information.measure_motion(moving(rng, geometry, motion, noise), geometry)
-    for excitation, moved, noisy in zip(found.excitations, motion, noise, strict=True):
+    known = np.array([2e-4, 2e-4, 1e-4, 1e-3, 1e-3, 1e-3])
+    found = information.measure_motion(moving(rng, geometry, motion, known), geometry)
+    for excitation, moved, noisy in zip(found.excitations, motion, known, strict=True):
         assert excitation.noise == pytest.approx(noisy, rel=0.15)
         assert excitation.motion == pytest.approx(moved, rel=0.15, abs=0.5 * noisy)
     enough = [excitation.sufficient for excitation in found.excitations]
@@ -84,9 +78,7 @@ def test_what_is_known_grows_with_motion_and_falls_with_noise_and_offsets(rng):
     )
 
 
-def test_springs_are_engaged_in_compression_and_uncertain_within_the_spread_of_drawn_poses(
-    rng, monkeypatch
-):
+def test_springs_are_engaged_in_compression_within_the_spread_of_drawn_poses(rng, monkeypatch):
     """A limb at rest, turned far from {S}, whose pose has noise: no formula but the motion."""
     monkeypatch.setattr(module, "_BLOCK", 700)
     count, centre = 3000, np.array([0.01, -0.02, 0.13])
@@ -172,10 +164,10 @@ POSE_NOISE = np.array([2e-4, 1e-4, 5e-5, 1e-3, 2e-3, 5e-4])  # [m, rad]
 def noisy_samples(seed: int, count: int = 800) -> Samples:
     """Slow motion, 100 times larger than its white noise."""
     rng = np.random.default_rng(seed)
-    noise = np.concatenate([POSE_NOISE, WRENCH_NOISE, LOCAL_NOISE.ravel()])
-    time, phase = 0.25 * np.arange(count)[:, None], rng.uniform(0.0, 2.0 * np.pi, noise.shape)
+    sizes = np.concatenate([POSE_NOISE, WRENCH_NOISE, LOCAL_NOISE.ravel()])
+    time, phase = 0.25 * np.arange(count)[:, None], rng.uniform(0.0, 2.0 * np.pi, sizes.shape)
     slow = 100.0 * (np.sin(2.0 * np.pi * time / 20.0 + phase) + 0.02 * time)
-    values = noise * (slow + rng.normal(size=(count, len(noise))))
+    values = sizes * (slow + rng.normal(size=(count, len(sizes))))
     brim, distal = values[:, 12:15], values[:, 15:]
     return make_samples(values[:, :6], values[:, 6:12], {"brim": brim, "distal": distal})
 
@@ -191,7 +183,7 @@ def test_known_noise_comes_back_whatever_outliers_steps_gaps_and_untrusted_force
     samples.position[rng.random(1600) < 0.05] = np.nan
     kept = np.sort(rng.choice(1600, 1500, replace=False))  # triggers were lost
     for spoilt in (noisy_samples(80), samples[kept[(kept < 400) | (kept > 700)]]):
-        found = channel_noise(spoilt)
+        found = noise.channel_noise(spoilt)
         np.testing.assert_allclose(found.wrench, WRENCH_NOISE, rtol=0.15)
         np.testing.assert_allclose(found.local_forces, LOCAL_NOISE, rtol=0.15)
         np.testing.assert_allclose(found.pose, POSE_NOISE, rtol=0.15)
@@ -201,25 +193,25 @@ def test_a_quantised_channel_has_the_noise_of_its_steps_and_few_values_have_none
     samples = noisy_samples(40)
     slow = np.sin(2.0 * np.pi * samples.time[:, None] / 60.0)
     coarse = replace(samples, wrench=np.round(np.tile(slow, 6), 1))  # [N]; without noise
-    found = channel_noise(coarse).wrench
+    found = noise.channel_noise(coarse).wrench
     np.testing.assert_allclose(found, 0.1 / np.sqrt(12.0), rtol=0.01)
-    for count in (0, 3, MIN_DIFFERENCES + 2):
-        assert np.isnan(channel_noise(samples[:count]).values).all()
+    for count in (0, 3, noise.MIN_DIFFERENCES + 2):
+        assert np.isnan(noise.channel_noise(samples[:count]).values).all()
     samples.wrench[:, 0], samples.wrench[:, 1] = 0.0, np.nan
-    assert np.isnan(channel_noise(samples).wrench).tolist() == [True] * 2 + [False] * 4
+    assert np.isnan(noise.channel_noise(samples).wrench).tolist() == [True] * 2 + [False] * 4
 
 
 def test_smoothing_keeps_linear_motion_and_averages_the_noise(rng):
-    samples, noise = noisy_samples(91), POSE_NOISE * rng.normal(size=(800, 6))
+    samples, jitter = noisy_samples(91), POSE_NOISE * rng.normal(size=(800, 6))
     drift = np.outer(samples.time, POSE_NOISE)
     still, steady = (
-        replace(samples, position=pose[:, :3], rotation=pose[:, 3:]) for pose in (noise, drift)
+        replace(samples, position=pose[:, :3], rotation=pose[:, 3:]) for pose in (jitter, drift)
     )
     # Rotations about different axes do not add up exactly: (0.4 rad)^2 of some mrad.
-    np.testing.assert_allclose(smooth_poses(steady, 2.0).pose, drift, atol=2e-5)
-    ratio = smooth_poses(still, 2.0).pose.std(axis=0) / noise.std(axis=0)
+    np.testing.assert_allclose(noise.smooth_poses(steady, 2.0).pose, drift, atol=2e-5)
+    ratio = noise.smooth_poses(still, 2.0).pose.std(axis=0) / jitter.std(axis=0)
     np.testing.assert_allclose(ratio, 1.0 / 3.0, rtol=0.15)  # nine samples at 4 Hz
-    assert smoothing_gain(still, 2.0) == pytest.approx(1.0 / 9.0, rel=0.05)
+    assert noise.smoothing_gain(still, 2.0) == pytest.approx(1.0 / 9.0, rel=0.05)
 
 
 def test_smoothing_does_not_reach_across_a_gap_fills_nothing_and_holds_in_any_frame():
@@ -228,11 +220,11 @@ def test_smoothing_does_not_reach_across_a_gap_fills_nothing_and_holds_in_any_fr
     position[30] = np.nan
     stamps = samples.stamps + 500_000_000 * late
     apart = replace(samples, stamps=stamps, position=position)
-    smooth = smooth_poses(apart, 4.0)
+    smooth = noise.smooth_poses(apart, 4.0)
     np.testing.assert_allclose(smooth.position, position, atol=1e-15)
     assert np.isnan(smooth.rotation[30]).all() and np.isfinite(smooth.rotation[29]).all()
     around = Rotation.from_rotvec([0.0, 0.0, np.pi])  # rotation vectors jump there
     vectors = (around * Rotation.from_rotvec(samples.rotation)).as_rotvec()
-    turned = smooth_poses(replace(samples, rotation=vectors), 2.0).rotation
-    expected = around * Rotation.from_rotvec(smooth_poses(samples, 2.0).rotation)
+    turned = noise.smooth_poses(replace(samples, rotation=vectors), 2.0).rotation
+    expected = around * Rotation.from_rotvec(noise.smooth_poses(samples, 2.0).rotation)
     assert (expected.inv() * Rotation.from_rotvec(turned)).magnitude().max() < 1e-12

@@ -13,19 +13,6 @@ from socket_testbed.errors import TestbedError
 from socket_testbed.identification import pareto
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.fit import fit_contact_model
-from socket_testbed.identification.pareto import (
-    KNEE,
-    RESOLUTION,
-    SENSOR_ONLY,
-    WRENCH_ONLY,
-    Front,
-    FrontPoint,
-    find_knee,
-    find_non_dominated,
-    front_document,
-    front_table,
-    pareto_front,
-)
 from socket_testbed.identification.solver import UncertifiedSolutionError, solve_box_qp
 from socket_testbed.settings.identification import PAPER_VARIANTS
 
@@ -38,7 +25,7 @@ def test_every_solution_is_the_fit_at_its_theta_with_errors_over_the_size_of_wha
     samples.local_forces[:, 0, 2] = np.nan  # a channel that is left out may be dead
     # Neither theta nor variant matter.
     settings = replace(settings, theta=1.0, variant="rigid")
-    fronts = pareto_front(samples, geometry, settings, THETAS)
+    fronts = pareto.pareto_front(samples, geometry, settings, THETAS)
     assert tuple(fronts) == PAPER_VARIANTS
     measured = dict(zip(samples.channels, samples.trusted_values.T, strict=True))
     counted = [name for name in samples.channels if name not in leave_out]
@@ -74,22 +61,22 @@ def test_what_nothing_decides_is_not_on_the_front():
     island = {i for i in range(len(geometry)) if i not in geometry.clusters.values()}
     pairs = [p for p in geometry.neighbours if (p[0] in island) == (p[1] in island)]
     split = replace(geometry, neighbours=np.array(pairs))
-    for front in pareto_front(samples, split, settings, THETAS).values():
+    for front in pareto.pareto_front(samples, split, settings, THETAS).values():
         assert "Stage 1" in front.flaws[0] and "determine" in front.flaws[0]
         assert not front.sound[0] and not front.non_dominated[0]
-        assert SENSOR_ONLY not in front.marks
+        assert pareto.SENSOR_ONLY not in front.marks
     with refused(TestbedError, "more smoothness"):
-        pareto_front(samples, geometry, replace(settings, smoothness=0.0), THETAS)
+        pareto.pareto_front(samples, geometry, replace(settings, smoothness=0.0), THETAS)
 
 
 def test_an_uncertified_solution_is_flagged_and_the_walk_goes_on(monkeypatch):
     geometry, _, samples, settings = make_case(42)
-    expected = pareto_front(samples, geometry, settings, THETAS)
+    expected = pareto.pareto_front(samples, geometry, settings, THETAS)
     missed = UncertifiedSolutionError("missed", "hint")
     # Both stages without and with offsets at each theta; here Stage 1 is missed at the second.
     solve = Mock(wraps=solve_box_qp, side_effect=[*[DEFAULT] * 3, missed, *[DEFAULT] * 9])
     monkeypatch.setattr(pareto, "solve_box_qp", solve)
-    fronts = pareto_front(samples, geometry, settings, THETAS)
+    fronts = pareto.pareto_front(samples, geometry, settings, THETAS)
     for variant, front in fronts.items():
         assert front.flaws == ("", "missed", "", "", "") and np.isnan(front.rmse[1]).all()
         for name in ("wrench_error", "local_error"):
@@ -106,15 +93,15 @@ def test_what_is_kept_is_what_the_definition_keeps():
         better = (wrench[:, None] <= wrench) & (local[:, None] <= local)
         better &= (wrench[:, None] < wrench) | (local[:, None] < local)
         dominated = (better & sound[:, None]).any(axis=0)
-        found = find_non_dominated(wrench, local, sound)
+        found = pareto.find_non_dominated(wrench, local, sound)
         np.testing.assert_array_equal(found, sound & ~dominated)
 
 
 def test_the_knee_of_a_hyperbola_is_where_its_slope_is_the_chord_s_and_without_one_it_is_said_why():
     def knee_of(wrench, local):
         wrench, local = np.array(wrench, dtype=float), np.array(local, dtype=float)
-        kept = find_non_dominated(wrench, local, np.ones(len(wrench), dtype=bool))
-        return find_knee(wrench, local, kept)
+        kept = pareto.find_non_dominated(wrench, local, np.ones(len(wrench), dtype=bool))
+        return pareto.find_knee(wrench, local, kept)
 
     x = np.geomspace(0.1, 10.0, 401)  # y = 1 / x: the slope is the chord's at the middle
     knee = knee_of(0.05 * x, 7.0 / x)
@@ -123,7 +110,7 @@ def test_the_knee_of_a_hyperbola_is_where_its_slope_is_the_chord_s_and_without_o
     assert knee.span == pytest.approx((9.9 * 0.05, 9.9 * 7.0))
     line = np.linspace(0.0, 1.0, 9)
     for wrench, local, reason in (
-        ([0.3, 0.3 + 0.9 * RESOLUTION], [0.5, 0.2], "nothing to trade off"),
+        ([0.3, 0.3 + 0.9 * pareto.RESOLUTION], [0.5, 0.2], "nothing to trade off"),
         (line, 1.0 - line, "straight"),
         ([], [], "without flaw"),
     ):
@@ -138,20 +125,20 @@ def test_a_front_marks_its_ends_and_its_knee_but_nothing_flawed():
     for i, t in enumerate(np.linspace(0.0, 1.0, 11)):
         errors = (0.1 + 0.01 / (t + 0.01), 0.1 + 0.01 / (0.81 - t)) if i < 9 else (2.0 + t, 2.0)
         rmse = np.arange(1.0, 7.0) * (1.0 + t)
-        points.append(FrontPoint(float(t), None, rmse, *errors, 1e-12 * (i + 1)))
-    front = Front("stiffness", channels, points)
-    assert front.marks == {SENSOR_ONLY: 0, KNEE: 4, WRENCH_ONLY: 10}
+        points.append(pareto.FrontPoint(float(t), None, rmse, *errors, 1e-12 * (i + 1)))
+    front = pareto.Front("stiffness", channels, points)
+    assert front.marks == {pareto.SENSOR_ONLY: 0, pareto.KNEE: 4, pareto.WRENCH_ONLY: 10}
     assert front.non_dominated.tolist() == [True] * 9 + [False] * 2
     groups = (front.moment_rmse, front.force_rmse, front.local_rmse)
     np.testing.assert_allclose(groups, np.outer([1.0, 2.5, 5.0], 1.0 + front.theta))
-    points[4] = FrontPoint(0.4, None, np.full(6, np.nan), np.nan, np.nan, np.nan, "none")
+    points[4] = pareto.FrontPoint(0.4, None, np.full(6, np.nan), np.nan, np.nan, np.nan, "none")
     for flawed in (0, 8, 10):
         points[flawed] = replace(points[flawed], flaw="not determined")
-    spoilt = Front("stiffness", channels, points)
+    spoilt = pareto.Front("stiffness", channels, points)
     assert not spoilt.non_dominated[[0, 4, 8, 10]].any()
-    assert set(spoilt.marks) == {KNEE} and spoilt.marks[KNEE] in (3, 5)
+    assert set(spoilt.marks) == {pareto.KNEE} and spoilt.marks[pareto.KNEE] in (3, 5)
     assert spoilt.worst_residual == pytest.approx(10e-12)
-    assert front_table([front, spoilt]).loc[15, "flaw"] == "none"
-    document = json.loads(json.dumps(front_document(spoilt), allow_nan=False))
+    assert pareto.front_table([front, spoilt]).loc[15, "flaw"] == "none"
+    document = json.loads(json.dumps(pareto.front_document(spoilt), allow_nan=False))
     assert document["marks"].keys() == spoilt.marks.keys()
     assert document["solutions"][4]["rmse"]["Mx"] is None  # JSON has no NaN

@@ -65,10 +65,7 @@ def test_the_regression_finds_a_linear_law_and_ignores_a_pose_that_does_not_move
     samples.rotation[:, 1] = 0.3  # constant
     samples.rotation[:, 2] = 2.0 * samples.position[:, 0]  # another's multiple
     samples.wrench[:] = samples.pose[:, :4] @ slope[:4]
-    predict, moved = (
-        validation.wrench_predictors(samples[:30], {})[fit.REGRESSION],
-        samples.pose,
-    )
+    predict, moved = (validation.wrench_predictors(samples[:30], {})[fit.REGRESSION], samples.pose)
     assert np.allclose(predict(moved), samples.wrench)
     moved[:, 4] = 0.4
     assert np.allclose(predict(moved), samples.wrench)
@@ -153,9 +150,8 @@ def test_intervals_hold_what_they_say_and_tiles_with_a_sensor_do_not_count(rng):
     assert too_sure.coverage[2] < 0.93
 
     closed = rivals(geometry)[validation.CLOSED]
-    (judged,) = validation.judge_tiles(
-        samples, geometry, truth, {validation.CLOSED: closed}, "second half"
-    )
+    own = {validation.CLOSED: closed}
+    (judged,) = validation.judge_tiles(samples, geometry, truth, own, "second half")
     bare = np.setdiff1d(np.arange(len(geometry)), [*geometry.clusters.values()])
     missed = (closed(samples)[0] - truth)[:, bare]
     expected = np.sqrt(np.mean(missed**2) / np.mean(truth[:, bare] ** 2))

@@ -244,9 +244,7 @@ def test_it_fits_by_itself_once_the_window_holds_enough(bench: Bench) -> None:
     assert len(bench.fitter.requests) == 2
 
 
-def test_it_fits_again_after_new_samples_and_a_fit_that_fails_leaves_the_model(
-    fitted: Bench, fit: Fit
-) -> None:
+def test_it_fits_again_and_a_fit_that_fails_leaves_the_model(fitted: Bench, fit: Fit) -> None:
     """Models of alike settings are compared; a model whose settings have changed is replaced."""
     fitted.send(29, start=20)
     assert len(fitted.fitter.requests) == 1
@@ -310,9 +308,7 @@ def test_the_model_that_is_better_on_the_newest_samples_stays(trial: Trial, fit:
         assert "the newest 24 samples a refit has an error of 0.0" in text
 
 
-def test_a_stored_model_predicts_from_the_first_sample_unless_it_is_of_another_socket(
-    bench: Bench, hold_model: Path, tmp_path: Path
-) -> None:
+def test_a_stored_model_predicts_at_once(bench: Bench, hold_model: Path, tmp_path: Path) -> None:
     document = json.loads(hold_model.read_text())
     tile = next(iter(document["geometry"]["tiles"].values()))
     tile["anchor"][2] += 0.01
@@ -352,9 +348,7 @@ def samples(trial: Trial) -> Samples:
 
 
 @pytest.mark.graph
-def test_a_process_fits_without_averaging_poses_and_is_replaced_when_killed(
-    worker: FitWorker, trial: Trial, samples: Samples
-) -> None:
+def test_a_killed_worker_is_replaced(worker: FitWorker, trial: Trial, samples: Samples) -> None:
     averaging = dataclasses.replace(SETTINGS, pose_smoothing=2.0)
     work = (fit_samples, samples, trial.geometry, averaging, STEADY)
     refit = worker.run(*work).result(HANGS)
@@ -374,9 +368,7 @@ def test_a_process_fits_without_averaging_poses_and_is_replaced_when_killed(
 # --- what is fitted
 
 
-def test_the_newest_stretch_since_a_slip_is_fitted_and_judged_by_the_newest_samples(
-    trial: Trial, samples: Samples
-) -> None:
+def test_the_newest_stretch_since_a_slip_is_fitted(trial: Trial, samples: Samples) -> None:
     """A cluster slips by 20 N in the middle of a hold."""
     row = len(samples) // 2
     local = samples.local_forces.copy()
@@ -410,9 +402,15 @@ def test_the_newest_stretch_since_a_slip_is_fitted_and_judged_by_the_newest_samp
     assert refit(samples[: row + 16], after).is_worse
 
 
-def test_without_enough_steady_data_that_is_newer_than_the_model_s_there_is_no_fit(
-    trial: Trial, samples: Samples
-) -> None:
+def test_outliers_do_not_end_a_stretch(trial: Trial, samples: Samples) -> None:
+    wrench, position = samples.wrench.copy(), samples.position.copy()
+    wrench[[20, 30], 3], position[40] = 1e9, 5.0
+    spoilt = dataclasses.replace(samples, wrench=wrench, position=position)
+    clean, found = (fit_samples(s, trial.geometry, SETTINGS, STEADY) for s in (samples, spoilt))
+    assert found.fit.samples == clean.fit.samples - 3
+
+
+def test_without_enough_newer_steady_data_there_is_no_fit(trial: Trial, samples: Samples) -> None:
     older = dataclasses.replace(STEADY, after=int(samples.stamps[-1]))
     for some, steady in (
         (samples, older),
@@ -421,9 +419,6 @@ def test_without_enough_steady_data_that_is_newer_than_the_model_s_there_is_no_f
     ):
         assert fit_samples(some, trial.geometry, SETTINGS, steady) is None
     negated = dataclasses.replace(samples, wrench=-samples.wrench)
-    for wrong, condition, text in (
-        (negated, STEADY, "negated"),
-        (samples[:0], None, "only 0 of 0"),
-    ):
+    for wrong, steady, text in ((negated, STEADY, "negated"), (samples[:0], None, "only 0 of 0")):
         with refused(IdentificationError, text):
-            fit_samples(wrong, trial.geometry, SETTINGS, condition)
+            fit_samples(wrong, trial.geometry, SETTINGS, steady)

@@ -32,9 +32,7 @@ signal.pause()
 
 
 @pytest.mark.graph
-def test_a_graph_ends_with_what_it_needs_and_goes_on_without_what_is_optional(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_graph_ends_with_what_it_needs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first OK of a node that was killed is a recovery."""
     (tmp_path / "worker.py").write_text(NODE)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=":")
@@ -82,9 +80,7 @@ def test_all_threads_get_what_is_set_or_a_refusal_says_so() -> None:
     assert not refused or "scheduling.priority 7 is refused" in refused[0]
 
 
-def test_hardware_keeps_to_real_time(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_hardware_keeps_to_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(clocks, "_scale", 0.5)
     for make in (
         lambda: hardware.make_trigger(acquisition.TriggerSettings()),

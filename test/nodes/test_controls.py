@@ -1,9 +1,12 @@
 """A person at a testbed: the stamp of an event, each service, the status line."""
 
+import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -32,19 +35,31 @@ from socket_testbed.trials.trial import Trial
 EPOCH = 1_795_000_000_000_000_000  # [ns]
 
 
-def test_the_stamp_is_when_it_was_called_in_the_time_of_triggers() -> None:
-    """Whatever their speed; those that a busy machine held up count little."""
-    late = 0.002 * np.random.default_rng(1).exponential(size=20)
-    burst = np.zeros(20)
-    burst[[3, 4, 5, 9, 14, 17]] = 0.8, 0.55, 0.3, 0.2, 0.4, 0.15
-    for speed, delays, tolerance in ((1.0, late, 2e7), (0.25, late, 2e7), (1.0, burst, 1.0)):
-        sent = 0.25 / speed * np.arange(20)  # 4 Hz in testbed time
-        stamps = EPOCH + np.round(sent * speed * 1e9).astype(np.int64)
+def test_an_event_has_the_time_of_its_call_at_any_scale(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Late triggers count little; those of a testbed before, at another scale, not at all."""
+    rng, node, heard = np.random.default_rng(1), Mock(), []
+    node.count_publishers.return_value, node.count_subscribers.return_value = 0, 1
+    publisher = node.create_publisher.return_value
+    publisher.get_subscription_count.return_value = 1
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: 100.0))
+
+    def wait(condition: Callable[[], bool], _: float) -> bool:
+        while heard and not condition():
+            marker._triggers.append(heard.pop(0))
+        return condition()
+
+    marker = module.EventMarker(node, wait)
+    for scale, late in product((1.0, 0.25, 0.0625, 1.0), (0, 8)):
+        sent = 0.05 / scale * np.arange(400)  # 20 Hz in testbed time
+        delays = 0.002 * rng.exponential(size=400)
+        delays[:late] = 0.9  # as while a busy machine discovers a subscriber
+        delays[8::6] += rng.uniform(0.1, 0.25 + 0.05 / scale, size=66)
         arrivals = np.maximum.accumulate(100.0 + sent + delays)
-        heard = list(zip(arrivals.tolist(), stamps.tolist(), strict=True))
-        for ago in (0.0, 2.0):
-            found = stamp_by_triggers(100.0 - ago, heard)
-            assert abs(found - (EPOCH - round(ago * speed * 1e9))) < tolerance
+        stamps = EPOCH + np.round(sent * scale * 1e9).astype(np.int64)
+        heard[:] = zip(arrivals.tolist(), stamps.tolist(), strict=True)
+        marker.mark("push", 96.0)
+        found = stamp_of(publisher.publish.call_args.args[0])
+        assert found == pytest.approx(EPOCH - 4e9 * scale, abs=1e7 * scale), (scale, late)
     # One, or a burst alone, is in real time.
     assert stamp_by_triggers(99.0, [(100.0, EPOCH)]) == EPOCH - 10**9
     two = [(100.0, EPOCH), (100.0 + 1e-5, EPOCH + 250_000_000)]
@@ -101,9 +116,8 @@ def test_predictions_are_judged_over_the_last_seconds() -> None:
     for k in range(100):
         off = [0.0, -0.2, 0.0, 30.0 if k < 52 else 3.0, 0.0, 0.0]
         wrenches = {topics.WRENCH: WRENCHES, topics.ESTIMATED_WRENCH: WRENCHES + off}
-        found.append(
-            [(t, messages.wrench_packer()(k * PERIOD, own)) for t, own in wrenches.items()]
-        )
+        pack = messages.wrench_packer()
+        found.append([(topic, pack(k * PERIOD, own)) for topic, own in wrenches.items()])
     assert fed(found[0][:1]).errors() is None
     assert fed(*found).errors() == pytest.approx((np.sqrt(3.0), 0.2 / np.sqrt(3.0)))
 
@@ -160,9 +174,7 @@ def force_tare(live: LiveTestbed) -> None:
 
 
 @pytest.mark.graph
-def test_a_trial_is_recorded_with_a_name_and_metadata_and_an_event(
-    live: LiveTestbed, act: Callable[..., str]
-) -> None:
+def test_a_trial_is_recorded_as_stated(live: LiveTestbed, act: Callable[..., str]) -> None:
     announced = live.probe.listen(topics.RECORDED_TRIAL)
     live.probe.wait(lambda: [m.data for m in announced][-1:] == ["s01"], "the first trial")
     with refused(TestbedError, "cannot tare: the trial s01 is being recorded"):
@@ -178,8 +190,16 @@ def test_a_trial_is_recorded_with_a_name_and_metadata_and_an_event(
         act("record", trial="stairs", mass="heavy")
     assert act("record", trial="stairs", subject="S02", mass="70").endswith("s01_stairs")
     live.wait_for_triggers(5)
-    with ThreadPoolExecutor() as pool:  # at once
-        marked = list(pool.map(lambda label: act("mark", label=label), ("push", "step")))
+    recorder = live.graph._members["recorder_node"].process
+    with ThreadPoolExecutor() as pool:  # at once, while the recorder stands
+        recorder.send_signal(signal.SIGSTOP)
+        try:
+            marking = [pool.submit(act, "mark", label=label) for label in ("push", "step")]
+            live.wait_for_triggers(30)  # nobody else waits for it
+            assert not any(mark.done() for mark in marking)
+        finally:
+            recorder.send_signal(signal.SIGCONT)
+    marked = [mark.result() for mark in marking]
     assert marked == [f"marked '{label}' in the trial s01_stairs" for label in ("push", "step")]
     live.wait_for_triggers(5)
     act("stop recording")
@@ -198,9 +218,7 @@ def test_a_trial_is_recorded_with_a_name_and_metadata_and_an_event(
 
 
 @pytest.mark.graph
-def test_the_trigger_is_switched_and_a_tare_outlives_its_node(
-    live: LiveTestbed, act: Callable[..., str]
-) -> None:
+def test_triggers_stop_and_tares_outlive_kills(live: LiveTestbed, act: Callable[..., str]) -> None:
     act("stop recording")  # a tare would be refused
     act("trigger-off")
     live.wait_for("trigger_node", "WARN", "not enabled: call trigger/enable")

@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.srv import DescribeParameters
 from std_srvs.srv import Trigger as TriggerService
 from support import HANGS
+from support.bags import copying
 from support.graph import Probe
 from support.problems import ring_socket
 from support.verbs import COMMAND, program
@@ -38,9 +40,7 @@ pytestmark = pytest.mark.graph
 NO_FIT = testbed.EstimatorSettings(auto_fit=False)
 
 
-def test_every_sample_of_a_repaired_trial_is_predicted_as_offline(
-    hold: Path, hold_model: Path, tmp_path: Path
-) -> None:
+def test_a_replay_predicts_as_offline(hold: Path, hold_model: Path, tmp_path: Path) -> None:
     """Wrenches and poses are recomputed where another geometry or tare is given."""
     own = Trial(hold).geometry
     turned = dataclasses.replace(own, socket_markers=own.socket_markers[:, [1, 2, 0]])
@@ -112,6 +112,18 @@ def test_a_replay_keeps_no_more_ahead_than_writers_send_again(hold: Path) -> Non
         graph.wait("replay_node")
 
 
+def test_a_trial_that_ends_within_a_sample_keeps_nobody_waiting(hold: Path, tmp_path: Path) -> None:
+    """As 'ros2 bag record' leaves it."""
+    with copying(hold, tmp_path / "cut") as (old, new):
+        raws = list(old.messages())[: 7 * 60]
+        while raws[-1].topic != f"/{topics.TRIGGER.name}":
+            raws.pop()
+        for raw in raws:
+            new.write(raw.topic, raw.time, raw.data)
+    code, _, err = program(*COMMAND, "replay", tmp_path / "cut", "--rate", 20, "--estimate")
+    assert code == 0 and "not processed" not in err
+
+
 def test_a_node_that_cannot_start_says_why_in_one_line() -> None:
     """A program with a node's name runs that node, as `ros2 run socket_testbed NODE` does."""
     words = ["/bin/calibration_node", "--ros-args", "-p", "calibration:=nowhere.yaml"]
@@ -147,10 +159,8 @@ def test_a_map_of_another_socket_is_named_and_not_drawn() -> None:
         def shows(geometry, drawn: bool) -> bool:
             publisher.publish(force_map_packer(geometry.names)(1, estimate))
             found = source.now(None)
-            words = found["cards"][-1]["words"]
-            return ("pressure" in found["moment"]) is drawn and (
-                ("another socket" in words) is not drawn
-            )
+            another = "another socket" in found["cards"][-1]["words"]
+            return ("pressure" in found["moment"], another) == (drawn, not drawn)
 
         probe.wait(lambda: shows(own, True), "the map")
         probe.wait(lambda: shows(other, False), "that it is of another socket")
@@ -195,6 +205,26 @@ def test_the_calibration_node_says_which_cluster_it_does_not_know(estimating) ->
     known, unknown = stresses[0].clusters
     assert known.status == 0 and np.isfinite([known.normal, known.shear_x, known.shear_y]).all()
     assert unknown.status == 2 and np.isnan(unknown.normal)
+
+
+def test_parameters_are_described_checked_and_changed_at_run_time(estimating) -> None:
+    _, probe = estimating
+    request = DescribeParameters.Request(names=["identification.theta"])
+    service = "estimator_node/describe_parameters"
+    (described,) = probe.call(DescribeParameters, service, request).descriptors
+    (bounds,) = described.floating_point_range
+    assert "wrench" in described.description
+    assert (bounds.from_value, bounds.to_value) == (0.0, 1.0)
+    for name, value, reason in (
+        ("theta", 1.5, ""),  # the middleware's own words
+        ("variant", "stifness_bias", "did you mean 'stiffness_bias'?"),
+        ("solver", "osqqp", "did you mean 'osqp'?"),
+        ("leave_out", None, "cannot be deleted: set it to another value"),
+    ):
+        (refusal,) = probe.refusals("estimator_node", **{f"identification__{name}": value})
+        assert refusal and reason in refusal
+    for theta in (0.25, 1, 0.5):
+        assert not probe.refusals("estimator_node", identification__theta=theta)
 
 
 def test_a_fit_when_asked_answers_and_predicts(hold: Path, estimating) -> None:

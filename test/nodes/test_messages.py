@@ -40,9 +40,7 @@ CONTRACT = {
     ),
     "RigidBodyMarkers": "string name; geometry_msgs/Point[] markers",
     "RigidBodyMarkersArray": "std_msgs/Header header; RigidBodyMarkers[] bodies",
-    "ClusterStress": (
-        "string name; float64 normal; float64 shear_x; float64 shear_y; uint8 status"
-    ),
+    "ClusterStress": "string name; float64 normal; float64 shear_x; float64 shear_y; uint8 status",
     "ClusterStressArray": "std_msgs/Header header; ClusterStress[] clusters",
     "LocalForceArray": ("std_msgs/Header header; string[] names; geometry_msgs/Vector3[] forces"),
     "ForceMap": (
@@ -150,9 +148,8 @@ def test_what_ros_sends_is_read_and_what_is_packed_is_what_ros_sends(topic: topi
         else:
             expected = numbers_of(layout.decode(data, topic.type), topic.type)[2:]
         np.testing.assert_equal(list(flat(values)), expected)
-        message.header.frame_id = (
-            "world" if topic in (topics.SOCKET_POSE, topics.MARKERS) else "load_cell"
-        )
+        in_world = topic in (topics.SOCKET_POSE, topics.MARKERS)
+        message.header.frame_id = "world" if in_world else "load_cell"
         packed = PACK[topic](stamp, values, message)
         assert len(packed) == len(serialize_message(message))
         if topic is topics.LOAD_CELL_RAW:
@@ -162,9 +159,8 @@ def test_what_ros_sends_is_read_and_what_is_packed_is_what_ros_sends(topic: topi
 
 def test_two_clusters_of_one_name_are_missing() -> None:
     clusters = [{"name": name, "normal": 1.0} for name in ("distal", "distal", "other")]
-    data = layout.encode(
-        layout.make_message(topics.STRESS.type, clusters=clusters), topics.STRESS.type
-    )
+    message = layout.make_message(topics.STRESS.type, clusters=clusters)
+    data = layout.encode(message, topics.STRESS.type)
     found = messages.Reader(topics.STRESS).read(data)[1]
     assert np.isnan(found["distal"][0]).all() and found["distal"][1] == Status.MISSING
     assert found["other"][1] == Status.OK

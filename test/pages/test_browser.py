@@ -68,9 +68,7 @@ class Tab:
         self.page.context.close()
 
 
-def test_a_report_opens_with_its_answer_and_its_time_line_moves_the_map(
-    browser: Browser, hold: Path, tmp_path: Path
-) -> None:
+def test_a_report_opens_and_moves_in_time(browser: Browser, hold: Path, tmp_path: Path) -> None:
     page = tmp_path / "hold.html"
     results = st.write_report(st.open_trial(hold), page, thetas=3)
     peak = 1e-3 * results.pressure.outputs.peak_map.normal_pressure.max()

@@ -29,12 +29,8 @@ def rng():
 
 
 def test_a_thinned_line_keeps_its_peaks_its_order_and_its_gaps(rng):
-    for count, most in (
-        (10, 100),
-        (1001, style.MAX_POINTS),
-        (12_345, 10),
-        (12_345, style.MAX_POINTS),
-    ):
+    many = style.MAX_POINTS
+    for count, most in ((10, 100), (1001, many), (12_345, 10), (12_345, many)):
         x, y = np.arange(count) / 4.0, rng.normal(size=count)
         thin_x, thin_y = style.thin(x, y, most)
         assert len(thin_x) <= most
@@ -111,12 +107,8 @@ def test_regions_have_their_lines_bands_and_events(rng):
 @pytest.fixture(scope="module")
 def figures(results: Results) -> dict:
     """What draws every figure of the report, by its name."""
-    return {
-        f.name: f.draw
-        for makers in SECTIONS.values()
-        for make in makers
-        for f in make(results).figures
-    }
+    made = (make(results) for makers in SECTIONS.values() for make in makers)
+    return {figure.name: figure.draw for section in made for figure in section.figures}
 
 
 @style.in_style  # as figures are saved

@@ -52,9 +52,7 @@ def test_the_summary_has_the_numbers_of_every_model_and_its_weakness(results, ho
 
 
 @pytest.mark.usefixtures("few_variants")
-def test_what_is_left_out_is_marked_and_a_dead_channel_then_costs_no_sample(
-    spoilt, tmp_path, monkeypatch
-):
+def test_what_is_left_out_is_marked_and_costs_no_sample(spoilt, tmp_path, monkeypatch):
     monkeypatch.setattr("socket_testbed.report.results.pareto_front", lambda *_, **__: {})
 
     def kill(topic: str, message):
@@ -82,9 +80,7 @@ def test_without_a_front_or_a_validation_the_rest_stands(hold, monkeypatch):
     assert "held-out the" not in " ".join(summarise(results))
 
 
-def test_a_page_that_cannot_be_written_is_refused_and_nothing_is_left(
-    results, tmp_path, monkeypatch
-):
+def test_a_page_that_cannot_be_written_leaves_nothing(results, tmp_path, monkeypatch):
     with refused(ConfigurationError, "page.pdf", ".html"):
         check_page_path(tmp_path / "page.pdf")
     for taken in ("page.html", "page_files"):

@@ -65,9 +65,7 @@ def test_the_page_loads_nothing_shows_pictures_first_and_says_what_they_show(pag
     assert len(pictures) >= 7 and all(len(a["aria-label"]) > 20 for a in pictures)
 
 
-def test_the_errors_on_the_page_and_in_the_file_are_those_of_the_evaluation(
-    page, page_path, results
-):
+def test_the_errors_on_page_and_in_file_are_those_of_the_evaluation(page, page_path, results):
     found = pd.read_csv(files_folder(page_path) / "errors.csv").groupby(["model", "samples of"])
     for table, part, rows_of in (
         ("errors", "segment", results.in_segment),
@@ -98,9 +96,8 @@ def printed(text: str):
 
 def test_the_pressure_on_the_page_is_that_of_the_api(page, page_path, results):
     found = st.pressure(results.trial).regions
-    names = {
-        title: [title, *(interval_end(title, end) for end in ("low", "high"))] for title in TITLES
-    }
+    ends = ("low", "high")
+    names = {title: [title, *(interval_end(title, end) for end in ends)] for title in TITLES}
     for table in ("pressure-regions", "pressure-shear"):
         header, *rows = page.tables[table]
         assert [row[0] for row in rows] == list(found.index)

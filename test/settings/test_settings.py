@@ -68,10 +68,8 @@ def test_a_file_of_parameters_gives_the_settings_of_its_nodes_over_those_of_anot
     )
     estimator = found.estimator_node
     assert (estimator.identification.theta, estimator.plateau.smoothing) == (1.0, 4.0)
-    assert (
-        estimator.identification.leave_out == ("Mz",)
-        and estimator.window == testbed.WindowSettings()
-    )
+    assert estimator.identification.leave_out == ("Mz",)
+    assert estimator.window == testbed.WindowSettings()
     first = read("trigger_node: {ros__parameters: {rate: 9, pulse: 1e-3}}")
     second = read("trigger_node: {ros__parameters: {rate: 7}}", first)
     assert second.trigger_node == TriggerSettings(rate=7.0)

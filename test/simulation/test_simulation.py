@@ -72,9 +72,8 @@ def test_the_static_hold_is_the_paper_s_and_the_protocol_pushes_before_it() -> N
 def measure(window: float, rate: float = 4.0, **errors: float):
     """A trial of 100 samples, and the errors of the limb's measured position [m]."""
     sizes = dataclasses.replace(PERFECT, **errors)
-    trial = simulate(
-        GEOMETRY, CALIBRATION, "ramp", 100.0 / rate, rate, 2, errors=sizes, mocap_window=window
-    )
+    measured = {"errors": sizes, "mocap_window": window}
+    trial = simulate(GEOMETRY, CALIBRATION, "ramp", 100.0 / rate, rate, 2, **measured)
     limb_pose = GEOMETRY.limb_pose(trial.poses["socket"], trial.poses["pylon"])
     return trial, limb_pose.translation - trial.truth.position
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import f, kstest
-from support import motive_takes, wording
+from support import takes, wording
 from support.problems import SOCKET_TRIAD, random_pose
 
 from socket_testbed.errors import RegistrationError
@@ -23,38 +23,36 @@ from socket_testbed.socket_design.registration import (
 
 
 def test_a_body_of_more_markers_is_registered_in_the_frame_of_its_first(rng, tmp_path):
-    bench = motive_takes.make_bench(rng)
-    names, markers = [*motive_takes.SOCKET_NAMES, "Extra0", "Extra1"], bench.take.markers
+    bench = takes.make_bench(rng)
+    names, markers = [*takes.SOCKET_NAMES, "Extra0", "Extra1"], bench.take.markers
     extra = np.array([[0.02, 0.06, 0.01], [-0.05, 0.01, 0.045]])
-    into_own = motive_takes.own_frame_of(SOCKET_TRIAD).inverse()
-    own = motive_takes.own_frame_of(triads(bench)[0])
+    into_own = takes.own_frame_of(SOCKET_TRIAD).inverse()
+    own = takes.own_frame_of(triads(bench)[0])
     for name, place in zip(names[3:], own.apply(into_own.apply(extra)), strict=True):
         markers[name] = place + rng.normal(0.0, 1e-4, (len(bench.take), 3))
     exchanged = np.array([markers[names[-1]][:20], markers[names[0]][:20]])  # labels, at first
     markers[names[0]][:20], markers[names[-1]][:20] = exchanged
     markers[names[3]][50] = np.nan
     bench.document["bodies"]["socket"] = names
-    found = motive_takes.register(bench, tmp_path)
+    found = takes.register(bench, tmp_path)
     assert found.socket.still.used.sum() == 59
     true = bench.socket_body.apply(into_own.apply(np.vstack([SOCKET_TRIAD, extra])))
     body = found.geometry.socket_body.apply(found.geometry.socket_markers)
     np.testing.assert_allclose(body, true, atol=5e-4)
 
 
-def triads(bench: motive_takes.Bench) -> list[np.ndarray]:
+def triads(bench: takes.Bench) -> list[np.ndarray]:
     """True places of the markers of the socket and of the pylon [m]."""
-    return [
-        np.array([bench.places[n] for n in names])
-        for names in (motive_takes.SOCKET_NAMES, motive_takes.PYLON_NAMES)
-    ]
+    bodies = (takes.SOCKET_NAMES, takes.PYLON_NAMES)
+    return [np.array([bench.places[name] for name in names]) for names in bodies]
 
 
 def later(
-    bench: motive_takes.Bench, rng: np.random.Generator
+    bench: takes.Bench, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The true triads in a later frame, when all has moved, and the limb in the socket, and q."""
     socket, pylon = triads(bench)
-    cell_in_world = motive_takes.own_frame_of(socket) @ bench.socket_body.inverse()
+    cell_in_world = takes.own_frame_of(socket) @ bench.socket_body.inverse()
     turn = Rotation.from_rotvec(rng.normal(0.0, 0.05, 3)).as_matrix()
     in_cell = Pose(turn, bench.q - turn @ bench.q + rng.normal(0.0, 0.005, 3))
     moved, away = cell_in_world @ in_cell @ cell_in_world.inverse(), random_pose(rng, 1.0)
@@ -72,25 +70,25 @@ def limb_position(found: Registration, socket: np.ndarray, pylon: np.ndarray) ->
 
 
 def test_a_later_trial_gives_the_limb_position_whatever_the_body_s_frame(rng, tmp_path):
-    bench = motive_takes.make_bench(rng, noise=0.0, unit="Millimeters")
+    bench = takes.make_bench(rng, noise=0.0, unit="Millimeters")
     frame = random_pose(rng, 0.05)
-    tracked = motive_takes.track(bench, "Socket", motive_takes.SOCKET_NAMES, frame)
-    tracked = motive_takes.track(tracked, "Pylon", motive_takes.PYLON_NAMES, random_pose(rng, 0.05))
+    tracked = takes.track(bench, "Socket", takes.SOCKET_NAMES, frame)
+    tracked = takes.track(tracked, "Pylon", takes.PYLON_NAMES, random_pose(rng, 0.05))
     bodies = {name: {"rigid_body": name.title()} for name in ("socket", "pylon")}
     tracked.document = bench.document | {"bodies": bodies}
     pose = tracked.take.bodies["Socket"]
     pose.rotation[:9] = random_pose(rng, count=9).rotation
     pose.translation[9:20] = np.nan
-    own, motive = motive_takes.register(bench, tmp_path), motive_takes.register(tracked, tmp_path)
+    own, motive = takes.register(bench, tmp_path), takes.register(tracked, tmp_path)
     # A rigid body of Motive keeps its frame, though its tracking goes wrong at times.
     expected = own.geometry.socket_body @ frame
-    assert motive_takes.between(expected, motive.geometry.socket_body)[0] < 1e-6
+    assert takes.between(expected, motive.geometry.socket_body)[0] < 1e-6
     for found in (own, motive):
         for order in ([0, 1, 2], [2, 0, 1]):
             socket, pylon, q = later(bench, rng)
             np.testing.assert_allclose(limb_position(found, socket[order], pylon), q, atol=1e-7)
     pose.translation[20:40] = np.nan
-    assert "tracked its rigid body in 29 of 60 frames" in motive_takes.refused(tracked, tmp_path)
+    assert "tracked its rigid body in 29 of 60 frames" in takes.refused(tracked, tmp_path)
 
 
 # --- labels and stillness
@@ -146,7 +144,7 @@ TARGET = np.array([0.02, -0.03, 0.25])  # [m]; off the landmarks, as the limb is
 NOISE = 4e-4  # [m]
 
 
-NAMES = tuple(f"LC{i + 1}" for i in range(len(motive_takes.CELL)))
+NAMES = tuple(f"LC{i + 1}" for i in range(len(takes.CELL)))
 
 
 def normalised(fit: LandmarkFit, pose: Pose) -> float:
@@ -158,7 +156,7 @@ def normalised(fit: LandmarkFit, pose: Pose) -> float:
 def test_landmarks_give_the_pose_of_least_squares_within_its_stated_uncertainty(rng):
     """With a noise from the residuals it is an F of 3, 3k - 6."""
     for count in (3, 5):
-        known, names, found = motive_takes.CELL[:count], NAMES[:count], []
+        known, names, found = takes.CELL[:count], NAMES[:count], []
         for _ in range(400):
             pose = random_pose(rng, 1.0)
             measured = pose.apply(known) + rng.normal(0.0, NOISE, known.shape)
@@ -172,44 +170,44 @@ def test_landmarks_give_the_pose_of_least_squares_within_its_stated_uncertainty(
 
 
 def test_landmarks_that_hold_no_frame_are_refused(rng):
-    near = motive_takes.CELL[[0, 1, 2, 1]] + 1e-3 * np.eye(4, 3)
+    near = takes.CELL[[0, 1, 2, 1]] + 1e-3 * np.eye(4, 3)
     line = np.outer(np.arange(5), [0.02, 0.03, 0.0]) + rng.normal(0.0, 1e-3, (5, 3))
     for known, measured, fact in (
-        (motive_takes.CELL[:2], motive_takes.CELL[:2], "2 landmarks"),
+        (takes.CELL[:2], takes.CELL[:2], "2 landmarks"),
         (near, near, "LC2 and LC4 are given 1.0 mm apart"),
-        (motive_takes.CELL, line, "were measured on one line"),
+        (takes.CELL, line, "were measured on one line"),
     ):
         with wording.refused(RegistrationError, fact):
             register_landmarks(known, random_pose(rng).apply(measured), NAMES[: len(known)])
 
 
 def test_a_wrong_landmark_is_noted_then_refused_unless_forced(rng, tmp_path):
-    bench = motive_takes.make_bench(rng)
+    bench = takes.make_bench(rng)
     bench.document["limb"]["Limb:2"][0] += 0.006
-    found = motive_takes.register(bench, tmp_path)
+    found = takes.register(bench, tmp_path)
     assert any(note.startswith("limb: landmark Limb:2 is") for note in found.notes)
     bench.document["limb"]["Limb:2"][0] += 0.03
-    error = motive_takes.refused(bench, tmp_path)
+    error = takes.refused(bench, tmp_path)
     assert "limb: landmark Limb:2 is" in error and "at most 10 mm" in error and "--force" in error
-    forced = motive_takes.register(bench, tmp_path, force=True)
+    forced = takes.register(bench, tmp_path, force=True)
     assert np.trace(forced.covariance) > 30.0 * np.trace(found.covariance)
     for side in ("load_cell", "limb"):
-        bench = motive_takes.make_bench(rng, frames=20, landmarks=4)
+        bench = takes.make_bench(rng, frames=20, landmarks=4)
         for point in bench.document[side].values():
             point[1] *= -1.0  # mirrored, and off a plane
-        assert "mm off" in motive_takes.refused(bench, tmp_path)
+        assert "mm off" in takes.refused(bench, tmp_path)
 
 
 def test_landmarks_in_one_plane_are_noted_and_refused_if_the_limb_is_outside(rng, tmp_path):
-    bench = motive_takes.make_bench(rng, frames=20, landmarks=3)
-    notes = motive_takes.register(bench, tmp_path).notes
+    bench = takes.make_bench(rng, frames=20, landmarks=3)
+    notes = takes.register(bench, tmp_path).notes
     for side in ("load_cell: Cell:0, Cell:1, Cell:2", "limb: Limb:0, Limb:1, Limb:2"):
         assert any(note.startswith(f"{side} lie in one plane") for note in notes)
     for point in bench.document["limb"].values():
         point[2] *= -1.0  # the limb goes to the other side of its landmarks
-    error = motive_takes.refused(bench, tmp_path)
+    error = takes.refused(bench, tmp_path)
     assert "outside the socket" in error and "signs" in error and "--force" in error
-    motive_takes.register(bench, tmp_path, force=True)
+    takes.register(bench, tmp_path, force=True)
 
 
 # --- uncertainty
@@ -220,10 +218,8 @@ def test_the_covariances_have_the_size_and_direction_of_the_errors(tmp_path):
     """One bench, measured again and again, with as much noise by the triads as by landmarks."""
     rng, errors, stated = np.random.default_rng(7), [], []
     for _ in range(250):
-        bench = motive_takes.make_bench(
-            rng, 20, 2e-4, scene=np.random.default_rng(8), unit="Millimeters"
-        )
-        found = motive_takes.register(bench, tmp_path)
+        bench = takes.make_bench(rng, 20, 2e-4, scene=np.random.default_rng(8), unit="Millimeters")
+        found = takes.register(bench, tmp_path)
         socket, pylon = triads(bench)
         noisy = (triad + rng.normal(0.0, 2e-4, (3, 3)) for triad in (socket, pylon))
         position = limb_position(found, socket, pylon)
@@ -242,7 +238,7 @@ FIRST_FRAME = 7  # index of its line in formats until 1.22
 
 
 @pytest.fixture
-def scene() -> motive_takes.Written:
+def scene() -> takes.Written:
     """A body with its triad and a loose marker over 30 frames, some of it occluded."""
     rng = np.random.default_rng(5)
     pose = random_pose(rng, 1.0, 30)
@@ -252,14 +248,14 @@ def scene() -> motive_takes.Written:
     markers["Unlabeled:108"] = rng.uniform(-1.0, 1.0, (30, 3))
     markers["Socket:Marker2"][4:9] = np.nan
     solved = {f"Socket_{i + 1}": triad[:, i] for i in range(3)}
-    return motive_takes.Written(markers, solved, {"Socket": pose})
+    return takes.Written(markers, solved, {"Socket": pose})
 
 
 def read(lines: list[str], folder: Path) -> MotiveTake:
-    return read_motive_csv(motive_takes.write_lines(lines, folder / "take.csv"))
+    return read_motive_csv(takes.write_lines(lines, folder / "take.csv"))
 
 
-def check(take: MotiveTake, scene: motive_takes.Written, within: float = 1e-6) -> None:
+def check(take: MotiveTake, scene: takes.Written, within: float = 1e-6) -> None:
     """The take holds all of the scene, within the digits of the file [m]."""
     for found, true in ((take.markers, scene.markers), (take.solved, scene.solved)):
         assert list(found) == list(true)
@@ -276,26 +272,18 @@ def check(take: MotiveTake, scene: motive_takes.Written, within: float = 1e-6) -
 def test_every_version_unit_and_line_end_is_read(scene, tmp_path):
     path = tmp_path / "take.csv"
     for version in ("1.2", "1.20", "1.21", "1.22", "1.23", "1.24", "1.25"):
-        check(
-            read_motive_csv(motive_takes.write_take(replace(scene, version=version), path)), scene
-        )
-    for unit, metres in motive_takes.UNITS.items():
-        take = read_motive_csv(motive_takes.write_take(replace(scene, unit=unit), path))
+        check(read_motive_csv(takes.write_take(replace(scene, version=version), path)), scene)
+    for unit, metres in takes.UNITS.items():
+        take = read_motive_csv(takes.write_take(replace(scene, unit=unit), path))
         check(take, scene, 1e-6 * metres)
-    check(
-        read_motive_csv(
-            motive_takes.write_lines(motive_takes.motive_lines(scene), path, "\n", "utf-8-sig")
-        ),
-        scene,
-    )
-    newer = read_motive_csv(motive_takes.write_take(replace(scene, version="1.31"), path))
+    takes.write_lines(takes.motive_lines(scene), path, "\n", "utf-8-sig")
+    check(read_motive_csv(path), scene)
+    newer = read_motive_csv(takes.write_take(replace(scene, version="1.31"), path))
     assert "1.31" in newer.notes[0] and len(newer) == 30
 
 
-def test_what_is_not_needed_and_the_sign_of_q_do_not_matter_and_a_lost_body_has_no_pose(
-    scene, tmp_path
-):
-    lines = motive_takes.motive_lines(replace(scene, version="1.24"))
+def test_what_is_not_needed_does_not_matter_and_a_lost_body_has_no_pose(scene, tmp_path):
+    lines = takes.motive_lines(replace(scene, version="1.24"))
     extra = [",Bone", ",Hips", ",0A", ",Position", ",X", *[",not read"] * 30]
     codes = ["", "", "", "", "TimeCode", *["15:26:46:12.02"] * 30]
     for i, (bone, code) in enumerate(zip(extra, codes, strict=True), start=2):
@@ -315,7 +303,7 @@ def test_what_is_not_needed_and_the_sign_of_q_do_not_matter_and_a_lost_body_has_
 
 def test_a_take_that_was_cut_short_keeps_its_whole_frames(scene, tmp_path):
     path = tmp_path / "take.csv"
-    whole = motive_takes.write_take(scene, path).read_bytes()
+    whole = takes.write_take(scene, path).read_bytes()
     for lost in (1, 2, 30, 200):
         path.write_bytes(whole[:-lost])
         take = read_motive_csv(path)
@@ -327,7 +315,7 @@ def test_a_take_that_was_cut_short_keeps_its_whole_frames(scene, tmp_path):
 
 
 def test_missing_and_doubled_names_are_named(scene, tmp_path):
-    lines = motive_takes.motive_lines(scene)
+    lines = takes.motive_lines(scene)
     take = read(lines, tmp_path)
     with wording.refused(RegistrationError, "no marker 'Sockt:", "mean 'Socket:Marker1'"):
         take.stack(["Sockt:Marker1"])
@@ -339,7 +327,7 @@ def test_missing_and_doubled_names_are_named(scene, tmp_path):
     # Since format 1.22 solved markers have the names of measured ones.
     solved = dict(zip(take.markers_of("Socket"), scene.solved.values(), strict=False))
     both = replace(scene, solved=solved, version="1.23")
-    check(read(motive_takes.motive_lines(both), tmp_path), both)
+    check(read(takes.motive_lines(both), tmp_path), both)
 
 
 def text(old: str, new: str, line: int = 0):
@@ -365,7 +353,7 @@ BAD = [  # a change of the lines, and what the error says of it
 def test_a_bad_file_is_named_with_its_place_and_a_hint(scene, tmp_path):
     for change, *words in BAD:
         with wording.refused(RegistrationError, str(tmp_path / "take.csv"), *words):
-            read(change(motive_takes.motive_lines(scene)), tmp_path)
+            read(change(takes.motive_lines(scene)), tmp_path)
 
 
 def test_the_markers_of_a_real_take_give_the_pose_of_motive(shared_data):

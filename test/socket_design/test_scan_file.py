@@ -116,6 +116,22 @@ def test_of_two_bodies_one_must_be_chosen_by_its_number(cone, path):
         read_scan(path, body="2")
 
 
+def test_bodies_of_an_obj_go_by_the_names_of_its_objects_or_groups(cone, tmp_path):
+    bodies = {"limb": cone, "plate 2": shifted(cone, 0.2)}
+    for word in ("o", "g"):
+        text, count = "", 1
+        for name, mesh in bodies.items():
+            text += f"{word} {name}\n"
+            text += "".join(f"v {x} {y} {z}\n" for x, y, z in 1e3 * mesh.vertices)
+            text += "".join(f"f {a} {b} {c}\n" for a, b, c in mesh.faces + count)
+            count += len(mesh.vertices)
+        (tmp_path / "scan.obj").write_text(text)
+        for name, mesh in bodies.items():
+            scan = read_scan(tmp_path / "scan.obj", body=name)
+            assert_same_surface(scan.mesh, mesh)
+            assert scan.body == name
+
+
 PLY = b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
 PLY += b"property float z\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n"
 

@@ -53,13 +53,11 @@ def written_by_rosbags(
     writer = Writer(target, version=9, storage_plugin=storage)
     if mode is not CompressionMode.NONE:
         writer.set_compression(mode, CompressionFormat.ZSTD)
-    connections: dict[str, Any] = {}
+    connections, types = {}, typestore()
     with writer:
         for raw in messages:
             if raw.topic not in connections:
-                connections[raw.topic] = writer.add_connection(
-                    raw.topic, raw.type, typestore=typestore()
-                )
+                connections[raw.topic] = writer.add_connection(raw.topic, raw.type, typestore=types)
             writer.write(connections[raw.topic], raw.time, raw.data)
     return target
 

@@ -9,8 +9,10 @@ from collections.abc import Callable
 from typing import Any, Self
 
 import rclpy
+from rcl_interfaces.srv import SetParameters
 from rclpy.context import Context
 from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.parameter import Parameter
 from rclpy.task import Future
 
 from socket_testbed.nodes.base import message_type, publisher_qos, subscriber_qos
@@ -83,9 +85,8 @@ class Probe:
 
     def publisher(self, topic: Topic, subscribers: int = 1) -> Any:
         """A publisher, once so many subscribers are matched."""
-        publisher = self.node.create_publisher(
-            message_type(topic), topic.name, publisher_qos(topic)
-        )
+        kind, qos = message_type(topic), publisher_qos(topic)
+        publisher = self.node.create_publisher(kind, topic.name, qos)
         self.wait(lambda: publisher.get_subscription_count() >= subscribers, topic.name)
         return publisher
 
@@ -101,6 +102,13 @@ class Probe:
             assert left > 0.0, f"not within {HANGS:g} s: {what}"
             with self._news:
                 self._news.wait(min(left, 0.02))
+
+    def refusals(self, node: str, **values: Any) -> list[str]:
+        """Set parameters of a node (a__b for a.b); returns why some are refused."""
+        given = [Parameter(name.replace("__", "."), value=value) for name, value in values.items()]
+        request = SetParameters.Request(parameters=[entry.to_parameter_msg() for entry in given])
+        results = self.call(SetParameters, f"{node}/set_parameters", request).results
+        return [result.reason for result in results if not result.successful]
 
     def call(self, kind: Any, name: str, request: Any) -> Any:
         """Call a service and return its answer.

@@ -78,10 +78,8 @@ class Link:
         host, port = self.server.address
         self.settings = MocapSettings(server=host, command_port=port)
         if multicast:
-            group, data_port = multicast
-            self.settings = replace(
-                self.settings, interface=host, multicast=group, data_port=data_port
-            )
+            group, port = multicast
+            self.settings = replace(self.settings, interface=host, multicast=group, data_port=port)
         self.settings = replace(self.settings, **(settings or {}))
         self.tracker = BodyTracker(self.settings, *TRIADS)
         self.client = NatNetClient(self.settings, self.take)

@@ -84,9 +84,8 @@ def random_socket(
     cone = rng.uniform(0.05, 0.2)  # [rad]
     for ring in range(rings):
         for column in range(columns):
-            outwards, frame = wall_frame(
-                2.0 * np.pi * (column + rng.uniform(-0.1, 0.1)) / columns, cone
-            )
+            angle = 2.0 * np.pi * (column + rng.uniform(-0.1, 0.1)) / columns
+            outwards, frame = wall_frame(angle, cone)
             radius = 0.045 + 0.01 * ring + rng.uniform(-0.002, 0.002)
             anchor = radius * outwards + [0.0, 0.0, 0.1 + 0.06 * ring]
             tile = len(tiles)

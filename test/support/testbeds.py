@@ -19,22 +19,14 @@ from socket_testbed.live.bringup import Testbed, end, simulated_testbed, start
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.simulated_world import Simulation, busy_note
 from socket_testbed.simulation.trial import TRUTH_FILE
+from socket_testbed.trials import topics
 from socket_testbed.trials.messages import Reader
-from socket_testbed.trials.topics import (
-    CAPACITANCE,
-    MARKERS,
-    PYLON_POSE,
-    SOCKET_POSE,
-    TRIGGER,
-    WRENCH,
-    Topic,
-)
 from socket_testbed.trials.trial import Trial
 from support.clocks import careful_time_scale
 from support.graph import Probe
 
 LEVELS = ("OK", "WARN", "ERROR")
-MEASURED = (CAPACITANCE, WRENCH, SOCKET_POSE, PYLON_POSE, MARKERS)
+MEASURED = (*(topic for topic in topics.REQUIRED if topic is not topics.TRIGGER), topics.MARKERS)
 
 # Everything changes fast, all the time: an old value is a wrong one, and no noise hides it.
 MOVING = Simulation("multi_direction", period=40.0, seed=2, pace=6.0, sway=0.05, noise=0.1)
@@ -71,7 +63,7 @@ class LiveTestbed:
 
     def __enter__(self) -> Self:
         self.probe = Probe().__enter__()
-        self.triggers, self.wrenches = map(self.probe.listen, (TRIGGER, WRENCH))
+        self.triggers, self.wrenches = map(self.probe.listen, (topics.TRIGGER, topics.WRENCH))
         self.graph = Graph().__enter__()
         world = start(self.graph, self.testbed)
         assert world is not None
@@ -120,8 +112,8 @@ class Recorded:
     """What a trial of the simulated testbed holds, by topic and stamp."""
 
     def __init__(self, path: Path, truth: Path | None = None) -> None:
-        self._values: dict[str, dict[int, Any]] = {t.name: {} for t in (TRIGGER, *MEASURED)}
-        readers = {topic.name: Reader(topic) for topic in (TRIGGER, *MEASURED)}
+        self._values: dict[str, dict[int, Any]] = {t.name: {} for t in (topics.TRIGGER, *MEASURED)}
+        readers = {topic.name: Reader(topic) for topic in (topics.TRIGGER, *MEASURED)}
         with Trial(path).open() as bag:
             self.notes = bag.notes
             for raw in bag.messages([f"/{name}" for name in readers]):
@@ -132,7 +124,7 @@ class Recorded:
         with np.load((truth or path) / TRUTH_FILE) as data:
             self._truth = dict(data)
         self._geometry = Trial(path).geometry
-        intervals = np.diff(sorted(self.stamps(TRIGGER.name)))
+        intervals = np.diff(sorted(self.stamps(topics.TRIGGER.name)))
         # What poses and wrenches are averaged over: the trigger's period, at most 0.25 s [ns].
         self._around = min(float(np.median(intervals)), 0.25e9) * np.linspace(-0.5, 0.5, 11)
 
@@ -141,7 +133,7 @@ class Recorded:
 
     def lacking(self, until: float = math.inf) -> dict[str, int]:
         """How many triggers each measured topic lacks, up to a stamp [ns]."""
-        triggers = {stamp for stamp in self.stamps(TRIGGER.name) if stamp <= until}
+        triggers = {stamp for stamp in self.stamps(topics.TRIGGER.name) if stamp <= until}
         return {t.name: len(triggers - self.stamps(t.name)) for t in MEASURED}
 
     def felt(self, name: str, stamp: int, around: Any = 0.0) -> np.ndarray:
@@ -151,7 +143,7 @@ class Recorded:
         felt = self._truth[f"felt_{name}"][near]
         return make_interp_spline(times[near], felt, k=1, check_finite=False)(1e-9 * around)
 
-    def known(self, topic: Topic) -> list[tuple[int, Any]]:
+    def known(self, topic: topics.Topic) -> list[tuple[int, Any]]:
         """Values of a topic, but for those around which a busy machine held the world up."""
         # A state must be there before its forerunner's time is over: 40 ms ahead of its own.
         late = self._truth["lateness"] > -0.045
@@ -171,21 +163,21 @@ class Recorded:
         and poses on average around it, or at the very time where much around it is missing.
         """
         counts = dict.fromkeys((t.name for t in MEASURED), 0)
-        for stamp, wrench in self.known(WRENCH):
+        for stamp, wrench in self.known(topics.WRENCH):
             around = self.felt("wrench", stamp, self._around)
             ends = around.mean(axis=0), self.felt("wrench", stamp)
             off = np.abs(wrench - np.clip(wrench, np.minimum(*ends), np.maximum(*ends)))
             assert np.isnan(off).all() or (off < np.repeat([0.1, 0.9], 3)).all(), (stamp, off)
-            counts[WRENCH.name] += bool(np.isfinite(off).all())
-        for stamp, (_, values, status) in self.known(CAPACITANCE):
+            counts[topics.WRENCH.name] += bool(np.isfinite(off).all())
+        for stamp, (_, values, status) in self.known(topics.CAPACITANCE):
             felt = self.felt("capacitance", stamp, np.linspace(-0.03e9, 0.055e9, 12))
             fine = status == 0
             assert (np.isfinite(values) == fine).all()
             within = (values > felt.min(axis=0) - 0.012) & (values < felt.max(axis=0) + 0.012)
             assert within[fine].all(), (stamp, values, felt)
-            counts[CAPACITANCE.name] += int(fine.sum())
-        triads = self._geometry.markers.values()
-        for k, (topic, triad) in enumerate(zip((SOCKET_POSE, PYLON_POSE), triads, strict=True)):
+            counts[topics.CAPACITANCE.name] += int(fine.sum())
+        for k, (body, topic) in enumerate(topics.POSES.items()):
+            triad = self._geometry.markers[body]
             for stamp, pose in self.known(topic):
                 if not np.isfinite(pose).all():
                     assert np.isnan(pose).all()
@@ -196,9 +188,9 @@ class Recorded:
                 assert np.linalg.norm(pose[:3] - true.translation[0]) < 6e-4, stamp
                 assert 2.0 * np.arccos(min(turn, 1.0)) < 0.01, stamp
                 counts[topic.name] += 1
-        for stamp, bodies in self.known(MARKERS):
+        for stamp, bodies in self.known(topics.MARKERS):
             for (name, seen), true in zip(bodies, self.felt("markers", stamp), strict=True):
                 off = np.linalg.norm(seen - true, axis=1)
                 assert (np.isnan(off) | (off < 6e-4)).all(), (stamp, name, off)
-                counts[MARKERS.name] += int(np.isfinite(off).sum())
+                counts[topics.MARKERS.name] += int(np.isfinite(off).sum())
         return counts

@@ -145,9 +145,8 @@ def test_gait_laboratories_read_loads_and_markers(hold: Path, tmp_path: Path) ->
         call(hold, "-o", tmp_path / name, "--segment", "10:20", *options)
     text = (tmp_path / "loads.mot").read_text().splitlines()
     assert {"nRows=41", "nColumns=10"} < {*text[:5]} and text[5] == "endheader"
-    loads, moved = (
-        pd.read_csv(tmp_path / name, sep="\t", skiprows=6) for name in ("loads.mot", "knee.sto")
-    )
+    tables = (tmp_path / "loads.mot", tmp_path / "knee.sto")
+    loads, moved = (pd.read_csv(path, sep="\t", skiprows=6) for path in tables)
     assert loads["time"].iloc[[0, -1]].tolist() == [10.0, 20.0]
     forces = loads[[f"socket_force_v{axis}" for axis in "xyz"]]
     torques = [f"socket_torque_{axis}" for axis in "xyz"]

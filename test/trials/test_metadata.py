@@ -79,9 +79,8 @@ def test_annotate_adds_changes_removes_and_leaves_the_bag_alone(folder: Path, ca
     shown = verb(capsys, "annotate", folder, "--remove", "mass", "--remove", "notes")[1]
     assert "S07" in shown and "kg" not in shown
     trial = Trial(folder)
-    assert st.annotate(trial, side="right", mass=70.0) == metadata.TrialMetadata(
-        "S07", "right", mass=70.0
-    )
+    found = st.annotate(trial, side="right", mass=70.0)
+    assert found == metadata.TrialMetadata("S07", "right", mass=70.0)
     assert st.annotate(trial, remove=["subject", "mass"]) == metadata.TrialMetadata(side="right")
     assert trial.metadata == metadata.TrialMetadata(side="right")
     call_refused(capsys, "annotate", folder, "--mass", "815", named=["--mass is 815.0"])

@@ -17,6 +17,7 @@ from support.wording import refused
 import socket_testbed as st
 from socket_testbed.errors import CalibrationError, ConfigurationError, TestbedError, TrialError
 from socket_testbed.geometry.marker_bodies import fit_body
+from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, read_socket, write_socket
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.settings.testbed import TestbedSettings, read_testbed, write_testbed
@@ -106,10 +107,8 @@ def test_a_wrong_load_cell_and_tare_are_repaired(
     path = bare(hold, tmp_path / "hold")
     doubled = dataclasses.replace(right, matrix=tuple(2.0 * np.array(right.matrix)))
     file = store(doubled, tmp_path / "doubled.yaml")
-    for given, factor, offset in (
-        ({"load_cell_file": file}, 2.0, 0.0),
-        ({"tare": "0:5"}, 1.0, unloaded),
-    ):
+    cases = ({"load_cell_file": file}, 2.0, 0.0), ({"tare": "0:5"}, 1.0, unloaded)
+    for given, factor, offset in cases:
         wrench = Trial(path, **given).samples().wrench
         np.testing.assert_allclose(wrench, factor * true.wrench - offset, rtol=1e-12, atol=1e-9)
 
@@ -194,9 +193,17 @@ def test_a_marker_that_was_registered_wrong_is_repaired(hold, geometry, tmp_path
     assert np.nanmax(np.abs(shift)) < 2e-4
 
 
-def test_poses_whose_markers_are_not_known_stay_as_recorded(
-    hold: Path, geometry: SocketGeometry, tmp_path: Path
-) -> None:
+def test_a_body_s_frame_moves_no_limb(hold: Path, geometry: SocketGeometry, tmp_path: Path) -> None:
+    turn = Pose.from_quaternion(np.array([0.02, -0.03, 0.05]), np.array([0.2, -0.1, 0.3, 0.9]))
+    markers, body = turn.apply(geometry.socket_markers), geometry.socket_body @ turn.inverse()
+    other = dataclasses.replace(geometry, socket_markers=markers, socket_body=body)
+    write_socket(other, tmp_path / "other.yaml")
+    found, wanted = (Trial(hold, *given).samples() for given in ((tmp_path / "other.yaml",), ()))
+    off = np.abs(found.position - wanted.position)
+    assert np.isfinite(off).mean() > 0.95 and np.nanmax(off) < 2e-4
+
+
+def test_poses_stay_without_markers(hold: Path, geometry: SocketGeometry, tmp_path: Path) -> None:
     other, notes = tmp_path / "other.yaml", []
     write_socket(moved_marker(geometry, 0.005), other)
     unknown = bare(hold, tmp_path / "unknown", "socket.yaml")
@@ -226,9 +233,7 @@ def correct(trial: Trial, measured: synchronise.Measurements) -> synchronise.Mea
     )
 
 
-def test_drift_between_two_spans_is_taken_off(
-    hold: Path, measured: synchronise.Measurements
-) -> None:
+def test_drift_between_spans_is_taken_off(hold: Path, measured: synchronise.Measurements) -> None:
     time, notes = measured.time, []
     end = time[-1]
     trial = Trial(hold, notify=notes.append, unloaded=((0.0, 8.0), (end - 8.0, end)))
@@ -251,9 +256,7 @@ def with_baselines(trial: Trial) -> Trial:
     return trial
 
 
-def test_a_baseline_takes_off_earlier_drift_but_not_what_a_weight_presses(
-    hold: Path, measured: synchronise.Measurements
-) -> None:
+def test_a_baseline_takes_off_earlier_drift(hold: Path, measured: synchronise.Measurements) -> None:
     """A baseline is of a cluster that bears nothing: not even the pylon's weight."""
     trial = with_baselines(Trial(hold, unloaded=((0.0, 8.0),)))
     wrench = np.where(measured.time[:, None] <= 8.0, 0.0, measured.wrench)
@@ -268,9 +271,7 @@ def test_a_baseline_takes_off_earlier_drift_but_not_what_a_weight_presses(
     np.testing.assert_array_equal(corrected.capacitance, expected.capacitance)
 
 
-def test_spans_that_cannot_correct_are_refused_or_reported(
-    hold: Path, measured: synchronise.Measurements
-) -> None:
+def test_spans_under_load_are_refused(hold: Path, measured: synchronise.Measurements) -> None:
     for spans in (((25.0, 30.0),), ((0.0, 5.0), (25.0, 30.0))):
         with refused(TrialError, "25:30 is not without load", "279 N there: ", " 92 N"):
             Trial(hold, unloaded=spans).samples()

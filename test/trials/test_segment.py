@@ -12,18 +12,7 @@ from support.wording import refused
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
-from socket_testbed.trials.segment import (
-    Event,
-    check_label,
-    cycle_spans,
-    event_span,
-    find_events,
-    find_newest_plateaus,
-    find_plateaus,
-    is_loaded,
-    longest_within,
-    select_segment,
-)
+from socket_testbed.trials import segment
 from socket_testbed.trials.trial import Trial
 
 RATE = 4.0
@@ -68,62 +57,63 @@ def test_the_longest_range_within_limits_is_that_of_all_ranges() -> None:
         limits = rng.integers(0, 6, size=3).astype(float)
         ranges = [(i, j) for i in range(count) for j in range(i + 1, count + 1)]
         fitting = [(i, j) for i, j in ranges if (np.ptp(values[i:j], axis=0) <= limits).all()]
-        assert longest_within(values, limits) == max(fitting, key=lambda r: (r[1] - r[0], -r[0]))
+        longest = max(fitting, key=lambda r: (r[1] - r[0], -r[0]))
+        assert segment.longest_within(values, limits) == longest
 
 
 def test_plateaus_are_steady_stretches_under_load_the_longest_first() -> None:
     steps = seconds((15, 90), (60, 280), (25, 200), (20, 90))
-    plateaus = find_plateaus(under(steps), SETTINGS)
+    plateaus = segment.find_plateaus(under(steps), SETTINGS)
     assert 15 <= plateaus[0].start <= 20 and 70 <= plateaus[0].end <= 75
-    lengths = [segment.end - segment.start for segment in plateaus]
+    lengths = [plateau.end - plateau.start for plateau in plateaus]
     assert lengths == sorted(lengths, reverse=True)
-    assert all(np.ptp(steps[segment.rows]) == 0.0 for segment in plateaus)
+    assert all(np.ptp(steps[plateau.rows]) == 0.0 for plateau in plateaus)
     for force in (np.linspace(50, 400, 400), np.zeros(400), np.full(2, 280.0)):
-        assert find_plateaus(under(force), SETTINGS) == []
+        assert segment.find_plateaus(under(force), SETTINGS) == []
     # A stretch with many missing channels is left out.
     samples = under(seconds((80, 280)))
     samples.local_forces[160:240] = samples.position[160:240] = np.nan
-    for segment in find_plateaus(samples, SETTINGS):
-        assert segment.end <= 42 or segment.start >= 58
+    for plateau in segment.find_plateaus(samples, SETTINGS):
+        assert plateau.end <= 42 or plateau.start >= 58
 
 
 def test_a_span_of_seconds_is_taken_and_an_unknown_segment_refused_with_a_hint() -> None:
     held = under(np.full(50, 280.0))
-    assert select_segment(held, "5:10.5", SETTINGS).rows == slice(20, 43)
+    assert segment.select_segment(held, "5:10.5", SETTINGS).rows == slice(20, 43)
     with refused(ConfigurationError, "T0:T1"):
-        select_segment(held, "a:b", SETTINGS)
+        segment.select_segment(held, "a:b", SETTINGS)
     with refused(TrialError, "0 samples"):
-        select_segment(held, "100:200", SETTINGS)
+        segment.select_segment(held, "100:200", SETTINGS)
 
 
 def test_the_hold_is_the_longest_plateau_under_load_and_auto_takes_what_moves_without_one() -> None:
     samples = history((0, 90), (60, 90), (62, 280), (80, 280), (82, 90), (90, 90))
-    assert select_segment(samples, "plateau", SETTINGS).end < 62.0
+    assert segment.select_segment(samples, "plateau", SETTINGS).end < 62.0
     for text in ("hold", "auto"):
-        hold = select_segment(samples, text, SETTINGS)
+        hold = segment.select_segment(samples, text, SETTINGS)
         assert hold.kind == "hold" and hold.start > 61.0 and hold.end < 81.0
     time = np.arange(0.0, 60.0, 1 / RATE)
     moving = 90 + 190 * np.sin(np.pi * (time - 10) / 8) ** 2 * ((time > 10) & (time < 50))
-    part = select_segment(under(moving), "auto", SETTINGS)
+    part = segment.select_segment(under(moving), "auto", SETTINGS)
     assert part.kind == "loaded"
     assert part.start == pytest.approx(10.8, abs=0.5) and part.end == pytest.approx(49.2, abs=0.5)
     with refused(TrialError, "no hold", "--segment auto"):
-        select_segment(under(moving), "hold", SETTINGS)
+        segment.select_segment(under(moving), "hold", SETTINGS)
 
 
 def test_a_step_of_a_cluster_ends_a_plateau_and_the_newest_names_it() -> None:
     missing, force = 16, seconds((30, 10), (50, 18))
     samples = under(seconds((80, 280)), force)
-    newest, older = find_newest_plateaus(samples, SETTINGS)
+    newest, older = segment.find_newest_plateaus(samples, SETTINGS)
     assert newest.cause == "a.Fz changed by -8.0 N" and older.cause == ""
     assert newest.start >= 29.0 and newest.end == samples.time[-1]
-    for part in find_newest_plateaus(under(seconds((30, 150), (50, 280)), force), SETTINGS):
+    for part in segment.find_newest_plateaus(under(seconds((30, 150), (50, 280)), force), SETTINGS):
         assert part.cause == ""  # the load changed, too
     samples.local_forces[120 : 120 + missing] = np.nan  # a gap hides no step
     settings = dataclasses.replace(SETTINGS, missing_fraction=0.5)
-    longest, other = find_plateaus(samples, settings)
+    longest, other = segment.find_plateaus(samples, settings)
     assert longest.start >= 29.0 and other.end <= 31.0 + missing / RATE
-    (left_out,) = find_plateaus(samples, settings, leave_out=("a.Fz",))
+    (left_out,) = segment.find_plateaus(samples, settings, leave_out=("a.Fz",))
     assert left_out.end - left_out.start > 75.0
 
 
@@ -134,12 +124,12 @@ def test_a_drift_is_cut_where_it_exceeds_the_limit_and_the_newest_part_names_it(
         (under(load), load, SETTINGS.force_drift + 2.0, "Fz"),
         (under(np.full(400, 280.0), cluster), cluster, SETTINGS.cluster_drift + 0.5, "a.Fz"),
     ):
-        (newest,) = find_newest_plateaus(samples, SETTINGS)
+        (newest,) = segment.find_newest_plateaus(samples, SETTINGS)
         assert newest.cause == f"{channel} drifts" and newest.end == samples.time[-1]
-        plateaus = find_plateaus(samples, SETTINGS)
+        plateaus = segment.find_plateaus(samples, SETTINGS)
         assert plateaus
-        for segment in (*plateaus, newest):
-            assert np.ptp(force[segment.rows]) <= limit
+        for plateau in (*plateaus, newest):
+            assert np.ptp(force[plateau.rows]) <= limit
 
 
 # --- events found in the load
@@ -149,13 +139,13 @@ _TIMES, _LOADS = (0, 10, 12, 40, 42, 60), (90, 90, 280, 280, 90, 90)  # [s], [N]
 HOLD = np.interp(np.arange(0.0, 60.0, 1 / FINE), _TIMES, _LOADS)
 
 
-def labels(events: list[Event]) -> list[str]:
+def labels(events: list[segment.Event]) -> list[str]:
     return [event.label for event in events]
 
 
 def test_the_load_is_placed_and_removed_between_its_two_levels() -> None:
     for offset in (0.0, -85.0, 1000.0):
-        found = find_events(samples_of(HOLD + offset, FINE), SETTINGS)
+        found = segment.find_events(samples_of(HOLD + offset, FINE), SETTINGS)
         assert labels(found) == ["placed", "removed"] and {e.source for e in found} == {"found"}
         # 60 % and 40 % of the way between 90 N and 280 N.
         assert found[0].time == pytest.approx(10 + 2 * 0.6, abs=0.05)
@@ -167,30 +157,30 @@ def test_noise_wrong_values_and_one_level_of_load_are_no_events() -> None:
     samples.wrench[500, 5] = 0.0
     samples.wrench[1000, 5] = -900.0
     samples.wrench[220:240] = np.nan
-    assert labels(find_events(samples, SETTINGS)) == ["placed", "removed"]
+    assert labels(segment.find_events(samples, SETTINGS)) == ["placed", "removed"]
     for count in (600, 1, 0):
-        assert find_events(samples_of(np.full(count, 280.0), FINE), SETTINGS) == []
+        assert segment.find_events(samples_of(np.full(count, 280.0), FINE), SETTINGS) == []
 
 
 def test_steps_of_a_walk_are_as_many_events_and_cycles() -> None:
     time = np.arange(0.0, 30.0, 1 / FINE)
     load = 40 + 360 * np.clip(np.sin(2 * np.pi * time / 1.5), 0.0, None)
-    found = find_events(samples_of(load, FINE), SETTINGS)
+    found = segment.find_events(samples_of(load, FINE), SETTINGS)
     assert labels(found) == ["stance", "placed", "removed", "swing"] * 20
-    spans = np.array(cycle_spans(found))
+    spans = np.array(segment.cycle_spans(found))
     assert len(spans) == 19
     assert np.allclose(np.diff(spans, axis=1), 1.5, atol=0.02)
     # The foot bears load half of the time; 10 % and 5 % of it are passed soon after that.
-    stances = np.array(cycle_spans(found, "stance:swing"))
+    stances = np.array(segment.cycle_spans(found, "stance:swing"))
     assert np.allclose(np.diff(stances, axis=1), 0.75, atol=0.1)
-    assert is_loaded(found, 0.4) and not is_loaded(found, 1.2)
+    assert segment.is_loaded(found, 0.4) and not segment.is_loaded(found, 1.2)
 
 
 # --- spans between events
 
 _LABELS = ("placed", "push", "push-off", "push", "removed", "placed")
 _MOMENTS = (11.0, 15.0, 16.0, 20.0, 41.0, 50.0)
-EVENTS = [Event(*of, "found") for of in zip(_LABELS, _MOMENTS, strict=True)]
+EVENTS = [segment.Event(*of, "found") for of in zip(_LABELS, _MOMENTS, strict=True)]
 SPANS = {
     "event:placed:removed": (11.0, 41.0),
     "event:placed+.5:removed-2.25": (11.5, 38.75),
@@ -210,15 +200,15 @@ NO_SPANS = {
 
 def test_a_span_or_cycles_between_events_or_what_there_is_instead() -> None:
     for text, span in SPANS.items():
-        assert event_span(text, EVENTS) == pytest.approx(span)
+        assert segment.event_span(text, EVENTS) == pytest.approx(span)
     for text, says in NO_SPANS.items():
         with refused(ConfigurationError if "two ends" in says else TrialError, says):
-            event_span(text, EVENTS)
+            segment.event_span(text, EVENTS)
     for label in ("", "2nd", "a:b", "a#2", "a+5", "push-2", "a\nb", "a" * 100):
         with refused(ConfigurationError, "label"):
-            check_label(label)
-    assert cycle_spans(EVENTS, "push:removed") == [(20.0, 41.0)]
-    assert cycle_spans(EVENTS) == [(11.0, 50.0)]
+            segment.check_label(label)
+    assert segment.cycle_spans(EVENTS, "push:removed") == [(20.0, 41.0)]
+    assert segment.cycle_spans(EVENTS) == [(11.0, 50.0)]
 
 
 # --- events recorded with a trial

@@ -83,9 +83,7 @@ def test_metadata_that_is_missing_or_promises_other_counts(hold: Path, tmp_path:
         assert "cut short" in bag.notes[0] and "copy the trial again" in bag.notes[1]
 
 
-def test_topics_are_found_in_the_namespace_they_were_recorded_in(
-    hold: Path, tmp_path: Path
-) -> None:
+def test_topics_are_found_in_the_namespace_of_the_recording(hold: Path, tmp_path: Path) -> None:
     target = bags.move_to_namespace(hold, tmp_path / "lab", "/lab")
     assert recorded_namespace(Trial(target)) == "/lab"
     assert recorded_namespace(Trial(hold)) == "/"
@@ -205,16 +203,13 @@ def mixed(messages: Iterable[RawMessage]) -> Iterator[RawMessage]:
 
 def test_measurements_of_mixed_messages(hold: Path, tmp_path: Path) -> None:
     with BagReader(hold) as bag:
-        path = bags.written_by_rosbags(
-            mixed(bag.messages()), tmp_path / "mixed", StoragePlugin.SQLITE3
-        )
+        messages = mixed(bag.messages())
+        path = bags.written_by_rosbags(messages, tmp_path / "mixed", StoragePlugin.SQLITE3)
     bags.copy_configuration(hold, path)
     expected, found = plainly_read(path), Trial(path).measurements()
     tables = {topics.WRENCH.name: found.wrench, topics.SOCKET_POSE.name: found.socket}
-    tables |= {
-        topics.PYLON_POSE.name: found.pylon,
-        topics.TRIGGER.name: np.empty((len(found.stamps), 0)),
-    }
+    tables[topics.PYLON_POSE.name] = found.pylon
+    tables[topics.TRIGGER.name] = np.empty((len(found.stamps), 0))
     readings = np.concatenate([found.capacitance, found.status], axis=2)
     tables |= dict(zip(found.clusters, readings.swapaxes(0, 1), strict=True))
     assert expected.keys() == tables.keys()

@@ -23,9 +23,7 @@ SOCKET_NAMES = tuple(f"Socket:Marker{i}" for i in (1, 2, 3))
 PYLON_NAMES = tuple(f"Pylon:Marker{i}" for i in (1, 2, 3))
 CELL = 1e-3 * np.array([[60, 0, 10], [-50, 30, 0], [10, -70, 20], [0, 30, 80], [40, 50, 100]])
 IN_SOCKET = np.array([0.0, 0.0, 0.13])  # [m]; the middle of `random_socket`
-LIMB = 1e-3 * np.array(
-    [[0, 70, 100], [50, -30, 120], [-60, -20, 90], [20, 20, 200], [-30, 60, 170]]
-)
+LIMB = np.array([[0, 70, 100], [50, -30, 120], [-60, -20, 90], [20, 20, 200], [-30, 60, 170]]) / 1e3
 
 
 @dataclass

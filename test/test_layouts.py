@@ -1,0 +1,49 @@
+"""Layouts of RViz, PlotJuggler and Foxglove: each names topics and fields that exist."""
+
+import json
+import re
+from xml.etree import ElementTree
+
+import yaml
+
+from socket_testbed.files import packaged
+from socket_testbed.trials.layout import fields_of
+from socket_testbed.trials.topics import TOPICS
+
+TYPES = {f"/{topic.name.lstrip('/')}": topic.type for topic in TOPICS}
+
+
+def field_type(path: str) -> str:
+    """Type of the field at a path, such as /load_cell/wrench/wrench/force/x."""
+    topic = max((name for name in TYPES if path.startswith(f"{name}/")), key=len)
+    kind = TYPES[topic]
+    for word in path.removeprefix(f"{topic}/").split("/"):
+        kind = {field.name: field.type for field in fields_of(kind)}[word.partition("[")[0]]
+    return kind
+
+
+def test_rviz_shows_topics_by_displays_of_their_types() -> None:
+    document = yaml.safe_load(packaged("config", "testbed.rviz").read_text())
+    displays = document["Visualization Manager"]["Displays"]
+    shown = {d["Topic"]["Value"]: d["Class"].rpartition("/")[2] for d in displays if "Topic" in d}
+    assert len(shown) == 3 and all(display in TYPES[topic] for topic, display in shown.items())
+
+
+def test_plotjuggler_draws_numbers_of_topics_that_it_selects() -> None:
+    layout = ElementTree.fromstring(packaged("config", "plotjuggler_layout.xml").read_text())
+    selected, curves = ({e.attrib["name"] for e in layout.iter(k)} for k in ("topic", "curve"))
+    assert curves and selected <= set(TYPES)
+    for curve in curves:
+        assert any(curve.startswith(f"{topic}/") for topic in selected)
+        assert field_type(curve) == "float64", curve
+
+
+def test_foxglove_draws_numbers_and_shows_each_of_its_panels() -> None:
+    layout = json.loads(packaged("config", "foxglove_layout.json").read_text())
+    panels = layout["configById"]
+    assert set(re.findall(r'"(\w+!\w+)"', json.dumps(layout["layout"]))) == set(panels)
+    for panel in panels.values():
+        for curve in panel.get("paths", ()):
+            assert field_type(curve["value"].replace(".", "/")) == "float64", curve
+        named = {panel.get(key, "/trigger") for key in ("topicPath", "topicToRender")}
+        assert named | set(panel.get("topics", ())) <= set(TYPES)
