@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 WRENCH_CHANNELS = ("Mx", "My", "Mz", "Fx", "Fy", "Fz")
 LOCAL_CHANNELS = ("Fx", "Fy", "Fz")
-MOMENTS, FORCES = slice(0, 3), slice(3, 6)  # of a wrench
+GROUPS = MOMENTS, FORCES = slice(0, 3), slice(3, 6)  # of a wrench
 GRAVITY = 9.81  # [m/s^2]
 
 

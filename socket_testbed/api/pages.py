@@ -9,18 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from socket_testbed.api import trials
 from socket_testbed.api.comparison import DIFFERENCE, LEGEND, MAPPED, SAME_LIMB, VALUE, Comparison
 from socket_testbed.api.models import Model, model_for, note_implausible, stored_model
 from socket_testbed.api.tradeoff import theta_values
-from socket_testbed.api.trials import (
-    PathLike,
-    Progress,
-    as_path,
-    as_trial,
-    note,
-    require_segment,
-    started,
-)
 from socket_testbed.geometry.socket import SOCKET
 from socket_testbed.pages.document import check_page, moment, socket_document
 from socket_testbed.settings.testbed import estimator_settings
@@ -53,19 +45,19 @@ _MAPS = (
 
 
 def write_report(
-    trial: Trial | PathLike,
-    page: PathLike,
+    trial: Trial | trials.PathLike,
+    page: trials.PathLike,
     segment: str = "plateau",
     *,
     model: Model | None = None,
     thetas: int = 31,
-    params: PathLike | None = None,
+    params: trials.PathLike | None = None,
     command: str = "socket_testbed.write_report",
     replace: bool = False,
     figures: bool = False,
     width: float = 180,
     title: bool = True,
-    progress: Progress | None = None,
+    progress: trials.Progress | None = None,
     **choices: Any,
 ) -> Results:
     """Write the results of a trial as one page, with a folder of its data next to it.
@@ -95,7 +87,7 @@ def write_report(
     >>> list(results.fitted)
     ['stiffness', 'stiffness_bias', 'rigid_bias']
     """
-    trial = as_trial(trial)
+    trial = trials.as_trial(trial)
     # matplotlib and plotly are slow to import.
     from socket_testbed.report.results import compute_results
     from socket_testbed.report.style import figure_style
@@ -104,10 +96,10 @@ def write_report(
 
     page = Path(page)
     values = theta_values(thetas)
-    require_segment(segment)
+    trials.require_segment(segment)
     check_page_path(page, replace)
     style = figure_style(width, title)  # fails before long work
-    settings = estimator_settings(trial.estimator, as_path(params), **choices)
+    settings = estimator_settings(trial.estimator, trials.as_path(params), **choices)
     stored = None if model is None else stored_model(model)
     with threadpool_limits(1):
         results = compute_results(
@@ -116,20 +108,20 @@ def write_report(
             settings,
             values,
             stored,
-            started(progress, "fitting, judging, mapping"),
+            trials.started(progress, "fitting, judging, mapping"),
         )
     leave_out = settings.identification.leave_out
     note_implausible(trial, results.samples, results.segment, leave_out)
     for text in results.bag_notes:
-        note(trial, text)
-    drawing = started(progress, "drawing") if figures else None
+        trials.note(trial, text)
+    drawing = trials.started(progress, "drawing") if figures else None
     made, printed = datetime.now(UTC), style if figures else None
     write_page(results, page, command, made, drawing, replace, printed)
     return results
 
 
 def write_comparison(
-    found: Comparison, page: PathLike, command: str = "socket_testbed.write_comparison"
+    found: Comparison, page: trials.PathLike, command: str = "socket_testbed.write_comparison"
 ) -> None:
     """Write a comparison as one page that opens offline; an existing one is replaced.
 
@@ -235,7 +227,7 @@ def _tables(found: Comparison, part: str) -> list[Table]:
 
 
 def view(
-    trial: Trial | PathLike,
+    trial: Trial | trials.PathLike,
     model: Model | None = None,
     *,
     port: int = 0,
@@ -262,7 +254,7 @@ def view(
     ...     print(page.url)
     http://127.0.0.1:...
     """
-    trial = as_trial(trial)
+    trial = trials.as_trial(trial)
     from socket_testbed.pages.player import Player
     from socket_testbed.pages.server import PageServer
 

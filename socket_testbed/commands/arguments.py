@@ -92,6 +92,9 @@ class _Module(dict[str, Any]):
             for each in node.body if isinstance(node, ast.If) else [node]:
                 self._define(each)
 
+    def __getattr__(self, name: str) -> Any:
+        return self[name]
+
     def _define(self, node: ast.stmt) -> None:
         match node:
             case ast.ImportFrom() | ast.Import():
@@ -154,7 +157,11 @@ _read_module = cache(_Module)
 
 def _imported(module: str, name: str) -> Any:
     if module.startswith(f"{_PACKAGE}."):
-        return _read_module(module.removeprefix(f"{_PACKAGE}."))[name]
+        own = module.removeprefix(f"{_PACKAGE}.")
+        try:
+            return _read_module(own)[name]
+        except KeyError:
+            return _read_module(f"{own}.{name}")
     return getattr(import_module(module), name) if module else import_module(name)
 
 

@@ -23,14 +23,8 @@ from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import check_outputs
 from socket_testbed.geometry.pose import Pose
+from socket_testbed.socket_design import registration
 from socket_testbed.socket_design.design import parse_point
-from socket_testbed.socket_design.registration import (
-    LANDMARK_FILE_HELP,
-    LandmarkFit,
-    RegisteredBody,
-    Registration,
-    StillMarkers,
-)
 from socket_testbed.socket_design.tiling import TilingSettings
 from socket_testbed.tables import Table
 
@@ -94,7 +88,7 @@ def tile(
         print(f"{name.ljust(width)}  {value}")
 
 
-@takes("register", "files.check_outputs", epilog=LANDMARK_FILE_HELP)
+@takes("register", "files.check_outputs", epilog=registration.LANDMARK_FILE_HELP)
 def register(
     take: Path,
     *,
@@ -118,7 +112,7 @@ def register(
     print(f"{_registration(found)}\n\nregistered socket in {output}")
 
 
-def _registration(found: Registration) -> str:
+def _registration(found: registration.Registration) -> str:
     take, geometry = found.take, found.geometry
     limb, single = _MM * _sigma(found.covariance), _MM * _sigma(found.single)
     bodies = {"load_cell": found.socket, "limb": found.pylon}
@@ -141,7 +135,7 @@ def _registration(found: Registration) -> str:
     )
 
 
-def _frames(name: str, still: StillMarkers) -> str:
+def _frames(name: str, still: registration.StillMarkers) -> str:
     used, count = int(still.used.sum()), len(still.used)
     occluded = count - used - still.mislabelled - still.jumped
     return (
@@ -150,7 +144,7 @@ def _frames(name: str, still: StillMarkers) -> str:
     )
 
 
-def _markers(*bodies: RegisteredBody) -> str:
+def _markers(*bodies: registration.RegisteredBody) -> str:
     rows = []
     for body in bodies:
         still = body.still
@@ -161,7 +155,7 @@ def _markers(*bodies: RegisteredBody) -> str:
     return table(["marker", "occluded", "spread [mm]", "drift [mm]", "residual [mm]"], rows)
 
 
-def _fit(name: str, fit: LandmarkFit) -> str:
+def _fit(name: str, fit: registration.LandmarkFit) -> str:
     return (
         f"{name}: {len(fit.names)} landmarks, residual {_MM * fit.rms:.3f} mm rms"
         f" ({fit.degrees} degrees of freedom), so 1 sigma of a coordinate is"

@@ -28,14 +28,7 @@ from socket_testbed.identification.solver import (
     solve_box_qp,
     solve_cold,
 )
-from socket_testbed.samples import (
-    FORCES,
-    MOMENTS,
-    WRENCH_CHANNELS,
-    Samples,
-    channel_names,
-    channel_unit,
-)
+from socket_testbed.samples import GROUPS, WRENCH_CHANNELS, Samples, channel_names, channel_unit
 from socket_testbed.settings.identification import IdentificationSettings, check_solver
 
 if TYPE_CHECKING:
@@ -289,7 +282,7 @@ def _wrench_error(model: ContactModel, samples: Samples) -> float:
     """Relative error of the moments plus that of the forces, over their standard deviations [-]."""
     missed = np.sqrt(np.mean((model.wrench(samples.pose) - samples.wrench) ** 2, axis=0))
     change = samples.wrench.std(axis=0)
-    parts = ((missed[part].sum(), change[part].sum()) for part in (MOMENTS, FORCES))
+    parts = ((missed[part].sum(), change[part].sum()) for part in GROUPS)
     return float(sum(error / max(size, 1e-9) for error, size in parts))
 
 

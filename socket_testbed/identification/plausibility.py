@@ -42,9 +42,8 @@ from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import (
-    FORCES,
+    GROUPS,
     LOCAL_CHANNELS,
-    MOMENTS,
     WRENCH_CHANNELS,
     Samples,
     Status,
@@ -102,7 +101,7 @@ def find_outliers(
         for column, limit in zip(values.T, limits, strict=True)
     ]
     found = (np.abs(values) > limits) & single  # else the unit is wrong: see `require_units`
-    for group in (MOMENTS, FORCES, slice(6, None)):
+    for group in (*GROUPS, slice(6, None)):
         squares = np.where(found[:, group], 0.0, np.nan_to_num(values[:, group])) ** 2
         count = int(np.count_nonzero(squares))
         share = min(OUTLIER_SHARE, OUTLIER_RATIO / max(count, 1))
@@ -289,8 +288,8 @@ def require_load(samples: Samples, wrench_counts: BoolArray) -> None:
     if not wrench_counts.any():
         return
     sizes = np.where(wrench_counts, np.abs(samples.wrench).max(axis=0), 0.0)
-    moment, force = (float(sizes[group].max()) for group in (MOMENTS, FORCES))
-    dead = [wrench_counts[group].any() and not sizes[group].any() for group in (MOMENTS, FORCES)]
+    moment, force = (float(sizes[group].max()) for group in GROUPS)
+    dead = [wrench_counts[group].any() and not sizes[group].any() for group in GROUPS]
     if any(dead) or (moment < MIN_MOMENT and force < MIN_FORCE):
         raise IdentificationError(
             f"the wrench never exceeds {force:.3g} N and {moment:.3g} N m in {len(samples)} samples"

@@ -46,7 +46,7 @@ from socket_testbed.identification import plausibility
 from socket_testbed.identification.contact import LAWS, ContactModel, Loading
 from socket_testbed.identification.noise import ChannelNoise, channel_noise, smooth_poses
 from socket_testbed.identification.solver import BoxQP
-from socket_testbed.samples import FORCES, LOCAL_CHANNELS, MOMENTS, WRENCH_CHANNELS, Samples
+from socket_testbed.samples import GROUPS, LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
 from socket_testbed.settings.identification import BIAS_VARIANTS, IdentificationSettings, Variant
 
 MODEL_ERROR = 0.01  # [-]; of the RMS of the forces
@@ -209,9 +209,8 @@ def _shares(objective: Objective, noise: ChannelNoise | None) -> tuple[FloatArra
         return factor * wrench_counts, np.full(len(channels), factor)
 
     # The mean square of each channel's group, with a lower limit.
-    groups = (MOMENTS, FORCES)
     moment, force = (
-        max(power[g].sum() / max(wrench_counts[g].sum(), 1), least[g][0] ** 2) for g in groups
+        max(power[g].sum() / max(wrench_counts[g].sum(), 1), least[g][0] ** 2) for g in GROUPS
     )
     local = max(
         rms(np.concatenate([c.force for c in channels] or [np.zeros(1)])), plausibility.MIN_FORCE
