@@ -69,7 +69,7 @@ def test_all_but_the_graph_works_without_ros(tmp_path: Path) -> None:
 
 
 def test_the_demo_retries_at_half_speed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    tried: list[float] = []
+    tried = []
     monkeypatch.setattr(demo, "_run_live", lambda path, seed, scale, log: tried.append(scale))
     monkeypatch.setattr(demo.bringup, "summary", lambda path: "all there")
     monkeypatch.setattr(Trial, "samples", lambda trial: None)

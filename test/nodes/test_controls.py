@@ -162,6 +162,7 @@ def act(live: LiveTestbed) -> Iterator[Callable[..., str]]:
     """Does what a button says."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "_ANSWER_TIMEOUT", HANGS)  # on a machine that others use
+        patch.setattr(module, "_ACKNOWLEDGE_TIMEOUT", HANGS)
         controls = ServiceControls(live.probe.node)
         yield lambda what, **given: controls.act(what, given)
 
@@ -191,11 +192,13 @@ def test_a_trial_is_recorded_as_stated(live: LiveTestbed, act: Callable[..., str
     assert act("record", trial="stairs", subject="S02", mass="70").endswith("s01_stairs")
     live.wait_for_triggers(5)
     recorder = live.graph._members["recorder_node"].process
+    events = live.probe.listen(topics.EVENT)
     with ThreadPoolExecutor() as pool:  # at once, while the recorder stands
         recorder.send_signal(signal.SIGSTOP)
         try:
             marking = [pool.submit(act, "mark", label=label) for label in ("push", "step")]
-            live.wait_for_triggers(30)  # nobody else waits for it
+            live.probe.wait(lambda: bool(events), "the first event")
+            live.wait_for_triggers(10)  # nobody else waits for the recorder
             assert not any(mark.done() for mark in marking)
         finally:
             recorder.send_signal(signal.SIGCONT)

@@ -93,10 +93,9 @@ def test_topics_are_found_in_the_namespace_of_the_recording(hold: Path, tmp_path
 
 
 def test_stamps_that_jump_back_are_counted_and_named(hold: Path, tmp_path: Path) -> None:
-    notes: list[str] = []
+    notes, seen = [], []
     Trial(hold, notify=notes.append).samples()
     assert notes == []
-    seen: list[int] = []
 
     def change(topic: str, message: Any) -> Any:
         if topic == "/load_cell/wrench":
