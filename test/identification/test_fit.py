@@ -26,11 +26,7 @@ from socket_testbed.identification.solver import (
     pivot_regularised,
     solve_box_qp,
 )
-from socket_testbed.settings.identification import (
-    PAPER_VARIANTS,
-    VARIANTS,
-    IdentificationSettings,
-)
+from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS, IdentificationSettings
 
 SOLVERS = [solver for solver in ("osqp", "daqp") if solver in qpsolvers.available_solvers]
 LEFT_OUT = [

@@ -13,9 +13,7 @@ from matplotlib.colors import PowerNorm
 from matplotlib.text import Text
 from support.problems import random_socket, ring_socket
 
-from socket_testbed.identification.pressure import Quantity
 from socket_testbed.report import style
-from socket_testbed.report.pressure import draw_regions
 from socket_testbed.report.results import Results
 from socket_testbed.report.tiles import tile_map_figure
 from socket_testbed.report.write import SECTIONS
@@ -84,21 +82,6 @@ def test_a_map_with_intervals_is_smooth_and_greyer_where_they_reach_far():
             shown = image[image[..., 3] == 1.0][:, :3]
             assert len(shown) > 100
             np.testing.assert_allclose(shown, np.broadcast_to(expected, shown.shape), atol=5e-3)
-
-
-def test_regions_have_their_lines_bands_and_events(rng):
-    time, values = np.linspace(0.0, 60.0, 250), rng.normal(10.0, 1.0, (250, 2))
-    mean = Quantity(1e3 * values, 1e3 * values - 2e3, 1e3 * values + 3e3, 0.0 * values)
-    events = [(30.0, "removed"), (10.0, "placed"), (50.0, "placed")]
-    figure = style.DEFAULT_STYLE.figure(60.0)
-    draw_regions(figure, time, mean, {"a$_b": 1, "fibula head": 0}, events, style.DEFAULT_STYLE)
-    (axis,) = figure.axes
-    for line, shade, row in zip(axis.lines, axis.collections, values.T[::-1], strict=False):
-        np.testing.assert_allclose(line.get_xydata(), np.stack([time, row], axis=1))
-        points = shade.get_paths()[0].vertices[:, 1]
-        assert (points.min(), points.max()) == pytest.approx((row.min() - 2.0, row.max() + 3.0))
-    marks = sorted(line.get_xdata()[0] for line in axis.lines if len(line.get_xdata()) == 2)
-    assert marks == [10.0, 30.0, 50.0] and "1 placed, 2 removed" in figure.get_supxlabel()
 
 
 # --- as they are printed: width, size of type, room for every word

@@ -19,7 +19,7 @@ from socket_testbed.live.hardware import make_clusters, make_load_cell
 from socket_testbed.live.simulated_world import LiveTestbed, Simulation
 from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.simulation.limb import LoadedLimb, load_history
-from socket_testbed.simulation.sensors import CAMERA_RATE, LIKE_PAPER, SensorErrors, wrench_creep
+from socket_testbed.simulation.sensors import CAMERA_RATE, SensorErrors
 from socket_testbed.simulation.trial import simulate
 from socket_testbed.simulation.world import World
 from socket_testbed.socket_design.motive import read_motive_csv
@@ -152,13 +152,6 @@ def test_the_mean_over_the_window_averages_the_cameras_noise_and_does_not_lag() 
     assert np.abs(off).max() < 1e-4  # one frame with the body is enough
     assert np.isnan(trial.markers["pylon"][:, :, 0]).mean() == pytest.approx(0.3, abs=0.1)
     assert np.isnan(measure(0.25, drop_out=1.0)[1]).all()
-
-
-def test_the_load_cell_creeps_by_so_much() -> None:
-    time = np.arange(0.0, 120.0, 0.25)
-    load = load_history("static_hold", time, np.random.default_rng(0))
-    creep = wrench_creep(LIKE_PAPER, load, time, np.random.default_rng(1))
-    np.testing.assert_allclose(np.ptp(creep, axis=0), np.repeat([0.9, 4.0], 3))
 
 
 @pytest.mark.slow

@@ -290,15 +290,6 @@ def test_sockets_that_are_not_round_or_are_shallow():
         check(scan, moved(open_cone(*cone, EDGE, dome=True), oval), off=2.0)
 
 
-def test_noise_makes_no_holes(rng):
-    clean, inner = shell(*CONE, 0.003, WALL, dome=True), open_cone(*CONE, 0.003, dome=True)
-    shift = rng.normal(0.0, 0.0005, clean.vertices.shape)
-    interior = find_interior(moved(clean, lambda points: points + shift))
-    expected = moved(inner, lambda points: points + shift[: len(points)])
-    assert_same_faces(interior.mesh, expected, 1e-3)
-    assert "openings: 1, " in interior.notes[1]
-
-
 def test_neither_the_pose_nor_the_order_of_the_faces_matters(rng):
     cone, solid = open_cone(*CONE, EDGE, arc=4.0), shell(*CONE, EDGE, WALL, arc=4.0)
     turn, shift = Rotation.random(random_state=5), rng.normal(0.0, 1.0, 3)
@@ -328,19 +319,6 @@ def thickened(surface: trimesh.Trimesh, thickness: float) -> trimesh.Trimesh:
         np.vstack([surface.faces, surface.faces[:, ::-1] + count, *strips]),
         process=False,
     )
-
-
-def test_a_ledge_that_shades_the_wall_makes_no_hole():
-    def overhanging(points):
-        ring = np.exp(-(((points[:, 2] - 0.06) / 0.012) ** 2))
-        ledge = points * (1.0 - np.outer(0.3 * ring, [1.0, 1.0, 0.0]))
-        return ledge - np.outer(0.02 * ring, UP)
-
-    cone = moved(open_cone(*CONE, 0.003, dome=True), overhanging)
-    solid = shell(*CONE, 0.003, WALL, dome=True)
-    solid.vertices[: len(cone.vertices)] = cone.vertices
-    for scan in (cone, solid):
-        assert_same_faces(find_interior(scan).mesh, cone)
 
 
 # --- real scans
