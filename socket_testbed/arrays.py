@@ -10,9 +10,9 @@ IntArray: TypeAlias = NDArray[np.int64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 StatusArray: TypeAlias = NDArray[np.uint8]
 
-# A step between samples that is longer than so many usual ones [-]
-GAP = 1.5  # lacks a sample, which counts as lost, and what differs across it is no noise;
-BREAK = 3.0  # lacks several: neither the last value nor a line holds across it.
+# Steps between samples that are longer than so many usual ones [-]
+GAP = 1.5  # samples were lost; a difference across it is not noise
+BREAK = 3.0  # the data is unknown: no value holds and no line runs across it
 
 _TOLERANCE = 1e-6  # [s]; of a time
 _MEDIAN = 0.67449  # [-]; median magnitude of a standard normal variable

@@ -55,9 +55,8 @@ def find_trials(folder: Path, notify: Callable[[str], None] = lambda note: None)
         found = {path.relative_to(folder).as_posix(): path for path in _walk(folder, ())}
         empty = sorted(name for name, path in found.items() if holds_nothing(path))
     except OSError as error:
-        raise TrialError(
-            f"{error.filename}: cannot be read ({error.strerror})", "check the permissions"
-        ) from None
+        fact = f"{error.filename}: cannot be read ({error.strerror})"
+        raise TrialError(fact, "check the permissions") from None
     for name in empty:
         notify(f"{name} is left out: it holds nothing, its recorder was killed while it started")
         del found[name]

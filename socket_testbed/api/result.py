@@ -96,14 +96,12 @@ class Result:
         write_text(path, self.to_json())
 
     def _figure(self, style: FigureStyle) -> Figure:
-        raise ConfigurationError(
-            f"{type(self).__name__} has no figure", "plot its table: see to_dataframe()"
-        )
+        fact = f"{type(self).__name__} has no figure"
+        raise ConfigurationError(fact, "plot its table: see to_dataframe()")
 
     def _draw_into(self, ax: Axes) -> None:
-        raise ConfigurationError(
-            f"{type(self).__name__} has no single panel to draw", "leave ax: see figure()"
-        )
+        fact = f"{type(self).__name__} has no single panel to draw"
+        raise ConfigurationError(fact, "leave ax: see figure()")
 
 
 def records(table: pd.DataFrame) -> list[dict[str, Any]]:

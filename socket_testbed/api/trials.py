@@ -92,7 +92,7 @@ def open_trial(
     ['placed', 'removed']
     """
     spans = tuple((float(start), float(end)) for start, end in unloaded)
-    notify = cache(notify or _warn)
+    notify = cache(notify or warnings.warn)
     files = as_path(geometry), as_path(calibration)
     trial = Trial(Path(path), *files, notify, spans, as_path(load_cell), tare)
     if not trial.path.is_dir():
@@ -187,10 +187,6 @@ def annotate(
     if metadata != stored:
         write_metadata(metadata, path)
     return metadata
-
-
-def _warn(note: str) -> None:
-    warnings.warn(note, stacklevel=2)
 
 
 def check_data(trial: Trial | PathLike) -> tuple[DataFinding, ...]:

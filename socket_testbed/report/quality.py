@@ -87,8 +87,8 @@ def states(samples: Samples) -> dict[str, StatusArray]:
 
     A cluster's channels share its status; other measurements are present or missing.
     """
-    lost = {name: np.isnan(samples.wrench[:, i]) for i, name in enumerate(WRENCH_CHANNELS)}
-    found = {name: np.where(rows, Status.MISSING, Status.OK) for name, rows in lost.items()}
+    channels = np.where(np.isnan(samples.wrench.T), Status.MISSING, Status.OK)
+    found = dict(zip(WRENCH_CHANNELS, channels, strict=True))
     for name, state in samples.states.items():
         label = f"{name} ({', '.join(LOCAL_CHANNELS)})" if name in samples.clusters else name
         found |= {label: state} if name != "wrench" else {}

@@ -15,12 +15,7 @@ import yaml
 from socket_testbed.documents import Document, read_document, refuse_unknown
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import write_text
-from socket_testbed.settings.acquisition import (
-    ClusterSettings,
-    LoadCellSettings,
-    MocapSettings,
-    TriggerSettings,
-)
+from socket_testbed.settings import acquisition
 from socket_testbed.settings.fields import Settings, fixed, setting
 from socket_testbed.settings.identification import (
     ForceMapSettings,
@@ -71,9 +66,8 @@ def check_take_name(name: str, what: str = "the trial's name") -> str:
     if not name.isprintable() or set(name) & set(_FORBIDDEN):
         raise ConfigurationError(f"{what} {shown} cannot be that of a take", hint)
     if not name.strip(". ") or name[0] in ". " or name[-1] in ". ":
-        raise ConfigurationError(
-            f"{what} {shown} begins or ends with a '.' or a blank, or is empty", hint
-        )
+        fact = f"{what} {shown} begins or ends with a '.' or a blank, or is empty"
+        raise ConfigurationError(fact, hint)
     if len(name.encode()) > _MAX_NAME_LENGTH:
         raise ConfigurationError(f"{what} {shown} has {len(name.encode())} bytes", hint)
     return name
@@ -152,10 +146,12 @@ class TestbedSettings(Settings):
 
     __test__ = False
 
-    trigger_node: TriggerSettings = field(default_factory=TriggerSettings)
-    cluster_node: ClusterSettings = field(default_factory=ClusterSettings)
-    load_cell_node: LoadCellSettings = field(default_factory=LoadCellSettings)
-    mocap_node: MocapSettings = field(default_factory=MocapSettings)
+    trigger_node: acquisition.TriggerSettings = field(default_factory=acquisition.TriggerSettings)
+    cluster_node: acquisition.ClusterSettings = field(default_factory=acquisition.ClusterSettings)
+    load_cell_node: acquisition.LoadCellSettings = field(
+        default_factory=acquisition.LoadCellSettings
+    )
+    mocap_node: acquisition.MocapSettings = field(default_factory=acquisition.MocapSettings)
     calibration_node: CalibrationNodeSettings = field(default_factory=CalibrationNodeSettings)
     estimator_node: EstimatorSettings = field(default_factory=EstimatorSettings)
     recorder_node: RecorderSettings = field(default_factory=RecorderSettings)

@@ -44,8 +44,6 @@ _DELAYS = {
 _MAX_FRAMES = 50_000  # at once
 _START = 1_767_258_000_000_000_000  # [ns]; 2026-01-01 09:00 UTC
 
-Progress = Callable[[int, int], None]
-
 
 @dataclass(frozen=True)
 class GroundTruth:
@@ -89,7 +87,7 @@ def simulate(
     rate: float,
     seed: int,
     errors: sensors.SensorErrors | None = None,
-    progress: Progress | None = None,
+    progress: Callable[[int, int], None] | None = None,
     tissue: TissueKind = "soft",
     mocap_window: float = -1.0,
 ) -> SimulatedTrial:

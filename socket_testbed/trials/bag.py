@@ -261,9 +261,7 @@ METADATA = "metadata.yaml"  # of a closed bag
 
 def is_bag(folder: Path) -> bool:
     """Whether a folder is a bag, even if broken or still written."""
-    if not folder.is_dir():
-        return False
-    return (folder / METADATA).exists() or any(map(is_storage, folder.iterdir()))
+    return folder.is_dir() and any(f.name == METADATA or is_storage(f) for f in folder.iterdir())
 
 
 def holds_nothing(folder: Path) -> bool:

@@ -12,17 +12,9 @@ import numpy as np
 from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.axis import Region, all_regions
 from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.identification import pressure
 from socket_testbed.identification.force_map import ForceMap, map_trial
 from socket_testbed.identification.information import Suspension, find_suspension
-from socket_testbed.identification.pressure import (
-    SHARE,
-    THRESHOLD,
-    PressureOutputs,
-    Quantity,
-    RegionOutputs,
-    pressure_outputs,
-    read_column,
-)
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.tables import NOTHING, UNCERTAIN
@@ -59,20 +51,22 @@ class MappedTrial:
     force_map: ForceMap
     samples: Samples  # of the trial, with the channels in use
 
-    def outputs(self, rows: Any, threshold: float = THRESHOLD) -> PressureOutputs:
+    def outputs(self, rows: Any, threshold: float = pressure.THRESHOLD) -> pressure.PressureOutputs:
         """Outputs over some rows of the samples, with a contact threshold [Pa]."""
         samples, places = self.samples[rows], self.places
-        return pressure_outputs(self.force_map, samples, self.geometry, places, threshold)
+        return pressure.pressure_outputs(self.force_map, samples, self.geometry, places, threshold)
 
-    def over(self, segment: Segment, threshold: float = THRESHOLD) -> SegmentPressure:
+    def over(self, segment: Segment, threshold: float = pressure.THRESHOLD) -> SegmentPressure:
         """Outputs over a segment, with a contact threshold [Pa]."""
         outputs = self.outputs(segment.rows, threshold)
         return SegmentPressure(self.trial, segment, self.places, outputs)
 
-    def course(self, rows: Any) -> PressureOutputs:
+    def course(self, rows: Any) -> pressure.PressureOutputs:
         """Outputs of the whole socket only, five times as fast as with its regions."""
         samples, places = self.samples[rows], self.places[-1:]
-        return pressure_outputs(self.force_map, samples, self.geometry, places, THRESHOLD)
+        return pressure.pressure_outputs(
+            self.force_map, samples, self.geometry, places, pressure.THRESHOLD
+        )
 
 
 def mapped_trial(
@@ -93,7 +87,7 @@ class SegmentPressure:
     trial: Trial
     segment: Segment
     places: tuple[Region, ...]  # the last one is the socket
-    outputs: PressureOutputs
+    outputs: pressure.PressureOutputs
 
     @property
     def time(self) -> FloatArray:
@@ -121,7 +115,10 @@ def by_place(names: Iterable[str], found: Mapping[str, FloatArray]) -> dict[str,
 
 
 def cells(
-    names: Iterable[str], found: RegionOutputs, form: str = INLINE, share: float = SHARE
+    names: Iterable[str],
+    found: pressure.RegionOutputs,
+    form: str = INLINE,
+    share: float = pressure.SHARE,
 ) -> pd.DataFrame:
     """Formatted outputs, a row per place: values and intervals in a form.
 
@@ -130,19 +127,19 @@ def cells(
     import pandas as pd
 
     columns = {
-        title: _formatted(read_column(found, title), decimals, form, share)
+        title: _formatted(pressure.read_column(found, title), decimals, form, share)
         for title, decimals in DECIMALS.items()
     }
     return pd.DataFrame(columns, index=[*names])
 
 
-def limb_cells(found: Suspension, share: float = SHARE) -> dict[str, str]:
+def limb_cells(found: Suspension, share: float = pressure.SHARE) -> dict[str, str]:
     """Formatted outputs of the limb in the socket, by title."""
     outputs = found.outputs().items()
     return {title: _formatted(value, _LIMB_DECIMALS, INLINE, share)[0] for title, value in outputs}
 
 
-def _formatted(quantity: Quantity, decimals: int, form: str, share: float) -> list[str]:
+def _formatted(quantity: pressure.Quantity, decimals: int, form: str, share: float) -> list[str]:
     """Values with their intervals; a dash for unknown ones."""
     columns = (quantity.value, quantity.low, quantity.high, quantity.certain(share))
     number = f"{{:z.{decimals}f}}"

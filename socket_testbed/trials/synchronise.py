@@ -181,10 +181,7 @@ def _columns(topic: topics.Topic, values: Any) -> Iterator[tuple[str, _Columns]]
 
 
 def _rows(columns: _Columns, stamps: IntArray) -> _Columns:
-    """The values at sorted stamps, missing where there is none; of duplicates the last is used.
-
-    Values at other stamps are left out.
-    """
+    """The values at sorted stamps and no others: missing without one, of duplicates the last."""
     own, *values = columns
     if np.array_equal(stamps, own):
         return values

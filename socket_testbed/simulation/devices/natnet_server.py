@@ -12,7 +12,6 @@ from struct import pack, pack_into
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from socket_testbed import clocks
@@ -148,7 +147,7 @@ def encode_model_definitions(
         marker_set: Parts = [_text(definition.name), count, names]
         body: Parts = [_text(definition.name), pack("<ii3f", definition.id, -1, 0.0, 0.0, 0.0)]
         body += [pack("<4f", 0.0, 0.0, 0.0, 1.0)] if version >= (4, 2) else []
-        body += [count, _floats(definition.markers), bytes(4 * count)]
+        body += [count, np.asarray(definition.markers, "<f4").tobytes(), bytes(4 * count)]
         body += [names] if version >= (4, 0) else []
         for kind, part in enumerate((marker_set, body)):
             number += 1
@@ -173,10 +172,6 @@ def _sized(parts: Parts, sized: bool) -> Parts:
 
 def _text(text: str) -> bytes:
     return text.encode() + b"\0"
-
-
-def _floats(values: ArrayLike) -> bytes:
-    return np.asarray(values, dtype="<f4").tobytes()
 
 
 class Scene:
