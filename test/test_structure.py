@@ -43,11 +43,10 @@ def imports(tree: ast.AST) -> set[str]:
     return found
 
 
-def module_of(path: Path) -> str:
-    return ".".join(["socket_testbed", *path.relative_to(PACKAGE).with_suffix("").parts])
-
-
-TREES = {module_of(path): ast.parse(path.read_text()) for path in FILES}
+TREES = {
+    ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts): ast.parse(path.read_text())
+    for path in FILES
+}
 IMPORTS = {own: imports(tree) for own, tree in TREES.items()}
 
 

@@ -34,12 +34,18 @@ pytestmark = pytest.mark.graph
 SIMULATED = ("--simulated", "--time-scale", "0.25")  # slow enough for a busy machine
 
 
-def start(*words: object, folder: Path) -> subprocess.Popen[str]:
+class Running(subprocess.Popen):
+    def __exit__(self, *error) -> None:
+        self.kill()  # a test that failed would wait for its end
+        super().__exit__(*error)
+
+
+def start(*words: object, folder: Path) -> Running:
     call = [*COMMAND, "run", *SIMULATED, "--rate", "20", *map(str, words)]
-    return subprocess.Popen(call, cwd=folder, stdout=subprocess.PIPE, text=True)
+    return Running(call, cwd=folder, stdout=subprocess.PIPE, text=True)
 
 
-def interrupt(process: subprocess.Popen[str]) -> str:
+def interrupt(process: Running) -> str:
     """What a run prints that Ctrl-C ends."""
     process.send_signal(signal.SIGINT)
     out, _ = process.communicate(timeout=HANGS)

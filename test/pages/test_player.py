@@ -34,8 +34,8 @@ def test_an_instant_is_that_of_the_verbs(hold: Path, hold_model: Path) -> None:
         ):
             np.testing.assert_allclose(moment[name], 1e-3 * known[row], atol=5.1e-3)
         pressure, reach, grey = (np.array(moment[name]) for name in ("pressure", "reach", "grey"))
-        ratio = reach / np.maximum(np.abs(pressure), 5.0)
-        np.testing.assert_allclose(grey, np.clip((ratio - 1.0) / 1.5, 0.0, 1.0), atol=0.02)
+        doubt = reach / np.maximum(np.abs(pressure), 5.0) - 1.0
+        np.testing.assert_allclose(grey, np.clip(doubt / 1.5, 0.0, 1.0), atol=0.02)
         np.testing.assert_allclose(moment["measured"], 1e-3 * measured[row], atol=0.051)
         wrenches = [samples.wrench[row], predicted[row, :6]]
         np.testing.assert_allclose(shown["wrench"], wrenches, atol=5.1e-3)

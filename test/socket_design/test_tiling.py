@@ -123,12 +123,12 @@ def tile(mesh: trimesh.Trimesh) -> Tiling:
     return tile_interior(mesh, Z, X, FEW)
 
 
-def prism(side: float, height: float, subdivisions: int = 5) -> trimesh.Trimesh:
+def prism(side: float, height: float) -> trimesh.Trimesh:
     """Four walls with sharp corners, the normals into it."""
     box = trimesh.creation.box((side, side, height))
     walls = np.abs(box.face_normals[:, 2]) < 0.5
     mesh = trimesh.Trimesh(box.vertices + 0.5 * height * Z, box.faces[walls][:, ::-1])
-    for _ in range(subdivisions):
+    for _ in range(5):
         mesh = mesh.subdivide()
     return mesh
 
