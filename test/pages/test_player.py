@@ -27,12 +27,10 @@ def test_an_instant_is_that_of_the_verbs(hold: Path, hold_model: Path) -> None:
         shown = json.loads(json.dumps(played.now(time), allow_nan=False))
         moment = shown["moment"]
         assert moment["time"] == pytest.approx(samples.time[row], abs=1e-3)
-        for name, known in (
-            ("pressure", estimate.normal_pressure),
-            ("reach", 1.96 * estimate.normal_pressure_standard_deviation),
-            ("shear", estimate.shear),
-        ):
-            np.testing.assert_allclose(moment[name], 1e-3 * known[row], atol=5.1e-3)
+        reach = 1.96 * estimate.normal_pressure_standard_deviation
+        known = {"pressure": estimate.normal_pressure, "reach": reach, "shear": estimate.shear}
+        for name, values in known.items():
+            np.testing.assert_allclose(moment[name], 1e-3 * values[row], atol=5.1e-3)
         pressure, reach, grey = (np.array(moment[name]) for name in ("pressure", "reach", "grey"))
         doubt = reach / np.maximum(np.abs(pressure), 5.0) - 1.0
         np.testing.assert_allclose(grey, np.clip(doubt / 1.5, 0.0, 1.0), atol=0.02)
