@@ -210,13 +210,3 @@ def test_whatever_stands_in_a_field_is_read_or_refused_by_its_name(name, folder,
     else:
         known = numbers_of(found)
         assert np.isfinite(known[~np.isnan(known)]).all()
-
-
-def test_tiles_in_one_place_or_far_from_all_others_are_named(folder: Path) -> None:
-    document, path = good_documents()["socket"][0], folder / "tiles.yaml"
-    first, second, *_ = document["tiles"]
-    x, y, z = document["tiles"][first]["anchor"]
-    for anchor, problem in (([x, y, z], "is at the same place"), ([x, y, -2.0], "from all others")):
-        path.write_text(yaml.safe_dump(changed(document, ("tiles", second, "anchor"), anchor)))
-        with refused(ConfigurationError, str(path), second, problem):
-            read_socket(path)

@@ -231,7 +231,7 @@ class _Conclusion:
     def sentences(self) -> list[str]:
         """Measured and estimated pressures, their errors, and what to try next."""
         places = all_regions(self._geometry)
-        bare = ~self._geometry.covered
+        bare = np.flatnonzero(~self._geometry.covered)
         held = 100.0 * np.mean(np.abs(self._error[bare]) <= self._reach[bare])
         load = np.nanmean(np.linalg.norm(self._hold.wrench[:, 3:], axis=1))
         measured, without, reach = self._left_out.T

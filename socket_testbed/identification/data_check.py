@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from operator import itemgetter
 
 import numpy as np
 
@@ -248,8 +247,7 @@ def _channels(samples: Samples) -> Iterator[DataFinding]:
         if len(known) < MIN_SAMPLES:
             continue
         still = period * _longest_run(known)
-        at_ends = {end: np.mean(known == end) for end in (known.min(), known.max())}
-        end, at_end = max(at_ends.items(), key=itemgetter(1))
+        at_end, end = max((np.mean(known == end), end) for end in (known.min(), known.max()))
         unit = channel_unit(name)
         if still > max(MAX_STILL, 4.0 * period):
             fact, hint = f"it does not change for {still:.1f} s", "check the sensor and its driver"

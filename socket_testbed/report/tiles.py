@@ -44,7 +44,6 @@ _WALL_SHARE = 3.4  # [-]; width of the wall over that of the distal end
 _MIN_FONT = 3.0  # [pt]; of a name on a tile
 _LINE_LENGTH = 9  # characters
 _CHARACTER, _LINE = 0.62, 1.25  # [-]; character width, line height, over the font size
-_SPREAD = 0.5  # [-]; exponent of the colour scale, finer at low values, as on pages
 _IMAGE_STEP = 0.12  # [-]; between the points of an image, over the tiles' edge
 _MAX_RANGE_RATIO = 2.0  # [-]; of ranges on a common scale
 _AXIS, _BAR = 12.0, 15.0  # [mm]; widths of a map's axis and of a colour bar
@@ -89,7 +88,9 @@ def paint_tiles(
     they are drawn smooth over the surface, and turn grey as on pages.
     """
     tiles, unknown = unrolled_tiles(geometry), np.isnan(values)
-    scale = ScalarMappable(PowerNorm(_SPREAD, *(limits or value_range(values))), SCALE)
+    low, high = limits or value_range(values)
+    power = 0.5 if reach is not None and low > -high else 1.0  # finer at low pressures
+    scale = ScalarMappable(PowerNorm(power, low, high), SCALE)
     fills = np.where(unknown[:, None], to_rgba(_NO_VALUE), scale.to_rgba(values))
     if reach is None or unknown.any():
         return TilePaint(geometry, tiles, fills, unknown, scale)

@@ -1,9 +1,12 @@
 """The command line as a user calls it, with right and with wrong input."""
 
 import os
+import re
+import shutil
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.bags import edited
 from support.verbs import call, program, refused
@@ -110,6 +113,22 @@ def words_of(line: str, **places: object) -> list[str]:
     for name, path in places.items():
         line = line.replace(name, str(path))
     return line.split()
+
+
+def test_the_demo_compares_the_replay_with_the_truth(hold, tmp_path, monkeypatch, capsys) -> None:
+    found = st.force_map(hold, "all").estimate
+    live = np.stack([found.normal_pressure, found.normal_pressure_standard_deviation])
+
+    def recorded(trial: Trial, seed: int, log: Path):
+        shutil.copytree(hold, trial.path)
+        return trial.samples(), 1.0
+
+    monkeypatch.setattr(demo, "_record", recorded)
+    monkeypatch.setattr(demo, "_estimate", lambda *given: live)
+    code, out, _ = call(capsys, "demo", "-o", tmp_path / "demo")
+    assert code == 0 and (tmp_path / "demo" / "force_map.png").is_file()
+    (held,) = re.findall(r"(\d+) % of the 95 % intervals contain the truth", out)
+    assert int(held) > 80 and "Largest error: " in out
 
 
 def test_a_wrong_call_gets_one_line(hold, tmp_path, capsys, monkeypatch) -> None:

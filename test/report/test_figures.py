@@ -58,7 +58,7 @@ def test_tiles_have_the_colours_of_their_values_on_one_scale_unless_their_ranges
         maps = [axis for axis in figure.axes if axis.get_xlim()[0] < -180.0]
         for axis, row, scale in zip(maps, values.values(), [*ends, *ends], strict=False):
             squares = next(c for c in axis.collections if isinstance(c, PolyCollection))
-            expected = colormaps[style.SCALE](PowerNorm(0.5, *scale)(row))
+            expected = colormaps[style.SCALE](PowerNorm(1.0, *scale)(row))
             np.testing.assert_allclose(squares.get_facecolors(), expected)
         assert figure.get_supxlabel() == f"1 {NASTY}"
     # What has no value is hatched.

@@ -59,16 +59,6 @@ def test_the_limb_settles_under_the_paper_s_load(tissue, least, most) -> None:
     assert 0.6 * least < down.min() and down.max() < 1.4 * most
 
 
-def test_the_static_hold_is_the_paper_s_and_the_protocol_pushes_before_it() -> None:
-    time, pylon, mass = np.arange(0, 120, 0.25), 9.3 * 9.81, 19.0 * 9.81
-    for scenario in ("static_hold", "protocol"):
-        load = load_history(scenario, time, np.random.default_rng(0))
-        np.testing.assert_allclose(load[(time < 4) | (time > 110), 5], -pylon, atol=1e-9)
-        np.testing.assert_allclose(load[(time > 66) & (time < 95), 5], -pylon - mass, atol=1e-9)
-    pushed = load[(time > 7) & (time < 57)]
-    assert (pushed[:, 3:5].min(axis=0) < -20.0).all() and (pushed[:, 3:5].max(axis=0) > 20.0).all()
-
-
 def measure(window: float, rate: float = 4.0, **errors: float):
     """A trial of 100 samples, and the errors of the limb's measured position [m]."""
     sizes = dataclasses.replace(PERFECT, **errors)

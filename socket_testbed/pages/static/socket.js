@@ -21,12 +21,13 @@ function element(tag, className, text) {
   return made;
 }
 
-function viridis(share) {  // finer steps at low pressures
-  const place = 10 * Math.sqrt(Math.min(Math.max(share, 0), 1)), below = Math.min(Math.floor(place), 9);
+// Colours are spread over a power of the share: a half for pressures, finer at low ones.
+function viridis(share, power) {
+  const place = 10 * Math.min(Math.max(share, 0), 1) ** power, below = Math.min(Math.floor(place), 9);
   return VIRIDIS[below].map((low, i) => low + (place - below) * (VIRIDIS[below + 1][i] - low));
 }
 
-const COLOURS = VIRIDIS.map((rgb, i) => [(i / 10) ** 2, `rgb(${rgb})`]);
+const colourScale = (power) => VIRIDIS.map((rgb, i) => [(i / 10) ** (1 / power), `rgb(${rgb})`]);
 const DIVERGING = [[0, "#2166ac"], [0.25, "#67a9cf"], [0.5, "#f7f7f7"], [0.75, "#f4a582"], [1, "#b2182b"]];
 
 function unpack(patch, tiles) {
@@ -101,7 +102,7 @@ class SocketMap {
       const within = (given, end) => given && patch.at(given).map((v) => v && Math.min(Math.max(v, 0), end));
       return {z, r: within(reach, Infinity), veil: within(grey, 1)};
     };
-    return {low: this.diverging ? -high : low, high, patches: new Map(this.socket.patches.map((patch) => [patch, of(patch)]))};
+    return {low: this.diverging ? -high : low, high, power: extra ? 1 : 0.5, patches: new Map(this.socket.patches.map((patch) => [patch, of(patch)]))};
   }
 
   drawMap(paint, values, unit, ink) {
@@ -113,7 +114,7 @@ class SocketMap {
       const main = patch === (wall ?? end);
       traces.push({
         ...place, type: "heatmap", z: patch.rows(z), zmin: paint.low, zmax: paint.high,
-        colorscale: this.diverging ? DIVERGING : COLOURS, showscale: main,
+        colorscale: this.diverging ? DIVERGING : colourScale(paint.power), showscale: main,
         customdata: r && patch.rows(z.map((v, i) => (v === null ? null : [v - r[i], v + r[i]]))),
         hovertemplate: `%{z:.1f} ${unit}` + (r ? "<br>95 %: %{customdata[0]:.1f} to"
           + " %{customdata[1]:.1f}" : "") + "<extra></extra>",
@@ -208,7 +209,7 @@ class SocketMap {
         if (!found || !known(found.z[i])) { return "rgb(200,200,200)"; }
         const share = (found.z[i] - paint.low) / (paint.high - paint.low);
         const veil = greyest * (found.veil?.[i] ?? 0);
-        return `rgb(${viridis(share).map((c, k) => Math.round(c + veil * (colour[k] - c)))})`;
+        return `rgb(${viridis(share, paint.power).map((c, k) => Math.round(c + veil * (colour[k] - c)))})`;
       });
       const [x, y, z] = [0, 1, 2].map((axis) => patch.flat.map((point) => point[axis] ?? 0));
       return {type: "mesh3d", x, y, z, i: faces[0], j: faces[1], k: faces[2], vertexcolor: colours,
