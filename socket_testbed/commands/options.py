@@ -250,7 +250,7 @@ def on_trials(
         jobs: Number of parallel trials (default: one per core).
         dask: Use the workers of a Dask cluster instead, by the address of its scheduler.
         again: Repeat finished trials.
-        replace: Replace outputs that exist.
+        replace: Replace existing outputs.
     """
     options |= {"output": output, "replace": replace}
     json, figure = options.get("json"), options.get("figure")
