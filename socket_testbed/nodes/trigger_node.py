@@ -62,6 +62,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         self._stopping.set()
         self._enabled.set()
         self._thread.join()
+        clocks.sleep(0.05)  # with this publisher ends what a busy node has not received of it
 
     def figures(self) -> dict[str, object]:
         """Numbers of pulses and of faults."""
