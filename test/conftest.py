@@ -90,7 +90,7 @@ def hold_model(hold: Path) -> Path:
 @pytest.fixture
 def few_variants(monkeypatch: pytest.MonkeyPatch) -> None:
     """Validates only variants that are fitted at once: the others repeat what these show."""
-    place = "socket_testbed.settings.identification.VARIANTS"
+    place = "socket_testbed.identification.validation.VARIANTS"
     monkeypatch.setattr(place, ("stiffness", "stiffness_bias"))
 
 

@@ -197,11 +197,11 @@ def cycles(
     spans = spans[kept]
     shares = np.linspace(0.0, 1.0, _POINTS)
     moments = spans[:, :1] + shares * (spans[:, 1:] - spans[:, :1])
+    samples = np.median(np.diff(np.searchsorted(time, spans), axis=1))
     breaks = np.flatnonzero(gaps(time, BREAK)) + 1  # no line holds across them
     time = np.insert(time, breaks, 0.5 * (time[breaks - 1] + time[breaks]))
     values = np.insert(values, breaks, np.nan, axis=0)
     curves = np.stack([np.interp(moments, time, column) for column in values.T], axis=-1)
-    samples = np.median(np.diff(np.searchsorted(time, spans), axis=1))
     if samples < _MIN_SAMPLES:
         few = f"a cycle by '{by}' has {samples:.0f} samples"
         note(trial, f"{few}: the course between them is interpolated, record at a higher rate")

@@ -117,9 +117,8 @@ class TrialFit(Result):
 
     def motion(self) -> information.Motion:
         """Motion of the pose over the segment, relative to its noise."""
-        return information.measure_motion(
-            self._samples(), self.trial.geometry, self.fit.settings.pose_smoothing
-        )
+        window = self.fit.settings.pose_smoothing
+        return information.measure_motion(self._samples(), self.trial.geometry, window)
 
     def known_directions(self) -> float:
         """Stiffness directions with a standard deviation below `stiffness_difference` [-]."""
@@ -196,10 +195,8 @@ class Evaluation(Result):
 
     def engagement(self) -> information.Engagement:
         """Engaged springs at every sample of the trial, and their share of the segment's time."""
-        window = self.model.settings.pose_smoothing
-        return information.engagement(
-            self.trial.samples(), self.model.model, window, self.segment.rows
-        )
+        model, window = self.model.model, self.model.settings.pose_smoothing
+        return information.engagement(self.trial.samples(), model, window, self.segment.rows)
 
     def document(self) -> dict[str, Any]:
         """The evaluation for JSON."""

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure, SubFigure
 
 from socket_testbed import api
 from socket_testbed.arrays import FloatArray
-from socket_testbed.commands.terminal import Progress, decimal, table
+from socket_testbed.commands.terminal import Progress, decimals, table
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import TemporaryFolder, check_new_folder, make_folder
 from socket_testbed.geometry.axis import all_regions
@@ -202,7 +202,7 @@ def _error_table(found: api.Validation) -> str:
         judged = found.summary().query(which).groupby("predictor")[column].last()
         errors = judged.reindex([*_ESTIMATES])
         columns.append(
-            [decimal(error, digits) + "*" * bool(error == errors.min()) for error in errors]
+            [decimals(error, digits) + "*" * bool(error == errors.min()) for error in errors]
         )
     rows = [*map(list, zip(_ESTIMATES, *columns, strict=True))]
     return f"{table(['estimate', *_COLUMNS], rows)}\n{_LEGEND}"

@@ -18,7 +18,7 @@ from socket_testbed.calibration.drift import DRIFT_LIMIT, Drift
 from socket_testbed.calibration.model import SHEAR_TERMS
 from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import check_files, draw, given, print_note
-from socket_testbed.commands.terminal import Progress, decimal, table, text_of
+from socket_testbed.commands.terminal import Progress, decimals, table, text_of
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import check_outputs
@@ -151,7 +151,7 @@ def _markers(*bodies: registration.RegisteredBody) -> str:
         residuals = [np.nan] * len(body.markers) + body.landmarks.residual.tolist()
         lengths = _MM * np.column_stack([still.spread, still.drift, residuals])
         for name, occluded, row in zip(still.names, still.occluded, lengths, strict=True):
-            rows.append([name, str(occluded), *map(decimal, row)])
+            rows.append([name, str(occluded), *map(decimals, row)])
     return table(["marker", "occluded", "spread [mm]", "drift [mm]", "residual [mm]"], rows)
 
 
@@ -181,7 +181,7 @@ def _sigma(covariance: FloatArray) -> FloatArray:
 
 
 def _vector(values: FloatArray, digits: int = 2) -> str:
-    return f"({', '.join(decimal(value, digits) for value in values)})"
+    return f"({', '.join(decimals(value, digits) for value in values)})"
 
 
 @takes("calibrate", "commands.options.draw", "files.check_outputs", exclusive="area geometry")
@@ -277,7 +277,7 @@ def _coefficients(calibrated: BenchCalibration) -> str:
         ("shear_y", SHEAR_TERMS, cluster.shear[1], calibrated.shear_half_width[1]),
     ]
     rows = [
-        [stress, term, decimal(value, 1), decimal(width, 1), unit]
+        [stress, term, decimals(value, 1), decimals(width, 1), unit]
         for stress, terms, values, widths in groups
         for term, value, width, unit in zip(terms, values, widths, _UNITS, strict=False)
     ]
@@ -287,7 +287,7 @@ def _coefficients(calibrated: BenchCalibration) -> str:
 def _errors(found: CalibratedCluster) -> str:
     frame = found.to_dataframe()
     frame["cross-talk [%]"] = [
-        decimal(value, 3) if isfinite(value) else f"no pure {'normal' if axis else 'shear'}"
+        decimals(value, 3) if isfinite(value) else f"no pure {'normal' if axis else 'shear'}"
         for axis, value in enumerate(frame["cross-talk [%]"])
     ]
     return text_of(Table("errors", "", frame))
@@ -298,7 +298,7 @@ def _outliers(calibrated: BenchCalibration) -> str:
     if not outliers:
         return "no outliers"
     rows = [
-        [o.place, STRESSES[o.axis], decimal(o.known, 0), decimal(o.fitted, 0)]
+        [o.place, STRESSES[o.axis], decimals(o.known, 0), decimals(o.fitted, 0)]
         for o in outliers[:_MAX_SHOWN]
     ]
     fate = "left out of the fit" if calibrated.dropped else "kept in the fit, but not in its range"

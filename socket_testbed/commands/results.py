@@ -26,10 +26,10 @@ from socket_testbed.commands.options import (
     report_data,
     segment_columns,
 )
-from socket_testbed.commands.terminal import Progress, decimal, say, text_of
+from socket_testbed.commands.terminal import Progress, decimals, say, text_of
 from socket_testbed.documents import finite_or_null
 from socket_testbed.errors import ConfigurationError, IdentificationError
-from socket_testbed.geometry.socket import PARTS_OF_SECTORS
+from socket_testbed.geometry.socket import SECTOR_PARTS
 from socket_testbed.identification.fit import ChannelErrors, errors_to_dataframe, summarise_errors
 from socket_testbed.identification.information import MIN_RATIO, share_warning
 from socket_testbed.identification.model_file import quoted_figures
@@ -83,12 +83,12 @@ def _show_fit(found: TrialFit, options: Mapping[str, Any]) -> None:
         print(f"the wrench is predicted by {fit.wrench}")
     print(f"{fit.status}\n\n{errors_table(fit.errors)}\n")
     shares, motion = found.load_shares(), found.motion()
-    borne = [f"{share.name} {decimal(100 * share.springs, 0)} %" for share in shares]
+    borne = [f"{share.name} {decimals(100 * share.springs, 0)} %" for share in shares]
     print(f"share of the measured load carried by the springs: {', '.join(borne)}")
     if warning := share_warning(shares):
         print(f"warning: {warning}")
     print(
-        f"despite all noise, {decimal(found.known_directions(), 1)} of {size} stiffness directions"
+        f"despite all noise, {decimals(found.known_directions(), 1)} of {size} stiffness directions"
         f" are known to {settings.stiffness_difference:g} N/m or better"
     )
     print(
@@ -272,11 +272,11 @@ def errors_table(errors: Sequence[ChannelErrors]) -> str:
     lines = [
         text_of(Table("errors", "", frame, {"skill": "z.2f"})),
         "",
-        f"mean moment RMSE {decimal(summary.moment_rmse)} N m, mean force RMSE"
-        f" {decimal(summary.force_rmse)} N, median local RMSE {decimal(summary.local_rmse)} N,"
+        f"mean moment RMSE {decimals(summary.moment_rmse)} N m, mean force RMSE"
+        f" {decimals(summary.force_rmse)} N, median local RMSE {decimals(summary.local_rmse)} N,"
         " of the channels in the objective",
-        f"median skill of the wrench {decimal(summary.wrench_skill, 2)}, of the local forces"
-        f" {decimal(summary.local_skill, 2)}",
+        f"median skill of the wrench {decimals(summary.wrench_skill, 2)}, of the local forces"
+        f" {decimals(summary.local_skill, 2)}",
     ]
     if any(error.skill < 0.0 for error in errors):
         lines.append("negative skill: the channel's mean would have been a better prediction")
@@ -349,7 +349,7 @@ def _bring_to_cycles(
     say(f"{outputs}\n")
     if output is not None:
         outputs.save(output)
-    names = [place.name for place in found.places if place.name not in PARTS_OF_SECTORS]
+    names = [place.name for place in found.places if place.name not in SECTOR_PARTS]
     shown = [f"{name}.mean pressure [kPa]" for name in names]
     draw(to_cycles(table[shown], segment=found.segment), **options)
 

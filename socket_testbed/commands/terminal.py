@@ -60,7 +60,7 @@ def _is_number(cell: str) -> bool:
     return cell in {"", "-"} or cell.lstrip("-").replace(".", "", 1).isdigit()
 
 
-def decimal(value: float, digits: int = 3) -> str:
+def decimals(value: float, digits: int = 3) -> str:
     """A number with fixed decimals; a dash for a missing one."""
     return _in_ascii(number(value, f"z.{digits}f"))
 

@@ -20,7 +20,7 @@ from socket_testbed.commands.options import (
     print_note,
     report_data,
 )
-from socket_testbed.commands.terminal import Progress, decimal, table
+from socket_testbed.commands.terminal import Progress, decimals, table
 from socket_testbed.files import check_outputs
 from socket_testbed.identification.noise import channel_noise, noise_groups
 from socket_testbed.samples import Samples, Status
@@ -118,7 +118,12 @@ def _topics(trial: Trial) -> str:
     with trial.open() as bag:
         duration = bag.duration
         rows = [
-            [name, bag.types[name], str(count), decimal(count / duration if duration else 0.0, 2)]
+            [
+                name,
+                bag.types[name],
+                str(count),
+                decimals(count / duration if duration else 0.0, 2),
+            ]
             for name, count in sorted(bag.counts.items())
         ]
         heading = f"{trial.path}: {sum(bag.counts.values())} messages in {duration:.2f} s"
@@ -159,5 +164,5 @@ def _events(trial: Trial) -> str:
 
 def _noise(samples: Samples) -> str:
     groups = noise_groups(channel_noise(samples), samples.clusters)
-    rows = [[name, *(decimal(value, 4) for value in noise)] for name, noise in groups.items()]
+    rows = [[name, *(decimals(value, 4) for value in noise)] for name, noise in groups.items()]
     return table(["noise of one sample", "x", "y", "z"], rows)

@@ -32,11 +32,11 @@ from socket_testbed.geometry.pose import (
 
 HEIGHTS = ("proximal", "middle", "distal")
 SECTORS = ("anterior", "posterior", "medial", "lateral", "left", "right")
-PARTS_OF_SECTORS = [f"{sector} {height}" for sector in SECTORS for height in HEIGHTS]
+SECTOR_PARTS = [f"{sector} {height}" for sector in SECTORS for height in HEIGHTS]
 SOCKET = "socket"  # the region of all tiles
 UNMEASURED = "unmeasured wall"  # the region of the tiles without a cluster
 
-_STANDARD_REGIONS = {SOCKET, UNMEASURED, *SECTORS, *HEIGHTS, *PARTS_OF_SECTORS}
+_STANDARD_REGIONS = {SOCKET, UNMEASURED, *SECTORS, *HEIGHTS, *SECTOR_PARTS}
 _SAME_PLACE = 1e-4  # [m]
 _MAX_GAP_RATIO, _MAX_GAP = 4.0, 0.06  # over the median gap [-], and [m]; beyond both: off the wall
 _FromScan = Annotated[float, Meta(ge=-100.0, le=100.0)]  # [m]; the scanner's origin is arbitrary

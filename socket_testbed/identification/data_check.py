@@ -72,8 +72,8 @@ def check_data(
     """Defects of a trial's data, the worst first; empty if it is good.
 
     The mass is that of the person [kg], if stated. Channels in `leave_out` are not checked. In a
-    window instead of a `whole` trial the limb may just be pushed, so sources are
-    not compared over time.
+    window instead of a `whole` trial the limb may just be pushed, so sources are not compared over
+    time.
     """
     if len(samples) < MIN_SAMPLES:
         fact = f"{len(samples)} samples are too few to judge it"

@@ -107,9 +107,8 @@ _ARRAYS = ("stiffness", "rest_positions", "wrench_bias", "reference_pose", "wren
 
 
 def _parameters(model: ContactModel) -> dict[str, Any]:
-    found = {
-        name: documents.plain(getattr(model, name)) for name in ("variant", "sharpness", *_ARRAYS)
-    }
+    names = ("variant", "sharpness", *_ARRAYS)
+    found = {name: documents.plain(getattr(model, name)) for name in names}
     found["force_bias"] = {name: documents.plain(bias) for name, bias in model.force_bias.items()}
     found["clusters"] = list(model.cluster_points)
     if model.of_wrench is not None:
@@ -137,10 +136,8 @@ _Parameter = Annotated[float, Meta(ge=-1e9, le=1e9)]  # [N/m, N, N m]; far beyon
 _Stiffness = Annotated[float, Meta(ge=-1.0, le=1e9)]  # [N/m]; solvers may undershoot zero slightly
 _Place = Annotated[float, Meta(ge=-10.0, le=10.0)]  # [m, rad]
 _Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
-_Figure = (
-    Annotated[float, Meta(ge=-documents.FINITE, le=documents.FINITE)] | None
-)  # JSON has no NaN
 _Second = Annotated[float, Meta(ge=-documents.FINITE, le=documents.FINITE)]
+_Figure = _Second | None  # JSON has no NaN
 _Three = tuple[_Parameter, _Parameter, _Parameter]
 _Six = tuple[_Parameter, _Parameter, _Parameter, _Parameter, _Parameter, _Parameter]
 
@@ -220,9 +217,8 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredMode
     if not isinstance(data, dict) or "format" not in data:
         raise ConfigurationError(f"{path}: is not a model", "give a file that 'fit' wrote")
     if data["format"] != _FORMAT:
-        raise ConfigurationError(
-            f"{path}: is of the format {documents.shown(data['format'])}", _AGAIN
-        )
+        fact = f"{path}: is of the format {documents.shown(data['format'])}"
+        raise ConfigurationError(fact, _AGAIN)
     document = documents.convert(data, _Model, str(path))
     quality = document.quality
     fitted_on = socket_from_document(document.geometry, f"{path}: geometry")

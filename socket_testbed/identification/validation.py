@@ -30,7 +30,11 @@ from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.noise import channel_noise, smooth_poses
 from socket_testbed.identification.problem import MIN_SAMPLES
 from socket_testbed.samples import FORCES, MOMENTS, Samples, Status
-from socket_testbed.settings import identification
+from socket_testbed.settings.identification import (
+    VARIANTS,
+    ForceMapSettings,
+    IdentificationSettings,
+)
 from socket_testbed.settings.testbed import EstimatorSettings
 
 if TYPE_CHECKING:
@@ -198,7 +202,7 @@ deviations by axis of {S}, NaN if unknown."""
 
 
 def field_estimators(
-    geometry: SocketGeometry, settings: identification.ForceMapSettings
+    geometry: SocketGeometry, settings: ForceMapSettings
 ) -> dict[str, FieldEstimator]:
     """Estimators of the forces on the tiles that need no fit, by name.
 
@@ -304,13 +308,13 @@ def _judged(judgement: Judgement, compared: Sequence[_Compared], size: float) ->
 def fit_variants(
     samples: Samples,
     geometry: SocketGeometry,
-    settings: identification.IdentificationSettings,
+    settings: IdentificationSettings,
     notify: Callable[[str], None] | None = None,
 ) -> dict[str, ContactModel]:
     """Fit every variant of the contact model, by name; report those that cannot be fitted."""
     models: dict[str, ContactModel] = {}
     errors: dict[str, IdentificationError] = {}
-    for variant in identification.VARIANTS:
+    for variant in VARIANTS:
         chosen = dataclasses.replace(settings, variant=variant)
         try:
             models[variant] = fit.fit_contact_model(samples, geometry, chosen).model
@@ -339,7 +343,7 @@ def split(samples: Samples, least_force: float) -> tuple[IntArray, IntArray]:
 
 
 def judge_unseen_half(
-    samples: Samples, geometry: SocketGeometry, settings: identification.IdentificationSettings
+    samples: Samples, geometry: SocketGeometry, settings: IdentificationSettings
 ) -> tuple[fit.ChannelErrors, ...]:
     """Errors on the second half of the samples of a model fitted on the first half."""
     first, second = split(samples, 0.0)
@@ -399,7 +403,7 @@ def judge_map(
 
 
 def measurement_errors(
-    samples: Samples, noise: FloatArray, settings: identification.ForceMapSettings
+    samples: Samples, noise: FloatArray, settings: ForceMapSettings
 ) -> FloatArray:
     r"""Standard deviation of each cluster's measurement error, shape (c, 3) [N].
 

@@ -91,11 +91,12 @@ class Marked:
 
     def notes(self) -> list[str]:
         """Remarks for the user."""
-        known = {
-            "no trial is being recorded: call recorder/record": self.trial,
-            "no trigger received: the stamp is the system clock's": self.triggered,
-        }
-        return [note for note, fine in known.items() if not fine]
+        found = []
+        if not self.trial:
+            found.append("no trial is being recorded: call recorder/record")
+        if not self.triggered:
+            found.append("no trigger received: the stamp is the system clock's")
+        return found
 
 
 def publish_event(label: str, called: float, namespace: str = "/") -> Marked:

@@ -25,6 +25,7 @@ from socket_testbed.trials.topics import TRIGGER
 
 _READY_TIMEOUT = 60.0  # [s] of real time; for the other nodes
 _FOREIGN_DURATION = 5.0  # [s]; how long another testbed is reported
+_LINGER = 0.05  # [s]; a busy node may not have received the last trigger when its publisher ends
 _MAX_REMEMBERED = 200  # own triggers, to recognise foreign ones
 _STEP_THRESHOLD = 0.01  # [s]; smallest reported step of the system clock
 _REOPEN_INTERVAL = 0.3  # [s]
@@ -62,7 +63,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         self._stopping.set()
         self._enabled.set()
         self._thread.join()
-        clocks.sleep(0.05)  # with this publisher ends what a busy node has not received of it
+        clocks.sleep(_LINGER)
 
     def figures(self) -> dict[str, object]:
         """Numbers of pulses and of faults."""

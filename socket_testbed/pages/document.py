@@ -16,13 +16,7 @@ import numpy as np
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.axis import Region, Side, axial_force
-from socket_testbed.geometry.socket import (
-    HEIGHTS,
-    PARTS_OF_SECTORS,
-    SOCKET,
-    UNMEASURED,
-    SocketGeometry,
-)
+from socket_testbed.geometry.socket import HEIGHTS, SECTOR_PARTS, SOCKET, UNMEASURED, SocketGeometry
 from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.identification.pressure import (
     NORMAL_QUANTILE,
@@ -40,6 +34,7 @@ _BAR_TITLES = ("mean pressure [kPa]", "peak pressure [kPa]", "share of load [%]"
 _MAX_MARKS = 20  # per event label
 _UNIT = 1.0 / 8192.0  # [-]; unit of the stored weights, 16-bit integers
 _CLOSED = [0, 1, 2, 3, 0]  # corners of a square
+POWER = 0.5  # [-]; exponent of the colours of pressures, finer at low ones
 GREY: dict[str, Any] = {"colour": [150, 150, 150], "greyest": 0.85}  # of uncertain pressures
 
 Document = dict[str, Any]
@@ -75,6 +70,7 @@ def socket_document(geometry: SocketGeometry, side: Side | None = None) -> Docum
         "proximal": numbers(tiles.around.proximal, 4),
         "regions": {name: list(map(int, tiles)) for name, tiles in geometry.regions.items()},
         "grey": GREY,
+        "power": POWER,
         "patches": [_patch(patch) for patch in patches(geometry)],
     }
 
@@ -163,7 +159,7 @@ def course(
 
 def bars(places: Sequence[Region], outputs: RegionOutputs) -> Document:
     """Outputs of the regions except parts of sectors, with 95 % intervals, by title."""
-    shown = [i for i, place in enumerate(places) if place.name not in PARTS_OF_SECTORS]
+    shown = [i for i, place in enumerate(places) if place.name not in SECTOR_PARTS]
     found = {title: read_column(outputs, title) for title in _BAR_TITLES}
     values = {
         title: numbers(np.stack([output.value, output.low, output.high], axis=-1)[shown], 1)

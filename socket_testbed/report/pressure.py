@@ -13,7 +13,7 @@ from matplotlib.figure import Figure, SubFigure
 from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.socket import (
     HEIGHTS,
-    PARTS_OF_SECTORS,
+    SECTOR_PARTS,
     SECTORS,
     SOCKET,
     UNMEASURED,
@@ -213,7 +213,7 @@ def pressure_figure(found: SegmentPressure, title: str, style: FigureStyle) -> F
     """Unrolled maps of the pressure above that of sectors, heights and user regions over time."""
     maps = _maps(found)
     reach = {name: np.maximum(q.high - q.value, q.value - q.low) for name, q in maps.items()}
-    left_out = {SOCKET, UNMEASURED, *PARTS_OF_SECTORS}
+    left_out = {SOCKET, UNMEASURED, *SECTOR_PARTS}
     regions = {p.name: i for i, p in enumerate(found.places) if p.name not in left_out}
     mean = found.outputs.mean_pressure()
     events = [(event.time, event.label) for event in found.trial.events()]

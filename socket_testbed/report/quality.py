@@ -88,11 +88,10 @@ def states(samples: Samples) -> dict[str, StatusArray]:
     A cluster's channels share its status; other measurements are present or missing.
     """
     channels = np.where(np.isnan(samples.wrench.T), Status.MISSING, Status.OK)
-    found = dict(zip(WRENCH_CHANNELS, channels, strict=True))
-    for name, state in samples.states.items():
-        label = f"{name} ({', '.join(LOCAL_CHANNELS)})" if name in samples.clusters else name
-        found |= {label: state} if name != "wrench" else {}
-    return found
+    _, limb, *clusters = samples.states.values()
+    found = dict(zip(WRENCH_CHANNELS, channels, strict=True)) | {"limb position": limb}
+    names = [f"{name} ({', '.join(LOCAL_CHANNELS)})" for name in samples.clusters]
+    return found | dict(zip(names, clusters, strict=True))
 
 
 def find_drop_outs(samples: Samples, segment: Segment) -> pd.DataFrame:

@@ -20,7 +20,6 @@ from socket_testbed.files import WIDTHS, atomic_output, check_picture
 
 SCALE = "viridis"  # perceptually uniform, safe for colour-blind readers
 
-
 # Okabe & Ito's colours also differ in lightness, and each line has its own dashes.
 LINE_STYLES: tuple[dict[str, Any], ...] = (
     {"color": "#D55E00", "linestyle": (0, (4, 1.5))},

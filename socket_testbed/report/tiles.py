@@ -20,7 +20,7 @@ from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.geometry.axis import Side
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.pressure import greyness
-from socket_testbed.pages.document import GREY
+from socket_testbed.pages.document import GREY, POWER
 from socket_testbed.pages.wall import Patch, UnrolledTiles, patches, side_names, unrolled_tiles
 from socket_testbed.report.style import (
     DEFAULT_STYLE,
@@ -85,11 +85,12 @@ def paint_tiles(
     """Colour tiles by their values, shape (n,); those without one are white and hatched.
 
     If `reach`, the half-width of their intervals, (n,), is given for pressures [kPa] on all tiles,
-    they are drawn smooth over the surface, and turn grey as on pages.
+    they are drawn smooth over the surface, with the colours and greys of the pages; differences,
+    whose limits are symmetric, have linear colours.
     """
     tiles, unknown = unrolled_tiles(geometry), np.isnan(values)
     low, high = limits or value_range(values)
-    power = 0.5 if reach is not None and low > -high else 1.0  # finer at low pressures
+    power = POWER if reach is not None and low > -high else 1.0
     scale = ScalarMappable(PowerNorm(power, low, high), SCALE)
     fills = np.where(unknown[:, None], to_rgba(_NO_VALUE), scale.to_rgba(values))
     if reach is None or unknown.any():

@@ -15,7 +15,12 @@ import yaml
 from socket_testbed.documents import Document, read_document, refuse_unknown
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import write_text
-from socket_testbed.settings import acquisition
+from socket_testbed.settings.acquisition import (
+    ClusterSettings,
+    LoadCellSettings,
+    MocapSettings,
+    TriggerSettings,
+)
 from socket_testbed.settings.fields import Settings, fixed, setting
 from socket_testbed.settings.identification import (
     ForceMapSettings,
@@ -146,12 +151,10 @@ class TestbedSettings(Settings):
 
     __test__ = False
 
-    trigger_node: acquisition.TriggerSettings = field(default_factory=acquisition.TriggerSettings)
-    cluster_node: acquisition.ClusterSettings = field(default_factory=acquisition.ClusterSettings)
-    load_cell_node: acquisition.LoadCellSettings = field(
-        default_factory=acquisition.LoadCellSettings
-    )
-    mocap_node: acquisition.MocapSettings = field(default_factory=acquisition.MocapSettings)
+    trigger_node: TriggerSettings = field(default_factory=TriggerSettings)
+    cluster_node: ClusterSettings = field(default_factory=ClusterSettings)
+    load_cell_node: LoadCellSettings = field(default_factory=LoadCellSettings)
+    mocap_node: MocapSettings = field(default_factory=MocapSettings)
     calibration_node: CalibrationNodeSettings = field(default_factory=CalibrationNodeSettings)
     estimator_node: EstimatorSettings = field(default_factory=EstimatorSettings)
     recorder_node: RecorderSettings = field(default_factory=RecorderSettings)

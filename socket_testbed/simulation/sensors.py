@@ -11,9 +11,9 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import ClusterCalibration, shear_terms
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.settings.acquisition import MAX_SPAN
 
 CAMERA_RATE = 240.0  # [Hz]
+_NOISE_SPAN = 0.25  # [s]; of the mean to which the sizes of a wrench's noise refer
 _CONVERTER_STEP = 2.0**-19  # [pF]; of the FDC1004
 _MAX_NEWTON_STEPS, _TOLERANCE = 20, 1e-11  # [1], [pF]
 _CREEP_TIME = 40.0  # [s]; of the load cell
@@ -64,9 +64,9 @@ class SensorErrors:
     def wrench_noise(self, span: float) -> FloatArray:
         """Noise of the load cell's mean over a span [s], [M; F], shape (6,) [N m, N].
 
-        The sizes refer to `MAX_SPAN`, as at 4 Hz; white noise scales with 1 / sqrt(span).
+        The sizes refer to 0.25 s, as at 4 Hz; white noise scales with 1 / sqrt(span).
         """
-        return np.repeat([self.moment_noise, self.force_noise], 3) * np.sqrt(MAX_SPAN / span)
+        return np.repeat([self.moment_noise, self.force_noise], 3) * np.sqrt(_NOISE_SPAN / span)
 
 
 # Errors as large as in the published experiment, of unknown cause. The load cell creeps by 4 N and

@@ -25,8 +25,19 @@ from msgspec import Meta
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, rms
 from socket_testbed.documents import Document, FieldError, Text, read_document
 from socket_testbed.errors import ConfigurationError, RegistrationError
-from socket_testbed.geometry import marker_bodies
 from socket_testbed.geometry.axis import socket_axis
+from socket_testbed.geometry.marker_bodies import (
+    MAX_MARKERS,
+    MIN_MARKERS,
+    BodyFit,
+    PoseUncertainty,
+    body_fault,
+    distances,
+    fit_body,
+    fit_rigid,
+    misfit,
+    pose_uncertainty,
+)
 from socket_testbed.geometry.pose import Point, Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.socket_design.motive import MotiveTake
@@ -52,9 +63,7 @@ With three, or with more in one plane, a wrong sign has no residual: add another
 
 _MIN_LANDMARKS = 3
 _TOO_FEW = f"give {_MIN_LANDMARKS} or more that are not on one line"
-_Names = Annotated[
-    list[Text], Meta(min_length=marker_bodies.MIN_MARKERS, max_length=marker_bodies.MAX_MARKERS)
-]
+_Names = Annotated[list[Text], Meta(min_length=MIN_MARKERS, max_length=MAX_MARKERS)]
 
 
 class _RigidBody(Document):
@@ -129,9 +138,7 @@ class LandmarkFit:
     residual: FloatArray  # distances of measured from fitted landmarks; (k,) [m]
     noise: float  # 1-sigma error of a landmark's coordinate [m]
     degrees: int  # degrees of freedom of the residual, 3k - 6
-    uncertainty: (
-        marker_bodies.PoseUncertainty
-    )  # 1-sigma uncertainty of the pose, in axes of the registered frame
+    uncertainty: PoseUncertainty  # 1-sigma uncertainty of the pose, in axes of the registered frame
     flat: bool  # whether the landmarks are coplanar: a coordinate's wrong sign has no residual
 
     @property
@@ -162,8 +169,8 @@ def register_landmarks(
     _require_spread(known, names, "are given")
     _require_spread(measured, names, "were measured")
 
-    batch = marker_bodies.fit_rigid(known, measured[None])
-    residual = marker_bodies.misfit(known, measured[None], batch)[0]
+    batch = fit_rigid(known, measured[None])
+    residual = misfit(known, measured[None], batch)[0]
     degrees = 3 * len(names) - 6
     sigma = max(float(np.sqrt((residual**2).sum() / degrees)), noise)
     return LandmarkFit(
@@ -172,7 +179,7 @@ def register_landmarks(
         residual=residual,
         noise=sigma,
         degrees=degrees,
-        uncertainty=marker_bodies.pose_uncertainty(known, sigma),
+        uncertainty=pose_uncertainty(known, sigma),
         flat=float(_extents(known)[2]) < _MIN_THICKNESS,
     )
 
@@ -301,12 +308,12 @@ def own_frame(markers: FloatArray) -> Pose:
     return Pose(np.column_stack([x, np.cross(z, x), z]), markers[0])
 
 
-def fit_labels(observed: FloatArray, where: str) -> marker_bodies.BodyFit:
+def fit_labels(observed: FloatArray, where: str) -> BodyFit:
     """Identify the observed markers by the distances that most frames agree on.
 
     Labels swapped in fewer than half of the frames are corrected: `BodyFit.order`.
     """
-    between = marker_bodies.distances(observed)
+    between = distances(observed)
     seen = np.isfinite(between).all(axis=(1, 2))
     if not seen.any():
         raise RegistrationError(
@@ -317,13 +324,13 @@ def fit_labels(observed: FloatArray, where: str) -> marker_bodies.BodyFit:
     # The frame nearest to the median has no swapped labels.
     nearest = int(np.abs(between[seen] - usual).max(axis=(1, 2)).argmin())
     reference = observed[seen][nearest]
-    fault = marker_bodies.body_fault(reference)
+    fault = body_fault(reference)
     if fault:
         raise RegistrationError(f"{where}: {fault[0]}", fault[1])
-    fit = marker_bodies.fit_body(reference, observed)
+    fit = fit_body(reference, observed)
     arms = relabel(observed, fit.order) - fit.pose.translation[:, None]
     in_body = arms @ fit.pose.rotation
-    return marker_bodies.fit_body(in_body[(fit.order >= 0).all(axis=1)].mean(axis=0), observed)
+    return fit_body(in_body[(fit.order >= 0).all(axis=1)].mean(axis=0), observed)
 
 
 def relabel(observed: FloatArray, order: IntArray) -> FloatArray:
@@ -347,7 +354,7 @@ def tracked_frame(markers: FloatArray, body: Pose, where: str) -> Pose:
         )
     arms = markers[tracked] - body.translation[tracked, None]
     in_body = np.median(arms @ body.rotation[tracked], axis=0)
-    pose = marker_bodies.fit_rigid(in_body, markers.mean(axis=0)[None])
+    pose = fit_rigid(in_body, markers.mean(axis=0)[None])
     return Pose(pose.rotation[0], pose.translation[0])
 
 
@@ -368,12 +375,8 @@ class RegisteredBody:
     markers: FloatArray  # the body's own in its frame; (k, 3) [m]
     in_frame: Pose  # pose of the body in the frame of the landmarks
     landmarks: LandmarkFit  # of the landmarks, to `world`
-    reference: (
-        marker_bodies.PoseUncertainty
-    )  # uncertainty of later poses of the body due to `markers`
-    single: (
-        marker_bodies.PoseUncertainty
-    )  # uncertainty of a later pose due to the noise of a single frame
+    reference: PoseUncertainty  # uncertainty of later poses of the body due to `markers`
+    single: PoseUncertainty  # uncertainty of a later pose due to the noise of a single frame
 
     def covariance_at(self, point: FloatArray) -> FloatArray:
         """Covariance of a point between body and frame, in the frame's axes, (3, 3) [m^2]."""
@@ -384,7 +387,7 @@ class RegisteredBody:
         own = _rotated(self.reference.rotation, self.in_frame.rotation)
         return self.landmarks.uncertainty.rotation + own
 
-    def in_axes(self, body: marker_bodies.PoseUncertainty, point: FloatArray) -> FloatArray:
+    def in_axes(self, body: PoseUncertainty, point: FloatArray) -> FloatArray:
         """Covariance of a point of the frame due to the body's uncertainty, (3, 3) [m^2]."""
         return _rotated(body.at(self.in_frame.inverse().apply(point)), self.in_frame.rotation)
 
@@ -494,15 +497,15 @@ def _register_body(take: MotiveTake, side: Side, force: bool) -> RegisteredBody:
         markers=markers,
         in_frame=landmarks.pose.inverse() @ in_world,
         landmarks=landmarks,
-        reference=marker_bodies.pose_uncertainty(markers, still.noise),
-        single=marker_bodies.pose_uncertainty(markers, fit.noise),
+        reference=pose_uncertainty(markers, still.noise),
+        single=pose_uncertainty(markers, fit.noise),
     )
 
 
 def _markers_of(take: MotiveTake, body: str, where: str) -> tuple[str, ...]:
     """The names of the measured markers of a rigid body of Motive."""
     names = take.markers_of(body)
-    if not marker_bodies.MIN_MARKERS <= len(names) <= marker_bodies.MAX_MARKERS:
+    if not MIN_MARKERS <= len(names) <= MAX_MARKERS:
         raise RegistrationError(
             f"{where}: the rigid body '{body}' has {len(names)} measured markers in the take"
             f" ({', '.join(names) or 'none'})",

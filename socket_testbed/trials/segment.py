@@ -17,6 +17,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import compress
 from typing import Literal, NamedTuple, NoReturn
 
 import numpy as np
@@ -315,13 +316,7 @@ def select_segment(
 
     Args:
         samples: The samples of the trial.
-        specification: One of these:
-            `plateau`: the longest plateau;
-            `hold`: the longest plateau while the load is placed, see `find_events`;
-            `auto`: the hold or, without one, the whole part under load, see `loaded_span`;
-            `all`: all samples;
-            `T0:T1`: seconds since the first sample;
-            `event:A:B`: between events, see `event_span`.
+        specification: As in `st.select_segment`.
         settings: Criteria of a plateau.
         leave_out: Channels of clusters that plateaus ignore.
         events: Returns the events of the trial; None for those detected in the load.
@@ -463,7 +458,7 @@ def _steadiness(
 ) -> _Steadiness:
     local = samples.trusted_forces.reshape(len(samples), 3 * len(samples.clusters))
     counts = samples.counted(leave_out)[6:]
-    names = (*samples.channels[:6], *(n for n in samples.channels[6:] if n not in leave_out))
+    names = (*samples.channels[:6], *compress(samples.channels[6:], counts))
     limits = np.repeat(
         [settings.moment_drift, settings.force_drift, settings.cluster_drift], [3, 3, counts.sum()]
     )

@@ -21,7 +21,7 @@ function element(tag, className, text) {
   return made;
 }
 
-// Colours are spread over a power of the share: a half for pressures, finer at low ones.
+// Colours are spread over a power of the share.
 function viridis(share, power) {
   const place = 10 * Math.min(Math.max(share, 0), 1) ** power, below = Math.min(Math.floor(place), 9);
   return VIRIDIS[below].map((low, i) => low + (place - below) * (VIRIDIS[below + 1][i] - low));
@@ -102,7 +102,7 @@ class SocketMap {
       const within = (given, end) => given && patch.at(given).map((v) => v && Math.min(Math.max(v, 0), end));
       return {z, r: within(reach, Infinity), veil: within(grey, 1)};
     };
-    return {low: this.diverging ? -high : low, high, power: extra ? 1 : 0.5, patches: new Map(this.socket.patches.map((patch) => [patch, of(patch)]))};
+    return {low: this.diverging ? -high : low, high, power: extra ? 1 : this.socket.power, patches: new Map(this.socket.patches.map((patch) => [patch, of(patch)]))};
   }
 
   drawMap(paint, values, unit, ink) {
