@@ -148,6 +148,10 @@ class Samples:
         """Which of the `channels` are not left out, shape (6 + 3c,)."""
         return np.isin(self.channels, leave_out, invert=True)
 
+    def without(self, leave_out: Sequence[str]) -> Samples:
+        """The samples with left-out channels marked as not measured."""
+        return self.blanked(~self.counted(leave_out))
+
     def blanked(self, missing: BoolArray) -> Samples:
         """The samples with some values of the `channels`, (N, 6 + 3c), marked as not measured."""
         values = np.where(missing, np.nan, self.values)

@@ -140,7 +140,7 @@ class TrialFit(Result):
         """Samples of the segment without outliers."""
         chosen = self.trial.samples()[self.segment.rows]
         leave_out = self.fit.settings.leave_out
-        return plausibility.find_outliers(chosen, self.trial.geometry, leave_out).taken_from(chosen)
+        return plausibility.without_outliers(chosen, self.trial.geometry, leave_out)
 
     def to_dataframe(self) -> pd.DataFrame:
         """In-sample errors, one row per channel in the channel's unit."""
@@ -430,7 +430,7 @@ def evaluate(
     rows = samples[chosen.rows]
     plausibility.require_position(rows, trial.geometry)
     note_implausible(trial, samples, chosen, leave_out)
-    rows = plausibility.find_outliers(rows, trial.geometry, leave_out).taken_from(rows)
+    rows = plausibility.without_outliers(rows, trial.geometry, leave_out)
     if bool(trial.unloaded) != bool(stored.unloaded):
         fitted = "with" if stored.unloaded else "without"
         note(trial, f"the model was fitted {fitted} --unloaded: its offsets differ")

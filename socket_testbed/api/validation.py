@@ -28,7 +28,7 @@ from socket_testbed.errors import ConfigurationError, IdentificationError, Trial
 from socket_testbed.identification import validation
 from socket_testbed.identification.model_file import record
 from socket_testbed.identification.noise import smooth_poses
-from socket_testbed.identification.plausibility import find_outliers, require_position
+from socket_testbed.identification.plausibility import require_position, without_outliers
 from socket_testbed.identification.problem import MIN_SAMPLES
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
@@ -236,7 +236,7 @@ def _recordings(
             samples = trial.samples()[select(trial, segment, settings).rows]
             require_position(samples, trial.geometry)
             leave_out = settings.identification.leave_out
-            samples = find_outliers(samples, trial.geometry, leave_out).taken_from(samples)
+            samples = without_outliers(samples, trial.geometry, leave_out)
             found.append(_Recording(name, trial, settings, samples))
     read = [recording.trial for recording in found]
     require_one_socket(read, "validate the trials of one socket at a time")

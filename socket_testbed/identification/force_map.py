@@ -41,7 +41,7 @@ from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import rigid_motions, wrench_map
-from socket_testbed.identification.plausibility import find_outliers
+from socket_testbed.identification.plausibility import without_outliers
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
 from socket_testbed.settings.identification import ForceMapSettings
 
@@ -441,8 +441,7 @@ def map_trial(
     leave_out: tuple[str, ...] = (),
 ) -> tuple[ForceMap, Samples]:
     """The map of a trial, and its samples without outliers and `leave_out`."""
-    outliers = find_outliers(samples, geometry, leave_out).values
-    trusted = samples.blanked(outliers | ~samples.counted(leave_out))
+    trusted = without_outliers(samples, geometry, leave_out).without(leave_out)
     return ForceMap(geometry, samples.clusters, settings, trusted), trusted
 
 

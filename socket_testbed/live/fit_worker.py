@@ -134,7 +134,7 @@ def fit_samples(
         return Refit(_plausible_fit(samples, geometry, settings))
     if len(samples) and not samples.wrench.any():
         plausibility.require_load(samples, np.ones(6, dtype=bool))
-    cleaned = plausibility.find_outliers(samples, geometry, settings.leave_out).taken_from(samples)
+    cleaned = plausibility.without_outliers(samples, geometry, settings.leave_out)
     complete = cleaned.complete
     for stretch in find_newest_plateaus(cleaned, steady.plateau, settings.leave_out):
         used = np.zeros(len(samples), dtype=bool)
@@ -170,7 +170,7 @@ def _judge(
     old: ContactModel, new: ContactModel, samples: Samples, settings: IdentificationSettings
 ) -> Contest:
     """Compare the errors of two models on samples, relative to the size of each group."""
-    measured = samples.blanked(~samples.counted(settings.leave_out)).trusted_values
+    measured = samples.without(settings.leave_out).trusted_values
     groups = (measured[:, :3], measured[:, 3:6], measured[:, 6:])
     smallest = (plausibility.MIN_MOMENT, plausibility.MIN_FORCE, plausibility.MIN_FORCE)
     sizes = [max(rms(group, 0.0), least) for group, least in zip(groups, smallest, strict=True)]

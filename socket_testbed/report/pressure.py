@@ -73,7 +73,7 @@ def page_data(results: Results) -> dict[str, Any]:
     return document.trial_document(trial, over_trial, time) | {
         "start": found.peak_time,
         "moments": document.moments(time, over_trial, geometry),
-        "mean": mean | {"time": None, "words": f"mean over {results.segment}"},
+        "mean": mean | {"time": None, "words": f"mean over {found.segment}"},
         "cards": [
             *document.cards(geometry, found.places, outputs.regions, at_peak),
             document.data_card(results.data),
@@ -98,7 +98,7 @@ def section(results: Results) -> Section:
         "pressure",
         "Pressure",
         [
-            f"Over {results.segment}. A value is marked uncertain if its 95 % interval reaches"
+            f"Over {found.segment}. A value is marked uncertain if its 95 % interval reaches"
             f" farther than {100.0 * SHARE:g} % of it. In contact:"
             f" above {1e-3 * THRESHOLD:g} kPa; the integrals cover"
             f" {found.outputs.integrated:.1f} s, while in contact. Shear direction is measured"
@@ -153,20 +153,22 @@ def _printed(title: str) -> str:
 
 def _overview(results: Results) -> ReportFigure:
     """Unrolled pressure over the segment and at its peak, and regional pressure over time."""
-    values = {f"{name} [kPa]": found.value for name, found in _maps(results.pressure).items()}
+    found = results.pressure
+    values = {f"{name} [kPa]": quantity.value for name, quantity in _maps(found).items()}
     return ReportFigure(
         "pressure_map",
-        f"Pressure on the unrolled socket, {results.segment}, and at its peak. The greyer, the"
+        f"Pressure on the unrolled socket, {found.segment}, and at its peak. The greyer, the"
         " less certain. Tiles with a cluster are outlined. Below, the mean pressure of sectors,"
         " heights and user-defined regions."
         f" {THINNED}",
-        lambda style: pressure_figure(results.pressure, "", style),
+        lambda style: pressure_figure(found, "", style),
         pd.DataFrame({"tile": results.trial.geometry.names, **values}),
     )
 
 
 def _force_map(results: Results) -> ReportFigure:
     geometry, outputs = results.trial.geometry, results.pressure.outputs
+    title = f"{results.trial.name}: Force map, {results.pressure.segment}"
     mean = outputs.force_map.mean(outputs.samples)
     columns = {
         "pressure [kPa]": mean.normal_pressure,
@@ -178,7 +180,7 @@ def _force_map(results: Results) -> ReportFigure:
         "force_map",
         "Mean normal pressure over the segment on every tile, and the standard deviation of its"
         f" error. {mean.source}. The greyer, the less certain. Tiles with a cluster are outlined.",
-        lambda style: force_map_figure(geometry, mean, results.title("Force map"), style),
+        lambda style: force_map_figure(geometry, mean, title, style),
         pd.DataFrame(
             {"tile": geometry.names} | {name: 1e-3 * row[0] for name, row in columns.items()}
         ),

@@ -84,7 +84,7 @@ class Results:
     motion: information.Motion  # of the pose over the segment, relative to its noise
     validation: tuple[Judgement, ...]  # may be empty
     no_validation: str  # reason for empty `validation`
-    pressure: SegmentPressure
+    pressure: SegmentPressure  # over the segment, even if its first frames alone are fitted
     over_trial: PressureOutputs  # of the socket at samples of the trial, including the peak
     data: tuple[DataFinding, ...]  # of the data check
 
@@ -138,26 +138,28 @@ def compute_results(
         given.require_socket(trial.geometry)
     samples, identification = trial.samples(), settings.identification
     leave_out = identification.leave_out
-    segment = select_segment(samples, specification, settings.plateau, leave_out, trial.events)
-    segment = first_frames(segment, samples, identification.frames)
-    sign = plausibility.sign_note(samples[segment.rows], trial.geometry)
+    whole = select_segment(samples, specification, settings.plateau, leave_out, trial.events)
+    segment = first_frames(whole, samples, identification.frames)
+    fitted = samples[segment.rows]
+    chosen = plausibility.without_outliers(fitted, trial.geometry, leave_out)
+    sign = plausibility.sign_note(fitted, trial.geometry)
     outliers = plausibility.find_outliers(samples, trial.geometry, leave_out)
     notes = [*plausibility.outlier_notes(samples, outliers), *([sign] if sign else [])]
     samples = outliers.taken_from(samples)
     reach(1)
-    chosen, candidates = samples[segment.rows], []
+    candidates = []
     for variant in VARIANTS:
         if variant in PAPER_VARIANTS or variant == identification.variant:
             own = replace(identification, variant=variant)
-            fit = fit_contact_model(chosen, trial.geometry, own)
-            candidates.append(_judge(samples, segment, variant, fit))
+            fit = fit_contact_model(fitted, trial.geometry, own)
+            candidates.append(_judge(samples, segment, chosen, variant, fit))
     if given is not None:
-        candidates.append(_judge(samples, segment, GIVEN, given))
+        candidates.append(_judge(samples, segment, chosen, GIVEN, given))
     reach(2)
     # The report may lack a front or a validation.
     fronts, validation, no_fronts, no_validation = {}, [], "", ""
     try:
-        fronts = pareto_front(chosen, trial.geometry, identification, thetas)
+        fronts = pareto_front(fitted, trial.geometry, identification, thetas)
     except IdentificationError as error:
         no_fronts = str(error)
     reach(3)
@@ -170,8 +172,8 @@ def compute_results(
         no_validation = str(error)
     reach(4)
     mapped = mapped_trial(trial, settings)
-    pressure = mapped.over(segment)
-    peak = segment.rows.start + pressure.outputs.peak_row
+    pressure = mapped.over(whole)
+    peak = whole.rows.start + pressure.outputs.peak_row
     over_trial = mapped.course(np.union1d(evenly(len(samples), _PRESSURE_SAMPLES), [peak]))
     reach(_STAGES)
     return Results(
@@ -195,11 +197,14 @@ def compute_results(
     )
 
 
-def _judge(samples: Samples, segment: Segment, label: str, source: Fit | StoredModel) -> Candidate:
-    model, settings, chosen = source.model, source.settings, samples[segment.rows]
+def _judge(
+    samples: Samples, segment: Segment, chosen: Samples, label: str, source: Fit | StoredModel
+) -> Candidate:
+    """A model over the trial and over the `chosen` samples of the segment, as in `st.evaluate`."""
+    model, settings = source.model, source.settings
     window, leave_out = settings.pose_smoothing, settings.leave_out
-    smooth = smooth_poses(samples, window)
-    predicted = model.predict(smooth.pose, samples.clusters)
+    smooth = smooth_poses(chosen, window)
+    predicted = model.predict(smooth_poses(samples, window).pose, samples.clusters)
     outside = ~_rows_of(segment, samples)
     held_out = evaluate_predictions(samples[outside], predicted[outside], leave_out)
     enough = max(error.samples for error in held_out) >= _MIN_HELD_OUT
@@ -207,9 +212,9 @@ def _judge(samples: Samples, segment: Segment, label: str, source: Fit | StoredM
         label=label,
         source=source,
         predicted=predicted,
-        errors=evaluate_predictions(chosen, predicted[segment.rows], leave_out),
+        errors=evaluate_predictions(chosen, model.predict(smooth.pose, chosen.clusters), leave_out),
         held_out=held_out if enough else (),
-        shares=information.load_shares(smooth[segment.rows], model),
+        shares=information.load_shares(smooth, model),
         known=information.known_directions(chosen, model, settings.stiffness_difference, window),
         engagement=information.engagement(samples, model, window, segment.rows),
     )

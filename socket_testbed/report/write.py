@@ -78,7 +78,7 @@ def write_report(
         write_page(
             new_page,
             results.trial.name,
-            f"{results.segment}",
+            f"{results.pressure.segment}",
             groups,
             pressure.page_data(results),
             metadata=results.trial.metadata.described(),

@@ -13,6 +13,7 @@ from support.pages import MADE, NASTY, THETAS, Page
 from support.problems import make_samples, ring_socket
 from support.wording import refused
 
+import socket_testbed as st
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.fit import summarise_errors
 from socket_testbed.identification.model_file import read_model
@@ -29,10 +30,10 @@ from socket_testbed.trials.trial import Trial
 PLAIN, BIAS = PAPER_VARIANTS
 
 
-def results_of(path, *leave_out: str, segment: str = "plateau") -> Results:
-    """The results of a trial with some channels left out."""
+def results_of(path, *leave_out: str, segment: str = "plateau", frames: int = 0) -> Results:
+    """The results of a trial with some channels left out, fitted on the first frames."""
     settings = Trial(path).estimator
-    chosen = dataclasses.replace(settings.identification, leave_out=leave_out)
+    chosen = dataclasses.replace(settings.identification, leave_out=leave_out, frames=frames)
     settings = dataclasses.replace(settings, identification=chosen)
     return compute_results(Trial(path), segment, settings, THETAS)
 
@@ -61,7 +62,12 @@ def test_what_is_left_out_is_marked_and_costs_no_sample(spoilt, tmp_path, monkey
         return message
 
     channel = f"{NASTY}.Fx"
-    results = results_of(rewrite(spoilt, tmp_path / "dead", kill), "Mz", channel)
+    path = rewrite(spoilt, tmp_path / "dead", kill)
+    results = results_of(path, "Mz", channel, frames=60)
+    pressure = st.pressure(path, leave_out=("Mz", channel))  # of the whole segment
+    assert len(results.samples[results.segment.rows]) == 60 < len(pressure.time)
+    integrals = (found.outputs.regions.integral.value for found in (results.pressure, pressure))
+    np.testing.assert_array_equal(*integrals)
     notes = list_notes(results)
     assert "Never measured over the segment: Mz." in notes
     (note,) = [note for note in notes if "implausible" in note]
