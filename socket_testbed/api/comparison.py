@@ -50,7 +50,9 @@ from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.axis import SECTOR_TURNS, Side
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.pressure import NORMAL_QUANTILE, THRESHOLD
+from socket_testbed.identification.force_map import NORMAL_QUANTILE
+from socket_testbed.identification.pressure import THRESHOLD
+from socket_testbed.pages.pressure import decimals_of
 from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
 from socket_testbed.tables import split_unit
 from socket_testbed.trials.metadata import FIELDS
@@ -76,7 +78,6 @@ LEGEND = "value (95 % interval); *: the interval of the difference excludes 0."
 # Correlation of the map's errors in two trials of one limb in one socket: docs/compare.md [-].
 SAME_LIMB = 0.7
 _POWER = 0.8  # [-]; probability that a difference of the detectable size is significant
-_DIGITS = {"1": 0, "-": 2, "N m": 2}  # decimals; 1 by default
 
 
 @dataclass(frozen=True)
@@ -260,7 +261,7 @@ class Comparison(Result):
             f" chance alone up to about {0.05 * len(rows):.0f} would"
         ]
         for row in clear.head(most).to_dict("records"):
-            digits = _DIGITS.get(row["unit"], 1)
+            digits = _decimals(row, "difference")
             by, *ends = (abs(row[name]) for name in DIFFERENCE)
             low, high = sorted(ends)
             way = "lower" if row["difference"] < 0.0 else "higher"
@@ -323,7 +324,13 @@ def _cell(row: Mapping[str, Any], columns: Sequence[str]) -> str:
 
 
 def _number(row: Mapping[str, Any], column: str, sign: str = "") -> str:
-    return f"{row[column]:{sign}z.{_DIGITS.get(row['unit'], 1)}f}"
+    return f"{row[column]:{sign}z.{_decimals(row, column)}f}"
+
+
+def _decimals(row: Mapping[str, Any], column: str) -> int:
+    """Those of the output; at least one for differences, their ends and spreads."""
+    found = decimals_of(f"{row['quantity']} [{row['unit']}]")
+    return found if column in VALUE else max(1, found)
 
 
 def compare(

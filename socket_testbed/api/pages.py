@@ -15,6 +15,7 @@ from socket_testbed.api.models import Model, model_for, note_implausible, stored
 from socket_testbed.api.tradeoff import theta_values
 from socket_testbed.geometry.socket import SOCKET
 from socket_testbed.pages.document import check_page, moment, socket_document
+from socket_testbed.pages.pressure import DECIMALS
 from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.tables import Table, pairs_table
 from socket_testbed.trials.trial import Trial
@@ -170,14 +171,15 @@ def _cards(found: Comparison) -> list[dict[str, Any]]:
     rows = table[(table["part"] == "regions") & (table["name"] == SOCKET)]
     rows = rows[rows["item"] != found.items[0]]
     for quantity in ("peak pressure", "mean pressure"):
+        digits = DECIMALS[f"{quantity} [kPa]"]
         for row in rows[rows["quantity"] == quantity].to_dict("records"):
             by, low, high = (row[name] for name in DIFFERENCE)
             clear = low > 0.0 or high < 0.0
             shown.append(
                 {
                     "title": f"{quantity.capitalize()}, {found.difference_title(row['item'])}",
-                    "value": f"{by:+.1f} kPa",
-                    "interval": f"{low:.1f} to {high:.1f}",
+                    "value": f"{by:+.{digits}f} kPa",
+                    "interval": f"{low:.{digits}f} to {high:.{digits}f}",
                     "words": "a clear difference" if clear else "no clear difference",
                 }
             )

@@ -20,7 +20,6 @@ from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.socket import SocketGeometry, find_regions
 from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.identification.pressure import (
-    NORMAL_QUANTILE,
     SHARE,
     THRESHOLD,
     TITLES,
@@ -161,8 +160,7 @@ class TrialMap(Result):
         from socket_testbed.report.tiles import draw_wall
 
         mean, side = self.estimate.mean(), self.trial.metadata.side
-        reach = 1e-3 * NORMAL_QUANTILE * mean.normal_pressure_standard_deviation[0]
-        pressure = 1e-3 * mean.normal_pressure[0]
+        pressure, reach = 1e-3 * mean.normal_pressure[0], 1e-3 * mean.pressure_reach[0]
         draw_wall(ax, self.trial.geometry, pressure, "pressure [kPa]", reach, side)
 
 

@@ -19,7 +19,7 @@ from socket_testbed.files import TemporaryFolder, check_new_folder, make_folder
 from socket_testbed.geometry.axis import all_regions
 from socket_testbed.identification import validation
 from socket_testbed.identification.fit import REGRESSION
-from socket_testbed.identification.pressure import NORMAL_QUANTILE
+from socket_testbed.identification.force_map import NORMAL_QUANTILE
 from socket_testbed.live import bringup
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.simulated_world import SLOWEST, Simulation, busy_note, measure_speed, pace

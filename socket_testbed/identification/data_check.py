@@ -21,8 +21,8 @@ from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.axis import axial_force, proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import plausibility, validation
+from socket_testbed.identification.force_map import NORMAL_QUANTILE
 from socket_testbed.identification.noise import channel_noise
-from socket_testbed.identification.pressure import NORMAL_QUANTILE
 from socket_testbed.samples import GRAVITY, WRENCH_CHANNELS, Samples, Status, channel_unit
 from socket_testbed.settings.identification import ForceMapSettings
 

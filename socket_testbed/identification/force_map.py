@@ -45,6 +45,7 @@ from socket_testbed.identification.plausibility import without_outliers
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
 from socket_testbed.settings.identification import ForceMapSettings
 
+NORMAL_QUANTILE = 1.96  # [-]; standard deviations to each end of a 95 % interval
 _NUGGET = 1e-9  # [-]; keeps the correlation definite when tiles almost coincide
 _AMPLITUDE_FREEDOM = 2.0  # [1]; degrees of freedom of the prior of the amplitude
 _EVIDENCE_MEMORY = 1000  # live samples over which the evidence is averaged
@@ -68,6 +69,11 @@ class MapEstimate:
     # root mean square difference of the Rice-distributed magnitude from `shear`, shape (N, n) [Pa]
     shear_standard_deviation: FloatArray
     source: str  # what the estimate was conditioned on, in words
+
+    @property
+    def pressure_reach(self) -> FloatArray:
+        """Half-widths of the 95 % intervals of the normal pressures, shape (N, n) [Pa]."""
+        return NORMAL_QUANTILE * self.normal_pressure_standard_deviation
 
     def columns(self, names: tuple[str, ...], prefix: str = "") -> dict[str, FloatArray]:
         """Columns of a table with one row per sample, by titles with units.

@@ -37,7 +37,7 @@ from socket_testbed.arrays import BREAK, BoolArray, FloatArray, IntArray, gaps
 from socket_testbed.errors import TrialError
 from socket_testbed.geometry.axis import Region
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.force_map import ForceMap, MapEstimate
+from socket_testbed.identification.force_map import NORMAL_QUANTILE, ForceMap, MapEstimate
 from socket_testbed.samples import Samples
 
 THRESHOLD = 5e3  # [Pa]; default for a tile in contact
@@ -54,7 +54,6 @@ _EXPANDED_BATCH = 32  # samples whose draws are expanded at a time
 _CERTAIN, _UNKNOWN = 1.0, 2.5  # [-]
 _MIN_GREYED = 5e3  # [Pa]
 _RIGHT_ANGLE = 0.5 * np.pi  # [rad]
-NORMAL_QUANTILE = 1.96  # [-]; standard deviations to each end of a 95 % interval
 # Output, axis of a vector, and factor from SI, by the title of a column.
 _COLUMNS: dict[str, tuple[str, int | None, float]] = {
     "mean pressure [kPa]": ("mean", None, 1e-3),
@@ -83,10 +82,14 @@ class Quantity:
     # for a coordinate, a right angle for a direction
     scale: FloatArray
 
+    @property
+    def reach(self) -> FloatArray:
+        """Distance of the farther end of the interval from the value."""
+        return np.maximum(self.high - self.value, self.value - self.low)
+
     def certain(self, share: float = SHARE) -> BoolArray:
         """Where the interval reaches no farther from the value than a share of the scale [-]."""
-        reach = np.maximum(self.high - self.value, self.value - self.low)
-        return np.asarray(reach <= share * self.scale)  # false for NaN
+        return np.asarray(self.reach <= share * self.scale)  # false for NaN
 
     def part(self, place: Any, factor: float = 1.0) -> Quantity:
         """Elements at an index of the arrays, such as `(..., 2)`, in another unit."""

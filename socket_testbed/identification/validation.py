@@ -186,7 +186,10 @@ def without_cluster(samples: Samples, cluster: str) -> Samples:
 def left_out_pressures(
     samples: Samples, geometry: SocketGeometry
 ) -> Iterator[tuple[str, FloatArray, FloatArray, FloatArray]]:
-    """Each cluster's pressure, the map's without it and that one's deviation, (N,) each [Pa]."""
+    """Each cluster's pressure, the map's without it and that one's deviation, (N,) each [Pa].
+
+    The map has the default prior: the data is judged alike, whatever the settings.
+    """
     force_map = ForceMap(geometry, samples.clusters)
     for column, name in enumerate(samples.clusters):
         tile = geometry.clusters[name]

@@ -24,7 +24,7 @@ from visualization_msgs.msg import Marker
 from socket_testbed.files import file_or_packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.force_map import MapEstimate
-from socket_testbed.identification.pressure import NORMAL_QUANTILE, greyness
+from socket_testbed.identification.pressure import greyness
 from socket_testbed.live.estimator import MEASURED, OnlineEstimator
 from socket_testbed.live.fit_worker import FitWorker
 from socket_testbed.nodes.base import NEWEST_STAMP, TestbedNode
@@ -164,8 +164,7 @@ class PressureMap:
         tips = self._anchors + _ARROW_SCALE * estimate.forces[0]
         pressure = estimate.normal_pressure[0]
         shares = np.clip(pressure / _MAX_PRESSURE, 0.0, 1.0)
-        reach = NORMAL_QUANTILE * estimate.normal_pressure_standard_deviation[0]
-        opacities = 1.0 - (1.0 - _MIN_OPACITY) * greyness(pressure, reach)
+        opacities = 1.0 - (1.0 - _MIN_OPACITY) * greyness(pressure, estimate.pressure_reach[0])
         other = 0.9 * (1.0 - shares)
         colours = np.column_stack([1.0 - 0.4 * shares, other, other, opacities])
         time = divmod(stamp, 1_000_000_000)

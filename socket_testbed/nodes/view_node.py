@@ -26,7 +26,8 @@ from socket_testbed.files import file_or_packaged
 from socket_testbed.geometry.axis import all_regions, axial_force
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.data_check import LOOK
-from socket_testbed.identification.pressure import NORMAL_QUANTILE, Quantity, RegionOutputs
+from socket_testbed.identification.force_map import NORMAL_QUANTILE
+from socket_testbed.identification.pressure import Quantity, RegionOutputs
 from socket_testbed.nodes import base
 from socket_testbed.nodes.controls import ServiceControls
 from socket_testbed.pages import document
@@ -235,15 +236,10 @@ class LiveSource:
             bad += [(level, f"{title}: {words}")] * (level > 0)
         if self._foreign:
             bad.append((3, "the force map is of another socket: give 'view' its --geometry"))
-        if bad:
-            words = max(bad)[1].removeprefix(f"estimator: {LOOK}")
-            words += f" (and {len(bad) - 1} more)" * (len(bad) > 1)
-            return {"title": "Data", "value": "look", "words": words, "bad": True}, rows
-        if not rows:
-            words = "no data from the testbed"
-            return {"title": "Data", "value": "none", "words": words, "bad": True}, rows
-        words = f"all {len(rows)} nodes report OK"
-        return {"title": "Data", "value": "good", "words": words}, rows
+        if not rows and not bad:
+            return document.data_card(["no data from the testbed"], "", "none"), rows
+        problems = [words.removeprefix(f"estimator: {LOOK}") for _, words in sorted(bad)[::-1]]
+        return document.data_card(problems, f"all {len(rows)} nodes report OK"), rows
 
     def _recording(self) -> document.Document:
         """The trial being recorded, and the free space."""

@@ -19,13 +19,13 @@ from socket_testbed.geometry.axis import Region, Side, axial_force
 from socket_testbed.geometry.socket import HEIGHTS, SECTOR_PARTS, SOCKET, UNMEASURED, SocketGeometry
 from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.identification.pressure import (
-    NORMAL_QUANTILE,
     PressureOutputs,
     Quantity,
     RegionOutputs,
     greyness,
     read_column,
 )
+from socket_testbed.pages.pressure import DECIMALS
 from socket_testbed.pages.wall import Patch, patches, side_names, unrolled_tiles
 from socket_testbed.samples import Samples
 from socket_testbed.trials.trial import Trial
@@ -112,8 +112,7 @@ def moment(
 def moments(time: FloatArray, outputs: PressureOutputs, geometry: SocketGeometry) -> list[Document]:
     """A moment for each of the N samples of some outputs, at times [s]."""
     found, measured = outputs.estimate, measured_pressure(outputs.samples, geometry)
-    reach = NORMAL_QUANTILE * found.normal_pressure_standard_deviation
-    stresses = found.normal_pressure, reach, found.shear
+    stresses = found.normal_pressure, found.pressure_reach, found.shear
     return [moment(*row) for row in zip(time.tolist(), *stresses, measured, strict=True)]
 
 
@@ -165,7 +164,8 @@ def bars(places: Sequence[Region], outputs: RegionOutputs) -> Document:
         title: numbers(np.stack([output.value, output.low, output.high], axis=-1)[shown], 1)
         for title, output in found.items()
     }
-    return {"regions": [places[i].name for i in shown], "values": values}
+    decimals = {title: DECIMALS[title] for title in _BAR_TITLES}
+    return {"regions": [places[i].name for i in shown], "values": values, "decimals": decimals}
 
 
 def cards(
@@ -187,22 +187,28 @@ def cards(
         bare = places[names.index(UNMEASURED)].tiles
         where = part_of(places, int(bare[pressure[bare].argmax()]))
         shown.append(("Elsewhere", UNMEASURED, f"highest where no sensor is: {where}"))
-    found = []
+    found, digits = [], DECIMALS["peak pressure [kPa]"]
     for title, name, words in shown:
         quantity = outputs.peak.part(names.index(name), 1e-3)
-        interval = f"{quantity.low:.1f} to {quantity.high:.1f}"
-        value = {"value": f"{quantity.value:.1f} kPa", "interval": interval}
+        interval = f"{quantity.low:.{digits}f} to {quantity.high:.{digits}f}"
+        value = {"value": f"{quantity.value:.{digits}f} kPa", "interval": interval}
         found.append({"title": title} | value | {"words": words})
     return found
 
 
-def data_card(findings: Sequence[DataFinding]) -> Document:
+def check_card(findings: Sequence[DataFinding]) -> Document:
     """Card of the data check."""
-    if not findings:
-        return {"title": "Data", "value": "good", "words": "nothing implausible in any source"}
-    first, more = findings[0], len(findings) - 1
-    words = f"{first.fact}; {first.hint}" + f" (and {more} more)" * bool(more)
-    return {"title": "Data", "value": f"look at {first.source}", "words": words, "bad": True}
+    problems = [f"{found.fact}; {found.hint}" for found in findings]
+    value = f"look at {findings[0].source}" if findings else ""
+    return data_card(problems, "nothing implausible in any source", value)
+
+
+def data_card(problems: Sequence[str], good: str, value: str = "look") -> Document:
+    """Card of the data: the first problem and the number of others, or words for good data."""
+    if not problems:
+        return {"title": "Data", "value": "good", "words": good}
+    more = f" (and {len(problems) - 1} more)" * (len(problems) > 1)
+    return {"title": "Data", "value": value, "words": problems[0] + more, "bad": True}
 
 
 def part_of(places: Sequence[Region], tile: int) -> str:

@@ -27,7 +27,7 @@ class Player:
     def __init__(self, trial: Trial, model: StoredModel | None = None) -> None:
         self._samples = samples = trial.samples()
         self._mapped = mapped_trial(trial, trial.estimator)
-        self._data = document.data_card(trial.findings)
+        self._data = document.check_card(trial.findings)
         self._predicted = np.full((len(samples), 6), np.nan)
         if model is not None:
             model.require_socket(trial.geometry)

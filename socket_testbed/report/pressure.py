@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
@@ -21,7 +20,6 @@ from socket_testbed.geometry.socket import (
 )
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import (
-    NORMAL_QUANTILE,
     SHARE,
     THRESHOLD,
     Quantity,
@@ -30,6 +28,7 @@ from socket_testbed.identification.pressure import (
     with_interval,
 )
 from socket_testbed.pages import document
+from socket_testbed.pages.pressure import DECIMALS, cells, limb_cells
 from socket_testbed.report.models import model_values
 from socket_testbed.report.page import Heading, Pictures, ReportFigure, Section
 from socket_testbed.report.results import Results
@@ -44,7 +43,7 @@ from socket_testbed.report.style import (
 )
 from socket_testbed.report.tiles import add_key, tile_map_figure
 from socket_testbed.tables import Table, split_unit
-from socket_testbed.trials.pressure import DECIMALS, SegmentPressure, by_place, cells, limb_cells
+from socket_testbed.trials.pressure import SegmentPressure, by_place
 
 _PRESSURE_COLUMNS = 5  # in the first table by region
 _NAMED_SEGMENTS = ("plateau", "hold")
@@ -66,8 +65,7 @@ def page_data(results: Results) -> dict[str, Any]:
     outputs, tiles, geometry = found.outputs, found.outputs.tiles, results.trial.geometry
     time = 1e-9 * (over_trial.samples.stamps - results.samples.stamps[0])
     measured = pd.DataFrame(document.measured_pressure(outputs.samples, geometry))
-    reach = 0.5 * (tiles.mean.high - tiles.mean.low)
-    means = tiles.mean.value, reach, tiles.shear.value, measured.mean().to_numpy()
+    means = tiles.mean.value, tiles.mean.reach, tiles.shear.value, measured.mean().to_numpy()
     mean = document.moment(found.peak_time, *means)
     at_peak = outputs.peak_map.normal_pressure[0]
     return document.trial_document(trial, over_trial, time) | {
@@ -76,7 +74,7 @@ def page_data(results: Results) -> dict[str, Any]:
         "mean": mean | {"time": None, "words": f"mean over {found.segment}"},
         "cards": [
             *document.cards(geometry, found.places, outputs.regions, at_peak),
-            document.data_card(results.data),
+            document.check_card(results.data),
         ],
         "bars": document.bars(found.places, outputs.regions),
         "extras": {
@@ -194,7 +192,7 @@ def force_map_figure(
     pressure = 1e-3 * estimate.normal_pressure[0]
     deviation = 1e-3 * estimate.normal_pressure_standard_deviation[0]
     maps = {"normal pressure": pressure, "its standard deviation": deviation}
-    reach = dict(zip(maps, (NORMAL_QUANTILE * deviation, 0.0 * deviation), strict=True))
+    reach = dict(zip(maps, (1e-3 * estimate.pressure_reach[0], 0.0 * deviation), strict=True))
     return tile_map_figure(geometry, maps, _LABEL, title, style, reach=reach)
 
 
@@ -214,7 +212,7 @@ def _maps(found: SegmentPressure) -> dict[str, Quantity]:
 def pressure_figure(found: SegmentPressure, title: str, style: FigureStyle) -> Figure:
     """Unrolled maps of the pressure above that of sectors, heights and user regions over time."""
     maps = _maps(found)
-    reach = {name: np.maximum(q.high - q.value, q.value - q.low) for name, q in maps.items()}
+    reach = {name: quantity.reach for name, quantity in maps.items()}
     left_out = {SOCKET, UNMEASURED, *SECTOR_PARTS}
     regions = {p.name: i for i, p in enumerate(found.places) if p.name not in left_out}
     mean = found.outputs.mean_pressure()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,28 +17,8 @@ from socket_testbed.identification.force_map import ForceMap, map_trial
 from socket_testbed.identification.information import Suspension, find_suspension
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings
-from socket_testbed.tables import NOTHING, UNCERTAIN
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-# Displayed decimals of the outputs by title, in the order of the tables.
-DECIMALS = {
-    "peak pressure [kPa]": 1,
-    "mean pressure [kPa]": 1,
-    "contact area [cm^2]": 0,
-    "pressure-time integral [kPa s]": 0,
-    "share of load [%]": 0,
-    "shear [kPa]": 1,
-    "shear direction [deg]": 0,
-    "centre of pressure x [mm]": 0,
-    "centre of pressure y [mm]": 0,
-    "centre of pressure z [mm]": 0,
-}
-_LIMB_DECIMALS = 2
-INLINE = "{} ({})"  # a value and its interval
 
 
 @dataclass(frozen=True)
@@ -112,43 +92,3 @@ def by_place(names: Iterable[str], found: Mapping[str, FloatArray]) -> dict[str,
         for column, name in enumerate(names)
         for title, values in found.items()
     }
-
-
-def cells(
-    names: Iterable[str],
-    found: pressure.RegionOutputs,
-    form: str = INLINE,
-    share: float = pressure.SHARE,
-) -> pd.DataFrame:
-    """Formatted outputs, a row per place: values and intervals in a form.
-
-    An interval that reaches farther than a share of its value is marked uncertain.
-    """
-    import pandas as pd
-
-    columns = {
-        title: _formatted(pressure.read_column(found, title), decimals, form, share)
-        for title, decimals in DECIMALS.items()
-    }
-    return pd.DataFrame(columns, index=[*names])
-
-
-def limb_cells(found: Suspension, share: float = pressure.SHARE) -> dict[str, str]:
-    """Formatted outputs of the limb in the socket, by title."""
-    outputs = found.outputs().items()
-    return {title: _formatted(value, _LIMB_DECIMALS, INLINE, share)[0] for title, value in outputs}
-
-
-def _formatted(quantity: pressure.Quantity, decimals: int, form: str, share: float) -> list[str]:
-    """Values with their intervals; a dash for unknown ones."""
-    columns = (quantity.value, quantity.low, quantity.high, quantity.certain(share))
-    number = f"{{:z.{decimals}f}}"
-    return [
-        form.format(
-            number.format(value),
-            f"{number} to {number}".format(low, high) + UNCERTAIN * (not certain),
-        )
-        if np.isfinite([low, high]).all()
-        else NOTHING
-        for value, low, high, certain in zip(*map(np.atleast_1d, columns), strict=True)
-    ]

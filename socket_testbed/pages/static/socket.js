@@ -325,7 +325,8 @@ function showBars(box, bars, title) {
       Object.assign(whisker.style, {left: at(from), width: `calc(${at(to)} - ${at(from)})`});
       track.append(bar, whisker);
     }
-    const said = known(value) ? `${value.toFixed(1)} (${from.toFixed(1)} to ${to.toFixed(1)})` : "none";
+    const text = (v) => v.toFixed(bars.decimals[title]);
+    const said = known(value) ? `${text(value)} (${text(from)} to ${text(to)})` : "none";
     row.append(element("span", "said", said));
     return row;
   }));
