@@ -5,24 +5,27 @@ ros2 launch socket_testbed testbed.launch.py simulated:=true namespace:=left
 """
 
 import os
+import time
 from functools import partial
 from pathlib import Path
 
 import yaml
 from launch.actions import (
     DeclareLaunchArgument,
+    EmitEvent,
     OpaqueFunction,
     RegisterEventHandler,
     SetEnvironmentVariable,
     TimerAction,
 )
 from launch.event_handlers import OnShutdown
+from launch.events import Shutdown
 from launch.events.process import ProcessExited
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
-from socket_testbed.clocks import shared_environment
+from socket_testbed.clocks import Backoff, shared_environment
 from socket_testbed.files import local_graph, packaged
 from socket_testbed.live.bringup import (
     Simulation,
@@ -30,11 +33,20 @@ from socket_testbed.live.bringup import (
     simulate_hardware,
     testbed_settings,
 )
-from socket_testbed.live.processes import PARENT, Graph, GraphNode, launched
+from socket_testbed.live.processes import (
+    MAX_BACKOFF,
+    PARENT,
+    Graph,
+    GraphNode,
+    is_wrong_input,
+    launched,
+    wait_again,
+)
 
 # Holds the simulated world and a folder for parameters and the tare until this program ends, so
 # that a restarted node finds them.
 GRAPH = Graph()
+BEGAN = time.monotonic()
 
 ARGUMENTS = {
     "params": ("", "node parameters, a testbed.yaml"),
@@ -67,20 +79,27 @@ def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler | SetEn
     return [
         # A restarted node has the same clock as the others.
         *(SetEnvironmentVariable(*item) for item in shared_environment(testbed.time_scale).items()),
-        *(started(node) for node in testbed.nodes(GRAPH.folder)),
+        *(started(node, Backoff(MAX_BACKOFF)) for node in testbed.nodes(GRAPH.folder)),
         RegisterEventHandler(end),
     ]
 
 
-def started(node: GraphNode) -> Node:
-    return Node(**launched(node, GRAPH.folder), on_exit=partial(restart, node))
+def started(node: GraphNode, backoff: Backoff, again: bool = False) -> Node:
+    end = partial(on_exit, node, backoff, time.monotonic())
+    return Node(**launched(node, GRAPH.folder, again), on_exit=end)
 
 
-def restart(node: GraphNode, event: ProcessExited, context: LaunchContext) -> list[TimerAction]:
-    """Restart a node that was killed or failed, but not one that was asked to end."""
+def on_exit(
+    node: GraphNode, backoff: Backoff, since: float, event: ProcessExited, context: LaunchContext
+) -> list[EmitEvent | TimerAction]:
+    """Restart a node that was killed or failed, as `run` does, unless it was asked to end."""
     if event.returncode == 0 or context.is_shutdown:
         return []
-    return [TimerAction(period=0.5, actions=[started(node)])]
+    if is_wrong_input(event.returncode, BEGAN) and not node.optional:
+        reason = f"{node.name} failed: see what it printed"
+        return [EmitEvent(event=Shutdown(reason=reason))]
+    wait = wait_again(backoff, since)
+    return [TimerAction(period=wait, actions=[started(node, backoff, again=True)])]
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -190,10 +190,11 @@ class Backoff:
         """Whether an attempt is due at a time of the steady clock [s]."""
         return now >= self._next
 
-    def failed(self, now: float) -> None:
-        """Note a failed attempt at a time [s]."""
+    def failed(self, now: float) -> float:
+        """Note a failed attempt at a time [s]; returns the wait before the next [s]."""
         self._wait = min(2.0 * self._wait, self._longest) if self._wait else _MIN_WAIT
         self._next = now + self._wait
+        return self._wait
 
     def succeeded(self) -> None:
         """Note a successful attempt."""

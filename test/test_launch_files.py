@@ -14,6 +14,7 @@ from support.bags import move_to_namespace
 
 from socket_testbed.files import packaged
 from socket_testbed.live.bringup import Testbed
+from socket_testbed.live.processes import RESTARTED
 from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.simulation.world import World
 
@@ -87,7 +88,11 @@ def test_the_testbed_is_launched_as_run_starts_it(launch: Launch, tmp_path: Path
         action, found = launched[node.name], parameters(launched[node.name])
         on_exit, running = action.given["on_exit"], SimpleNamespace(is_shutdown=False)
         (again,) = on_exit(SimpleNamespace(returncode=-9), running)
-        assert again.given["actions"][0].given["executable"] == node.name
+        restarted = again.given["actions"][0].given
+        assert restarted["executable"] == node.name and RESTARTED in restarted["additional_env"]
+        assert RESTARTED not in action.given["additional_env"]
+        (end,) = on_exit(SimpleNamespace(returncode=1), running)  # wrong input, if it is needed
+        assert ("event" in end.given) != node.optional
         assert not on_exit(SimpleNamespace(returncode=0), running)
         assert not found.pop("use_sim_time")
         expected = node.settings.to_flat()

@@ -17,6 +17,7 @@ import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import IO, Any, Self
 
@@ -43,7 +44,7 @@ _NODES = "socket_testbed.nodes"
 _STOP_TIMEOUT = 60.0  # [s]; for a clean end of a node
 _POLL_INTERVAL = 0.05  # [s]
 _EARLY_FAILURE = 10.0  # [s]; an earlier failure means wrong input
-_MAX_BACKOFF = 10.0  # [s]; before restarting a process that ends repeatedly
+MAX_BACKOFF = 10.0  # [s]; before restarting a process that ends repeatedly
 _CALM_AFTER = 3.0  # [s]; all processes have run this long before a spare one is started
 
 _LIMITS_FILE = "/etc/security/limits.d/socket_testbed.conf"
@@ -89,7 +90,7 @@ def write_parameters(nodes: Iterable[GraphNode], path: Path) -> Path:
     return path
 
 
-def launched(node: GraphNode, folder: Path) -> dict[str, Any]:
+def launched(node: GraphNode, folder: Path, again: bool = False) -> dict[str, Any]:
     """Keywords of the launch action of a node; its parameters are written to `folder`."""
     return {
         "package": "socket_testbed",
@@ -99,6 +100,7 @@ def launched(node: GraphNode, folder: Path) -> dict[str, Any]:
         "remappings": REMAPPINGS,
         "parameters": [str(write_parameters([node], folder / f"{node.name}.yaml"))],
         "output": "screen",
+        "additional_env": {RESTARTED: "1"} if again else {},
     }
 
 
@@ -112,6 +114,19 @@ def require_ros() -> None:
             )
 
 
+def is_wrong_input(code: int, began: float) -> bool:
+    """Whether a process failed so soon after the graph began [s] that its input must be wrong."""
+    return code > 0 and time.monotonic() - began < _EARLY_FAILURE
+
+
+def wait_again(backoff: Backoff, started: float) -> float:
+    """Wait before the next restart of a process that has run since `started` [s]."""
+    now = time.monotonic()
+    if now - started > _EARLY_FAILURE:
+        backoff.succeeded()
+    return backoff.failed(now)
+
+
 @dataclass
 class _Member:
     """A process of the graph, and its start time [s]."""
@@ -120,7 +135,7 @@ class _Member:
     process: subprocess.Popen[bytes]
     started: float
     optional: bool
-    backoff: Backoff = field(default_factory=lambda: Backoff(_MAX_BACKOFF))
+    backoff: Backoff = field(default_factory=partial(Backoff, MAX_BACKOFF))
 
     def exit_code(self) -> int | None:
         """Its exit code (negative: the signal that ended it), or None while it runs.
@@ -259,17 +274,13 @@ class Graph:
                 self.start_program(SPARE, _NODES, self._spare, optional=True)
             for name, member in list(self._members.items()):
                 code = member.exit_code()
-                if name not in self._members:
-                    continue  # the spare process has replaced another
-                if code is None:
-                    if now - member.started > _EARLY_FAILURE:
-                        member.backoff.succeeded()
+                if code is None or name not in self._members:  # the spare has replaced another
                     continue
-                if code > 0 and now - began < _EARLY_FAILURE and not member.optional:
+                if is_wrong_input(code, began) and not member.optional:
                     raise _failure(name, code)
                 if member.backoff.due(now):
                     notify(f"{name} {_ending(code)}: started again")
-                    member.backoff.failed(now)
+                    wait_again(member.backoff, member.started)
                     member.process = self._replace(member)
                     member.started = now
             self.pause()
