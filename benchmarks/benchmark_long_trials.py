@@ -26,7 +26,7 @@ from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.simulation.trial import simulate, write_simulated_trial
 from socket_testbed.trials.bag import BagReader, BagWriter, required_topics
-from socket_testbed.trials.layout import Layout
+from socket_testbed.trials.cdr import Layout
 from socket_testbed.trials.topics import match_topics
 from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial
 

@@ -25,7 +25,6 @@ from socket_testbed.files import (
     write_text,
 )
 from socket_testbed.tables import split_unit, write_table
-from socket_testbed.trials.bag import holds_nothing, is_bag
 from socket_testbed.trials.metadata import METADATA_FILE
 from socket_testbed.trials.reprocess import RECORDED
 from socket_testbed.trials.trial import Trial
@@ -37,43 +36,6 @@ _RECORDS_FOLDER = ".done"
 _DASK_TIMEOUT = "15s"  # for the scheduler to answer and a worker to appear
 
 Row: TypeAlias = dict[str, str | int | float | None]
-
-
-def find_trials(folder: Path, notify: Callable[[str], None] = lambda note: None) -> dict[str, Path]:
-    """Find the trials below a folder, at any depth.
-
-    Hidden folders and folders inside a trial are skipped; links are followed. Empty recordings,
-    whose recorder was killed during its start, are left out with a note.
-
-    Returns:
-        The trials' folders by name, which is the path below the folder, such as `s01/hold`. Empty
-        if the folder is itself a trial or is not a folder.
-    """
-    try:
-        if not folder.is_dir() or is_bag(folder):
-            return {}
-        found = {path.relative_to(folder).as_posix(): path for path in _walk(folder, ())}
-        empty = sorted(name for name, path in found.items() if holds_nothing(path))
-    except OSError as error:
-        fact = f"{error.filename}: cannot be read ({error.strerror})"
-        raise TrialError(fact, "check the permissions") from None
-    for name in empty:
-        notify(f"{name} is left out: it holds nothing, its recorder was killed while it started")
-        del found[name]
-    return dict(sorted(found.items()))
-
-
-def _walk(folder: Path, above: tuple[Path, ...]) -> Iterator[Path]:
-    real = folder.resolve()
-    if real in above:  # a link to a parent
-        return
-    for path in folder.iterdir():
-        if path.name.startswith(".") or not path.is_dir():
-            continue
-        if is_bag(path):
-            yield path
-        else:
-            yield from _walk(path, (*above, real))
 
 
 @dataclass(frozen=True)

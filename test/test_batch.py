@@ -11,8 +11,9 @@ import pandas as pd
 import pytest
 from support.batches import count
 
-from socket_testbed.batch import Job, Row, Task, find_trials, plan_jobs, run_batch
+from socket_testbed.batch import Job, Row, Task, plan_jobs, run_batch
 from socket_testbed.errors import TrialError
+from socket_testbed.trials.bag import find_trials
 
 
 def make_trial(path: Path, content: str = "messages") -> Path:

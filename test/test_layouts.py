@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import yaml
 
 from socket_testbed.files import packaged
-from socket_testbed.trials.layout import fields_of
+from socket_testbed.trials.cdr import fields_of
 from socket_testbed.trials.topics import TOPICS
 
 TYPES = {f"/{topic.name.lstrip('/')}": topic.type for topic in TOPICS}

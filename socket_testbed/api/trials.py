@@ -229,7 +229,7 @@ def select_segment(samples: Samples, specification: str = "plateau") -> Segment:
 def require_segment(specification: str | None) -> str:
     """The specification of a segment; raises an error for None."""
     if specification is None:
-        raise ConfigurationError("segment is None", "give 'plateau', 'all' or 'T0:T1', or leave it")
+        raise ConfigurationError("segment is None", f"{segments.HINT}, or leave it")
     return specification
 
 

@@ -12,7 +12,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
-from socket_testbed.batch import Job, Row, Task, find_trials, plan_jobs, run_batch
+from socket_testbed.batch import Job, Row, Task, plan_jobs, run_batch
 from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.terminal import Progress, say
 from socket_testbed.documents import check_number
@@ -22,6 +22,7 @@ from socket_testbed.identification.data_check import GOOD
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
 from socket_testbed.tables import FORMATS, check_format
+from socket_testbed.trials.bag import find_trials
 from socket_testbed.trials.metadata import FIELDS, TrialMetadata, change_metadata
 from socket_testbed.trials.reprocess import RECORDED
 from socket_testbed.trials.segment import Segment

@@ -55,7 +55,6 @@ HEARS = "hears"  # topics from which it needs a publisher, separated by blanks
 _SUBSCRIBER_DEPTH = 2000  # [messages]; enough for a fast replay or a busy moment
 _REPORT_PERIOD = 1.0  # [s]
 _CHECK_PERIOD = 0.1  # [s]; of links and node
-_FAULT_DURATION = 0.5  # [s]
 _POLL_INTERVAL = 0.02  # [s]
 
 S = TypeVar("S", bound=Settings)
@@ -148,9 +147,9 @@ class RecentFault:
         self._last = (text, clocks.monotonic())
 
     def text(self, at_least: float = 0.0) -> str:
-        """The fault; empty if it is older than half a second and than `at_least` [s]."""
+        """The fault; empty if it is older than `drivers.RECENT` and than `at_least` [s]."""
         text, when = self._last
-        return text if clocks.monotonic() - when < max(_FAULT_DURATION, at_least) else ""
+        return text if clocks.monotonic() - when < max(drivers.RECENT, at_least) else ""
 
 
 class TestbedNode(Node, Generic[S]):

@@ -27,7 +27,7 @@ from socket_testbed.errors import ConfigurationError, TestbedError, fact_and_hin
 from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.nodes import base
 from socket_testbed.settings.testbed import NextTrialSettings
-from socket_testbed.trials.layout import stamp_of
+from socket_testbed.trials.cdr import stamp_of
 from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.segment import check_label
 from socket_testbed.trials.topics import (

@@ -31,7 +31,7 @@ from socket_testbed.nodes.base import NEWEST_STAMP, TestbedNode
 from socket_testbed.settings.identification import check_solver
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials import messages, topics
-from socket_testbed.trials.layout import blank, elements
+from socket_testbed.trials.cdr import blank, elements
 from socket_testbed.trials.messages import named
 
 _PICTURE_PERIOD = 100_000_000  # [ns]; RViz needs no more

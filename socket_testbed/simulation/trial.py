@@ -21,7 +21,7 @@ from socket_testbed.geometry.marker_bodies import fit_body, nearest_rotations
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import Status
-from socket_testbed.settings.acquisition import averaging_span
+from socket_testbed.settings.acquisition import LoadCellSettings, MocapSettings, averaging_span
 from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.simulation import sensors
 from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, load_history
@@ -89,7 +89,7 @@ def simulate(
     errors: sensors.SensorErrors | None = None,
     progress: Callable[[int, int], None] | None = None,
     tissue: TissueKind = "soft",
-    mocap_window: float = -1.0,
+    mocap_window: float = MocapSettings.window,
 ) -> SimulatedTrial:
     """Simulate a trial.
 
@@ -130,7 +130,7 @@ def simulate(
         stress += sensors.vibration(size, time, shake_rng)
         capacitance[cluster] = sensor.read(stress, time, cluster_rng)
     felt = load + sensors.wrench_offset(errors, cell_rng)
-    noise = errors.wrench_noise(averaging_span(-1.0, 1.0 / rate))
+    noise = errors.wrench_noise(averaging_span(LoadCellSettings.average_over, 1.0 / rate))
     felt += cell_rng.normal(0.0, 1.0, load.shape) * noise
     felt += sensors.wrench_creep(errors, load, time, cell_rng)
     felt += sensors.vibration(errors.force_vibration * sensors.VIBRATION_SHAPE, time, shake_rng)

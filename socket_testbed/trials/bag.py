@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import zlib
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
@@ -23,7 +23,7 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from socket_testbed.documents import load_yaml
 from socket_testbed.errors import TrialError
 from socket_testbed.files import TemporaryFolder, hold
-from socket_testbed.trials.layout import typestore
+from socket_testbed.trials.cdr import typestore
 from socket_testbed.trials.mcap_file import McapFile, is_empty
 from socket_testbed.trials.topics import PUBLISHER_DEPTH, REQUIRED, TOPICS, Topic, match_topics
 
@@ -272,6 +272,43 @@ def holds_nothing(folder: Path) -> bool:
     """
     files = list(folder.glob("*.mcap"))
     return bool(files) and not (folder / METADATA).exists() and all(map(is_empty, files))
+
+
+def find_trials(folder: Path, notify: Callable[[str], None] = lambda note: None) -> dict[str, Path]:
+    """Find the trials below a folder, at any depth.
+
+    Hidden folders and folders inside a trial are skipped; links are followed. Empty recordings,
+    whose recorder was killed during its start, are left out with a note.
+
+    Returns:
+        The trials' folders by name, which is the path below the folder, such as `s01/hold`. Empty
+        if the folder is itself a trial or is not a folder.
+    """
+    try:
+        if not folder.is_dir() or is_bag(folder):
+            return {}
+        found = {path.relative_to(folder).as_posix(): path for path in _walk(folder, ())}
+        empty = sorted(name for name, path in found.items() if holds_nothing(path))
+    except OSError as error:
+        fact = f"{error.filename}: cannot be read ({error.strerror})"
+        raise TrialError(fact, "check the permissions") from None
+    for name in empty:
+        notify(f"{name} is left out: it holds nothing, its recorder was killed while it started")
+        del found[name]
+    return dict(sorted(found.items()))
+
+
+def _walk(folder: Path, above: tuple[Path, ...]) -> Iterator[Path]:
+    real = folder.resolve()
+    if real in above:  # a link to a parent
+        return
+    for path in folder.iterdir():
+        if path.name.startswith(".") or not path.is_dir():
+            continue
+        if is_bag(path):
+            yield path
+        else:
+            yield from _walk(path, (*above, real))
 
 
 def is_storage(file: Path) -> bool:

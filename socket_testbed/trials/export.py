@@ -36,7 +36,7 @@ from socket_testbed.samples import (
 )
 from socket_testbed.tables import split_unit
 from socket_testbed.trials.bag import required_topics
-from socket_testbed.trials.layout import typestore
+from socket_testbed.trials.cdr import typestore
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.synchronise import Measurements, marker_count, read_measurements
 from socket_testbed.trials.topics import MARKERS

@@ -16,7 +16,7 @@ from socket_testbed.arrays import FloatArray, IntArray, StatusArray
 from socket_testbed.errors import TrialError
 from socket_testbed.samples import Status
 from socket_testbed.trials import topics
-from socket_testbed.trials.layout import (
+from socket_testbed.trials.cdr import (
     Layout,
     Record,
     blank,

@@ -101,9 +101,9 @@ def _mean_load(
             f"{where}: --tare {start:g}:{end:g} holds no wrench",
             f"give seconds since the first sample, from 0 to {time[-1]:g}",
         )
-    if unrest := load_cell.moves(wrenches[rows], limits):
+    if moving := load_cell.unrest(wrenches[rows], limits):
         hint = "give a span without load, at rest"
-        raise TrialError(f"{where}: --tare {start:g}:{end:g}: {unrest}", hint)
+        raise TrialError(f"{where}: --tare {start:g}:{end:g}: {moving}", hint)
     return wrenches[rows].mean(axis=0)
 
 

@@ -34,6 +34,7 @@ from socket_testbed.trials.topics import EVENT, TARE, TRIGGER, match_topics
 PLACED, REMOVED = "placed", "removed"
 STANCE, SWING = "stance", "swing"
 Source = Literal["recorded", "found"]
+HINT = "give plateau, hold, auto, all, T0:T1 in seconds, or event:A:B"  # forms of a segment
 
 _RISE_SHARE, _FALL_SHARE = 0.6, 0.4  # [-]; of the way between the two load levels
 _STANCE_SHARE, _SWING_SHARE = 0.1, 0.05  # [-]; from the median swing load
@@ -344,8 +345,7 @@ def select_segment(
         return _span(samples, *event_span(specification, known), specification)
     if ":" not in specification:
         near = likely(specification, ("plateau", "hold", "auto", "all"))
-        hint = "give plateau, hold, auto, all, T0:T1 in seconds, or event:A:B"
-        raise ConfigurationError(f"unknown segment '{specification}'", f"{near} {hint}".strip())
+        raise ConfigurationError(f"unknown segment '{specification}'", f"{near} {HINT}".strip())
     return _span(samples, *parse_span(specification, "the segment"), "span")
 
 

@@ -25,7 +25,7 @@ from socket_testbed.live.simulated_world import MachineSpeed
 from socket_testbed.nodes import controls
 from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.trials import topics
-from socket_testbed.trials.layout import stamp_of
+from socket_testbed.trials.cdr import stamp_of
 from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.trial import Trial
 

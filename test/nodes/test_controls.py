@@ -28,7 +28,7 @@ from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.settings.testbed import RecorderSettings
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
 from socket_testbed.trials import messages, topics
-from socket_testbed.trials.layout import stamp_of
+from socket_testbed.trials.cdr import stamp_of
 from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.trial import Trial
 

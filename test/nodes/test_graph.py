@@ -31,7 +31,7 @@ from socket_testbed.settings import testbed
 from socket_testbed.settings.fields import Settings
 from socket_testbed.trials import topics
 from socket_testbed.trials.bag import BagReader
-from socket_testbed.trials.layout import decode
+from socket_testbed.trials.cdr import decode
 from socket_testbed.trials.messages import Reader, capacitance_packer, force_map_packer
 from socket_testbed.trials.trial import Trial
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from support.testbeds import MEASURED, LiveTestbed, Recorded
 
-from socket_testbed.trials.layout import stamp_of
+from socket_testbed.trials.cdr import stamp_of
 from socket_testbed.trials.topics import WRENCH
 
 pytestmark = [pytest.mark.graph, pytest.mark.slow]

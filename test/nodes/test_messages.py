@@ -26,7 +26,7 @@ from socket_testbed.identification.model_file import read_model
 from socket_testbed.nodes.base import header_to_ros, message_type
 from socket_testbed.nodes.frames import FrameBroadcaster, fixed_frames
 from socket_testbed.samples import Status
-from socket_testbed.trials import layout, messages, topics
+from socket_testbed.trials import cdr, messages, topics
 
 FOLDER = CHECKOUT / "msg_defs" / "msg"
 GEOMETRY = read_socket(packaged("config", "socket.yaml"))
@@ -75,7 +75,7 @@ def test_the_messages_are_the_contract_s_with_a_unit_a_field() -> None:
         assert fields == [tuple(field.split()) for field in content.split(";")]
         names = [field for _, field in fields]
         assert list(getattr(msg, name).get_fields_and_field_types()) == names
-        offline = layout.typestore().types[f"socket_testbed_msgs/msg/{name}"].__dataclass_fields__
+        offline = cdr.typestore().types[f"socket_testbed_msgs/msg/{name}"].__dataclass_fields__
         assert [f for f in offline if f.islower() and f != "__msgtype__"] == names
         for line in text:
             assert not line or line.startswith("#") or re.search(r"#.*\[[^\]]+\]", line), line
@@ -87,7 +87,7 @@ PACK: dict[topics.Topic, Callable[[int, Any, Any], bytes]] = {
     topics.WRENCH: lambda t, v, m: messages.wrench_packer()(t, v),
     topics.SOCKET_POSE: lambda t, v, m: messages.pose_packer()(t, v),
     topics.LOAD_CELL_RAW: lambda t, v, m: messages.load_cell_raw_packer()(
-        t, 1e3 * v[:6], v[6:], layout.nanoseconds(m.tared), m.status
+        t, 1e3 * v[:6], v[6:], cdr.nanoseconds(m.tared), m.status
     ),
     topics.CAPACITANCE: lambda t, v, m: messages.capacitance_packer(v.names)(
         t, v.capacitance, v.status
@@ -108,10 +108,10 @@ def ros_message(topic: topics.Topic, seed: int) -> Any:
     maker = Maker(seed, seed)
     content = maker.message(topic.type)
     if topic in (topics.LOCAL_FORCES, topics.FORCE_MAP):
-        for field in (field for field in layout.fields_of(topic.type) if field.number == 0):
+        for field in (field for field in cdr.fields_of(topic.type) if field.number == 0):
             own = [maker.one(field.type) for _ in range(1 + seed % 3)]
             setattr(content, field.name, np.array(own) if field.type == "float64" else own)
-    data = layout.typestore().serialize_cdr(content, topic.type)
+    data = cdr.typestore().serialize_cdr(content, topic.type)
     message = deserialize_message(bytes(data), message_type(topic))
     if topic is topics.MARKERS:
         message.bodies = [body for body in message.bodies if body.markers]
@@ -137,7 +137,7 @@ def test_what_ros_sends_is_read_and_what_is_packed_is_what_ros_sends(topic: topi
         message = ros_message(topic, seed)
         data = serialize_message(message)
         stamp, values = reader.read(data)
-        assert stamp == layout.stamp_of(message) and type(stamp) is int
+        assert stamp == cdr.stamp_of(message) and type(stamp) is int
         if topic is topics.WRENCH:
             expected = [*wrench_vector(message.wrench)]
         elif topic is topics.LOAD_CELL_RAW:
@@ -146,7 +146,7 @@ def test_what_ros_sends_is_read_and_what_is_packed_is_what_ros_sends(topic: topi
             expected = [x for c in message.clusters for x in c.capacitance]
             expected += [x for c in message.clusters for x in c.status]
         else:
-            expected = numbers_of(layout.decode(data, topic.type), topic.type)[2:]
+            expected = numbers_of(cdr.decode(data, topic.type), topic.type)[2:]
         np.testing.assert_equal(list(flat(values)), expected)
         in_world = topic in (topics.SOCKET_POSE, topics.MARKERS)
         message.header.frame_id = "world" if in_world else "load_cell"
@@ -159,8 +159,8 @@ def test_what_ros_sends_is_read_and_what_is_packed_is_what_ros_sends(topic: topi
 
 def test_two_clusters_of_one_name_are_missing() -> None:
     clusters = [{"name": name, "normal": 1.0} for name in ("distal", "distal", "other")]
-    message = layout.make_message(topics.STRESS.type, clusters=clusters)
-    data = layout.encode(message, topics.STRESS.type)
+    message = cdr.make_message(topics.STRESS.type, clusters=clusters)
+    data = cdr.encode(message, topics.STRESS.type)
     found = messages.Reader(topics.STRESS).read(data)[1]
     assert np.isnan(found["distal"][0]).all() and found["distal"][1] == Status.MISSING
     assert found["other"][1] == Status.OK
@@ -242,7 +242,7 @@ def test_the_transforms_compose_to_the_limb_in_the_socket() -> None:
     seen, hidden = (message.transforms for message in node.sent["/lab/tf"])
     assert [t.child_frame_id for t in seen] == ["socket", "limb"]
     assert [t.child_frame_id for t in hidden] == ["socket"]
-    assert all(t.header.frame_id == "world" and layout.stamp_of(t) == 7 for t in seen)
+    assert all(t.header.frame_id == "world" and cdr.stamp_of(t) == 7 for t in seen)
     (fixed,) = node.sent["/lab/tf_static"]
     (load_cell,) = (t for t in fixed.transforms if t.header.frame_id == "socket")
     limb = (pose_of(seen[0]) @ pose_of(load_cell)).inverse() @ pose_of(seen[1])

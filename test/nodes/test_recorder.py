@@ -23,7 +23,7 @@ from socket_testbed.live.processes import Graph
 from socket_testbed.nodes.base import stamp_to_ros
 from socket_testbed.settings.testbed import RecorderSettings, ReplaySettings
 from socket_testbed.trials.bag import BagReader
-from socket_testbed.trials.layout import decode, nanoseconds, stamp_of
+from socket_testbed.trials.cdr import decode, nanoseconds, stamp_of
 from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.topics import RECORDED_TRIAL, TF, WRENCH, match_topics
 from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from socket_testbed.trials.layout import fields_of, message_class, typestore
+from socket_testbed.trials.cdr import fields_of, message_class, typestore
 
 
 class Maker:

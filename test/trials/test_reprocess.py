@@ -23,7 +23,7 @@ from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.settings.testbed import TestbedSettings, read_testbed, write_testbed
 from socket_testbed.trials import synchronise
 from socket_testbed.trials.bag import BagReader
-from socket_testbed.trials.layout import decode, stamp_of
+from socket_testbed.trials.cdr import decode, stamp_of
 from socket_testbed.trials.messages import load_cell_raw_packer, pose_packer, wrench_packer
 from socket_testbed.trials.topics import LOAD_CELL_RAW, MARKERS
 from socket_testbed.trials.trial import Trial

@@ -21,7 +21,7 @@ from socket_testbed.samples import Status
 from socket_testbed.simulation.trial import read_true_forces, read_truth
 from socket_testbed.trials import bag, messages, topics
 from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage
-from socket_testbed.trials.layout import Layout, decode, stamp_of
+from socket_testbed.trials.cdr import Layout, decode, stamp_of
 from socket_testbed.trials.trial import Trial, recorded_namespace
 
 

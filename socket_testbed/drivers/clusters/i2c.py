@@ -53,11 +53,11 @@ def open_i2c(number: int, timeout: float) -> I2cBus:
         ioctl(bus.fd, _I2C_TIMEOUT, max(1, round(timeout / _TIMEOUT_UNIT)))
     except OSError as error:
         bus.close()  # smbus2 leaves the file open if a later step fails
-        raise opening_failed(number, error) from error
+        raise bus_opening_failed(number, error) from error
     return bus
 
 
-def opening_failed(number: int, error: OSError) -> DeviceError:
+def bus_opening_failed(number: int, error: OSError) -> DeviceError:
     """The error for a bus that could not be opened."""
     return drivers.opening_failed(
         f"/dev/i2c-{number}",

@@ -112,7 +112,7 @@ def in_words(wrench: FloatArray) -> str:
     return ", ".join(f"{axis} {value:.4g} {unit}" for axis, value, unit in values)
 
 
-def moves(wrenches: FloatArray, settings: LoadCellSettings) -> str:
+def unrest(wrenches: FloatArray, settings: LoadCellSettings) -> str:
     """The channel of wrenches (n, 6) that moves too much for a tare; empty if all are at rest."""
     spread = wrenches.std(axis=0)
     limits = np.repeat([settings.tare_moment, settings.tare_force], 3)
@@ -328,8 +328,8 @@ class LoadCell:
                 f"cannot tare: {self._saturated(rails)}",
                 "unload the cell, or check the bridge and its wiring",
             )
-        if unrest := moves(self._bridges.wrenches(ratios), settings):
-            raise DeviceError(f"cannot tare: {unrest}", "hold the cell still and tare again")
+        if moving := unrest(self._bridges.wrenches(ratios), settings):
+            raise DeviceError(f"cannot tare: {moving}", "hold the cell still and tare again")
         offsets = ratios.mean(axis=0)
         removed = self._bridges.wrenches(offsets - self._tare.no_load[0])
         force = float(np.linalg.norm(removed[3:]))

@@ -14,7 +14,7 @@ from typing import TypeAlias
 from smbus2 import i2c_msg
 
 from socket_testbed import clocks
-from socket_testbed.drivers.clusters.i2c import I2cBus, opening_failed
+from socket_testbed.drivers.clusters.i2c import I2cBus, bus_opening_failed
 from socket_testbed.settings.acquisition import ClusterSettings
 
 _BROWN_OUT_PERIOD = 0.3  # [s]
@@ -231,5 +231,5 @@ class SimulatedClusterHardware:
             for part in parts:
                 part.power_up()
         if unplugged or not parts:
-            raise opening_failed(number, FileNotFoundError(errno.ENOENT, "simulated"))
+            raise bus_opening_failed(number, FileNotFoundError(errno.ENOENT, "simulated"))
         return SimulatedI2cBus(parts, self._faults)
