@@ -426,7 +426,8 @@ def evaluate(
         changed = dataclasses.replace(stored.settings, pose_smoothing=pose_smoothing)
         stored = dataclasses.replace(stored, settings=changed)
     samples, leave_out = trial.samples(), stored.settings.leave_out
-    chosen = select(trial, segment, trial.estimator)
+    settings = dataclasses.replace(trial.estimator, identification=stored.settings)
+    chosen = select(trial, segment, settings)
     rows = samples[chosen.rows]
     plausibility.require_position(rows, trial.geometry)
     note_implausible(trial, samples, chosen, leave_out)

@@ -112,7 +112,7 @@ def write_report(
             trials.started(progress, "fitting, judging, mapping"),
         )
     leave_out = settings.identification.leave_out
-    note_implausible(trial, results.samples, results.segment, leave_out)
+    note_implausible(trial, trial.samples(), results.segment, leave_out)
     for text in results.bag_notes:
         trials.note(trial, text)
     drawing = trials.started(progress, "drawing") if figures else None

@@ -237,11 +237,7 @@ def select(trial: Trial, segment: str | Segment | None, settings: EstimatorSetti
     """The segment itself, or the one that its specification selects."""
     if isinstance(segment, Segment):
         return segment
-    specification = require_segment(segment)
-    leave_out = settings.identification.leave_out
-    return segments.select_segment(
-        trial.samples(), specification, settings.plateau, leave_out, trial.events
-    )
+    return trial.select(require_segment(segment), settings)
 
 
 def simulate(

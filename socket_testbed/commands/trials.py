@@ -26,7 +26,6 @@ from socket_testbed.identification.noise import channel_noise, noise_groups
 from socket_testbed.samples import Samples, Status
 from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
 from socket_testbed.trials.metadata import TrialMetadata
-from socket_testbed.trials.segment import find_plateaus
 from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial
 
 _MAX_TIMES = 8  # printed per event label
@@ -101,7 +100,7 @@ def info(trial: Path, **options: Any) -> None:
     report_data(opened)
     samples, metadata = opened.samples(), opened.metadata
     print(f"{_triggers(samples)}\n\n{_missing(samples)}\n\n{_noise(samples)}\n")
-    for segment in find_plateaus(samples, opened.estimator.plateau):
+    for segment in opened.plateaus(opened.estimator):
         mean = np.nanmean(samples[segment.rows].wrench[:, 3:], axis=0)
         print(f"{segment}: mean force {np.linalg.norm(mean):.1f} N")
     print(_events(opened))

@@ -228,12 +228,19 @@ def implausible_notes(
     outliers = find_outliers(samples, geometry, leave_out)
     notes = outlier_notes(samples, outliers, start)
     sign = sign_note(samples, geometry)
-    notes += [sign] if sign else []
-    for proposal in find_implausible(samples, geometry):
-        name = proposal.channel
+    return [*notes, *([sign] if sign else []), *proposals(samples, geometry, leave_out)]
+
+
+def proposals(
+    samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...]
+) -> tuple[str, ...]:
+    """Proposals to leave out implausible channels, even those that are left out already."""
+    notes = []
+    for found in find_implausible(samples, geometry):
+        name = found.channel
         advice = "is left out" if name in leave_out else f"consider --leave-out {name}"
-        notes.append(f"{name} looks implausible: {proposal.reason}; {advice}")
-    return notes
+        notes.append(f"{name} looks implausible: {found.reason}; {advice}")
+    return tuple(notes)
 
 
 def finite_quantile(values: FloatArray, share: float) -> float:

@@ -211,12 +211,7 @@ def notes_section(results: Results) -> Section:
 def list_notes(results: Results) -> list[str]:
     """Notes on the trial to read before using the figures."""
     samples, geometry = results.samples, results.trial.geometry
-    notes = [*results.bag_notes]
-    for found in results.implausible:
-        fate = f"It is in the objective; --leave-out {found.channel} leaves it out."
-        if found.channel in results.settings.identification.leave_out:
-            fate = "It was left out of the objective."
-        notes.append(f"{found.channel} looks implausible: {found.reason}. {fate}")
+    notes = [*results.bag_notes, *results.implausible]
     gaps = find_gaps(samples.time)
     if gaps:
         notes.append(
@@ -270,8 +265,8 @@ def origin_section(results: Results, command: str, made: datetime) -> Section:
             ),
             Heading("Solver certificates"),
             "Karush-Kuhn-Tucker residuals and duality gap in the scaled units of each stage,"
-            " computed from the solution independently of the solver; none may exceed"
-            f" {tolerance:g}.",
+            " computed from the solution independently of the solver. Those of the stages never"
+            f" exceed {tolerance:g}; a joint refinement that does was stopped early.",
             _certificates(results),
             Heading("Settings of the identification and the plateaus"),
             pairs_table("settings", "Settings by name in parameters.yaml", settings),

@@ -30,7 +30,7 @@ from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS, Var
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.simulation.trial import read_true_forces
 from socket_testbed.trials.pressure import SegmentPressure, mapped_trial
-from socket_testbed.trials.segment import Segment, find_plateaus, first_frames, select_segment
+from socket_testbed.trials.segment import Segment, first_frames
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ class Results:
     candidates: tuple[Candidate, ...]  # the variants, then the given model, if any
     fronts: dict[Variant, Front]  # may be empty
     no_fronts: str  # reason for empty `fronts`
-    implausible: tuple[plausibility.Implausible, ...]  # channels proposed to be left out
+    implausible: tuple[str, ...]  # notes on channels proposed to be left out
     plateaus: tuple[Segment, ...]  # the longest first
     bag_notes: tuple[str, ...]
     motion: information.Motion  # of the pose over the segment, relative to its noise
@@ -138,7 +138,7 @@ def compute_results(
         given.require_socket(trial.geometry)
     samples, identification = trial.samples(), settings.identification
     leave_out = identification.leave_out
-    whole = select_segment(samples, specification, settings.plateau, leave_out, trial.events)
+    whole = trial.select(specification, settings)
     segment = first_frames(whole, samples, identification.frames)
     fitted = samples[segment.rows]
     chosen = plausibility.without_outliers(fitted, trial.geometry, leave_out)
@@ -185,8 +185,8 @@ def compute_results(
         candidates=tuple(candidates),
         fronts=fronts,
         no_fronts=no_fronts,
-        implausible=plausibility.find_implausible(chosen, trial.geometry),
-        plateaus=tuple(find_plateaus(samples, settings.plateau, leave_out)),
+        implausible=plausibility.proposals(fitted, trial.geometry, leave_out),
+        plateaus=tuple(trial.plateaus(settings)),
         bag_notes=tuple(dict.fromkeys([*trial.notes, *notes])),
         data=trial.findings,
         motion=information.measure_motion(chosen, trial.geometry, identification.pose_smoothing),

@@ -34,7 +34,8 @@ from socket_testbed.trials.topics import EVENT, TARE, TRIGGER, match_topics
 PLACED, REMOVED = "placed", "removed"
 STANCE, SWING = "stance", "swing"
 Source = Literal["recorded", "found"]
-HINT = "give plateau, hold, auto, all, T0:T1 in seconds, or event:A:B"  # forms of a segment
+NAMED = ("plateau", "hold", "auto", "all")  # segments
+HINT = f"give {', '.join(NAMED)}, T0:T1 in seconds, or event:A:B"
 
 _RISE_SHARE, _FALL_SHARE = 0.6, 0.4  # [-]; of the way between the two load levels
 _STANCE_SHARE, _SWING_SHARE = 0.1, 0.05  # [-]; from the median swing load
@@ -163,7 +164,7 @@ def _crossings(
 
 
 def is_loaded(events: Sequence[Event], time: float) -> bool:
-    """Whether the load is placed at a time [s], by the events from `find_events`."""
+    """Whether the load is placed at a time [s], by the events of a trial."""
     changes = [event for event in events if event.label in (PLACED, REMOVED)]
     before = [event for event in changes if event.time <= time]
     if before:
@@ -333,18 +334,19 @@ def select_segment(
     if specification == "plateau":
         plateaus = find_plateaus(samples, settings, leave_out)
         return plateaus[0] if plateaus else _no_plateau("plateau", samples, settings)
+    known = find_events(samples, settings) if events is None else events()
     if specification in ("hold", "auto"):
-        if hold := _find_hold(samples, settings, leave_out):
-            return hold
+        for plateau in find_plateaus(samples, settings, leave_out):
+            if is_loaded(known, 0.5 * (plateau.start + plateau.end)):
+                return replace(plateau, kind="hold")
         span = loaded_span(samples, settings)
         if specification == "auto" and span is not None:
             return _span(samples, *span, "loaded")
         _no_plateau("hold", samples, settings)
     if specification.startswith("event:"):
-        known = find_events(samples, settings) if events is None else events()
         return _span(samples, *event_span(specification, known), specification)
     if ":" not in specification:
-        near = likely(specification, ("plateau", "hold", "auto", "all"))
+        near = likely(specification, NAMED)
         raise ConfigurationError(f"unknown segment '{specification}'", f"{near} {HINT}".strip())
     return _span(samples, *parse_span(specification, "the segment"), "span")
 
@@ -367,16 +369,6 @@ def first_frames(segment: Segment, samples: Samples, frames: int) -> Segment:
     if not 0 < frames < stop - start:
         return segment
     return _segment(segment.kind, samples, start, start + frames)
-
-
-def _find_hold(
-    samples: Samples, settings: PlateauSettings, leave_out: tuple[str, ...]
-) -> Segment | None:
-    found = find_events(samples, settings)
-    for plateau in find_plateaus(samples, settings, leave_out):
-        if is_loaded(found, 0.5 * (plateau.start + plateau.end)):
-            return replace(plateau, kind="hold")
-    return None
 
 
 def _no_plateau(what: str, samples: Samples, settings: PlateauSettings) -> NoReturn:

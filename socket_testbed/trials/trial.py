@@ -14,13 +14,22 @@ from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import file_or_packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
+from socket_testbed.identification.plausibility import without_outliers
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, TestbedSettings, read_testbed
 from socket_testbed.trials import reprocess, synchronise, topics
 from socket_testbed.trials.bag import BagReader, required_topics, sync
 from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.metadata import METADATA_FILE, TrialMetadata, read_metadata
-from socket_testbed.trials.segment import Event, find_events, join_events, read_events
+from socket_testbed.trials.segment import (
+    Event,
+    Segment,
+    find_events,
+    find_plateaus,
+    join_events,
+    read_events,
+    select_segment,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -144,7 +153,8 @@ class Trial:
         """Problems in the data, worst first; empty if it is good, see `check_data`."""
         from socket_testbed.identification.data_check import check_data  # not needed by a replay
 
-        return check_data(self.samples(), self.geometry, self.metadata.mass)
+        leave_out = self.estimator.identification.leave_out
+        return check_data(self.samples(), self.geometry, self.metadata.mass, leave_out)
 
     def to_dataframe(self) -> pd.DataFrame:
         """The samples as a pandas table, see `Samples.to_dataframe`."""
@@ -215,6 +225,20 @@ class Trial:
         with self.open() as bag:
             recorded = read_events(bag, samples)
         return join_events(recorded, find_events(samples, self.estimator.plateau))
+
+    def select(self, specification: str, settings: EstimatorSettings) -> Segment:
+        """The segment of a specification, see `select_segment`."""
+        limits, leave_out = settings.plateau, settings.identification.leave_out
+        return select_segment(self._sound, specification, limits, leave_out, self.events)
+
+    def plateaus(self, settings: EstimatorSettings) -> list[Segment]:
+        """The plateaus, longest first."""
+        return find_plateaus(self._sound, settings.plateau, settings.identification.leave_out)
+
+    @cached_property
+    def _sound(self) -> Samples:
+        """The samples without outliers, which would interrupt a plateau."""
+        return without_outliers(self.samples(), self.geometry)
 
     @property
     def geometry_path(self) -> Path:

@@ -1,14 +1,17 @@
 """Plateaus, holds and other segments of a trial by its load; events, and cycles between them."""
 
 import dataclasses
+from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from support.bags import add_events
+from support.bags import add_events, rewrite
 from support.problems import make_samples
 from support.wording import refused
 
+import socket_testbed as st
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
@@ -92,6 +95,8 @@ def test_the_hold_is_the_longest_plateau_under_load_and_auto_takes_what_moves_wi
     for text in ("hold", "auto"):
         hold = segment.select_segment(samples, text, SETTINGS)
         assert hold.kind == "hold" and hold.start > 61.0 and hold.end < 81.0
+    marked = [segment.Event("placed", 5.0, "recorded"), segment.Event("removed", 55.0, "recorded")]
+    assert segment.select_segment(samples, "hold", SETTINGS, events=lambda: marked).end < 62.0
     time = np.arange(0.0, 60.0, 1 / RATE)
     moving = 90 + 190 * np.sin(np.pi * (time - 10) / 8) ** 2 * ((time > 10) & (time < 50))
     part = segment.select_segment(under(moving), "auto", SETTINGS)
@@ -212,6 +217,28 @@ def test_a_span_or_cycles_between_events_or_what_there_is_instead() -> None:
 
 
 # --- events recorded with a trial
+
+
+def test_neither_an_outlier_nor_a_channel_left_out_of_the_fit_cuts_a_segment(
+    hold: Path, tmp_path: Path
+) -> None:
+    plateau = Trial(hold).select("plateau", Trial(hold).estimator)
+    middle = (plateau.rows.start + plateau.rows.stop) // 2
+    counts = Counter[str]()
+
+    def spoil(topic: str, message: Any) -> Any:
+        counts[topic] += 1
+        if topic == "/load_cell/wrench" and counts[topic] == middle:
+            message.wrench.force.x = 4000.0
+        if topic == "/clusters/capacitance" and counts[topic] > middle:
+            cluster = next(each for each in message.clusters if each.name == "distal")
+            cluster.capacitance = cluster.capacitance + 0.3
+        return message
+
+    path = rewrite(hold, tmp_path / "spoilt", spoil)
+    assert st.fit(path).segment != plateau
+    fitted = st.fit(path, leave_out=[f"distal.{axis}" for axis in ("Fx", "Fy", "Fz")])
+    assert fitted.segment == st.evaluate(path, fitted).segment == plateau
 
 
 def test_recorded_and_found_events_are_in_one_list(hold: Path, tmp_path: Path) -> None:
