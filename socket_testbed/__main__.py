@@ -15,9 +15,7 @@ from socket_testbed.version import __version__
 
 # For each verb: the module of its function, whose docstring is its help, and an example.
 _GROUPS = {
-    "try": {
-        "demo": ("demo", ""),
-    },
+    "try": {"demo": ("demo", "")},
     "set up": {
         "tile": ("design", "scan.stl -o socket.yaml"),
         "calibrate": ("design", "bench.csv --cluster distal -o calibration.yaml"),

@@ -80,17 +80,11 @@ def plan_jobs(
     `models/s01/hold.json`.
     """
     given = {option: path.absolute() for option, path in (files or {}).items() if path}
+    replaced = given.get("--geometry"), given.get("--calibration")
     return [
         Job(
             name,
-            Trial(
-                path.absolute(),
-                given.get("--geometry"),
-                given.get("--calibration"),
-                unloaded=unloaded,
-                load_cell_file=given.get("--load-cell"),
-                tare=tare,
-            ),
+            Trial(path.absolute(), *replaced, None, unloaded, given.get("--load-cell"), tare),
             output.absolute() / f"{name}{suffix}",
             {opt: file / f"{name}.json" if file.is_dir() else file for opt, file in given.items()},
         )

@@ -14,8 +14,8 @@ from socket_testbed.api.comparison import DIFFERENCE, LEGEND, MAPPED, SAME_LIMB,
 from socket_testbed.api.models import Model, model_for, note_implausible, stored_model
 from socket_testbed.api.tradeoff import theta_values
 from socket_testbed.geometry.socket import SOCKET
+from socket_testbed.identification.pressure import DECIMALS
 from socket_testbed.pages.document import check_page, moment, socket_document
-from socket_testbed.pages.pressure import DECIMALS
 from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.tables import Table, pairs_table
 from socket_testbed.trials.trial import Trial

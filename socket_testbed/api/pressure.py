@@ -165,10 +165,7 @@ class TrialMap(Result):
 
 
 def force_map(
-    trial: Trial | PathLike,
-    segment: str | Segment = "plateau",
-    *,
-    params: PathLike | None = None,
+    trial: Trial | PathLike, segment: str | Segment = "plateau", *, params: PathLike | None = None
 ) -> TrialMap:
     """Estimate the force on every tile from the clusters and the wrench, sample by sample.
 
@@ -398,7 +395,7 @@ def pressure(
     >>> found
     TrialPressure(hold, plateau ... s; 21 regions, peak pressure ... to ... kPa)
     >>> list(found.regions)[:3]
-    ['mean pressure [kPa]', 'mean pressure low [kPa]', 'mean pressure high [kPa]']
+    ['peak pressure [kPa]', 'peak pressure low [kPa]', 'peak pressure high [kPa]']
     >>> found.save("pressure.csv")
     """
     trial = as_trial(trial)

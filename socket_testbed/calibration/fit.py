@@ -14,7 +14,12 @@ from scipy.optimize import linear_sum_assignment
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, robust_deviation
 from socket_testbed.calibration.bench_data import STRESSES, BenchData, scaled_stress
-from socket_testbed.calibration.model import ClusterCalibration, channel_features, shear_terms
+from socket_testbed.calibration.model import (
+    SHEAR_SIGNS,
+    ClusterCalibration,
+    channel_features,
+    shear_terms,
+)
 from socket_testbed.errors import CalibrationError
 from socket_testbed.samples import Status
 
@@ -149,7 +154,6 @@ def _independent_parts(moments: FloatArray) -> FloatArray:
     return np.asarray(1.0 / np.sqrt(np.diag(np.linalg.inv(regular))))
 
 
-_SHEAR_SIGNS = np.sign(np.column_stack(channel_features(np.eye(4))[1:]))  # (4, 2); by channel
 _MIN_RESPONSE = 0.1  # of the inputs' variance; less is noise
 _CLIP_PERCENTILES = (1.0, 99.0)  # [%]; limits the effect of spikes
 
@@ -159,7 +163,7 @@ def find_wiring(capacitance: FloatArray, stress: FloatArray) -> IntArray:
     slopes = np.linalg.lstsq(*_response(capacitance, stress), rcond=None)[0][2:]
     slopes = slopes - slopes.mean(axis=1, keepdims=True)
     slopes = slopes / np.maximum(np.linalg.norm(slopes, axis=1, keepdims=True), 1e-12)
-    return linear_sum_assignment(_SHEAR_SIGNS @ slopes, maximize=True)[1].astype(np.int64)
+    return linear_sum_assignment(SHEAR_SIGNS.T @ slopes, maximize=True)[1].astype(np.int64)
 
 
 def _response(capacitance: FloatArray, stress: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -40,6 +40,9 @@ def channel_features(capacitance: FloatArray) -> tuple[FloatArray, FloatArray, F
     return mean, 0.5 * (c1 + c3 - c0 - c2), 0.5 * (c0 + c1 - c2 - c3)
 
 
+SHEAR_SIGNS = np.sign(np.stack(channel_features(np.eye(4))[1:]))  # (2, 4); of the channels
+
+
 def shear_terms(along_x: FloatArray, along_y: FloatArray) -> FloatArray:
     """Monomials `SHEAR_TERMS` of the pair differences, shape (..., 6) [pF^0..pF^2]."""
     terms = np.ones((*along_x.shape, len(SHEAR_TERMS)))

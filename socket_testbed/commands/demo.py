@@ -32,7 +32,6 @@ from socket_testbed.simulation.trial import TRUTH_FILE, GroundTruth, read_truth
 from socket_testbed.trials import topics
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.messages import Reader
-from socket_testbed.trials.segment import select_segment
 from socket_testbed.trials.trial import Trial
 
 _DURATION = 60.0  # [s] of testbed time; of the trial
@@ -215,7 +214,7 @@ class _Conclusion:
         self, trial: Trial, samples: Samples, truth: GroundTruth, live: FloatArray
     ) -> None:
         self._geometry = trial.geometry
-        rows = select_segment(samples, "plateau", EstimatorSettings().plateau).rows
+        rows = trial.select("plateau", EstimatorSettings()).rows
         self._hold, normal = samples[rows], self._geometry.rotations[:, :, 2]
         pressed = -np.einsum("kni,ni->kn", truth.forces[rows], normal) / self._geometry.areas
         self._estimate, deviation, self._truth = (

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 from socket_testbed import clocks
-from socket_testbed.calibration.model import read_calibration
 from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import (
     check_metadata,
@@ -44,14 +43,18 @@ from socket_testbed.settings.testbed import (
     ReplaySettings,
     check_take_name,
     estimator_settings,
-    read_testbed,
 )
 from socket_testbed.simulation.limb import Scenario, TissueKind
 from socket_testbed.simulation.world import FAULTS, World
-from socket_testbed.trials.bag import METADATA
+from socket_testbed.trials.bag import BAG_METADATA
 from socket_testbed.trials.metadata import METADATA_FILE, write_metadata
 from socket_testbed.trials.topics import full_namespace
-from socket_testbed.trials.trial import CALIBRATION_FILE, SOCKET_FILE, recorded_namespace
+from socket_testbed.trials.trial import (
+    CALIBRATION_FILE,
+    SOCKET_FILE,
+    read_configuration,
+    recorded_namespace,
+)
 
 _START_TIMEOUT = 60.0  # [s]; --duration counts from the first trigger or the end of this time
 _DEFAULT_FOLDER = Path("trials")  # recordings started from the page without --record
@@ -260,7 +263,7 @@ def _trials(folder: Path, name: str) -> set[Path]:
 
 def _require_end(trial: Path) -> None:
     """Raise an error if a recording is incomplete."""
-    if not (trial / METADATA).exists():
+    if not (trial / BAG_METADATA).exists():
         raise TrialError(
             f"{trial}: the recording stopped early; the trial keeps the data so far",
             "free disk space, and read the recorder's messages",
@@ -349,15 +352,9 @@ def record(
         params: The `testbed.yaml` to store in the trial.
     """
     check_new_folder(directory)
-    files: dict[str, Any] = {}
-    for name, path, read in (
-        ("geometry", geometry, read_socket),
-        ("calibration", calibration, read_calibration),
-        ("parameters", params, read_testbed),
-    ):
-        if path is not None:
-            read(path)  # the trial needs readable files later
-            files[name] = str(path.resolve())
+    read_configuration(geometry, calibration, params)  # the trial needs readable files later
+    stored = {"geometry": geometry, "calibration": calibration, "parameters": params}
+    files: dict[str, Any] = {name: str(path.resolve()) for name, path in stored.items() if path}
     stated = check_metadata(metadata)
     settings = RecorderSettings(directory=str(directory.resolve()), record=True, **files)
     disk = directory.resolve().parent

@@ -20,7 +20,6 @@ _X, _Z = np.eye(3)[[0, 2]]
 
 Side = Literal["left", "right"]
 
-_TINY = 1e-9  # [m]
 # Quarter turns about the axis from anterior towards left, by leg.
 SECTOR_TURNS: dict[Side | None, dict[str, int]] = {
     "right": {"anterior": 0, "posterior": 2, "medial": 1, "lateral": 3},
@@ -119,6 +118,12 @@ class Region:
     tiles: IntArray  # indices of its tiles, ascending; (k,)
 
 
+def third_edges(geometry: SocketGeometry) -> FloatArray:
+    """Heights of the edges of the thirds, from distal to proximal, (4,) [m]."""
+    heights = socket_axis(geometry).heights(geometry.anchors)
+    return np.linspace(heights.min(), heights.max(), 4)
+
+
 def anatomical_regions(geometry: SocketGeometry, side: Side | None = None) -> tuple[Region, ...]:
     """Four sectors, three heights, and their intersections.
 
@@ -130,9 +135,8 @@ def anatomical_regions(geometry: SocketGeometry, side: Side | None = None) -> tu
     """
     axis = socket_axis(geometry)
     turns = np.round(axis.angles(geometry.anchors) / (0.5 * np.pi)) % 4
-    heights = axis.heights(geometry.anchors)
-    depth = (heights.max() - heights) / max(np.ptp(heights), _TINY)
-    thirds = np.minimum(np.floor(3.0 * depth), 2.0)
+    heights, edges = axis.heights(geometry.anchors), third_edges(geometry)
+    thirds = 2 - np.searchsorted(edges[1:3], heights)  # HEIGHTS begin with the proximal one
     sectors = {name: turns == turn for name, turn in SECTOR_TURNS[side].items()}
     levels = {name: thirds == third for third, name in enumerate(HEIGHTS)}
     fields = {

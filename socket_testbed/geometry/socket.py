@@ -215,8 +215,7 @@ class _Scan(Document):
 
 class _Body(Document):
     markers: Annotated[
-        list[tuple[_InBody, _InBody, _InBody]],
-        Meta(min_length=MIN_MARKERS, max_length=MAX_MARKERS),
+        list[tuple[_InBody, _InBody, _InBody]], Meta(min_length=MIN_MARKERS, max_length=MAX_MARKERS)
     ]
 
     def __post_init__(self) -> None:

@@ -41,6 +41,12 @@ def gate(displacement: FloatArray, sharpness: float) -> FloatArray:
         return np.asarray(1.0 / (1.0 + np.exp((2.0 * sharpness) * displacement)))
 
 
+def relative_change(force: FloatArray) -> float:
+    """Standard deviation of forces (N, 3) over their RMS [-]; 0 without force."""
+    change, size = np.sqrt(force.var(axis=0).sum()), np.sqrt((force**2).sum(axis=1).mean())
+    return float(change / size) if size else 0.0
+
+
 def wrench_map(anchors: FloatArray) -> FloatArray:
     r"""Constant map C of the point forces onto the wrench, ``[M; F] = C F``.
 
@@ -402,9 +408,7 @@ class RigidLaw(ContactLaw):
         mean, spread = motion.mean(axis=0), motion.std(axis=0)
         inverse = 1.0 / np.where(spread > _MIN_MOTION, spread, np.inf)
         scaled, left = (motion - mean) * inverse, residual - residual.mean(axis=0)
-        force = wrench[:, 3:]
-        change, size = np.sqrt(force.var(axis=0).sum()), np.sqrt((force**2).sum(axis=1).mean())
-        ridge = _SLOPE_RIDGE + (_MIN_CHANGE * size / max(change, 1e-9)) ** 2
+        ridge = _SLOPE_RIDGE + (_MIN_CHANGE / max(relative_change(wrench[:, 3:]), 1e-9)) ** 2
         gram = scaled.T @ scaled / len(scaled) + ridge * np.eye(6)
         slope = np.linalg.solve(gram, scaled.T @ left / len(scaled)).T * inverse
         return residual.mean(axis=0) - slope @ mean, slope

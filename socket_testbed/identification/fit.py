@@ -13,7 +13,7 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.contact import ContactModel
+from socket_testbed.identification.contact import ContactModel, relative_change
 from socket_testbed.identification.problem import (
     MIN_SAMPLES,
     Problem,
@@ -232,10 +232,9 @@ def _with_wrench_model(
     complete = np.isfinite(used.wrench).all() and used.counted(settings.leave_out)[:6].all()
     if settings.variant != "rigid_bias" or not settings.wrench_sharpness or not complete:
         return model, ""
-    force = used.wrench[:, 3:]
-    change, size = np.sqrt(force.var(axis=0).sum()), np.sqrt(3.0 * np.mean(force**2))
     # At constant load the unseen half does not show how a prediction extrapolates.
-    if min(len(first), len(unseen)) < MIN_SAMPLES or not change > _MIN_CHANGE * size:
+    changes = relative_change(used.wrench[:, 3:]) > _MIN_CHANGE
+    if min(len(first), len(unseen)) < MIN_SAMPLES or not changes:
         return model, ""
     alone, early = replace(settings, wrench_sharpness=()), samples[samples.stamps < middle]
 

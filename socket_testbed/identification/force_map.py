@@ -43,7 +43,7 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import rigid_motions, wrench_map
 from socket_testbed.identification.plausibility import without_outliers
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
-from socket_testbed.settings.identification import ForceMapSettings
+from socket_testbed.settings.identification import MIN_SHARE, ForceMapSettings
 
 NORMAL_QUANTILE = 1.96  # [-]; standard deviations to each end of a 95 % interval
 _NUGGET = 1e-9  # [-]; keeps the correlation definite when tiles almost coincide
@@ -484,7 +484,6 @@ _LOG_NORMAL = {
     "cluster_error": "cluster_error_spread",
 }
 _NORMAL = {"drag": "drag_spread", "share": "share_spread"}
-_MIN_SHARE = 0.2  # [-]
 
 
 def hypotheses(settings: ForceMapSettings) -> list[SimpleNamespace]:
@@ -505,7 +504,7 @@ def hypotheses(settings: ForceMapSettings) -> list[SimpleNamespace]:
         for (name, spread), value in zip(spreads.items(), point, strict=True):
             median, change = getattr(settings, name), getattr(settings, spread) * value
             sizes[name] = median + change if name in _NORMAL else median * np.exp(change)
-        sizes["share"] = min(max(sizes["share"], _MIN_SHARE), 1.0)
+        sizes["share"] = min(max(sizes["share"], MIN_SHARE), 1.0)
         found.append(SimpleNamespace(**(vars(settings) | sizes)))  # may exceed the settings' bounds
     return found
 

@@ -54,21 +54,23 @@ _EXPANDED_BATCH = 32  # samples whose draws are expanded at a time
 _FULL_COLOUR, _GREYEST = 1.0, 2.5  # [-]
 _MIN_GREYED = 5e3  # [Pa]
 _RIGHT_ANGLE = 0.5 * np.pi  # [rad]
-# Output, axis of a vector, and factor from SI, by the title of a column.
-_COLUMNS: dict[str, tuple[str, int | None, float]] = {
-    "mean pressure [kPa]": ("mean", None, 1e-3),
-    "peak pressure [kPa]": ("peak", None, 1e-3),
-    "contact area [cm^2]": ("area", None, 1e4),
-    "pressure-time integral [kPa s]": ("integral", None, 1e-3),
-    "centre of pressure x [mm]": ("centre", 0, 1e3),
-    "centre of pressure y [mm]": ("centre", 1, 1e3),
-    "centre of pressure z [mm]": ("centre", 2, 1e3),
-    "shear [kPa]": ("shear", None, 1e-3),
-    "shear direction [deg]": ("direction", None, 180.0 / np.pi),
-    "share of load [%]": ("share", None, 100.0),
+# Output, axis of a vector, factor from SI, and displayed decimals, by the title of a column; in the
+# order of tables.
+_COLUMNS: dict[str, tuple[str, int | None, float, int]] = {
+    "peak pressure [kPa]": ("peak", None, 1e-3, 1),
+    "mean pressure [kPa]": ("mean", None, 1e-3, 1),
+    "contact area [cm^2]": ("area", None, 1e4, 0),
+    "pressure-time integral [kPa s]": ("integral", None, 1e-3, 0),
+    "share of load [%]": ("share", None, 100.0, 0),
+    "shear [kPa]": ("shear", None, 1e-3, 1),
+    "shear direction [deg]": ("direction", None, 180.0 / np.pi, 0),
+    "centre of pressure x [mm]": ("centre", 0, 1e3, 0),
+    "centre of pressure y [mm]": ("centre", 1, 1e3, 0),
+    "centre of pressure z [mm]": ("centre", 2, 1e3, 0),
 }
 TITLES = tuple(_COLUMNS)
 """Columns of the outputs of a region, with their units."""
+DECIMALS = {title: column[3] for title, column in _COLUMNS.items()}
 
 
 @dataclass(frozen=True)
@@ -124,7 +126,7 @@ class RegionOutputs:
 
 def read_column(found: RegionOutputs, title: str) -> Quantity:
     """The output of a column of `TITLES`, in the unit of the title."""
-    name, axis, factor = _COLUMNS[title]
+    name, axis, factor, _ = _COLUMNS[title]
     quantity: Quantity = getattr(found, name)
     return quantity.part(... if axis is None else (..., axis), factor)
 

@@ -149,7 +149,7 @@ class OnlineEstimator:
         self._clusters = tuple(geometry.clusters)
         self._window = SampleWindow(self._clusters, settings().window.duration)
         self._open: OrderedDict[int, dict[Topic, Any]] = OrderedDict()  # incomplete, by stamp
-        self._lock = threading.Lock()  # for the window and `_fitting`
+        self._lock = threading.Lock()  # for the window and the start of a fit
         self._fitting = False
         self._since_attempt = 0  # samples
         self._last_trigger = 0

@@ -101,6 +101,7 @@ def launched(node: GraphNode, folder: Path, again: bool = False) -> dict[str, An
         "parameters": [str(write_parameters([node], folder / f"{node.name}.yaml"))],
         "output": "screen",
         "additional_env": {RESTARTED: "1"} if again else {},
+        "sigterm_timeout": f"{_STOP_TIMEOUT:g}",  # a recorder may need longer than the default
     }
 
 

@@ -40,7 +40,7 @@ from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.live.processes import RESTARTED
 from socket_testbed.settings.fields import Settings, parameter_values
 from socket_testbed.trials.messages import LOAD_CELL_FRAME, Reader
-from socket_testbed.trials.topics import DIAGNOSTICS, PUBLISHER_DEPTH, Topic
+from socket_testbed.trials.topics import DIAGNOSTICS, Topic
 
 OK, WARN, ERROR = drivers.OK, drivers.WARN, drivers.ERROR
 
@@ -66,8 +66,9 @@ def publisher_qos(topic: Topic) -> QoSProfile:
     Latched topics are transient local with depth 1: late subscribers get the last message.
     """
     durability = DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE
-    depth = 1 if topic.latched else PUBLISHER_DEPTH
-    return QoSProfile(depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability)
+    return QoSProfile(
+        depth=topic.depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability
+    )
 
 
 def subscriber_qos(topic: Topic) -> QoSProfile:

@@ -1,8 +1,8 @@
-"""Recorder node: records all topics of the testbed as raw bytes into a trial (MCAP).
+"""Recorder node: records the topics of the testbed as raw bytes into a trial (MCAP).
 
-Subscribes: every topic of the testbed. Service: recorder/record. Publishes: /diagnostics, and
-recorder/trial (std_msgs/String, latched): the name (last path component) of the trial being
-recorded, empty if none.
+Subscribes: the topics of the testbed; the maps with `everything`. Service: recorder/record.
+Publishes: /diagnostics, and recorder/trial (std_msgs/String, latched): the name (last path
+component) of the trial being recorded, empty if none.
 
 Recording times start from the system clock and advance steadily, so that a step of the system clock
 does not reorder messages. With use_sim_time, they follow /clock.

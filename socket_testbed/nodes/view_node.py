@@ -171,7 +171,7 @@ class LiveSource:
                     if self._foreign:
                         continue
                 elif topic is topics.WRENCH:
-                    if self._wrenches and stamp < self._wrenches[0][0]:
+                    if self._wrenches and stamp < self._wrenches[-1][0]:
                         self._wrenches.clear()  # the graph was restarted
                         self._course.clear()
                         self._first = 0

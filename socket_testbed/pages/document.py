@@ -15,17 +15,17 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.geometry.axis import Region, Side, axial_force
+from socket_testbed.geometry.axis import Region, Side, axial_force, third_edges
 from socket_testbed.geometry.socket import HEIGHTS, SECTOR_PARTS, SOCKET, UNMEASURED, SocketGeometry
 from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.identification.pressure import (
+    DECIMALS,
     PressureOutputs,
     Quantity,
     RegionOutputs,
     greyness,
     read_column,
 )
-from socket_testbed.pages.pressure import DECIMALS
 from socket_testbed.pages.wall import Patch, patches, side_names, unrolled_tiles
 from socket_testbed.samples import Samples
 from socket_testbed.trials.trial import Trial
@@ -67,6 +67,7 @@ def socket_document(geometry: SocketGeometry, side: Side | None = None) -> Docum
         "squares": numbers(1e3 * tiles.squares[:, _CLOSED], 1),
         "sides": side_names(side),
         "heights": list(reversed(HEIGHTS)),
+        "thirds": numbers(1e3 * third_edges(geometry), 1),
         "proximal": numbers(tiles.around.proximal, 4),
         "regions": {name: list(map(int, tiles)) for name, tiles in geometry.regions.items()},
         "grey": GREY,
@@ -169,10 +170,7 @@ def bars(places: Sequence[Region], outputs: RegionOutputs) -> Document:
 
 
 def cards(
-    geometry: SocketGeometry,
-    places: Sequence[Region],
-    outputs: RegionOutputs,
-    pressure: FloatArray,
+    geometry: SocketGeometry, places: Sequence[Region], outputs: RegionOutputs, pressure: FloatArray
 ) -> list[Document]:
     """Cards of the peak, and of the highest pressure away from sensors.
 

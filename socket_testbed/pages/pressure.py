@@ -8,25 +8,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from socket_testbed.identification.information import Suspension
-from socket_testbed.identification.pressure import SHARE, Quantity, RegionOutputs, read_column
+from socket_testbed.identification.pressure import (
+    DECIMALS,
+    SHARE,
+    TITLES,
+    Quantity,
+    RegionOutputs,
+    read_column,
+)
 from socket_testbed.tables import NOTHING, UNCERTAIN
 
 if TYPE_CHECKING:
     import pandas as pd
 
-# Displayed decimals of the outputs by title, in the order of the tables.
-DECIMALS = {
-    "peak pressure [kPa]": 1,
-    "mean pressure [kPa]": 1,
-    "contact area [cm^2]": 0,
-    "pressure-time integral [kPa s]": 0,
-    "share of load [%]": 0,
-    "shear [kPa]": 1,
-    "shear direction [deg]": 0,
-    "centre of pressure x [mm]": 0,
-    "centre of pressure y [mm]": 0,
-    "centre of pressure z [mm]": 0,
-}
 INLINE = "{} ({})"  # a value and its interval
 
 
@@ -36,10 +30,7 @@ def decimals_of(title: str) -> int:
 
 
 def cells(
-    names: Iterable[str],
-    found: RegionOutputs,
-    form: str = INLINE,
-    share: float = SHARE,
+    names: Iterable[str], found: RegionOutputs, form: str = INLINE, share: float = SHARE
 ) -> pd.DataFrame:
     """Formatted outputs, a row per place: values and intervals in a form.
 
@@ -47,9 +38,7 @@ def cells(
     """
     import pandas as pd
 
-    columns = {
-        title: _formatted(title, read_column(found, title), form, share) for title in DECIMALS
-    }
+    columns = {title: _formatted(title, read_column(found, title), form, share) for title in TITLES}
     return pd.DataFrame(columns, index=[*names])
 
 

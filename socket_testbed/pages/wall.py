@@ -74,8 +74,7 @@ def patches(geometry: SocketGeometry, step: float = STEP) -> list[Patch]:
     """Grids of the wall and the distal end, where they have tiles; `step` is relative to the edge.
 
     The value at a point is its expected value given those of the tiles, under a Gaussian process
-    with the correlation of the force map (Matern 3/2 by distance): for such a field, this is the
-    force map at the point.
+    with the correlation of the force map (Matern 3/2 by distance, of the default length).
     """
     around, edge = socket_axis(geometry), float(np.median(np.sqrt(geometry.areas)))
     on_wall, heights = wall_tiles(geometry, around), around.heights(geometry.anchors)

@@ -34,11 +34,7 @@ _MARKS: dict[str, dict[str, Any]] = {
 }
 _THETA = "\N{GREEK SMALL LETTER THETA}"
 _MEANINGS = {SENSOR_ONLY: f" ({_THETA} = 0)", KNEE: "", WRENCH_ONLY: f" ({_THETA} = 1)"}
-_HOLLOW: dict[str, Any] = {
-    "linestyle": "none",
-    "markerfacecolor": "white",
-    "markeredgewidth": 1.0,
-}
+_HOLLOW: dict[str, Any] = {"linestyle": "none", "markerfacecolor": "white", "markeredgewidth": 1.0}
 _FAINT = 0.3  # opacity
 _MARGIN = 0.08  # [-]; around the solutions
 _MIN_ERROR = 1e-8  # [-]; for the logarithmic axes, below the precision of errors

@@ -22,13 +22,14 @@ from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import (
     SHARE,
     THRESHOLD,
+    TITLES,
     Quantity,
     columns_of,
     normal_quantity,
     with_interval,
 )
 from socket_testbed.pages import document
-from socket_testbed.pages.pressure import DECIMALS, cells, limb_cells
+from socket_testbed.pages.pressure import cells, limb_cells
 from socket_testbed.report.models import model_values
 from socket_testbed.report.page import Heading, Pictures, ReportFigure, Section
 from socket_testbed.report.results import Results
@@ -89,7 +90,7 @@ def section(results: Results) -> Section:
     """The section with the numerical outputs."""
     found = results.pressure
     names = pd.Index([place.name for place in found.places], name="region")
-    outputs = pd.DataFrame(columns_of(found.outputs.regions, [*DECIMALS]), index=names)
+    outputs = pd.DataFrame(columns_of(found.outputs.regions, TITLES), index=names)
     mean = with_interval("mean pressure [kPa]", found.outputs.mean_pressure().part(..., 1e-3))
     over_time = pd.DataFrame({"time [s]": found.time} | by_place(names, mean))
     return Section(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from socket_testbed.settings.fields import Settings, fixed, setting
 
+MAX_TARE = 60.0  # [s]
 MAX_SPAN = 0.25  # [s]; of the default averaging around a trigger
 
 
@@ -113,7 +114,7 @@ class LoadCellSettings(Settings):
         -1.0, "span centred on a trigger to average its wrench, if the window is shorter;"
         f" negative: the trigger's period, at most {MAX_SPAN}; 0: the window alone [s]", -1.0, 0.5,
     )  # fmt: skip
-    tare_duration: float = setting(1.0, "averaging time of a tare [s]", 0.1, 60.0)
+    tare_duration: float = setting(1.0, "averaging time of a tare [s]", 0.1, MAX_TARE)
     tare_force: float = setting(2.0, "largest deviation of a force while taring [N]", 1e-3, 1e3)
     tare_moment: float = setting(0.2, "largest deviation of a moment while taring [N m]", 1e-4, 1e2)
     tare_load: float = setting(100.0, "largest force that an unforced tare removes [N]", 1.0, 1e5)

@@ -128,6 +128,9 @@ class PlateauSettings(Settings):
     least_duration: float = setting(5.0, "shortest plateau [s]", 0.1, 1e5)
 
 
+MIN_SHARE = 0.2  # [-]; smallest share of the load borne by the tiles
+
+
 @dataclass(frozen=True)
 class ForceMapSettings(Settings):
     """The prior of the force map: sizes of the forces on tiles and of the channels' errors.
@@ -162,7 +165,7 @@ class ForceMapSettings(Settings):
         0.1, "distal force on a tile by friction, relative to its normal force [-]", -1.0, 1.0
     )
     drag_spread: float = setting(0.1, "its standard deviation [-]", 0.0, 0.5)
-    share: float = setting(0.88, "mean share of the load borne by the tiles [-]", 0.2, 1.0)
+    share: float = setting(0.88, "mean share of the load borne by the tiles [-]", MIN_SHARE, 1.0)
     share_spread: float = setting(0.07, "its standard deviation [-]", 0.0, 0.3)
     moment_error: float = setting(
         0.7, "offset of a moment, including the surface between tiles [N m]", 1e-6, 1e2

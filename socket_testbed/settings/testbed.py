@@ -61,6 +61,7 @@ class CalibrationNodeSettings(Settings):
 
 
 _FORBIDDEN = ',<>:"/\\|?*'  # a comma ends Motive's commands; Windows forbids the rest in names
+MAX_MASS = 400.0  # [kg]; of the subject
 _MAX_NAME_LENGTH = 200  # [bytes]
 
 
@@ -87,7 +88,7 @@ class NextTrialSettings(Settings):
     side: str = setting("", "side of the residual limb, left or right [-]")
     socket: str = setting("", "the socket, such as PTB 3 [-]")
     liner: str = setting("", "liner or sock [-]")
-    mass: float = setting(0.0, "body mass of the subject; 0: not stated [kg]", 0.0, 400.0)
+    mass: float = setting(0.0, "body mass of the subject; 0: not stated [kg]", 0.0, MAX_MASS)
     operator: str = setting("", "initials or a code of the operator [-]")
     protocol: str = setting("", "the protocol of the trial [-]")
     notes: str = setting("", "further notes [-]")

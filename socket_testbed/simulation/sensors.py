@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.calibration.model import ClusterCalibration, shear_terms
+from socket_testbed.calibration.model import SHEAR_SIGNS, ClusterCalibration, shear_terms
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 
@@ -20,8 +20,6 @@ _CREEP_TIME = 40.0  # [s]; of the load cell
 _SHAKING_RATE = 13.5  # [Hz]; of a stand; a trigger of 4 Hz sees 1.5 Hz
 # Wrench [M; F] of a vibrating stand, per unit force along each axis; softest about x [m, -].
 VIBRATION_SHAPE = np.array([0.167, 0.03, 0.015, 1.0, 1.0, 1.0])
-# Signs of a cluster's four channels in its two pair differences.
-_SIGNS = np.array([[-1.0, 1.0, -1.0, 1.0], [1.0, 1.0, -1.0, -1.0]])
 _SOCKET_IN_WORLD = Pose(
     Rotation.from_euler("zyx", [35.0, 4.0, -3.0], degrees=True).as_matrix(),
     np.array([0.42, -0.31, 0.74]),
@@ -100,7 +98,7 @@ def invert_calibration(calibration: ClusterCalibration, stress: FloatArray) -> F
             break
     differences = np.column_stack([x, y])
     # Channels from mean and differences; the fourth combination, a twist, is zero.
-    channels = mean[:, None] + 0.5 * differences @ _SIGNS
+    channels = mean[:, None] + 0.5 * differences @ SHEAR_SIGNS
     inputs = np.empty_like(channels)
     inputs[:, calibration.wiring] = channels
     return inputs

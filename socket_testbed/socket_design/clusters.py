@@ -287,10 +287,7 @@ class _ExpectedError:
 
 
 def place_clusters(
-    geometry: SocketGeometry,
-    count: int,
-    stay: Sequence[int],
-    allowed: BoolArray,
+    geometry: SocketGeometry, count: int, stay: Sequence[int], allowed: BoolArray
 ) -> ClusterPlacement:
     """Propose tiles for `count` clusters, including those that `stay` on their tiles.
 

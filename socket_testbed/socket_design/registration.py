@@ -92,7 +92,7 @@ class _LandmarkFile(Document):
 
 
 @dataclass(frozen=True)
-class Side:
+class LandmarkSide:
     """A marker body and the landmarks that are rigid to it."""
 
     body: str  # the body, `socket` or `pylon`
@@ -104,7 +104,7 @@ class Side:
     known: FloatArray  # their coordinates; (k, 3) [m]
 
 
-def read_landmarks(path: Path) -> tuple[Side, Side]:
+def read_landmarks(path: Path) -> tuple[LandmarkSide, LandmarkSide]:
     """Read LANDMARKS.yaml: the sides of the socket and the limb."""
     document = read_document(path, _LandmarkFile)
     sides, named = [], list[set[str]]()
@@ -114,7 +114,7 @@ def read_landmarks(path: Path) -> tuple[Side, Side]:
         words = tuple(map(str, markers))
         known = np.array([*landmarks.values()])
         labels = words[0] if isinstance(given, _RigidBody) else words
-        sides.append(Side(body, labels, frame, f"{path}: {frame}", tuple(landmarks), known))
+        sides.append(LandmarkSide(body, labels, frame, f"{path}: {frame}", tuple(landmarks), known))
         named.append({*words, *landmarks})
     # The socket and the limb move relative to each other: no marker is on both.
     for name in sorted(named[0] & named[1]):
@@ -425,7 +425,10 @@ class Registration:
 
 
 def register_take(
-    take: MotiveTake, sides: tuple[Side, Side], geometry: SocketGeometry, force: bool = False
+    take: MotiveTake,
+    sides: tuple[LandmarkSide, LandmarkSide],
+    geometry: SocketGeometry,
+    force: bool = False,
 ) -> Registration:
     """Register a socket's marker bodies and its limb with a static take that shows all landmarks.
 
@@ -463,7 +466,7 @@ def register_take(
     )
 
 
-def _register_body(take: MotiveTake, side: Side, force: bool) -> RegisteredBody:
+def _register_body(take: MotiveTake, side: LandmarkSide, force: bool) -> RegisteredBody:
     where, labels = f"{take.path}: {side.body}", side.markers
     names = _markers_of(take, labels, where) if isinstance(labels, str) else labels
     observed = take.stack(names)

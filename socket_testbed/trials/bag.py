@@ -25,7 +25,7 @@ from socket_testbed.errors import TrialError
 from socket_testbed.files import TemporaryFolder, hold
 from socket_testbed.trials.cdr import typestore
 from socket_testbed.trials.mcap_file import McapFile, is_empty
-from socket_testbed.trials.topics import PUBLISHER_DEPTH, REQUIRED, TOPICS, Topic, match_topics
+from socket_testbed.trials.topics import REQUIRED, TOPICS, Topic, match_topics
 
 _COMPRESSED_SUFFIX = ".zstd"
 _STORAGE_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
@@ -233,7 +233,7 @@ def _read_metadata(bag: Path) -> tuple[list[str], dict[str, int]] | None:
     if not (bag.is_dir() or bag.is_file()):
         fact = "is neither a folder nor a file" if bag.exists() else "no such trial"
         raise TrialError(f"{bag}: {fact}", "check the path")
-    file = bag / METADATA
+    file = bag / BAG_METADATA
     if not file.exists():
         return None
     try:
@@ -256,12 +256,14 @@ def _read_metadata(bag: Path) -> tuple[list[str], dict[str, int]] | None:
     return files, counts
 
 
-METADATA = "metadata.yaml"  # of a closed bag
+BAG_METADATA = "metadata.yaml"  # of a closed bag
 
 
 def is_bag(folder: Path) -> bool:
     """Whether a folder is a bag, even if broken or still written."""
-    return folder.is_dir() and any(f.name == METADATA or is_storage(f) for f in folder.iterdir())
+    return folder.is_dir() and any(
+        f.name == BAG_METADATA or is_storage(f) for f in folder.iterdir()
+    )
 
 
 def holds_nothing(folder: Path) -> bool:
@@ -271,7 +273,7 @@ def holds_nothing(folder: Path) -> bool:
     not count: its files may be complete elsewhere.
     """
     files = list(folder.glob("*.mcap"))
-    return bool(files) and not (folder / METADATA).exists() and all(map(is_empty, files))
+    return bool(files) and not (folder / BAG_METADATA).exists() and all(map(is_empty, files))
 
 
 def find_trials(folder: Path, notify: Callable[[str], None] = lambda note: None) -> dict[str, Path]:
@@ -366,19 +368,11 @@ class BagWriter:
 
     def add_topic(self, name: str, topic: Topic) -> None:
         """Declare a topic under its name in the graph."""
-        qos = interfaces.Qos(
-            interfaces.QosHistory.KEEP_LAST,
-            1 if topic.latched else PUBLISHER_DEPTH,
-            interfaces.QosReliability.RELIABLE,
-            interfaces.QosDurability.TRANSIENT_LOCAL
-            if topic.latched
-            else interfaces.QosDurability.VOLATILE,
-            _FOREVER,
-            _FOREVER,
-            interfaces.QosLiveliness.AUTOMATIC,
-            _FOREVER,
-            False,
-        )
+        keep, alive = interfaces.QosHistory.KEEP_LAST, interfaces.QosLiveliness.AUTOMATIC
+        reliable, lasting = interfaces.QosReliability.RELIABLE, interfaces.QosDurability
+        durability = lasting.TRANSIENT_LOCAL if topic.latched else lasting.VOLATILE
+        behaviour = reliable, durability, _FOREVER, _FOREVER, alive, _FOREVER, False
+        qos = interfaces.Qos(keep, topic.depth, *behaviour)
         self._connections[name] = self._writer.add_connection(
             name, topic.type, typestore=typestore(), offered_qos_profiles=[qos]
         )

@@ -199,9 +199,7 @@ def _capacitances(records: Record, sample: Any) -> Capacitances:
     return Capacitances(names, capacitance, status)
 
 
-def capacitance_packer(
-    names: Sequence[str],
-) -> Callable[[int, FloatArray, StatusArray], bytes]:
+def capacitance_packer(names: Sequence[str]) -> Callable[[int, FloatArray, StatusArray], bytes]:
     """Packs a ClusterCapacitanceArray of c clusters.
 
     From its stamp [ns], and capacitances [pF] and statuses, shape (c, 4).

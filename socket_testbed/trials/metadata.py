@@ -15,11 +15,12 @@ from socket_testbed.documents import convert, plain, read_document, refuse_unkno
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import write_text
 from socket_testbed.geometry.axis import Side
+from socket_testbed.settings.testbed import MAX_MASS
 
 METADATA_FILE = "trial.yaml"
 
 SIDES: tuple[Side, ...] = get_args(Side)
-MASS_RANGE = (5.0, 400.0)  # [kg]
+MASS_RANGE = (5.0, MAX_MASS)  # [kg]
 _MASS: Any = Annotated[
     float, Meta(ge=MASS_RANGE[0], le=MASS_RANGE[1], description="the body mass [kg]")
 ]

@@ -18,7 +18,12 @@ class Topic:
     required: bool = False  # needed for offline analysis of a trial
     computed: bool = False  # a node computes it from measured topics
     derived: bool = False  # large, and can be recomputed from a trial
-    latched: bool = False  # late subscribers get the last message (transient local, depth 1)
+    latched: bool = False  # late subscribers get the last message (transient local)
+
+    @property
+    def depth(self) -> int:
+        """Queue of a publisher, in messages."""
+        return 1 if self.latched else PUBLISHER_DEPTH
 
 
 TRIGGER = Topic("trigger", "socket_testbed_msgs/msg/Trigger", required=True)
@@ -53,22 +58,8 @@ PRESSURE_MAP = Topic(
 DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", computed=True)
 
 TOPICS = (
-    TRIGGER,
-    CAPACITANCE,
-    WRENCH,
-    LOAD_CELL_RAW,
-    SOCKET_POSE,
-    PYLON_POSE,
-    MARKERS,
-    EVENT,
-    STRESS,
-    ESTIMATED_WRENCH,
-    LOCAL_FORCES,
-    FORCE_MAP,
-    REGIONS,
-    PARAMETERS,
-    PRESSURE_MAP,
-    DIAGNOSTICS,
+    *(TRIGGER, CAPACITANCE, WRENCH, LOAD_CELL_RAW, SOCKET_POSE, PYLON_POSE, MARKERS, EVENT, STRESS),
+    *(ESTIMATED_WRENCH, LOCAL_FORCES, FORCE_MAP, REGIONS, PARAMETERS, PRESSURE_MAP, DIAGNOSTICS),
 )
 REQUIRED = tuple(topic for topic in TOPICS if topic.required)
 

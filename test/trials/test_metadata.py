@@ -12,7 +12,7 @@ from support.wording import check_line, refused
 import socket_testbed as st
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.live.bringup import simulated_testbed
-from socket_testbed.settings.testbed import RecorderSettings
+from socket_testbed.settings.testbed import NextTrialSettings, RecorderSettings
 from socket_testbed.trials import metadata
 from socket_testbed.trials.trial import Trial
 
@@ -31,6 +31,7 @@ def test_all_fields_and_any_text_come_back_as_they_were(tmp_path: Path) -> None:
     values = ("S01", "right", "PTB 3", "sock", 82.5, "KL", "hold", "new foot")
     stated = metadata.TrialMetadata(*values)
     assert (*stated.columns().values(),) == values and len(metadata.FIELDS) == len(values)
+    assert {"name", *metadata.FIELDS} == NextTrialSettings().to_flat().keys()  # of a button
     texts = ("007", "1e3", "yes", "null", "2026-01-01", "a: b # c", "\"'\\", "ü 日本 🦿", "-")
     for given in (stated, *(metadata.TrialMetadata(socket=text, notes=text) for text in texts)):
         metadata.write_metadata(given, tmp_path / metadata.METADATA_FILE)

@@ -19,12 +19,12 @@ from socket_testbed.drivers import RECENT
 from socket_testbed.drivers.gpio import EdgeLine
 from socket_testbed.drivers.load_cell import ads131m0x
 from socket_testbed.errors import DeviceError
-from socket_testbed.settings.acquisition import LoadCellSettings
+from socket_testbed.settings.acquisition import MAX_TARE, LoadCellSettings
 
 _MAX_FRAMES = 8  # read in a row; two conversions can wait, and frames can be corrupted
 _MAX_READ_TIME = 0.25  # periods; normally a frame takes less
 _SILENCE_TIMEOUT = 0.1  # [s] without a conversion
-_HISTORY = 61.0  # [s]; more than the longest tare
+_HISTORY = MAX_TARE + 1.0  # [s]
 _MAX_PAUSE = 1.95  # periods; the converter would lose a third conversion
 _FIFO_SIZE = 2  # conversions
 _MAX_ATTEMPTS = 5  # to empty the FIFO without an edge in between

@@ -173,15 +173,15 @@ class SocketMap {
     };
     if (wall) {
       const [low, high] = [wall.y[0], wall.y.at(-1)];
-      const third = (Math.max(...socket.places.map((p) => p[1])) - 0) / 3;
+      const edges = socket.thirds, middles = [0, 1, 2].map((i) => (edges[i] + edges[i + 1]) / 2);
       layout.xaxis = {...base, domain: [0, end ? far : 1], range: [-180, 180],
         tickvals: below ? [-90, 0, 90] : [-180, -90, 0, 90, 180],
         ticktext: below ? socket.sides.slice(1, 4) : socket.sides};
-      layout.yaxis = {...base, range: [low, high], tickvals: [third / 2, 1.5 * third, 2.5 * third],
+      layout.yaxis = {...base, range: [low, high], tickvals: middles,
         ticktext: socket.heights, domain: [below && end ? 0.36 : 0, 1], tickangle: below ? -90 : 0};
       const line = {color: "rgba(255,255,255,0.55)", width: 1, dash: "dot"};
       for (const x of [-135, -45, 45, 135]) { lines.push({type: "line", x0: x, x1: x, y0: low, y1: high, line}); }
-      for (const y of [third, 2 * third]) { lines.push({type: "line", x0: -180, x1: 180, y0: y, y1: y, line}); }
+      for (const y of edges.slice(1, 3)) { lines.push({type: "line", x0: -180, x1: 180, y0: y, y1: y, line}); }
     }
     if (end) {
       layout.xaxis2 = {...base, domain: wall && !below ? [far + 0.03, 1] : [0, 1], visible: false,
