@@ -23,7 +23,7 @@ from launch import LaunchContext, LaunchDescription
 from socket_testbed.files import TemporaryFolder, local_graph
 from socket_testbed.live.bringup import replay_nodes
 from socket_testbed.live.processes import PARENT, launched
-from socket_testbed.settings.testbed import ReplaySettings, read_testbed
+from socket_testbed.settings.testbed import ReplaySettings, estimator_settings
 from socket_testbed.trials.trial import Trial
 
 TEMPORARY = TemporaryFolder()  # until this program ends
@@ -51,7 +51,7 @@ def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler]:
         rate=yaml.safe_load(given["rate"]),
         loop=yaml.safe_load(given["loop"]),
     )
-    estimator = read_testbed(params).estimator_node if params else trial.estimator
+    estimator = estimator_settings(trial.estimator, params)
     nodes = [
         Node(**launched(node, Path(TEMPORARY.name)))
         for node in replay_nodes(trial, replay, estimator)

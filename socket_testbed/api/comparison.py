@@ -254,8 +254,9 @@ class Comparison(Result):
         """
         rows = self.table[self.table["part"] == "regions"]
         low, high = rows["difference low"], rows["difference high"]
-        rows = rows.assign(clear=(low + high).abs() / (high - low))[high > low]
-        clear = rows[rows["clear"] > 1.0].sort_values("clear", ascending=False, kind="stable")
+        clear = rows.assign(clear=(low + high).abs() / (high - low))[is_clear(low, high)]
+        clear = clear.sort_values("clear", ascending=False, kind="stable")
+        rows = rows[high > low]
         lines = [
             f"{len(clear)} of {len(rows)} intervals of the regions' differences exclude 0; by"
             f" chance alone up to about {0.05 * len(rows):.0f} would"
@@ -292,7 +293,7 @@ class Comparison(Result):
             return super()._figure(style)
         from socket_testbed.report.tiles import tile_map_figure
 
-        pressures, reaches = self.tile_pressures(VALUE)
+        pressures, low, high = self.tile_pressures(VALUE)
         return tile_map_figure(
             self.geometry,
             dict(zip(self.items, pressures, strict=True)),
@@ -300,16 +301,18 @@ class Comparison(Result):
             style=style,
             limits=(pressures.min(), pressures.max()),
             side=self.side,
-            reach=dict(zip(self.items, reaches, strict=True)),
+            reach=dict(zip(self.items, 0.5 * (high - low), strict=True)),
         )
 
-    def tile_pressures(self, columns: Sequence[str]) -> tuple[FloatArray, FloatArray]:
-        """Mean pressures of n tiles, or differences, and half-widths of their intervals, (k, n)."""
+    def tile_pressures(self, columns: Sequence[str]) -> Iterator[FloatArray]:
+        """Mean pressures of n tiles, or differences, and the ends of their intervals, (k, n)."""
         rows = self.table.query("part == 'tiles' and quantity == 'mean pressure'")
-        value, low, high = (
-            rows[name].to_numpy().reshape(-1, len(self.items)).T for name in columns
-        )
-        return value, 0.5 * (high - low)
+        return (rows[name].to_numpy().reshape(-1, len(self.items)).T for name in columns)
+
+
+def is_clear(low: Any, high: Any) -> Any:
+    """Whether the intervals of differences exclude 0."""
+    return (low > 0.0) | (high < 0.0)
 
 
 def _cell(row: Mapping[str, Any], columns: Sequence[str]) -> str:
@@ -319,7 +322,7 @@ def _cell(row: Mapping[str, Any], columns: Sequence[str]) -> str:
     shown = _number(row, columns[0], sign) if np.isfinite(value) else ""
     if not np.isfinite([low, high]).all():
         return shown
-    differs = " *" if sign and (low > 0.0 or high < 0.0) else ""
+    differs = " *" if sign and is_clear(low, high) else ""
     return f"{shown} ({_number(row, columns[1])} to {_number(row, columns[2])}){differs}"
 
 
@@ -480,8 +483,7 @@ def _wrench_rows(found: TrialPressure) -> Rows:
     """Mean and standard deviation of the wrench over the segment, ignoring missing values."""
     import pandas as pd
 
-    wrench = found.trial.samples()[found.segment.rows].wrench
-    table = pd.DataFrame(wrench, columns=list(WRENCH_CHANNELS))
+    table = pd.DataFrame(found.outputs.samples.wrench, columns=list(WRENCH_CHANNELS))
     statistics = {"mean": table.mean(), "standard deviation": table.std(ddof=0)}
     return {
         ("wrench", name, f"{title} [{channel_unit(name)}]"): {"value": values[name]}

@@ -13,7 +13,8 @@ from socket_testbed.api.trials import PathLike, as_trial, note, select
 from socket_testbed.arrays import BREAK, FloatArray, IntArray, gaps
 from socket_testbed.errors import ConfigurationError, TrialError, closest
 from socket_testbed.tables import split_unit
-from socket_testbed.trials.segment import PLACED, Segment, cycle_spans
+from socket_testbed.trials.events import PLACED, cycle_spans
+from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:

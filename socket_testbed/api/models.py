@@ -138,9 +138,7 @@ class TrialFit(Result):
 
     def _samples(self) -> Samples:
         """Samples of the segment without outliers."""
-        chosen = self.trial.samples()[self.segment.rows]
-        leave_out = self.fit.settings.leave_out
-        return plausibility.without_outliers(chosen, self.trial.geometry, leave_out)
+        return self.trial.sound(self.fit.settings.leave_out)[self.segment.rows]
 
     def to_dataframe(self) -> pd.DataFrame:
         """In-sample errors, one row per channel in the channel's unit."""
@@ -196,7 +194,8 @@ class Evaluation(Result):
     def engagement(self) -> information.Engagement:
         """Engaged springs at every sample of the trial, and their share of the segment's time."""
         model, window = self.model.model, self.model.settings.pose_smoothing
-        return information.engagement(self.trial.samples(), model, window, self.segment.rows)
+        samples = self.trial.sound(self.model.settings.leave_out)
+        return information.engagement(samples, model, window, self.segment.rows)
 
     def document(self) -> dict[str, Any]:
         """The evaluation for JSON."""
@@ -387,8 +386,8 @@ def predict(trial: Trial | PathLike, model: Model) -> pd.DataFrame:
     import pandas as pd
 
     stored = model_for(trial, model)
-    samples = trial.samples()
-    plausibility.require_position(samples, trial.geometry)
+    plausibility.require_position(trial.samples(), trial.geometry)
+    samples = trial.sound(stored.settings.leave_out)
     values = _predictions(samples, stored)
     names = [f"{name} [{channel_unit(name)}]" for name in samples.channels]
     return pd.DataFrame(values, pd.Index(samples.time, name="time [s]"), names)
@@ -428,10 +427,9 @@ def evaluate(
     samples, leave_out = trial.samples(), stored.settings.leave_out
     settings = dataclasses.replace(trial.estimator, identification=stored.settings)
     chosen = select(trial, segment, settings)
-    rows = samples[chosen.rows]
-    plausibility.require_position(rows, trial.geometry)
+    plausibility.require_position(samples[chosen.rows], trial.geometry)
     note_implausible(trial, samples, chosen, leave_out)
-    rows = plausibility.without_outliers(rows, trial.geometry, leave_out)
+    rows = trial.sound(leave_out)[chosen.rows]
     if bool(trial.unloaded) != bool(stored.unloaded):
         fitted = "with" if stored.unloaded else "without"
         note(trial, f"the model was fitted {fitted} --unloaded: its offsets differ")
@@ -500,9 +498,10 @@ def export(
     predicted = None
     added: list[pd.DataFrame] = []
     if stored is not None:
-        predicted = _predictions(samples, stored)
+        sound = trial.sound(stored.settings.leave_out)
+        predicted = _predictions(sound, stored)
         predicted[:, :6] = moments_about(predicted[:, :6], about)
-        engaged = information.engagement(samples, stored.model, stored.settings.pose_smoothing)
+        engaged = information.engagement(sound, stored.model, stored.settings.pose_smoothing)
         added.append(pd.DataFrame(engaged.columns("springs."))[chosen.rows])
     if force_map:
         mapped = force_map_of(trial, chosen).estimate

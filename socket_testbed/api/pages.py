@@ -10,7 +10,15 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api import trials
-from socket_testbed.api.comparison import DIFFERENCE, LEGEND, MAPPED, SAME_LIMB, VALUE, Comparison
+from socket_testbed.api.comparison import (
+    DIFFERENCE,
+    LEGEND,
+    MAPPED,
+    SAME_LIMB,
+    VALUE,
+    Comparison,
+    is_clear,
+)
 from socket_testbed.api.models import Model, model_for, note_implausible, stored_model
 from socket_testbed.api.tradeoff import theta_values
 from socket_testbed.geometry.socket import SOCKET
@@ -174,13 +182,12 @@ def _cards(found: Comparison) -> list[dict[str, Any]]:
         digits = DECIMALS[f"{quantity} [kPa]"]
         for row in rows[rows["quantity"] == quantity].to_dict("records"):
             by, low, high = (row[name] for name in DIFFERENCE)
-            clear = low > 0.0 or high < 0.0
             shown.append(
                 {
                     "title": f"{quantity.capitalize()}, {found.difference_title(row['item'])}",
                     "value": f"{by:+.{digits}f} kPa",
                     "interval": f"{low:.{digits}f} to {high:.{digits}f}",
-                    "words": "a clear difference" if clear else "no clear difference",
+                    "words": "a clear difference" if is_clear(low, high) else "no clear difference",
                 }
             )
     return shown
@@ -190,10 +197,10 @@ def _map_data(found: Comparison) -> tuple[dict[str, Any], dict[str, str]]:
     """Maps of the trials on a common scale, of the differences on another, and their titles."""
     if found.geometry is None:
         return {}, {}
-    (values, reaches), (differences, spreads) = map(found.tile_pressures, (VALUE, DIFFERENCE))
+    (values, *ends), (differences, low, high) = map(found.tile_pressures, (VALUE, DIFFERENCE))
+    reaches, spreads = (0.5 * (above - below) for below, above in (ends, (low, high)))
     names = [*found.items, *map(found.difference_title, found.items[1:])]
-    unclear = [1.0 * (np.abs(by) < reach) for by, reach in zip(differences, spreads, strict=True)]
-    greys = [*[None] * len(values), *unclear[1:]]
+    greys = [*[None] * len(values), *(1.0 * ~is_clear(low, high)[1:])]
     both = zip([*values, *differences[1:]], [*reaches, *spreads[1:]], greys, strict=True)
     limit = float(np.abs(differences[1:]).max()) or 1.0
     nothing = np.zeros(0)

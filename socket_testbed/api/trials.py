@@ -205,7 +205,8 @@ def select_segment(samples: Samples, specification: str = "plateau") -> Segment:
     """Select a part of a trial: a plateau, the loaded part, a span of seconds or between events.
 
     Functions with a `segment` take a specification too. They apply the plateau limits stored in
-    the trial and know its recorded events; this function knows only events detected in the load.
+    the trial, know its recorded events and ignore outliers; this function knows only events
+    detected in the load.
 
     Args:
         samples: The samples of the trial.

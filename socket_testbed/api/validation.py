@@ -28,7 +28,7 @@ from socket_testbed.errors import ConfigurationError, IdentificationError, Trial
 from socket_testbed.identification import validation
 from socket_testbed.identification.model_file import record
 from socket_testbed.identification.noise import smooth_poses
-from socket_testbed.identification.plausibility import require_position, without_outliers
+from socket_testbed.identification.plausibility import require_position
 from socket_testbed.identification.problem import MIN_SAMPLES
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
@@ -233,10 +233,9 @@ def _recordings(
         name = trial.name if names.count(trial.name) == 1 else str(trial.path)
         with _skip_failed(name, trial, len(trials) > 1):
             settings = estimator_settings(trial.estimator, params, **choices)
-            samples = trial.samples()[select(trial, segment, settings).rows]
-            require_position(samples, trial.geometry)
-            leave_out = settings.identification.leave_out
-            samples = without_outliers(samples, trial.geometry, leave_out)
+            rows = select(trial, segment, settings).rows
+            require_position(trial.samples()[rows], trial.geometry)
+            samples = trial.sound(settings.identification.leave_out)[rows]
             found.append(_Recording(name, trial, settings, samples))
     read = [recording.trial for recording in found]
     require_one_socket(read, "validate the trials of one socket at a time")

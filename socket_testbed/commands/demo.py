@@ -22,7 +22,13 @@ from socket_testbed.identification.fit import REGRESSION
 from socket_testbed.identification.force_map import NORMAL_QUANTILE
 from socket_testbed.live import bringup
 from socket_testbed.live.processes import Graph
-from socket_testbed.live.simulated_world import SLOWEST, Simulation, busy_note, measure_speed, pace
+from socket_testbed.live.simulated_world import (
+    SLOWEST,
+    Simulation,
+    busy_note,
+    measure_speed,
+    speed_text,
+)
 from socket_testbed.pages.document import part_of
 from socket_testbed.report import style
 from socket_testbed.report.tiles import tile_map_figure
@@ -100,11 +106,11 @@ def _record(trial: Trial, seed: int, log: Path) -> tuple[Samples, float]:
             break
         if not retries:
             raise TrialError(
-                f"only {complete:.0%} of the samples are complete, even at {pace(scale)}",
+                f"only {complete:.0%} of the samples are complete, even at {speed_text(scale)}",
                 "this machine is too busy: end other programs, or try again later",
             )
         scale = max(0.5 * scale, SLOWEST)
-        print(f"   only {complete:.0%} of the samples are complete: again at {pace(scale)}")
+        print(f"   only {complete:.0%} of the samples are complete: again at {speed_text(scale)}")
         shutil.rmtree(trial.path, ignore_errors=True)
     print("   " + bringup.summary(trial.path))
     return trial.samples(), scale

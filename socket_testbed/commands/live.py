@@ -36,7 +36,7 @@ from socket_testbed.identification.fit import check_names
 from socket_testbed.live import bringup
 from socket_testbed.live.doctor import examine, press_test
 from socket_testbed.live.processes import Graph, GraphNode
-from socket_testbed.live.simulated_world import Simulation, busy_note, measure_speed, pace
+from socket_testbed.live.simulated_world import Simulation, busy_note, measure_speed, speed_text
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import (
     RecorderSettings,
@@ -285,7 +285,7 @@ def _time_scale(wanted: float | Literal["auto"]) -> float:
         note = busy_note(scale)
     else:
         scale = check_number(wanted, "--time-scale", 0.01, 1.0)
-        note = f"the simulated testbed runs at {pace(scale)}" if scale != 1.0 else ""
+        note = f"the simulated testbed runs at {speed_text(scale)}" if scale != 1.0 else ""
     if note:
         say(note)
     return scale

@@ -15,7 +15,7 @@ def mark(label: str, *, namespace: str = "/") -> None:
     """
     called = time.monotonic()  # before the slow imports
     from socket_testbed.live.processes import require_ros
-    from socket_testbed.trials.segment import check_label
+    from socket_testbed.trials.events import check_label
 
     check_label(label)
     require_ros()

@@ -98,10 +98,11 @@ def info(trial: Path, **options: Any) -> None:
     opened = dataclasses.replace(open_given(trial, **options), notify=notify)
     print(f"{_topics(opened)}\n")
     report_data(opened)
-    samples, metadata = opened.samples(), opened.metadata
+    samples, metadata, estimator = opened.samples(), opened.metadata, opened.estimator
     print(f"{_triggers(samples)}\n\n{_missing(samples)}\n\n{_noise(samples)}\n")
-    for segment in opened.plateaus(opened.estimator):
-        mean = np.nanmean(samples[segment.rows].wrench[:, 3:], axis=0)
+    sound = opened.sound(estimator.identification.leave_out)
+    for segment in opened.plateaus(estimator):
+        mean = np.nanmean(sound[segment.rows].wrench[:, 3:], axis=0)
         print(f"{segment}: mean force {np.linalg.norm(mean):.1f} N")
     print(_events(opened))
     print(f"\n{_metadata(metadata)}\n")

@@ -78,7 +78,7 @@ def check_data(
     if len(samples) < MIN_SAMPLES:
         fact = f"{len(samples)} samples are too few to judge it"
         return (DataFinding("the trial", fact, f"record {MIN_SAMPLES} or more"),)
-    counted = samples.without(leave_out)
+    counted = plausibility.without_outliers(samples, geometry, leave_out).without(leave_out)
     found = [*_units(counted, geometry, mass)]
     if whole:
         found += [*_time_series(counted, geometry)] or [*_disagreements(counted, geometry)]

@@ -1,4 +1,4 @@
-r"""How well the limb's motion in a trial determines the contact, and the limb's suspension.
+r"""How well the limb's motion in a trial determines the contact.
 
 A stiffness is the change of a force with the pose. Noise of the pose biases it towards zero: with
 the standard deviations :math:`\sigma_m` of the motion and :math:`\sigma_n` of the noise,
@@ -12,7 +12,7 @@ A spring is engaged at a sample if its gate exceeds 1/2, i.e. :math:`\delta < 0`
 stiffness is positive. The paper's law has a spring along each axis of {S} for every tile, the
 rigid variants one per tile, gated along its inward normal. Noise of the pose spreads
 :math:`\delta` by the standard deviation :math:`\sigma`: a spring with :math:`|\delta| < \sigma` is
-uncertain. Errors of the fitted rest positions are ignored. `find_suspension` needs no model.
+uncertain. Errors of the fitted rest positions are ignored.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from itertools import product
 import numpy as np
 from scipy.linalg import eigh
 
-from socket_testbed.arrays import FloatArray, IntArray, evenly
+from socket_testbed.arrays import FloatArray, evenly
 from socket_testbed.geometry.axis import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel, relative_pose, wrench_map
@@ -34,15 +34,13 @@ from socket_testbed.identification.noise import (
     smooth_poses,
     smoothing_gain,
 )
-from socket_testbed.identification.pressure import Quantity
-from socket_testbed.samples import FORCES, MOMENTS, Samples, moments_about
+from socket_testbed.samples import FORCES, MOMENTS, Samples
 from socket_testbed.settings.identification import BIAS_VARIANTS
 
 MIN_SHARE = 0.5  # [-]; of the load, carried by the springs
 MIN_RATIO = 3.0  # [-]; of motion to noise: noise then lowers a stiffness by a tenth
 _MIN_NOISE = 1e-9  # [m, rad]; of a noise-free pose
 _UNKNOWN_NOISE = 1.0  # [m, rad]; large, so that possible noise does not count as motion
-_MAX_RESAMPLED = 4000  # samples
 _MAX_SAMPLES = 300  # of a segment, for derivatives
 _RANK = 1e-9  # [-]; smallest singular value of moving poses
 _DRAWS = 200  # of the pose's noise
@@ -271,102 +269,3 @@ def engagement(
         uncertain=np.where(known & np.isfinite(deviation).all(), np.concatenate(uncertain), np.nan),
         time_share=np.sum(times, axis=0) / max(int(chosen.sum()), 1),
     )
-
-
-AXES = ("Fx", "Fy", "Fz", "Mx", "My", "Mz")
-"""Rows and columns of the stiffness: along, then about x, y and z of {S}."""
-_BLOCKS = 16
-_RESAMPLES = 400
-_MIN_SAMPLES = 64  # samples
-_WIDENING = 1.5  # [-]; so few blocks underestimate the spread
-_PERCENTILES = (2.5, 97.5)  # [%]; of a range, and of an interval
-_MIN_EIGENVALUE = 1e-9  # [-]; of the standardised load's covariance
-
-
-@dataclass(frozen=True)
-class Suspension:
-    r"""Stiffness between limb and socket, and how far the limb moved, with 95 % intervals.
-
-    About the centre of the tiles, with the limb's displacement u = [translation; rotation] and its
-    load w = [F; M] on the socket, both less their means,
-
-    .. math:: u = C w, \qquad K = C^{-1}
-
-    C is a linear regression of the pose on the load, corrected for the noise of the load, which is
-    measured far better than the pose. K is a secant stiffness over the motion of the samples. In a
-    direction without motion it is unknown and its interval wide. Intervals come from a bootstrap of
-    blocks in time (Kuensch, Annals of Statistics 17, 1989), as errors of neighbouring samples are
-    correlated.
-    """
-
-    # by AXES, shape (6, 6) [N/m, N/rad; N m/m, N m/rad]: load by displacement
-    stiffness: Quantity
-    pistoning: Quantity  # range of the motion along the socket, shape () [m]
-    rotation: Quantity  # range of the rotation about x, y, z of {S}, shape (3,) [rad]
-
-    def outputs(self) -> dict[str, Quantity]:
-        """Scalar results in the unit of their title, such as `stiffness Fz [N/mm]`."""
-        found = {"pistoning [mm]": self.pistoning.part((), 1e3)}
-        degree = np.pi / 180.0
-        for axis, name in enumerate("xyz"):
-            found[f"range of rotation about {name} [deg]"] = self.rotation.part(axis, 1.0 / degree)
-        for axis, name in enumerate(AXES):
-            unit, factor = ("N/mm", 1e-3) if axis < 3 else ("N m/deg", degree)
-            found[f"stiffness {name} [{unit}]"] = self.stiffness.part((axis, axis), factor)
-        return found
-
-
-def find_suspension(samples: Samples, geometry: SocketGeometry) -> Suspension | None:
-    """The suspension over some samples; None if too few have a pose and a wrench."""
-    noise = channel_noise(samples).wrench
-    known = samples.complete
-    if known.sum() < _MIN_SAMPLES:
-        return None
-    centre, pose = geometry.anchors.mean(axis=0), samples.pose[known]
-    load = np.roll(moments_about(samples.wrench[known], centre), 3, axis=1)
-    turned = pose[:, 3:] - pose[:, 3:].mean(axis=0)
-    arm = centre - pose[:, :3].mean(axis=0)
-    moved = np.hstack([pose[:, :3] - pose[:, :3].mean(axis=0) + np.cross(turned, arm), turned])
-    variance = np.nan_to_num(np.roll(noise, 3)) ** 2
-    along = moved[:, :3] @ proximal_direction(geometry)
-
-    def found(rows: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        low, high = np.percentile(moved[rows], _PERCENTILES, axis=0)
-        ends = np.percentile(along[rows], _PERCENTILES)
-        return _stiffness(moved[rows], load[rows], variance), np.diff(ends)[0], (high - low)[3:]
-
-    blocks = np.array_split(evenly(len(moved), _MAX_RESAMPLED), _BLOCKS)
-    chosen = np.random.default_rng(0).integers(0, _BLOCKS, (_RESAMPLES, _BLOCKS))
-    drawn = [found(np.concatenate([blocks[block] for block in row])) for row in chosen]
-    value = found(np.arange(len(moved)))
-    stiffness, *motion = (
-        _quantity(each, np.array(draws))
-        for each, draws in zip(value, zip(*drawn, strict=True), strict=True)
-    )
-    own = np.sqrt(np.abs(np.diag(stiffness.value)))
-    coupling = np.outer(own, own)  # of two axes
-    return Suspension(replace(stiffness, scale=coupling), *motion)
-
-
-def _stiffness(moved: FloatArray, load: FloatArray, variance: FloatArray) -> FloatArray:
-    """K from displacements and loads, shape (N, 6) each; NaN if the load lacks a direction."""
-    load = load - load.mean(axis=0)
-    size = load.std(axis=0)
-    gram = load.T @ load / len(load) - np.diag(variance)
-    standard = gram / np.outer(size, size) if size.all() else np.zeros((6, 6))
-    if np.linalg.eigvalsh(standard)[0] <= _MIN_EIGENVALUE:
-        return np.full((6, 6), np.nan)
-    compliance = np.linalg.solve(gram, load.T @ (moved - moved.mean(axis=0)) / len(load)).T
-    return np.asarray(np.linalg.pinv(compliance))
-
-
-def _quantity(value: FloatArray, drawn: FloatArray) -> Quantity:
-    """A value with its interval; an unknown draw counts as infinite on either side."""
-    below = np.where(np.isnan(drawn), -np.inf, drawn)
-    above = np.where(np.isnan(drawn), np.inf, drawn)
-    low = np.percentile(below, _PERCENTILES[0], axis=0, method="lower")
-    high = np.percentile(above, _PERCENTILES[1], axis=0, method="higher")
-    value = np.asarray(value)
-    low = value - _WIDENING * np.maximum(value - low, 0.0)
-    high = value + _WIDENING * np.maximum(high - value, 0.0)
-    return Quantity(value, low, high, np.abs(value))

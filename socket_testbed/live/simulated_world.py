@@ -91,7 +91,7 @@ def measure_speed() -> MachineSpeed:
     return MachineSpeed(float(np.percentile(lateness, 90)), units * _WORK_TIME / (now - begin))
 
 
-def pace(scale: float) -> str:
+def speed_text(scale: float) -> str:
     """Speed of a simulated testbed as a text, such as 'a quarter of real time'."""
     return SCALES.get(scale, f"{scale:g} of real time")
 
@@ -100,7 +100,7 @@ def busy_note(scale: float) -> str:
     """A note on the chosen scale; empty for real time."""
     if scale == 1.0:
         return ""
-    return f"this machine is busy: the simulated testbed runs at {pace(scale)}"
+    return f"this machine is busy: the simulated testbed runs at {speed_text(scale)}"
 
 
 class LiveTestbed:

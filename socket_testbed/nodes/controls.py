@@ -28,8 +28,8 @@ from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.nodes import base
 from socket_testbed.settings.testbed import NextTrialSettings
 from socket_testbed.trials.cdr import stamp_of
+from socket_testbed.trials.events import check_label
 from socket_testbed.trials.messages import Reader
-from socket_testbed.trials.segment import check_label
 from socket_testbed.trials.topics import (
     ESTIMATED_WRENCH,
     EVENT,

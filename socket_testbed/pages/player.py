@@ -32,7 +32,7 @@ class Player:
         if model is not None:
             model.require_socket(trial.geometry)
             require_position(samples, trial.geometry)
-            self._predicted = model.predictions(samples)[:, :6]
+            self._predicted = model.predictions(trial.sound(model.settings.leave_out))[:, :6]
         rows = evenly(len(samples), _COURSE_SAMPLES)
         time, found = samples.time[rows], self._mapped.course(rows)
         self._start = document.trial_document(trial, found, time) | {

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from socket_testbed.identification.information import Suspension
 from socket_testbed.identification.pressure import (
     DECIMALS,
     SHARE,
@@ -16,6 +15,7 @@ from socket_testbed.identification.pressure import (
     RegionOutputs,
     read_column,
 )
+from socket_testbed.identification.suspension import Suspension
 from socket_testbed.tables import NOTHING, UNCERTAIN
 
 if TYPE_CHECKING:

@@ -269,7 +269,7 @@ def origin_section(results: Results, command: str, made: datetime) -> Section:
             f" exceed {tolerance:g}; a joint refinement that does was stopped early.",
             _certificates(results),
             Heading("Settings of the identification and the plateaus"),
-            pairs_table("settings", "Settings by name in parameters.yaml", settings),
+            pairs_table("settings", "Settings by name in testbed.yaml", settings),
         ],
     )
 

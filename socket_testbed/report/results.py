@@ -141,11 +141,11 @@ def compute_results(
     whole = trial.select(specification, settings)
     segment = first_frames(whole, samples, identification.frames)
     fitted = samples[segment.rows]
-    chosen = plausibility.without_outliers(fitted, trial.geometry, leave_out)
     sign = plausibility.sign_note(fitted, trial.geometry)
     outliers = plausibility.find_outliers(samples, trial.geometry, leave_out)
     notes = [*plausibility.outlier_notes(samples, outliers), *([sign] if sign else [])]
-    samples = outliers.taken_from(samples)
+    samples = trial.sound(leave_out)
+    chosen = samples[segment.rows]
     reach(1)
     candidates = []
     for variant in VARIANTS:

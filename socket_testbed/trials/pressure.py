@@ -14,7 +14,7 @@ from socket_testbed.geometry.axis import Region, all_regions
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import pressure
 from socket_testbed.identification.force_map import ForceMap, map_trial
-from socket_testbed.identification.information import Suspension, find_suspension
+from socket_testbed.identification.suspension import Suspension, find_suspension
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.segment import Segment
@@ -82,7 +82,7 @@ class SegmentPressure:
     @cached_property
     def suspension(self) -> Suspension | None:
         """Motion and stiffness of the limb in the socket; None without poses and a wrench."""
-        return find_suspension(self.trial.samples()[self.segment.rows], self.trial.geometry)
+        return find_suspension(self.outputs.samples, self.trial.geometry)
 
 
 def by_place(names: Iterable[str], found: Mapping[str, FloatArray]) -> dict[str, FloatArray]:

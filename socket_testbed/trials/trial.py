@@ -19,17 +19,10 @@ from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, TestbedSettings, read_testbed
 from socket_testbed.trials import reprocess, synchronise, topics
 from socket_testbed.trials.bag import BagReader, required_topics, sync
+from socket_testbed.trials.events import Event, find_events, join_events, read_events
 from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.metadata import METADATA_FILE, TrialMetadata, read_metadata
-from socket_testbed.trials.segment import (
-    Event,
-    Segment,
-    find_events,
-    find_plateaus,
-    join_events,
-    read_events,
-    select_segment,
-)
+from socket_testbed.trials.segment import Segment, find_plateaus, select_segment
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -148,6 +141,16 @@ class Trial:
     def _samples(self) -> Samples:
         return self.measurements_and_samples()[1]
 
+    def sound(self, leave_out: tuple[str, ...] = ()) -> Samples:
+        """The samples without outliers, found in channels that are not left out; cached."""
+        if leave_out not in self._sound:
+            self._sound[leave_out] = without_outliers(self.samples(), self.geometry, leave_out)
+        return self._sound[leave_out]
+
+    @cached_property
+    def _sound(self) -> dict[tuple[str, ...], Samples]:
+        return {}
+
     @cached_property
     def findings(self) -> tuple[DataFinding, ...]:
         """Problems in the data, worst first; empty if it is good, see `check_data`."""
@@ -229,16 +232,12 @@ class Trial:
     def select(self, specification: str, settings: EstimatorSettings) -> Segment:
         """The segment of a specification, see `select_segment`."""
         limits, leave_out = settings.plateau, settings.identification.leave_out
-        return select_segment(self._sound, specification, limits, leave_out, self.events)
+        return select_segment(self.sound(leave_out), specification, limits, leave_out, self.events)
 
     def plateaus(self, settings: EstimatorSettings) -> list[Segment]:
         """The plateaus, longest first."""
-        return find_plateaus(self._sound, settings.plateau, settings.identification.leave_out)
-
-    @cached_property
-    def _sound(self) -> Samples:
-        """The samples without outliers, which would interrupt a plateau."""
-        return without_outliers(self.samples(), self.geometry)
+        leave_out = settings.identification.leave_out
+        return find_plateaus(self.sound(leave_out), settings.plateau, leave_out)
 
     @property
     def geometry_path(self) -> Path:

@@ -11,6 +11,7 @@ from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification import information, noise
 from socket_testbed.identification import information as module
+from socket_testbed.identification.suspension import find_suspension
 from socket_testbed.samples import Samples, Status
 
 
@@ -138,7 +139,7 @@ def test_a_linear_suspension_is_found_within_its_intervals_where_load_and_pose_s
     held = []
     for seed in range(6):
         known, samples = suspended(seed)
-        found = information.find_suspension(samples, GEOMETRY)
+        found = find_suspension(samples, GEOMETRY)
         assert found is not None
         stiffness = found.stiffness
         np.testing.assert_allclose(np.diag(stiffness.value), np.diag(known), rtol=0.1)
@@ -146,11 +147,11 @@ def test_a_linear_suspension_is_found_within_its_intervals_where_load_and_pose_s
         assert found.pistoning.low <= found.pistoning.value <= found.pistoning.high
     assert np.mean(held) > 0.88
     _, samples = suspended(0, moments=0.0)  # no load in every direction
-    found = information.find_suspension(samples, GEOMETRY)
+    found = find_suspension(samples, GEOMETRY)
     assert found is not None and not found.stiffness.certain().any()
     assert np.isfinite(found.pistoning.value)
     samples.position[:] = np.nan
-    assert information.find_suspension(samples, GEOMETRY) is None
+    assert find_suspension(samples, GEOMETRY) is None
 
 
 # --- The noise of every channel: what is known of it comes back

@@ -15,7 +15,7 @@ import socket_testbed as st
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
-from socket_testbed.trials import segment
+from socket_testbed.trials import events, segment
 from socket_testbed.trials.trial import Trial
 
 RATE = 4.0
@@ -95,7 +95,7 @@ def test_the_hold_is_the_longest_plateau_under_load_and_auto_takes_what_moves_wi
     for text in ("hold", "auto"):
         hold = segment.select_segment(samples, text, SETTINGS)
         assert hold.kind == "hold" and hold.start > 61.0 and hold.end < 81.0
-    marked = [segment.Event("placed", 5.0, "recorded"), segment.Event("removed", 55.0, "recorded")]
+    marked = [events.Event("placed", 5.0, "recorded"), events.Event("removed", 55.0, "recorded")]
     assert segment.select_segment(samples, "hold", SETTINGS, events=lambda: marked).end < 62.0
     time = np.arange(0.0, 60.0, 1 / RATE)
     moving = 90 + 190 * np.sin(np.pi * (time - 10) / 8) ** 2 * ((time > 10) & (time < 50))
@@ -144,13 +144,13 @@ _TIMES, _LOADS = (0, 10, 12, 40, 42, 60), (90, 90, 280, 280, 90, 90)  # [s], [N]
 HOLD = np.interp(np.arange(0.0, 60.0, 1 / FINE), _TIMES, _LOADS)
 
 
-def labels(events: list[segment.Event]) -> list[str]:
+def labels(events: list[events.Event]) -> list[str]:
     return [event.label for event in events]
 
 
 def test_the_load_is_placed_and_removed_between_its_two_levels() -> None:
     for offset in (0.0, -85.0, 1000.0):
-        found = segment.find_events(samples_of(HOLD + offset, FINE), SETTINGS)
+        found = events.find_events(samples_of(HOLD + offset, FINE), SETTINGS)
         assert labels(found) == ["placed", "removed"] and {e.source for e in found} == {"found"}
         # 60 % and 40 % of the way between 90 N and 280 N.
         assert found[0].time == pytest.approx(10 + 2 * 0.6, abs=0.05)
@@ -162,30 +162,30 @@ def test_noise_wrong_values_and_one_level_of_load_are_no_events() -> None:
     samples.wrench[500, 5] = 0.0
     samples.wrench[1000, 5] = -900.0
     samples.wrench[220:240] = np.nan
-    assert labels(segment.find_events(samples, SETTINGS)) == ["placed", "removed"]
+    assert labels(events.find_events(samples, SETTINGS)) == ["placed", "removed"]
     for count in (600, 1, 0):
-        assert segment.find_events(samples_of(np.full(count, 280.0), FINE), SETTINGS) == []
+        assert events.find_events(samples_of(np.full(count, 280.0), FINE), SETTINGS) == []
 
 
 def test_steps_of_a_walk_are_as_many_events_and_cycles() -> None:
     time = np.arange(0.0, 30.0, 1 / FINE)
     load = 40 + 360 * np.clip(np.sin(2 * np.pi * time / 1.5), 0.0, None)
-    found = segment.find_events(samples_of(load, FINE), SETTINGS)
+    found = events.find_events(samples_of(load, FINE), SETTINGS)
     assert labels(found) == ["stance", "placed", "removed", "swing"] * 20
-    spans = np.array(segment.cycle_spans(found))
+    spans = np.array(events.cycle_spans(found))
     assert len(spans) == 19
     assert np.allclose(np.diff(spans, axis=1), 1.5, atol=0.02)
     # The foot bears load half of the time; 10 % and 5 % of it are passed soon after that.
-    stances = np.array(segment.cycle_spans(found, "stance:swing"))
+    stances = np.array(events.cycle_spans(found, "stance:swing"))
     assert np.allclose(np.diff(stances, axis=1), 0.75, atol=0.1)
-    assert segment.is_loaded(found, 0.4) and not segment.is_loaded(found, 1.2)
+    assert events.is_loaded(found, 0.4) and not events.is_loaded(found, 1.2)
 
 
 # --- spans between events
 
 _LABELS = ("placed", "push", "push-off", "push", "removed", "placed")
 _MOMENTS = (11.0, 15.0, 16.0, 20.0, 41.0, 50.0)
-EVENTS = [segment.Event(*of, "found") for of in zip(_LABELS, _MOMENTS, strict=True)]
+EVENTS = [events.Event(*of, "found") for of in zip(_LABELS, _MOMENTS, strict=True)]
 SPANS = {
     "event:placed:removed": (11.0, 41.0),
     "event:placed+.5:removed-2.25": (11.5, 38.75),
@@ -205,15 +205,15 @@ NO_SPANS = {
 
 def test_a_span_or_cycles_between_events_or_what_there_is_instead() -> None:
     for text, span in SPANS.items():
-        assert segment.event_span(text, EVENTS) == pytest.approx(span)
+        assert events.event_span(text, EVENTS) == pytest.approx(span)
     for text, says in NO_SPANS.items():
         with refused(ConfigurationError if "two ends" in says else TrialError, says):
-            segment.event_span(text, EVENTS)
+            events.event_span(text, EVENTS)
     for label in ("", "2nd", "a:b", "a#2", "a+5", "push-2", "a\nb", "a" * 100):
         with refused(ConfigurationError, "label"):
-            segment.check_label(label)
-    assert segment.cycle_spans(EVENTS, "push:removed") == [(20.0, 41.0)]
-    assert segment.cycle_spans(EVENTS) == [(11.0, 50.0)]
+            events.check_label(label)
+    assert events.cycle_spans(EVENTS, "push:removed") == [(20.0, 41.0)]
+    assert events.cycle_spans(EVENTS) == [(11.0, 50.0)]
 
 
 # --- events recorded with a trial
@@ -230,6 +230,8 @@ def test_neither_an_outlier_nor_a_channel_left_out_of_the_fit_cuts_a_segment(
         counts[topic] += 1
         if topic == "/load_cell/wrench" and counts[topic] == middle:
             message.wrench.force.x = 4000.0
+        if topic == "/mocap/pylon/pose" and counts[topic] == middle:
+            message.pose.position.x += 9.0
         if topic == "/clusters/capacitance" and counts[topic] > middle:
             cluster = next(each for each in message.clusters if each.name == "distal")
             cluster.capacitance = cluster.capacitance + 0.3
@@ -239,6 +241,10 @@ def test_neither_an_outlier_nor_a_channel_left_out_of_the_fit_cuts_a_segment(
     assert st.fit(path).segment != plateau
     fitted = st.fit(path, leave_out=[f"distal.{axis}" for axis in ("Fx", "Fy", "Fz")])
     assert fitted.segment == st.evaluate(path, fitted).segment == plateau
+    predicted = st.predict(path, fitted)["Fz [N]"]  # nor does an outlier give a number
+    assert predicted.isna().sum() == 1 and predicted.abs().max() < 400.0
+    compared = st.compare(hold, path, segment="25:35").table.query("part == 'wrench'")
+    assert compared["difference"].abs().max() < 10.0
 
 
 def test_recorded_and_found_events_are_in_one_list(hold: Path, tmp_path: Path) -> None:

@@ -1,0 +1,283 @@
+"""Events of a trial: marked during the recording, or detected in the load.
+
+The load is the magnitude of the force on the load cell. The samples are split into two load levels
+by minimising the variance within each (Otsu, IEEE Trans. Syst. Man Cybern. 9 (1979) 62). The load
+is placed when it rises above 60 % of the way from the lower mean to the upper, and removed when it
+falls below 40 %; hysteresis rejects noise.
+
+Steps are also detected: stance begins when the load rises above 10 % of the way from its median in
+the lower level to the upper mean, and swing when it falls below 5 %. This needs at least three
+steps, in the median at most 3 s apart.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from socket_testbed.arrays import FloatArray
+from socket_testbed.errors import ConfigurationError, TrialError, likely
+from socket_testbed.samples import Samples
+from socket_testbed.settings.identification import PlateauSettings
+from socket_testbed.trials.bag import BagReader
+from socket_testbed.trials.messages import Reader
+from socket_testbed.trials.topics import EVENT, TARE, TRIGGER, match_topics
+
+PLACED, REMOVED = "placed", "removed"
+STANCE, SWING = "stance", "swing"
+Source = Literal["recorded", "found"]
+
+_RISE_SHARE, _FALL_SHARE = 0.6, 0.4  # [-]; of the way between the two load levels
+_STANCE_SHARE, _SWING_SHARE = 0.1, 0.05  # [-]; from the median swing load
+_MIN_STEPS, _MAX_STRIDE = 3, 3.0  # of a walk; the stride is the median time [s]
+_MAX_LABEL = 99  # [characters]
+_LABEL = re.compile(r"[^\W\d_](?:[\w. ]|-(?=[^\W\d_]))*")
+_NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)"
+_END = re.compile(rf"(?P<label>.+?)(?:#(?P<number>\d+))?(?P<offset>[+-]{_NUMBER})?")
+_GRAMMAR = "give event:A:B, such as event:placed+5:removed-2 or event:push#2:80"
+_TARE_MARGIN = 1.0  # [s]; no event is detected this close to a tare
+_STAMP_MARGIN = 10.0  # [s]; maximum distance of an event's stamp from the samples
+
+
+@dataclass(frozen=True)
+class Event:
+    """A labelled moment in a trial."""
+
+    label: str
+    time: float  # since the first sample [s]
+    source: Source  # recorded with the trial, or detected in its load
+
+    def __str__(self) -> str:
+        return f"{self.label} at {self.time:.2f} s ({self.source})"
+
+
+def check_label(label: str) -> str:
+    """Refuse a label that a segment specification could not name; returns it.
+
+    It begins with a letter. Letters, digits, blanks, `_`, `.`, and hyphens before a letter follow.
+    """
+    if len(label) > _MAX_LABEL or not _LABEL.fullmatch(label) or label != label.strip():
+        raise ConfigurationError(
+            f"{label!r} is not a label of an event",
+            "begin with a letter; letters, digits, blanks, '_', '.' and hyphens before a letter"
+            f" may follow, such as 'heel-strike 2', {_MAX_LABEL} characters at most",
+        )
+    return label
+
+
+def join_events(recorded: Sequence[Event], found: Sequence[Event]) -> list[Event]:
+    """Recorded events, and detected ones with other labels, in the order of their times.
+
+    The load also jumps at a tare, so detected events near a tare are dropped.
+    """
+    known = {event.label for event in recorded}
+    tared = [event.time for event in recorded if event.label.partition(" ")[0] == TARE]
+    others = [
+        event
+        for event in found
+        if event.label not in known and all(abs(event.time - time) > _TARE_MARGIN for time in tared)
+    ]
+    return sorted([*recorded, *others], key=lambda event: event.time)
+
+
+def read_events(bag: BagReader, samples: Samples) -> list[Event]:
+    """Read the events recorded with a trial; times count from its first sample.
+
+    If a stamp is far outside the samples' times, such as zero, the time when the event was recorded
+    between the triggers is used.
+    """
+    topics = match_topics(bag.counts, str(bag.path))
+    name = topics.get(EVENT)
+    if name is None or bag.types[name] != EVENT.type or len(samples) == 0:  # or another program's
+        return []
+    raws = list(bag.messages([name]))
+    reader = Reader(EVENT, bag.path)
+    found = [reader.read(raw.data) for raw in raws]
+    first, last = int(samples.stamps[0]), int(samples.stamps[-1])
+    time = np.array([(stamp - first) * 1e-9 for stamp, _ in found])
+    apart = (time < -_STAMP_MARGIN) | (time > (last - first) * 1e-9 + _STAMP_MARGIN)
+    if apart.any():
+        triggers = list(bag.messages([topics[TRIGGER]]))
+        reader = Reader(TRIGGER, bag.path)
+        stamps = [reader.read(raw.data)[0] - first for raw in triggers]
+        recorded, moments = ([raw.time - first for raw in each] for each in (triggers, raws))
+        time = np.where(apart, 1e-9 * np.interp(moments, recorded, stamps), time)
+    return [
+        Event(_printable(label), when, "recorded")
+        for (_, label), when in zip(found, time.tolist(), strict=True)
+    ]
+
+
+def _printable(label: str) -> str:
+    text = "".join(character if character.isprintable() else " " for character in label)
+    return text.strip() or "unnamed"
+
+
+def find_events(samples: Samples, settings: PlateauSettings) -> list[Event]:
+    """Detect when the load was placed and removed, from its two levels (see the module).
+
+    Events `placed` and `removed` alternate, at threshold crossings interpolated between samples;
+    none if the levels differ by less than `least_force`. Walking also gives `stance` and `swing`.
+    """
+    time, load = _load(samples)
+    if len(load) < 2:
+        return []
+    lower, upper = _levels(load)
+    if upper - lower < settings.least_force:
+        return []
+    risen, fallen = (lower + share * (upper - lower) for share in (_RISE_SHARE, _FALL_SHARE))
+    events = _crossings(time, load, (PLACED, risen), (REMOVED, fallen))
+    swing = float(np.median(load[load < 0.5 * (lower + upper)]))
+    struck, off = (swing + share * (upper - swing) for share in (_STANCE_SHARE, _SWING_SHARE))
+    steps = _crossings(time, load, (STANCE, struck), (SWING, off))
+    strikes = [step.time for step in steps if step.label == STANCE]
+    if len(strikes) >= _MIN_STEPS and np.median(np.diff(strikes)) <= _MAX_STRIDE:
+        events = sorted([*events, *steps], key=lambda event: event.time)
+    return events
+
+
+def _crossings(
+    time: FloatArray, load: FloatArray, rise: tuple[str, float], fall: tuple[str, float]
+) -> list[Event]:
+    """Events where a load rises above one threshold and falls below another, alternately."""
+    (_, risen), (_, fallen) = rise, fall
+    decided = np.flatnonzero((load >= risen) | (load <= fallen))
+    above = load[decided] >= risen
+    events = []
+    for change in np.flatnonzero(above[1:] != above[:-1]) + 1:
+        after = decided[change]
+        label, threshold = rise if above[change] else fall
+        share = (threshold - load[after - 1]) / (load[after] - load[after - 1])
+        when = time[after - 1] + share * (time[after] - time[after - 1])
+        events.append(Event(label, float(when), "found"))
+    return events
+
+
+def is_loaded(events: Sequence[Event], time: float) -> bool:
+    """Whether the load is placed at a time [s], by the events of a trial."""
+    changes = [event for event in events if event.label in (PLACED, REMOVED)]
+    before = [event for event in changes if event.time <= time]
+    if before:
+        return before[-1].label == PLACED
+    return not changes or changes[0].label == REMOVED
+
+
+def loaded_span(samples: Samples, settings: PlateauSettings) -> tuple[float, float] | None:
+    """Start and end of the part under load, since the first sample [s]; None without load.
+
+    A sample is under load if its load exceeds a tenth of the range from the minimum to the maximum,
+    and `least_force`.
+    """
+    time, load = _load(samples)
+    if len(load) == 0:
+        return None
+    least, most = float(load.min()), float(load.max())
+    rises = most - least >= settings.least_force
+    limit = max(settings.least_force, least + 0.1 * (most - least) if rises else 0.0)
+    rows = np.flatnonzero(load >= limit)
+    return (float(time[rows[0]]), float(time[rows[-1]])) if len(rows) else None
+
+
+def _load(samples: Samples) -> tuple[FloatArray, FloatArray]:
+    """Times [s] and magnitudes [N] of the known forces, without single-sample outliers."""
+    load = np.linalg.norm(samples.wrench[:, 3:], axis=1)
+    known = np.isfinite(load)
+    return samples.time[known], np.asarray(median_filter(load[known], 3, mode="nearest"))
+
+
+def _levels(load: FloatArray) -> tuple[float, float]:
+    """Means of the two levels of a load with at least two values [N]."""
+    ordered = np.sort(load)
+    count = np.arange(1, len(load))
+    sums = np.cumsum(ordered)
+    lower, upper = sums[:-1] / count, (sums[-1] - sums[:-1]) / (len(load) - count)
+    best = int(np.argmax(count * (len(load) - count) * (upper - lower) ** 2))
+    return float(lower[best]), float(upper[best])
+
+
+def event_span(specification: str, events: Sequence[Event]) -> tuple[float, float]:
+    """Start and end [s] of a segment `event:A:B` between events in the order of their times.
+
+    Each end is a label, optionally with an occurrence, `label#2`, and an offset in seconds,
+    `label-2` or `label+5`; or seconds since the first sample. Without a number, the start is the
+    first occurrence, and the end the first occurrence after the start. Raises a ConfigurationError
+    if the specification cannot be parsed, a TrialError if there is no such event or the end is not
+    after the start.
+    """
+    ends = [end.strip() for end in specification.split(":")[1:]]
+    if len(ends) != 2 or not all(ends):
+        raise ConfigurationError(f"the segment '{specification}' does not have two ends", _GRAMMAR)
+    start = _moment(ends[0], events, -np.inf)
+    end = _moment(ends[1], events, start)
+    if not start < end:
+        raise TrialError(
+            f"the segment '{specification}' ends at {end:.2f} s, its start is at {start:.2f} s",
+            "give the earlier end first",
+        )
+    return start, end
+
+
+def _moment(end: str, events: Sequence[Event], after: float) -> float:
+    """Time of one end of a segment [s]; the first after a given time unless it is numbered."""
+    if re.fullmatch(_NUMBER, end):
+        return float(end)
+    parts = _END.fullmatch(end)
+    assert parts is not None  # matches any text
+    label, offset = parts["label"], float(parts["offset"] or 0.0)
+    times = [event.time for event in _labelled(label, events)]
+    if parts["number"] is not None:
+        number = int(parts["number"])
+        if not 1 <= number <= len(times):
+            raise TrialError(
+                f"the trial has no '{label}#{number}'",
+                f"'{label}' happens {_times(len(times))}: give #1 to #{len(times)}",
+            )
+        return times[number - 1] + offset
+    for time in times:
+        if time + offset > after:
+            return time + offset
+    raise TrialError(
+        f"no '{end}' is after {after:.2f} s", f"the last '{label}' is at {times[-1]:.2f} s"
+    )
+
+
+def _labelled(label: str, events: Sequence[Event]) -> list[Event]:
+    """The events with a label; a TrialError that suggests others if there are none."""
+    found = [event for event in events if event.label == label]
+    if found:
+        return found
+    counts = Counter(event.label for event in events)
+    listed = ", ".join(f"{name} ({_times(count)})" for name, count in counts.items())
+    hint = f"it has {listed}" if counts else "it has none: mark events (mark LABEL), or give T0:T1"
+    raise TrialError(f"the trial has no event '{label}'", f"{likely(label, counts)} {hint}".strip())
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
+
+
+def cycle_spans(events: Sequence[Event], by: str = PLACED) -> list[tuple[float, float]]:
+    """Starts and ends of cycles between events, since the first sample [s].
+
+    With one label, cycles run from each such event to the next; with two, `A:B`, from each A to the
+    next B, unless another A lies between.
+    """
+    start, _, end = (part.strip() for part in by.partition(":"))
+    end = end or start
+    for label in (start, end):
+        _labelled(label, events)
+    spans: list[tuple[float, float]] = []
+    begin: float | None = None
+    for event in events:
+        if event.label == end and begin is not None:
+            spans.append((begin, event.time))
+            begin = None
+        if event.label == start:
+            begin = event.time
+    return spans
