@@ -92,8 +92,8 @@ def started(node: GraphNode, backoff: Backoff, again: bool = False) -> Node:
 def on_exit(
     node: GraphNode, backoff: Backoff, since: float, event: ProcessExited, context: LaunchContext
 ) -> list[EmitEvent | TimerAction]:
-    """Restart a node that was killed or failed, as `run` does, unless it was asked to end."""
-    if event.returncode == 0 or context.is_shutdown:
+    """Restart a node that ended, as `run` does, unless wrong input ends the launch."""
+    if context.is_shutdown:
         return []
     if is_wrong_input(event.returncode, BEGAN) and not node.optional:
         reason = f"{node.name} failed: see what it printed"

@@ -131,6 +131,7 @@ def test_a_notebook_draws_maps_at_an_instant_and_into_its_own_axes(folder) -> No
     at = found.at(11.1)
     row = int(np.flatnonzero(found.time <= 11.1)[-1])
     assert at.time == found.time[row] and len(at.estimate.forces) == 1
+    assert st.pressure(path, at.segment).time == at.time
     assert np.allclose(at.estimate.normal_pressure[0], found.estimate.normal_pressure[row])
     geometry = found.trial.geometry
     local = at.draws(400)[0] * [1, 1, -1] * geometry.areas[:, None]

@@ -93,7 +93,7 @@ def test_the_testbed_is_launched_as_run_starts_it(launch: Launch, tmp_path: Path
         assert RESTARTED not in action.given["additional_env"]
         (end,) = on_exit(SimpleNamespace(returncode=1), running)  # wrong input, if it is needed
         assert ("event" in end.given) != node.optional
-        assert not on_exit(SimpleNamespace(returncode=0), running)
+        assert not on_exit(SimpleNamespace(returncode=0), SimpleNamespace(is_shutdown=True))
         assert not found.pop("use_sim_time")
         expected = node.settings.to_flat()
         assert set(found) == set(expected)

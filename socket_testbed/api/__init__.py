@@ -1,8 +1,8 @@
 """The public Python API: what the command line uses, for notebooks and scripts.
 
 `import socket_testbed as st` provides the functions; heavy libraries are imported on first use.
-Functions behave like their verbs: they report the same notes (as warnings), write the same files,
-and run linear algebra in a single thread, so that a trial gives the same numbers on every machine.
+Functions behave like their verbs: they report the same notes (as warnings), write the same files.
+Fits run linear algebra in a single thread, so that a trial gives the same model on every machine.
 
 Functions that take a trial also accept its path. Lengths are in metres, forces in newtons, times
 in seconds. Errors are `TestbedError`s with one line, what is wrong and how to fix it: a

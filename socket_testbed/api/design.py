@@ -116,16 +116,20 @@ class CalibratedCluster(Result):
         sources = [f"{name}: {c.bench.get('source')}" for name, c in clusters.items()]
         return Calibration(clusters, today, "; ".join(sources))
 
-    def save(self, path: PathLike, limit: float = 10.0, force: bool = False) -> None:
+    def save(
+        self, path: PathLike, limit: float = 10.0, force: bool = False, replace: bool = False
+    ) -> None:
         """Write `calibration` to a new file, or over the existing calibration.
 
         Args:
             path: The YAML file, whatever its suffix.
             limit: Largest held-out RMSE [% of the full scale].
             force: Whether to accept a cluster above the limit.
+            replace: Whether to replace another file.
         """
         path = Path(path)
-        if self.existing_file is None or self.existing_file.resolve() != path.resolve():
+        own = self.existing_file is not None and self.existing_file.resolve() == path.resolve()
+        if not (own or replace):
             refuse_existing(path)
         calibration = self.calibration(limit, force)
         write_calibration(calibration, path)

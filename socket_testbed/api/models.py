@@ -498,6 +498,7 @@ def export(
     predicted = None
     added: list[pd.DataFrame] = []
     if stored is not None:
+        plausibility.require_position(samples, trial.geometry)
         sound = trial.sound(stored.settings.leave_out)
         predicted = _predictions(sound, stored)
         predicted[:, :6] = moments_about(predicted[:, :6], about)

@@ -118,7 +118,8 @@ class TrialMap(Result):
                 f"give a time between {self.time[0]:.2f} s and {self.time[-1]:.2f} s",
             )
         when, samples = self.time[row : row + 1], self.samples[row : row + 1]
-        instant = Segment("instant", float(when[0]), float(when[0]), slice(row, row + 1))
+        first = self.segment.rows.start + row  # of the trial
+        instant = Segment("instant", float(when[0]), float(when[0]), slice(first, first + 1))
         return TrialMap(self.trial, instant, when, samples, self.force_map)
 
     def draws(self, count: int = 200) -> FloatArray:

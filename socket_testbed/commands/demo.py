@@ -34,12 +34,13 @@ from socket_testbed.report import style
 from socket_testbed.report.tiles import tile_map_figure
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
-from socket_testbed.simulation.trial import TRUTH_FILE, GroundTruth, read_truth
+from socket_testbed.simulation.trial import GroundTruth, read_truth
 from socket_testbed.trials import topics
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.trial import Trial
 
+_LOG = "live.log"  # only a demo writes it
 _DURATION = 60.0  # [s] of testbed time; of the trial
 _PACE = 2.0  # [-]; speed-up of the protocol
 _TRIGGER_RATE = 10.0  # [Hz]
@@ -65,7 +66,7 @@ def demo(*, output: Path = Path("demo"), seed: int = 0) -> None:
         f" ({_TRIGGER_RATE:g} Hz)"
     )
     trial = Trial(output / "trial")
-    samples, scale = _record(trial, seed, output / "live.log")
+    samples, scale = _record(trial, seed, output / _LOG)
 
     speed = _REPLAY_SPEED * min(scale, measure_speed().time_scale())
     print(f"2. the trial replayed through calibration and estimator at {speed:g} times speed")
@@ -147,7 +148,7 @@ def _prepare_folder(folder: Path) -> None:
     """Remove the trial of an earlier demo and nothing else, then make the folder."""
     trial = folder / "trial"
     if trial.exists():
-        if not (trial / TRUTH_FILE).is_file():
+        if not (folder / _LOG).is_file():
             raise ConfigurationError(
                 f"{trial} is not a trial of the demo", "name another folder with -o"
             )

@@ -212,7 +212,8 @@ def calibrate(
     check_number(limit, "--limit", 0.0, 100.0)
     if options["area"] is not None:
         check_number(options["area"], "--area", *_AREA_LIMITS)
-    check_files(None, figure, replace=replace)
+    new = into is not None and into.resolve() != output.resolve()
+    check_files(output if new else None, figure, replace=replace, table=False)
     found = api.calibrate(
         bench,
         cluster,
@@ -227,7 +228,7 @@ def calibrate(
         print_note(note)
     print(_calibration(found))
     draw(found, figure, **options)
-    found.save(output, limit, force)
+    found.save(output, limit, force, replace)
     old = found.existing.clusters if found.existing else {}
     others = [name for name in old if name != found.name]
     kept = f"; kept: {', '.join(others)}" if others else ""

@@ -275,7 +275,8 @@ def on_trials(
     planned = plan_jobs(trials, output, verb.suffix, files, spans, options["tare"])
     work = partial(_run_job, verb, {"alone": False, **options})
     settings = {name: value for name, value in options.items() if name not in _NO_SETTINGS}
-    task = Task(verb.name, output, work, settings, verb.metadata, again, replace)
+    metadata = (*verb.metadata, "mass")  # the data check compares the load with it
+    task = Task(verb.name, output, work, settings, metadata, again, replace)
     if jobs is not None:
         check_number(jobs, "--jobs", 1)
     report = partial(print, flush=True)

@@ -307,7 +307,12 @@ def error_columns(
     return {name: finite_or_null(value) for name, value in row.items()}
 
 
-@takes("commands.options.on_trials", "pressure", "commands.options.deliver")
+@takes(
+    "commands.options.on_trials",
+    "pressure",
+    "commands.options.deliver",
+    exclusive="over_time cycles",
+)
 def pressure(
     trial: Path, *, over_time: bool = False, cycles: str | None = None, **options: Any
 ) -> None:

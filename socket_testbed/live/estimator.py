@@ -353,8 +353,10 @@ class OnlineEstimator:
 
     def _take_findings(self, future: Future[tuple[str, ...]]) -> None:
         self._checking = False
-        if not future.cancelled() and future.exception() is None:
-            self._findings = future.result()
+        if future.cancelled():
+            return
+        error = future.exception()
+        self._findings = (f"data not checked: {error}",) if error else future.result()
 
 
 def cluster_forces(

@@ -141,7 +141,7 @@ def fit_samples(
         used[stretch.rows] = complete[stretch.rows]
         held_out = max(LEAST_HELD_OUT, round(HELD_OUT * used.sum()))
         newest = np.flatnonzero(complete)[-held_out:]
-        if steady.rival is not None:
+        if steady.rival is not None and len(newest):
             used[newest[0] :] = False
         if used.sum() < max(steady.least_samples, MIN_SAMPLES):
             continue

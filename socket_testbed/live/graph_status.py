@@ -41,10 +41,9 @@ class GraphStatus:
 
         The model has not seen these samples: each is predicted before it is used in a fit.
         """
-        errors = list(self._errors)  # another thread appends
-        if not errors:
+        if not self._errors:
             return None
-        squares = np.square([error for _, error in errors]).reshape(-1, 2, 3)
+        squares = np.square([error for _, error in self._errors]).reshape(-1, 2, 3)
         moment, force = np.sqrt(squares.mean(axis=(0, 2)))
         return float(force), float(moment)
 

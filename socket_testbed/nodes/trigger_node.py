@@ -68,7 +68,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
     def figures(self) -> dict[str, object]:
         """Numbers of pulses and of faults."""
         return {
-            "pulses": self._sequence,
+            "triggers": self._sequence,
             "unseen": self._unseen,
             "skipped": self._skipped,
             "stray_edges": self._trigger.stray if self._trigger is not None else 0,

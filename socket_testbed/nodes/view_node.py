@@ -52,7 +52,7 @@ _MAX_WRENCHES = 200  # kept to match those of the regions
 _COURSE_DURATION = 30.0  # [s]
 _NO_PRESSURES, _NO_WRENCH = np.zeros(0), np.full(6, np.nan)
 _NO_STRESS = (np.full(3, np.nan), Status.MISSING)  # stress and status of no cluster
-_COUNT_KEYS = ("samples", "triggers", "messages", "maps")  # figures that give a node's rate
+_COUNT_KEYS = ("samples", "triggers", "messages")  # figures that give a node's rate
 _SIGNS = ("\N{BLACK CIRCLE}", "\N{BLACK UP-POINTING TRIANGLE}", "\N{BLACK SQUARE}")
 
 
@@ -180,7 +180,7 @@ class LiveSource:
                 self._newest[topic] = stamp, values, now
 
     def _update(self, inbox: base.Inbox) -> None:
-        """Take cluster stresses, and update the page with the outputs by region and their map."""
+        """Take cluster stresses, and update the page with the newest outputs by region and map."""
         now, geometry, places = clocks.monotonic(), self._geometry, self._places
         if now - self._shown_at > _STALE_AFTER:
             self._shown, self._measured = {}, _NO_PRESSURES

@@ -102,7 +102,7 @@ def moment(
     """
     return {
         "time": round(time, 3),
-        "pressure": numbers(1e-3 * pressure),
+        "pressure": numbers(1e-3 * pressure, 4),  # the page rounds to one decimal
         "reach": numbers(1e-3 * reach),
         "grey": numbers(greyness(pressure, reach) if grey is None else grey),
         "shear": numbers(1e-3 * shear),
@@ -162,7 +162,7 @@ def bars(places: Sequence[Region], outputs: RegionOutputs) -> Document:
     shown = [i for i, place in enumerate(places) if place.name not in SECTOR_PARTS]
     found = {title: read_column(outputs, title) for title in _BAR_TITLES}
     values = {
-        title: numbers(np.stack([output.value, output.low, output.high], axis=-1)[shown], 1)
+        title: numbers(np.stack([output.value, output.low, output.high], axis=-1)[shown], 6)
         for title, output in found.items()
     }
     decimals = {title: DECIMALS[title] for title in _BAR_TITLES}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import socket
 import threading
@@ -113,6 +114,8 @@ class _Handler(BaseHTTPRequestHandler):
         asked = parse_qs(address.query).get("t")
         try:
             time = float(asked[0]) if asked else None
+            if time is not None and not math.isfinite(time):
+                raise ValueError
         except ValueError:
             self._answer(HTTPStatus.BAD_REQUEST, b"the time is not a number\n")
             return

@@ -55,7 +55,7 @@ def assert_models(folder: Path, expected: Path) -> None:
         assert (folder / name).read_bytes() == (expected / name).read_bytes(), name
 
 
-def test_the_summary_holds_the_figures_of_single_calls(one_by_one, study, tmp_path) -> None:
+def test_the_summary_holds_the_figures_of_single_calls(one_by_one, study, tmp_path, capsys):
     """In parallel, by the command itself; failed and skipped trials: test_batch.py."""
     models = tmp_path / "models"
     code, out, err = program(*COMMAND, *FIT, study, "-o", models, "--jobs", 2)
@@ -75,6 +75,10 @@ def test_the_summary_holds_the_figures_of_single_calls(one_by_one, study, tmp_pa
     found = row["median_wrench_skill_unseen_half [-]"]
     assert found == pytest.approx(np.nanmedian(unseen[:6]))
     assert row["kkt_residual [-]"] < 1e-8
+    st.annotate(study / "walk", mass=5.0)  # with which the data check compares the load
+    _, out, _ = call(capsys, *FIT, study, "-o", models, "--jobs", 1)
+    assert out.count(": ok") == 1
+    st.annotate(study / "walk", remove=["mass"])
 
 
 def test_trials_are_judged_by_own_models_or_all_by_one(study, one_by_one, tmp_path, capsys) -> None:

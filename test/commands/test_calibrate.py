@@ -91,6 +91,7 @@ def test_one_cluster_of_a_file_is_replaced_or_added(call, bench_file, tmp_path, 
     call(bench_file, "--into", CALIBRATION, *WIRING)
     assert list(read_calibration(output).clusters) == list(old.clusters)
     call(bench_file, "--into", CALIBRATION, *WIRING, named=["exists already"])
+    call(bench_file, "--into", CALIBRATION, *WIRING, "--replace")
 
 
 def test_a_bad_fit_is_drawn_but_refused_with_its_numbers_unless_forced(call, tmp_path, output):

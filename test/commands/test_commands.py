@@ -127,6 +127,10 @@ def test_the_demo_compares_the_replay_with_the_truth(hold, tmp_path, monkeypatch
     monkeypatch.setattr(demo, "_estimate", lambda *given: live)
     code, out, _ = call(capsys, "demo", "-o", tmp_path / "demo")
     assert code == 0 and (tmp_path / "demo" / "force_map.png").is_file()
+    own = tmp_path / "own" / "trial"
+    shutil.copytree(hold, own)
+    refused(capsys, "demo", "-o", own.parent, named=["is not a trial of the demo"])
+    assert own.is_dir()  # only a trial of the demo is replaced
     (held,) = re.findall(r"(\d+) % of the 95 % intervals contain the truth", out)
     assert int(held) > 80 and "Largest error: " in out
 

@@ -412,9 +412,11 @@ def test_outliers_do_not_end_a_stretch(trial: Trial, samples: Samples) -> None:
 
 def test_without_enough_newer_steady_data_there_is_no_fit(trial: Trial, samples: Samples) -> None:
     older = dataclasses.replace(STEADY, after=int(samples.stamps[-1]))
+    occluded = dataclasses.replace(samples, position=np.full_like(samples.position, np.nan))
     for some, steady in (
         (samples, older),
         (samples, Steady(PLATEAU, 10_000)),
+        (occluded, dataclasses.replace(STEADY, rival=object())),
         (samples[:20], Steady(PLATEAU, 5)),
     ):
         assert fit_samples(some, trial.geometry, SETTINGS, steady) is None

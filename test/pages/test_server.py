@@ -101,7 +101,7 @@ def test_the_source_is_asked_and_buttons_say_what_came_of_them(server: PageServe
         slow.sendall(b"GET /now?t=8 HTTP/1.1\r\nHost: 127.0.0.1:%d\r\n\r\n" % port_of(server))
         assert slow.recv(1) and not server.asking.locked()
     # Nonsense is refused, and the page goes on.
-    assert answer(server, "/now?t=soon")[0] == 400
+    assert answer(server, "/now?t=soon")[0] == answer(server, "/now?t=nan")[0] == 400
     for body in (b"", b"tare", b"[]", b"{}", b"7", b"\xff", b'{"do"'):
         assert answer(server, "/do", "POST", body)[0] == 400, body
     assert answer(server, "/do", "POST")[0] == 400
