@@ -166,6 +166,12 @@ def check_picture(path: Path) -> None:
         )
 
 
+def check_page(path: Path, content: str) -> None:
+    """Refuse a page without the suffix of one, before long work."""
+    if path.suffix.lower() not in PAGES:
+        raise ConfigurationError(f"{path}: a {content} is a page", "let it end in .html")
+
+
 @contextmanager
 def atomic_output(path: Path, replace: bool = False) -> Iterator[Path]:
     """Write a file or folder next to its final place and rename it once it is complete.
@@ -209,4 +215,4 @@ def write_text(path: Path, text: str) -> None:
 
 
 _PICTURE_SUFFIXES = (".png", ".pdf")
-WIDTHS = (88, 180)  # [mm]; figure widths: one column and two columns of a paper
+PAGES = (".html", ".htm")

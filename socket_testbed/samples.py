@@ -144,6 +144,11 @@ class Samples:
         """Names of all channels: the wrench's, then three per cluster."""
         return channel_names(self.clusters)
 
+    @property
+    def titles(self) -> list[str]:
+        """Names of all channels with their units, such as `Mx [N m]`."""
+        return [f"{name} [{channel_unit(name)}]" for name in self.channels]
+
     def counted(self, leave_out: Sequence[str]) -> BoolArray:
         """Which of the `channels` are not left out, shape (6 + 3c,)."""
         return np.isin(self.channels, leave_out, invert=True)
@@ -174,7 +179,7 @@ class Samples:
         """
         import pandas as pd
 
-        titles = [f"{name} [{channel_unit(name)}]" for name in self.channels]
+        titles = self.titles
         values = dict(zip(titles, self.values.T, strict=True))
         columns: dict[str, FloatArray | StatusArray] = {name: values[name] for name in titles[:6]}
         columns |= {f"q_{axis} [m]": self.position[:, i] for i, axis in enumerate("xyz")}

@@ -21,10 +21,10 @@ from socket_testbed.api.design import CalibratedCluster as CalibratedCluster
 from socket_testbed.api.design import calibrate as calibrate
 from socket_testbed.api.design import register as register
 from socket_testbed.api.design import tile as tile
+from socket_testbed.api.export import export as export
 from socket_testbed.api.models import Evaluation as Evaluation
 from socket_testbed.api.models import TrialFit as TrialFit
 from socket_testbed.api.models import evaluate as evaluate
-from socket_testbed.api.models import export as export
 from socket_testbed.api.models import fit as fit
 from socket_testbed.api.models import predict as predict
 from socket_testbed.api.models import read_model as read_model

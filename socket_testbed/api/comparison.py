@@ -29,7 +29,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain, count
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -45,6 +45,7 @@ from socket_testbed.api.trials import (
     require_different,
     require_one_socket,
     started,
+    unique_names,
 )
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, TrialError
@@ -376,7 +377,7 @@ def compare(
     import pandas as pd
 
     trials, numbers = open_compared(items, conditions)
-    names = _names([trial.path for trial in trials])
+    names = unique_names(trials)
     compared = Conditions(tuple(conditions or names), numbers)
     if not by_region:
         require_one_socket(trials, "compare them by region with --by-region")
@@ -435,13 +436,6 @@ def open_compared(
         trials.append(as_trial(item))
     require_different(trials)
     return trials, np.repeat(np.arange(len(groups)), [*map(len, groups)])
-
-
-def _names(paths: Sequence[Path]) -> tuple[str, ...]:
-    """Unique names: as many trailing parts of the paths as that takes."""
-    parts = [path.resolve().parts for path in paths]
-    tails = (tuple("/".join(part[-number:]) for part in parts) for number in count(1))
-    return next(names for names in tails if len({*names}) == len(names))
 
 
 def _shared_rows(found: Sequence[TrialPressure], one_socket: bool, by_region: bool) -> list[Rows]:

@@ -1,4 +1,4 @@
-"""Contact models: fitting, evaluation, prediction, and export of trials."""
+"""Contact models: fitting, evaluation and prediction."""
 
 from __future__ import annotations
 
@@ -10,14 +10,11 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from threadpoolctl import threadpool_limits
 
-from socket_testbed.api.cycles import cycles as cycles_of
 from socket_testbed.api.pressure import TrialPressure
-from socket_testbed.api.pressure import force_map as force_map_of
 from socket_testbed.api.pressure import pressure as pressure_of
 from socket_testbed.api.result import Result, origin
-from socket_testbed.api.trials import PathLike, as_path, as_trial, note, select
+from socket_testbed.api.trials import PathLike, as_path, as_trial, note, note_implausible, select
 from socket_testbed.arrays import FloatArray
-from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification import information, plausibility
 from socket_testbed.identification.fit import (
     ChannelErrors,
@@ -36,16 +33,10 @@ from socket_testbed.identification.model_file import (
 from socket_testbed.identification.model_file import read_model as _read_model
 from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.validation import judge_unseen_half
-from socket_testbed.samples import Samples, channel_unit, moments_about
+from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, Variant, Weights
 from socket_testbed.settings.testbed import estimator_settings
-from socket_testbed.tables import FORMATS, check_format, write_table
-from socket_testbed.trials.export import (
-    GAIT_FORMATS,
-    sample_table,
-    write_gait_file,
-    write_standard_bag,
-)
+from socket_testbed.tables import FORMATS
 from socket_testbed.trials.segment import Segment, first_frames
 from socket_testbed.trials.trial import Trial
 
@@ -321,15 +312,6 @@ def prepare_fit(
     return trial, chosen, settings.identification
 
 
-def note_implausible(
-    trial: Trial, samples: Samples, segment: Segment, leave_out: tuple[str, ...]
-) -> None:
-    """Report implausible channels of a segment."""
-    start, chosen = int(samples.stamps[0]), samples[segment.rows]
-    for text in plausibility.implausible_notes(chosen, trial.geometry, leave_out, start):
-        note(trial, text)
-
-
 def read_model(path: PathLike) -> StoredModel:
     """Read a model saved by `fit`.
 
@@ -363,6 +345,12 @@ def _predictions(samples: Samples, stored: StoredModel) -> FloatArray:
         return stored.predictions(samples)
 
 
+def predictions(trial: Trial, stored: StoredModel) -> FloatArray:
+    """Predictions at all samples of a trial; NaN where the limb position is missing or outlying."""
+    plausibility.require_position(trial.samples(), trial.geometry)
+    return _predictions(trial.sound(stored.settings.leave_out), stored)
+
+
 def predict(trial: Trial | PathLike, model: Model) -> pd.DataFrame:
     """Predict every channel of a trial from its limb positions.
 
@@ -374,7 +362,8 @@ def predict(trial: Trial | PathLike, model: Model) -> pd.DataFrame:
 
     Returns:
         A table with the index and columns of `trial.samples().to_dataframe()`: the wrench in {S}
-        and the force on each cluster in its frame. NaN where the limb position is missing.
+        and the force on each cluster in its frame. NaN where the limb position is missing or an
+        outlier.
 
     >>> trial = st.open_trial("trials/hold")
     >>> predicted = st.predict(trial, st.fit(trial))
@@ -385,12 +374,8 @@ def predict(trial: Trial | PathLike, model: Model) -> pd.DataFrame:
     trial = as_trial(trial)
     import pandas as pd
 
-    stored = model_for(trial, model)
-    plausibility.require_position(trial.samples(), trial.geometry)
-    samples = trial.sound(stored.settings.leave_out)
-    values = _predictions(samples, stored)
-    names = [f"{name} [{channel_unit(name)}]" for name in samples.channels]
-    return pd.DataFrame(values, pd.Index(samples.time, name="time [s]"), names)
+    samples, values = trial.samples(), predictions(trial, model_for(trial, model))
+    return pd.DataFrame(values, pd.Index(samples.time, name="time [s]"), samples.titles)
 
 
 def evaluate(
@@ -436,89 +421,3 @@ def evaluate(
     errors = evaluate_predictions(rows, _predictions(rows, stored), leave_out)
     outputs = pressure_of(trial, chosen) if pressure else None
     return Evaluation(trial, stored, chosen, int(rows.complete.sum()), errors, outputs)
-
-
-def export(
-    trial: Trial | PathLike,
-    path: PathLike,
-    segment: str | Segment = "all",
-    model: Model | None = None,
-    force_map: bool = False,
-    pressure: bool = False,
-    cycles: str | None = None,
-    about: tuple[float, float, float] | None = None,
-) -> pd.DataFrame:
-    """Write the synchronised samples of a trial, with the raw measurements, as a table.
-
-    Args:
-        trial: The trial.
-        path: The file; its suffix, `.csv`, `.parquet` or `.mat`, selects the format. `.mot` and
-            `.sto` are external loads for OpenSim, `.trc` its markers, `.c3d` both; `.mcap` holds
-            standard ROS messages with named columns: see `socket_testbed.trials.export`.
-        segment: As `specification` in `st.select_segment`, or a `Segment`.
-        model: A model whose predictions are added as `predicted.*` and engaged springs as
-            `springs.*`, see `Evaluation.engagement`.
-        force_map: Whether to add the force map as `map.*`, see `st.force_map`.
-        pressure: Whether to add pressure and shear of every region and tile as `pressure.*`, see
-            `TrialPressure.over_time`.
-        cycles: Events that delimit cycles; the table then holds mean and standard deviation of all
-            columns over 0 to 100 % of a cycle, see `st.cycles`.
-        about: Reference point of the moments in {S}, such as the knee's centre [m] (default: the
-            load cell's origin).
-
-    Returns:
-        The table, with units in the column names; its `attrs` name the segment and rows.
-
-    >>> table = st.export(st.open_trial("trials/hold"), "hold.csv", segment="10:20")
-    >>> "distal.C0 [pF]" in table.columns, len(table)
-    (True, 41)
-    """
-    trial = as_trial(trial)
-    import pandas as pd
-
-    path = Path(path)
-    if path.suffix.lower() in GAIT_FORMATS:
-        if model or force_map or pressure or cycles:
-            raise ConfigurationError(
-                f"{path}: a {path.suffix} holds only measured forces and markers",
-                "give .csv, .parquet or .mat for computed columns",
-            )
-        chosen = select(trial, segment, trial.estimator)
-        table = write_gait_file(trial, chosen.rows, path, about)
-        table.attrs |= {"segment": str(chosen), "rows": f"{len(table)} samples"}
-        return table
-    as_bag = path.suffix.lower() == ".mcap"
-    if as_bag and cycles:
-        raise ConfigurationError(f"{path}: a bag holds samples", "give .csv for cycles")
-    if not as_bag:
-        check_format(path)
-    stored = None if model is None else model_for(trial, model)
-    chosen = select(trial, segment, trial.estimator)
-    measured, samples = trial.measurements_and_samples()
-    predicted = None
-    added: list[pd.DataFrame] = []
-    if stored is not None:
-        plausibility.require_position(samples, trial.geometry)
-        sound = trial.sound(stored.settings.leave_out)
-        predicted = _predictions(sound, stored)
-        predicted[:, :6] = moments_about(predicted[:, :6], about)
-        engaged = information.engagement(sound, stored.model, stored.settings.pose_smoothing)
-        added.append(pd.DataFrame(engaged.columns("springs."))[chosen.rows])
-    if force_map:
-        mapped = force_map_of(trial, chosen).estimate
-        added.append(pd.DataFrame(mapped.columns(trial.geometry.names, "map.")))
-    if pressure:
-        added.append(pressure_of(trial, chosen).over_time().add_prefix("pressure."))
-    moved = dataclasses.replace(samples, wrench=moments_about(samples.wrench, about))
-    table = sample_table(measured, moved, trial.calibration, chosen, predicted)
-    table = pd.concat([table, *(each.set_axis(table.index) for each in added)], axis=1)
-    rows = f"{len(table)} samples"
-    if cycles is not None:
-        found = cycles_of(trial, table, by=cycles, segment=chosen)
-        table, rows = found.to_dataframe(), str(found)
-    if as_bag:
-        write_standard_bag(measured, chosen.rows, table, path)
-    else:
-        write_table(table, path)
-    table.attrs |= {"segment": str(chosen), "rows": rows}
-    return table

@@ -19,11 +19,12 @@ from socket_testbed.api.comparison import (
     Comparison,
     is_clear,
 )
-from socket_testbed.api.models import Model, model_for, note_implausible, stored_model
+from socket_testbed.api.models import Model, model_for
 from socket_testbed.api.tradeoff import theta_values
+from socket_testbed.files import check_page
 from socket_testbed.geometry.socket import SOCKET
 from socket_testbed.identification.pressure import DECIMALS
-from socket_testbed.pages.document import check_page, moment, socket_document
+from socket_testbed.pages.document import moment, socket_document
 from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.tables import Table, pairs_table
 from socket_testbed.trials.trial import Trial
@@ -109,7 +110,7 @@ def write_report(
     check_page_path(page, replace)
     style = figure_style(width, title)  # fails before long work
     settings = estimator_settings(trial.estimator, trials.as_path(params), **choices)
-    stored = None if model is None else stored_model(model)
+    stored = None if model is None else model_for(trial, model)
     with threadpool_limits(1):
         results = compute_results(
             trial,
@@ -120,7 +121,7 @@ def write_report(
             trials.started(progress, "fitting, judging, mapping"),
         )
     leave_out = settings.identification.leave_out
-    note_implausible(trial, trial.samples(), results.segment, leave_out)
+    trials.note_implausible(trial, trial.samples(), results.segment, leave_out)
     for text in results.bag_notes:
         trials.note(trial, text)
     drawing = trials.started(progress, "drawing") if figures else None

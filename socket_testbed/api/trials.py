@@ -6,6 +6,7 @@ import os
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -15,6 +16,7 @@ from socket_testbed.errors import ConfigurationError, TrialError, closest
 from socket_testbed.files import check_new_folder, file_or_packaged, packaged
 from socket_testbed.geometry.axis import Side
 from socket_testbed.geometry.socket import read_socket
+from socket_testbed.identification import plausibility
 from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
@@ -44,6 +46,22 @@ _MAX_TRIGGERS = 1_000_000
 def as_path(path: PathLike | None) -> Path | None:
     """Convert to a `Path`, passing None through."""
     return None if path is None else Path(path)
+
+
+def note_implausible(
+    trial: Trial, samples: Samples, segment: Segment, leave_out: tuple[str, ...]
+) -> None:
+    """Report implausible channels of a segment."""
+    start, chosen = int(samples.stamps[0]), samples[segment.rows]
+    for text in plausibility.implausible_notes(chosen, trial.geometry, leave_out, start):
+        note(trial, text)
+
+
+def unique_names(trials: Sequence[Trial]) -> tuple[str, ...]:
+    """Unique names of trials: as many trailing parts of their paths as that takes."""
+    parts = [trial.path.resolve().parts for trial in trials]
+    tails = (tuple("/".join(part[-number:]) for part in parts) for number in count(1))
+    return next(names for names in tails if len({*names}) == len(names))
 
 
 def started(progress: Progress | None, task: str) -> Callable[[int, int], None]:

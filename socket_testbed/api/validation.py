@@ -22,6 +22,7 @@ from socket_testbed.api.trials import (
     require_one_socket,
     select,
     started,
+    unique_names,
 )
 from socket_testbed.arrays import evenly
 from socket_testbed.errors import ConfigurationError, IdentificationError, TrialError
@@ -227,10 +228,8 @@ def _recordings(
     if not trials:
         raise ConfigurationError("no trial to validate on", "give one or more trials")
     require_different(trials)
-    names = [trial.name for trial in trials]
     found = []
-    for trial in trials:
-        name = trial.name if names.count(trial.name) == 1 else str(trial.path)
+    for name, trial in zip(unique_names(trials), trials, strict=True):
         with _skip_failed(name, trial, len(trials) > 1):
             settings = estimator_settings(trial.estimator, params, **choices)
             rows = select(trial, segment, settings).rows

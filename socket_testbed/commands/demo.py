@@ -22,13 +22,8 @@ from socket_testbed.identification.fit import REGRESSION
 from socket_testbed.identification.force_map import NORMAL_QUANTILE
 from socket_testbed.live import bringup
 from socket_testbed.live.processes import Graph
-from socket_testbed.live.simulated_world import (
-    SLOWEST,
-    Simulation,
-    busy_note,
-    measure_speed,
-    speed_text,
-)
+from socket_testbed.live.scheduling import SLOWEST, busy_note, measure_speed, speed_text
+from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.pages.document import part_of
 from socket_testbed.report import style
 from socket_testbed.report.tiles import tile_map_figure

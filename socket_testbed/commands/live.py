@@ -36,7 +36,8 @@ from socket_testbed.identification.fit import check_names
 from socket_testbed.live import bringup
 from socket_testbed.live.doctor import examine, press_test
 from socket_testbed.live.processes import Graph, GraphNode
-from socket_testbed.live.simulated_world import Simulation, busy_note, measure_speed, speed_text
+from socket_testbed.live.scheduling import busy_note, measure_speed, speed_text
+from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import (
     RecorderSettings,

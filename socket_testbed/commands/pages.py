@@ -34,8 +34,8 @@ from socket_testbed.commands.results import error_columns
 from socket_testbed.commands.terminal import Progress, say, table
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import PAGES
 from socket_testbed.live.processes import Graph
-from socket_testbed.pages.document import PAGES
 from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.trials.metadata import FIELDS
 from socket_testbed.trials.topics import full_namespace

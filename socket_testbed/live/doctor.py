@@ -23,8 +23,7 @@ from socket_testbed.geometry.marker_bodies import MIN_MARKERS
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.live.hardware import make_clusters, make_load_cell, make_trigger
-from socket_testbed.live.processes import measure_lateness
-from socket_testbed.live.simulated_world import LATEST
+from socket_testbed.live.scheduling import LATEST, measure_lateness
 
 _FRAMES = 1000
 _PULSES = 5

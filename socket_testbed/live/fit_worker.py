@@ -23,7 +23,7 @@ from socket_testbed.identification.data_check import MIN_SAMPLES as LEAST_CHECKE
 from socket_testbed.identification.data_check import check_data
 from socket_testbed.identification.fit import Fit, fit_contact_model
 from socket_testbed.identification.problem import MIN_SAMPLES
-from socket_testbed.live.processes import schedule_ordinarily
+from socket_testbed.live.scheduling import schedule_ordinarily
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
 from socket_testbed.trials.segment import find_newest_plateaus

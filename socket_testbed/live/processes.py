@@ -5,14 +5,12 @@ They end with the command that started them, even if it is killed.
 
 from __future__ import annotations
 
-import ctypes
 import importlib.util
 import json
 import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -21,14 +19,11 @@ from functools import partial
 from pathlib import Path
 from typing import IO, Any, Self
 
-import numpy as np
 import yaml
 
-from socket_testbed.arrays import FloatArray
 from socket_testbed.clocks import Backoff, shared_environment
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.files import TemporaryFolder, end_with_parent
-from socket_testbed.settings.acquisition import SchedulingSettings
 from socket_testbed.settings.fields import Settings, parameter_values
 
 # Each testbed has its own transforms, in the namespace of its other topics.
@@ -46,11 +41,6 @@ _POLL_INTERVAL = 0.05  # [s]
 _EARLY_FAILURE = 10.0  # [s]; an earlier failure means wrong input
 MAX_BACKOFF = 10.0  # [s]; before restarting a process that ends repeatedly
 _CALM_AFTER = 3.0  # [s]; all processes have run this long before a spare one is started
-
-_LIMITS_FILE = "/etc/security/limits.d/socket_testbed.conf"
-# mlockall: current and future memory, each page on first use.
-_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
-_SLEEP_TIME = 0.002  # [s]; conversion time of the load cell's converter
 
 
 def end_with_starter() -> None:
@@ -316,71 +306,3 @@ def _ending(code: int) -> str:
     if code < 0:
         return f"was ended by {signal.Signals(-code).name}"
     return f"ended with exit code {code}"
-
-
-# --- scheduling
-
-
-def schedule(settings: SchedulingSettings) -> list[str]:
-    """Apply scheduling settings to all threads of this process; later threads inherit them.
-
-    Returns a line for each refused setting: the fact, and how to get the permission.
-    """
-    cores, priority = settings.cores, settings.priority
-    refused = []
-
-    def change(what: str, hint: str, call: Callable[..., None], *values: Any) -> None:
-        try:
-            for thread in Path("/proc/self/task").iterdir():
-                with suppress(ProcessLookupError):  # it has ended
-                    call(int(thread.name), *values)
-        except OSError as error:
-            refused.append(f"scheduling.{what} is refused ({error.strerror}): {hint}")
-
-    if cores:
-        hint = f"this machine has the cores 0 to {(os.cpu_count() or 1) - 1}"
-        change(f"cores {list(cores)}", hint, os.sched_setaffinity, cores)
-    if priority:
-        hint = _right(f"rtprio {priority}", "CAP_SYS_NICE")
-        policy = (os.SCHED_FIFO, os.sched_param(priority))
-        change(f"priority {priority}", hint, os.sched_setscheduler, *policy)
-    libc = ctypes.CDLL(None, use_errno=True)
-    if settings.lock_memory and libc.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT) != 0:
-        reason, hint = os.strerror(ctypes.get_errno()), _right("memlock unlimited", "CAP_IPC_LOCK")
-        refused.append(f"scheduling.lock_memory is refused ({reason}): {hint}")
-    return refused
-
-
-def _right(limit: str, capability: str) -> str:
-    return f"put 'USER - {limit}' into {_LIMITS_FILE} and log in again, or grant {capability}"
-
-
-def schedule_ordinarily() -> None:
-    """Give up an inherited real-time priority."""
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-
-
-def measure_lateness(priority: int = 0, duration: float = 1.0) -> FloatArray:
-    """Measure the wake-up delays of a thread from short sleeps [s], over a duration [s].
-
-    Priority 0 is an ordinary thread; without permission for a real-time priority, returns none.
-    """
-    late: list[float] = []
-
-    def nap() -> None:
-        if priority:
-            try:
-                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))  # of this thread
-            except OSError:
-                return
-        due = time.perf_counter()
-        ends = due + duration
-        while due < ends:
-            due = max(due + _SLEEP_TIME, time.perf_counter())
-            time.sleep(max(0.0, due - time.perf_counter()))
-            late.append(time.perf_counter() - due)
-
-    thread = threading.Thread(target=nap, name="lateness")
-    thread.start()
-    thread.join()
-    return np.array(late)

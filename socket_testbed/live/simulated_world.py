@@ -9,7 +9,6 @@ import json
 import signal
 import sys
 import threading
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
-from socket_testbed.live.processes import end_with_starter, measure_lateness
+from socket_testbed.live.processes import end_with_starter
 from socket_testbed.simulation import sensors
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
 from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, load_history
@@ -33,21 +32,6 @@ _PERIOD = 0.04  # [s]; time step of the physics, with linear interpolation
 _LEAD = 0.2  # [s]; of the physics over the clock, as a buffer on busy machines
 _SWITCH_INTERVAL = 5e-4  # [s]; longest wait of a due frame for the physics
 _THUMB_PRESSURE = 15e3  # [Pa]; on a cluster
-
-SCALES = {  # testbed seconds per real second [-]
-    1.0: "real time",
-    0.5: "half of real time",
-    0.25: "a quarter of real time",
-    0.125: "an eighth of real time",
-    0.0625: "a sixteenth of real time",
-}
-SLOWEST = min(SCALES)
-LATEST = 3e-3  # [s]; lateness that the drivers tolerate in real time
-_MEASURE_TIME = 0.5  # [s]; for each of the two measurements of the speed
-_WORK_TIME = 115e-6  # [s]; for the unit of work on an idle core of the reference machine
-# Measured with 0.034 of such a core for a busy process and threads that wake up 10 ms late: at half
-# of real time 2 % of the samples were incomplete, in real time 30 %.
-_MIN_SPEED = 0.13  # [-]; fraction of such a core required for real time
 
 
 @dataclass(frozen=True)
@@ -62,45 +46,6 @@ class Simulation:
     time_scale: float = 1.0  # testbed seconds per real second, in (0, 1] [-]
     tissue: TissueKind = "soft"  # kind of the limb's tissue
     noise: float = 1.0  # of the load cell, relative to the default [-]
-
-
-@dataclass(frozen=True)
-class MachineSpeed:
-    """The share of this machine currently available to one more process."""
-
-    lateness: float  # of threads waking up from a short sleep, 90th percentile [s]
-    speed: float  # of a thread, relative to an idle core of the reference machine [-]
-
-    def time_scale(self) -> float:
-        """The fastest scale at which a simulated testbed should keep up [-]."""
-        fastest = min(self.speed / _MIN_SPEED, LATEST / max(self.lateness, 1e-9))
-        return next((scale for scale in SCALES if scale <= fastest), SLOWEST)
-
-
-def measure_speed() -> MachineSpeed:
-    """Measure this machine for about a second."""
-    lateness = measure_lateness(duration=_MEASURE_TIME)
-    units = 0
-    begin = now = time.perf_counter()
-    while now - begin < _MEASURE_TIME:
-        total = 0
-        for k in range(2000):  # the unit of work
-            total += k * k % 7
-        units += 1
-        now = time.perf_counter()
-    return MachineSpeed(float(np.percentile(lateness, 90)), units * _WORK_TIME / (now - begin))
-
-
-def speed_text(scale: float) -> str:
-    """Speed of a simulated testbed as a text, such as 'a quarter of real time'."""
-    return SCALES.get(scale, f"{scale:g} of real time")
-
-
-def busy_note(scale: float) -> str:
-    """A note on the chosen scale; empty for real time."""
-    if scale == 1.0:
-        return ""
-    return f"this machine is busy: the simulated testbed runs at {speed_text(scale)}"
 
 
 class LiveTestbed:

@@ -8,13 +8,11 @@ from __future__ import annotations
 import base64
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.axis import Region, Side, axial_force, third_edges
 from socket_testbed.geometry.socket import HEIGHTS, SECTOR_PARTS, SOCKET, UNMEASURED, SocketGeometry
 from socket_testbed.identification.data_check import DataFinding
@@ -38,14 +36,6 @@ POWER = 0.5  # [-]; exponent of the colours of pressures, finer at low ones
 GREY: dict[str, Any] = {"colour": [150, 150, 150], "greyest": 0.85}  # of uncertain pressures
 
 Document = dict[str, Any]
-
-PAGES = (".html", ".htm")
-
-
-def check_page(path: Path, content: str) -> None:
-    """Refuse a page without the suffix of one, before long work."""
-    if path.suffix.lower() not in PAGES:
-        raise ConfigurationError(f"{path}: a {content} is a page", "let it end in .html")
 
 
 def numbers(values: FloatArray, decimals: int = 2) -> list[Any]:

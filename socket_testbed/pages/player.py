@@ -30,7 +30,6 @@ class Player:
         self._data = document.check_card(trial.findings)
         self._predicted = np.full((len(samples), 6), np.nan)
         if model is not None:
-            model.require_socket(trial.geometry)
             require_position(samples, trial.geometry)
             self._predicted = model.predictions(trial.sound(model.settings.leave_out))[:, :6]
         rows = evenly(len(samples), _COURSE_SAMPLES)

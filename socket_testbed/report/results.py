@@ -126,16 +126,9 @@ def compute_results(
     settings: EstimatorSettings,
     thetas: Sequence[float] | FloatArray,
     given: StoredModel | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Results:
     """Fit the variants on a segment of a trial, trace the fronts over theta, and judge both."""
-
-    def reach(stage: int) -> None:
-        if progress is not None:
-            progress(stage, _STAGES)
-
-    if given is not None:
-        given.require_socket(trial.geometry)
     samples, identification = trial.samples(), settings.identification
     leave_out = identification.leave_out
     whole = trial.select(specification, settings)
@@ -146,7 +139,7 @@ def compute_results(
     notes = [*plausibility.outlier_notes(samples, outliers), *([sign] if sign else [])]
     samples = trial.sound(leave_out)
     chosen = samples[segment.rows]
-    reach(1)
+    progress(1, _STAGES)
     candidates = []
     for variant in VARIANTS:
         if variant in PAPER_VARIANTS or variant == identification.variant:
@@ -155,14 +148,14 @@ def compute_results(
             candidates.append(_judge(samples, segment, chosen, variant, fit))
     if given is not None:
         candidates.append(_judge(samples, segment, chosen, GIVEN, given))
-    reach(2)
+    progress(2, _STAGES)
     # The report may lack a front or a validation.
     fronts, validation, no_fronts, no_validation = {}, [], "", ""
     try:
         fronts = pareto_front(fitted, trial.geometry, identification, thetas)
     except IdentificationError as error:
         no_fronts = str(error)
-    reach(3)
+    progress(3, _STAGES)
     truth = read_true_forces(trial.path, samples.stamps, trial.geometry.names)
     try:
         validation = judge_samples(
@@ -170,12 +163,12 @@ def compute_results(
         )
     except IdentificationError as error:
         no_validation = str(error)
-    reach(4)
+    progress(4, _STAGES)
     mapped = mapped_trial(trial, settings)
     pressure = mapped.over(whole)
     peak = whole.rows.start + pressure.outputs.peak_row
     over_trial = mapped.course(np.union1d(evenly(len(samples), _PRESSURE_SAMPLES), [peak]))
-    reach(_STAGES)
+    progress(_STAGES, _STAGES)
     return Results(
         trial=trial,
         samples=samples,

@@ -16,7 +16,7 @@ from matplotlib.textpath import TextPath
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import WIDTHS, atomic_output, check_picture
+from socket_testbed.files import atomic_output, check_picture
 
 SCALE = "viridis"  # perceptually uniform, safe for colour-blind readers
 
@@ -35,7 +35,7 @@ THINNED = (
 MEASURED_STYLE: dict[str, Any] = {"color": "0.72", "linewidth": 2.4}
 SEGMENT_STYLE: dict[str, Any] = {"color": "0.94", "linewidth": 0.0, "zorder": 0.5}
 
-COLUMN, PAGE = WIDTHS
+COLUMN, PAGE = WIDTHS = (88, 180)  # [mm]; one column and two columns of a paper
 MM = 1.0 / 25.4  # [inch]
 LABEL, SMALL = 8.0, 7.0  # [pt]
 

@@ -6,9 +6,8 @@ from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 
-from socket_testbed.files import atomic_output, check_outputs, refuse_existing
+from socket_testbed.files import atomic_output, check_outputs, check_page, refuse_existing
 from socket_testbed.identification.data_check import GOOD
-from socket_testbed.pages.document import check_page
 from socket_testbed.report import fronts, models, pressure, quality, validation
 from socket_testbed.report.page import Section, write_page
 from socket_testbed.report.results import Results

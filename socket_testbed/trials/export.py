@@ -31,7 +31,6 @@ from socket_testbed.samples import (
     LOCAL_CHANNELS,
     WRENCH_CHANNELS,
     Samples,
-    channel_unit,
     moments_about,
 )
 from socket_testbed.tables import split_unit
@@ -81,8 +80,8 @@ def sample_table(
         columns |= {f"{name}.{axis} [Pa]": stress[:, i] for i, axis in enumerate(STRESSES)}
         columns |= {title: table[title] for title in (f"{name}.{f} [N]" for f in LOCAL_CHANNELS)}
     if predicted is not None:
-        for channel, values in zip(samples.channels, predicted[segment.rows].T, strict=True):
-            columns[f"predicted.{channel} [{channel_unit(channel)}]"] = values
+        for title, values in zip(samples.titles, predicted[segment.rows].T, strict=True):
+            columns[f"predicted.{title}"] = values
     return pd.DataFrame(columns)
 
 

@@ -15,7 +15,7 @@ import socket_testbed as st
 from socket_testbed.__main__ import EXAMPLES, VERBS, _parse, run
 from socket_testbed.commands import demo
 from socket_testbed.commands.arguments import Parser, add_options
-from socket_testbed.live.simulated_world import MachineSpeed
+from socket_testbed.live.scheduling import MachineSpeed
 from socket_testbed.trials.trial import Trial
 
 

@@ -21,7 +21,7 @@ from socket_testbed import clocks
 from socket_testbed.commands import live
 from socket_testbed.files import packaged
 from socket_testbed.live import doctor
-from socket_testbed.live.simulated_world import MachineSpeed
+from socket_testbed.live.scheduling import MachineSpeed
 from socket_testbed.nodes import controls
 from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.trials import topics

@@ -59,7 +59,7 @@ def test_a_graph_ends_with_what_it_needs(tmp_path: Path, monkeypatch: pytest.Mon
 EVERY_THREAD = """
 import json, os, threading
 from pathlib import Path
-from socket_testbed.live.processes import schedule
+from socket_testbed.live.scheduling import schedule
 from socket_testbed.settings.acquisition import SchedulingSettings
 core = min(os.sched_getaffinity(0))
 done = threading.Event()

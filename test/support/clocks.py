@@ -5,7 +5,7 @@ from typing import Self
 import pytest
 
 from socket_testbed import clocks
-from socket_testbed.live.simulated_world import SLOWEST, measure_speed
+from socket_testbed.live.scheduling import SLOWEST, measure_speed
 
 
 def careful_time_scale() -> float:

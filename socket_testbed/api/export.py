@@ -1,0 +1,114 @@
+"""Export of trials: tables, and files for OpenSim, C3D and plotting tools."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from socket_testbed.api.cycles import cycles as cycles_of
+from socket_testbed.api.models import Model, model_for, predictions
+from socket_testbed.api.pressure import force_map as force_map_of
+from socket_testbed.api.pressure import pressure as pressure_of
+from socket_testbed.api.trials import PathLike, as_trial, select
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.identification import information
+from socket_testbed.samples import moments_about
+from socket_testbed.tables import check_format, write_table
+from socket_testbed.trials.export import (
+    GAIT_FORMATS,
+    sample_table,
+    write_gait_file,
+    write_standard_bag,
+)
+from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.trial import Trial
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def export(
+    trial: Trial | PathLike,
+    path: PathLike,
+    segment: str | Segment = "all",
+    model: Model | None = None,
+    force_map: bool = False,
+    pressure: bool = False,
+    cycles: str | None = None,
+    about: tuple[float, float, float] | None = None,
+) -> pd.DataFrame:
+    """Write the synchronised samples of a trial, with the raw measurements, as a table.
+
+    Args:
+        trial: The trial.
+        path: The file; its suffix, `.csv`, `.parquet` or `.mat`, selects the format. `.mot` and
+            `.sto` are external loads for OpenSim, `.trc` its markers, `.c3d` both; `.mcap` holds
+            standard ROS messages with named columns: see `socket_testbed.trials.export`.
+        segment: As `specification` in `st.select_segment`, or a `Segment`.
+        model: A model whose predictions are added as `predicted.*` and engaged springs as
+            `springs.*`, see `Evaluation.engagement`.
+        force_map: Whether to add the force map as `map.*`, see `st.force_map`.
+        pressure: Whether to add pressure and shear of every region and tile as `pressure.*`, see
+            `TrialPressure.over_time`.
+        cycles: Events that delimit cycles; the table then holds mean and standard deviation of all
+            columns over 0 to 100 % of a cycle, see `st.cycles`.
+        about: Reference point of the moments in {S}, such as the knee's centre [m] (default: the
+            load cell's origin).
+
+    Returns:
+        The table, with units in the column names; its `attrs` name the segment and rows.
+
+    >>> table = st.export(st.open_trial("trials/hold"), "hold.csv", segment="10:20")
+    >>> "distal.C0 [pF]" in table.columns, len(table)
+    (True, 41)
+    """
+    trial = as_trial(trial)
+    import pandas as pd
+
+    path = Path(path)
+    if path.suffix.lower() in GAIT_FORMATS:
+        if model or force_map or pressure or cycles:
+            raise ConfigurationError(
+                f"{path}: a {path.suffix} holds only measured forces and markers",
+                "give .csv, .parquet or .mat for computed columns",
+            )
+        chosen = select(trial, segment, trial.estimator)
+        table = write_gait_file(trial, chosen.rows, path, about)
+        table.attrs |= {"segment": str(chosen), "rows": f"{len(table)} samples"}
+        return table
+    as_bag = path.suffix.lower() == ".mcap"
+    if as_bag and cycles:
+        raise ConfigurationError(f"{path}: a bag holds samples", "give .csv for cycles")
+    if not as_bag:
+        check_format(path)
+    stored = None if model is None else model_for(trial, model)
+    chosen = select(trial, segment, trial.estimator)
+    measured, samples = trial.measurements_and_samples()
+    predicted = None
+    added: list[pd.DataFrame] = []
+    if stored is not None:
+        predicted = predictions(trial, stored)
+        predicted[:, :6] = moments_about(predicted[:, :6], about)
+        engaged = information.engagement(
+            trial.sound(stored.settings.leave_out), stored.model, stored.settings.pose_smoothing
+        )
+        added.append(pd.DataFrame(engaged.columns("springs."))[chosen.rows])
+    if force_map:
+        mapped = force_map_of(trial, chosen).estimate
+        added.append(pd.DataFrame(mapped.columns(trial.geometry.names, "map.")))
+    if pressure:
+        added.append(pressure_of(trial, chosen).over_time().add_prefix("pressure."))
+    moved = dataclasses.replace(samples, wrench=moments_about(samples.wrench, about))
+    table = sample_table(measured, moved, trial.calibration, chosen, predicted)
+    table = pd.concat([table, *(each.set_axis(table.index) for each in added)], axis=1)
+    rows = f"{len(table)} samples"
+    if cycles is not None:
+        found = cycles_of(trial, table, by=cycles, segment=chosen)
+        table, rows = found.to_dataframe(), str(found)
+    if as_bag:
+        write_standard_bag(measured, chosen.rows, table, path)
+    else:
+        write_table(table, path)
+    table.attrs |= {"segment": str(chosen), "rows": rows}
+    return table
