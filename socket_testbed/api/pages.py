@@ -23,8 +23,7 @@ from socket_testbed.api.models import Model, model_for
 from socket_testbed.api.tradeoff import theta_values
 from socket_testbed.files import check_page
 from socket_testbed.geometry.socket import SOCKET
-from socket_testbed.identification.pressure import DECIMALS
-from socket_testbed.pages.document import moment, socket_document
+from socket_testbed.pages.document import moment, pressure_card, socket_document
 from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.tables import Table, pairs_table
 from socket_testbed.trials.trial import Trial
@@ -180,17 +179,11 @@ def _cards(found: Comparison) -> list[dict[str, Any]]:
     rows = table[(table["part"] == "regions") & (table["name"] == SOCKET)]
     rows = rows[rows["item"] != found.items[0]]
     for quantity in ("peak pressure", "mean pressure"):
-        digits = DECIMALS[f"{quantity} [kPa]"]
         for row in rows[rows["quantity"] == quantity].to_dict("records"):
             by, low, high = (row[name] for name in DIFFERENCE)
-            shown.append(
-                {
-                    "title": f"{quantity.capitalize()}, {found.difference_title(row['item'])}",
-                    "value": f"{by:+.{digits}f} kPa",
-                    "interval": f"{low:.{digits}f} to {high:.{digits}f}",
-                    "words": "a clear difference" if is_clear(low, high) else "no clear difference",
-                }
-            )
+            title = f"{quantity.capitalize()}, {found.difference_title(row['item'])}"
+            words = "a clear difference" if is_clear(low, high) else "no clear difference"
+            shown.append(pressure_card(title, by, low, high, words, "+"))
     return shown
 
 

@@ -167,21 +167,28 @@ def cards(
     `outputs` holds R regions; `pressure` is that on the tiles at the peak, shape (n,) [Pa].
     """
     names = [place.name for place in places]
-    peak = int(pressure.argmax())
-    cluster = geometry.cluster_names[peak]
+    top = int(pressure.argmax())
+    cluster = geometry.cluster_names[top]
     source = f"measured by {cluster}" if cluster else "estimated"
-    shown = [("Peak", SOCKET, f"{part_of(places, peak)}, {source}")]
+    shown = [("Peak", SOCKET, f"{part_of(places, top)}, {source}")]
     if UNMEASURED in names:
         bare = places[names.index(UNMEASURED)].tiles
         where = part_of(places, int(bare[pressure[bare].argmax()]))
         shown.append(("Elsewhere", UNMEASURED, f"highest where no sensor is: {where}"))
-    found, digits = [], DECIMALS["peak pressure [kPa]"]
+    found = []
     for title, name, words in shown:
-        quantity = outputs.peak.part(names.index(name), 1e-3)
-        interval = f"{quantity.low:.{digits}f} to {quantity.high:.{digits}f}"
-        value = {"value": f"{quantity.value:.{digits}f} kPa", "interval": interval}
-        found.append({"title": title} | value | {"words": words})
+        peak = outputs.peak.part(names.index(name), 1e-3)
+        found.append(pressure_card(title, peak.value, peak.low, peak.high, words))
     return found
+
+
+def pressure_card(
+    title: str, value: Any, low: Any, high: Any, words: str, sign: str = "-"
+) -> Document:
+    """Card of a pressure or of a difference, with its interval [kPa]."""
+    spec = f".{DECIMALS['peak pressure [kPa]']}f"
+    number = {"value": f"{value:{sign}{spec}} kPa", "interval": f"{low:{spec}} to {high:{spec}}"}
+    return {"title": title, **number, "words": words}
 
 
 def check_card(findings: Sequence[DataFinding]) -> Document:
