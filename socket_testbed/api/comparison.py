@@ -255,9 +255,9 @@ class Comparison(Result):
         """
         rows = self.table[self.table["part"] == "regions"]
         low, high = rows["difference low"], rows["difference high"]
-        clear = rows.assign(clear=(low + high).abs() / (high - low))[is_clear(low, high)]
+        rows = rows.assign(clear=(low + high).abs() / (high - low))[high > low]
+        clear = rows[is_clear(rows["difference low"], rows["difference high"])]
         clear = clear.sort_values("clear", ascending=False, kind="stable")
-        rows = rows[high > low]
         lines = [
             f"{len(clear)} of {len(rows)} intervals of the regions' differences exclude 0; by"
             f" chance alone up to about {0.05 * len(rows):.0f} would"

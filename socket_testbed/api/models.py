@@ -308,7 +308,7 @@ def prepare_fit(
     settings = estimator_settings(trial.estimator, as_path(params), **choices)
     samples, frames = trial.samples(), settings.identification.frames
     chosen = first_frames(select(trial, segment, settings), samples, frames)
-    note_implausible(trial, samples, chosen, settings.identification.leave_out)
+    note_implausible(trial, chosen, settings.identification.leave_out)
     return trial, chosen, settings.identification
 
 
@@ -413,7 +413,7 @@ def evaluate(
     settings = dataclasses.replace(trial.estimator, identification=stored.settings)
     chosen = select(trial, segment, settings)
     plausibility.require_position(samples[chosen.rows], trial.geometry)
-    note_implausible(trial, samples, chosen, leave_out)
+    note_implausible(trial, chosen, leave_out)
     rows = trial.sound(leave_out)[chosen.rows]
     if bool(trial.unloaded) != bool(stored.unloaded):
         fitted = "with" if stored.unloaded else "without"

@@ -120,7 +120,7 @@ def write_report(
             trials.started(progress, "fitting, judging, mapping"),
         )
     leave_out = settings.identification.leave_out
-    trials.note_implausible(trial, trial.samples(), results.segment, leave_out)
+    trials.note_implausible(trial, results.segment, leave_out)
     for text in results.bag_notes:
         trials.note(trial, text)
     drawing = trials.started(progress, "drawing") if figures else None

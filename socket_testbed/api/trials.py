@@ -48,10 +48,9 @@ def as_path(path: PathLike | None) -> Path | None:
     return None if path is None else Path(path)
 
 
-def note_implausible(
-    trial: Trial, samples: Samples, segment: Segment, leave_out: tuple[str, ...]
-) -> None:
+def note_implausible(trial: Trial, segment: Segment, leave_out: tuple[str, ...]) -> None:
     """Report implausible channels of a segment."""
+    samples = trial.samples()
     start, chosen = int(samples.stamps[0]), samples[segment.rows]
     for text in plausibility.implausible_notes(chosen, trial.geometry, leave_out, start):
         note(trial, text)
