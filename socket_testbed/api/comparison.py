@@ -56,7 +56,7 @@ from socket_testbed.identification.pressure import THRESHOLD
 from socket_testbed.pages.pressure import decimals_of
 from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
 from socket_testbed.tables import split_unit
-from socket_testbed.trials.metadata import FIELDS
+from socket_testbed.trials.metadata import FIELDS, NO_SIDE
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -563,10 +563,7 @@ def _notes(
         )
     elif None in sides and any(sides):
         unknown = ", ".join(n for n, side in zip(names, sides, strict=True) if side is None)
-        yield (
-            f"no side is stated for {unknown}: the regions are left and right; state it with"
-            " 'annotate TRIAL --side left|right'"
-        )
+        yield f"{unknown}: {NO_SIDE}"
     shared = {name for part, name, _ in rows[0] if part == "regions"}
     own = {name for trial in trials for name in trial.geometry.regions}
     if lacking := sorted(own - shared):

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure, SubFigure
 
 from socket_testbed import api
-from socket_testbed.arrays import FloatArray
+from socket_testbed.arrays import FloatArray, mean_and_sigma
 from socket_testbed.commands.terminal import Progress, decimals, table
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import TemporaryFolder, check_new_folder, make_folder
@@ -234,7 +234,7 @@ class _Conclusion:
         places = all_regions(self._geometry)
         bare = np.flatnonzero(~self._geometry.covered)
         held = 100.0 * np.mean(np.abs(self._error[bare]) <= self._reach[bare])
-        load = np.nanmean(np.linalg.norm(self._hold.wrench[:, 3:], axis=1))
+        load, _ = mean_and_sigma(self._hold.wrench[:, 3:])
         measured, without, reach = self._left_out.T
         highest, worst = measured.argmax(), np.abs(measured - without).argmax()
 

@@ -82,7 +82,7 @@ def tile(
     for note in design.notes:
         print_note(note)
     if not design.geometry.registration:
-        print_note("the marker bodies are nominal: register them")
+        print_note(design.geometry.bodies)
     width = max(len(name) for name, _ in design.facts())
     for name, value in design.facts():
         print(f"{name.ljust(width)}  {value}")

@@ -121,11 +121,8 @@ def configured(
         params: A `testbed.yaml` with the parameters of the nodes.
     """
     geometry = file_or_packaged(geometry, SOCKET_FILE).resolve()
-    if simulation is None and not read_socket(geometry).registration:
-        print_note(
-            f"{geometry}: the marker bodies are nominal: register them before relying on the limb's"
-            " position"
-        )
+    if simulation is None and not (socket := read_socket(geometry)).registration:
+        print_note(f"{geometry}: {socket.bodies}")
     return bringup.Testbed(
         settings=bringup.testbed_settings(params, simulation),
         geometry=geometry,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from socket_testbed import api
-from socket_testbed.arrays import gaps, usual_period
+from socket_testbed.arrays import gaps, mean_and_sigma, usual_period
 from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import (
     check_metadata,
@@ -25,7 +25,7 @@ from socket_testbed.files import check_outputs
 from socket_testbed.identification.noise import channel_noise, noise_groups
 from socket_testbed.samples import Samples, Status
 from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
-from socket_testbed.trials.metadata import TrialMetadata
+from socket_testbed.trials.metadata import NO_SIDE, TrialMetadata
 from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial
 
 _MAX_TIMES = 8  # printed per event label
@@ -68,9 +68,7 @@ def _metadata(metadata: TrialMetadata) -> str:
     rows = [[name, text] for name, text in metadata.described().items()]
     found = table(["metadata", "value"], rows) if rows else "no metadata: 'annotate' states them"
     if metadata.side is None:
-        found += (
-            "\nno side: regions are left and right; 'annotate TRIAL --side left|right' says which"
-        )
+        found += f"\n{NO_SIDE}"
     return found
 
 
@@ -102,15 +100,15 @@ def info(trial: Path, **options: Any) -> None:
     print(f"{_triggers(samples)}\n\n{_missing(samples)}\n\n{_noise(samples)}\n")
     sound = opened.sound(estimator.identification.leave_out)
     for segment in opened.plateaus(estimator):
-        mean = np.nanmean(sound[segment.rows].wrench[:, 3:], axis=0)
-        print(f"{segment}: mean force {np.linalg.norm(mean):.1f} N")
+        force, _ = mean_and_sigma(sound[segment.rows].wrench[:, 3:])
+        print(f"{segment}: mean force {force:.1f} N")
     print(_events(opened))
     print(f"\n{_metadata(metadata)}\n")
     stored = [name for name in CONFIGURATION_FILES if (trial / name).is_file()]
     print(f"recorded with: {', '.join(stored) or 'nothing stored'}")
     geometry, calibration = opened.geometry, opened.calibration
     print(f"socket: {geometry.source or 'no source'}; {len(geometry)} tiles")
-    print(f"marker bodies: {geometry.registration or 'nominal, not registered'}")
+    print(f"registration: {geometry.bodies}")
     print(f"calibration: {calibration.source} ({calibration.date})")
 
 

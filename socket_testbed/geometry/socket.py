@@ -84,6 +84,13 @@ class SocketGeometry:
         return len(self.names)
 
     @property
+    def bodies(self) -> str:
+        """Origin of the marker bodies' registration, or what follows without one."""
+        return self.registration or (
+            "the marker bodies are nominal, and every limb position depends on them: register them"
+        )
+
+    @property
     def markers(self) -> dict[str, FloatArray]:
         """Markers in their body's frame by body, `socket` before `pylon`, shape (k, 3) [m]."""
         return {"socket": self.socket_markers, "pylon": self.pylon_markers}

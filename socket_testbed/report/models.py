@@ -9,12 +9,11 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure, SubFigure
 
-from socket_testbed.arrays import FloatArray
+from socket_testbed.arrays import FloatArray, mean_and_sigma
 from socket_testbed.identification.fit import ChannelErrors, summarise_errors
 from socket_testbed.identification.paper import THEIRS, beside_published
 from socket_testbed.pages.document import numbers
 from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart
-from socket_testbed.report.quality import mean_and_sigma
 from socket_testbed.report.results import Candidate, Results
 from socket_testbed.report.style import (
     LINE_STYLES,

@@ -14,7 +14,16 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from socket_testbed.arrays import GAP, BoolArray, FloatArray, StatusArray, gaps, runs, usual_period
+from socket_testbed.arrays import (
+    GAP,
+    BoolArray,
+    FloatArray,
+    StatusArray,
+    gaps,
+    mean_and_sigma,
+    runs,
+    usual_period,
+)
 from socket_testbed.identification.fit import summarise_errors
 from socket_testbed.identification.information import share_warning
 from socket_testbed.identification.model_file import StoredModel
@@ -24,6 +33,7 @@ from socket_testbed.report.results import Results
 from socket_testbed.report.style import THINNED, FigureStyle, in_style, lay_out, style_axes, thin
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status
 from socket_testbed.tables import Table, number, pairs_table
+from socket_testbed.trials.metadata import NO_SIDE
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import PARAMETERS_FILE
 from socket_testbed.version import __version__
@@ -119,15 +129,6 @@ def _longest(missing: BoolArray, time: FloatArray) -> float:
     start, end = runs(missing).T
     before, after = np.maximum(start - 1, 0), np.minimum(end, len(time) - 1)
     return float((time[after] - time[before]).max(initial=0.0))
-
-
-def mean_and_sigma(vectors: FloatArray) -> tuple[float, float]:
-    """Magnitude of the mean of complete vectors, shape (N, 3), and spread of their magnitudes."""
-    vectors = vectors[np.isfinite(vectors).all(axis=1)]
-    if not len(vectors):
-        return float("nan"), float("nan")
-    magnitude = float(np.linalg.norm(vectors.mean(axis=0)))
-    return magnitude, float(np.linalg.norm(vectors, axis=1).std())
 
 
 def _plateaus(results: Results) -> Table:
@@ -228,15 +229,9 @@ def list_notes(results: Results) -> list[str]:
     warnings = {c.label: share_warning(c.shares) for c in results.candidates}
     notes += [f"{label}: {warning}." for label, warning in warnings.items() if warning]
     if results.trial.metadata.side is None:
-        notes.append(
-            "No side of the leg is stated: regions are left and right, not medial and lateral."
-            f" 'annotate {results.trial.name} --side left|right' states it."
-        )
+        notes.append(f"{results.trial.name}: {NO_SIDE}.")
     if not geometry.registration:
-        notes.append(
-            "The marker bodies are not registered with the socket: their placement in socket.yaml"
-            " is nominal, and every limb position depends on it."
-        )
+        notes.append(f"{results.trial.name}: {geometry.bodies}.")
     bare = [name for name in geometry.clusters if name not in samples.clusters]
     if bare:
         notes.append(f"This trial has no readings of the clusters {', '.join(bare)}.")
@@ -290,7 +285,7 @@ def provenance(results: Results, command: str, made: datetime) -> list[tuple[str
         ("trial, last sample", last),
         ("geometry", _file(trial.geometry_path, trial.socket_file is not None)),
         ("geometry, source", geometry.source or "not stated"),
-        ("geometry, registration", geometry.registration or "none: nominal"),
+        ("geometry, registration", geometry.bodies),
         ("calibration", _file(trial.calibration_path, trial.calibration_file is not None)),
         ("calibration, source and date", f"{calibration.source} ({calibration.date})"),
     ]

@@ -19,6 +19,10 @@ from socket_testbed.settings.testbed import MAX_MASS
 
 METADATA_FILE = "trial.yaml"
 
+NO_SIDE = (
+    "no side is stated: the regions are left and right, not medial and lateral; state it with"
+    " 'annotate TRIAL --side left|right'"
+)
 SIDES: tuple[Side, ...] = get_args(Side)
 MASS_RANGE = (5.0, MAX_MASS)  # [kg]
 _MASS: Any = Annotated[
