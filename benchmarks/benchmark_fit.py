@@ -94,7 +94,7 @@ def simulate(scenario: Any, count: int) -> tuple[Samples, SocketGeometry]:
     with tempfile.TemporaryDirectory() as folder:
         trial = st.simulate(Path(folder) / "t", scenario, duration=count / RATE, rate=RATE)
         samples = trial.samples()
-        return samples[samples.complete], trial.geometry
+        return samples[samples.has_pose_and_wrench], trial.geometry
 
 
 def stage_two(samples: Samples, geometry: SocketGeometry, smoothness: float) -> Stage:

@@ -40,7 +40,6 @@ from socket_testbed.live.bringup import Testbed, end, simulated_testbed, start, 
 from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.nodes.base import message_type, publisher_qos, subscriber_qos
-from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.topics import (
@@ -238,7 +237,7 @@ def show_arrivals(path: Path, triggers: Arrivals, estimates: Arrivals) -> None:
         recorded = {t: bag.counts[n] for t, n in match_topics(bag.counts, "").items()}
     lost = sum(recorded[TRIGGER] - recorded[topic] for topic in REQUIRED)
     samples = Trial(path).samples()
-    seen = samples.complete & (samples.status != Status.MISSING).all(axis=1)
+    seen = samples.complete
     print(summary(path))
     print(f"messages lost: {lost}; incomplete samples: {(~seen).sum()} of {len(samples)}")
     for what, arrivals in (("trigger", triggers), ("estimate", estimates)):

@@ -26,7 +26,7 @@ from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
 from socket_testbed.clocks import Backoff, shared_environment
-from socket_testbed.files import local_graph, packaged
+from socket_testbed.files import CALIBRATION_FILE, SOCKET_FILE, local_graph, packaged
 from socket_testbed.live.bringup import (
     Simulation,
     Testbed,
@@ -50,8 +50,8 @@ BEGAN = time.monotonic()
 
 ARGUMENTS = {
     "params": ("", "node parameters, a testbed.yaml"),
-    "geometry": (str(packaged("config", "socket.yaml")), "the socket, a socket.yaml"),
-    "calibration": (str(packaged("config", "calibration.yaml")), "a calibration.yaml"),
+    "geometry": (str(packaged("config", SOCKET_FILE)), "the socket, a socket.yaml"),
+    "calibration": (str(packaged("config", CALIBRATION_FILE)), "a calibration.yaml"),
     "record": ("", "folder of a new trial; empty: no recording"),
     "namespace": ("", "of nodes and topics, such as left; empty: none"),
     "time_scale": ("1.0", "speed of the simulated testbed relative to real time, at most 1"),

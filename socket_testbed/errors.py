@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copyreg
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Any
 
 
@@ -83,6 +83,11 @@ def likely(word: str, known: Collection[str]) -> str:
 
     found = difflib.get_close_matches(word, list(known), n=1)
     return f"did you mean '{found[0]}'?" if found else ""
+
+
+def first_of(problems: Sequence[object]) -> str:
+    """The first of some problems, and the number of the others."""
+    return f"{problems[0]}" + f" (and {len(problems) - 1} more)" * (len(problems) > 1)
 
 
 def closest(word: str, known: Collection[str]) -> str:

@@ -16,6 +16,10 @@ from tempfile import TemporaryDirectory, gettempdir
 
 from socket_testbed.errors import ConfigurationError
 
+# The configuration of a testbed, in `config/` and in the folder of each trial
+SOCKET_FILE, CALIBRATION_FILE, PARAMETERS_FILE = "socket.yaml", "calibration.yaml", "testbed.yaml"
+CONFIGURATION_FILES = (SOCKET_FILE, CALIBRATION_FILE, PARAMETERS_FILE)
+
 RANGE, _LOCAL = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
 # Fast DDS; newer versions read the second name.
 _PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")

@@ -109,7 +109,7 @@ class Samples:
         return np.asarray(np.isfinite(self.wrench).all(axis=1))
 
     @property
-    def complete(self) -> BoolArray:
+    def has_pose_and_wrench(self) -> BoolArray:
         """Rows with both a wrench and a limb pose, as a fit requires, shape (N,)."""
         return self.has_pose & self.has_wrench
 
@@ -121,7 +121,7 @@ class Samples:
         return found | dict(zip(self.clusters, self.status.T, strict=True))
 
     @property
-    def whole(self) -> BoolArray:
+    def complete(self) -> BoolArray:
         """Rows of which nothing is missing, shape (N,)."""
         return np.all([state != Status.MISSING for state in self.states.values()], axis=0)
 

@@ -19,7 +19,7 @@ from socket_testbed.api.trials import PathLike, Progress, as_path, started
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.calibration.model import Calibration, read_calibration, write_calibration
 from socket_testbed.errors import ConfigurationError, closest
-from socket_testbed.files import packaged, refuse_existing
+from socket_testbed.files import SOCKET_FILE, packaged, refuse_existing
 from socket_testbed.geometry.axis import all_regions
 from socket_testbed.geometry.socket import read_socket, write_socket
 
@@ -323,7 +323,7 @@ def tile(
     if output is not None:
         _check_socket_output(Path(output), bodies)
     places = read_cluster_places(Path(clusters)) if clusters else [] if place else None
-    usual = read_socket(packaged("config", "socket.yaml"))
+    usual = read_socket(packaged("config", SOCKET_FILE))
     usual_regions = {region.name: region.tiles for region in all_regions(usual)}
     own = [place.name for place in places or ()]
     for name in keep_out:  # before any tile is laid

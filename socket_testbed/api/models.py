@@ -420,4 +420,4 @@ def evaluate(
         note(trial, f"the model was fitted {fitted} --unloaded: its offsets differ")
     errors = evaluate_predictions(rows, _predictions(rows, stored), leave_out)
     outputs = pressure_of(trial, chosen) if pressure else None
-    return Evaluation(trial, stored, chosen, int(rows.complete.sum()), errors, outputs)
+    return Evaluation(trial, stored, chosen, int(rows.has_pose_and_wrench.sum()), errors, outputs)

@@ -121,8 +121,7 @@ class PaperTable(Result):
         """The figures for JSON, with the settings used."""
         table = self._saved_table()
         return {
-            "trial": self.trial.name,
-            "segment": str(self.segment),
+            **origin(self.trial, self.segment),
             "samples": self.samples,
             "settings": self.settings.to_flat(),
             "figures": dict(zip(table.index, records(table), strict=True)),

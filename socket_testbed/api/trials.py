@@ -13,7 +13,13 @@ from typing import TYPE_CHECKING, TypeAlias
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, TrialError, closest
-from socket_testbed.files import check_new_folder, file_or_packaged, packaged
+from socket_testbed.files import (
+    CALIBRATION_FILE,
+    SOCKET_FILE,
+    check_new_folder,
+    file_or_packaged,
+    packaged,
+)
 from socket_testbed.geometry.axis import Side
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification import plausibility
@@ -31,7 +37,7 @@ from socket_testbed.trials.metadata import (
     write_metadata,
 )
 from socket_testbed.trials.segment import Segment
-from socket_testbed.trials.trial import CALIBRATION_FILE, SOCKET_FILE, Trial
+from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
     from socket_testbed.simulation.limb import Scenario, TissueKind

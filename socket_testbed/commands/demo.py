@@ -119,7 +119,7 @@ def _complete(trial: Trial) -> float:
     except TrialError:  # the nodes did not start in time
         return 0.0
     expected = _TRIGGER_RATE * (_DURATION - _MAX_START_UP)
-    return float(samples.whole.sum() / max(expected, len(samples)))
+    return float(samples.complete.sum() / max(expected, len(samples)))
 
 
 def _run_live(path: Path, seed: int, scale: float, log: Path) -> None:

@@ -17,7 +17,7 @@ from socket_testbed.calibration.calibrate import BenchCalibration
 from socket_testbed.calibration.drift import DRIFT_LIMIT, Drift
 from socket_testbed.calibration.model import SHEAR_TERMS
 from socket_testbed.commands.arguments import takes
-from socket_testbed.commands.options import check_files, draw, given, print_note
+from socket_testbed.commands.options import check_files, draw, given, name_and_value, print_note
 from socket_testbed.commands.terminal import Progress, decimals, table, text_of
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, closest
@@ -239,12 +239,7 @@ def calibrate(
 def _assignments(words: Sequence[str], option: str) -> dict[str, str]:
     found: dict[str, str] = {}
     for word in words:
-        name, equals, value = word.partition("=")
-        if not equals or not value:
-            raise ConfigurationError(
-                f"{option}: '{word}' is not QUANTITY=VALUE",
-                "write it such as normal=kPa, and the bench files before the options",
-            )
+        name, value = name_and_value(word, option, "normal=kPa, after the bench files")
         if name not in UNITS:
             raise ConfigurationError(f"{option}: no quantity '{name}'", closest(name, UNITS))
         if name in found:

@@ -17,6 +17,7 @@ from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import (
     check_metadata,
     given,
+    name_and_value,
     open_given,
     print_note,
     refuse_given,
@@ -25,6 +26,8 @@ from socket_testbed.commands.terminal import StatusLine, say, table
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, DeviceError, TrialError, closest
 from socket_testbed.files import (
+    CALIBRATION_FILE,
+    SOCKET_FILE,
     check_new_folder,
     check_outputs,
     file_or_packaged,
@@ -50,12 +53,7 @@ from socket_testbed.simulation.world import FAULTS, World
 from socket_testbed.trials.bag import BAG_METADATA
 from socket_testbed.trials.metadata import METADATA_FILE, write_metadata
 from socket_testbed.trials.topics import full_namespace
-from socket_testbed.trials.trial import (
-    CALIBRATION_FILE,
-    SOCKET_FILE,
-    read_configuration,
-    recorded_namespace,
-)
+from socket_testbed.trials.trial import read_configuration, recorded_namespace
 
 _START_TIMEOUT = 60.0  # [s]; --duration counts from the first trigger or the end of this time
 _DEFAULT_FOLDER = Path("trials")  # recordings started from the page without --record
@@ -94,7 +92,7 @@ def simulated(
 
 
 def _fault(text: str) -> tuple[str, float]:
-    name, _, value = text.partition("=")
+    name, value = name_and_value(text, "--fault", "load_cell.flipped_bits=0.01")
     if name not in FAULTS:
         raise ConfigurationError(f"--fault {text}: unknown fault '{name}'", closest(name, FAULTS))
     try:

@@ -210,6 +210,14 @@ def typed_command() -> str:
     return shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])
 
 
+def name_and_value(word: str, option: str, example: str) -> tuple[str, str]:
+    """The parts of an option's NAME=VALUE."""
+    name, _, value = word.partition("=")
+    if not name or not value:
+        raise ConfigurationError(f"{option}: '{word}' is not NAME=VALUE", f"write it as {example}")
+    return name, value
+
+
 def print_note(note: str) -> None:
     """Print a note on standard error."""
     say(f"note: {note}")

@@ -21,6 +21,7 @@ from socket_testbed.commands.options import (
     check_files,
     deliver,
     given,
+    name_and_value,
     on_trials,
     open_all,
     open_given,
@@ -33,7 +34,6 @@ from socket_testbed.commands.options import (
 from socket_testbed.commands.results import error_columns
 from socket_testbed.commands.terminal import Progress, say, table
 from socket_testbed.documents import check_number
-from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import PAGES
 from socket_testbed.live.processes import Graph
 from socket_testbed.settings.testbed import ViewSettings
@@ -88,7 +88,7 @@ def _show_report(results: Results, options: Mapping[str, Any]) -> None:
 
 
 def _report_row(results: Results) -> Row:
-    complete = int(results.samples[results.segment.rows].complete.sum())
+    complete = int(results.samples[results.segment.rows].has_pose_and_wrench.sum())
     row = segment_columns(complete, results.segment)
     for label, candidate in results.fitted.items():
         judged = {"_in_sample": candidate.errors, "_held_out": candidate.held_out}
@@ -134,11 +134,7 @@ def compare(
 def _conditions(words: Iterable[str]) -> dict[str, list[Path]]:
     found: dict[str, list[Path]] = {}
     for word in words:
-        name, _, paths = word.partition("=")
-        if not name or not paths:
-            raise ConfigurationError(
-                f"--condition {word}: no NAME=TRIAL", "write it such as gel=trials/gel1,trials/gel2"
-            )
+        name, paths = name_and_value(word, "--condition", "gel=trials/gel1,trials/gel2")
         found.setdefault(name, []).extend(map(Path, filter(None, paths.split(","))))
     return found
 

@@ -21,12 +21,12 @@ from socket_testbed.commands.options import (
     report_data,
 )
 from socket_testbed.commands.terminal import Progress, decimals, table
-from socket_testbed.files import check_outputs
+from socket_testbed.files import CONFIGURATION_FILES, check_outputs
 from socket_testbed.identification.noise import channel_noise, noise_groups
 from socket_testbed.samples import Samples, Status
 from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
 from socket_testbed.trials.metadata import NO_SIDE, TrialMetadata
-from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial
+from socket_testbed.trials.trial import Trial
 
 _MAX_TIMES = 8  # printed per event label
 
@@ -129,8 +129,8 @@ def _triggers(samples: Samples) -> str:
         return "1 sample"
     return (
         f"{len(samples)} samples at {1.0 / usual_period(samples.time):.2f} Hz,"
-        f" {samples.complete.sum()} with a wrench and a pose; {gaps(samples.time).sum()} gaps,"
-        f" the largest {periods.max():.3f} s"
+        f" {samples.has_pose_and_wrench.sum()} with a wrench and a pose;"
+        f" {gaps(samples.time).sum()} gaps, the largest {periods.max():.3f} s"
     )
 
 

@@ -117,7 +117,7 @@ def known_directions(
     noise. NaN if the samples do not determine the noise of the wrench.
     """
     noise, spread = _noise(samples, window)
-    rows = np.flatnonzero(samples.complete)
+    rows = np.flatnonzero(samples.has_pose_and_wrench)
     if not len(rows) or not np.isfinite(noise.wrench).all():
         return math.nan
     chosen = rows[evenly(len(rows), _MAX_SAMPLES)]

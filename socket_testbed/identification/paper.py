@@ -100,7 +100,7 @@ def _figures(errors: Sequence[ChannelErrors], front: Front | None) -> dict[str, 
 
 def differing_conditions(samples: Samples, settings: IdentificationSettings) -> list[str]:
     """Differences from the published experiment and fit: this trial's value, then the paper's."""
-    force = np.linalg.norm(samples.wrench[samples.complete, 3:], axis=1)
+    force = np.linalg.norm(samples.wrench[samples.has_pose_and_wrench, 3:], axis=1)
     load, rate = float(np.median(force)), 1.0 / usual_period(samples.time)
     found = []
     if abs(load - PUBLISHED_LOAD) > _LOAD_TOLERANCE * PUBLISHED_LOAD:

@@ -16,7 +16,7 @@ from socket_testbed.drivers.clusters import reader as clusters
 from socket_testbed.drivers.load_cell import load_cell
 from socket_testbed.drivers.natnet.connection import server_address
 from socket_testbed.errors import ConfigurationError, TestbedError, closest
-from socket_testbed.files import packaged
+from socket_testbed.files import CALIBRATION_FILE, SOCKET_FILE, packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.fit import check_names
 from socket_testbed.identification.model_file import read_model
@@ -57,8 +57,8 @@ class Testbed:
     __test__ = False
 
     settings: TestbedSettings = field(default_factory=TestbedSettings)  # settings of its nodes
-    geometry: Path = field(default_factory=lambda: packaged("config", "socket.yaml"))
-    calibration: Path = field(default_factory=lambda: packaged("config", "calibration.yaml"))
+    geometry: Path = field(default_factory=lambda: packaged("config", SOCKET_FILE))
+    calibration: Path = field(default_factory=lambda: packaged("config", CALIBRATION_FILE))
     simulation: Simulation | None = None  # None on hardware
     record: Path | None = None  # folder of the new trial; None to record nothing
     at_once: bool = True  # record from the start; otherwise `record` holds trials made on request

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from socket_testbed.arrays import FloatArray, StatusArray
-from socket_testbed.errors import IdentificationError, TestbedError
+from socket_testbed.errors import IdentificationError, TestbedError, first_of
 from socket_testbed.geometry.axis import all_regions
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import pressure
@@ -172,8 +172,7 @@ class OnlineEstimator:
         level, text = self._state
         if not self._findings:
             return level, text
-        more = f" (and {len(self._findings) - 1} more)" * (len(self._findings) > 1)
-        return max(level, 1), f"{self._findings[0]}{more}; {text}"
+        return max(level, 1), f"{first_of(self._findings)}; {text}"
 
     def figures(self) -> dict[str, object]:
         """Counts for the diagnostics, by name."""

@@ -135,7 +135,7 @@ def fit_samples(
     if len(samples) and not samples.wrench.any():
         plausibility.require_load(samples, np.ones(6, dtype=bool))
     cleaned = plausibility.without_outliers(samples, geometry, settings.leave_out)
-    complete = cleaned.complete
+    complete = cleaned.has_pose_and_wrench
     for stretch in find_newest_plateaus(cleaned, steady.plateau, settings.leave_out):
         used = np.zeros(len(samples), dtype=bool)
         used[stretch.rows] = complete[stretch.rows]

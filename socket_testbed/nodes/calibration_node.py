@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from socket_testbed.calibration.model import read_calibration
-from socket_testbed.files import file_or_packaged
+from socket_testbed.files import CALIBRATION_FILE, file_or_packaged
 from socket_testbed.nodes.base import ERROR, NEWEST_STAMP, OK, WARN, TestbedNode
 from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import CalibrationNodeSettings
@@ -21,7 +21,7 @@ class CalibrationNode(TestbedNode[CalibrationNodeSettings]):
 
     def __init__(self) -> None:
         super().__init__("calibration_node", CalibrationNodeSettings)
-        path = file_or_packaged(self.settings.calibration, "calibration.yaml")
+        path = file_or_packaged(self.settings.calibration, CALIBRATION_FILE)
         self._calibration = read_calibration(path)
         self._messages = 0
         self._newest = 0

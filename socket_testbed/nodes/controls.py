@@ -1,4 +1,4 @@
-"""User controls of a running testbed: events, services, and data for the status line."""
+"""User controls of a running testbed: events and services."""
 
 from __future__ import annotations
 
@@ -15,36 +15,27 @@ import rclpy
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
-from socket_testbed_msgs.msg import ContactModel, Event
+from socket_testbed_msgs.msg import Event
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from socket_testbed import clocks
 from socket_testbed.errors import ConfigurationError, TestbedError, fact_and_hint
-from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.nodes import base
 from socket_testbed.settings.testbed import NextTrialSettings
 from socket_testbed.trials.cdr import stamp_of
 from socket_testbed.trials.events import check_label
-from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.topics import (
-    ESTIMATED_WRENCH,
     EVENT,
-    PARAMETERS,
     RECORDED_TRIAL,
-    REQUIRED,
     TRIGGER,
-    Topic,
     full_namespace,
     namespace_of,
 )
 
 _POLL_INTERVAL = 0.02  # [s]
-
-_STATUS_TOPICS = (*REQUIRED, ESTIMATED_WRENCH)  # measurements before their predictions
 
 # Events, in real time:
 _LINK_TIMEOUT = 6.0  # [s]; to discover a subscriber on a busy machine
@@ -333,46 +324,3 @@ def _refusal(words: str) -> TestbedError:
     """A refusal by a service or node, fact and hint, as an error."""
     fact, hint = fact_and_hint(words)
     return TestbedError(fact, hint) if hint else TestbedError("refused", words)
-
-
-class StatusListener:
-    """Feeds a graph's status with serialised messages; `pause` names a replay's service, if any.
-
-    The program that draws the status line calls `take` twenty times a second.
-    """
-
-    def __init__(self, status: GraphStatus, namespace: str = "/", pause: str = "") -> None:
-        self._status = status
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)  # the verb's task
-        self._readers = {topic: Reader(topic) for topic in _STATUS_TOPICS}
-        self._topics = (*_STATUS_TOPICS, PARAMETERS, RECORDED_TRIAL)
-        qos = {topic: base.subscriber_qos(topic) for topic in self._topics}
-        self._inbox = base.Inbox("status_listener", namespace, qos)
-        self._pause = self._inbox.node.create_client(SetBool, pause) if pause else None
-
-    def take(self) -> None:
-        """Process the messages received since the last call."""
-        for topic in self._topics:
-            for data in self._inbox.take(topic):
-                self.add(topic, data)
-
-    def add(self, topic: Topic, data: bytes) -> None:
-        """Process a serialised message of a topic."""
-        if topic is PARAMETERS:
-            self._status.variant = deserialize_message(data, ContactModel).variant
-        elif topic is RECORDED_TRIAL:
-            self._status.trial = deserialize_message(data, String).data
-        else:
-            self._status.add(topic, *self._readers[topic].read(data))
-
-    def set_paused(self, paused: bool) -> bool:
-        """Pause or resume the replay; returns whether its service was available."""
-        if self._pause is None or not self._pause.service_is_ready():
-            return False
-        self._pause.call_async(SetBool.Request(data=paused))
-        return True
-
-    def close(self) -> None:
-        """Disconnect from the graph."""
-        self._inbox.close()
-        rclpy.try_shutdown()

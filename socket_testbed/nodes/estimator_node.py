@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from std_srvs.srv import Trigger as TriggerService
 from visualization_msgs.msg import Marker
 
-from socket_testbed.files import file_or_packaged
+from socket_testbed.files import SOCKET_FILE, file_or_packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import greyness
@@ -51,7 +51,7 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
 
     def __init__(self) -> None:
         super().__init__("estimator_node", EstimatorSettings)
-        self._geometry = read_socket(file_or_packaged(self.settings.geometry, "socket.yaml"))
+        self._geometry = read_socket(file_or_packaged(self.settings.geometry, SOCKET_FILE))
         self._worker = FitWorker()
         self._estimator = OnlineEstimator(
             self._geometry,

@@ -15,7 +15,7 @@ from socket_testbed import clocks
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker, SeenBody
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import file_or_packaged
+from socket_testbed.files import SOCKET_FILE, file_or_packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.nodes import base
 from socket_testbed.nodes.frames import FrameBroadcaster
@@ -31,7 +31,7 @@ class MocapNode(SensorNode[MocapSettings]):
         super().__init__("mocap_node", MocapSettings)
         settings = self.settings
         self.device = f"NatNet {settings.server}"
-        geometry = read_socket(file_or_packaged(settings.geometry, "socket.yaml"))
+        geometry = read_socket(file_or_packaged(settings.geometry, SOCKET_FILE))
         self._stale = settings.stale
         self._tracker = BodyTracker(settings, *geometry.markers.values())
         self._client = NatNetClient(settings, self._tracker.add)

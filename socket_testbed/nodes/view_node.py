@@ -22,7 +22,7 @@ from std_msgs.msg import String
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import file_or_packaged
+from socket_testbed.files import SOCKET_FILE, file_or_packaged
 from socket_testbed.geometry.axis import all_regions, axial_force
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.data_check import LOOK
@@ -62,7 +62,7 @@ class ViewNode(base.TestbedNode[ViewSettings]):
     def __init__(self) -> None:
         super().__init__("view_node", ViewSettings)
         settings = self.settings
-        geometry = read_socket(file_or_packaged(settings.geometry, "socket.yaml"))
+        geometry = read_socket(file_or_packaged(settings.geometry, SOCKET_FILE))
         allowed = settings.buttons or is_local(settings.host)
         self._live = LiveSource(self, geometry, ServiceControls(self) if allowed else None)
         self._server = PageServer(self._live, settings.host, settings.port, settings.names)

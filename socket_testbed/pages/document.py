@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from socket_testbed.arrays import FloatArray
+from socket_testbed.errors import first_of
 from socket_testbed.geometry.axis import Region, Side, axial_force, third_edges
 from socket_testbed.geometry.socket import HEIGHTS, SECTOR_PARTS, SOCKET, UNMEASURED, SocketGeometry
 from socket_testbed.identification.data_check import DataFinding
@@ -202,8 +203,7 @@ def data_card(problems: Sequence[str], good: str, value: str = "look") -> Docume
     """Card of the data: the first problem and the number of others, or words for good data."""
     if not problems:
         return {"title": "Data", "value": "good", "words": good}
-    more = f" (and {len(problems) - 1} more)" * (len(problems) > 1)
-    return {"title": "Data", "value": value, "words": problems[0] + more, "bad": True}
+    return {"title": "Data", "value": value, "words": first_of(problems), "bad": True}
 
 
 def part_of(places: Sequence[Region], tile: int) -> str:

@@ -24,6 +24,7 @@ from socket_testbed.arrays import (
     runs,
     usual_period,
 )
+from socket_testbed.files import PARAMETERS_FILE
 from socket_testbed.identification.fit import summarise_errors
 from socket_testbed.identification.information import share_warning
 from socket_testbed.identification.model_file import StoredModel
@@ -35,7 +36,6 @@ from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Sta
 from socket_testbed.tables import Table, number, pairs_table
 from socket_testbed.trials.metadata import NO_SIDE
 from socket_testbed.trials.segment import Segment
-from socket_testbed.trials.trial import PARAMETERS_FILE
 from socket_testbed.version import __version__
 
 _LIBRARIES = ("numpy", "scipy", "osqp", "qpsolvers", "matplotlib", "plotly")
@@ -62,8 +62,8 @@ def section(results: Results) -> Section:
         "Data quality",
         [
             f"{len(samples)} samples in {samples.time[-1]:.2f} s at"
-            f" {number(1.0 / usual_period(samples.time))} Hz, {int(samples.complete.sum())} with a"
-            f" wrench and a limb position; {len(found)} gaps longer than {GAP:g} periods.",
+            f" {number(1.0 / usual_period(samples.time))} Hz, {samples.has_pose_and_wrench.sum()}"
+            f" with a wrench and a limb position; {len(found)} gaps longer than {GAP:g} periods.",
             listed,
             _overview(results),
             Table("drop-outs", "Samples of the trial without a measurement", drop_outs, counts),

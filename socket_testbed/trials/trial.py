@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.files import file_or_packaged
+from socket_testbed.files import CALIBRATION_FILE, PARAMETERS_FILE, SOCKET_FILE, file_or_packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.plausibility import without_outliers
 from socket_testbed.samples import Samples
@@ -28,11 +28,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from socket_testbed.identification.data_check import DataFinding
-
-SOCKET_FILE = "socket.yaml"
-CALIBRATION_FILE = "calibration.yaml"
-PARAMETERS_FILE = "testbed.yaml"
-CONFIGURATION_FILES = (SOCKET_FILE, CALIBRATION_FILE, PARAMETERS_FILE)
 
 
 @dataclass(frozen=True)

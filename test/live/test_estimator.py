@@ -392,8 +392,8 @@ def test_the_newest_stretch_since_a_slip_is_fitted(trial: Trial, samples: Sample
         steady = dataclasses.replace(STEADY, rival=rival)
         found = fit_samples(window, trial.geometry, SETTINGS, steady)
         assert found is not None and found.contest is not None
-        newest = window.complete.sum() - found.contest.samples
-        assert found.fit.last_stamp < window.stamps[window.complete][newest]
+        newest = window.has_pose_and_wrench.sum() - found.contest.samples
+        assert found.fit.last_stamp < window.stamps[window.has_pose_and_wrench][newest]
         return found
 
     # It replaces a model of the time before the slip; a model of the time after it stays while

@@ -18,7 +18,7 @@ from support import HANGS
 from support.graph import Probe
 from support.verbs import COMMAND
 
-from socket_testbed.files import packaged
+from socket_testbed.files import CONFIGURATION_FILES, packaged
 from socket_testbed.live.processes import Graph
 from socket_testbed.nodes.base import stamp_to_ros
 from socket_testbed.settings.testbed import RecorderSettings, ReplaySettings
@@ -26,7 +26,7 @@ from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.cdr import decode, nanoseconds, stamp_of
 from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.topics import RECORDED_TRIAL, TF, WRENCH, match_topics
-from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial
+from socket_testbed.trials.trial import Trial
 
 pytestmark = pytest.mark.graph
 

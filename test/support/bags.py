@@ -10,10 +10,11 @@ import numpy as np
 import yaml
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
+from socket_testbed.files import CONFIGURATION_FILES
 from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage
 from socket_testbed.trials.cdr import decode, encode, make_message, typestore
 from socket_testbed.trials.topics import EVENT, match_topics
-from socket_testbed.trials.trial import CONFIGURATION_FILES, Trial
+from socket_testbed.trials.trial import Trial
 
 
 @contextmanager

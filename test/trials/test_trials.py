@@ -27,7 +27,7 @@ from socket_testbed.trials.trial import Trial, recorded_namespace
 
 def test_samples_agree_with_the_truth_within_the_sensors_errors(hold: Path) -> None:
     samples, truth = Trial(hold).samples(), read_truth(hold)
-    rows = samples.complete
+    rows = samples.has_pose_and_wrench
     assert rows.mean() > 0.95
     assert np.abs(samples.wrench[rows] - truth.wrench[rows]).max() < 5.0
     shift = samples.position[rows] - truth.position[rows]
