@@ -23,7 +23,7 @@ from scipy.special import ndtri
 from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.files import packaged
-from socket_testbed.geometry.axis import all_regions
+from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.pressure import THRESHOLD, outputs_of, pressure_outputs

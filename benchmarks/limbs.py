@@ -16,7 +16,7 @@ from scipy.optimize import nnls
 from scipy.spatial import ConvexHull, Delaunay, cKDTree
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.geometry.axis import proximal_direction
+from socket_testbed.geometry.regions import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import wrench_map
 from socket_testbed.samples import Samples

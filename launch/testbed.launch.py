@@ -25,7 +25,8 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
-from socket_testbed.clocks import Backoff, shared_environment
+from socket_testbed.clocks import Backoff
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import CALIBRATION_FILE, SOCKET_FILE, local_graph, packaged
 from socket_testbed.live.bringup import (
     Simulation,
@@ -60,9 +61,11 @@ ARGUMENTS = {
 
 def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler | SetEnvironmentVariable]:
     given = {n: LaunchConfiguration(n).perform(context) for n in ("simulated", *ARGUMENTS)}
-    simulation = None
+    simulation, scale = None, yaml.safe_load(given["time_scale"])
     if given["simulated"] == "true":
-        simulation = Simulation(time_scale=yaml.safe_load(given["time_scale"]))
+        simulation = Simulation(time_scale=scale)
+    elif scale != 1.0:
+        raise ConfigurationError("time_scale is for simulated hardware", "add simulated:=true")
     params = Path(given["params"]) if given["params"] else None
     testbed = Testbed(
         testbed_settings(params, simulation),
@@ -77,8 +80,8 @@ def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler | SetEn
         testbed, _ = simulate_hardware(GRAPH, testbed, simulation)
     end = OnShutdown(on_shutdown=lambda event, context: GRAPH.stop())
     return [
-        # A restarted node has the same clock as the others.
-        *(SetEnvironmentVariable(*item) for item in shared_environment(testbed.time_scale).items()),
+        # A restarted node and the simulated world have the same clock as the others.
+        *(SetEnvironmentVariable(*item) for item in GRAPH.clock.items()),
         *(started(node, Backoff(MAX_BACKOFF)) for node in testbed.nodes(GRAPH.folder)),
         RegisterEventHandler(end),
     ]

@@ -3,6 +3,7 @@
 import runpy
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -12,6 +13,7 @@ import yaml
 from support import CHECKOUT
 from support.bags import move_to_namespace
 
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import packaged
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.live.processes import RESTARTED
@@ -76,6 +78,15 @@ def parameters(action: Stub) -> dict[str, Any]:
     return content[f"/**/{action.given['name']}"]["ros__parameters"]
 
 
+def environment(command: str) -> set[str]:
+    """Environment of the process whose command contains these words."""
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if command in (process / "cmdline").read_text():
+                return {*(process / "environ").read_text().split("\0")}
+    raise AssertionError(f"no process {command}")
+
+
 def test_the_testbed_is_launched_as_run_starts_it(launch: Launch, tmp_path: Path) -> None:
     params, record = tmp_path / "testbed.yaml", tmp_path / "trial"
     content = yaml.safe_load(packaged("config", "simulated.yaml").read_text())
@@ -110,13 +121,29 @@ def test_a_simulated_testbed_is_launched_with_its_world(launch, capsys) -> None:
     actions = launch("testbed", simulated="true", namespace="left", time_scale="0.5")
     launched = nodes(actions)
     try:
-        assert ("SOCKET_TESTBED_TIME_SCALE", "0.5") in [a.positional for a in actions]
+        clock = [a.positional for a in actions if len(a.positional) == 2]
+        assert ("SOCKET_TESTBED_TIME_SCALE", "0.5") in clock
         assert all(action.given["namespace"] == "/left" for action in launched.values())
         for name in ("trigger_node", "cluster_node", "load_cell_node"):
-            assert World(Path(parameters(launched[name])["simulation"])).port, "the world is up"
+            folder = parameters(launched[name])["simulation"]
+            assert World(Path(folder)).port, "the world is up"
+        inherited = environment(f"socket_testbed.live.simulated_world\0{folder}")
+        assert {f"{name}={value}" for name, value in clock} <= inherited, "one origin for all"
     finally:
         handler(actions)["on_shutdown"](None, None)
     assert "Traceback" not in capsys.readouterr().err
+
+
+def test_wrong_arguments_end_a_launch_before_any_node_starts(launch, tmp_path: Path) -> None:
+    params = tmp_path / "testbed.yaml"
+    given = {"estimator_node": {"ros__parameters": {"identification": {"leave_out": ["Fzz"]}}}}
+    params.write_text(yaml.safe_dump(given))
+    for arguments, words in (
+        ({"time_scale": "0.5"}, "time_scale is for simulated hardware: add simulated:=true"),
+        ({"params": params, "simulated": "true"}, "Fz"),
+    ):
+        with pytest.raises(ConfigurationError, match=words):
+            launch("testbed", **arguments)
 
 
 def test_a_trial_is_replayed_in_its_namespace(launch: Launch, hold: Path, tmp_path: Path) -> None:

@@ -49,8 +49,7 @@ from socket_testbed.api.trials import (
 )
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.geometry.axis import SECTOR_TURNS, Side
-from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.geometry.socket import SECTOR_TURNS, Side, SocketGeometry
 from socket_testbed.identification.force_map import NORMAL_QUANTILE
 from socket_testbed.identification.pressure import THRESHOLD
 from socket_testbed.pages.pressure import decimals_of

@@ -20,7 +20,7 @@ from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.calibration.model import Calibration, read_calibration, write_calibration
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import SOCKET_FILE, packaged, refuse_existing
-from socket_testbed.geometry.axis import all_regions
+from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import read_socket, write_socket
 
 if TYPE_CHECKING:

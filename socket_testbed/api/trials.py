@@ -20,8 +20,7 @@ from socket_testbed.files import (
     file_or_packaged,
     packaged,
 )
-from socket_testbed.geometry.axis import Side
-from socket_testbed.geometry.socket import read_socket
+from socket_testbed.geometry.socket import Side, read_socket
 from socket_testbed.identification import plausibility
 from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.samples import Samples

@@ -16,7 +16,7 @@ from socket_testbed.arrays import FloatArray, mean_and_sigma
 from socket_testbed.commands.terminal import Progress, decimals, table
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import TemporaryFolder, check_new_folder, make_folder
-from socket_testbed.geometry.axis import all_regions
+from socket_testbed.geometry.regions import all_regions
 from socket_testbed.identification import validation
 from socket_testbed.identification.fit import REGRESSION
 from socket_testbed.identification.force_map import NORMAL_QUANTILE

@@ -35,7 +35,6 @@ from socket_testbed.files import (
     make_folder,
 )
 from socket_testbed.geometry.socket import read_socket
-from socket_testbed.identification.fit import check_names
 from socket_testbed.live import bringup
 from socket_testbed.live.doctor import examine, press_test
 from socket_testbed.live.processes import Graph, GraphNode
@@ -300,7 +299,6 @@ def _testbed(
         trigger = dataclasses.replace(trigger, rate=rate)
     chosen = given(options, IdentificationSettings)
     estimator = estimator_settings(testbed.settings.estimator_node, **chosen)
-    check_names(estimator.identification, testbed.settings.cluster_node.names)
     if model is not None:
         estimator = bringup.predict_with(model, estimator, read_socket(testbed.geometry))
     metadata = check_metadata(options)

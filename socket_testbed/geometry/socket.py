@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
@@ -31,7 +32,14 @@ from socket_testbed.geometry.pose import (
 )
 
 HEIGHTS = ("proximal", "middle", "distal")
-SECTORS = ("anterior", "posterior", "medial", "lateral", "left", "right")
+Side = Literal["left", "right"]
+# Quarter turns about the axis from anterior towards left, by leg.
+SECTOR_TURNS: dict[Side | None, dict[str, int]] = {
+    "right": {"anterior": 0, "posterior": 2, "medial": 1, "lateral": 3},
+    "left": {"anterior": 0, "posterior": 2, "medial": 3, "lateral": 1},
+    None: {"anterior": 0, "posterior": 2, "left": 1, "right": 3},
+}
+SECTORS = tuple(dict.fromkeys(chain(*SECTOR_TURNS.values())))
 SECTOR_PARTS = [f"{sector} {height}" for sector in SECTORS for height in HEIGHTS]
 SOCKET = "socket"  # the region of all tiles
 UNMEASURED = "unmeasured wall"  # the region of the tiles without a cluster

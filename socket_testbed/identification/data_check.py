@@ -18,7 +18,7 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray, usual_period
 from socket_testbed.errors import IdentificationError
-from socket_testbed.geometry.axis import axial_force, proximal_direction
+from socket_testbed.geometry.regions import axial_force, proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import plausibility, validation
 from socket_testbed.identification.force_map import NORMAL_QUANTILE

@@ -38,7 +38,7 @@ import numpy as np
 from scipy.special import chdtri, i0e, i1e, ndtri
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.geometry.axis import proximal_direction
+from socket_testbed.geometry.regions import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import rigid_motions, wrench_map
 from socket_testbed.identification.plausibility import without_outliers

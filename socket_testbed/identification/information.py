@@ -25,7 +25,7 @@ import numpy as np
 from scipy.linalg import eigh
 
 from socket_testbed.arrays import FloatArray, evenly
-from socket_testbed.geometry.axis import proximal_direction
+from socket_testbed.geometry.regions import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel, relative_pose, wrench_map
 from socket_testbed.identification.noise import (

@@ -39,7 +39,7 @@ import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.errors import IdentificationError
-from socket_testbed.geometry.axis import proximal_direction
+from socket_testbed.geometry.regions import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import (
     GROUPS,

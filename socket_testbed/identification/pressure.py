@@ -35,7 +35,7 @@ import numpy as np
 
 from socket_testbed.arrays import BREAK, BoolArray, FloatArray, IntArray, gaps
 from socket_testbed.errors import TrialError
-from socket_testbed.geometry.axis import Region
+from socket_testbed.geometry.regions import Region
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.force_map import NORMAL_QUANTILE, ForceMap, MapEstimate
 from socket_testbed.samples import Samples

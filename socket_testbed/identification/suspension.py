@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from socket_testbed.arrays import FloatArray, IntArray, evenly
-from socket_testbed.geometry.axis import proximal_direction
+from socket_testbed.geometry.regions import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.noise import channel_noise
 from socket_testbed.identification.pressure import Quantity

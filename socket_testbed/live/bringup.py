@@ -24,7 +24,6 @@ from socket_testbed.live.hardware import capacitive_chip
 from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.samples import Status
-from socket_testbed.settings.identification import check_solver
 from socket_testbed.settings.testbed import (
     CalibrationNodeSettings,
     EstimatorSettings,
@@ -68,8 +67,8 @@ class Testbed:
     namespace: str = "/"  # namespace of its nodes and topics
 
     def __post_init__(self) -> None:
-        check_solver(self.settings.estimator_node.identification.solver)
         names = self.settings.cluster_node.names
+        check_names(self.settings.estimator_node.identification, names)
         read_calibration(self.calibration).require(names, "cluster_node")
         tiles = read_socket(self.geometry).clusters
         if self.simulation is not None and len(tiles) > MAX_CLUSTERS:

@@ -18,7 +18,7 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray, StatusArray
 from socket_testbed.errors import IdentificationError, TestbedError, first_of
-from socket_testbed.geometry.axis import all_regions
+from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import pressure
 from socket_testbed.identification.contact import ContactModel

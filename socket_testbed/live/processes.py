@@ -158,7 +158,7 @@ class Graph:
         self._spare: list[str] = []  # arguments of the spare process; empty for none
         self._temporary = TemporaryFolder()
         self.folder = Path(self._temporary.name)  # exists as long as the graph
-        self._environment = {**os.environ, PARENT: str(os.getpid()), **shared_environment()}
+        self.clock = shared_environment()  # environment of all its processes
 
     def __enter__(self) -> Self:
         require_ros()
@@ -170,7 +170,7 @@ class Graph:
 
     def set_time_scale(self, scale: float) -> None:
         """Start all further processes with this scale of the testbed clock, in (0, 1] [-]."""
-        self._environment |= shared_environment(scale)
+        self.clock = shared_environment(scale)
 
     def start(
         self, node: str, settings: Settings, namespace: str = "/", use_sim_time: bool = False
@@ -214,7 +214,8 @@ class Graph:
             stdout=self._output,
             stderr=self._output,
             start_new_session=True,
-            env=self._environment | ({RESTARTED: "1"} if again else {}),
+            env={**os.environ, PARENT: str(os.getpid()), **self.clock}
+            | ({RESTARTED: "1"} if again else {}),
         )
 
     def _replace(self, ended: _Member) -> subprocess.Popen[bytes]:

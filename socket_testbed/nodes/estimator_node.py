@@ -23,12 +23,12 @@ from visualization_msgs.msg import Marker
 
 from socket_testbed.files import SOCKET_FILE, file_or_packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
+from socket_testbed.identification.fit import check_names
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import greyness
 from socket_testbed.live.estimator import MEASURED, OnlineEstimator
 from socket_testbed.live.fit_worker import FitWorker
 from socket_testbed.nodes.base import NEWEST_STAMP, TestbedNode
-from socket_testbed.settings.identification import check_solver
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials import messages, topics
 from socket_testbed.trials.cdr import blank, elements
@@ -80,7 +80,8 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
 
     def _read_settings(self, changes: dict[str, Any]) -> EstimatorSettings:
         settings = super()._read_settings(changes)
-        check_solver(settings.identification.solver)
+        geometry = read_socket(file_or_packaged(settings.geometry, SOCKET_FILE))
+        check_names(settings.identification, tuple(geometry.clusters))
         return settings
 
     def close(self) -> None:

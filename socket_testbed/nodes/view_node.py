@@ -23,7 +23,7 @@ from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import SOCKET_FILE, file_or_packaged
-from socket_testbed.geometry.axis import all_regions, axial_force
+from socket_testbed.geometry.regions import all_regions, axial_force
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.data_check import LOOK
 from socket_testbed.identification.force_map import NORMAL_QUANTILE

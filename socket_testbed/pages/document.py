@@ -14,8 +14,15 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import first_of
-from socket_testbed.geometry.axis import Region, Side, axial_force, third_edges
-from socket_testbed.geometry.socket import HEIGHTS, SECTOR_PARTS, SOCKET, UNMEASURED, SocketGeometry
+from socket_testbed.geometry.regions import Region, axial_force, third_edges
+from socket_testbed.geometry.socket import (
+    HEIGHTS,
+    SECTOR_PARTS,
+    SOCKET,
+    UNMEASURED,
+    Side,
+    SocketGeometry,
+)
 from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.identification.pressure import (
     DECIMALS,

@@ -8,9 +8,9 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from socket_testbed.arrays import BoolArray, FloatArray
-from socket_testbed.geometry.axis import SECTOR_TURNS, Side, SocketAxis, socket_axis, wall_tiles
 from socket_testbed.geometry.pose import Pose
-from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.geometry.regions import SocketAxis, socket_axis, wall_tiles
+from socket_testbed.geometry.socket import SECTOR_TURNS, Side, SocketGeometry
 from socket_testbed.identification.force_map import matern
 from socket_testbed.settings.identification import ForceMapSettings
 

@@ -20,7 +20,7 @@ from plotly.offline import get_plotlyjs
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.files import write_text
-from socket_testbed.geometry.axis import socket_axis
+from socket_testbed.geometry.regions import socket_axis
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.pages.document import numbers, socket_document
 from socket_testbed.report.style import FigureStyle, save_figure, thin

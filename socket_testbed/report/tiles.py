@@ -17,8 +17,7 @@ from matplotlib.patches import Patch as Swatch
 from matplotlib.patheffects import withStroke
 
 from socket_testbed.arrays import BoolArray, FloatArray
-from socket_testbed.geometry.axis import Side
-from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.geometry.socket import Side, SocketGeometry
 from socket_testbed.identification.pressure import greyness
 from socket_testbed.pages.document import GREY, POWER
 from socket_testbed.pages.wall import Patch, UnrolledTiles, patches, side_names, unrolled_tiles

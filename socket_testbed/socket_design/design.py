@@ -17,8 +17,8 @@ import trimesh
 from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import Document, read_document
 from socket_testbed.errors import ConfigurationError, RegistrationError
-from socket_testbed.geometry.axis import SocketAxis, axis_through
 from socket_testbed.geometry.pose import Point, Pose, ScanPoint, about_z
+from socket_testbed.geometry.regions import SocketAxis, axis_through
 from socket_testbed.geometry.socket import ScanFrame, SocketGeometry
 from socket_testbed.socket_design.clusters import ClusterPlace
 from socket_testbed.socket_design.interior import find_interior

@@ -25,7 +25,6 @@ from msgspec import Meta
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, rms
 from socket_testbed.documents import Document, FieldError, Text, read_document
 from socket_testbed.errors import ConfigurationError, RegistrationError
-from socket_testbed.geometry.axis import socket_axis
 from socket_testbed.geometry.marker_bodies import (
     MAX_MARKERS,
     MIN_MARKERS,
@@ -39,6 +38,7 @@ from socket_testbed.geometry.marker_bodies import (
     pose_uncertainty,
 )
 from socket_testbed.geometry.pose import Point, Pose
+from socket_testbed.geometry.regions import socket_axis
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.socket_design.motive import MotiveTake
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.geometry.axis import Region, all_regions
+from socket_testbed.geometry.regions import Region, all_regions
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import pressure
 from socket_testbed.identification.force_map import ForceMap, map_trial

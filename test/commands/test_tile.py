@@ -10,7 +10,7 @@ from support import meshes
 from support.verbs import call, refused
 
 from socket_testbed.__main__ import run
-from socket_testbed.geometry.axis import all_regions
+from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import read_socket, write_socket
 
 pytestmark = pytest.mark.slow

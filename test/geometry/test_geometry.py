@@ -12,8 +12,8 @@ from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import packaged
-from socket_testbed.geometry.axis import all_regions, anatomical_regions, socket_axis
 from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.regions import all_regions, anatomical_regions, socket_axis
 from socket_testbed.geometry.socket import HEIGHTS, ScanFrame, read_socket, write_socket
 
 

@@ -9,7 +9,7 @@ from support.problems import make_samples, ring_socket
 
 from socket_testbed.errors import TrialError
 from socket_testbed.files import packaged
-from socket_testbed.geometry.axis import all_regions, proximal_direction
+from socket_testbed.geometry.regions import all_regions, proximal_direction
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification import pressure
 from socket_testbed.identification.force_map import (

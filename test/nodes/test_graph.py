@@ -19,7 +19,7 @@ from support.graph import Probe
 from support.problems import ring_socket
 from support.verbs import COMMAND, program
 
-from socket_testbed.geometry.axis import all_regions
+from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import write_socket
 from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.identification.model_file import read_model
@@ -218,6 +218,7 @@ def test_parameters_are_described_checked_and_changed_at_run_time(estimating) ->
         ("theta", 1.5, ""),  # the middleware's own words
         ("variant", "stifness_bias", "did you mean 'stiffness_bias'?"),
         ("solver", "osqqp", "did you mean 'osqp'?"),
+        ("leave_out", ["distal.Fq"], "no channel 'distal.Fq'"),
         ("leave_out", None, "cannot be deleted: set it to another value"),
     ):
         (refusal,) = probe.refusals("estimator_node", **{f"identification__{name}": value})

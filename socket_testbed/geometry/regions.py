@@ -6,26 +6,23 @@ Heights are measured from the distal end, angles from anterior towards left.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.geometry.socket import HEIGHTS, SOCKET, UNMEASURED, SocketGeometry
+from socket_testbed.geometry.socket import (
+    HEIGHTS,
+    SECTOR_TURNS,
+    SOCKET,
+    UNMEASURED,
+    Side,
+    SocketGeometry,
+)
 
 _MIN_ALIGNMENT = 0.5  # [-]; cosine between a tile's x axis and the proximal direction
 _FACES_UP = np.sqrt(0.5)  # [-]; z of normals that point up at 45 degrees or more
 _NO_DIRECTION = 0.1  # [-]; a shorter mean of unit vectors has no direction
 _X, _Z = np.eye(3)[[0, 2]]
-
-Side = Literal["left", "right"]
-
-# Quarter turns about the axis from anterior towards left, by leg.
-SECTOR_TURNS: dict[Side | None, dict[str, int]] = {
-    "right": {"anterior": 0, "posterior": 2, "medial": 1, "lateral": 3},
-    "left": {"anterior": 0, "posterior": 2, "medial": 3, "lateral": 1},
-    None: {"anterior": 0, "posterior": 2, "left": 1, "right": 3},
-}
 
 
 @dataclass(frozen=True)
