@@ -7,6 +7,8 @@ of faces to each of 100,000 points drawn on it, by a k-d tree. Each run has a pr
 from __future__ import annotations
 
 import argparse
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -15,10 +17,10 @@ from machine import apart, describe_machine
 from scipy.spatial import KDTree
 
 from socket_testbed.__main__ import run as verb
-from socket_testbed.simulation.socket_scan import make_socket_scan
 
 FACES = {2.6: "20,000", 0.378: "1,000,000"}  # about, by the edge of a triangle [mm]
 DRAWN = 100_000
+SCANNER = Path(__file__).parents[1] / "examples" / "socket_scan.py"
 
 
 def look(scan: Path) -> None:
@@ -58,7 +60,7 @@ def simulated(folder: Path) -> list[Path]:
     scans = []
     for edge, faces in FACES.items():
         scans.append(folder / f"{faces} faces.stl")
-        make_socket_scan(edge=edge, noise=min(0.12, 0.05 * edge)).export(scans[-1])
+        subprocess.run([sys.executable, SCANNER, scans[-1], f"{edge}"], check=True)
     return scans
 
 

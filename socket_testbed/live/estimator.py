@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from socket_testbed.arrays import FloatArray, StatusArray
+from socket_testbed.drivers import ERROR, OK, WARN
 from socket_testbed.errors import IdentificationError, TestbedError, first_of
 from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import SocketGeometry
@@ -162,17 +163,17 @@ class OnlineEstimator:
         self._findings: tuple[str, ...] = ()  # on the data of the window
         names = ("triggers", "samples", "predictions", "fits", "refused", "incomplete")
         self._counts = dict.fromkeys(names, 0)
-        self._state = (0, "no model yet: waiting for steady data or estimator/fit")
+        self._state = (OK, "no model yet: waiting for steady data or estimator/fit")
         self.map = OnlineMap(geometry, settings)
         self.newest = 0  # newest stamp of a complete sample [ns]; 0 after a jump back in time
 
     @property
     def state(self) -> tuple[int, str]:
-        """Level (0 OK, 1 warning, 2 error) and its reason in one line."""
+        """Level (OK, WARN or ERROR) and its reason in one line."""
         level, text = self._state
         if not self._findings:
             return level, text
-        return max(level, 1), f"{first_of(self._findings)}; {text}"
+        return max(level, WARN), f"{first_of(self._findings)}; {text}"
 
     def figures(self) -> dict[str, object]:
         """Counts for the diagnostics, by name."""
@@ -183,7 +184,7 @@ class OnlineEstimator:
         stored = read_model(path, self._geometry)
         self._model, self._last_stamp = stored.model, 0
         self._origin = f"predicting with the model of {stored.trial}"
-        self._state = (0, self._origin)
+        self._state = (OK, self._origin)
         self._notify(stored)
 
     def trigger(self, stamp: int) -> None:
@@ -319,13 +320,13 @@ class OnlineEstimator:
         try:
             refit = future.result()
         except (TestbedError, BrokenProcessPool) as error:
-            self._state = (2, f"no fit: {error}")
+            self._state = (ERROR, f"no fit: {error}")
             return
         if refit is None:
             return
         if refit.is_worse:
             self._counts["refused"] += 1
-            self._state = (0, f"{self._origin}; kept: {refit.contest}")
+            self._state = (OK, f"{self._origin}; kept: {refit.contest}")
             return
         fit = refit.fit
         self._model, self._last_stamp = fit.model, fit.last_stamp
@@ -338,7 +339,7 @@ class OnlineEstimator:
         if refit.cause:
             self._origin += f"; older samples left out: {refit.cause}"
         judged = f"; it replaced the previous model: {refit.contest}" if refit.contest else ""
-        self._state = (0, self._origin + judged)
+        self._state = (OK, self._origin + judged)
         self._notify(fit)
 
     def _check(self, stamp: int) -> None:

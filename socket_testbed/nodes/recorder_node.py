@@ -63,7 +63,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         self._warned = False
         self._now: Callable[[], int] = SteadyClock().now
         self._announcer = self.advertise(RECORDED_TRIAL)
-        chosen = [topic for topic in TOPICS if settings.everything or not topic.derived]
+        chosen = [topic for topic in TOPICS if settings.everything or not topic.unrecorded]
         self._topics = {self.resolve_topic_name(topic.name): topic for topic in chosen}
         self._required = [name for name, topic in self._topics.items() if topic.required]
         for name, topic in self._topics.items():
@@ -73,7 +73,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         self.repeat(settings.flush_period, self._flush)
         self._announce()
         if settings.record:
-            self._start_over()
+            self._record()
 
     def _read_settings(self, changes: dict[str, Any]) -> RecorderSettings:
         settings = super()._read_settings(changes)
@@ -138,7 +138,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             path = directory / (name or datetime.now().strftime("trial_%Y%m%d_%H%M%S"))
         return beside(path) if path.exists() else path
 
-    def _start_over(self) -> None:
+    def _record(self) -> None:
         """Record into the folder, or next to it if it holds a trial."""
         directory = self._directory
         holds_trial = is_bag(directory)

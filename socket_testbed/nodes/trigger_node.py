@@ -28,7 +28,6 @@ _FOREIGN_DURATION = 5.0  # [s]; how long another testbed is reported
 _LINGER = 0.05  # [s]; a busy node may not have received the last trigger when its publisher ends
 _MAX_REMEMBERED = 200  # own triggers, to recognise foreign ones
 _STEP_THRESHOLD = 0.01  # [s]; smallest reported step of the system clock
-_REOPEN_INTERVAL = 0.3  # [s]
 
 
 class TriggerNode(TestbedNode[TriggerSettings]):
@@ -45,6 +44,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         self._unseen = 0
         self._skipped = 0
         self._fault = RecentFault()
+        self._reopening = clocks.Backoff()
         self._enabled = threading.Event()
         if settings.enabled:
             self._enabled.set()
@@ -119,8 +119,10 @@ class TriggerNode(TestbedNode[TriggerSettings]):
             self._unseen += self._trigger is not None
             self._fault.note(str(error))
             if self._trigger is None:
-                self._stopping.wait(clocks.real(_REOPEN_INTERVAL))
+                wait = self._reopening.failed(clocks.monotonic())
+                self._stopping.wait(clocks.real(wait))
         else:
+            self._reopening.succeeded()
             self._own.append(stamp)
             self._send(stamp, self._sequence)
         if self._trigger is not None:

@@ -17,7 +17,7 @@ class Topic:
     type: str  # as `package/msg/Type`
     required: bool = False  # needed for offline analysis of a trial
     computed: bool = False  # a node computes it from measured topics
-    derived: bool = False  # large, and can be recomputed from a trial
+    unrecorded: bool = False  # large, and can be recomputed from a trial
     latched: bool = False  # late subscribers get the last message (transient local)
 
     @property
@@ -44,16 +44,16 @@ LOCAL_FORCES = Topic(
     "estimate/local_forces", "socket_testbed_msgs/msg/LocalForceArray", computed=True
 )
 FORCE_MAP = Topic(
-    "estimate/force_map", "socket_testbed_msgs/msg/ForceMap", computed=True, derived=True
+    "estimate/force_map", "socket_testbed_msgs/msg/ForceMap", computed=True, unrecorded=True
 )
 REGIONS = Topic(
-    "estimate/regions", "socket_testbed_msgs/msg/RegionPressures", computed=True, derived=True
+    "estimate/regions", "socket_testbed_msgs/msg/RegionPressures", computed=True, unrecorded=True
 )
 PARAMETERS = Topic(
     "estimate/parameters", "socket_testbed_msgs/msg/ContactModel", computed=True, latched=True
 )
 PRESSURE_MAP = Topic(
-    "estimate/pressure_map", "visualization_msgs/msg/MarkerArray", computed=True, derived=True
+    "estimate/pressure_map", "visualization_msgs/msg/MarkerArray", computed=True, unrecorded=True
 )
 DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", computed=True)
 

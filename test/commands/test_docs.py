@@ -20,6 +20,7 @@ def commands(page: Path) -> list[str]:
     """The commands of a page that run anywhere, in their order, without comments."""
     blocks = re.findall(r"```bash\n(.*?)```", page.read_text(), flags=re.DOTALL)
     text = "".join(block for block in blocks if "make " not in block).replace("\\\n", "")
+    text = text.replace(" examples/", f" {CHECKOUT}/examples/")
     lines = [re.sub(r"\s+#.*", "", line) for line in text.splitlines()]
     return [line.replace(".venv/bin/", f"{Path(sys.executable).parent}/") for line in lines if line]
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.drivers import RECENT
+from socket_testbed.drivers import ERROR, OK, RECENT, WARN
 from socket_testbed.drivers.gpio import EdgeLine
 from socket_testbed.drivers.load_cell import ads131m0x
 from socket_testbed.errors import DeviceError
@@ -198,23 +198,23 @@ class ConverterReader:
             return dict(self._counts)
 
     def fault_at(self, now: float) -> tuple[int, DeviceError | None]:
-        """The converter's fault at a time [s]: 0 (none), 1 (warning) or 2 (error)."""
-        found: tuple[int, DeviceError | None] = 0, None
+        """The converter's fault at a time [s], with its level: OK, WARN or ERROR."""
+        found: tuple[int, DeviceError | None] = OK, None
         with self._lock:
             if (fault := self._fault) is not None and self._failed >= self._stored:
-                found = 2, fault
+                found = ERROR, fault
             elif now - self._arrived > self._silence:
-                found = 2, self._error("no longer converts", _CHECK_CLOCK)
+                found = ERROR, self._error("no longer converts", _CHECK_CLOCK)
             elif now - self._stored > self._silence:
                 hint = "relieve the computer, or raise load_cell_node's oversampling"
-                found = 2, self._error("conversions are read too late to date them", hint)
+                found = ERROR, self._error("conversions are read too late to date them", hint)
             elif fault is not None and now - self._failed < RECENT:
-                found = 1, DeviceError(f"{fault.fact}, but has recovered", fault.hint)
+                found = WARN, DeviceError(f"{fault.fact}, but has recovered", fault.hint)
             elif now - self._corrupted < RECENT:
                 fact = "frames do not match their checksums and are left out"
-                found = 1, self._error(fact, ads131m0x.CHECK_WIRING)
+                found = WARN, self._error(fact, ads131m0x.CHECK_WIRING)
             elif not self._counts["conversions"]:
-                found = 1, self._error("no conversion yet", "wait for the first")
+                found = WARN, self._error("no conversion yet", "wait for the first")
         return found
 
     def _error(self, fact: str, hint: str) -> DeviceError:

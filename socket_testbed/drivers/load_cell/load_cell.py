@@ -16,7 +16,7 @@ from msgspec import Meta
 from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, line_weights
 from socket_testbed.documents import Document, read_document
-from socket_testbed.drivers import RECENT
+from socket_testbed.drivers import ERROR, OK, RECENT, WARN
 from socket_testbed.drivers.load_cell import ads131m0x
 from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
 from socket_testbed.errors import ConfigurationError, DeviceError
@@ -92,17 +92,17 @@ class Bridges:
     def overload(self, peak: FloatArray) -> tuple[int, str]:
         """Check absolute values of [M; F], shape (6,), for overload: level, and fact with hint.
 
-        The level is 1 above 80 % of a full scale, 2 above the full scale, otherwise 0.
+        The level is WARN above 80 % of a full scale, ERROR above the full scale, otherwise OK.
         """
         share = peak / self.full_scale
         worst = int(share.argmax())
         # In steps, so that the message is stable while the load varies.
         tenths = math.floor(10.0 * share[worst] + 1e-9)
-        level = 2 if share[worst] > 1.0 else 1 if share[worst] > 0.8 else 0
-        if level == 0:
-            return 0, ""
+        level = ERROR if share[worst] > 1.0 else WARN if share[worst] > 0.8 else OK
+        if level == OK:
+            return OK, ""
         limit = f"{10 * tenths} % of its full scale of {self.full_scale[worst]:g} {_UNITS[worst]}"
-        hint = "unload the cell" if level == 2 else "do not load it further"
+        hint = "unload the cell" if level == ERROR else "do not load it further"
         return level, f"{WRENCH_CHANNELS[worst]} is above {limit}: {hint}"
 
 
@@ -282,11 +282,11 @@ class LoadCell:
         wrench, tare = self._bridges.wrenches(np.array([value - offsets, offsets]))
         if status is Status.OK:
             level, text = self._bridges.overload(np.abs(wrench))
-            fault = text if level > 1 else ""
+            fault = text if level == ERROR else ""
         return WrenchReading(wrench, value, tare, tared, status, count, fault)
 
     def health(self, now: float) -> tuple[int, str]:
-        """State at a time [s]: 0 (OK), 1 (warning) or 2 (error), with fact and hint."""
+        """State at a time [s]: OK, WARN or ERROR, with fact and hint."""
         level, fault = self.converter.fault_at(now)
         found = [(level, str(fault))]
         _, ratios, rails = self._between(now - RECENT, now)
@@ -294,10 +294,10 @@ class LoadCell:
         broken = newest.sum(axis=0) == _BROKEN_WIRE
         if broken.any():
             fact = f"{self._saturated(broken)} for {_BROKEN_WIRE} conversions or more"
-            found.append((2, f"{fact}: a broken wire? check the bridge and its wiring"))
+            found.append((ERROR, f"{fact}: a broken wire? check the bridge and its wiring"))
         elif rails.any():
             fact = self._saturated(rails)
-            found.append((1, f"{fact} at times: unload the cell, or lower the gain"))
+            found.append((WARN, f"{fact} at times: unload the cell, or lower the gain"))
         valid = ratios[~rails.any(axis=1)]
         wrenches = self._bridges.wrenches(valid - self._tare.no_load[0])
         found.append(self._bridges.overload(np.abs(wrenches).max(axis=0, initial=0.0)))
@@ -313,7 +313,7 @@ class LoadCell:
         settings = self.settings
         now = clocks.monotonic()
         level, fault = self.converter.fault_at(now)
-        if fault and level > 1:
+        if fault and level == ERROR:
             raise DeviceError(f"cannot tare: {fault.fact}", fault.hint)
         _, ratios, rails = self._between(now - settings.tare_duration, now)
         expected = settings.tare_duration / self.converter.period

@@ -1,6 +1,6 @@
 """A synthetic scan of a socket's interior.
 
-    python -m socket_testbed.simulation.socket_scan SCAN.stl
+    python examples/socket_scan.py SCAN.stl [EDGE]
 
 The shape is a transtibial socket for the left leg: narrower towards a domed end, flattened behind,
 with the crest of the shin, the bar below the kneecap, and a brim cut lower behind the knee. It has
@@ -33,12 +33,12 @@ _SCANNER = Rotation.from_matrix([[0, 1, 0], [0, 0, 1], [1, 0, 0]]) * Rotation.fr
 _OFFSET = np.array([34.0, -18.0, 410.0])  # [mm]; from the scanner's origin
 
 
-def make_socket_scan(edge: float = _EDGE, noise: float = _NOISE) -> trimesh.Trimesh:
+def make_socket_scan(edge: float = _EDGE) -> trimesh.Trimesh:
     """The scanned interior of the socket in mm; normals point outwards, as from many tools.
 
-    `edge` is the length of a triangle's edge [mm], `noise` that of the vertices [mm].
+    `edge` is the length of a triangle's edge [mm]. The noise of the vertices is at most 5 % of it.
     """
-    rng = np.random.default_rng(0)
+    rng, noise = np.random.default_rng(0), min(_NOISE, 0.05 * edge)
     # Mesh a flat disc of points, with radius = distance from the middle of the end up the wall,
     # then shape it: the triangles are irregular and there is no seam.
     reach = _BRIM + _END
@@ -83,10 +83,10 @@ def _behind(angle: FloatArray) -> FloatArray:
 
 
 def main() -> None:
-    """Write the scan to the file named on the command line."""
-    path = Path(sys.argv[1] if len(sys.argv) > 1 else "scan.stl")
-    mesh = make_socket_scan()
-    with atomic_output(path) as output:
+    """Write the scan to a file."""
+    path, *edge = sys.argv[1:]
+    mesh = make_socket_scan(*map(float, edge))
+    with atomic_output(Path(path)) as output:
         mesh.export(output, file_type="stl")
     print(f"{path}: {len(mesh.faces)} faces, in mm")
 
