@@ -8,6 +8,7 @@ from enum import IntEnum
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, StatusArray
 
@@ -44,6 +45,16 @@ def moments_about(wrench: FloatArray, point: Sequence[float] | None) -> FloatArr
     if point is None:
         return wrench
     return np.hstack([wrench[:, :3] - np.cross(point, wrench[:, 3:]), wrench[:, 3:]])
+
+
+def turned(rotation: FloatArray, by: FloatArray) -> FloatArray:
+    """Rotation vectors of exp(rotation) exp(by), shape (N, 3) [rad]; NaN for unknown rotations."""
+    known = np.isfinite(rotation).all(axis=1)
+    found = np.full(rotation.shape, np.nan)
+    if known.any():
+        product = Rotation.from_rotvec(rotation[known]) * Rotation.from_rotvec(by)
+        found[known] = product.as_rotvec()
+    return found
 
 
 @dataclass(frozen=True)
@@ -102,6 +113,20 @@ class Samples:
     def has_pose(self) -> BoolArray:
         """Rows with a limb pose, shape (N,)."""
         return np.asarray(np.isfinite(self.pose).all(axis=1))
+
+    @property
+    def attitude(self) -> FloatArray:
+        """Rotation vector of the limb's mean attitude in {S}, shape (3,) [rad]; 0 if unknown."""
+        known = self.rotation[self.has_pose]
+        return Rotation.from_rotvec(known).mean().as_rotvec() if len(known) else np.zeros(3)
+
+    def centred(self) -> Samples:
+        """The samples with rotations since the mean attitude.
+
+        These are small rotations about x, y and z of {S}, however the limb's frame is turned. Only
+        they may be averaged, subtracted or used in a regression.
+        """
+        return replace(self, rotation=turned(self.rotation, -self.attitude))
 
     @property
     def has_wrench(self) -> BoolArray:

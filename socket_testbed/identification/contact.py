@@ -25,6 +25,7 @@ from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.samples import turned
 from socket_testbed.settings.identification import IdentificationSettings, Variant
 
 _CHUNK = 4096  # samples; a prediction's memory grows with samples times tiles
@@ -281,12 +282,8 @@ def relative_pose(pose: FloatArray, reference: FloatArray) -> FloatArray:
     A pose holds position and rotation vector, shape (N, 6) [m, rad]; the result is
     ``[q - c, phi]`` with ``R = exp(phi) R_ref``, of the same shape, NaN where the pose is.
     """
-    relative = pose - reference
-    known = np.isfinite(relative).all(axis=1)
-    relative[~known] = np.nan
-    if known.any():
-        turned = Rotation.from_rotvec(pose[known, 3:]) * Rotation.from_rotvec(-reference[3:])
-        relative[known, 3:] = turned.as_rotvec()
+    relative = np.hstack([pose[:, :3] - reference[:3], turned(pose[:, 3:], -reference[3:])])
+    relative[~np.isfinite(relative).all(axis=1)] = np.nan
     return relative
 
 

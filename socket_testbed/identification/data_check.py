@@ -79,6 +79,7 @@ def check_data(
         fact = f"{len(samples)} samples are too few to judge it"
         return (DataFinding("the trial", fact, f"record {MIN_SAMPLES} or more"),)
     counted = plausibility.without_outliers(samples, geometry, leave_out).without(leave_out)
+    counted = counted.centred()
     found = [*_units(counted, geometry, mass)]
     if whole:
         found += [*_time_series(counted, geometry)] or [*_disagreements(counted, geometry)]
@@ -111,8 +112,7 @@ def _units(samples: Samples, geometry: SocketGeometry, mass: float | None) -> It
             f"its force of {size:.3g} N is {weights:.2g} weights of the stated {mass:g} kg",
             "check that forces are in N, and the mass",
         )
-    rotation = _known(samples.rotation)
-    angle = plausibility.finite_quantile(_norm(rotation - rotation.mean(axis=0)), 0.95)
+    angle = plausibility.finite_quantile(_norm(samples.rotation), 0.95)
     if angle > MAX_ROTATION:
         yield DataFinding(
             "the limb pose",

@@ -34,7 +34,7 @@ from socket_testbed.identification.noise import (
     smooth_poses,
     smoothing_gain,
 )
-from socket_testbed.samples import FORCES, MOMENTS, Samples
+from socket_testbed.samples import FORCES, MOMENTS, Samples, turned
 from socket_testbed.settings.identification import BIAS_VARIANTS
 
 MIN_SHARE = 0.5  # [-]; of the load, carried by the springs
@@ -117,6 +117,11 @@ def known_directions(
     noise. NaN if the samples do not determine the noise of the wrench.
     """
     noise, spread = _noise(samples, window)
+    attitude, samples = samples.attitude, samples.centred()
+
+    def absolute(pose: FloatArray) -> FloatArray:
+        return np.hstack([pose[:, :3], turned(pose[:, 3:], attitude)])
+
     rows = np.flatnonzero(samples.has_pose_and_wrench)
     if not len(rows) or not np.isfinite(noise.wrench).all():
         return math.nan
@@ -124,11 +129,11 @@ def known_directions(
     pose = smooth_poses(samples, window).pose[chosen]
     middle = pose.mean(axis=0)
     drawn = np.random.default_rng(0).multivariate_normal(np.zeros(6), spread, _DRAWS)
-    sent = model.predict(middle + drawn, samples.clusters).std(axis=0)
+    sent = model.predict(absolute(middle + drawn), samples.clusters).std(axis=0)
     deviations = np.hypot(np.nan_to_num(noise.values, nan=np.inf), sent)
     basis, inverse = _moving_directions(pose - middle, spread)
     moved = middle + (pose - middle) @ basis @ inverse
-    gram = _information(moved, model, samples.clusters, deviations)
+    gram = _information(absolute(moved), model, samples.clusters, deviations)
     known = np.linalg.eigvalsh(gram) * len(rows) / len(pose) * accuracy**2
     return float(np.sum(known / (1.0 + known)))
 
@@ -208,7 +213,7 @@ class Motion:
 def measure_motion(samples: Samples, geometry: SocketGeometry, window: float = 0.0) -> Motion:
     """Compare the motion of the limb with the noise of its pose, averaged over a window [s]."""
     noise, covariance = _noise(samples, window)
-    pose = smooth_poses(samples, window).pose[samples.has_pose]
+    pose = smooth_poses(samples.centred(), window).pose[samples.has_pose]
     deviation = pose - pose.mean(axis=0)
     spread = np.sqrt(np.diag(covariance))
     motion = np.sqrt(np.maximum((deviation**2).mean(axis=0) - spread**2, 0.0))

@@ -21,10 +21,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, gaps, robust_deviation
-from socket_testbed.samples import Samples
+from socket_testbed.samples import Samples, turned
 
 MIN_DIFFERENCES = 12  # [1]; of a channel, for an estimate
 CUT = 3.0  # [-]; largest magnitude of a difference, in standard deviations
@@ -42,7 +41,8 @@ class ChannelNoise:
     wrench: FloatArray  # noise of the wrench [M; F] in {S}, shape (6,) [N m, N]
     # noise of the force on each of the c clusters in its frame, shape (c, 3) [N]
     local_forces: FloatArray
-    pose: FloatArray  # noise of the limb's position and rotation vector in {S}, shape (6,) [m, rad]
+    # noise of the limb's position and of its small rotations in {S}, shape (6,) [m, rad]
+    pose: FloatArray
     # correlation of the noise of the pose's components, which share markers, shape (6, 6) [-]
     pose_correlation: FloatArray
 
@@ -66,12 +66,13 @@ def channel_noise(samples: Samples) -> ChannelNoise:
     usual = ~gaps(samples.stamps)
     regular = np.asarray(usual[:-2] & usual[1:-1] & usual[2:])  # (max(N - 3, 0),), no gap inside
     sensors = np.array([_deviation(y, regular) for y in samples.trusted_values.T])
-    pose = np.array([_deviation(y, regular) for y in samples.pose.T])
+    motion = samples.centred().pose
+    pose = np.array([_deviation(y, regular) for y in motion.T])
     return ChannelNoise(
         wrench=sensors[:6],
         local_forces=sensors[6:].reshape(clusters, 3),
         pose=pose,
-        pose_correlation=_correlation(samples.pose, regular, pose),
+        pose_correlation=_correlation(motion, regular, pose),
     )
 
 
@@ -130,22 +131,16 @@ def smooth_poses(samples: Samples, window: float) -> Samples:
     """The samples with each pose replaced by the mean of the poses in a window around it [s].
 
     The window is centred, so the mean does not lag: near a gap, and near the first and last sample,
-    it is shorter on both sides. Missing poses stay missing. Rotations are averaged about the mean
-    of all samples, so the frames may have any orientation.
+    it is shorter on both sides. Missing poses stay missing.
     """
     known = samples.has_pose
     if window == 0.0 or not known.any():
         return samples
-    middle = Rotation.from_rotvec(samples.rotation[known]).mean()
-    pose = np.zeros((len(samples), 6))
-    pose[known, :3] = samples.position[known]
-    pose[known, 3:] = (middle.inv() * Rotation.from_rotvec(samples.rotation[known])).as_rotvec()
+    pose = np.where(known[:, None], samples.centred().pose, 0.0)
     first, end = _windows(samples, window)
-    mean = _sums(pose, first, end)[known] / _sums(known, first, end)[known, None]
-    position, rotation = np.full((2, len(samples), 3), np.nan)
-    position[known] = mean[:, :3]
-    rotation[known] = (middle * Rotation.from_rotvec(mean[:, 3:])).as_rotvec()
-    return replace(samples, position=position, rotation=rotation)
+    mean = np.full(pose.shape, np.nan)
+    mean[known] = _sums(pose, first, end)[known] / _sums(known, first, end)[known, None]
+    return replace(samples, position=mean[:, :3], rotation=turned(mean[:, 3:], samples.attitude))
 
 
 def smoothing_gain(samples: Samples, window: float) -> float:

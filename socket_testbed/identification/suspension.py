@@ -63,7 +63,7 @@ def find_suspension(samples: Samples, geometry: SocketGeometry) -> Suspension | 
     known = samples.has_pose_and_wrench
     if known.sum() < _MIN_SAMPLES:
         return None
-    centre, pose = geometry.anchors.mean(axis=0), samples.pose[known]
+    centre, pose = geometry.anchors.mean(axis=0), samples.centred().pose[known]
     load = np.roll(moments_about(samples.wrench[known], centre), 3, axis=1)
     turned = pose[:, 3:] - pose[:, 3:].mean(axis=0)
     arm = centre - pose[:, :3].mean(axis=0)

@@ -25,7 +25,7 @@ from socket_testbed.arrays import BoolArray, FloatArray, IntArray, evenly, rms
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import fit
-from socket_testbed.identification.contact import ContactModel, wrench_map
+from socket_testbed.identification.contact import ContactModel, relative_pose, wrench_map
 from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.noise import channel_noise, smooth_poses
 from socket_testbed.identification.problem import MIN_SAMPLES
@@ -131,10 +131,11 @@ def wrench_predictors(
     samples: Samples, models: Mapping[str, ContactModel]
 ) -> dict[str, WrenchPredictor]:
     """The best constant and linear regression on the pose, fitted on the samples, then models."""
-    mean, (slope, constant) = samples.wrench.mean(axis=0), fit.regress_wrench(samples, samples.pose)
+    mean, middle = samples.wrench.mean(axis=0), np.append(np.zeros(3), samples.attitude)
+    slope, constant = fit.regress_wrench(samples, relative_pose(samples.pose, middle))
     return {
         CONSTANT: lambda pose: np.tile(mean, (len(pose), 1)),
-        fit.REGRESSION: lambda pose: constant + pose @ slope.T,
+        fit.REGRESSION: lambda pose: constant + relative_pose(pose, middle) @ slope.T,
         **{name: partial(m.predict, clusters=()) for name, m in models.items()},
     }
 

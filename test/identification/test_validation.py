@@ -12,6 +12,7 @@ from support.wording import refused
 from socket_testbed.errors import IdentificationError
 from socket_testbed.identification import fit, validation
 from socket_testbed.identification.contact import wrench_map
+from socket_testbed.samples import turned
 from socket_testbed.settings.identification import ForceMapSettings
 
 
@@ -62,13 +63,15 @@ def test_clusters_share_by_distance_and_the_wrench_is_met_by_the_smallest_change
 
 def test_the_regression_finds_a_linear_law_and_ignores_a_pose_that_does_not_move(rng):
     samples, slope = moving_samples(rng)
-    samples.rotation[:, 1] = 0.3  # constant
-    samples.rotation[:, 2] = 2.0 * samples.position[:, 0]  # another's multiple
-    samples.wrench[:] = samples.pose[:, :4] @ slope[:4]
-    predict, moved = (validation.wrench_predictors(samples[:30], {})[fit.REGRESSION], samples.pose)
-    assert np.allclose(predict(moved), samples.wrench)
-    moved[:, 4] = 0.4
-    assert np.allclose(predict(moved), samples.wrench)
+    samples.position[:, 1] = 2.0 * samples.position[:, 0]  # another's multiple
+    small = 1e-3 * rng.normal(size=(60, 1)) * [1.0, 0.0, 0.0]  # about x alone
+    frame = rng.normal(size=3)  # of the limb
+    samples.wrench[:] = np.hstack([samples.position, small]) @ slope
+    seen = replace(samples, rotation=turned(small, frame))[:30]
+    predict = validation.wrench_predictors(seen, {})[fit.REGRESSION]
+    for about_y in (0.0, 1e-3):
+        turn = turned(small + np.array([0.0, about_y, 0.0]), frame)
+        assert np.allclose(predict(replace(samples, rotation=turn).pose), samples.wrench)
 
 
 def test_the_wrench_s_rivals_have_the_skill_that_they_must(rng):
