@@ -6,12 +6,14 @@ A fit runs both stages, and for some laws refines both jointly.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from socket_testbed.arrays import FloatArray
+from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel, relative_change
 from socket_testbed.identification.problem import (
@@ -244,7 +246,12 @@ def _with_wrench_model(
     beds = (settings.contact_sharpness, *settings.wrench_sharpness)
     sharpness = {f"springs of sharpness {value:g} /m": value for value in beds}
     base = next(iter(sharpness))
-    tried = {name: fitted(value, early) for name, value in sharpness.items()}
+    tried = {}
+    for name, value in sharpness.items():
+        with suppress(IdentificationError):  # such as a cluster that began later
+            tried[name] = fitted(value, early)
+    if base not in tried:
+        return model, ""
     tried[REGRESSION] = _regression(tried[base], first)
     errors = {name: _wrench_error(each, unseen) for name, each in tried.items()}
     best = min(errors, key=errors.__getitem__)

@@ -75,6 +75,11 @@ class ClusterSettings(Settings):
         """Address of each cluster's multiplexer; 0: none."""
         return self.multiplexers or (self.multiplexer,) * len(self.names)
 
+    @property
+    def places(self) -> list[tuple[int, int, int]]:
+        """Bus, multiplexer address (0: none) and channel of each cluster."""
+        return [*zip(self.buses, self.each_multiplexer, self.channels, strict=True)]
+
 
 @dataclass(frozen=True)
 class LoadCellSettings(Settings):

@@ -268,6 +268,9 @@ def test_the_wrench_is_taken_from_what_predicts_the_unseen_half_best(tmp_path):
     # A channel that is left out decides nothing.
     without = replace(settings, leave_out=("Mz",))
     assert fitting.fit_contact_model(samples, geometry, without).wrench == ""
+    late = samples.local_forces.copy()  # a cluster that began in the second half
+    late[:80, 0] = np.nan
+    assert fitting.fit_contact_model(replace(samples, local_forces=late), geometry, settings)
     alone = replace(fit.model, of_wrench=None)
     np.testing.assert_array_equal(alone.forces(samples.pose), fit.model.forces(samples.pose))
     path = tmp_path / "model.json"

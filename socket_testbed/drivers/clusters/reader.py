@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 
@@ -52,7 +52,7 @@ class ClusterReader:
         cycle = i2c.INPUTS / settings.sample_rate  # [s]
         self._buses = {number: _Bus(number, open_bus) for number in settings.buses}
         self._clusters: dict[str, _Cluster] = {}
-        for name, (number, address, channel) in _places(settings):
+        for name, (number, address, channel) in zip(settings.names, settings.places, strict=True):
             bus = self._buses[number]
             if address:
                 bus.multiplexers[address] = i2c.I2cPort(bus, bus.name, address, part="multiplexer")
@@ -313,12 +313,6 @@ class _Cluster:
             )
 
 
-def _places(settings: ClusterSettings) -> Iterator[tuple[str, tuple[int, int, int]]]:
-    """Name, bus, multiplexer address (0: none) and channel of each cluster."""
-    places = zip(settings.buses, settings.each_multiplexer, settings.channels, strict=True)
-    return zip(settings.names, places, strict=True)
-
-
 def check_settings(settings: ClusterSettings, chip: type[i2c.CapacitiveChip]) -> None:
     """Check that the settings fit together, beyond the range of each."""
     names, buses, channels = settings.names, settings.buses, settings.channels
@@ -335,10 +329,16 @@ def check_settings(settings: ClusterSettings, chip: type[i2c.CapacitiveChip]) ->
             f"the {chip.name} supports {', '.join(map(str, chip.sample_rates))}",
         )
     at: dict[str, str] = {}
-    for name, (bus, address, channel) in _places(settings):
+    alone = {bus for bus, address, _ in settings.places if not address}
+    for name, (bus, address, channel) in zip(names, settings.places, strict=True):
         if address and address < 0x70:
             fact = f"multiplexer is 0x{address:02X}"
             raise ConfigurationError(fact, "give 0x70 to 0x77, or 0 for none")
+        if address and bus in alone:  # the chips have one address: both would answer
+            raise ConfigurationError(
+                f"bus {bus} has a cluster without a multiplexer beside '{name}' behind one",
+                "put it on a channel of the multiplexer, or on a bus of its own",
+            )
         place = f"bus {bus}" + (f", channel {channel} of 0x{address:02X}" if address else "")
         if name in at.values() or place in at:
             raise ConfigurationError(

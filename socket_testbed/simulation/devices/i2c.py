@@ -211,8 +211,7 @@ class SimulatedClusterHardware:
     ) -> None:
         self.multiplexers: dict[tuple[int, int], SimulatedTca9548a] = {}  # by bus and address
         self._buses: dict[int, list[Part]] = defaultdict(list)
-        places = zip(settings.buses, settings.each_multiplexer, settings.channels, strict=True)
-        for n, (bus, address, channel) in enumerate(places):
+        for n, (bus, address, channel) in enumerate(settings.places):
             speed = speeds[n] if speeds else 1.0
             made = chip(partial(capacitance, n), faults, 1 + n, speed)
             if not address:
