@@ -127,7 +127,7 @@ def _time_series(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFin
     load = axial_force(geometry, samples.wrench)
     pressing = -samples.trusted_forces[:, :, 2]
     period = usual_period(samples.time)
-    together = np.nansum(pressing, axis=1)
+    together = np.sum([_filled(column, samples.time) for column in pressing.T], axis=0)
     if not np.isfinite(load).any():
         return
     changes = [float(np.nanstd(course)) for course in (together, load)]
@@ -272,11 +272,17 @@ def _norm(vectors: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(vectors, axis=1))
 
 
+def _filled(course: FloatArray, time: FloatArray) -> FloatArray:
+    """A series with its missing values interpolated, (N,); zeros if all are missing."""
+    known = np.isfinite(course)
+    return np.interp(time, time[known], course[known]) if known.any() else np.zeros(len(course))
+
+
 def _correlation(one: FloatArray, other: FloatArray) -> float:
-    """Correlation of two series where both are known; 0 if one is constant."""
+    """Correlation of two series where both are known: 0 if one is constant, NaN if too short."""
     known = np.isfinite(one) & np.isfinite(other)
     if known.sum() < MIN_SAMPLES:
-        return 1.0  # too few samples to judge
+        return float("nan")
     a, b = one[known] - one[known].mean(), other[known] - other[known].mean()
     size = np.sqrt((a @ a) * (b @ b))
     return float(a @ b / size) if size > 0.0 else 0.0
@@ -314,6 +320,9 @@ def _lag(reference: FloatArray, course: FloatArray, period: float) -> float:
                           reference[max(-lag, 0) : len(course) - max(lag, 0)])
         for lag in range(-limit, limit + 1)
     }  # fmt: skip
+    found = {lag: value for lag, value in found.items() if np.isfinite(value)}
+    if 0 not in found:
+        return 0.0
     best = max(found, key=lambda lag: (found[lag], -abs(lag)))
     clear = found[best] > max(found[0] + MIN_LAG_GAIN, 0.5)
     return best * period if clear else 0.0

@@ -102,6 +102,17 @@ def test_a_reversed_cluster_another_size_and_few_samples_are_named(sound: dict[s
     assert found.source == samples.clusters[0] and "sign" in found.hint
 
 
+def test_an_intermittent_cluster_does_not_blame_the_wrench_nor_a_short_trial_a_clock(sound) -> None:
+    trial = st.open_trial(sound["static_hold"])
+    hold = trial.samples()[90:200]
+    hold.status[::3, hold.clusters.index("distal")] = Status.OUT_OF_RANGE
+    (found,) = check_data(hold, trial.geometry)
+    assert found.source == "distal" and "missing or out of range" in found.fact
+    trial = st.open_trial(sound["multi_direction"])
+    for short in (trial.samples()[:152:4], trial.samples()[:31]):
+        assert not [f for f in check_data(short, trial.geometry) if "clocks" in f.hint]
+
+
 # --- Samples that no limb in a socket gives
 
 
