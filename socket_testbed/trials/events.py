@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 from scipy.ndimage import median_filter
 
-from socket_testbed.arrays import FloatArray
+from socket_testbed.arrays import BREAK, FloatArray, gaps
 from socket_testbed.errors import ConfigurationError, TrialError, likely
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
@@ -122,8 +122,9 @@ def _printable(label: str) -> str:
 def find_events(samples: Samples, settings: PlateauSettings) -> list[Event]:
     """Detect when the load was placed and removed, from its two levels (see the module).
 
-    Events `placed` and `removed` alternate, at threshold crossings interpolated between samples;
-    none if the levels differ by less than `least_force`. Walking also gives `stance` and `swing`.
+    Events `placed` and `removed` alternate, at threshold crossings interpolated between samples,
+    or at the first sample after a pause; none if the levels differ by less than `least_force`.
+    Walking also gives `stance` and `swing`.
     """
     time, load = _load(samples)
     if len(load) < 2:
@@ -146,7 +147,7 @@ def _crossings(
     time: FloatArray, load: FloatArray, rise: tuple[str, float], fall: tuple[str, float]
 ) -> list[Event]:
     """Events where a load rises above one threshold and falls below another, alternately."""
-    (_, risen), (_, fallen) = rise, fall
+    (_, risen), (_, fallen), unseen = rise, fall, gaps(time, BREAK)
     decided = np.flatnonzero((load >= risen) | (load <= fallen))
     above = load[decided] >= risen
     events = []
@@ -154,6 +155,7 @@ def _crossings(
         after = decided[change]
         label, threshold = rise if above[change] else fall
         share = (threshold - load[after - 1]) / (load[after] - load[after - 1])
+        share = 1.0 if unseen[after - 1] else share  # it is known from that sample on
         when = time[after - 1] + share * (time[after] - time[after - 1])
         events.append(Event(label, float(when), "found"))
     return events

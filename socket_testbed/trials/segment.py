@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import compress
+from itertools import compress, pairwise
 from typing import NamedTuple, NoReturn
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
-from socket_testbed.arrays import FloatArray, IntArray, runs, usual_period
+from socket_testbed.arrays import BREAK, FloatArray, IntArray, runs, usual_period
 from socket_testbed.errors import ConfigurationError, TrialError, likely
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
@@ -202,7 +202,13 @@ def _steadiness(
     steady &= moving_mean(missing, width)[:, 0] <= settings.missing_fraction
     steady &= np.linalg.norm(wrench[:, 3:], axis=1) >= settings.least_force
     mean = np.hstack([wrench, clusters[:, counts]])
-    found = [(start, end) for start, end in runs(steady).tolist()]
+    pauses = np.diff(samples.time) > max(settings.smoothing, BREAK * usual_period(samples.time))
+    ends = np.flatnonzero(pauses) + 1  # a load that nobody saw is not steady
+    found = [
+        part
+        for start, end in runs(steady).tolist()
+        for part in pairwise([start, *ends[(ends > start) & (ends < end)].tolist(), end])
+    ]
     return _Steadiness(found, names, mean, limits, width)
 
 

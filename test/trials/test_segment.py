@@ -80,6 +80,14 @@ def test_plateaus_are_steady_stretches_under_load_the_longest_first() -> None:
         assert plateau.end <= 42 or plateau.start >= 58
 
 
+def test_nothing_is_said_of_the_load_in_a_pause_of_the_recording() -> None:
+    samples = history((0, 90), (10, 90), (12, 280), (60, 280))
+    (placed,) = events.find_events(samples[np.r_[:20, 180:240]], SETTINGS)
+    assert placed.time == pytest.approx(45.0)  # when it is known to be loaded
+    plateaus = segment.find_plateaus(samples[np.r_[:80, 200:240]], SETTINGS)
+    assert plateaus and not any(part.start < 30.0 < part.end for part in plateaus)
+
+
 def test_a_span_of_seconds_is_taken_and_an_unknown_segment_refused_with_a_hint() -> None:
     held = under(np.full(50, 280.0))
     assert segment.select_segment(held, "5:10.5", SETTINGS).rows == slice(20, 43)
