@@ -5,10 +5,11 @@
   `socket_force_p*` [m], and `socket_torque_*` [N m]. In OpenSim, express it in the body that
   carries the load cell.
 - `.trc`: the markers of the bodies in the motion-capture frame [mm].
-- `.c3d`: both; the wrench as six analog channels. Requires the library ezc3d.
+- `.c3d`: both; the wrench as six analog channels, a gap as empty frames. Requires the library
+  ezc3d.
 - `.mcap`: `load_cell/wrench` (geometry_msgs/WrenchStamped), `mocap/*/pose` (PoseStamped), and a
-  std_msgs/Float64 for every column of the table that `export` writes, such as
-  `/distal/normal_Pa`, so that plotting tools need none of our message types.
+  std_msgs/Float64 for every column of the table that `export` writes but stamps and statuses, such
+  as `/distal/normal_Pa`, so that plotting tools need none of our message types.
 """
 
 from __future__ import annotations
@@ -214,6 +215,9 @@ def _write_c3d(path: Path, table: pd.DataFrame, labels: list[str]) -> None:
             f"{path}: needs the library ezc3d", "install it: pip install ezc3d"
         ) from None
     file, rate = ezc3d.c3d(), _rate(table)
+    steps = np.maximum(np.round(np.diff(table.index) * rate), 1.0)
+    frames = np.cumsum([0, *steps.astype(int)])  # the format has no times: a gap is empty frames
+    table = table.set_axis(frames).reindex(range(frames[-1] + 1))
     points = table.to_numpy()[:, : 3 * len(labels)].reshape(len(table), -1, 3)
     place = np.ones((4, len(labels), len(table)))
     place[:3] = points.transpose(2, 1, 0)

@@ -169,6 +169,17 @@ def test_gait_laboratories_read_loads_and_markers(hold: Path, tmp_path: Path) ->
     np.testing.assert_allclose(*map(pdist, triads), atol=1.0)
 
 
+def test_a_gap_keeps_its_time_as_empty_frames(hold: Path, tmp_path: Path) -> None:
+    samples = Trial(hold).samples()
+    lost = range(int(samples.stamps[80]), int(samples.stamps[100]))
+    cut = rewrite(hold, tmp_path / "cut", lambda _, m: None if stamp_of(m) in lost else m)
+    call(cut, "-o", tmp_path / "cut.c3d", "--segment", "all")
+    wrench = ezc3d.c3d(str(tmp_path / "cut.c3d"))["data"]["analogs"][0].T
+    assert np.isnan(wrench[80:100]).all() and len(wrench) == len(samples)
+    for part in (np.s_[:80], np.s_[100:]):
+        np.testing.assert_allclose(wrench[part], samples.wrench[part], rtol=1e-6, atol=1e-5)
+
+
 def test_markers_stay_with_their_samples_if_the_others_begin_later(hold: Path, tmp_path: Path):
     first = Trial(hold).samples().stamps[0]
 
