@@ -234,7 +234,7 @@ def show_costs(spent: dict[str, float], count: int, rate: float) -> None:
 def show_arrivals(path: Path, triggers: Arrivals, estimates: Arrivals) -> None:
     """Print what was recorded, and when it came."""
     with BagReader(path) as bag:
-        recorded = {t: bag.counts[n] for t, n in match_topics(bag.counts, "").items()}
+        recorded = {t: bag.counts[n] for t, n in match_topics(bag.types, "").items()}
     lost = sum(recorded[TRIGGER] - recorded[topic] for topic in REQUIRED)
     samples = Trial(path).samples()
     seen = samples.complete

@@ -37,7 +37,7 @@ PIECE = 10.0  # [s]
 def repeat(source: Path, target: Path, times: int) -> None:
     """Write the messages of a trial again and again, their stamps going on."""
     with BagReader(source) as bag, BagWriter(target) as writer:
-        for topic, name in match_topics(bag.counts, str(source)).items():
+        for topic, name in match_topics(bag.types, str(source)).items():
             writer.add_topic(name, topic)
         raws = [(raw, Layout(raw.data, raw.type)) for raw in bag.messages()]
         for number in range(times):

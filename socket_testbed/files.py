@@ -127,8 +127,7 @@ def check_outputs(*paths: Path | None, replace: bool) -> None:
                 f"{path} exists already", "name another output, or replace it with --replace"
             )
         _require_parent(path)
-        if not replace:
-            _new_outputs.add(path.resolve())
+        (_new_outputs.discard if replace else _new_outputs.add)(path.resolve())
 
 
 def check_new_folder(path: Path) -> None:

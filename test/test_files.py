@@ -45,6 +45,10 @@ def test_outputs_replace_nothing_unasked(tmp_path: Path, monkeypatch: pytest.Mon
     with refused(ConfigurationError, "meanwhile"), atomic_output(tmp_path / "new.json") as own:
         own.write_text("ours")
     assert (tmp_path / "new.json").read_text() == "another's"
+    check_outputs(tmp_path / "new.json", replace=True)  # now on request
+    with atomic_output(tmp_path / "new.json") as own:
+        own.write_text("ours")
+    assert (tmp_path / "new.json").read_text() == "ours"
     (tmp_path / "new.json").unlink()
     check_new_folder(tmp_path / "trials" / "s01")
     for name, replace, fact in (

@@ -70,13 +70,13 @@ def cycle_ids(bench: BenchData) -> IntArray:
     """
     ids = np.empty(len(bench), dtype=np.int64)
     first = 0
-    for file in range(len(bench.files)):
+    for file in np.unique(bench.file):  # outliers may be all of a file
         rows = np.flatnonzero(bench.file == file)
         named = (bench.cycle[rows] != UNNAMED).all() and np.ptp(bench.cycle[rows]) > 0
         cycles = bench.cycle[rows] if named else _find_cycles(bench.stress[rows])
         _, ids[rows] = np.unique(cycles, return_inverse=True)
         ids[rows] += first
-        first = int(ids[rows].max(initial=first - 1)) + 1
+        first = int(ids[rows].max()) + 1
     return ids
 
 

@@ -150,7 +150,7 @@ class ReplayNode(base.TestbedNode[ReplaySettings]):
         counts = self._bag.counts
         found = {
             name: topic
-            for topic, name in topics.match_topics(counts, self.settings.trial).items()
+            for topic, name in topics.match_topics(self._bag.types, self.settings.trial).items()
             if counts[name] > 0
             and topic is not topics.DIAGNOSTICS  # this graph's nodes report their own state
             and not (topic.computed and self.settings.measured_only)

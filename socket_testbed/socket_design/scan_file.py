@@ -269,9 +269,12 @@ def _check_stl(path: Path, data: bytes) -> str:
     # Many binary files also begin with 'solid', so check the length first.
     if len(data) != 84 + 50 * int.from_bytes(data[80:84], "little"):
         words = data.lower()
-        facets = words.count(b"endfacet")
+        vertices, facets = (
+            len(re.findall(rb"^\s*" + word, words, re.MULTILINE))
+            for word in (b"vertex", b"endfacet")
+        )
         whole = words.lstrip().startswith(b"solid") and b"endsolid" in words.rstrip()[-200:]
-        if not whole or words.count(b"vertex") != 3 * facets:
+        if not whole or vertices != 3 * facets:
             raise ScanError(f"{path}: is not a valid STL file", _CUT_OFF)
     return data[:80].decode("ascii", "replace").partition("\n")[0]
 
@@ -280,7 +283,7 @@ def _check_ply(path: Path, data: bytes) -> str:
     """Refuse a text PLY with fewer lines than elements; return its comments."""
     header, _, body = data.partition(b"end_header")
     counts = re.findall(rb"^element \w+ (\d+)", header, re.MULTILINE)
-    if b"format ascii" in header and len(body.split(b"\n")) - 2 < sum(map(int, counts)):
+    if b"format ascii" in header and len(body.strip().split(b"\n")) < sum(map(int, counts)):
         raise ScanError(f"{path}: has fewer lines than elements", _CUT_OFF)
     return "\n".join(re.findall(r"^comment(.*)$", header.decode("ascii", "replace"), re.MULTILINE))
 

@@ -212,7 +212,7 @@ class BagReader:
 
 def required_topics(bag: BagReader) -> dict[Topic, str]:
     """The bag's names of the testbed's topics; a TrialError if a required topic is missing."""
-    topics, counts, types = match_topics(bag.counts, str(bag.path)), bag.counts, bag.types
+    topics, counts, types = match_topics(bag.types, str(bag.path)), bag.counts, bag.types
     if not any(counts.values()):
         raise TrialError(f"{bag.path}: holds no message", "record the trial again")
     for topic in REQUIRED:

@@ -92,7 +92,7 @@ def read_events(bag: BagReader, samples: Samples) -> list[Event]:
     If a stamp is far outside the samples' times, such as zero, the time when the event was recorded
     between the triggers is used.
     """
-    topics = match_topics(bag.counts, str(bag.path))
+    topics = match_topics(bag.types, str(bag.path))
     name = topics.get(EVENT)
     if name is None or bag.types[name] != EVENT.type or len(samples) == 0:  # or another program's
         return []

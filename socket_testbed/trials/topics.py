@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from socket_testbed.errors import ConfigurationError, TrialError
@@ -74,16 +74,19 @@ TF_STATIC = Topic("/tf_static", "tf2_msgs/msg/TFMessage", latched=True)
 RECORDED_TRIAL = Topic("recorder/trial", "std_msgs/msg/String", latched=True)
 
 
-def match_topics(names: Iterable[str], where: str) -> dict[Topic, str]:
-    """The bag's name of each topic of the testbed, in any namespace.
+def match_topics(types: Mapping[str, str], where: str) -> dict[Topic, str]:
+    """The bag's name of each topic of the testbed, in any namespace, from its types by name.
 
-    A topic in two namespaces raises a TrialError, in which `where` names the bag.
+    A topic in two namespaces raises a TrialError, in which `where` names the bag; another program's
+    topic of the same name and another type does not count beside the testbed's.
     """
     found: dict[Topic, str] = {}
-    for name in names:
+    for name, kind in types.items():
         for topic in TOPICS:
             if name == topic.name or name.endswith("/" + topic.name.lstrip("/")):
-                if topic in found:
+                if topic in found and kind != topic.type:
+                    continue
+                if topic in found and types[found[topic]] == topic.type:
                     raise TrialError(
                         f"{where}: two topics are a '{topic.name}': {found[topic]} and {name}",
                         "record one testbed per trial",

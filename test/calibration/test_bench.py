@@ -96,6 +96,9 @@ def test_cycles_are_the_file_s_own_or_found_in_spite_of_noise_and_a_spike():
     stress[70] = [1.9e6, 9e5, 0.0]
     found = drift.cycle_ids(dataclasses.replace(bench, stress=stress))
     assert (found != true_cycles(bench)).mean() < 0.05 and found.max() == 17
+    half = 2 * (true_cycles(bench) > 8)  # all readings of another file were outliers
+    split = dataclasses.replace(bench, files=("a", "b", "c"), file=half)
+    assert drift.cycle_ids(split).max() == 17
     named = dataclasses.replace(bench, cycle=np.arange(len(bench)) % 4)
     ids = drift.cycle_ids(join_benches([named, bench]))  # files never share one
     np.testing.assert_array_equal(ids[: len(bench)], named.cycle)

@@ -72,6 +72,9 @@ def test_every_kind_of_file_gives_the_same_surface_and_is_refused_when_cut_off(c
         assert (scan.unit, scan.unit_source) == ("mm", "inferred")
         assert len(scan.notes) == 2  # of its unit and its brim: nothing was repaired
         data = path.read_bytes()
+        if name.startswith("text"):  # any name of the solid, and no final line feed
+            path.write_bytes(data.rstrip().replace(b"solid", b"solid vertex", 1))
+            assert_same_surface(read_scan(path).mesh, cone)
         for share in rng.random(4) if name != "a.obj" else ():  # an OBJ does not state its length
             path.write_bytes(data[: int(share * len(data))])
             with pytest.raises(ScanError):

@@ -23,7 +23,7 @@ def copying(
 ) -> Iterator[tuple[BagReader, BagWriter]]:
     """A trial and a new one with its topics and configuration; its messages are the caller's."""
     with BagReader(source) as old, BagWriter(target) as new:
-        for topic, name in match_topics(old.counts, str(source)).items():
+        for topic, name in match_topics(old.types, str(source)).items():
             new.add_topic(namespace + name, topic)
         yield old, new
     copy_configuration(source, target)

@@ -45,7 +45,7 @@ def test_samples_agree_with_the_truth_within_the_sensors_errors(hold: Path) -> N
 
 def test_a_topic_that_is_missing_or_empty_is_named(hold: Path, tmp_path: Path) -> None:
     with BagReader(hold) as old:
-        names, raws = topics.match_topics(old.counts, "hold"), list(old.messages())
+        names, raws = topics.match_topics(old.types, "hold"), list(old.messages())
     for topic in topics.REQUIRED:
         for declared, says in ((False, f"has no topic '{topic.name}'"), (True, "holds no message")):
             target = tmp_path / f"{topic.name.replace('/', '_')}_{declared}"
@@ -89,7 +89,10 @@ def test_topics_are_found_in_the_namespace_of_the_recording(hold: Path, tmp_path
     assert recorded_namespace(Trial(hold)) == "/"
     np.testing.assert_array_equal(Trial(target).samples().values, Trial(hold).samples().values)
     with refused(TrialError, "two topics"):
-        topics.match_topics(["/a/trigger", "/b/trigger"], "bag")
+        topics.match_topics(dict.fromkeys(["/a/trigger", "/b/trigger"], topics.TRIGGER.type), "bag")
+    types = {"/camera/trigger": "std_msgs/msg/Bool", "/lab/trigger": topics.TRIGGER.type}
+    for listed in (types, dict(reversed(types.items()))):  # another program's counts for nothing
+        assert topics.match_topics(listed, "bag")[topics.TRIGGER] == "/lab/trigger"
 
 
 def test_stamps_that_jump_back_are_counted_and_named(hold: Path, tmp_path: Path) -> None:
