@@ -236,14 +236,17 @@ class _ExpectedError:
     def __init__(self, geometry: SocketGeometry) -> None:
         self._prior: list[FloatArray] = []  # K under each hypothesis
         self._with_wrench: list[FloatArray] = []  # likewise, given the wrench
-        bare = replace(geometry, clusters={})
+        self._noise: list[FloatArray] = []  # error variances of a cluster on each tile, (3n,)
+        names = geometry.names
+        everywhere = replace(geometry, clusters={name: tile for tile, name in enumerate(names)})
         for sizes in hypotheses(ForceMapSettings(draws=_HYPOTHESES)):
-            prior = Prior(bare, (), sizes)
-            whole = prior.covariance()
-            mapped = whole @ prior.mapping.T
-            known = prior.mapping @ mapped + np.diag(prior.noise)
+            prior = Prior(everywhere, names, sizes)
+            whole, onto = prior.covariance(), prior.mapping[:6]
+            mapped = whole @ onto.T
+            known = onto @ mapped + np.diag(prior.noise[:6])
             self._prior.append(whole)
             self._with_wrench.append(whole - mapped @ np.linalg.solve(known, mapped.T))
+            self._noise.append(prior.noise[6:])
 
     def error(self, tiles: Sequence[int]) -> float:
         """Expected error on the tiles without a cluster, over their RMS [-]."""
@@ -258,32 +261,27 @@ class _ExpectedError:
 
     def best(self, tiles: Sequence[int], free: IntArray) -> int:
         """The free tile on which another cluster lowers the error most."""
-        gains = np.sum([self._gains(each) for each in self._posterior(tiles)], axis=0)
+        left = zip(self._posterior(tiles), self._noise, strict=True)
+        gains = np.sum([_gains(covariance, noise) for covariance, noise in left], axis=0)
         return int(free[gains[free].argmax()])
 
     def _posterior(self, tiles: Sequence[int]) -> list[FloatArray]:
-        found = self._with_wrench
-        for tile in tiles:
-            found = [self._conditioned(covariance, 3 * tile + np.arange(3)) for covariance in found]
-        return found
+        rows = (3 * np.array(tiles, dtype=int)[:, None] + np.arange(3)).ravel()
+        return [
+            K - K[:, rows] @ np.linalg.solve(K[np.ix_(rows, rows)] + np.diag(noise[rows]), K[rows])
+            for K, noise in zip(self._with_wrench, self._noise, strict=True)
+        ]
 
-    def _conditioned(self, covariance: FloatArray, rows: IntArray) -> FloatArray:
-        columns, own = covariance[:, rows], covariance[np.ix_(rows, rows)]
-        return covariance - columns @ np.linalg.solve(own + self._noise(own), columns.T)
 
-    def _gains(self, covariance: FloatArray) -> FloatArray:
-        """Relative decrease of the trace for a cluster on each tile, shape (n,) [-]."""
-        columns = covariance.reshape(len(covariance), -1, 3)  # (3n, n, 3)
-        squares = np.einsum("jia,jib->iab", columns, columns)
-        tiles = np.arange(len(squares))
-        own = covariance.reshape(len(tiles), 3, len(tiles), 3)[tiles, :, tiles]
-        lowered = np.linalg.solve(own + self._noise(own), squares).trace(axis1=1, axis2=2)
-        return np.asarray(lowered / np.trace(covariance))
-
-    def _noise(self, own: FloatArray) -> FloatArray:
-        """Error covariances of clusters whose forces have the covariances (..., 3, 3)."""
-        offset, gain = ForceMapSettings.cluster_error, ForceMapSettings.cluster_gain_error
-        return np.asarray(np.eye(3) * (offset**2 + gain**2 * own))
+def _gains(covariance: FloatArray, noise: FloatArray) -> FloatArray:
+    """Relative decrease of the trace for a cluster on each tile, shape (n,) [-]."""
+    columns = covariance.reshape(len(covariance), -1, 3)  # (3n, n, 3)
+    squares = np.einsum("jia,jib->iab", columns, columns)
+    tiles = np.arange(len(squares))
+    own = covariance.reshape(len(tiles), 3, len(tiles), 3)[tiles, :, tiles]
+    seen = own + np.eye(3) * noise.reshape(-1, 1, 3)
+    lowered = np.linalg.solve(seen, squares).trace(axis1=1, axis2=2)
+    return np.asarray(lowered / np.trace(covariance))
 
 
 def place_clusters(
