@@ -27,7 +27,7 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 from socket_testbed.clocks import Backoff
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import CALIBRATION_FILE, SOCKET_FILE, local_graph, packaged
+from socket_testbed.files import CALIBRATION_FILE, SOCKET_FILE, packaged
 from socket_testbed.live.bringup import (
     Simulation,
     Testbed,
@@ -41,6 +41,7 @@ from socket_testbed.live.processes import (
     GraphNode,
     is_wrong_input,
     launched,
+    local_graph,
     wait_again,
 )
 

@@ -10,7 +10,6 @@ from importlib import import_module
 
 from socket_testbed.commands.arguments import Parser, add_options, read_function, release_paths
 from socket_testbed.errors import TestbedError, likely
-from socket_testbed.files import local_graph
 from socket_testbed.version import __version__
 
 # For each verb: the module of its function, whose docstring is its help, and an example.
@@ -127,6 +126,8 @@ def run(arguments: list[str] | None = None) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
     try:
+        from socket_testbed.live.processes import local_graph  # not for --help
+
         # Any machine that reaches a graph can read and stop it, so it stays local by default.
         os.environ |= local_graph()
         module = import_module(f"socket_testbed.commands.{VERBS[verb]}")

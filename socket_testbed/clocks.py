@@ -15,7 +15,6 @@ import os
 import time
 from collections import deque
 from collections.abc import Callable
-from datetime import timedelta
 from statistics import median_low
 
 BEGINNING = "SOCKET_TESTBED_BEGINNING"  # of the steady clock, since the epoch [ns]
@@ -65,11 +64,6 @@ def sleep(seconds: float) -> None:
 def real(seconds: float) -> float:
     """Convert testbed seconds to real seconds [s], as for the timeout of an event or a socket."""
     return seconds / _scale
-
-
-def duration_text(seconds: float) -> str:
-    """A duration [s] in whole seconds, such as 0:01:30."""
-    return str(timedelta(seconds=int(seconds)))
 
 
 class SteadyClock:

@@ -85,6 +85,12 @@ def likely(word: str, known: Collection[str]) -> str:
     return f"did you mean '{found[0]}'?" if found else ""
 
 
+def listed(parts: Sequence[str], most: int) -> str:
+    """The first parts, and the number of the others."""
+    more = f" and {len(parts) - most} more" * (len(parts) > most)
+    return ", ".join(parts[:most]) + more
+
+
 def first_of(problems: Sequence[object]) -> str:
     """The first of some problems, and the number of the others."""
     return f"{problems[0]}" + f" (and {len(problems) - 1} more)" * (len(problems) > 1)

@@ -20,9 +20,6 @@ from socket_testbed.errors import ConfigurationError
 SOCKET_FILE, CALIBRATION_FILE, PARAMETERS_FILE = "socket.yaml", "calibration.yaml", "testbed.yaml"
 CONFIGURATION_FILES = (SOCKET_FILE, CALIBRATION_FILE, PARAMETERS_FILE)
 
-RANGE, _LOCAL = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
-# Fast DDS; newer versions read the second name.
-_PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 _PR_SET_PDEATHSIG = 1
 _TEMPORARY_PREFIX = "socket_testbed_"
 _MIN_AGE = 60.0  # [s]; a younger folder may not be locked yet
@@ -58,16 +55,6 @@ def refuse_existing(path: Path) -> None:
     """Refuse to overwrite anything."""
     if path.exists():
         raise ConfigurationError(f"{path} exists already", "name another output or remove it")
-
-
-def local_graph() -> dict[str, str]:
-    """Variables that keep a ROS graph on this machine; empty if the user's environment opens it."""
-    if os.environ.get(RANGE, _LOCAL) != _LOCAL:
-        return {}
-    found = {RANGE: _LOCAL}
-    if not any(name in os.environ for name in _PROFILE_VARIABLES):
-        found |= dict.fromkeys(_PROFILE_VARIABLES, str(packaged("config", "loopback.xml")))
-    return found
 
 
 def end_with_parent(number: signal.Signals) -> None:

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import timedelta
 from itertools import chain, count, groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -24,6 +25,11 @@ UNCERTAIN = ", uncertain"  # after a wide interval
 def number(value: float, spec: str = ".3g") -> str:
     """Format a number for display; a dash if it is not finite."""
     return f"{value:{spec}}" if math.isfinite(value) else NOTHING
+
+
+def duration_text(seconds: float) -> str:
+    """A duration [s] in whole seconds, such as 0:01:30."""
+    return str(timedelta(seconds=int(seconds)))
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,8 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Self
 
-from socket_testbed.clocks import duration_text
 from socket_testbed.live.graph_status import GraphStatus
-from socket_testbed.tables import NOTHING, Table, number
+from socket_testbed.tables import NOTHING, Table, duration_text, number
 from socket_testbed.trials.topics import full_namespace
 
 if TYPE_CHECKING:

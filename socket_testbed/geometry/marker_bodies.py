@@ -144,9 +144,7 @@ def body_fault(markers: FloatArray) -> tuple[str, str] | None:
     return None
 
 
-def fit_body(
-    reference: FloatArray, observed: FloatArray, tolerance: float = EDGE_TOLERANCE
-) -> BodyFit:
+def fit_body(reference: FloatArray, observed: FloatArray) -> BodyFit:
     """Fit a body to its markers in each frame, for any order of their labels.
 
     A triad needs all its markers. For larger bodies, the pose is fitted to at least three seen
@@ -157,7 +155,7 @@ def fit_body(
     is the least-squares one (`fit_rigid`).
 
     `reference` holds the markers in the body's frame, shape (k, 3) [m]; `observed` is in another
-    frame, shape (N, k, 3) [m], NaN if occluded. Distances agree within the tolerance [m].
+    frame, shape (N, k, 3) [m], NaN if occluded. Distances agree within `EDGE_TOLERANCE`.
     """
     own = distances(reference)
     count, size = observed.shape[:2]
@@ -169,23 +167,21 @@ def fit_body(
         markers = np.where((trial >= 0)[:, None], observed[:, trial], np.nan)
         there = np.isfinite(markers.sum(axis=2))
         off = np.nan_to_num(np.abs(distances(markers) - own)).max(axis=(1, 2))
-        agree = waiting & (off <= tolerance) & (there.sum(axis=1) >= MIN_MARKERS)
+        agree = waiting & (off <= EDGE_TOLERANCE) & (there.sum(axis=1) >= MIN_MARKERS)
         order[agree] = np.where(there[agree], trial, -1)
         waiting &= ~agree
         trial = None
         for frame in sorted(np.flatnonzero(waiting), key=lambda k: -seen[k]):
-            found = _matches(own, distances(observed[frame]), tolerance)
+            found = _matches(own, distances(observed[frame]), EDGE_TOLERANCE)
             if len(found) == 1 and _is_sure(found[0], int(seen[frame]), size):
                 trial = np.full(size, -1)
                 trial[[i for i, _ in found[0]]] = [label for _, label in found[0]]
                 break
             waiting[frame] = False
-    return _fit_ordered(reference, observed, order, tolerance)
+    return _fit_ordered(reference, observed, order)
 
 
-def _fit_ordered(
-    reference: FloatArray, observed: FloatArray, order: IntArray, tolerance: float
-) -> BodyFit:
+def _fit_ordered(reference: FloatArray, observed: FloatArray, order: IntArray) -> BodyFit:
     """Fit each frame to the markers in its order; frames with equal markers at once."""
     count = len(observed)
     rotation, translation = np.full((count, 3, 3), np.nan), np.full((count, 3), np.nan)
@@ -193,7 +189,7 @@ def _fit_ordered(
     own = distances(reference)
     named = order >= 0
     for used in np.unique(named, axis=0):
-        if not _is_unique(reference, own, used, tolerance):
+        if not _is_unique(reference, own, used):
             continue
         rows = np.flatnonzero((named == used).all(axis=1))
         markers = np.take_along_axis(observed[rows], order[rows][:, used][:, :, None], axis=1)
@@ -201,7 +197,7 @@ def _fit_ordered(
         off = np.sqrt((misfit(reference[used], markers, pose) ** 2).mean(axis=1))
         # Mirrored markers have correct distances; three of a larger set easily agree by chance.
         is_subset = used.sum() == MIN_MARKERS < len(used)
-        fits = off <= (_TIGHT if is_subset else 1.0) * tolerance
+        fits = off <= (_TIGHT if is_subset else 1.0) * EDGE_TOLERANCE
         rows = rows[fits]
         rotation[rows], translation[rows] = pose.rotation[fits], pose.translation[fits]
         residual[rows] = off[fits]
@@ -209,13 +205,13 @@ def _fit_ordered(
     return BodyFit(Pose(rotation, translation), residual, order)
 
 
-def _is_unique(reference: FloatArray, own: FloatArray, used: BoolArray, tolerance: float) -> bool:
+def _is_unique(reference: FloatArray, own: FloatArray, used: BoolArray) -> bool:
     """Whether some markers of a body determine a pose and cannot be confused with others."""
     if used.all():
         return True
     if used.sum() < MIN_MARKERS or _width(reference[used]) < _MIN_DISTANCE:
         return False
-    return len(_matches(own, own[np.ix_(used, used)], tolerance)) == 1
+    return len(_matches(own, own[np.ix_(used, used)], EDGE_TOLERANCE)) == 1
 
 
 def _width(markers: FloatArray) -> float:

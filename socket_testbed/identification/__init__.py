@@ -3,8 +3,8 @@
 **How does the limb's motion cause forces?** The contact model. `contact` defines the laws and the
 models built on them. `problem` selects and weighs the channels of a fit and turns them into
 programs for any law; `solver` solves and certifies these. `fit` runs both stages and computes a
-model's errors; `pareto` runs them over the trade-off and compares with the paper. `model_file`
-reads and writes models.
+model's errors; `pareto` runs them over the trade-off, `paper` compares both with the published
+figures. `model_file` reads and writes models.
 
 **What is the force on every tile now?** The force map, which needs no fit. `force_map` estimates
 it from the clusters and the wrench; `pressure` evaluates regions of it.

@@ -38,7 +38,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray
-from socket_testbed.errors import IdentificationError
+from socket_testbed.errors import IdentificationError, listed
 from socket_testbed.geometry.regions import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import (
@@ -49,6 +49,7 @@ from socket_testbed.samples import (
     Status,
     channel_unit,
 )
+from socket_testbed.settings.identification import PlateauSettings
 
 MAX_FORCE = 5000.0  # [N]; three times the weight of a person of 170 kg
 MAX_MOMENT = 500.0  # [N m]; more than a leg transmits below the knee
@@ -62,7 +63,7 @@ MAX_OUTLIERS = 0.1  # [-]; of the samples
 MIN_MOMENT = 0.1  # [N m]; lower limit when a channel group is normalised
 MIN_FORCE = 1.0  # [N]
 HANGING_WEIGHT = 50.0  # [N]; weight of a prosthesis below the load cell
-MIN_LOAD = 20.0  # [N]
+MIN_LOAD = PlateauSettings.least_force  # [N]
 PEAK_RATIO = 3.0  # [-]; of the load's own peak; 3.3 in the paper
 PEAK_QUANTILE = 0.99  # [-]
 LEVER_FACTOR = 2.0  # [-]; of the farthest tile's distance
@@ -130,10 +131,9 @@ def outlier_notes(samples: Samples, outliers: Outliers, start: int | None = None
     ):
         if len(rows):
             unit = channel_unit(name) if name in samples.channels else "m"
-            parts = [f"{column[i]:.3g} {unit} at {time[i]:.2f} s" for i in rows[:_MAX_NAMED]]
-            more = f" and {len(rows) - _MAX_NAMED} more" if len(rows) > _MAX_NAMED else ""
+            parts = [f"{column[i]:.3g} {unit} at {time[i]:.2f} s" for i in rows]
             number = "an outlier" if len(rows) == 1 else f"{len(rows)} outliers"
-            notes.append(f"{name} has {number} ({', '.join(parts)}{more}): left out")
+            notes.append(f"{name} has {number} ({listed(parts, _MAX_NAMED)}): left out")
     return notes
 
 

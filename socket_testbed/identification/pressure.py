@@ -49,10 +49,6 @@ _CONVEX = ("peak", "integral", "shear")  # functions of the forces
 _NEVER_NEGATIVE = ("area", "integral", "shear")
 MAX_DRAWN = 2000  # samples of a span with expanded draws, evenly spread
 _EXPANDED_BATCH = 32  # samples whose draws are expanded at a time
-# Uncertain pressures turn grey in pictures: full colour up to a ratio of interval reach to value,
-# the greyest from another on. Lower values are treated as `_MIN_GREYED`.
-_FULL_COLOUR, _GREYEST = 1.0, 2.5  # [-]
-_MIN_GREYED = 5e3  # [Pa]
 _RIGHT_ANGLE = 0.5 * np.pi  # [rad]
 # Output, axis of a vector, factor from SI, and displayed decimals, by the title of a column; in the
 # order of tables.
@@ -102,12 +98,6 @@ def normal_quantity(value: FloatArray, deviation: FloatArray) -> Quantity:
     """Values with 95 % intervals from their standard deviations."""
     reach = NORMAL_QUANTILE * deviation
     return Quantity(value, value - reach, value + reach, np.abs(value))
-
-
-def greyness(value: FloatArray, reach: FloatArray) -> FloatArray:
-    """Greyness of pressures by the reach of 95 % intervals [Pa]: 0 full colour, 1 greyest."""
-    share = reach / np.maximum(np.abs(value), _MIN_GREYED)
-    return np.asarray(np.clip((share - _FULL_COLOUR) / (_GREYEST - _FULL_COLOUR), 0.0, 1.0))
 
 
 @dataclass(frozen=True)

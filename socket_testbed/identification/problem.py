@@ -186,7 +186,7 @@ def _cluster_channels(
             if np.isfinite(force).sum() < 2:
                 names = [f"{cluster}.{LOCAL_CHANNELS[a]}" for a in np.flatnonzero(counts[column])]
                 raise IdentificationError(
-                    f"{cluster}.{LOCAL_CHANNELS[axis]} has no usable value in any of the"
+                    f"{cluster}.{LOCAL_CHANNELS[axis]} has fewer than 2 usable values in the"
                     f" {len(samples)} samples",
                     f"check the cluster or leave it out (--leave-out {' '.join(names)})",
                 )

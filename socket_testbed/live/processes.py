@@ -23,7 +23,7 @@ import yaml
 
 from socket_testbed.clocks import Backoff, shared_environment
 from socket_testbed.errors import ConfigurationError, TestbedError
-from socket_testbed.files import TemporaryFolder, end_with_parent
+from socket_testbed.files import TemporaryFolder, end_with_parent, packaged
 from socket_testbed.settings.fields import Settings, parameter_values
 
 # Each testbed has its own transforms, in the namespace of its other topics.
@@ -32,6 +32,9 @@ REMAPPINGS = (("/tf", "tf"), ("/tf_static", "tf_static"))
 # Environment variables of the processes:
 PARENT = "SOCKET_TESTBED_PARENT"  # the process that started this one
 RESTARTED = "SOCKET_TESTBED_RESTARTED"  # set if this process replaces another
+RANGE, _LOCAL = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
+# Fast DDS; newer versions read the second name.
+_PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 
 SPARE = "spare"  # name of the process that stands by to replace a killed node
 
@@ -103,6 +106,16 @@ def require_ros() -> None:
                 f"{package} cannot be imported",
                 "run 'make setup', or source the ROS 2 workspace that holds this package",
             )
+
+
+def local_graph() -> dict[str, str]:
+    """Variables that keep a ROS graph on this machine; empty if the user's environment opens it."""
+    if os.environ.get(RANGE, _LOCAL) != _LOCAL:
+        return {}
+    found = {RANGE: _LOCAL}
+    if not any(name in os.environ for name in _PROFILE_VARIABLES):
+        found |= dict.fromkeys(_PROFILE_VARIABLES, str(packaged("config", "loopback.xml")))
+    return found
 
 
 def is_wrong_input(code: int, began: float) -> bool:

@@ -22,6 +22,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,7 @@ from socket_testbed.settings.testbed import NextTrialSettings, RecorderSettings,
 from socket_testbed.trials import metadata
 from socket_testbed.trials.bag import BagWriter, is_bag
 from socket_testbed.trials.topics import RECORDED_TRIAL, TOPICS
-from socket_testbed.trials.trial import beside, read_configuration, store_configuration
+from socket_testbed.trials.trial import read_configuration, store_configuration
 
 _SILENCE_TIMEOUT = 10.0  # [s]; for a graph to start
 
@@ -136,7 +137,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             path = directory.with_name(f"{directory.name}_{name}") if name else directory
         else:
             path = directory / (name or datetime.now().strftime("trial_%Y%m%d_%H%M%S"))
-        return beside(path) if path.exists() else path
+        return _beside(path) if path.exists() else path
 
     def _record(self) -> None:
         """Record into the folder, or next to it if it holds a trial."""
@@ -146,7 +147,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             raise ConfigurationError(
                 f"{directory} is being written by another recorder", "end it, or name a new folder"
             )
-        path = beside(directory) if holds_trial else directory
+        path = _beside(directory) if holds_trial else directory
         self._start(path, self._stated)
         if holds_trial:
             self.report(WARN, f"recording {path}: {directory} holds a trial and stays as it is")
@@ -224,6 +225,12 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         if self.context.ok():
             name = self._path.name if self._bag and self._path else ""
             self._announcer.publish(String(data=name))
+
+
+def _beside(path: Path) -> Path:
+    """The first free name among `path`_2, `path`_3, ..."""
+    names = (path.parent / f"{path.name}_{number}" for number in count(2))
+    return next(name for name in names if not name.exists())
 
 
 def _metadata_of(given: NextTrialSettings) -> metadata.TrialMetadata:

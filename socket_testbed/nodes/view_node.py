@@ -34,6 +34,7 @@ from socket_testbed.pages import document
 from socket_testbed.pages.server import PageServer, is_local
 from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import ViewSettings
+from socket_testbed.tables import duration_text
 from socket_testbed.trials import topics
 from socket_testbed.trials.messages import REGION_FIELDS, Reader
 from socket_testbed.trials.metadata import FIELDS
@@ -251,7 +252,7 @@ class LiveSource:
             figures = {entry.key: entry.value for entry in recorder.values}
             if trial:
                 elapsed = float(figures[base.ELAPSED]) + now - max(arrival, since)
-                words += f" for {clocks.duration_text(elapsed)}"
+                words += f" for {duration_text(elapsed)}"
             words += f", {1e-9 * float(figures[base.FREE]):.1f} GB free"
         return {"on": bool(trial), "words": words}
 

@@ -29,9 +29,9 @@ from socket_testbed.identification.pressure import (
     PressureOutputs,
     Quantity,
     RegionOutputs,
-    greyness,
     read_column,
 )
+from socket_testbed.pages.pressure import greyness
 from socket_testbed.pages.wall import Patch, patches, side_names, unrolled_tiles
 from socket_testbed.samples import Samples
 from socket_testbed.trials.trial import Trial

@@ -1,4 +1,4 @@
-"""Pressure outputs as text: their decimals, and values with their 95 % intervals."""
+"""How pressure outputs look: decimals, values with their intervals, grey where uncertain."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from socket_testbed.arrays import FloatArray
 from socket_testbed.identification.pressure import (
     DECIMALS,
     SHARE,
@@ -22,6 +23,16 @@ if TYPE_CHECKING:
     import pandas as pd
 
 INLINE = "{} ({})"  # a value and its interval
+# Uncertain pressures turn grey in pictures: full colour up to a ratio of interval reach to value,
+# the greyest from another on. Lower values are treated as `_MIN_GREYED`.
+_FULL_COLOUR, _GREYEST = 1.0, 2.5  # [-]
+_MIN_GREYED = 5e3  # [Pa]
+
+
+def greyness(value: FloatArray, reach: FloatArray) -> FloatArray:
+    """Greyness of pressures by the reach of 95 % intervals [Pa]: 0 full colour, 1 greyest."""
+    share = reach / np.maximum(np.abs(value), _MIN_GREYED)
+    return np.asarray(np.clip((share - _FULL_COLOUR) / (_GREYEST - _FULL_COLOUR), 0.0, 1.0))
 
 
 def decimals_of(title: str) -> int:

@@ -69,8 +69,8 @@ def load_history(scenario: Scenario, time: FloatArray, rng: np.random.Generator)
         hands += _trapezoid(time, 0.04 * duration, 0.5 * duration)[:, None] * _hands(time, rng)
     else:
         share = _trapezoid(time, 0.05 * duration, 0.95 * duration)
-        around, up = 2.0 * np.pi * time / 11.0, 2.0 * np.pi * time / 17.0
-        push = 35.0 * share * (0.6 + 0.4 * np.sin(2.0 * np.pi * time / 23.0))
+        around, up, slow = 2.0 * np.pi * time / _HAND_PERIODS[[0, 3, 1], None]
+        push = _MAX_PUSH * share * (0.6 + 0.4 * np.sin(slow))
         added[:, 0] = push * np.cos(around)
         added[:, 1] = push * np.sin(around)
         added[:, 2] = 60.0 * share * np.sin(up)

@@ -74,7 +74,7 @@ class SimulatedTrial:
 def random_streams(seed: int) -> tuple[np.random.Generator, ...]:
     """Separate streams for tissue, load, load cell, clusters, markers and vibration.
 
-    Changing the duration or one error size does not affect the other parts.
+    The size of one error does not affect the other parts.
     """
     return tuple(np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(6))
 

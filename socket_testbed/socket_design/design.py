@@ -320,9 +320,9 @@ def _tiled_socket(
     source: str,
     scan: ScanFrame,
 ) -> SocketGeometry:
-    """The geometry of a tiled socket in {S}, its tiles sorted by name.
+    """The geometry of a tiled socket in {S}, its tiles sorted by the names of their places.
 
-    A tile under a cluster has the cluster's name.
+    A tile under a cluster then gets the cluster's name.
     """
     squares = tiling.squares
     clusters = {laid.name: tile for tile, laid in enumerate(tiling.clusters)} | nominal

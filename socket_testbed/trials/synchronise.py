@@ -21,7 +21,7 @@ from scipy.ndimage import median_filter
 from socket_testbed.arrays import FloatArray, IntArray, StatusArray
 from socket_testbed.calibration import drift
 from socket_testbed.calibration.model import Calibration
-from socket_testbed.errors import ConfigurationError, TrialError
+from socket_testbed.errors import ConfigurationError, TrialError, listed
 from socket_testbed.geometry.marker_bodies import MAX_MARKERS
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import Samples, Status
@@ -206,23 +206,22 @@ def _stamp_notes(series: dict[tuple[topics.Topic, str], _Columns]) -> Iterator[s
         if len(back):
             jumps = [f"from {time[i]:.2f} s to {time[i + 1]:.2f} s" for i in back]
             found[
-                f"jump back, {_listed(jumps)}; samples are in the order of their stamps: check the"
+                f"jump back, {_times(jumps)}; samples are in the order of their stamps: check the"
                 " clock of the recording"
             ].append(own)
         values, counts = np.unique(stamps, return_counts=True)
         again = (values[counts > 1] - first) * 1e-9
         if len(again):
-            times, lost = _listed([f"at {at:.2f} s" for at in again]), len(stamps) - len(values)
+            times, lost = _times([f"at {at:.2f} s" for at in again]), len(stamps) - len(values)
             text = f"are doubled, {times}: {lost} earlier values are replaced by later ones"
             found[text].append(own)
     for text, names in found.items():
         yield f"the stamps of {', '.join(names)} {text}"
 
 
-def _listed(parts: list[str]) -> str:
-    more = f" and {len(parts) - _MAX_LISTED} more" if len(parts) > _MAX_LISTED else ""
+def _times(parts: list[str]) -> str:
     times = "once" if len(parts) == 1 else f"{len(parts)} times"
-    return f"{times} ({', '.join(parts[:_MAX_LISTED])}{more})"
+    return f"{times} ({listed(parts, _MAX_LISTED)})"
 
 
 def correct_measurements(

@@ -6,7 +6,6 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -212,7 +211,7 @@ class Trial:
     def events(self) -> list[Event]:
         """The events in the order of their times.
 
-        Events marked during the recording, and those detected in the load: `placed`, `removed`.
+        Events marked during the recording, and those detected in the load, see `find_events`.
         Detected events whose label was also recorded are left out.
         """
         return list(self._events)
@@ -281,12 +280,6 @@ def recorded_namespace(trial: Trial) -> str:
     with trial.open() as bag:
         name = required_topics(bag)[topics.TRIGGER]
     return topics.namespace_of(name, topics.TRIGGER) or "/"
-
-
-def beside(path: Path) -> Path:
-    """The first free name among `path`_2, `path`_3, ..."""
-    names = (path.parent / f"{path.name}_{number}" for number in count(2))
-    return next(name for name in names if not name.exists())
 
 
 def read_configuration(

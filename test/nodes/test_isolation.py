@@ -14,9 +14,8 @@ from support import HANGS
 from support.graph import Probe
 from support.testbeds import manageable
 
-from socket_testbed.files import RANGE
 from socket_testbed.live.bringup import end, simulated_testbed, start
-from socket_testbed.live.processes import Graph
+from socket_testbed.live.processes import RANGE, Graph
 from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.trials.cdr import stamp_of
 from socket_testbed.trials.topics import TF, TF_STATIC, TRIGGER, WRENCH
