@@ -137,7 +137,7 @@ class CalibratedCluster(Result):
     def _figure(self, style: FigureStyle) -> Figure:
         """Calibrated versus known stress, and the residuals; a column per stress."""
         from socket_testbed.calibration.bench_data import STRESSES
-        from socket_testbed.report.style import lay_out, style_axes
+        from socket_testbed.report.style import MEASURED_STYLE, VERMILION, lay_out, style_axes
 
         found = self.quality
         groups = found.cross_validation.groups
@@ -154,13 +154,13 @@ class CalibratedCluster(Result):
             x = known[:, k]
             above, below = axes[:, k]
             ends = [x[some].min(), x[some].max()]
-            above.plot(ends, ends, color="0.72", linewidth=2.4)
+            above.plot(ends, ends, **MEASURED_STYLE)
             above.plot(x[some], fitted[some, k], ".", color="0.2", markersize=2.0)
             if outliers := [o for o in found.outliers if o.axis == k]:
                 places = np.array([(o.known, o.fitted) for o in outliers]).T * 1e-3
-                above.plot(*places, "o", color="#D55E00", fillstyle="none", label="outlier")
+                above.plot(*places, "o", color=VERMILION, fillstyle="none", label="outlier")
             unseen = (held_out - known)[some, k]
-            below.plot(x[some], unseen, "x", color="#D55E00", markersize=3.0, label="held out")
+            below.plot(x[some], unseen, "x", color=VERMILION, markersize=3.0, label="held out")
             fit = (fitted - known)[some, k]
             below.plot(x[some], fit, ".", color="0.2", markersize=2.0, label="in the fit")
             below.axhline(0.0, color="0.72", linewidth=1.0)

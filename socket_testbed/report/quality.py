@@ -31,7 +31,16 @@ from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.identification.noise import channel_noise, noise_groups
 from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart, utc
 from socket_testbed.report.results import Results
-from socket_testbed.report.style import THINNED, FigureStyle, in_style, lay_out, style_axes, thin
+from socket_testbed.report.style import (
+    BLUE,
+    THINNED,
+    VERMILION,
+    FigureStyle,
+    in_style,
+    lay_out,
+    style_axes,
+    thin,
+)
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status
 from socket_testbed.tables import Table, number, pairs_table
 from socket_testbed.trials.metadata import NO_SIDE
@@ -44,7 +53,7 @@ _MAX_GAPS = 5  # in the list
 _LOAD_HEIGHT, _ROW_HEIGHT, _AXIS_HEIGHT = 36.0, 4.5, 16.0  # [mm]; rows of drop-outs
 _MAX_BINS = 400  # over time
 _SEGMENT_GREY, _PLATEAU_GREY = "0.80", "0.93"
-_COLOURS = ("#0072B2", "#D55E00")  # of force and moment
+_COLOURS = (BLUE, VERMILION)  # of force and moment
 
 
 def section(results: Results) -> Section:

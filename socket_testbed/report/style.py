@@ -20,12 +20,13 @@ from socket_testbed.files import atomic_output, check_picture
 
 SCALE = "viridis"  # perceptually uniform, safe for colour-blind readers
 
-# Okabe & Ito's colours also differ in lightness, and each line has its own dashes.
+VERMILION, BLUE, GREEN = "#D55E00", "#0072B2", "#009E73"  # Okabe & Ito's
+# These colours also differ in lightness, and each line has its own dashes.
 LINE_STYLES: tuple[dict[str, Any], ...] = (
-    {"color": "#D55E00", "linestyle": (0, (4, 1.5))},
-    {"color": "#0072B2", "linestyle": "-"},
+    {"color": VERMILION, "linestyle": (0, (4, 1.5))},
+    {"color": BLUE, "linestyle": "-"},
     {"color": "#222222", "linestyle": (0, (1, 1.2))},
-    {"color": "#009E73", "linestyle": (0, (5, 1.5, 1, 1.5))},
+    {"color": GREEN, "linestyle": (0, (5, 1.5, 1, 1.5))},
 )
 MAX_POINTS = 1000  # per line
 THINNED = (

@@ -25,6 +25,7 @@ from socket_testbed.report.style import (
     DEFAULT_STYLE,
     SCALE,
     SMALL,
+    VERMILION,
     FigureStyle,
     in_style,
     lay_out,
@@ -32,7 +33,6 @@ from socket_testbed.report.style import (
 )
 
 _TILE = "#A6CBE3"
-_CLUSTER = "#D55E00"  # Okabe & Ito's vermilion
 _EDGE = "#2B5C7D"
 _NO_VALUE = "#FFFFFF"
 _HATCH = "/////"  # for missing values
@@ -152,7 +152,7 @@ def _draw_part(axis: Axes, paint: TilePaint, name: str, labels: Sequence[str]) -
     corners: Any = paint.tiles.corners[tiles]  # matplotlib's types name sequences only
     covered, hatched = paint.geometry.covered[tiles], paint.hatched[tiles]
     edge = to_rgba(_EDGE, 0.0 if paint.images else 1.0)
-    edges = np.where(covered[:, None], to_rgba(_CLUSTER), edge)
+    edges = np.where(covered[:, None], to_rgba(VERMILION), edge)
     widths = np.where(covered, 1.6, 0.6)
     squares = PolyCollection(
         corners, facecolors=paint.fills[tiles], edgecolors=edges, linewidths=widths
@@ -345,7 +345,7 @@ def socket_figure(geometry: SocketGeometry, title: str = "") -> Figure:
     for cluster, tile in geometry.clusters.items():
         labels[tile] += f" ({cluster})" * (cluster != labels[tile])
     paint = paint_tiles(geometry, np.full(len(geometry), np.nan))
-    fills = np.where(geometry.covered[:, None], to_rgba(_CLUSTER), to_rgba(_TILE))
+    fills = np.where(geometry.covered[:, None], to_rgba(VERMILION), to_rgba(_TILE))
     paint = replace(paint, fills=fills, hatched=np.zeros_like(paint.hatched))
     wall, end = figure.subplots(1, 2, width_ratios=(_WALL_SHARE, 1.0))
     _draw_wall(wall, paint, labels, None)
@@ -353,7 +353,7 @@ def socket_figure(geometry: SocketGeometry, title: str = "") -> Figure:
     _draw_end(end, paint, labels)
     end.set(title="distal end, seen through\nthe opening", xlabel="towards right [mm]")
     end.set_ylabel("towards anterior [mm]")
-    kinds = {"tile": _TILE, "tile with a cluster": _CLUSTER}
+    kinds = {"tile": _TILE, "tile with a cluster": VERMILION}
     handles = [Swatch(facecolor=colour, label=name) for name, colour in kinds.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=2)
     return lay_out(figure)
