@@ -63,8 +63,7 @@ def sample_at(time: FloatArray, when: float) -> int | None:
 
 def evenly(count: int, most: int) -> IntArray:
     """At most `most` of `count` indices, evenly spread from the first to the last."""
-    chosen = np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)
-    return np.unique(chosen)
+    return np.linspace(0, count - 1, min(count, most)).astype(np.int64)
 
 
 def line_weights(offsets: FloatArray) -> FloatArray:

@@ -37,7 +37,7 @@ from types import SimpleNamespace
 import numpy as np
 from scipy.special import chdtri, i0e, i1e, ndtri
 
-from socket_testbed.arrays import BoolArray, FloatArray, IntArray
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray, evenly
 from socket_testbed.geometry.regions import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import rigid_motions, wrench_map
@@ -274,7 +274,7 @@ class ForceMap:
         """Log evidence of the hypotheses, averaged over the samples, shape (M,) [-]."""
         values, present = _channels(samples)
         rows = np.flatnonzero(present.any(axis=1))
-        rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), _MAX_SAMPLES)).astype(int)]
+        rows = rows[evenly(len(rows), _MAX_SAMPLES)]
         total = np.zeros(len(self._priors))
         for pattern, some in _by_pattern(present[rows]):
             conditioned = self._conditioned(pattern)

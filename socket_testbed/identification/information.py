@@ -37,7 +37,7 @@ from socket_testbed.identification.noise import (
 from socket_testbed.samples import FORCES, MOMENTS, Samples, turned
 from socket_testbed.settings.identification import BIAS_VARIANTS
 
-MIN_SHARE = 0.5  # [-]; of the load, carried by the springs
+MIN_SPRING_SHARE = 0.5  # [-]; of the load, carried by the springs
 MIN_RATIO = 3.0  # [-]; of motion to noise: noise then lowers a stiffness by a tenth
 _MIN_NOISE = 1e-9  # [m, rad]; of a noise-free pose
 _UNKNOWN_NOISE = 1.0  # [m, rad]; large, so that possible noise does not count as motion
@@ -91,7 +91,7 @@ def load_shares(samples: Samples, model: ContactModel) -> tuple[LoadShare, ...]:
 def share_warning(shares: tuple[LoadShare, ...]) -> str:
     """A warning if the springs carry less than half of the force; else empty."""
     fz, force, _ = shares
-    if not force.springs < MIN_SHARE:
+    if not force.springs < MIN_SPRING_SHARE:
         return ""
     return (
         f"the springs bear only {100 * force.springs:.0f} % of the measured force"

@@ -30,7 +30,10 @@ _STAND_TREMOR = 2e-5  # [m]
 
 @dataclass(frozen=True)
 class SensorErrors:
-    """Error sizes of all sensors."""
+    """Error sizes of all sensors.
+
+    A running testbed has no creep and no vibration; its markers are occluded or swapped by faults.
+    """
 
     gain_mismatch: float = 0.02  # spread of the gains of a cluster's channels [-]
     offset: float = 0.03  # spread of the offsets of a cluster's channels [pF]
