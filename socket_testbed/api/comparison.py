@@ -1,29 +1,4 @@
-r"""Trials side by side: values of every trial, and differences from the first.
-
-The interval of a difference :math:`x_1 - x_0` comes from the intervals :math:`[l, u]` of both
-values, as a + b - 2 r sqrt(a b) with a and b the squared half-widths of their intervals:
-
-.. math:: \left[ d - \sqrt{a_l + b_u - 2 r \sqrt{a_l b_u}},\;
-          d + \sqrt{a_u + b_l - 2 r \sqrt{a_u b_l}} \right], \quad
-          a_l = (x_1 - l_1)^2, \; b_u = (u_0 - x_0)^2, \ldots
-
-The errors have a correlation of r: `SAME_LIMB` for trials of one subject in one socket, else 0.
-
-Asymmetric intervals stay asymmetric (Zou & Donner, Construction of confidence limits about effect
-measures, Statistics in Medicine 27, 2008).
-
-For conditions with several trials, x is the mean of the condition and [l, u] the mean of its
-intervals: repetition does not reduce the uncertainty left by the sensors. The spread between
-donnings is the standard deviation s of the trials about the means of their conditions, pooled over
-all conditions, with nu degrees of freedom. It adds to each half-width, in quadrature,
-
-.. math:: t_{0.975, \nu} \, s \sqrt{1 / k_1 + 1 / k_0}
-
-for k_1 and k_0 trials. The smallest detectable difference, at 5 % with a power of 80 %, is the root
-sum of squares of :math:`\lambda s \sqrt{1 / k_1 + 1 / k_0}`, with the noncentrality lambda at
-which a t test has this power (Owen, The power of Student's t-test, Journal of the American
-Statistical Association 60, 1965), and (1.96 + 0.84) / 1.96 times the half-width without spread.
-"""
+"""Trials side by side: values of every trial, and differences from the first."""
 
 from __future__ import annotations
 
@@ -31,10 +6,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.special import nctdtrinc, ndtri, stdtrit
 
 from socket_testbed.api.pressure import Rows, TrialPressure, pressure
 from socket_testbed.api.result import Result, records
@@ -50,11 +24,19 @@ from socket_testbed.api.trials import (
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.socket import SECTOR_TURNS, Side, SocketGeometry
-from socket_testbed.identification.force_map import NORMAL_QUANTILE
+from socket_testbed.identification.comparison import (
+    DIFFERENCE,
+    POWER,
+    SAME_LIMB,
+    VALUE,
+    VALUES,
+    Conditions,
+    is_clear,
+)
 from socket_testbed.identification.pressure import THRESHOLD
 from socket_testbed.pages.pressure import decimals_of
 from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
-from socket_testbed.tables import split_unit
+from socket_testbed.tables import NOTHING, split_unit
 from socket_testbed.trials.metadata import FIELDS, NO_SIDE
 from socket_testbed.trials.trial import Trial
 
@@ -64,88 +46,12 @@ if TYPE_CHECKING:
 
     from socket_testbed.report.style import FigureStyle
 
-T = TypeVar("T")
-
 _MAX_ITEMS = 12  # trials or conditions
 _LOAD_TOLERANCE = 0.1  # [-]; relative difference in mean force above which a note is given
 _TIME_TOLERANCE = 0.05  # [-]; likewise for the time covered by an integral
-VALUE = ("value", "low", "high")
-DIFFERENCE = ("difference", "difference low", "difference high")
-_VALUES = (*VALUE, *DIFFERENCE)
-COLUMNS = ("part", "name", "quantity", "unit", "item", *_VALUES, "text")
+COLUMNS = ("part", "name", "quantity", "unit", "item", *VALUES, "text")
 MAPPED = ("regions", "tiles")  # parts of the table computed from the force map
 LEGEND = "value (95 % interval); *: the interval of the difference excludes 0."
-# Correlation of the map's errors in two trials of one limb in one socket: docs/compare.md [-].
-SAME_LIMB = 0.7
-_POWER = 0.8  # [-]; probability that a difference of the detectable size is significant
-
-
-@dataclass(frozen=True)
-class Conditions:
-    """The c conditions under which k trials are compared; a single trial may be a condition."""
-
-    names: tuple[str, ...]
-    numbers: IntArray  # index of each trial's condition, shape (k,)
-
-    @property
-    def freedom(self) -> int:
-        """Degrees of freedom of the spread between donnings; 0 with one trial per condition."""
-        return len(self.numbers) - len(self.names)
-
-    def grouped(self, values: Sequence[T]) -> dict[str, list[T]]:
-        """Group one value per trial by condition."""
-        found: dict[str, list[T]] = {name: [] for name in self.names}
-        for number, value in zip(self.numbers, values, strict=True):
-            found[self.names[number]].append(value)
-        return found
-
-    def mean(self, values: FloatArray) -> FloatArray:
-        """Condition means, shape (c, m), of trial values, shape (k, m)."""
-        return np.array([np.mean(group, axis=0) for group in self.grouped([*values]).values()])
-
-    def columns(
-        self,
-        values: FloatArray,
-        low: FloatArray,
-        high: FloatArray,
-        correlation: FloatArray | float = 0.0,
-    ) -> dict[str, FloatArray]:
-        """Columns of shape (c, m) from m values and their intervals, each of shape (k, m).
-
-        `correlation` [-], shape (c, m), relates the errors of each condition to the first one's.
-        The module docstring gives the equations.
-        """
-        value, low, high = map(self.mean, (values, low, high))
-        below, above = np.maximum(value - low, 0.0), np.maximum(high - value, 0.0)
-        difference = value - value[0]
-        with np.errstate(invalid="ignore"):  # the reach of an open interval is unknown
-            lower, upper = (
-                np.sqrt(own**2 + first**2 - 2.0 * correlation * own * first)
-                for own, first in ((below, above[0]), (above, below[0]))
-            )
-        found = (value, low, high, difference, difference - lower, difference + upper)
-        columns = dict(zip(_VALUES, found, strict=True))
-        if self.freedom:
-            squares = (values - value[self.numbers]) ** 2
-            spread = np.sqrt(squares.sum(axis=0) / self.freedom)
-            share = 1.0 / np.bincount(self.numbers)[:, None]
-            error = spread * np.sqrt(share + share[0])
-            quantile = stdtrit(self.freedom, 0.975)
-            noncentrality = nctdtrinc(self.freedom, 1.0 - _POWER, quantile)
-            normal = 1.0 + ndtri(_POWER) / NORMAL_QUANTILE
-            reach = quantile * spread * np.sqrt(share)
-            columns |= {
-                "low": value - np.hypot(below, reach),
-                "high": value + np.hypot(above, reach),
-                "difference low": difference - np.hypot(lower, quantile * error),
-                "difference high": difference + np.hypot(upper, quantile * error),
-                "spread": np.tile(spread, (len(value), 1)),
-                "degrees of freedom": np.full(value.shape, float(self.freedom)),
-                "detectable": np.hypot(normal * np.maximum(lower, upper), noncentrality * error),
-            }
-        for name in columns.keys() & {*DIFFERENCE, "detectable"}:
-            columns[name][0] = np.nan
-        return columns
 
 
 def values_table(
@@ -310,18 +216,15 @@ class Comparison(Result):
         return (rows[name].to_numpy().reshape(-1, len(self.items)).T for name in columns)
 
 
-def is_clear(low: Any, high: Any) -> Any:
-    """Whether the intervals of differences exclude 0."""
-    return (low > 0.0) | (high < 0.0)
-
-
 def _cell(row: Mapping[str, Any], columns: Sequence[str]) -> str:
     """A value or difference with its interval."""
     sign = "+" if columns == DIFFERENCE else ""
     value, low, high = (row[name] for name in columns)
     shown = _number(row, columns[0], sign) if np.isfinite(value) else ""
-    if not np.isfinite([low, high]).all():
+    if np.isnan([low, high]).any():
         return shown
+    if not np.isfinite([low, high]).all():
+        return NOTHING
     differs = " *" if sign and is_clear(low, high) else ""
     return f"{shown} ({_number(row, columns[1])} to {_number(row, columns[2])}){differs}"
 
@@ -351,7 +254,7 @@ def compare(
     mean wrench, and the metadata. All trials must be of one socket, unless `by_region` is set.
 
     The interval of a difference treats errors of two limbs as independent and those of one subject
-    in one socket as correlated, see `socket_testbed.api.comparison`; docs/compare.md reports its
+    in one socket as correlated, see `identification.comparison`; docs/compare.md reports its
     coverage. With several trials per condition, it includes the spread between donnings, which is
     reported along with the smallest detectable difference.
 
@@ -521,7 +424,7 @@ def _texts(
         ("trials", "calibration"): [f"{each.source} ({each.date})" for each in calibrations],
     }
     rows = [
-        (*key, "", "", item, *[np.nan] * len(_VALUES), "; ".join(dict.fromkeys(different)))
+        (*key, "", "", item, *[np.nan] * len(VALUES), "; ".join(dict.fromkeys(different)))
         for key, entries in texts.items()
         for item, different in compared.grouped(entries).items()
     ]
@@ -572,7 +475,7 @@ def _notes(
         yield (
             "values are means of repeated trials; spread: the standard deviation between donnings"
             f" (degrees of freedom: {freedom}), included in the intervals; detectable: the smallest"
-            f" difference that {100 * _POWER:.0f} % of such studies would tell from 0"
+            f" difference that {100 * POWER:.0f} % of such studies would tell from 0"
         )
     if freedom and len(subjects) > 1:
         yield "several limbs: the spread between donnings includes that between the limbs"

@@ -143,8 +143,10 @@ class TrialFit(Result):
         from socket_testbed.report.tiles import tile_map_figure
 
         model = self.fit.model
-        frame = "the tile's frame" if model.is_rigid else "{S}"
-        maps = {f"k along {x} of {frame}": k for x, k in zip("xyz", model.stiffness.T, strict=True)}
+        maps = {
+            f"k along {x} of {model.frame}": k
+            for x, k in zip("xyz", model.stiffness.T, strict=True)
+        }
         heading = f"{self.trial.name}, {self.segment}: stiffness, {model.variant}"
         return tile_map_figure(self.trial.geometry, maps, "stiffness [N/m]", heading, style)
 

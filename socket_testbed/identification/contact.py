@@ -109,6 +109,9 @@ class ContactLaw(ABC):
     sharpness: float  # sharpness alpha of the gate [1/m]
     reference_pose: FloatArray  # pose where the motion is zero, shape (6,) [m, rad]
 
+    # Whether stiffnesses and rest displacements are along the tiles' axes; otherwise of {S}, and
+    # rest positions are those of the limb.
+    IN_TILES: ClassVar[bool] = False
     # Whether both stages are refined jointly, which requires `slopes` and `bends`.
     REFINED: ClassVar[bool] = False
     # Whether a variant with offsets has those of the clusters in both stages, and fits the wrench's
@@ -315,6 +318,7 @@ class RigidLaw(ContactLaw):
     value, with mean 1, and the rest displacements likewise, with mean 0.
     """
 
+    IN_TILES = True
     REFINED = True
     OFFSETS_THROUGHOUT = True
     MAX_ROWS = 500
@@ -448,9 +452,9 @@ class ContactModel:
     of_wrench: ContactModel | None = None
 
     @property
-    def is_rigid(self) -> bool:
-        """Whether the model uses the limb's rotation and works in the tiles' frames."""
-        return isinstance(self.law, RigidLaw)
+    def frame(self) -> str:
+        """Frame of the stiffnesses and rest positions, in words."""
+        return "the tile's frame" if self.law.IN_TILES else "{S}"
 
     def forces(self, pose: FloatArray) -> FloatArray:
         """Forces F_i + b_i on the socket at the n points of interest, in {S}, shape (N, n, 3) [N].

@@ -64,6 +64,12 @@ class ChannelErrors:
     in_objective: bool  # whether the channel was fitted
 
 
+def deviation(values: FloatArray) -> float:
+    """Standard deviation: the error of the best constant; 0 for rounding, NaN with missing ones."""
+    found = float(np.std(values))
+    return 0.0 if found <= _CONSTANT * float(np.abs(values).max()) else found
+
+
 def channel_errors(
     name: str, measured: FloatArray, predicted: FloatArray, in_objective: bool = True
 ) -> ChannelErrors:
@@ -74,8 +80,7 @@ def channel_errors(
     if count:
         rmse = float(np.sqrt(np.mean(residual**2)))
         mae, sigma = float(np.mean(np.abs(residual))), float(np.std(residual))
-        constant = float(np.std(measured[rows]))
-        if constant > _CONSTANT * float(np.abs(measured[rows]).max()):
+        if constant := deviation(measured[rows]):
             skill = 1.0 - rmse / constant
     return ChannelErrors(name, channel_unit(name), rmse, mae, sigma, skill, count, in_objective)
 

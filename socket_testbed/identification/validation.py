@@ -151,7 +151,7 @@ def judge_wrench(
 
     Means leave out wrench channels without a value.
     """
-    constant = samples.wrench.std(axis=0)
+    constant = np.array([fit.deviation(channel) for channel in samples.wrench.T])
     found = []
     for name, predict in predictors.items():
         rmse = np.sqrt(np.mean((predict(samples.pose) - samples.wrench) ** 2, axis=0))

@@ -281,7 +281,7 @@ def surface_section(results: Results) -> Section:
 
 def model_values(results: Results, candidate: Candidate) -> dict[str, dict[str, Any]]:
     """Parameters of a model on the tiles for the map, by name."""
-    model, frame = candidate.model, _frame(candidate)
+    model, frame = candidate.model, candidate.model.frame
     kinds = [
         ("stiffness", "N/m", model.stiffness),
         ("rest position", "mm", _rest_offsets(results, candidate)),
@@ -293,14 +293,9 @@ def model_values(results: Results, candidate: Candidate) -> dict[str, dict[str, 
     }
 
 
-def _frame(candidate: Candidate) -> str:
-    """The frame of a model's stiffnesses and rest positions."""
-    return "the tile's frame" if candidate.model.is_rigid else "{S}"
-
-
 def _rest_offsets(results: Results, candidate: Candidate) -> FloatArray:
-    """Rest positions from the mean limb position, in `_frame`, shape (n, 3) [mm]."""
-    if candidate.model.is_rigid:
+    """Rest displacements, or rest positions from the mean one of the limb, shape (n, 3) [mm]."""
+    if candidate.model.law.IN_TILES:
         return 1e3 * candidate.model.rest_positions
     mean = np.nanmean(results.samples.position[results.segment.rows], axis=0)
     return 1e3 * (candidate.model.rest_positions - mean)
@@ -315,11 +310,11 @@ def _tile_maps(results: Results) -> Iterator[ReportFigure]:
         yield _tile_map(results, candidate, name, title, model.stiffness, "k", "stiffness [N/m]")
         if shown is None or not np.array_equal(model.rest_positions, shown):
             shown = model.rest_positions
-            shared = candidate.fit is not None and not model.is_rigid
+            shared = candidate.fit is not None and not model.law.IN_TILES
             name = "rest_positions" if shared else f"rest_positions_{label}"
             whose = "the same for the paper's variants" if shared else f"model {label}"
             values, title = _rest_offsets(results, candidate), f"Rest positions, {whose}"
-            origin = "reference pose" if model.is_rigid else "mean limb position"
+            origin = "reference pose" if model.law.IN_TILES else "mean limb position"
             quantity = f"rest position from the {origin} [mm]"
             yield _tile_map(results, candidate, name, title, values, "q_r", quantity)
 
@@ -334,7 +329,7 @@ def _tile_map(
     quantity: str,
 ) -> ReportFigure:
     """Maps of a quantity on the tiles along x, y, z, shape (n, 3)."""
-    geometry, frame = results.trial.geometry, _frame(candidate)
+    geometry, frame = results.trial.geometry, candidate.model.frame
     described, unit = split_unit(quantity)
     columns = {f"anchor {axis} in S [m]": column for axis, column in _by_axis(geometry.anchors)}
     columns |= {f"{described} {axis} [{unit}]": column for axis, column in _by_axis(values)}
@@ -395,7 +390,8 @@ def _engaged_tiles(results: Results) -> pd.DataFrame:
     """Share of time on the segment with each spring engaged, a row per tile."""
     columns: dict[str, Any] = {"tile": results.trial.geometry.names}
     for candidate in results.candidates:
-        axes = ("normal",) if candidate.model.is_rigid else ("x", "y", "z")
+        gates = candidate.model.law.GATES
+        axes = ["normal"] if gates == (2,) else ["xyz"[axis] for axis in gates]
         names = [f"{candidate.label}.{axis} engaged [-]" for axis in axes]
         columns |= dict(zip(names, candidate.engagement.time_share.T, strict=True))
     return pd.DataFrame(columns)

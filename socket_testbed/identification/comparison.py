@@ -1,0 +1,120 @@
+r"""Differences between trials or conditions, and their 95 % intervals.
+
+The interval of a difference :math:`x_1 - x_0` comes from the intervals :math:`[l, u]` of both
+values, as a + b - 2 r sqrt(a b) with a and b the squared half-widths of their intervals:
+
+.. math:: \left[ d - \sqrt{a_l + b_u - 2 r \sqrt{a_l b_u}},\;
+          d + \sqrt{a_u + b_l - 2 r \sqrt{a_u b_l}} \right], \quad
+          a_l = (x_1 - l_1)^2, \; b_u = (u_0 - x_0)^2, \ldots
+
+The errors have a correlation of r: `SAME_LIMB` for trials of one subject in one socket, else 0.
+
+Asymmetric intervals stay asymmetric (Zou & Donner, Construction of confidence limits about effect
+measures, Statistics in Medicine 27, 2008).
+
+For conditions with several trials, x is the mean of the condition and [l, u] the mean of its
+intervals: repetition does not reduce the uncertainty left by the sensors. The spread between
+donnings is the standard deviation s of the trials about the means of their conditions, pooled over
+all conditions, with nu degrees of freedom. It adds to each half-width, in quadrature,
+
+.. math:: t_{0.975, \nu} \, s \sqrt{1 / k_1 + 1 / k_0}
+
+for k_1 and k_0 trials. The smallest detectable difference, at 5 % with a power of 80 %, is the root
+sum of squares of :math:`\lambda s \sqrt{1 / k_1 + 1 / k_0}`, with the noncentrality lambda at
+which a t test has this power (Owen, The power of Student's t-test, Journal of the American
+Statistical Association 60, 1965), and (1.96 + 0.84) / 1.96 times the half-width without spread.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+from scipy.special import nctdtrinc, ndtri, stdtrit
+
+from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.identification.force_map import NORMAL_QUANTILE
+
+T = TypeVar("T")
+
+# Correlation of the map's errors in two trials of one limb in one socket: docs/compare.md [-].
+SAME_LIMB = 0.7
+POWER = 0.8  # [-]; probability that a difference of the detectable size is significant
+VALUE = ("value", "low", "high")
+DIFFERENCE = ("difference", "difference low", "difference high")
+VALUES = (*VALUE, *DIFFERENCE)
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """The c conditions under which k trials are compared; a single trial may be a condition."""
+
+    names: tuple[str, ...]
+    numbers: IntArray  # index of each trial's condition, shape (k,)
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of the spread between donnings; 0 with one trial per condition."""
+        return len(self.numbers) - len(self.names)
+
+    def grouped(self, values: Sequence[T]) -> dict[str, list[T]]:
+        """Group one value per trial by condition."""
+        found: dict[str, list[T]] = {name: [] for name in self.names}
+        for number, value in zip(self.numbers, values, strict=True):
+            found[self.names[number]].append(value)
+        return found
+
+    def mean(self, values: FloatArray) -> FloatArray:
+        """Condition means, shape (c, m), of trial values, shape (k, m)."""
+        return np.array([np.mean(group, axis=0) for group in self.grouped([*values]).values()])
+
+    def columns(
+        self,
+        values: FloatArray,
+        low: FloatArray,
+        high: FloatArray,
+        correlation: FloatArray | float = 0.0,
+    ) -> dict[str, FloatArray]:
+        """Columns of shape (c, m) from m values and their intervals, each of shape (k, m).
+
+        `correlation` [-], shape (c, m), relates the errors of each condition to the first one's.
+        The module docstring gives the equations.
+        """
+        value, low, high = map(self.mean, (values, low, high))
+        below, above = np.maximum(value - low, 0.0), np.maximum(high - value, 0.0)
+        difference = value - value[0]
+        with np.errstate(invalid="ignore"):  # the reach of an open interval is unknown
+            lower, upper = (
+                np.sqrt(own**2 + first**2 - 2.0 * correlation * own * first)
+                for own, first in ((below, above[0]), (above, below[0]))
+            )
+        found = (value, low, high, difference, difference - lower, difference + upper)
+        columns = dict(zip(VALUES, found, strict=True))
+        if self.freedom:
+            squares = (values - value[self.numbers]) ** 2
+            spread = np.sqrt(squares.sum(axis=0) / self.freedom)
+            share = 1.0 / np.bincount(self.numbers)[:, None]
+            error = spread * np.sqrt(share + share[0])
+            quantile = stdtrit(self.freedom, 0.975)
+            noncentrality = nctdtrinc(self.freedom, 1.0 - POWER, quantile)
+            normal = 1.0 + ndtri(POWER) / NORMAL_QUANTILE
+            reach = quantile * spread * np.sqrt(share)
+            columns |= {
+                "low": value - np.hypot(below, reach),
+                "high": value + np.hypot(above, reach),
+                "difference low": difference - np.hypot(lower, quantile * error),
+                "difference high": difference + np.hypot(upper, quantile * error),
+                "spread": np.tile(spread, (len(value), 1)),
+                "degrees of freedom": np.full(value.shape, float(self.freedom)),
+                "detectable": np.hypot(normal * np.maximum(lower, upper), noncentrality * error),
+            }
+        for name in columns.keys() & {*DIFFERENCE, "detectable"}:
+            columns[name][0] = np.nan
+        return columns
+
+
+def is_clear(low: Any, high: Any) -> Any:
+    """Whether the intervals of differences exclude 0."""
+    return (low > 0.0) | (high < 0.0)
