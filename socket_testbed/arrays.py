@@ -29,15 +29,6 @@ def robust_deviation(errors: FloatArray) -> FloatArray:
     return np.asarray(np.median(np.abs(errors), axis=0) / _MEDIAN)
 
 
-def mean_and_sigma(vectors: FloatArray) -> tuple[float, float]:
-    """Magnitude of the mean of complete vectors, shape (N, 3), and spread of their magnitudes."""
-    vectors = vectors[np.isfinite(vectors).all(axis=1)]
-    if not len(vectors):
-        return float("nan"), float("nan")
-    magnitude = float(np.linalg.norm(vectors.mean(axis=0)))
-    return magnitude, float(np.linalg.norm(vectors, axis=1).std())
-
-
 def runs(flags: BoolArray) -> IntArray:
     """Half-open index ranges in which the flags are set, shape (n, 2)."""
     edges = np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8))

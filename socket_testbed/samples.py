@@ -47,6 +47,15 @@ def moments_about(wrench: FloatArray, point: Sequence[float] | None) -> FloatArr
     return np.hstack([wrench[:, :3] - np.cross(point, wrench[:, 3:]), wrench[:, 3:]])
 
 
+def mean_and_sigma(vectors: FloatArray) -> tuple[float, float]:
+    """Magnitude of the mean of complete vectors, shape (N, 3), and spread of their magnitudes."""
+    vectors = vectors[np.isfinite(vectors).all(axis=1)]
+    if not len(vectors):
+        return float("nan"), float("nan")
+    magnitude = float(np.linalg.norm(vectors.mean(axis=0)))
+    return magnitude, float(np.linalg.norm(vectors, axis=1).std())
+
+
 def turned(rotation: FloatArray, by: FloatArray) -> FloatArray:
     """Rotation vectors of exp(rotation) exp(by), shape (N, 3) [rad]; NaN for unknown rotations."""
     known = np.isfinite(rotation).all(axis=1)

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 from scipy.stats import chi2, gamma, nct, norm, t, ttest_ind
 
 from socket_testbed.api.comparison import Comparison, values_table
-from socket_testbed.identification.comparison import Conditions
+from socket_testbed.identification.differences import Conditions
 
 RNG = np.random.default_rng(12)
 TRIALS = Conditions(("one", "two"), np.array([0, 1]))

@@ -24,7 +24,7 @@ from socket_testbed.api.trials import (
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.socket import SECTOR_TURNS, Side, SocketGeometry
-from socket_testbed.identification.comparison import (
+from socket_testbed.identification.differences import (
     DIFFERENCE,
     POWER,
     SAME_LIMB,
@@ -254,7 +254,7 @@ def compare(
     mean wrench, and the metadata. All trials must be of one socket, unless `by_region` is set.
 
     The interval of a difference treats errors of two limbs as independent and those of one subject
-    in one socket as correlated, see `identification.comparison`; docs/compare.md reports its
+    in one socket as correlated, see `identification.differences`; docs/compare.md reports its
     coverage. With several trials per condition, it includes the spread between donnings, which is
     reported along with the smallest detectable difference.
 

@@ -15,7 +15,7 @@ from socket_testbed.api.models import Model, model_for
 from socket_testbed.api.tradeoff import theta_values
 from socket_testbed.files import check_page
 from socket_testbed.geometry.socket import SOCKET
-from socket_testbed.identification.comparison import DIFFERENCE, SAME_LIMB, VALUE, is_clear
+from socket_testbed.identification.differences import DIFFERENCE, SAME_LIMB, VALUE, is_clear
 from socket_testbed.pages.document import moment, pressure_card, socket_document
 from socket_testbed.settings.testbed import estimator_settings
 from socket_testbed.tables import Table, pairs_table

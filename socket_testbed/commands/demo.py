@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure, SubFigure
 
 from socket_testbed import api
-from socket_testbed.arrays import FloatArray, mean_and_sigma
+from socket_testbed.arrays import FloatArray
 from socket_testbed.commands.terminal import Progress, decimals, table
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import TemporaryFolder, check_new_folder, make_folder
@@ -27,7 +27,7 @@ from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.pages.document import part_of
 from socket_testbed.report import style
 from socket_testbed.report.tiles import tile_map_figure
-from socket_testbed.samples import Samples
+from socket_testbed.samples import Samples, mean_and_sigma
 from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
 from socket_testbed.simulation.trial import GroundTruth, read_truth
 from socket_testbed.trials import topics

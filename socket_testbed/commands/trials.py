@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from socket_testbed import api
-from socket_testbed.arrays import gaps, mean_and_sigma, usual_period
+from socket_testbed.arrays import gaps, usual_period
 from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import (
     check_metadata,
@@ -23,7 +23,7 @@ from socket_testbed.commands.options import (
 from socket_testbed.commands.terminal import Progress, decimals, table
 from socket_testbed.files import CONFIGURATION_FILES, check_outputs
 from socket_testbed.identification.noise import channel_noise, noise_groups
-from socket_testbed.samples import Samples, Status
+from socket_testbed.samples import Samples, Status, mean_and_sigma
 from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
 from socket_testbed.trials.metadata import NO_SIDE, TrialMetadata
 from socket_testbed.trials.trial import Trial

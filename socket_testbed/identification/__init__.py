@@ -12,6 +12,6 @@ it from the clusters and the wrench; `pressure` evaluates regions of it.
 **How far can all this be trusted?** Validation. Samples: `data_check` points out what to look at,
 `plausibility` checks magnitude and sign, `noise` estimates the noise. Models: `information` shows
 what the trial determines. All estimates: `validation` tests them on unseen data, next to simple
-baselines. `suspension` measures the stiffness between limb and socket without a model, `comparison`
-differences between trials.
+baselines. `suspension` measures the stiffness between limb and socket without a model,
+`differences` compares trials.
 """

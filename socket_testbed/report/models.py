@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure, SubFigure
 
-from socket_testbed.arrays import FloatArray, mean_and_sigma
+from socket_testbed.arrays import FloatArray
 from socket_testbed.identification.fit import ChannelErrors, summarise_errors
 from socket_testbed.identification.paper import THEIRS, beside_published
 from socket_testbed.pages.document import numbers
@@ -29,7 +29,7 @@ from socket_testbed.report.style import (
     wrap,
 )
 from socket_testbed.report.tiles import tile_map_figure
-from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
+from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit, mean_and_sigma
 from socket_testbed.settings.identification import BIAS_VARIANTS, PAPER_VARIANTS
 from socket_testbed.tables import Table, number, split_unit
 from socket_testbed.trials.segment import Segment

@@ -14,16 +14,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from socket_testbed.arrays import (
-    GAP,
-    BoolArray,
-    FloatArray,
-    StatusArray,
-    gaps,
-    mean_and_sigma,
-    runs,
-    usual_period,
-)
+from socket_testbed.arrays import GAP, BoolArray, FloatArray, StatusArray, gaps, runs, usual_period
 from socket_testbed.files import PARAMETERS_FILE
 from socket_testbed.identification.fit import summarise_errors
 from socket_testbed.identification.information import share_warning
@@ -41,7 +32,7 @@ from socket_testbed.report.style import (
     style_axes,
     thin,
 )
-from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status
+from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status, mean_and_sigma
 from socket_testbed.tables import Table, number, pairs_table
 from socket_testbed.trials.metadata import NO_SIDE
 from socket_testbed.trials.segment import Segment

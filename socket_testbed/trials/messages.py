@@ -15,18 +15,7 @@ import numpy as np
 from socket_testbed.arrays import FloatArray, IntArray, StatusArray
 from socket_testbed.errors import TrialError
 from socket_testbed.samples import Status
-from socket_testbed.trials import topics
-from socket_testbed.trials.cdr import (
-    Layout,
-    Record,
-    blank,
-    decode,
-    elements,
-    encode,
-    fields_of,
-    make_message,
-    stamps_of,
-)
+from socket_testbed.trials import cdr, topics
 
 if TYPE_CHECKING:
     from socket_testbed.identification.fit import Fit
@@ -39,7 +28,7 @@ LOAD_CELL_FRAME = "load_cell"  # the paper's {S}
 
 _MAX_LAYOUTS = 8  # remembered per topic; messages of other layouts are decoded one by one
 
-Values: TypeAlias = Callable[[Record, Any], Any]
+Values: TypeAlias = Callable[[cdr.Record, Any], Any]
 """Values of messages of one layout, from their numbers and one decoded sample: names and lengths
 are equal in all. Shapes begin with that of the records."""
 
@@ -54,8 +43,8 @@ class Reader:
         self._topic = topic
         self._where = where
         self._values = VALUES[topic.type]
-        fields_of(topic.type)  # cached now, so that a node's first message is not delayed
-        self._known: list[tuple[Layout, Any]] = []
+        cdr.fields_of(topic.type)  # cached now, so that a node's first message is not delayed
+        self._known: list[tuple[cdr.Layout, Any]] = []
 
     def read(self, data: bytes) -> tuple[int, Any]:
         """Stamp since the epoch [ns] and values of one message."""
@@ -88,12 +77,12 @@ class Reader:
             tried += 1
             records, fits = layout.records([messages[place] for place in chosen.tolist()])
             if len(records):
-                yield chosen[fits], stamps_of(records), self._values(records, sample)
+                yield chosen[fits], cdr.stamps_of(records), self._values(records, sample)
             left = np.concatenate([chosen[~fits], left[len(chosen) :]])
 
-    def _learn(self, data: bytes) -> tuple[Layout, Any]:
+    def _learn(self, data: bytes) -> tuple[cdr.Layout, Any]:
         try:
-            return Layout(data, self._topic.type), decode(data, self._topic.type)
+            return cdr.Layout(data, self._topic.type), cdr.decode(data, self._topic.type)
         except Exception as error:  # the library may raise any exception
             raise TrialError(
                 f"{self._where}: a message on {self._topic.name} cannot be decoded ({error})",
@@ -109,7 +98,7 @@ class Template:
     """
 
     def __init__(self, message_type: str, frame: str = LOAD_CELL_FRAME, **content: Any) -> None:
-        self._content, self.numbers = blank(message_type, header={"frame_id": frame}, **content)
+        self._content, self.numbers = cdr.blank(message_type, header={"frame_id": frame}, **content)
         self._stamp = self.numbers["header"]["stamp"]
 
     def serialised(self, stamp: int, **numbers: Any) -> bytes:
@@ -145,7 +134,7 @@ def pose_packer() -> VectorPacker:
     )
 
 
-def _joined(record: Record, *fields: str) -> FloatArray:
+def _joined(record: cdr.Record, *fields: str) -> FloatArray:
     return np.concatenate([record[field] for field in fields], axis=-1)
 
 
@@ -159,7 +148,7 @@ def _vector_packer(template: Template, field: str, *halves: str) -> VectorPacker
     return pack
 
 
-def _raw(records: Record, sample: Any) -> FloatArray:
+def _raw(records: cdr.Record, sample: Any) -> FloatArray:
     """Ratios of the bridges [-] and tare [M; F] [N m, N], shape (..., 12)."""
     tare = _joined(records["tare"], "torque", "force")
     return np.concatenate([records["ratios"], tare], axis=-1)
@@ -190,11 +179,11 @@ class Capacitances(NamedTuple):
     status: StatusArray  # `Status` of each, of the same shape
 
 
-def _capacitances(records: Record, sample: Any) -> Capacitances:
+def _capacitances(records: cdr.Record, sample: Any) -> Capacitances:
     names = tuple(cluster.name for cluster in sample.clusters)
     capacitance = np.empty((*records.shape, len(names), 4))
     status = np.empty(capacitance.shape, np.uint8)
-    for i, own in enumerate(elements(records, "clusters")):
+    for i, own in enumerate(cdr.elements(records, "clusters")):
         capacitance[..., i, :], status[..., i, :] = own["capacitance"], own["status"]
     return Capacitances(names, capacitance, status)
 
@@ -205,7 +194,7 @@ def capacitance_packer(names: Sequence[str]) -> Callable[[int, FloatArray, Statu
     From its stamp [ns], and capacitances [pF] and statuses, shape (c, 4).
     """
     template = Template(topics.CAPACITANCE.type, clusters=[{"name": name} for name in names])
-    clusters = elements(template.numbers, "clusters")
+    clusters = cdr.elements(template.numbers, "clusters")
 
     def pack(stamp: int, capacitance: FloatArray, status: StatusArray) -> bytes:
         for own, values, states in zip(clusters, capacitance, status, strict=True):
@@ -215,13 +204,13 @@ def capacitance_packer(names: Sequence[str]) -> Callable[[int, FloatArray, Statu
     return pack
 
 
-def _stress(records: Record, sample: Any) -> dict[str, tuple[FloatArray, int]]:
+def _stress(records: cdr.Record, sample: Any) -> dict[str, tuple[FloatArray, int]]:
     """Normal stress, shear x and y [Pa], and status by cluster, of one message.
 
     Clusters that share a name are ambiguous and count as missing.
     """
     found = {}
-    for cluster, own in zip(sample.clusters, elements(records, "clusters"), strict=True):
+    for cluster, own in zip(sample.clusters, cdr.elements(records, "clusters"), strict=True):
         *stress, status = own.tolist()
         if cluster.name in found:
             stress, status = [np.nan] * 3, int(Status.MISSING)
@@ -235,7 +224,7 @@ def stress_packer(names: Sequence[str]) -> Callable[[int, FloatArray, StatusArra
     From its stamp [ns], normal stress, shear x and y, shape (c, 3) [Pa], and statuses, shape (c,).
     """
     template = Template(topics.STRESS.type, clusters=[{"name": name} for name in names])
-    clusters = elements(template.numbers, "clusters")
+    clusters = cdr.elements(template.numbers, "clusters")
 
     def pack(stamp: int, stress: FloatArray, status: StatusArray) -> bytes:
         for own, values, state in zip(clusters, stress.tolist(), status.tolist(), strict=True):
@@ -245,7 +234,7 @@ def stress_packer(names: Sequence[str]) -> Callable[[int, FloatArray, StatusArra
     return pack
 
 
-def _markers(records: Record, sample: Any) -> list[tuple[str, FloatArray]]:
+def _markers(records: cdr.Record, sample: Any) -> list[tuple[str, FloatArray]]:
     """Name of each body, and its m markers in the world, shape (..., m, 3) [m]."""
     found = []
     for number, body in enumerate(sample.bodies):
@@ -263,7 +252,7 @@ def markers_packer(counts: Mapping[str, int]) -> Callable[[int, Sequence[FloatAr
     """
     bodies = [{"name": name, "markers": [None] * count} for name, count in counts.items()]
     template = Template(topics.MARKERS.type, WORLD_FRAME, bodies=bodies)
-    numbers = elements(template.numbers, "bodies")
+    numbers = cdr.elements(template.numbers, "bodies")
 
     def pack(stamp: int, markers: Sequence[FloatArray]) -> bytes:
         for own, seen in zip(numbers, markers, strict=True):
@@ -293,7 +282,7 @@ _MAP_FIELDS = (
 )
 
 
-def _force_map(records: Record, sample: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
+def _force_map(records: cdr.Record, sample: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
     """Names of the n tiles, and the fields of N maps for a `MapEstimate`."""
     records = np.atleast_1d(records)
     fields: dict[str, Any] = {name: records[name].astype(np.float64) for name in _MAP_FIELDS}
@@ -321,7 +310,7 @@ _REGION_COLUMNS = [
 ]
 
 
-def _regions(records: Record, sample: Any) -> tuple[tuple[str, ...], dict[str, FloatArray]]:
+def _regions(records: cdr.Record, sample: Any) -> tuple[tuple[str, ...], dict[str, FloatArray]]:
     """Names of the R regions, and the fields."""
     return tuple(sample.names), {n: records[n].astype(np.float64) for n in _REGION_COLUMNS}
 
@@ -343,7 +332,7 @@ def model_message(fitted: Fit | StoredModel) -> bytes:
     model = fitted.model
     seconds, nanoseconds = divmod(fitted.last_stamp, 1_000_000_000)
     stamp = {"sec": seconds, "nanosec": nanoseconds}
-    message = make_message(
+    message = cdr.make_message(
         topics.PARAMETERS.type,
         header={"stamp": stamp, "frame_id": LOAD_CELL_FRAME},
         variant=model.variant,
@@ -357,7 +346,7 @@ def model_message(fitted: Fit | StoredModel) -> bytes:
         samples=fitted.samples,
         solver_status=fitted.status,
     )
-    return encode(message, topics.PARAMETERS.type)
+    return cdr.encode(message, topics.PARAMETERS.type)
 
 
 def _named_wrench(values: FloatArray) -> dict[str, Any]:
