@@ -12,7 +12,7 @@ import pytest
 from support.batches import count
 
 from socket_testbed.batch import Job, Row, Task, plan_jobs, run_batch
-from socket_testbed.errors import TrialError
+from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.trials.bag import find_trials
 
 
@@ -123,6 +123,15 @@ def test_one_that_fails_stops_no_other_and_leaves_no_older_result(study: Path, t
     assert table["status"].tolist() == ["failed", "failed", "ok"]
     assert table["error"]["s01/hold"] == f"{study}/s01/hold: is wrong: record it again"
     assert "unexpected ZeroDivisionError: oh no" in table["error"]["s02/hold"]
+
+
+def test_the_summary_of_another_verb_is_replaced_on_request_alone(study: Path, task: Task) -> None:
+    other = replace(task, verb="other", replace=True)
+    run(study, task)
+    run(study, other)
+    for again in (task, replace(other, replace=False)):
+        with pytest.raises(ConfigurationError, match=r"summary\.csv exists already"):
+            run(study, again)
 
 
 def written_and_interrupted(job: Job) -> Row:

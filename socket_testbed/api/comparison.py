@@ -433,10 +433,10 @@ def _texts(
 
 def _correlation(trials: Sequence[Trial], compared: Conditions) -> FloatArray:
     """Correlation of the map errors with those of the first condition, shape (c, 1) [-]."""
-    subject, socket = trials[0].metadata.subject, trials[0].geometry
+    limb, socket = (trials[0].metadata.subject, trials[0].metadata.side), trials[0].geometry
     same_limb = [
-        subject is not None
-        and subject == trial.metadata.subject
+        limb == (trial.metadata.subject, trial.metadata.side)
+        and limb[0] is not None
         and trial.geometry.same_tiles(socket)
         for trial in trials
     ]

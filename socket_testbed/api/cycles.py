@@ -28,7 +28,7 @@ _POINTS = 101  # 0 to 100 % of a cycle
 _MAX_DURATION = 2.0  # [-]; over the median; a longer cycle contains a pause
 _MIN_CYCLES = 3  # for a band
 _MIN_SAMPLES = 10  # per cycle
-_MAX_PANELS = 12  # of a figure
+MAX_PANELS = 12  # of a figure
 _PANEL_HEIGHT, _HEADING_HEIGHT = 44.0, 12.0  # [mm]
 _MAX_LINES = 30  # single cycles drawn in a panel
 _OPACITY = 0.25  # [-]; of a band
@@ -109,10 +109,10 @@ class Cycles(Result):
         from socket_testbed.report.style import lay_out, panels, wrap
 
         count = len(self.titles)
-        if count > _MAX_PANELS:
+        if count > MAX_PANELS:
             raise ConfigurationError(
                 f"a figure of {count} quantities",
-                f"name {_MAX_PANELS} at most, such as st.cycles(trial, ['Fz', 'Mx'])",
+                f"name {MAX_PANELS} at most, such as st.cycles(trial, ['Fz', 'Mx'])",
             )
         across = 1 if style.is_narrow else min(2, count)
         figure = style.figure(_HEADING_HEIGHT + -(-count // across) * _PANEL_HEIGHT)
@@ -160,7 +160,7 @@ def cycles(
     """Normalise quantities to 0 to 100 % of each cycle, interpolating linearly between samples.
 
     A cycle longer than twice the median duration contains a pause and is left out. A missing value
-    or a break affects only its own cycle.
+    or a break affects only the cycles that reach it.
 
     Args:
         trial: The trial.
@@ -237,5 +237,7 @@ def _series(
                 hint = closest(name, titles)
                 raise ConfigurationError(f"the trial has no channel '{name}'", hint)
         usable = [titles[name] for name in names]
+    if not usable:
+        raise ConfigurationError("no quantity is given", "name one, such as Fz")
     values = table[usable].to_numpy(dtype=float)
     return table.index.to_numpy(dtype=float), tuple(usable), values

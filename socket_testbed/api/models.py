@@ -210,7 +210,7 @@ class Evaluation(Result):
     def _figure(self, style: FigureStyle) -> Figure:
         from socket_testbed.report.models import wrench_figure
 
-        predicted = _predictions(self.trial.samples(), self.model)
+        predicted = predictions(self.trial, self.model)
         shown = [(self.model.model.variant, predicted, self.errors)]
         heading = f"{self.trial.name}, {self.segment}: measured and predicted wrench"
         return wrench_figure(self.trial.samples(), self.segment, shown, heading, style)

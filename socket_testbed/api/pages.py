@@ -112,9 +112,7 @@ def write_report(
             stored,
             trials.started(progress, "fitting, judging, mapping"),
         )
-    leave_out = settings.identification.leave_out
-    trials.note_implausible(trial, results.segment, leave_out)
-    for text in results.bag_notes:
+    for text in (*results.bag_notes, *results.implausible):
         trials.note(trial, text)
     drawing = trials.started(progress, "drawing") if figures else None
     made, printed = datetime.now(UTC), style if figures else None

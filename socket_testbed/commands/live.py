@@ -83,7 +83,11 @@ def simulated(
     """
     faults = dict(map(_fault, fault))
     if not simulated:
-        refuse_given({"fault": faults or None}, "simulated hardware", "add --simulated")
+        chosen = {"scenario": scenario, "period": period, "tissue": tissue, "seed": seed}
+        other = {
+            name: value for name, value in chosen.items() if value != getattr(Simulation, name)
+        }
+        refuse_given(other | {"fault": faults or None}, "simulated hardware", "add --simulated")
         return None, {}
     check_number(period, "--period", 5.0, 3600.0)
     check_number(seed, "--seed", 0)
@@ -245,8 +249,10 @@ def run(
             status.say("ending")
         bringup.end(graph, testbed)
     # A recorder that was restarted or asked for another trial has recorded several.
-    for trial in sorted(_trials(*place) - older):
+    trials = sorted(_trials(*place) - older)
+    for trial in trials:
         print(bringup.summary(trial))
+    for trial in trials:
         _require_end(trial)
 
 
@@ -258,6 +264,8 @@ def _trials(folder: Path, name: str) -> set[Path]:
 
 def _require_end(trial: Path) -> None:
     """Raise an error if a recording is incomplete."""
+    if not trial.exists():
+        raise TrialError(f"{trial}: nothing was recorded", "read the recorder's messages")
     if not (trial / BAG_METADATA).exists():
         raise TrialError(
             f"{trial}: the recording stopped early; the trial keeps the data so far",

@@ -76,7 +76,7 @@ def open_checked(trial: Path, **options: Any) -> Trial:
     return opened
 
 
-def report_data(trial: Trial, prefix: str = "", good: bool = True) -> str:
+def report_data(trial: Trial, good: bool = True) -> str:
     """Report whether a trial's data is good, or the findings; returns the first one.
 
     For an unreadable trial, the error is left to the verb.
@@ -87,7 +87,7 @@ def report_data(trial: Trial, prefix: str = "", good: bool = True) -> str:
         return ""
     for line in found:
         if trial.notify is not None and (good or line != GOOD):
-            trial.notify(f"{prefix}{line}")
+            trial.notify(line)
     return found[0].removeprefix("data: ")
 
 
@@ -97,12 +97,16 @@ def check_settings(options: Mapping[str, Any]) -> None:
     estimator_settings(EstimatorSettings(), **settings)
 
 
-def open_all(
-    paths: Sequence[Path], options: Mapping[str, Any], notify: Callable[[str], None]
-) -> list[Trial]:
-    """The trials at some paths; a folder of trials stands for all trials in it."""
-    found = [path for given in paths for path in find_trials(given, notify).values() or [given]]
-    return [dataclasses.replace(open_given(path, **options), notify=notify) for path in found]
+def open_all(paths: Sequence[Path], options: Mapping[str, Any]) -> list[Trial]:
+    """The trials at some paths, whose notes name them; a folder stands for all trials in it."""
+
+    def named(trial: Trial) -> Callable[[str], None]:
+        own = f"{trial.name}: "
+        return cache(lambda note: print_note(note if note.startswith(own) else own + note))
+
+    found = [path for given in paths for path in find_trials(given, print_note).values() or [given]]
+    trials = [open_given(path, **options) for path in found]
+    return [dataclasses.replace(trial, notify=named(trial)) for trial in trials]
 
 
 def refuse_given(options: Mapping[str, Any], belongs: str, hint: str) -> None:
@@ -265,6 +269,8 @@ def on_trials(
     json, figure = options.get("json"), options.get("figure")
     trials = find_trials(trial, print_note)
     if not trials:
+        several = {"jobs": jobs, "dask": dask, "again": again or None}
+        refuse_given(several, "a folder of trials", "leave it out")
         check_files(output, figure, replace=replace, table=verb.suffix.endswith(FORMATS))
         found: Any = verb.work(open_checked(trial, **options), {"alone": True, **options})
         if json:

@@ -7,7 +7,6 @@ import math
 import time
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +24,6 @@ from socket_testbed.commands.options import (
     on_trials,
     open_all,
     open_given,
-    print_note,
     refuse_given,
     report_data,
     segment_columns,
@@ -114,13 +112,10 @@ def compare(
     """
     page = output if output and output.suffix.lower() in PAGES else None
     check_files(output, replace=options["replace"], table=page is None)
-    notify = cache(print_note)
-    trials = open_all(trial or [], options, notify)
-    conditions = {
-        name: open_all(paths, options, notify) for name, paths in _conditions(condition).items()
-    }
+    trials = open_all(trial or [], options)
+    conditions = {name: open_all(paths, options) for name, paths in _conditions(condition).items()}
     for each in open_compared(trials, conditions)[0]:  # wrong calls fail before data is read
-        report_data(each, f"{each.name}: ")
+        report_data(each)
     found = api.compare(
         *trials, conditions=conditions, **given(options, api.compare), progress=Progress
     )
@@ -196,7 +191,8 @@ def view(
         options["model"] = model
         _follow(ViewSettings(**served, buttons=buttons), namespace, ends, options)
         return
-    refuse_given({"namespace": namespace}, "the running testbed", "leave out the trial")
+    live = {"namespace": namespace, "buttons": buttons or None}
+    refuse_given(live, "the running testbed", "leave out the trial")
     with api.view(open_given(trial, **options), model, **served) as page:
         say(f"the trial is shown at {page.url}; Ctrl-C ends it")
         with suppress(KeyboardInterrupt):

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Mapping, Sequence
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from socket_testbed import api
 from socket_testbed.api import Evaluation, PaperTable, TrialFit, TrialPressure
+from socket_testbed.api.cycles import MAX_PANELS
 from socket_testbed.api.pressure import TILE_TITLES
 from socket_testbed.batch import Row
 from socket_testbed.commands.arguments import takes
@@ -22,14 +23,13 @@ from socket_testbed.commands.options import (
     on_trial,
     on_trials,
     open_all,
-    print_note,
     report_data,
     segment_columns,
 )
 from socket_testbed.commands.terminal import Progress, decimals, say, text_of
 from socket_testbed.documents import finite_or_null
 from socket_testbed.errors import ConfigurationError, IdentificationError
-from socket_testbed.geometry.socket import SECTOR_PARTS
+from socket_testbed.geometry.regions import main_regions
 from socket_testbed.identification.fit import ChannelErrors, errors_to_dataframe, summarise_errors
 from socket_testbed.identification.information import MIN_RATIO, share_warning
 from socket_testbed.identification.model_file import quoted_figures
@@ -183,9 +183,9 @@ def validate(trial: list[Path], **options: Any) -> None:
         figure: Draw the errors by cluster and the coverage of the intervals.
     """
     check_files(options["output"], options["figure"], replace=options["replace"])
-    trials = open_all(trial, options, cache(print_note))
+    trials = open_all(trial, options)
     for each in trials:
-        report_data(each, f"{each.name}: ")
+        report_data(each)
     found = api.validate(*trials, **given(options, api.validate, api.fit), progress=Progress)
     deliver(found, _show_validation, **options)
 
@@ -354,9 +354,10 @@ def _bring_to_cycles(
     say(f"{outputs}\n")
     if output is not None:
         outputs.save(output)
-    names = [place.name for place in found.places if place.name not in SECTOR_PARTS]
-    shown = [f"{name}.mean pressure [kPa]" for name in names]
-    draw(to_cycles(table[shown], segment=found.segment), **options)
+    if options["figure"] is not None:
+        names = [place.name for place in main_regions(found.places)][-MAX_PANELS:]  # the user's
+        shown = [f"{name}.mean pressure [kPa]" for name in names]
+        draw(to_cycles(table[shown], segment=found.segment), **options)
 
 
 def _show_pressure(found: TrialPressure, options: Mapping[str, Any]) -> None:

@@ -208,7 +208,7 @@ class StatusLine:
         file = self.output.fileno()
         size = os.fstat(file).st_size - self._printed if everything else _CHUNK
         data = os.pread(file, size, self._printed)
-        if not everything:
+        if not everything and (b"\n" in data or len(data) < _CHUNK):  # or a line without an end
             data = data[: data.rfind(b"\n") + 1]
         self._printed += len(data)
         for line in data.decode(errors="replace").splitlines():

@@ -5,6 +5,7 @@ Heights are measured from the distal end, angles from anterior towards left.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.geometry.socket import (
     HEIGHTS,
+    SECTOR_PARTS,
     SECTOR_TURNS,
     SOCKET,
     UNMEASURED,
@@ -113,6 +115,11 @@ class Region:
 
     name: str
     tiles: IntArray  # indices of its tiles, ascending; (k,)
+
+
+def main_regions(places: Iterable[Region]) -> list[Region]:
+    """Sectors, heights and the user's regions: neither parts of sectors nor what covers them."""
+    return [place for place in places if place.name not in {SOCKET, UNMEASURED, *SECTOR_PARTS}]
 
 
 def third_edges(geometry: SocketGeometry) -> FloatArray:

@@ -260,7 +260,7 @@ def press_test(testbed: Testbed, ask: Callable[[str], None]) -> Iterator[Outcome
                 found = f"no cluster answered within {_PRESS_TIMEOUT:g} s"
                 yield Outcome(f"press on {name}", found, _UNFELT)
                 continue
-            answered = int(pressure(pressed).argmax())
+            answered = int(np.nanargmax(pressure(pressed)))
             yield _judge(names, number, answered, pressed - zero, outward[number])
             ask("let go")
             # NaN fails the test: all clusters must be read, and none pressed.

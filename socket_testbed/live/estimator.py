@@ -154,6 +154,7 @@ class OnlineEstimator:
         self._fitting = False
         self._since_attempt = 0  # samples
         self._last_trigger = 0
+        self._jumps = 0  # back in time
         self._model: ContactModel | None = None
         self._last_stamp = 0  # of the samples behind the model [ns]
         self._fitted_with = settings().identification
@@ -194,6 +195,7 @@ class OnlineEstimator:
             with self._lock:
                 self._window.clear()
             self.newest = self._last_check = self._last_stamp = 0
+            self._jumps += 1
             self._findings = ()
         self._last_trigger = stamp
         self._counts["triggers"] += 1
@@ -309,11 +311,16 @@ class OnlineEstimator:
                 rival=None if changed else self._model,
             )
         future = self._fitter.run(fit_samples, samples, self._geometry, chosen, condition)
-        future.add_done_callback(partial(self._take_over, chosen))
+        future.add_done_callback(partial(self._take_over, chosen, self._jumps))
         return future
 
-    def _take_over(self, settings: IdentificationSettings, future: Future[Refit | None]) -> None:
-        """Switch to a fitted model, unless the current one predicts better."""
+    def _take_over(
+        self, settings: IdentificationSettings, since: int, future: Future[Refit | None]
+    ) -> None:
+        """Switch to a fitted model, unless the current one predicts better.
+
+        The fit began after `since` jumps back in time.
+        """
         self._fitting = False
         if future.cancelled():
             return
@@ -329,7 +336,8 @@ class OnlineEstimator:
             self._state = (OK, f"{self._origin}; kept: {refit.contest}")
             return
         fit = refit.fit
-        self._model, self._last_stamp = fit.model, fit.last_stamp
+        self._model = fit.model
+        self._last_stamp = fit.last_stamp if since == self._jumps else 0
         self._fitted_with = settings
         self._counts["fits"] += 1
         self._origin = (

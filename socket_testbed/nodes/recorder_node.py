@@ -32,7 +32,7 @@ from std_srvs.srv import SetBool
 
 from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock
-from socket_testbed.errors import ConfigurationError
+from socket_testbed.errors import ConfigurationError, TestbedError, fact_and_hint
 from socket_testbed.files import is_held, refuse_existing
 from socket_testbed.nodes.base import ELAPSED, ERROR, FREE, OK, WARN, TestbedNode
 from socket_testbed.settings.testbed import NextTrialSettings, RecorderSettings, check_take_name
@@ -120,9 +120,11 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             self._forget_next()  # meant for this request only
             raise ConfigurationError(f"{self._path.name} is being recorded", "stop it first")
         elif not wanted:
+            if self._bag is None:
+                return "nothing was being recorded"
             self.close()
-        if self._path is None:
-            return "nothing was being recorded"
+            if self._level == ERROR:  # the disk is full
+                raise TestbedError(*fact_and_hint(self._message))
         return f"{'recording' if self._bag else 'recorded'} {self._path}"
 
     def _forget_next(self) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from socket_testbed.arrays import evenly, sample_at
+from socket_testbed.arrays import sample_at
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.identification.plausibility import require_position
@@ -32,8 +32,8 @@ class Player:
         if model is not None:
             require_position(samples, trial.geometry)
             self._predicted = model.predictions(trial.sound(model.settings.leave_out))[:, :6]
-        rows = evenly(len(samples), _COURSE_SAMPLES)
-        time, found = samples.time[rows], self._mapped.course(rows)
+        found = self._mapped.course(_COURSE_SAMPLES)
+        time = 1e-9 * (found.samples.stamps - samples.stamps[0])
         self._start = document.trial_document(trial, found, time) | {
             "title": trial.name,
             "facts": trial.metadata.described(),

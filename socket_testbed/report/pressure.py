@@ -10,12 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 
 from socket_testbed.arrays import FloatArray
+from socket_testbed.geometry.regions import main_regions
 from socket_testbed.geometry.socket import (
     HEIGHTS,
-    SECTOR_PARTS,
     SECTORS,
-    SOCKET,
-    UNMEASURED,
     SocketGeometry,
 )
 from socket_testbed.identification.force_map import MapEstimate
@@ -214,8 +212,7 @@ def pressure_figure(found: SegmentPressure, title: str, style: FigureStyle) -> F
     """Unrolled maps of the pressure above that of sectors, heights and user regions over time."""
     maps = _maps(found)
     reach = {name: quantity.reach for name, quantity in maps.items()}
-    left_out = {SOCKET, UNMEASURED, *SECTOR_PARTS}
-    regions = {p.name: i for i, p in enumerate(found.places) if p.name not in left_out}
+    regions = {place.name: found.places.index(place) for place in main_regions(found.places)}
     mean = found.outputs.mean_pressure()
     events = [(event.time, event.label) for event in found.trial.events()]
     return tile_map_figure(

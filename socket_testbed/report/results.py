@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from socket_testbed.arrays import BoolArray, FloatArray, evenly
+from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.errors import IdentificationError
 from socket_testbed.identification import information, plausibility
 from socket_testbed.identification.contact import ContactModel
@@ -85,7 +85,7 @@ class Results:
     validation: tuple[Judgement, ...]  # may be empty
     no_validation: str  # reason for empty `validation`
     pressure: SegmentPressure  # over the segment, even if its first frames alone are fitted
-    over_trial: PressureOutputs  # of the socket at samples of the trial, including the peak
+    over_trial: PressureOutputs  # of the socket at samples of the trial, including its peak
     data: tuple[DataFinding, ...]  # of the data check
 
     @property
@@ -166,8 +166,7 @@ def compute_results(
     progress(4, _STAGES)
     mapped = mapped_trial(trial, settings)
     pressure = mapped.over(whole)
-    peak = whole.rows.start + pressure.outputs.peak_row
-    over_trial = mapped.course(np.union1d(evenly(len(samples), _PRESSURE_SAMPLES), [peak]))
+    over_trial = mapped.course(_PRESSURE_SAMPLES)
     progress(_STAGES, _STAGES)
     return Results(
         trial=trial,

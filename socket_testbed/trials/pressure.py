@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from socket_testbed.arrays import FloatArray
+from socket_testbed.arrays import FloatArray, evenly
 from socket_testbed.geometry.regions import Region, all_regions
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import pressure
@@ -19,6 +19,8 @@ from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
+
+_BLOCK = 4096  # samples
 
 
 @dataclass(frozen=True)
@@ -41,11 +43,18 @@ class MappedTrial:
         outputs = self.outputs(segment.rows, threshold)
         return SegmentPressure(self.trial, segment, self.places, outputs)
 
-    def course(self, rows: Any) -> pressure.PressureOutputs:
-        """Outputs of the whole socket only, five times as fast as with its regions."""
-        samples, places = self.samples[rows], self.places[-1:]
+    def course(self, most: int) -> pressure.PressureOutputs:
+        """Outputs of the socket at evenly spread samples and at the highest pressure.
+
+        Without its regions, they take a fifth of the time.
+        """
+        count = len(self.samples)
+        blocks = np.array_split(np.arange(count), count // _BLOCK + 1)  # to bound the memory
+        pressures = (self.force_map.estimate(self.samples[rows]).normal_pressure for rows in blocks)
+        highest = np.concatenate([found.max(axis=1) for found in pressures]).argmax()
+        samples = self.samples[np.union1d(evenly(count, most), [highest])]
         return pressure.pressure_outputs(
-            self.force_map, samples, self.geometry, places, pressure.THRESHOLD
+            self.force_map, samples, self.geometry, self.places[-1:], pressure.THRESHOLD
         )
 
 

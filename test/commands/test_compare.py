@@ -5,6 +5,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from support.bags import edited
 from support.pages import Page
@@ -89,13 +90,17 @@ def test_different_sockets_are_compared_where_alike(folder, trials, tmp_path, ca
 def test_legs_are_compared_by_anatomy_and_the_page_says_so(trials, tmp_path, capsys) -> None:
     legs = [shutil.copytree(trial, tmp_path / trial.name) for trial in trials]
     st.annotate(legs[0], side="left", liner="<b>gel</b>", subject="S01")
-    st.annotate(legs[1], side="right", mass=81.5)
+    st.annotate(legs[1], side="right", mass=81.5, subject="S01")
     page = tmp_path / "legs.html"
     code, out, _ = call(capsys, "compare", tmp_path, *SEGMENT, "-o", page)  # a folder of both
     assert code == 0 and out.startswith("trials gel, sock: segment 15:17") and "sock - gel" in out
     assert "medial middle" in out
     # Medial of a left leg is where lateral of a right leg is: the first trial's tiles.
     found = st.compare(*legs, segment="15:17")
+    st.annotate(legs[1], subject="S02")  # the legs of one person are two limbs, too
+    others = st.compare(*legs, segment="15:17").to_dataframe()
+    ends = ["difference low", "difference high"]
+    pd.testing.assert_frame_equal(found.to_dataframe()[ends], others[ends])
     names = {*found.to_dataframe()["name"]}
     assert "medial middle" in names and "left middle" not in names
     written = Page(page.read_text())

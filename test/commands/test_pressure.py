@@ -82,8 +82,13 @@ def test_own_regions_are_given_or_stored(hold: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_cycles_are_written_and_drawn_and_a_folder_gives_a_summary(tmp_path: Path, capsys) -> None:
-    trial = st.simulate(tmp_path / "trials" / "ramp", "ramp", duration=130, seed=1)
+    plain = st.simulate(tmp_path / "plain", "ramp", duration=130, seed=1)
+    own = {f"region {number}": ["distal"] for number in range(7)}  # too many for a figure
+    (tmp_path / "trials").mkdir()
+    copy = edited(plain.path, tmp_path / "trials" / "ramp", lambda d: d.update(regions=own))
+    trial = st.open_trial(copy)
     words = ("--segment", "all", "--cycles", "placed", "-o", tmp_path / "c.csv")
+    words += ("--figure", tmp_path / "c.png")
     code, out, err = call(capsys, "pressure", trial.path, *words, "--json")
     assert code == 0 and "4 cycles from each 'placed'" in err and json.loads(out)["regions"]
     table = pd.read_csv(tmp_path / "c.csv", index_col=0)

@@ -76,7 +76,10 @@ def status_on(terminal: Terminal) -> Iterator[StatusLine]:
             yield status
 
 
-def test_lines_of_nodes_stand_above_the_status_though_they_were_killed(terminal: Terminal) -> None:
+def test_lines_of_nodes_stand_above_the_status_though_they_were_killed(
+    terminal, monkeypatch
+) -> None:
+    monkeypatch.setattr(module, "_CHUNK", 31)
     with status_on(terminal) as status:
         assert os.environ["RCUTILS_COLORIZED_OUTPUT"] == "1" and status.output is not None
         for count in (1, 300):
@@ -86,11 +89,17 @@ def test_lines_of_nodes_stand_above_the_status_though_they_were_killed(terminal:
                 call = ["sh", "-c", said]
                 subprocess.run(call, check=True, stdout=status.output, stderr=status.output)
                 status.renew()
+        subprocess.run(
+            ["echo", "a line that is too long to be read at once"], check=True, stdout=status.output
+        )
+        for _ in range(2):
+            status.renew()
         script = "echo one; printf 'two, cut off'; kill -9 $$"
         ended = subprocess.run(["sh", "-c", script], check=False, stdout=status.output)
         assert ended.returncode == -signal.SIGKILL
     *said, last, end = terminal.screen()
     expected = [line for count in (1, 300) for line in (f"node says {count}", "half a line")]
+    expected += ["a line that is too long to be r", "ead at once"]
     assert said == [*expected, "one", "two, cut off"]
     assert last == "0:00:00 | 300 triggers, 0 complete" and end == ""
 

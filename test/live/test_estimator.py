@@ -195,6 +195,11 @@ def test_a_jump_back_in_time_clears_what_was_measured(fitted: Bench, fit: Fit) -
     fitted.send(30, start=3)
     steady = fitted.fitter.requests[1].steady
     assert steady.after == 0 and steady.rival is fit.model
+    # So are they to a fit that began before the jump.
+    fitted.estimator.trigger(0)
+    fitted.answer(1, fit)
+    fitted.send(30)
+    assert fitted.fitter.requests[2].steady.after == 0
 
 
 # --- the map of a sample

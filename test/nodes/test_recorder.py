@@ -175,6 +175,7 @@ def test_a_full_disk_ends_the_recording_and_keeps_it(tmp_path: Path) -> None:
         probe.wait(send_until_full, "the recorder's word about the disk")
         assert probe.said(NODE, "make space")[0].level == DiagnosticStatus.ERROR
         probe.wait(lambda: names(announced)[-1:] == [""], "no trial's name")
+        assert record(probe, False) == "nothing was being recorded"
     numbers, _ = recorded(trial)
     assert numbers == list(range(len(numbers))) and len(numbers) > 200
 

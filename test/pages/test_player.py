@@ -51,6 +51,13 @@ def test_an_instant_is_that_of_the_verbs(hold: Path, hold_model: Path) -> None:
     assert np.all(np.diff([course["low"], course["peak"], course["high"]], axis=0) >= 0.0)
 
 
+def test_a_page_opens_at_the_peak_between_the_drawn_samples(hold: Path, monkeypatch) -> None:
+    monkeypatch.setattr("socket_testbed.pages.player._COURSE_SAMPLES", 3)
+    start = Player(st.open_trial(hold)).start()
+    assert start["start"] == pytest.approx(st.pressure(hold, "all").peak_time)
+    assert len(start["course"]["time"]) == 4
+
+
 def test_events_are_marks_and_nothing_is_shown_in_a_gap(hold: Path, tmp_path: Path) -> None:
     count = 0
 

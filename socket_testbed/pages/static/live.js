@@ -19,10 +19,15 @@ function say(text, failed) {
 async function press(what, given = {}) {
   if (ASK[what] && !confirm(ASK[what])) { return; }
   say(`${what} …`);
-  const answer = await fetch("do", {method: "POST", headers: {"Content-Type": "application/json"},
-    body: JSON.stringify({do: what, ...given})});
-  const {said, failed} = await answer.json();
-  say(`${what}: ${said}`, failed);
+  try {
+    const answer = await fetch("do", {method: "POST", headers: {"Content-Type": "application/json"},
+      body: JSON.stringify({do: what, ...given})});
+    if (!answer.ok) { throw new Error(await answer.text()); }
+    const {said, failed} = await answer.json();
+    say(`${what}: ${said}`, failed);
+  } catch (error) {
+    say(`${what} failed: ${error.message}`, true);
+  }
 }
 
 function fill(table, rows) {
@@ -73,9 +78,9 @@ function fill(table, rows) {
       byId("play").textContent = playing ? "Pause" : "Play";
     };
     byId("play").addEventListener("click", toggle);
-    byId("events").replaceChildren(new Option("go to"), ...start.course.events.map(
+    byId("events").replaceChildren(new Option("go to", ""), ...start.course.events.map(
       (event) => new Option(`${event.time.toFixed(2)} s: ${event.label}`, event.time)));
-    byId("events").addEventListener("change", (event) => seek(Number(event.target.value)));
+    byId("events").addEventListener("change", ({target}) => { if (target.value) { seek(Number(target.value)); } });
     document.addEventListener("keydown", (event) => {
       if (["INPUT", "SELECT", "BUTTON"].includes(event.target.tagName)) { return; }
       const step = {ArrowLeft: -JUMP, ArrowRight: JUMP}[event.key];
