@@ -150,7 +150,7 @@ def _require_parent(path: Path) -> None:
 
 def check_picture(path: Path) -> None:
     """Refuse a file whose suffix is not a picture format."""
-    if path.suffix.lower() not in _PICTURE_SUFFIXES:
+    if path.suffix.lower() not in PICTURES:
         raise ConfigurationError(
             f"{path}: a picture cannot be a '{path.suffix}' file", "name a .png or .pdf file"
         )
@@ -204,5 +204,5 @@ def write_text(path: Path, text: str) -> None:
         staging.write_text(text, encoding="utf-8")
 
 
-_PICTURE_SUFFIXES = (".png", ".pdf")
+PICTURES = (".png", ".pdf")
 PAGES = (".html", ".htm")

@@ -1,7 +1,8 @@
 """The public Python API: what the command line uses, for notebooks and scripts.
 
 `import socket_testbed as st` provides the functions; heavy libraries are imported on first use.
-Functions behave like their verbs: they report the same notes (as warnings), write the same files.
+Functions behave like their verbs: they report the same notes (as warnings) and write the same
+files, but replace older ones.
 Fits run linear algebra in a single thread, so that a trial gives the same model on every machine.
 
 Functions that take a trial also accept its path. Lengths are in metres, forces in newtons, times

@@ -415,13 +415,12 @@ def _texts(
     texts = {("metadata", n): [each.get(n, "not stated") for each in described] for n in stated}
     if compared.freedom:
         texts["trials", "trials"] = [*names]
-    calibrations = [trial.calibration for trial in trials]
     texts |= {
         ("trials", "segment"): [str(each.segment) for each in found],
         ("trials", "samples"): [str(len(each.time)) for each in found],
         ("trials", "measured"): [each.outputs.source for each in found],
-        ("trials", "socket"): [trial.geometry.source or "no source" for trial in trials],
-        ("trials", "calibration"): [f"{each.source} ({each.date})" for each in calibrations],
+        ("trials", "socket"): [trial.geometry.source or "not stated" for trial in trials],
+        ("trials", "calibration"): [trial.calibration.origin for trial in trials],
     }
     rows = [
         (*key, "", "", item, *[np.nan] * len(VALUES), "; ".join(dict.fromkeys(different)))

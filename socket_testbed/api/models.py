@@ -78,9 +78,7 @@ class TrialFit(Result):
             "first_stamp": int(samples.stamps[0]),
             "last_stamp": int(samples.stamps[-1]),
             "samples": len(samples),
-            "unloaded": [list(span) for span in self.trial.unloaded],
-            "tare": self.trial.tare,
-            "load_cell": str(self.trial.load_cell_file or "recorded"),
+            **self.trial.replaced,
         }
         write_model(self.fit, self.trial.geometry, identity, str(self.segment), Path(path))
 

@@ -129,6 +129,11 @@ class Calibration:
     date: str  # of the coefficients; the `bench` record of a cluster has its own
     source: str  # of the coefficients; likewise
 
+    @property
+    def origin(self) -> str:
+        """Its source and date."""
+        return f"{self.source} ({self.date})"
+
     def require(self, clusters: Collection[str], of: str) -> None:
         """Refuse a calibration that lacks one of the clusters."""
         lacking = [name for name in clusters if name not in self.clusters]

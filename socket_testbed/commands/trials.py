@@ -106,10 +106,10 @@ def info(trial: Path, **options: Any) -> None:
     print(f"\n{_metadata(metadata)}\n")
     stored = [name for name in CONFIGURATION_FILES if (trial / name).is_file()]
     print(f"recorded with: {', '.join(stored) or 'nothing stored'}")
-    geometry, calibration = opened.geometry, opened.calibration
-    print(f"socket: {geometry.source or 'no source'}; {len(geometry)} tiles")
+    geometry = opened.geometry
+    print(f"socket: {geometry.source or 'not stated'}; {len(geometry)} tiles")
     print(f"registration: {geometry.bodies}")
-    print(f"calibration: {calibration.source} ({calibration.date})")
+    print(f"calibration: {opened.calibration.origin}")
 
 
 def _topics(trial: Trial) -> str:

@@ -16,6 +16,7 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel, relative_change
+from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.problem import (
     MIN_SAMPLES,
     Problem,
@@ -122,6 +123,11 @@ def summarise_errors(errors: Sequence[ChannelErrors]) -> ErrorSummary:
         local_skill=finite_mean((error.skill for error in local), np.median),
         without_value=tuple(error.name for error in errors if error.samples == 0),
     )
+
+
+def predictions(samples: Samples, model: ContactModel, window: float) -> FloatArray:
+    """Predictions of all channels, (N, 6 + 3c), with poses averaged over a window [s]."""
+    return model.predict(smooth_poses(samples, window).pose, samples.clusters)
 
 
 def evaluate(

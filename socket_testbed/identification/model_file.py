@@ -20,8 +20,7 @@ from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import write_text
 from socket_testbed.geometry.socket import SocketGeometry, socket_from_document
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.fit import ChannelErrors, Fit, summarise_errors
-from socket_testbed.identification.noise import smooth_poses
+from socket_testbed.identification.fit import ChannelErrors, Fit, predictions, summarise_errors
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, Variant
 
@@ -49,8 +48,7 @@ class StoredModel:
 
     def predictions(self, samples: Samples) -> FloatArray:
         """Predictions of all channels, (N, 6 + 3c), with poses averaged as in the fit."""
-        smooth = smooth_poses(samples, self.settings.pose_smoothing)
-        return self.model.predict(smooth.pose, samples.clusters)
+        return predictions(samples, self.model, self.settings.pose_smoothing)
 
     @property
     def span(self) -> tuple[float, float]:

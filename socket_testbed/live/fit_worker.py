@@ -28,7 +28,7 @@ from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
 from socket_testbed.trials.segment import find_newest_plateaus
 
-HELD_OUT = 0.2  # [-]; newest share of a plateau, held out to judge a refit
+HELD_OUT = 0.2  # [-]; newest share of the window, held out to judge a refit
 LEAST_HELD_OUT = 10  # [samples]
 _NICENESS = 10
 

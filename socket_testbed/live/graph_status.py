@@ -39,7 +39,8 @@ class GraphStatus:
     def errors(self) -> tuple[float, float] | None:
         """RMSE of the predicted forces [N] and moments [N m] over the last seconds; None: unknown.
 
-        The model has not seen these samples: each is predicted before it is used in a fit.
+        The model has not seen these samples, unless a replay repeats them: each is predicted before
+        it is used in a fit.
         """
         if not self._errors:
             return None

@@ -288,7 +288,7 @@ class TestbedNode(Node, Generic[S]):
             self.create_service(kind, name, respond)
 
     def report(self, level: int, message: str) -> None:
-        """Report the node's state, fact and hint in one line; a change is published at once."""
+        """Report the node's state, fact and hint in one line; a new level is published at once."""
         if level != OK and clocks.monotonic() < self._settled_at:
             level, message = WARN, f"starting: {message}"
         before = self._level, self._message

@@ -49,9 +49,11 @@ _CORNERS = ((-1, -1), (-1, 1), (1, 1), (-1, -1), (1, 1), (1, -1))
 class EstimatorNode(TestbedNode[EstimatorSettings]):
     """Passes measurements to the online estimator and publishes its results."""
 
+    _geometry: SocketGeometry | None = None
+
     def __init__(self) -> None:
         super().__init__("estimator_node", EstimatorSettings)
-        self._geometry = read_socket(file_or_packaged(self.settings.geometry, SOCKET_FILE))
+        assert self._geometry is not None  # read with the settings
         self._worker = FitWorker()
         self._estimator = OnlineEstimator(
             self._geometry,
@@ -80,8 +82,9 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
 
     def _read_settings(self, changes: dict[str, Any]) -> EstimatorSettings:
         settings = super()._read_settings(changes)
-        geometry = read_socket(file_or_packaged(settings.geometry, SOCKET_FILE))
-        check_names(settings.identification, tuple(geometry.clusters))
+        if self._geometry is None:
+            self._geometry = read_socket(file_or_packaged(settings.geometry, SOCKET_FILE))
+        check_names(settings.identification, tuple(self._geometry.clusters))
         return settings
 
     def close(self) -> None:

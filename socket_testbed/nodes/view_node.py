@@ -2,6 +2,7 @@
 
 Subscribes, while a browser asks: estimate/force_map, estimate/regions, load_cell/wrench,
 estimate/wrench, clusters/stress. Always: /diagnostics, recorder/trial. Publishes: /diagnostics.
+With buttons, see `ServiceControls`, also: event, trigger, and calls of services.
 
 The page's subscriptions have no executor: each request takes the newest messages. At 100 Hz most
 messages are never decoded.

@@ -31,7 +31,7 @@ _IDLE_TIMEOUT = 30.0  # [s]
 
 
 class Source(Protocol):
-    """Content of a page: a trial or a running testbed. Calls are serialised."""
+    """Content of a page: a trial or a running testbed; `act` may be called meanwhile."""
 
     def start(self) -> Document:
         """The socket, and everything else that does not change."""
@@ -46,8 +46,8 @@ class Source(Protocol):
 class PageServer(ThreadingHTTPServer):
     """Serves a source on a port (0: any free one) until closed; a context manager.
 
-    `names` are further accepted host names. The page is at `url`; the lock `asking` is held during
-    calls to the source.
+    `names` are further accepted host names. The page is at `url`; the lock `asking` is held while
+    the source is asked for its state.
     """
 
     def __init__(self, source: Source, host: str, port: int, names: tuple[str, ...] = ()) -> None:

@@ -287,8 +287,9 @@ def provenance(results: Results, command: str, made: datetime) -> list[tuple[str
         ("geometry, source", geometry.source or "not stated"),
         ("geometry, registration", geometry.bodies),
         ("calibration", _file(trial.calibration_path, trial.calibration_file is not None)),
-        ("calibration, source and date", f"{calibration.source} ({calibration.date})"),
+        ("calibration, source and date", calibration.origin),
     ]
+    rows += [(name.replace("_", " "), f"{value}") for name, value in trial.replaced.items()]
     for name, cluster in calibration.clusters.items():
         if cluster.bench:
             words = [cluster.bench[key] for key in ("source", "date") if key in cluster.bench]

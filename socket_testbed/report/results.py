@@ -19,6 +19,7 @@ from socket_testbed.identification.fit import (
     Fit,
     evaluate_predictions,
     fit_contact_model,
+    predictions,
 )
 from socket_testbed.identification.model_file import StoredModel
 from socket_testbed.identification.noise import smooth_poses
@@ -195,8 +196,7 @@ def _judge(
     """A model over the trial and over the `chosen` samples of the segment, as in `st.evaluate`."""
     model, settings = source.model, source.settings
     window, leave_out = settings.pose_smoothing, settings.leave_out
-    smooth = smooth_poses(chosen, window)
-    predicted = model.predict(smooth_poses(samples, window).pose, samples.clusters)
+    predicted = predictions(samples, model, window)
     outside = ~_rows_of(segment, samples)
     held_out = evaluate_predictions(samples[outside], predicted[outside], leave_out)
     enough = max(error.samples for error in held_out) >= _MIN_HELD_OUT
@@ -204,9 +204,9 @@ def _judge(
         label=label,
         source=source,
         predicted=predicted,
-        errors=evaluate_predictions(chosen, model.predict(smooth.pose, chosen.clusters), leave_out),
+        errors=evaluate_predictions(chosen, predictions(chosen, model, window), leave_out),
         held_out=held_out if enough else (),
-        shares=information.load_shares(smooth, model),
+        shares=information.load_shares(smooth_poses(chosen, window), model),
         known=information.known_directions(chosen, model, settings.stiffness_difference, window),
         engagement=information.engagement(samples, model, window, segment.rows),
     )

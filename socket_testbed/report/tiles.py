@@ -84,7 +84,8 @@ def paint_tiles(
     """Colour tiles by their values, shape (n,); those without one are white and hatched.
 
     If `reach`, the half-width of their intervals, (n,), is given for pressures [kPa] on all tiles,
-    they are drawn smooth over the surface, with the colours and greys of the pages; differences,
+    they are drawn smooth over the surface, in the colours and greys of the pages (from the lowest
+    value on, unless limits are given); differences,
     whose limits are symmetric, have linear colours.
     """
     tiles, unknown = unrolled_tiles(geometry), np.isnan(values)

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.errors import ConfigurationError, TrialError
@@ -232,6 +232,15 @@ class Trial:
         """The plateaus, longest first."""
         leave_out = settings.identification.leave_out
         return find_plateaus(self.sound(leave_out), settings.plateau, leave_out)
+
+    @property
+    def replaced(self) -> dict[str, Any]:
+        """What the measurements are corrected with: unloaded spans, tare and load cell."""
+        return {
+            "unloaded": [list(span) for span in self.unloaded],
+            "tare": self.tare,
+            "load_cell": str(self.load_cell_file or "recorded"),
+        }
 
     @property
     def geometry_path(self) -> Path:

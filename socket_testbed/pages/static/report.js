@@ -16,7 +16,7 @@ function lineChart(box, chart) {
       if (!seen.includes(name)) { seen.push(name); }
       const number = seen.indexOf(name);
       traces.push({type: "scatter", mode: chart.dots ? "lines+markers" : "lines", name: plain(name),
-        x: line.x ?? panel.x ?? chart.x, y: line.y ?? line, xaxis: `x${axis}`, yaxis: `y${axis}`,
+        x: line.x, y: line.y, xaxis: `x${axis}`, yaxis: `y${axis}`,
         legendgroup: name, showlegend: traces.every((trace) => trace.name !== plain(name)),
         line: {color: colours[number % 5], width: number ? 1.3 : 2.4,
           dash: ["solid", "dash", "solid", "dot", "dashdot"][number % 5]}});
@@ -25,7 +25,7 @@ function lineChart(box, chart) {
       x: 0, y: 1, yanchor: "bottom", xanchor: "left", showarrow: false});
     const grid = {gridcolor: "rgba(128,128,128,0.25)", zeroline: false, type: chart.log ? "log" : "-"};
     layout[`xaxis${axis}`] = {...grid, title: {text: i + columns >= chart.panels.length ? chart.over : ""}};
-    layout[`yaxis${axis}`] = {...grid, title: {text: panel.up ?? ""}};
+    layout[`yaxis${axis}`] = {...grid, title: {text: ""}};
   });
   Plotly.newPlot(box, traces, layout, {displayModeBar: false, responsive: true});
 }

@@ -59,11 +59,11 @@ class SocketMap {
     this.narrow.addEventListener("change", () => this.show());
   }
 
-  // Upper end of the colour scale: the smallest fixed one that covers the peak; never shrinks.
+  // Upper end of the colour scale: the smallest fixed one from 50 on that covers all peaks so far.
   range(values) {
     const highest = Math.max(...values.filter(known), 0);
     if (this.chosen) { return this.chosen; }
-    this.scale = SCALES.find((end) => end >= Math.max(highest, this.scale ?? 50)) ?? highest;
+    this.scale = SCALES.find((end) => end >= Math.max(highest, this.scale ?? 50)) ?? Math.max(highest, this.scale ?? 0);
     return this.scale;
   }
 
