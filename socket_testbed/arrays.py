@@ -4,6 +4,7 @@ from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 FloatArray: TypeAlias = NDArray[np.float64]
 IntArray: TypeAlias = NDArray[np.int64]
@@ -14,6 +15,7 @@ StatusArray: TypeAlias = NDArray[np.uint8]
 GAP = 1.5  # samples were lost; a difference across it is not noise
 BREAK = 3.0  # the data is unknown: no value holds and no line runs across it
 
+_AROUND = 10  # steps on either side of one that show the usual step
 _TOLERANCE = 1e-6  # [s]; of a time
 _MEDIAN = 0.67449  # [-]; median magnitude of a standard normal variable
 
@@ -41,14 +43,19 @@ def usual_period(time: FloatArray | IntArray) -> float:
 
 
 def gaps(time: FloatArray | IntArray, longer: float = GAP) -> BoolArray:
-    """Steps between samples that are longer than so many usual ones, shape (max(N - 1, 0),)."""
-    return np.asarray(np.diff(time) > longer * usual_period(time))
+    """Steps between samples that are longer than so many usual ones, shape (max(N - 1, 0),).
+
+    The usual step is that around each one, as the rate of the trigger may be changed meanwhile.
+    """
+    steps = np.diff(time)
+    return np.asarray(steps > longer * median_filter(steps, 2 * _AROUND + 1, mode="nearest"))
 
 
 def sample_at(time: FloatArray, when: float) -> int | None:
     """Index of the latest of some samples at a time; None before the first and after a break."""
     row = int(np.searchsorted(time, when + _TOLERANCE, "right")) - 1
-    holds = BREAK * np.nan_to_num(usual_period(time)) + _TOLERANCE
+    usual = usual_period(time[max(row - _AROUND, 0) : row + _AROUND + 1])
+    holds = BREAK * np.nan_to_num(usual) + _TOLERANCE
     return row if row >= 0 and when - time[row] <= holds else None
 
 

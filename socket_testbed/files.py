@@ -21,7 +21,7 @@ SOCKET_FILE, CALIBRATION_FILE, PARAMETERS_FILE = "socket.yaml", "calibration.yam
 CONFIGURATION_FILES = (SOCKET_FILE, CALIBRATION_FILE, PARAMETERS_FILE)
 
 _PR_SET_PDEATHSIG = 1
-_TEMPORARY_PREFIX = "socket_testbed_"
+_TEMPORARY_PREFIX, _TEMPORARY_MARK = "socket_testbed_", ".temporary"
 _MIN_AGE = 60.0  # [s]; a younger folder may not be locked yet
 
 _new_outputs: set[Path] = set()  # outputs that did not exist before the work
@@ -86,11 +86,12 @@ class TemporaryFolder(TemporaryDirectory[str]):
     """A temporary folder; creating one also removes those left by killed processes."""
 
     def __init__(self) -> None:
-        for left in Path(gettempdir()).glob(f"{_TEMPORARY_PREFIX}*"):
+        for mark in Path(gettempdir()).glob(f"{_TEMPORARY_PREFIX}*/{_TEMPORARY_MARK}"):
             with suppress(OSError):  # another user's
-                if time.time() - left.stat().st_mtime > _MIN_AGE and not is_held(left):
-                    shutil.rmtree(left)
+                if time.time() - mark.stat().st_mtime > _MIN_AGE and not is_held(mark.parent):
+                    shutil.rmtree(mark.parent)
         super().__init__(prefix=_TEMPORARY_PREFIX)
+        (Path(self.name) / _TEMPORARY_MARK).touch()
         self._held = hold(Path(self.name))
 
     def cleanup(self) -> None:

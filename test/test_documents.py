@@ -143,7 +143,7 @@ def good_documents() -> dict[str, tuple[Any, Callable[[Path], Any]]]:
         "trial": ({"subject": "S01", "side": "left", "mass": 81.5}, read_metadata),
         "tare": (
             {"offsets_mV_per_V": [0.1, -0.2, 0.0, 0.3, 0.1, 0.2], "time": "2026-01-01T10:00:00Z"},
-            lambda path: Tare(str(path)).no_load,
+            lambda path: Tare(str(path), "").no_load,
         ),
         "model": (None, read_model),
     }

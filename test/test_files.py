@@ -1,12 +1,18 @@
 """Outputs are complete or not there, even if several processes write them."""
 
+import os
 from pathlib import Path
 
 import pytest
 from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import atomic_output, check_new_folder, check_outputs
+from socket_testbed.files import (
+    TemporaryFolder,
+    atomic_output,
+    check_new_folder,
+    check_outputs,
+)
 
 
 def test_two_writers_of_one_output_do_not_meet_and_an_error_leaves_the_older_file(tmp_path) -> None:
@@ -34,6 +40,18 @@ def test_the_first_writer_of_a_folder_keeps_it_until_it_is_replaced(tmp_path: Pa
         staging.mkdir()
         (staging / "newer").write_text("second")
     assert [p.name for p in path.iterdir()] == ["newer"] and list(tmp_path.iterdir()) == [path]
+
+
+def test_a_temporary_folder_removes_only_what_a_killed_process_left(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    left, trials = tmp_path / "socket_testbed_left", tmp_path / "socket_testbed_trials"
+    for file in (left / ".temporary", trials / "s01.mcap"):
+        file.parent.mkdir()
+        file.touch()
+        for path in (file, file.parent):
+            os.utime(path, (0.0, 0.0))
+    with TemporaryFolder():
+        assert trials.exists() and not left.exists()
 
 
 def test_outputs_replace_nothing_unasked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

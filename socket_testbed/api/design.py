@@ -8,6 +8,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -363,7 +364,7 @@ def tile(
 
 
 def _with_proposed_clusters(
-    design: SocketDesign, count: int, keep_out: Sequence[str]
+    design: SocketDesign, number: int, keep_out: Sequence[str]
 ) -> SocketDesign:
     """The design with clusters at the most informative tiles, and a note on their benefit."""
     from socket_testbed.socket_design.clusters import place_clusters
@@ -374,16 +375,16 @@ def _with_proposed_clusters(
     allowed = np.ones(len(geometry), dtype=bool)
     for name in keep_out:
         allowed[_tiles_named(name, tiles)] = False
-    found = place_clusters(geometry, count, list(geometry.clusters.values()), allowed)
+    found = place_clusters(geometry, number, list(geometry.clusters.values()), allowed)
     names, clusters = list(geometry.names), dict(geometry.clusters)
-    for number, tile in enumerate(found.tiles[len(clusters) :].tolist(), start=1):
-        clusters[f"cluster_{number}"] = tile
-        names[tile] = f"cluster_{number}"
+    free = (name for n in count(1) if (name := f"cluster_{n}") not in clusters)
+    for tile, name in zip(found.tiles[len(clusters) :].tolist(), free, strict=False):
+        clusters[name], names[tile] = tile, name
     errors = ", ".join(f"{n}: {error:.2f}" for n, error in found.errors.items())
     low, high = found.at_random
     note = (
         "the clusters are proposed. Expected error of the force map on tiles without one, over"
-        f" their rms, by the number of clusters: {errors}; with {count} at random {low:.2f} to"
+        f" their rms, by the number of clusters: {errors}; with {number} at random {low:.2f} to"
         f" {high:.2f}: the number matters more than the places"
     )
     geometry = dataclasses.replace(geometry, names=tuple(names), clusters=clusters)

@@ -128,7 +128,8 @@ def choose_groups(bench: BenchData) -> Groups:
     else ten blocks of successive rows. If a cycle cannot be left out there is no fallback to
     blocks: blocks split cycles, and the held-out errors would be optimistic.
     """
-    files, others = Groups("file", bench.file), Groups("cycle", drift.cycle_ids(bench))
+    numbers = np.unique(bench.file, return_inverse=True)[1]  # outliers may be all of a file
+    files, others = Groups("file", numbers), Groups("cycle", drift.cycle_ids(bench))
     if len(others) < _MIN_GROUPS:
         others = Groups("block", np.arange(len(bench)) * _BLOCK_COUNT // len(bench))
     terms = fit.excitation_terms(bench.stress)

@@ -70,7 +70,7 @@ def cycle_ids(bench: BenchData) -> IntArray:
     """
     ids = np.empty(len(bench), dtype=np.int64)
     first = 0
-    for file in np.unique(bench.file):  # outliers may be all of a file
+    for file in np.unique(bench.file):
         rows = np.flatnonzero(bench.file == file)
         named = (bench.cycle[rows] != UNNAMED).all() and np.ptp(bench.cycle[rows]) > 0
         cycles = bench.cycle[rows] if named else _find_cycles(bench.stress[rows])

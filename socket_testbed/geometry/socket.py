@@ -266,6 +266,9 @@ class _Socket(Document):
 def write_socket(geometry: SocketGeometry, path: Path) -> None:
     """Write `socket.yaml` atomically."""
     document = geometry.to_document()
+    if twins := [name for name, times in Counter(geometry.names).items() if times > 1]:
+        hint = "give the cluster another name"
+        raise ConfigurationError(f"{path}: two tiles would be called '{twins[0]}'", hint)
     socket_from_document(document, str(path))
     text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=100)
     write_text(path, _HEADER + text)

@@ -94,11 +94,13 @@ class Conditions:
         columns = dict(zip(VALUES, found, strict=True))
         if self.freedom:
             squares = (values - value[self.numbers]) ** 2
-            spread = np.sqrt(squares.sum(axis=0) / self.freedom)
+            known = (np.bincount(self.numbers) - 1.0) @ np.isfinite(value)  # degrees of freedom
+            freedom = np.where(known > 0.0, known, np.nan)
+            spread = np.sqrt(np.nansum(squares, axis=0) / freedom)
             share = 1.0 / np.bincount(self.numbers)[:, None]
             error = spread * np.sqrt(share + share[0])
-            quantile = stdtrit(self.freedom, 0.975)
-            noncentrality = nctdtrinc(self.freedom, 1.0 - POWER, quantile)
+            quantile = stdtrit(freedom, 0.975)
+            noncentrality = nctdtrinc(freedom, 1.0 - POWER, quantile)
             normal = 1.0 + ndtri(POWER) / NORMAL_QUANTILE
             reach = quantile * spread * np.sqrt(share)
             columns |= {
@@ -107,7 +109,7 @@ class Conditions:
                 "difference low": difference - np.hypot(lower, quantile * error),
                 "difference high": difference + np.hypot(upper, quantile * error),
                 "spread": np.tile(spread, (len(value), 1)),
-                "degrees of freedom": np.full(value.shape, float(self.freedom)),
+                "degrees of freedom": np.tile(freedom, (len(value), 1)),
                 "detectable": np.hypot(normal * np.maximum(lower, upper), noncentrality * error),
             }
         for name in columns.keys() & {*DIFFERENCE, "detectable"}:

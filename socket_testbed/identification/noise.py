@@ -56,6 +56,9 @@ class ChannelNoise:
         return gain * self.pose_correlation * np.outer(self.pose, self.pose)
 
 
+_DEFINITE = 1.0 - 1e-6  # [-]
+
+
 def channel_noise(samples: Samples) -> ChannelNoise:
     """Estimate the noise of every channel from its third differences: see the module.
 
@@ -124,7 +127,8 @@ def _correlation(pose: FloatArray, regular: BoolArray, deviation: FloatArray) ->
         return np.eye(6)
     products = scaled.T @ scaled
     size = np.sqrt(np.diag(products))
-    return np.asarray(products / np.outer(size, size))
+    # Not quite 1 where components are proportional, as of a hinge: the covariance stays definite.
+    return np.asarray(_DEFINITE * products / np.outer(size, size) + (1.0 - _DEFINITE) * np.eye(6))
 
 
 def smooth_poses(samples: Samples, window: float) -> Samples:

@@ -35,7 +35,7 @@ import numpy as np
 
 from socket_testbed.arrays import BREAK, BoolArray, FloatArray, IntArray, gaps
 from socket_testbed.errors import TrialError
-from socket_testbed.geometry.regions import Region
+from socket_testbed.geometry.regions import Region, proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.force_map import NORMAL_QUANTILE, ForceMap, MapEstimate
 from socket_testbed.samples import Samples
@@ -227,10 +227,11 @@ class _Regions:
         linear = np.zeros((count, 3, 4, len(regions)))
         for axis in range(3):
             linear[:, axis, axis] = mean[axis]
-        linear[:, :, 3] = geometry.rotations[:, 2, :, None] * member[:, None]
+        along = proximal_direction(geometry) @ geometry.rotations  # (n, 3)
+        linear[:, :, 3] = along[:, :, None] * member[:, None]
         self._linear = linear.reshape(3 * count, -1)
         self.mean_pressure = linear[:, :, 2].reshape(3 * count, -1)  # from forces, (3n, R) [1/m^2]
-        self._axial = geometry.rotations[:, 2].reshape(-1)
+        self._axial = along.reshape(-1)
         centres = (member.T @ anchors) / member.sum(axis=0)[:, None]
         apart = ((anchors[:, None] - centres) ** 2).sum(axis=2)
         self._extents = np.sqrt((apart * member).sum(axis=0) / member.sum(axis=0))

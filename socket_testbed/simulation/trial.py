@@ -263,7 +263,8 @@ def _messages(
     sizes = {name: seen.shape[1] for name, seen in trial.markers.items()}
     pack_markers = messages.markers_packer(sizes)
     pack_capacitance = messages.capacitance_packer(list(trial.capacitance))
-    capacitance = np.stack(list(trial.capacitance.values()), axis=1)
+    capacitance = np.array([*trial.capacitance.values()]).reshape(-1, len(trial.stamps), 4)
+    capacitance = capacitance.swapaxes(0, 1)
     status = np.where(np.isfinite(capacitance), Status.OK, Status.MISSING).astype(np.uint8)
     poses = {topic: trial.poses[name].vector for name, topic in topics.POSES.items()}
     for k, stamp in enumerate(trial.stamps.tolist()):

@@ -232,7 +232,10 @@ def _load(path: Path) -> tuple[dict[str, trimesh.Trimesh], str]:
     except OSError as error:
         raise ScanError(f"{path}: cannot be read ({error.strerror})", "check the path") from None
     comment = checks[kind](path, data)
-    objects, groups = (re.findall(rb"^%s[ \t]" % word, data, re.MULTILINE) for word in (b"o", b"g"))
+    named = data if kind == "obj" else b""
+    objects, groups = (
+        re.findall(rb"^%s[ \t]" % word, named, re.MULTILINE) for word in (b"o", b"g")
+    )
     logger = logging.getLogger("trimesh.util")
     logger.disabled = True
     try:

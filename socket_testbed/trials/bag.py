@@ -7,6 +7,7 @@ the two disagree on a topic's quality of service. Their message counts are compa
 from __future__ import annotations
 
 import os
+import re
 import zlib
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -142,7 +143,7 @@ class BagReader:
         if self.path.is_file():
             return [self.path]
         if metadata is None:
-            found = sorted(filter(is_storage, self.path.iterdir()))
+            found = sorted(filter(is_storage, self.path.iterdir()), key=_by_number)
             files = [file for file in found if file.suffix != _COMPRESSED_SUFFIX] or found
             self.notes.append("no metadata.yaml: the storage files were read as they are")
         else:
@@ -226,6 +227,12 @@ def required_topics(bag: BagReader) -> dict[Topic, str]:
             continue
         raise TrialError(f"{bag.path}: {fact}", hint)
     return {topic: topics[topic] for topic in TOPICS if topic in topics}
+
+
+def _by_number(file: Path) -> list[tuple[int, str]]:
+    """Orders the parts of a bag as written: bag_2 before bag_10."""
+    parts = re.split(r"(\d+)", file.name)
+    return [(int(part) if part.isdecimal() else 0, part) for part in parts]
 
 
 def _read_metadata(bag: Path) -> tuple[list[str], dict[str, int]] | None:

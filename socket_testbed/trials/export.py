@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from mcap.writer import Writer
 
-from socket_testbed.arrays import FloatArray, usual_period
+from socket_testbed.arrays import FloatArray, gaps, usual_period
 from socket_testbed.calibration.bench_data import STRESSES
 from socket_testbed.calibration.model import Calibration
 from socket_testbed.errors import ConfigurationError, TrialError
@@ -173,6 +173,9 @@ def _markers(trial: Trial) -> tuple[list[str], FloatArray]:
     return list(found), np.stack([*found.values()], axis=1)
 
 
+_MAX_FRAMES = 65_535  # of a C3D file, whose header counts them in 16 bits
+
+
 def _rate(table: pd.DataFrame) -> float:
     """Sample rate [Hz]."""
     return 1.0 / usual_period(table.index.to_numpy()) if len(table) > 1 else 1.0
@@ -214,9 +217,16 @@ def _write_c3d(path: Path, table: pd.DataFrame, labels: list[str]) -> None:
         raise ConfigurationError(
             f"{path}: needs the library ezc3d", "install it: pip install ezc3d"
         ) from None
-    file, rate = ezc3d.c3d(), _rate(table)
-    steps = np.maximum(np.round(np.diff(table.index) * rate), 1.0)
-    frames = np.cumsum([0, *steps.astype(int)])  # the format has no times: a gap is empty frames
+    # The format has one rate and no times: a gap is empty frames.
+    file, time = ezc3d.c3d(), table.index.to_numpy()
+    steps = np.diff(time)[~gaps(time)]
+    rate = 1.0 / steps.mean() if len(steps) else 1.0
+    frames = np.round((time - time[0]) * rate).astype(int)
+    if len(frames) > 1 and np.diff(frames).min() < 1:
+        raise TrialError(f"{path}: the rate changes within the segment", "export spans of one rate")
+    if frames[-1] >= _MAX_FRAMES:
+        fact = f"{path}: {frames[-1] + 1} frames are more than C3D holds ({_MAX_FRAMES})"
+        raise TrialError(fact, "export a shorter segment")
     table = table.set_axis(frames).reindex(range(frames[-1] + 1))
     points = table.to_numpy()[:, : 3 * len(labels)].reshape(len(table), -1, 3)
     place = np.ones((4, len(labels), len(table)))

@@ -82,7 +82,9 @@ def remake_wrenches(
         offsets = np.zeros(6)
     last = np.broadcast_to(offsets, wrenches.shape)[np.isfinite(wrenches).all(axis=1)][-1:]
     used = "".join(map(load_cell.in_words, last))
-    notify(f"the wrenches are recomputed from load_cell/raw, with the tare {tare}: {used}")
+    lost = int((np.isfinite(measured.wrench) & ~np.isfinite(wrenches)).all(axis=1).sum())
+    lacking = f"; {lost} have no raw reading and are missing" * bool(lost)
+    notify(f"the wrenches are recomputed from load_cell/raw, with the tare {tare}: {used}{lacking}")
     return replace(measured, wrench=wrenches - offsets)
 
 

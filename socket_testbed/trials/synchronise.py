@@ -254,14 +254,12 @@ def correct_measurements(
     unchanged = []
     for column, name in enumerate(measured.clusters):
         readings = capacitance[:, column]
-        baselines = [
-            drift.average_baseline(
-                0.5 * (start + end),
-                readings[(time >= start) & (time <= end)],
-                f"{where}: {name} from {start:g} s to {end:g} s",
-            )
-            for start, end in spans
-        ]
+        baselines = []
+        for start, end in spans:
+            rows = (time >= start) & (time <= end) & np.isfinite(readings).all(axis=1)
+            middle = float(np.median(time[rows])) if rows.any() else start
+            of_span = f"{where}: {name} from {start:g} s to {end:g} s"
+            baselines.append(drift.average_baseline(middle, readings[rows], of_span))
         cluster = calibration.clusters[name]
         before, after = baselines[0], baselines[1] if len(baselines) > 1 else None
         reference = cluster.baseline if free else None

@@ -83,7 +83,8 @@ def match_topics(types: Mapping[str, str], where: str) -> dict[Topic, str]:
     found: dict[Topic, str] = {}
     for name, kind in types.items():
         for topic in TOPICS:
-            if name == topic.name or name.endswith("/" + topic.name.lstrip("/")):
+            inside = not topic.name.startswith("/") and name.endswith(f"/{topic.name}")
+            if name == topic.name or inside:
                 if topic in found and kind != topic.type:
                     continue
                 if topic in found and types[found[topic]] == topic.type:

@@ -225,6 +225,10 @@ def test_clusters_on_several_buses_or_of_another_chip_are_told_apart(monkeypatch
     for _ in range(3):
         assert is_good(bench.read())
         bench.clock.now += 0.1
+    bench.hardware._buses[1].remove(bench.hardware.multiplexers[1, 0x71])  # unplugged
+    for _ in range(3):
+        assert missing(bench.read()) == [4, 5]
+        bench.clock.now += 0.1
     pair = (type("Other", (kind,), {"address": 0x2A}) for kind in (Fdc1004, SimulatedFdc1004))
     monkeypatch.setitem(hardware.CAPACITIVE_CHIPS, "other", tuple(pair))
     bench = Bench(settings=replace(SETTINGS, chip="other"))

@@ -265,6 +265,8 @@ def test_a_tare_takes_the_load_away_and_outlives_a_restart_or_is_not_taken(tmp_p
     np.testing.assert_allclose(later.wrench, 1.0, atol=1e-2)
     np.testing.assert_array_equal(later.tare, reading.tare)
     assert later.tared == reading.tared
+    with refused(ConfigurationError, "tare.json: was taken with other", "tare again"):
+        Bench(dataclasses.replace(settings, excitation=2.5))
     path.write_text("{")
     with refused(ConfigurationError, "tare.json", "remove the file and tare again"):
         Bench(settings)

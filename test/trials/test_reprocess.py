@@ -236,7 +236,8 @@ def correct(trial: Trial, measured: synchronise.Measurements) -> synchronise.Mea
 def test_drift_between_spans_is_taken_off(hold: Path, measured: synchronise.Measurements) -> None:
     time, notes = measured.time, []
     end = time[-1]
-    trial = Trial(hold, notify=notes.append, unloaded=((0.0, 8.0), (end - 8.0, end)))
+    # A span is that of its samples, wherever it ends.
+    trial = Trial(hold, notify=notes.append, unloaded=((0.0, 8.0), (end - 8.0, end + 500.0)))
     drift = 0.2 * (time - 4.0) / (end - 8.0)
     drifted = dataclasses.replace(measured, capacitance=measured.capacitance + drift[:, None, None])
     corrected = correct(trial, drifted)
@@ -280,6 +281,6 @@ def test_spans_under_load_are_refused(hold: Path, measured: synchronise.Measurem
     notes: list[str] = []
     Trial(hold, notify=notes.append, unloaded=((0.0, 3.0),)).samples()
     assert len(notes) == 1 and "distal is not corrected: give a second span" in notes[0]
-    for wrong in (["8:2"], ["nan:1"], ["0:1", "2:3", "4:5"], ["0:5", "3:8"]):
+    for wrong in (["8:2"], ["nan:1"], ["0:1", "2:3", "4:5"], ["0:inf"], ["0:5", "3:8"]):
         with refused(ConfigurationError, "--unloaded"):
             synchronise.parse_unloaded(wrong)

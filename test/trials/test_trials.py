@@ -91,6 +91,7 @@ def test_topics_are_found_in_the_namespace_of_the_recording(hold: Path, tmp_path
     with refused(TrialError, "two topics"):
         topics.match_topics(dict.fromkeys(["/a/trigger", "/b/trigger"], topics.TRIGGER.type), "bag")
     types = {"/camera/trigger": "std_msgs/msg/Bool", "/lab/trigger": topics.TRIGGER.type}
+    types |= {f"{arm}/diagnostics": topics.DIAGNOSTICS.type for arm in ("", "/arm")}
     for listed in (types, dict(reversed(types.items()))):  # another program's counts for nothing
         assert topics.match_topics(listed, "bag")[topics.TRIGGER] == "/lab/trigger"
 

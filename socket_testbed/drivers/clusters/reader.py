@@ -148,6 +148,7 @@ class _Bus:
         if isinstance(error, i2c.BusTimeoutError):
             self.given_up = str(error)
         only_chip = not isinstance(error, i2c.BusError) or error.address == chip
+        only_chip |= len(self.multiplexers) > 1  # the others' clusters go on
         if self.is_open and only_chip and not isinstance(error, i2c.BusGoneError):
             return True
         self.given_up = self._closed_by = str(error)
@@ -175,10 +176,14 @@ class _Bus:
             self.multiplexers[multiplexer].write_byte(1 << channel)
 
     def disconnect(self, but: int = 0) -> None:
-        """Disconnect all channels of all multiplexers except one."""
+        """Disconnect all channels of all multiplexers except one; an absent one has none."""
         for address, multiplexer in self.multiplexers.items():
-            if address != but:
-                multiplexer.write_byte(0)
+            try:
+                if address != but:
+                    multiplexer.write_byte(0)
+            except i2c.BusError as error:
+                if not but or isinstance(error, i2c.BusTimeoutError | i2c.BusGoneError):
+                    raise
 
     def close(self) -> None:
         """Close the bus, unless it is closed already."""

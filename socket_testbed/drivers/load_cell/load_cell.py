@@ -64,6 +64,11 @@ class Bridges:
             1e3 * np.array(settings.sign) / settings.excitation / np.array(settings.amplifier_gain)
         )
 
+    @property
+    def description(self) -> str:
+        """The settings on which the ratios depend."""
+        return f"inputs {self.inputs.tolist()}, gain {self._gain}, scale {self._scale.tolist()}"
+
     def ratios(self, codes: IntArray) -> FloatArray:
         """Ratios of the bridges, shape (n, 6) [mV/V], of codes by input, shape (n, channels)."""
         return self._scale * ads131m0x.volts(codes[:, self.inputs], self._gain)
@@ -163,10 +168,14 @@ def _wrong(fact: str, hint: str) -> ConfigurationError:
 
 
 class Tare:
-    """The bridges' ratios at no load, stored in a file if a path is given."""
+    """The bridges' ratios at no load, stored in a file if a path is given.
 
-    def __init__(self, path: str) -> None:
+    The settings `taken_with` are those of the ratios: with others, a stored tare is wrong.
+    """
+
+    def __init__(self, path: str, taken_with: str) -> None:
         self._path = Path(path).expanduser() if path else None
+        self._taken_with = taken_with
         self._writing = threading.Lock()
         # ratios at no load, shape (6,) [mV/V], and their time since the epoch [ns], rounded down
         # to a microsecond; 0 if never taken
@@ -176,6 +185,9 @@ class Tare:
                 document = read_document(self._path, _TareDocument)
             except ConfigurationError as error:
                 raise ConfigurationError(error.fact, "remove the file and tare again") from None
+            if document.taken_with not in ("", taken_with):
+                fact = f"{self._path}: was taken with other inputs, signs, gains or excitation"
+                raise ConfigurationError(fact, "remove the file and tare again")
             microseconds = round(1e6 * document.time.timestamp())
             self.no_load = np.array(document.offsets_mV_per_V), 1000 * microseconds
 
@@ -183,7 +195,11 @@ class Tare:
         """Set new ratios, taken at a time since the epoch [ns], and write them to the file."""
         with self._writing:
             if self._path is not None:
-                content = {"offsets_mV_per_V": offsets.tolist(), "time": _iso_time(time)}
+                content = {
+                    "offsets_mV_per_V": offsets.tolist(),
+                    "time": _iso_time(time),
+                    "taken_with": self._taken_with,
+                }
                 make_folder(self._path.parent)
                 write_text(self._path, json.dumps(content, indent=2) + "\n")
             self.no_load = offsets.copy(), 1000 * (time // 1000)
@@ -200,6 +216,7 @@ _Ratio = Annotated[float, Meta(ge=-1e3, le=1e3)]  # [mV/V]; far beyond any bridg
 class _TareDocument(Document):
     offsets_mV_per_V: tuple[_Ratio, _Ratio, _Ratio, _Ratio, _Ratio, _Ratio]
     time: Annotated[datetime, Meta(tz=True)]
+    taken_with: str = ""  # unknown in files of older versions
 
 
 @dataclass(frozen=True)
@@ -225,7 +242,7 @@ class LoadCell:
         self.settings = settings
         self.converter = converter
         self._bridges = Bridges(settings)
-        self._tare = Tare(settings.tare_file)
+        self._tare = Tare(settings.tare_file, self._bridges.description)
 
     def figures(self) -> dict[str, object]:
         """Numbers of conversions, corrupted frames and restarts, and the tare."""

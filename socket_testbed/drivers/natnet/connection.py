@@ -234,8 +234,9 @@ class TakeKeeper:
 
     def request(self, name: str | None) -> None:
         """Request a take, or none."""
-        self._wanted = None
-        self._wanted = None if name is None else check_take_name(name)
+        if name != self._wanted:  # else another thread would see none for a moment
+            self._wanted = None
+            self._wanted = None if name is None else check_take_name(name)
 
     def restarted(self, now: float) -> None:
         """Note a new session: the server may have forgotten the take."""
