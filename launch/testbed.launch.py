@@ -27,7 +27,7 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 from socket_testbed.clocks import Backoff
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import CALIBRATION_FILE, SOCKET_FILE, packaged
+from socket_testbed.files import CALIBRATION_FILE, SOCKET_FILE, check_new_folder, packaged
 from socket_testbed.live.bringup import (
     Simulation,
     Testbed,
@@ -77,6 +77,8 @@ def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler | SetEn
         namespace=given["namespace"],
     )
     testbed.check_devices()
+    if testbed.record is not None:
+        check_new_folder(testbed.record)
     if simulation is not None:
         testbed, _ = simulate_hardware(GRAPH, testbed, simulation)
     end = OnShutdown(on_shutdown=lambda event, context: GRAPH.stop())

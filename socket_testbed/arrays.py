@@ -16,7 +16,7 @@ GAP = 1.5  # samples were lost; a difference across it is not noise
 BREAK = 3.0  # the data is unknown: no value holds and no line runs across it
 
 _AROUND = 10  # steps on either side of one that show the usual step
-_TOLERANCE = 1e-6  # [s]; of a time
+TOLERANCE = 1e-6  # [s]; of a time
 _MEDIAN = 0.67449  # [-]; median magnitude of a standard normal variable
 
 
@@ -53,9 +53,9 @@ def gaps(time: FloatArray | IntArray, longer: float = GAP) -> BoolArray:
 
 def sample_at(time: FloatArray, when: float) -> int | None:
     """Index of the latest of some samples at a time; None before the first and after a break."""
-    row = int(np.searchsorted(time, when + _TOLERANCE, "right")) - 1
+    row = int(np.searchsorted(time, when + TOLERANCE, "right")) - 1
     usual = usual_period(time[max(row - _AROUND, 0) : row + _AROUND + 1])
-    holds = BREAK * np.nan_to_num(usual) + _TOLERANCE
+    holds = BREAK * np.nan_to_num(usual) + TOLERANCE
     return row if row >= 0 and when - time[row] <= holds else None
 
 

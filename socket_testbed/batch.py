@@ -28,6 +28,7 @@ from socket_testbed.tables import split_unit, write_table
 from socket_testbed.trials.metadata import METADATA_FILE
 from socket_testbed.trials.reprocess import RECORDED
 from socket_testbed.trials.trial import Trial
+from socket_testbed.version import __version__
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -202,12 +203,12 @@ def _failure(job: Job, before: str, error: BaseException, after: str) -> Row:
 
 
 def _inputs(task: Task, job: Job) -> str:
-    """Everything a result depends on: size and date of every file, and the settings, as JSON."""
+    """Everything a result depends on, as JSON: version, size and date of files, settings."""
     files = [path for path in job.trial.path.iterdir() if path.is_file() and path.name[0] != "."]
     stamps = {path.name: _stamp(path) for path in files if path.name != METADATA_FILE}
     stamps |= {option: _stamp(path) for option, path in job.files.items()}
     stated = [getattr(job.trial.metadata, name) for name in task.metadata]
-    return json.dumps([stamps, stated, task.settings], sort_keys=True)
+    return json.dumps([__version__, stamps, stated, task.settings], sort_keys=True)
 
 
 def _stamp(path: Path) -> list[int]:

@@ -71,7 +71,11 @@ def test_the_verbs_write_the_same_bytes(folder, tmp_path, monkeypatch, capsys) -
     st.export("hold", "api.csv", "20:35", fitted, force_map=True, pressure=True)
     st.export("hold", "api.cycles.csv", cycles="placed:removed")
     st.force_map("hold", "20:35").save("api.map.csv")
-    st.pressure("hold", "20:35", share=0.01).save("api.time.csv", over_time=True)
+    found = st.pressure("hold", "20:35", share=0.01)
+    found.save("api.time.csv", over_time=True)
+    of_region = found.over_time()["distal.shear [kPa]"]  # a tile has the name, too
+    expected = found.outputs.series.shear.value[:, [p.name for p in found.places].index("distal")]
+    np.testing.assert_allclose(of_region, 1e-3 * expected)
     st.compare("hold", "walk", segment="15:17", threshold=20.0).save("api.compared.csv")
     st.calibrate("bench.csv", "distal", wiring=(2, 3, 0, 1)).save("api.calibration")
     st.register("take.csv", "landmarks.yaml", "old_socket.yaml", "api.socket")

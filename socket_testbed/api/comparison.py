@@ -172,8 +172,9 @@ class Comparison(Result):
             by, *ends = (abs(row[name]) for name in DIFFERENCE)
             low, high = sorted(ends)
             way = "lower" if row["difference"] < 0.0 else "higher"
+            unit = "percentage points" if row["unit"] == "%" else row["unit"]
             lines.append(
-                f"{row['name']}: {row['quantity']} {by:.{digits}f} {row['unit']} {way} in"
+                f"{row['name']}: {row['quantity']} {by:.{digits}f} {unit} {way} in"
                 f" {row['item']} than in {self.items[0]} ({low:.{digits}f} to {high:.{digits}f})"
             )
         return lines

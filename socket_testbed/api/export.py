@@ -6,6 +6,8 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from socket_testbed.api.cycles import cycles as cycles_of
 from socket_testbed.api.models import Model, model_for, predictions
 from socket_testbed.api.pressure import force_map as force_map_of
@@ -67,6 +69,8 @@ def export(
     import pandas as pd
 
     path = Path(path)
+    if about is not None and not (len(about) == 3 and np.isfinite(about).all()):
+        raise ConfigurationError(f"about is {list(about)}", "give three numbers [m]")
     if path.suffix.lower() in GAIT_FORMATS:
         if model or force_map or pressure or cycles:
             raise ConfigurationError(

@@ -146,7 +146,10 @@ class TrialFit(Result):
             for x, k in zip("xyz", model.stiffness.T, strict=True)
         }
         heading = f"{self.trial.name}, {self.segment}: stiffness, {model.variant}"
-        return tile_map_figure(self.trial.geometry, maps, "stiffness [N/m]", heading, style)
+        side = self.trial.metadata.side
+        return tile_map_figure(
+            self.trial.geometry, maps, "stiffness [N/m]", heading, style, side=side
+        )
 
 
 Model: TypeAlias = TrialFit | StoredModel | PathLike
@@ -293,7 +296,8 @@ def fit(
     # More threads change the rounding of sums; a trial must give the same model on every machine.
     # The programs are small, so that a single thread is no slower.
     with threadpool_limits(1):
-        found = fit_contact_model(trial.samples()[chosen.rows], trial.geometry, settings)
+        rows = trial.sound(settings.leave_out)[chosen.rows]
+        found = fit_contact_model(rows, trial.geometry, settings)
     return TrialFit(trial, chosen, found)
 
 

@@ -155,7 +155,8 @@ class TrialMap(Result):
         from socket_testbed.report.pressure import force_map_figure
 
         heading = f"{self.trial.name}, {self.segment}: force map"
-        return force_map_figure(self.trial.geometry, self.estimate.mean(), heading, style)
+        side = self.trial.metadata.side
+        return force_map_figure(self.trial.geometry, self.estimate.mean(), heading, style, side)
 
     def _draw_into(self, ax: Axes) -> None:
         from socket_testbed.report.tiles import draw_wall
@@ -304,8 +305,8 @@ class TrialPressure(SegmentPressure, Result):
         """Outputs of the regions and stresses on the tiles at every sample, by `time [s]`.
 
         Columns such as `anterior proximal.mean pressure [kPa]`, and `distal.pressure [kPa]` and
-        `distal.shear [kPa]` for tiles, with the ends of their 95 % intervals. Intervals of tiles
-        are 1.96 standard deviations of the force map.
+        `distal.shear [kPa]` for tiles (`tile distal` if a region has the same name), with the ends
+        of their 95 % intervals. Intervals of tiles are 1.96 standard deviations of the force map.
         """
         import pandas as pd
 
@@ -319,7 +320,9 @@ class TrialPressure(SegmentPressure, Result):
         stresses |= with_interval("shear [kPa]", shear)
         regions = [place.name for place in self.places]
         columns = by_place(regions, columns_of(self.outputs.series, _SERIES_TITLES))
-        columns |= by_place(self.trial.geometry.names, stresses)
+        # A cluster and its tile may have the name of a region, such as distal.
+        tiles = [f"tile {n}" if n in regions else n for n in self.trial.geometry.names]
+        columns |= by_place(tiles, stresses)
         return pd.DataFrame(columns, index=pd.Index(self.time, name="time [s]"))
 
     def document(self) -> dict[str, Any]:

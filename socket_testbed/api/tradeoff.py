@@ -95,7 +95,7 @@ def pareto(
     trial, chosen, settings = prepare_fit(trial, segment, params, choices)
     report = started(progress, "solving for every theta")
     with threadpool_limits(1):
-        rows = trial.samples()[chosen.rows]
+        rows = trial.sound(settings.leave_out)[chosen.rows]
         fronts = pareto_front(rows, trial.geometry, settings, values, report)
     return Tradeoff(trial, chosen, fronts)
 
@@ -171,6 +171,7 @@ def paper(
     fronts = pareto(trial, segment, thetas=thetas, progress=progress, **chosen).fronts
     errors = {variant: found.fit.errors for variant, found in fits.items()}
     last = fits[PAPER_VARIANTS[-1]]
-    rows, settings = trial.samples()[last.segment.rows], last.fit.settings
+    settings = last.fit.settings
+    rows = trial.sound(settings.leave_out)[last.segment.rows]
     table = beside_published(errors, fronts, rows, settings)
     return PaperTable(trial, last.segment, last.fit.samples, settings, table)

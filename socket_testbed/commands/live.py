@@ -251,7 +251,10 @@ def run(
     # A recorder that was restarted or asked for another trial has recorded several.
     trials = sorted(_trials(*place) - older)
     for trial in trials:
-        print(bringup.summary(trial))
+        try:
+            print(bringup.summary(trial))
+        except TrialError as error:  # such as one without a trigger
+            print(f"{error}")
     for trial in trials:
         _require_end(trial)
 

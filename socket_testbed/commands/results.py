@@ -74,9 +74,8 @@ def _show_fit(found: TrialFit, options: Mapping[str, Any]) -> None:
     count = f"{fit.samples} of {len(found.trial.samples())} samples"
     print(f"{found.trial.name}: {found.segment}, {count}")
     print(
-        f"variant {model.variant}, theta {settings.theta:g}, weights by {settings.weights}; the"
-        f" data determine {fit.determined:.0f} of {size} stiffness directions, the smoothness the"
-        " others"
+        f"variant {model.variant}, theta {settings.theta:g}, weights by {settings.weights}; in"
+        f" {fit.determined:.0f} of {size} stiffness directions the data outweigh the smoothness"
     )
     if model.variant in PAPER_VARIANTS:
         print(f"stiffness k0 of Stage 1: {settings.initial_stiffness:.4g} N/m")
@@ -89,8 +88,8 @@ def _show_fit(found: TrialFit, options: Mapping[str, Any]) -> None:
     if warning := share_warning(shares):
         print(f"warning: {warning}")
     print(
-        f"despite all noise, {decimals(found.known_directions(), 1)} of {size} stiffness directions"
-        f" are known to {settings.stiffness_difference:g} N/m or better"
+        f"without the smoothness, {decimals(found.known_directions(), 1)} of {size} stiffness"
+        f" directions would be known to {settings.stiffness_difference:g} N/m or better"
     )
     print(
         f"the pose moves by {MIN_RATIO:g} times its noise or more in {motion.directions} of 6"

@@ -116,8 +116,13 @@ def _topics(trial: Trial) -> str:
     with trial.open() as bag:
         duration = bag.duration
         rows = [
-            [name, bag.types[name], str(count), decimals(count / duration if duration else 0.0, 2)]
-            for name, count in sorted(bag.counts.items())
+            [
+                name,
+                bag.types[name],
+                str(n),
+                decimals((n - 1) / duration if duration else 0.0, 2),
+            ]
+            for name, n in sorted(bag.counts.items())
         ]
         heading = f"{trial.path}: {sum(bag.counts.values())} messages in {duration:.2f} s"
     return f"{heading}\n{table(['topic', 'type', 'messages', 'Hz'], rows)}"

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from socket_testbed.arrays import FloatArray, usual_period
+from socket_testbed.arrays import FloatArray, gaps, usual_period
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.regions import axial_force, proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
@@ -235,6 +235,12 @@ def _channels(samples: Samples) -> Iterator[DataFinding]:
                 f"{100.0 * share:.0f} % of its samples are missing or out of range",
                 "see 'info' for the gaps, and 'doctor' for the wiring",
             )
+    steps = np.diff(samples.time)
+    lost = float(np.maximum(steps[gaps(samples.time)] - period, 0.0).sum())
+    if lost > MAX_MISSING * samples.time[-1]:
+        share = 100.0 * lost / samples.time[-1]
+        fact = f"{share:.0f} % of the time has no sample"
+        yield DataFinding("the trigger", fact, "see 'info' for the gaps, and the trigger's rate")
     # An averaged or extrapolated pose still varies in its last digits.
     if period * max(map(_longest_run, _known(samples.pose).T)) > max(MAX_STILL, 4.0 * period):
         yield DataFinding(

@@ -216,8 +216,9 @@ def measure_motion(samples: Samples, geometry: SocketGeometry, window: float = 0
     pose = smooth_poses(samples.centred(), window).pose[samples.has_pose]
     deviation = pose - pose.mean(axis=0)
     spread = np.sqrt(np.diag(covariance))
-    motion = np.sqrt(np.maximum((deviation**2).mean(axis=0) - spread**2, 0.0))
     spread[np.isnan(noise.pose)] = math.nan
+    moved = (deviation**2).mean(axis=0) - np.nan_to_num(spread) ** 2
+    motion = np.sqrt(np.maximum(moved, 0.0))
     axis = int(np.abs(proximal_direction(geometry)).argmax())  # of the socket
     excitations = tuple(
         Excitation(f"{kind} {x}", unit, float(motion[i]), float(spread[i]), advice[i % 3 != axis])

@@ -36,6 +36,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.errors import IdentificationError, listed
@@ -58,6 +59,8 @@ MAX_DISTANCE = 2.0  # [-]; of the limb from the load cell, relative to the farth
 UNIT_QUANTILE = 0.75  # [-]; of the magnitudes, compared with the limits
 OUTLIER_RATIO = 200.0  # [-]; of a value's square to the mean square of its group of channels,
 OUTLIER_SHARE = 1.0 / 3.0  # [-]; or to the sum of squares, whichever gives the lower limit
+SPIKE_RATIO = 3.0  # [-]; of a single value to the usual ones of its group; 0.1 in sound trials
+_USUAL_QUANTILE = 0.95  # [-]; of the largest value of each sample
 MIN_VALUES = 30  # [1]; in a group, to find outliers
 MAX_OUTLIERS = 0.1  # [-]; of the samples
 MIN_MOMENT = 0.1  # [N m]; lower limit when a channel group is normalised
@@ -110,7 +113,22 @@ def find_outliers(
             place = np.unravel_index(squares.argmax(), squares.shape)
             squares[place] = 0.0
             found[:, group][place] = True
+        found[:, group] |= _spikes(np.where(found[:, group], 0.0, np.nan_to_num(values[:, group])))
     return Outliers(_beyond(samples.position, geometry), found)
+
+
+def _spikes(values: FloatArray) -> BoolArray:
+    """Values of a group, (N, m), far above its usual ones but not above their neighbours'.
+
+    Several spikes raise a sum of squares, which then hides them all.
+    """
+    sizes = np.abs(values)
+    highest = sizes.max(axis=1)
+    if np.count_nonzero(highest) < MIN_VALUES:
+        return np.zeros(values.shape, dtype=bool)
+    usual = float(np.quantile(highest[highest > 0.0], _USUAL_QUANTILE))
+    around = np.abs(median_filter(values, (5, 1), mode="nearest"))
+    return (sizes > SPIKE_RATIO * usual) & (around < 0.5 * sizes)
 
 
 def without_outliers(

@@ -340,7 +340,7 @@ def split(samples: Samples, least_force: float) -> tuple[IntArray, IntArray]:
             f"only {len(loaded)} of {len(samples)} samples have a pose and a wrench under load"
             f" ({least_force:g} N or more), and two halves to fit and to test need"
             f" {2 * MIN_SAMPLES}",
-            "give a longer trial",
+            "give a longer trial, or see with 'info' what is missing",
         )
     middle = len(loaded) // 2
     return loaded[:middle], loaded[middle:]

@@ -69,11 +69,13 @@ class Testbed:
     def __post_init__(self) -> None:
         names = self.settings.cluster_node.names
         check_names(self.settings.estimator_node.identification, names)
-        read_calibration(self.calibration).require(names, "cluster_node")
-        tiles = read_socket(self.geometry).clusters
+        calibration, tiles = read_calibration(self.calibration), read_socket(self.geometry).clusters
+        calibration.require(names, "cluster_node")
         if self.simulation is not None and len(tiles) > MAX_CLUSTERS:
             fact = f"has {len(tiles)} clusters, and {MAX_CLUSTERS} can be simulated"
             raise ConfigurationError(f"{self.geometry}: {fact}", "take the others off their tiles")
+        if self.simulation is not None:
+            calibration.require(tiles, f"the simulation of {self.geometry}")
         for name in names:
             if name not in tiles:
                 fact = f"cluster_node: the cluster '{name}' is on no tile of {self.geometry}"

@@ -18,7 +18,7 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray, StatusArray
 from socket_testbed.drivers import ERROR, OK, WARN
-from socket_testbed.errors import IdentificationError, TestbedError, first_of
+from socket_testbed.errors import IdentificationError, first_of
 from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import pressure
@@ -326,7 +326,7 @@ class OnlineEstimator:
             return
         try:
             refit = future.result()
-        except (TestbedError, BrokenProcessPool) as error:
+        except Exception as error:  # also one that nobody foresaw
             self._state = (ERROR, f"no fit: {error}")
             return
         if refit is None:
@@ -357,11 +357,11 @@ class OnlineEstimator:
             samples = self._window.samples()
         leave_out = self._settings().identification.leave_out
         future = self._fitter.run(check_samples, samples, self._geometry, leave_out)
-        future.add_done_callback(self._take_findings)
+        future.add_done_callback(partial(self._take_findings, self._jumps))
 
-    def _take_findings(self, future: Future[tuple[str, ...]]) -> None:
+    def _take_findings(self, since: int, future: Future[tuple[str, ...]]) -> None:
         self._checking = False
-        if future.cancelled():
+        if future.cancelled() or since != self._jumps:
             return
         error = future.exception()
         self._findings = (f"data not checked: {error}",) if error else future.result()

@@ -54,7 +54,8 @@ class GraphStatus:
             error = values - self._measured.get(stamp, np.nan)
             if np.isfinite(error).all():
                 self._errors.append((stamp, error))
-            while self._errors and self._errors[0][0] < stamp - _ERROR_WINDOW * 1e9:
+            # A replay that starts again may bring older predictions after the first new trigger.
+            while self._errors and not 0 <= stamp - self._errors[0][0] <= _ERROR_WINDOW * 1e9:
                 self._errors.popleft()
             return
         if topic is topics.TRIGGER:

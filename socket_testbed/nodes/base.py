@@ -40,7 +40,7 @@ from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.live.processes import RESTARTED
 from socket_testbed.settings.fields import Settings, parameter_values
 from socket_testbed.trials.messages import LOAD_CELL_FRAME, Reader
-from socket_testbed.trials.topics import DIAGNOSTICS, Topic
+from socket_testbed.trials.topics import DIAGNOSTICS, RECORDED_TRIAL, Topic
 
 OK, WARN, ERROR = drivers.OK, drivers.WARN, drivers.ERROR
 
@@ -135,6 +135,11 @@ class Inbox:
     def close(self) -> None:
         """Unsubscribe and destroy the node."""
         self.node.destroy_node()
+
+
+def recorded_trial(node: Node, announced: str) -> str:
+    """The trial being recorded, as announced; empty if its recorder has ended since."""
+    return announced if node.count_publishers(RECORDED_TRIAL.name) else ""
 
 
 class RecentFault:

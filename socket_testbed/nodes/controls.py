@@ -160,7 +160,8 @@ class EventMarker:
                 "check that the recorder runs, and 'info' of its trial for the event",
             )
         count = self._publisher.get_subscription_count()
-        return Marked(count, self._trial or "", bool(self._triggers))
+        trial = base.recorded_trial(self._node, self._trial or "")
+        return Marked(count, trial, bool(self._triggers))
 
     def _stamp_of(self, called: float) -> int:
         """Stamp [ns] of a time on the monotonic clock [s], from the triggers that arrive now."""

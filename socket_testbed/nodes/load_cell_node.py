@@ -18,7 +18,7 @@ from socket_testbed import clocks
 from socket_testbed.drivers.load_cell.load_cell import in_words
 from socket_testbed.errors import DeviceError
 from socket_testbed.live.hardware import make_load_cell
-from socket_testbed.nodes.base import OK, WARN, header_to_ros
+from socket_testbed.nodes.base import OK, WARN, header_to_ros, recorded_trial
 from socket_testbed.nodes.sensor_node import SensorNode
 from socket_testbed.settings.acquisition import LoadCellSettings, averaging_span
 from socket_testbed.trials.messages import load_cell_raw_packer, wrench_packer
@@ -89,6 +89,7 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
 
     def _tare(self, forced: bool = False) -> str:
         """Tare, and publish it as an event for the recorder."""
+        self._trial = recorded_trial(self, self._trial)
         if self._trial and not forced:
             raise DeviceError(
                 f"cannot tare: the trial {self._trial} is being recorded",

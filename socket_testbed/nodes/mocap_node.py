@@ -45,6 +45,7 @@ class MocapNode(SensorNode[MocapSettings]):
         self._refused = ""  # why a take's name was refused
         self._client.start()
         self.follow_triggers()
+        self._trial = ""  # being recorded
         self.listen(topics.RECORDED_TRIAL, self._on_recorded, needed=False)
 
     def close(self) -> None:
@@ -89,14 +90,16 @@ class MocapNode(SensorNode[MocapSettings]):
     def _on_recorded(self, message: String) -> None:
         if not self.settings.record_takes:
             return
-        self._refused = ""
+        self._trial, self._refused = message.data, ""
         try:
-            self._client.set_recording(message.data or None)
+            self._client.set_recording(self._trial or None)
         except ConfigurationError as error:
             self._refused = f"no take is recorded: {error}"
 
     def health(self) -> tuple[int, str]:
         """Health of the stream, the latest fault, or health of Motive's recording."""
+        if self._trial and not base.recorded_trial(self, self._trial):
+            self._on_recorded(String())  # its recorder ended without a word
         level, message = self._client.health(clocks.monotonic())
         if level < base.ERROR and (faults := [f for f in (self.fault.text(), self._refused) if f]):
             return base.WARN, "; ".join(faults)

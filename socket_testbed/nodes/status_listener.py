@@ -43,6 +43,7 @@ class StatusListener:
         for topic in self._topics:
             for data in self._inbox.take(topic):
                 self.add(topic, data)
+        self._status.trial = base.recorded_trial(self._inbox.node, self._status.trial)
 
     def add(self, topic: Topic, data: bytes) -> None:
         """Process a serialised message of a topic."""

@@ -198,13 +198,16 @@ class LiveSource:
             wrench = dict(self._wrenches).get(stamp, _NO_WRENCH)
             peak = outputs.peak
             row = (axial_force(geometry, wrench), peak.value[-1], peak.low[-1], peak.high[-1])
+            self._first = self._first or stamp
             self._course.append((1e-9 * (stamp - self._first), *map(float, row)))
             while self._course[-1][0] - self._course[0][0] > _COURSE_DURATION:
                 self._course.popleft()
             time, load, value, low, high = np.array(self._course).T
             self._shown_at = now
             self._shown = {
-                "cards": document.cards(geometry, places, outputs, mapped[1]["normal_pressure"][0]),
+                "cards": document.cards(
+                    geometry, places, outputs, mapped[1]["normal_pressure"][0], self._measured
+                ),
                 "bars": document.bars(places, outputs),
                 "course": document.course(time, load, Quantity(value, low, high, value), []),
             }
@@ -245,7 +248,8 @@ class LiveSource:
 
     def _recording(self) -> document.Document:
         """The trial being recorded, and the free space."""
-        trial, since = self._trial
+        announced, since = self._trial
+        trial = base.recorded_trial(self._node, announced)
         now = clocks.monotonic()
         recorder, arrival = self._sensors.get(f"{self._prefix}recorder_node", (None, now))
         words = f"recording {trial}" if trial else "nothing is being recorded"
@@ -267,7 +271,9 @@ class LiveSource:
             values = {entry.key: entry.value for entry in status.values}
             count = next((float(values[key]) for key in _COUNT_KEYS if key in values), math.nan)
             before, since, _ = self._rates.setdefault(status.name, (count, now, math.nan))
-            if now - since > 0.5:
+            if count < before:  # it was restarted
+                self._rates[status.name] = count, now, math.nan
+            elif now - since > 0.5:
                 self._rates[status.name] = count, now, (count - before) / (now - since)
 
     def _on_trial(self, message: String) -> None:

@@ -168,16 +168,22 @@ def bars(places: Sequence[Region], outputs: RegionOutputs) -> Document:
 
 
 def cards(
-    geometry: SocketGeometry, places: Sequence[Region], outputs: RegionOutputs, pressure: FloatArray
+    geometry: SocketGeometry,
+    places: Sequence[Region],
+    outputs: RegionOutputs,
+    pressure: FloatArray,
+    measured: FloatArray,
 ) -> list[Document]:
     """Cards of the peak, and of the highest pressure away from sensors.
 
-    `outputs` holds R regions; `pressure` is that on the tiles at the peak, shape (n,) [Pa].
+    `outputs` holds R regions; `pressure` is that on the tiles at the peak, shape (n,) [Pa], and
+    `measured` that of the clusters, shape (c,) [Pa].
     """
     names = [place.name for place in places]
     top = int(pressure.argmax())
-    cluster = geometry.cluster_names[top]
-    source = f"measured by {cluster}" if cluster else "estimated"
+    known = zip(geometry.clusters.items(), np.isfinite(measured), strict=True)
+    seen = {tile: cluster for (cluster, tile), is_known in known if is_known}
+    source = f"measured by {seen[top]}" if top in seen else "estimated"
     shown = [("Peak", SOCKET, f"{part_of(places, top)}, {source}")]
     if UNMEASURED in names:
         bare = places[names.index(UNMEASURED)].tiles

@@ -55,7 +55,8 @@ class Player:
         one = slice(row, row + 1)
         found = mapped.outputs(one)
         pressure = found.estimate.normal_pressure[0]
-        shown = document.cards(mapped.geometry, mapped.places, found.regions, pressure)
+        measured = document.measured_pressure(found.samples, mapped.geometry)[0]
+        shown = document.cards(mapped.geometry, mapped.places, found.regions, pressure, measured)
         return {
             "moment": document.moments(samples.time[one], found, mapped.geometry)[0],
             "cards": [*shown, self._data],

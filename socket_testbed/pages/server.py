@@ -129,6 +129,7 @@ class _Handler(BaseHTTPRequestHandler):
         if self._is_refused():
             return
         if not length.isdigit() or int(length) > _MAX_LENGTH:
+            self.close_connection = True  # the body is not read
             self._answer(HTTPStatus.BAD_REQUEST, b"too long\n")
             return
         try:

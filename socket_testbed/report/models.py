@@ -334,12 +334,12 @@ def _tile_map(
     columns = {f"anchor {axis} in S [m]": column for axis, column in _by_axis(geometry.anchors)}
     columns |= {f"{described} {axis} [{unit}]": column for axis, column in _by_axis(values)}
     maps = {f"{symbol} along {axis} of {frame}": column for axis, column in _by_axis(values)}
-    heading = f"{results.trial.name}: {title}"
+    heading, side = f"{results.trial.name}: {title}", results.trial.metadata.side
     return ReportFigure(
         name,
         f"{title}, along the axes of {frame}; the wall is unrolled and seen from outside. Tiles"
         " with a cluster are outlined.",
-        lambda style: tile_map_figure(geometry, maps, quantity, heading, style),
+        lambda style: tile_map_figure(geometry, maps, quantity, heading, style, side=side),
         pd.DataFrame({"tile": geometry.names, "cluster": geometry.cluster_names, **columns}),
     )
 
@@ -372,6 +372,7 @@ def _engaged_springs(results: Results) -> ReportFigure:
             results.title("Engaged springs"),
             style,
             limits=(0.0, 100.0),
+            side=results.trial.metadata.side,
             below=(_SERIES_HEIGHT, draw_lines),
         )
 

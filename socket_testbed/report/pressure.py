@@ -11,11 +11,7 @@ from matplotlib.figure import Figure, SubFigure
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.regions import main_regions
-from socket_testbed.geometry.socket import (
-    HEIGHTS,
-    SECTORS,
-    SocketGeometry,
-)
+from socket_testbed.geometry.socket import HEIGHTS, SECTORS, Side, SocketGeometry
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import (
     SHARE,
@@ -72,7 +68,9 @@ def page_data(results: Results) -> dict[str, Any]:
         "moments": document.moments(time, over_trial, geometry),
         "mean": mean | {"time": None, "words": f"mean over {found.segment}"},
         "cards": [
-            *document.cards(geometry, found.places, outputs.regions, at_peak),
+            *document.cards(
+                geometry, found.places, outputs.regions, at_peak, measured.loc[outputs.peak_row]
+            ),
             document.check_card(results.data),
         ],
         "bars": document.bars(found.places, outputs.regions),
@@ -165,19 +163,20 @@ def _overview(results: Results) -> ReportFigure:
 
 def _force_map(results: Results) -> ReportFigure:
     geometry, outputs = results.trial.geometry, results.pressure.outputs
+    side = results.trial.metadata.side
     title = f"{results.trial.name}: Force map, {results.pressure.segment}"
     mean = outputs.force_map.mean(outputs.samples)
     columns = {
         "pressure [kPa]": mean.normal_pressure,
-        "pressure.sd [kPa]": mean.normal_pressure_standard_deviation,
+        "pressure sd [kPa]": mean.normal_pressure_standard_deviation,
         "shear [kPa]": mean.shear,
-        "shear.sd [kPa]": mean.shear_standard_deviation,
+        "shear sd [kPa]": mean.shear_standard_deviation,
     }
     return ReportFigure(
         "force_map",
         "Mean normal pressure over the segment on every tile, and the standard deviation of its"
         f" error. {mean.source}. The greyer, the less certain. Tiles with a cluster are outlined.",
-        lambda style: force_map_figure(geometry, mean, title, style),
+        lambda style: force_map_figure(geometry, mean, title, style, side),
         pd.DataFrame(
             {"tile": geometry.names} | {name: 1e-3 * row[0] for name, row in columns.items()}
         ),
@@ -185,14 +184,18 @@ def _force_map(results: Results) -> ReportFigure:
 
 
 def force_map_figure(
-    geometry: SocketGeometry, estimate: MapEstimate, title: str, style: FigureStyle
+    geometry: SocketGeometry,
+    estimate: MapEstimate,
+    title: str,
+    style: FigureStyle,
+    side: Side | None,
 ) -> Figure:
     """Normal pressure of the first sample of a force map, and its standard deviation."""
     pressure = 1e-3 * estimate.normal_pressure[0]
     deviation = 1e-3 * estimate.normal_pressure_standard_deviation[0]
     maps = {"normal pressure": pressure, "its standard deviation": deviation}
     reach = dict(zip(maps, (1e-3 * estimate.pressure_reach[0], 0.0 * deviation), strict=True))
-    return tile_map_figure(geometry, maps, _LABEL, title, style, reach=reach)
+    return tile_map_figure(geometry, maps, _LABEL, title, style, side=side, reach=reach)
 
 
 def _maps(found: SegmentPressure) -> dict[str, Quantity]:

@@ -86,7 +86,8 @@ class Results:
     validation: tuple[Judgement, ...]  # may be empty
     no_validation: str  # reason for empty `validation`
     pressure: SegmentPressure  # over the segment, even if its first frames alone are fitted
-    over_trial: PressureOutputs  # of the socket at samples of the trial, including its peak
+    # of the socket at samples of the trial, including the peaks of the trial and the segment
+    over_trial: PressureOutputs
     data: tuple[DataFinding, ...]  # of the data check
 
     @property
@@ -145,7 +146,7 @@ def compute_results(
     for variant in VARIANTS:
         if variant in PAPER_VARIANTS or variant == identification.variant:
             own = replace(identification, variant=variant)
-            fit = fit_contact_model(fitted, trial.geometry, own)
+            fit = fit_contact_model(chosen, trial.geometry, own)
             candidates.append(_judge(samples, segment, chosen, variant, fit))
     if given is not None:
         candidates.append(_judge(samples, segment, chosen, GIVEN, given))
@@ -153,7 +154,7 @@ def compute_results(
     # The report may lack a front or a validation.
     fronts, validation, no_fronts, no_validation = {}, [], "", ""
     try:
-        fronts = pareto_front(fitted, trial.geometry, identification, thetas)
+        fronts = pareto_front(chosen, trial.geometry, identification, thetas)
     except IdentificationError as error:
         no_fronts = str(error)
     progress(3, _STAGES)
@@ -167,7 +168,8 @@ def compute_results(
     progress(4, _STAGES)
     mapped = mapped_trial(trial, settings)
     pressure = mapped.over(whole)
-    over_trial = mapped.course(_PRESSURE_SAMPLES)
+    peak = whole.rows.start + pressure.outputs.peak_row
+    over_trial = mapped.course(_PRESSURE_SAMPLES, [peak])
     progress(_STAGES, _STAGES)
     return Results(
         trial=trial,

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -14,6 +14,7 @@ from socket_testbed.geometry.regions import Region, all_regions
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import pressure
 from socket_testbed.identification.force_map import ForceMap, map_trial
+from socket_testbed.identification.plausibility import require_units
 from socket_testbed.identification.suspension import Suspension, find_suspension
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings
@@ -43,8 +44,8 @@ class MappedTrial:
         outputs = self.outputs(segment.rows, threshold)
         return SegmentPressure(self.trial, segment, self.places, outputs)
 
-    def course(self, most: int) -> pressure.PressureOutputs:
-        """Outputs of the socket at evenly spread samples and at the highest pressure.
+    def course(self, most: int, also: Sequence[int] = ()) -> pressure.PressureOutputs:
+        """Outputs of the socket at evenly spread samples, at the highest pressure, and at others.
 
         Without its regions, they take a fifth of the time.
         """
@@ -52,7 +53,7 @@ class MappedTrial:
         blocks = np.array_split(np.arange(count), count // _BLOCK + 1)  # to bound the memory
         pressures = (self.force_map.estimate(self.samples[rows]).normal_pressure for rows in blocks)
         highest = np.concatenate([found.max(axis=1) for found in pressures]).argmax()
-        samples = self.samples[np.union1d(evenly(count, most), [highest])]
+        samples = self.samples[np.union1d(evenly(count, most), [highest, *also])]
         return pressure.pressure_outputs(
             self.force_map, samples, self.geometry, self.places[-1:], pressure.THRESHOLD
         )
@@ -63,8 +64,12 @@ def mapped_trial(
 ) -> MappedTrial:
     """The force map of a trial, on its own socket or on one with other regions."""
     geometry = geometry or trial.geometry
-    places = all_regions(geometry, trial.metadata.side)
     left_out = settings.identification.leave_out
+    usable = trial.samples().without(left_out).trusted_forces[:, :, 2]
+    seen = dict(zip(trial.samples().clusters, np.isfinite(usable.T), strict=True))
+    clusters = {name: geometry.clusters[name] for name, known in seen.items() if known.any()}
+    places = all_regions(replace(geometry, clusters=clusters), trial.metadata.side)
+    require_units(trial.samples(), geometry, left_out)
     found = map_trial(trial.samples(), geometry, settings.force_map, left_out)
     return MappedTrial(trial, geometry, places, *found)
 

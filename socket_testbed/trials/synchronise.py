@@ -243,11 +243,13 @@ def correct_measurements(
     loads = _unloaded_forces(measured, spans, least_force, where)
     stored = any(calibration.clusters[name].baseline is not None for name in measured.clusters)
     free = not loads or loads[0] <= least_force
-    if not free and stored:
+    if not free:
         start, end = spans[0]
         notify(
-            f"the load cell measured {loads[0]:.0f} N in {start:g}:{end:g}, so the stored baseline"
-            " of the clusters is not used: only their drift since then is corrected"
+            f"the load cell measured {loads[0]:.0f} N in {start:g}:{end:g}: creep of the limb there"
+            " counts as drift of the clusters; give spans with the limb out of the socket"
+            + "; the stored baseline is not used"
+            * stored
         )
     time = measured.time
     capacitance = measured.capacitance.copy()
@@ -309,8 +311,8 @@ def _describe(found: drift.Drift) -> str:
     normal, shear_x, shear_y = 1e-3 * found.stress
     flag = f", more than {1e-3 * drift.DRIFT_LIMIT:g} kPa" if found.flagged else ""
     return (
-        f"drifted by {normal:+.2f} kPa normal, {shear_x:+.2f} and {shear_y:+.2f} kPa shear without"
-        f" load, corrected{flag}"
+        f"drifted by {normal:+.2f} kPa normal, {shear_x:+.2f} and {shear_y:+.2f} kPa shear between"
+        f" the spans, corrected{flag}"
     )
 
 

@@ -113,6 +113,22 @@ def test_an_intermittent_cluster_does_not_blame_the_wrench_nor_a_short_trial_a_c
         assert not [f for f in check_data(short, trial.geometry) if "clocks" in f.hint]
 
 
+def test_spikes_do_not_hide_each_other_and_spoil_neither_fit_nor_pressure(sound) -> None:
+    trial = st.open_trial(sound["protocol"])
+    rows = trial.select("hold", trial.estimator).rows
+    good = st.fit(trial, segment="hold").to_dataframe()["RMSE"]
+    for places, force in (([0], -2e3), ([5, 90], -2e3), (range(10, 90, 10), -3e3)):
+        spoilt = st.open_trial(sound["protocol"])
+        spoilt.samples().wrench[[rows.start + place for place in places], 5] = force
+        assert any("single values" in finding.source for finding in spoilt.findings)
+        found = st.fit(spoilt, segment="hold").to_dataframe()["RMSE"]
+        np.testing.assert_allclose(found, good, rtol=0.1)
+        peaks = (
+            st.pressure(each, "hold").regions.loc["socket"].iloc[0] for each in (trial, spoilt)
+        )
+        assert abs(np.subtract(*peaks)) < 0.5
+
+
 # --- Samples that no limb in a socket gives
 
 

@@ -80,7 +80,9 @@ def fed(*batches: list[tuple[topics.Topic, bytes]]) -> GraphStatus:
     inbox = listener._inbox
     for batch in batches:
         came = {topic: [data for own, data in batch if own is topic] for topic, _ in batch}
-        listener._inbox = SimpleNamespace(take=lambda topic, came=came: came.get(topic, []))
+        listener._inbox = SimpleNamespace(
+            take=lambda topic, came=came: came.get(topic, []), node=inbox.node
+        )
         listener.take()
     listener._inbox = inbox
     listener.close()

@@ -13,6 +13,7 @@ from support.wording import refused
 import socket_testbed as st
 from socket_testbed.errors import TrialError
 from socket_testbed.pages.player import Player
+from socket_testbed.samples import Status
 from socket_testbed.trials.segment import Segment
 
 
@@ -56,6 +57,10 @@ def test_a_page_opens_at_the_peak_between_the_drawn_samples(hold: Path, monkeypa
     start = Player(st.open_trial(hold)).start()
     assert start["start"] == pytest.approx(st.pressure(hold, "all").peak_time)
     assert len(start["course"]["time"]) == 4
+    trial = st.open_trial(hold)
+    trial.samples().status[:, trial.samples().clusters.index("distal")] = Status.MISSING
+    (peak, *_) = Player(trial).now(start["start"])["cards"]
+    assert "distal, estimated" in peak["words"]  # its cluster measured nothing
 
 
 def test_events_are_marks_and_nothing_is_shown_in_a_gap(hold: Path, tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ function fill(table, rows) {
   document.title = start.title;
   byId("title").textContent = start.title;
   byId("facts").textContent = Object.entries(start.facts).map(([name, fact]) => `${name} ${fact}`).join(", ");
-  let position = start.start ?? 0, playing = false, moved = true, since = 0;
+  let position = start.start ?? 0, playing = false, moved = true, lost = false, since = 0;
   const seek = (time) => {
     position = Math.min(Math.max(time, 0), start.end ?? 0);
     moved = true;
@@ -104,6 +104,8 @@ function fill(table, rows) {
       try {
         const found = await get(live ? "now" : `now?t=${position}`);
         view.show(found);
+        if (lost) { say(""); }
+        lost = false;
         if (found.sensors) { fill(byId("sensors"), found.sensors); }
         if (found.wrench) {
           const [measured, predicted] = found.wrench;
@@ -117,7 +119,7 @@ function fill(table, rows) {
         }
       } catch (error) {
         say(`no answer from the testbed (${error.message}): is the program still running?`, true);
-        moved = true;
+        moved = lost = true;
         await new Promise((later) => setTimeout(later, 2000));
       }
     }
