@@ -216,6 +216,21 @@ for _kind, _pattern in {
     _Loader.add_implicit_resolver(_tag, re.compile(_pattern), list("-+.0123456789"))
 
 
+class _Dumper(yaml.SafeDumper):
+    """Quotes the texts that the loader above would read as numbers, such as 2e1."""
+
+
+_Dumper.yaml_implicit_resolvers = {
+    first: [*_Loader.yaml_implicit_resolvers.get(first, ()), *resolvers]
+    for first, resolvers in yaml.SafeDumper.yaml_implicit_resolvers.items()
+}
+
+
+def dump_yaml(document: Any, **options: Any) -> str:
+    """The YAML text of a document, in its order; options as in `yaml.dump`."""
+    return str(yaml.dump(document, Dumper=_Dumper, sort_keys=False, **options))
+
+
 def load_yaml(path: Path) -> Any:
     """Read a YAML file within bounded memory and time."""
     text = read_text(path)

@@ -14,11 +14,10 @@ from typing import Annotated, Any
 
 import msgspec
 import numpy as np
-import yaml
 from msgspec import Meta
 
 from socket_testbed.arrays import FloatArray, IntArray, StatusArray
-from socket_testbed.documents import Document, FieldError, Text, read_document
+from socket_testbed.documents import Document, FieldError, Text, dump_yaml, read_document
 from socket_testbed.errors import CalibrationError
 from socket_testbed.files import write_text
 from socket_testbed.samples import Status
@@ -174,7 +173,7 @@ _HEADER = """\
 
 def write_calibration(calibration: Calibration, path: Path) -> None:
     """Write `calibration.yaml`, complete or not at all."""
-    text = yaml.safe_dump(calibration.to_document(), sort_keys=False, default_flow_style=None)
+    text = dump_yaml(calibration.to_document(), default_flow_style=None)
     write_text(path, _HEADER + text)
 
 

@@ -11,12 +11,11 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
-import yaml
 from msgspec import Meta
 from scipy.spatial import cKDTree
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.documents import Document, FieldError, Text, convert, load_yaml
+from socket_testbed.documents import Document, FieldError, Text, convert, dump_yaml, load_yaml
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import write_text
 from socket_testbed.geometry.marker_bodies import MAX_MARKERS, MIN_MARKERS, body_fault
@@ -270,7 +269,7 @@ def write_socket(geometry: SocketGeometry, path: Path) -> None:
         hint = "give the cluster another name"
         raise ConfigurationError(f"{path}: two tiles would be called '{twins[0]}'", hint)
     socket_from_document(document, str(path))
-    text = yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=100)
+    text = dump_yaml(document, default_flow_style=None, width=100)
     write_text(path, _HEADER + text)
 
 

@@ -19,9 +19,8 @@ from functools import partial
 from pathlib import Path
 from typing import IO, Any, Self
 
-import yaml
-
 from socket_testbed.clocks import Backoff, shared_environment
+from socket_testbed.documents import dump_yaml
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.files import TemporaryFolder, end_with_parent, packaged
 from socket_testbed.settings.fields import Settings, parameter_values
@@ -80,7 +79,7 @@ def write_parameters(nodes: Iterable[GraphNode], path: Path) -> Path:
     for node in nodes:
         values = {"use_sim_time": node.use_sim_time, **parameter_values(node.settings)}
         document[f"/**/{node.name}"] = {"ros__parameters": values}
-    path.write_text(yaml.safe_dump(document), encoding="utf-8")
+    path.write_text(dump_yaml(document), encoding="utf-8")
     return path
 
 

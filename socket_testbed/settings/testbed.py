@@ -10,9 +10,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from socket_testbed.documents import Document, read_document, refuse_unknown
+from socket_testbed.documents import Document, dump_yaml, read_document, refuse_unknown
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import write_text
 from socket_testbed.settings.acquisition import (
@@ -225,7 +223,7 @@ def write_testbed(nodes: dict[str, Settings], path: Path) -> None:
             if name not in _RUN_SPECIFIC and not value == usual[name] == []
         }
         document[node] = {"ros__parameters": written}
-    write_text(path, yaml.safe_dump(document, sort_keys=False))
+    write_text(path, dump_yaml(document))
 
 
 def _flatten(section: dict[str, Any]) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from socket_testbed.errors import TrialError
 from socket_testbed.files import TemporaryFolder, hold
 from socket_testbed.trials.cdr import typestore
 from socket_testbed.trials.mcap_file import McapFile, is_empty
-from socket_testbed.trials.topics import REQUIRED, TOPICS, Topic, match_topics
+from socket_testbed.trials.topics import POSES, REQUIRED, TOPICS, Topic, match_topics
 
 _COMPRESSED_SUFFIX = ".zstd"
 _STORAGE_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
@@ -212,11 +212,16 @@ class BagReader:
 
 
 def required_topics(bag: BagReader) -> dict[Topic, str]:
-    """The bag's names of the testbed's topics; a TrialError if a required topic is missing."""
+    """The bag's names of the testbed's topics; a TrialError if a required topic is missing.
+
+    A trial without motion capture has no poses: clusters and load cell give a force map alone.
+    """
     topics, counts, types = match_topics(bag.types, str(bag.path)), bag.counts, bag.types
     if not any(counts.values()):
         raise TrialError(f"{bag.path}: holds no message", "record the trial again")
     for topic in REQUIRED:
+        if topic in POSES.values() and not counts.get(topics.get(topic, "")):
+            continue
         if topic not in topics:
             fact, hint = f"has no topic '{topic.name}'", "record all of them with 'record'"
         elif counts[name := topics[topic]] == 0:

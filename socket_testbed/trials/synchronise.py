@@ -73,6 +73,7 @@ _MISSING_TOPICS = {
         "give --geometry with the trial's own",
     ),
 }
+_MAX_APART = 24 * 3600 * 10**9  # [ns]; of a stamp from the middle one
 _MAX_VALUE = 1e6  # [N m, N, m, pF]; beyond any sensor of the testbed
 
 _Columns: TypeAlias = list[NDArray[Any]]
@@ -92,7 +93,10 @@ def read_measurements(
         if not bag.counts.get(recorded.get(topic, "")):
             why, hint = _MISSING_TOPICS[topic]
             raise TrialError(f"{bag.path}: holds no '{topic.name}', so {why}", hint)
+    if not all(bag.counts.get(recorded.get(topic, "")) for topic in topics.POSES.values()):
+        notify("the trial has no limb positions: a fit and the limb's motion need them")
     series = _read_series(bag, {recorded[t]: t for t in recorded if t.required or t in more})
+    _drop_strays(series, notify)
     clusters = tuple(name for topic, name in series if topic is topics.CAPACITANCE)
     for note in _stamp_notes(series):
         notify(note)
@@ -193,6 +197,18 @@ def _rows(columns: _Columns, stamps: IntArray) -> _Columns:
         tables.append(np.full((len(stamps), column.shape[1]), missing, column.dtype))
         tables[-1][rows] = column[kept]
     return tables
+
+
+def _drop_strays(
+    series: dict[tuple[topics.Topic, str], _Columns], notify: Callable[[str], None]
+) -> None:
+    """Leave out messages whose stamp is far from those of the triggers, such as zero."""
+    middle = int(np.median(series[topics.TRIGGER, topics.TRIGGER.name][0]))
+    for key, columns in series.items():
+        near = np.abs(columns[0] - middle) <= _MAX_APART
+        if not near.all():
+            notify(f"{int((~near).sum())} stamps of {key[1]} are days from the others: left out")
+            series[key] = [column[near] for column in columns]
 
 
 def _stamp_notes(series: dict[tuple[topics.Topic, str], _Columns]) -> Iterator[str]:
