@@ -13,7 +13,9 @@ from __future__ import annotations
 
 import argparse
 import statistics
+import sys
 from collections import defaultdict
+from pathlib import Path
 
 import numpy as np
 from limbs import FAMILIES, Limb, Trial
@@ -26,7 +28,7 @@ from socket_testbed.files import packaged
 from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.force_map import ForceMap
-from socket_testbed.identification.pressure import THRESHOLD, outputs_of, pressure_outputs
+from socket_testbed.identification.pressure import THRESHOLD, pressure_outputs
 from socket_testbed.identification.validation import (
     LEVELS,
     close_wrench,
@@ -38,6 +40,9 @@ from socket_testbed.simulation.limb import SCENARIOS, TISSUES
 from socket_testbed.simulation.trial import simulate
 
 _PROJECT = [f"project {tissue}" for tissue in TISSUES]
+sys.path.append(str(Path(__file__).parents[1] / "test"))
+from support.outputs import outputs_of  # noqa: E402 - a second implementation, for the tests
+
 _OUTPUTS = ("mean", "peak", "area", "integral", "centre", "shear", "direction", "share")
 _SAMPLES = 24  # of a trial
 _LEAST_FORCE = 20.0  # [N]; below it the socket hangs free

@@ -385,26 +385,6 @@ def pressure_outputs(
     )
 
 
-def outputs_of(
-    forces: FloatArray,
-    time: FloatArray,
-    geometry: SocketGeometry,
-    regions: Sequence[Region],
-    threshold: float,
-) -> dict[str, FloatArray]:
-    """Outputs for known forces, such as those of a simulation or a model.
-
-    The forces act on the tiles in {S}, shape (N, n, 3) [N], at times (N,) [s]; a tile is in contact
-    above the threshold [Pa]. The outputs over the span are named as in `RegionOutputs`, with the
-    shape (R,), the centre (R, 3).
-    """
-    local = np.einsum("nij,kni->knj", geometry.rotations, forces)
-    span = _Span(1, geometry.areas)
-    span.add(_instants(local[:, None], geometry.areas, threshold), integration_weights(time))
-    found = _Regions(geometry, regions).read(span.fields())
-    return {name: values[0] for name, values in found.items()}
-
-
 def _instants(forces: FloatArray, areas: FloatArray, threshold: float) -> _Fields:
     """Fields of forces in the tiles' frames, which may be flattened, shape (k, D, 3n) [N]."""
     forces = forces.reshape(*forces.shape[:2], -1, 3)
