@@ -2,7 +2,7 @@
 
 Errors are given on the data of the fit and on held-out groups. Stresses and residuals (calibrated
 minus known stress) have shape (N, 3) [Pa]: normal, shear x and shear y. Branches and cycles are
-defined in `drift`.
+those of the load, see `find_branches` and `cycle_ids`.
 """
 
 from __future__ import annotations
@@ -11,21 +11,28 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.ndimage import median_filter
 from scipy.special import stdtrit
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.calibration import drift, fit
-from socket_testbed.calibration.bench_data import STRESSES, BenchData
+from socket_testbed.calibration import fit
+from socket_testbed.calibration.bench_data import STRESSES, UNNAMED, BenchData, scaled_stress
+from socket_testbed.calibration.drift import DRIFT_LIMIT, Drift
 from socket_testbed.calibration.model import MIN_GAIN, ClusterCalibration
 from socket_testbed.errors import CalibrationError
 
+_MIN_CYCLE = 0.25  # of the load's span
+_MIN_BRANCH = 0.2  # of full scale
+_END_MARGIN = 0.05  # of a branch at either end, where the stress may dwell
+RISING, FALLING, NEITHER = 1, -1, 0
 _LEVEL = 0.1  # of full scale; stresses within one level count as equal
 _ZERO_TOLERANCE = 0.02  # of full scale; smaller stresses count as zero
-_UP_AND_DOWN = pd.MultiIndex.from_product([("mean", "size"), (drift.RISING, drift.FALLING)])
+_UP_AND_DOWN = pd.MultiIndex.from_product([("mean", "size"), (RISING, FALLING)])
 
 
 def stress_errors(known: FloatArray, predicted: FloatArray, full_scale: FloatArray) -> pd.DataFrame:
@@ -75,7 +82,7 @@ def quality_figures(
         by_branch = cells.groupby(on_branch)["fitted"].agg(["mean", "size"]).unstack("branch")
         both = by_branch.reindex(columns=_UP_AND_DOWN).dropna()
         weight = both["size"].min(axis=1)
-        gap = (both["mean", drift.RISING] - both["mean", drift.FALLING]) * weight
+        gap = (both["mean", RISING] - both["mean", FALLING]) * weight
         gaps = (values.groupby(STRESSES[axis]).sum() for values in (gap, weight))
         means = cells.groupby([*on_branch, "cycle"])["fitted"].mean()
         by_cell = means.groupby(on_branch)
@@ -85,6 +92,73 @@ def quality_figures(
         rows.append((np.divide(*gaps).abs().max(), spread, apparent.abs().max()))
     figures = 100.0 * np.array(rows) / bench.full_scale[:, None]
     return pd.DataFrame(figures, STRESSES, ["hysteresis", "repeatability", "cross_talk"])
+
+
+def find_extremes(values: FloatArray, threshold: float) -> IntArray:
+    """Indices of alternating minima and maxima that differ by at least a threshold.
+
+    A single index if the signal never moves that far.
+    """
+    extremes: list[int] = []
+    lowest = highest = direction = 0
+    for i, value in enumerate(values.tolist()):
+        lowest = i if value < values[lowest] else lowest
+        highest = i if value > values[highest] else highest
+        if direction <= 0 and value - values[lowest] >= threshold:
+            extremes.append(lowest)
+            direction, highest = 1, i
+        elif direction >= 0 and values[highest] - value >= threshold:
+            extremes.append(highest)
+            direction, lowest = -1, i
+    extremes.append(highest if direction > 0 else lowest)
+    return np.array(extremes, dtype=np.int64)
+
+
+def _find_cycles(stress: FloatArray) -> IntArray:
+    """Load cycles of one file, from one minimum of the load to the next.
+
+    The load is the norm of the stress vector, each component scaled by its full scale.
+    """
+    load = median_filter(np.linalg.norm(scaled_stress(stress), axis=1), 3)  # removes spikes
+    extremes = find_extremes(load, _MIN_CYCLE * float(np.ptp(load)))
+    low = [
+        i
+        for k, i in enumerate(extremes)
+        if 0 < k < len(extremes) - 1 and load[i] < load[extremes[k - 1]]
+    ]
+    return np.searchsorted(low, np.arange(len(load)), side="right").astype(np.int64)
+
+
+def cycle_ids(bench: BenchData) -> IntArray:
+    """Cycle of each row over all files, shape (N,): named in the file, or found from the load.
+
+    A single name for all rows of a file is ignored.
+    """
+    ids = np.empty(len(bench), dtype=np.int64)
+    first = 0
+    for file in np.unique(bench.file):
+        rows = np.flatnonzero(bench.file == file)
+        named = (bench.cycle[rows] != UNNAMED).all() and np.ptp(bench.cycle[rows]) > 0
+        cycles = bench.cycle[rows] if named else _find_cycles(bench.stress[rows])
+        _, ids[rows] = np.unique(cycles, return_inverse=True)
+        ids[rows] += first
+        first = int(ids[rows].max()) + 1
+    return ids
+
+
+def find_branches(bench: BenchData) -> IntArray:
+    """Whether each stress is rising, falling or neither in each row, shape (N, 3)."""
+    branches = np.full(bench.stress.shape, NEITHER)
+    for file in range(len(bench.files)):
+        rows = np.flatnonzero(bench.file == file)
+        for axis, threshold in enumerate((_MIN_BRANCH * bench.full_scale).tolist()):
+            values = bench.stress[rows, axis]
+            for start, end in pairwise(find_extremes(values, threshold)):
+                travel = values[end] - values[start]
+                progress = (values[start:end] - values[start]) / travel
+                moving = (progress > _END_MARGIN) & (progress < 1.0 - _END_MARGIN)
+                branches[rows[start:end][moving], axis] = RISING if travel > 0.0 else FALLING
+    return branches
 
 
 _MIN_GROUPS = 3
@@ -129,7 +203,7 @@ def choose_groups(bench: BenchData) -> Groups:
     blocks: blocks split cycles, and the held-out errors would be optimistic.
     """
     numbers = np.unique(bench.file, return_inverse=True)[1]  # outliers may be all of a file
-    files, others = Groups("file", numbers), Groups("cycle", drift.cycle_ids(bench))
+    files, others = Groups("file", numbers), Groups("cycle", cycle_ids(bench))
     if len(others) < _MIN_GROUPS:
         others = Groups("block", np.arange(len(bench)) * _BLOCK_COUNT // len(bench))
     terms = fit.excitation_terms(bench.stress)
@@ -264,7 +338,7 @@ def calibrate_bench(
     kept = bench[sound]
     full_scale = kept.full_scale
     residual, unseen = ((s - bench.stress)[sound] for s in (fitted, checked.predicted))
-    cycles = drift.cycle_ids(bench)[sound]
+    cycles = cycle_ids(bench)[sound]
     return BenchCalibration(
         cluster=cluster,
         bench=bench,
@@ -277,7 +351,7 @@ def calibrate_bench(
         held_out=stress_errors(bench.stress, checked.predicted, full_scale),
         normal_half_width=half_widths(cluster.normal, checked.normal),
         shear_half_width=half_widths(cluster.shear, checked.shear),
-        figures=quality_figures(kept, residual, unseen, drift.find_branches(kept), cycles),
+        figures=quality_figures(kept, residual, unseen, find_branches(kept), cycles),
     )
 
 
@@ -285,7 +359,7 @@ _DIGITS = 4  # significant digits; a bench does not support more
 
 
 def bench_record(
-    calibrated: BenchCalibration, date: str, limit: float, forced: bool, found: drift.Drift | None
+    calibrated: BenchCalibration, date: str, limit: float, forced: bool, found: Drift | None
 ) -> dict[str, Any]:
     """The `bench` entry in a cluster's section of `calibration.yaml`."""
     record: dict[str, Any] = {
@@ -313,7 +387,7 @@ def bench_record(
         record["drift"] = {
             "capacitance": found.capacitance,
             "stress": _by_stress(found.stress),
-            "limit": drift.DRIFT_LIMIT,
+            "limit": DRIFT_LIMIT,
             "flagged": found.flagged,
         }
     return {**_plain(record), "limit_percent": limit}

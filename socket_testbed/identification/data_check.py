@@ -27,7 +27,7 @@ from socket_testbed.samples import GRAVITY, WRENCH_CHANNELS, Samples, Status, ch
 from socket_testbed.settings.identification import ForceMapSettings
 
 GOOD, LOOK = "data: good", "data: look at "
-MIN_SAMPLES = 30
+LEAST_CHECKED = 30
 MIN_LOAD_CHANGE = 15.0  # [N]; standard deviation of the load, to compare other sources with it
 REVERSED = -0.2  # [-]; correlation with the load below which a sign is reversed; sound >= 0
 MIN_CORRELATION = 0.2  # [-]; correlation with the load below which a source does not follow it
@@ -75,9 +75,9 @@ def check_data(
     window instead of a `whole` trial the limb may just be pushed, so sources are not compared over
     time.
     """
-    if len(samples) < MIN_SAMPLES:
+    if len(samples) < LEAST_CHECKED:
         fact = f"{len(samples)} samples are too few to judge it"
-        return (DataFinding("the trial", fact, f"record {MIN_SAMPLES} or more"),)
+        return (DataFinding("the trial", fact, f"record {LEAST_CHECKED} or more"),)
     counted = plausibility.without_outliers(samples, geometry, leave_out).without(leave_out)
     counted = counted.centred()
     found = [*_units(counted, geometry, mass)]
@@ -250,7 +250,7 @@ def _channels(samples: Samples) -> Iterator[DataFinding]:
     noises = channel_noise(samples).values.tolist()
     for name, column, noise in zip(samples.channels, values.T, noises, strict=True):
         known = column[np.isfinite(column)]
-        if len(known) < MIN_SAMPLES:
+        if len(known) < LEAST_CHECKED:
             continue
         still = period * _longest_run(known)
         at_end, end = max((np.mean(known == end), end) for end in (known.min(), known.max()))
@@ -287,7 +287,7 @@ def _filled(course: FloatArray, time: FloatArray) -> FloatArray:
 def _correlation(one: FloatArray, other: FloatArray) -> float:
     """Correlation of two series where both are known: 0 if one is constant, NaN if too short."""
     known = np.isfinite(one) & np.isfinite(other)
-    if known.sum() < MIN_SAMPLES:
+    if known.sum() < LEAST_CHECKED:
         return float("nan")
     a, b = one[known] - one[known].mean(), other[known] - other[known].mean()
     size = np.sqrt((a @ a) * (b @ b))
@@ -297,7 +297,7 @@ def _correlation(one: FloatArray, other: FloatArray) -> float:
 def _along(position: FloatArray, load: FloatArray, proximal: FloatArray) -> float:
     """Cosine of the angle between the limb's motion under load and the distal direction [-]."""
     known = np.isfinite(position).all(axis=1) & np.isfinite(load)
-    if known.sum() < MIN_SAMPLES:
+    if known.sum() < LEAST_CHECKED:
         return 1.0
     moved = (load[known] - load[known].mean()) @ (position[known] - position[known].mean(axis=0))
     return float(-moved @ proximal / max(np.linalg.norm(moved), 1e-12))
@@ -306,7 +306,7 @@ def _along(position: FloatArray, load: FloatArray, proximal: FloatArray) -> floa
 def _explained(course: FloatArray, by: FloatArray) -> float:
     """Share of the variance of a series (N,) that is linear in others (N, k) [-]."""
     known = np.isfinite(course) & np.isfinite(by).all(axis=1)
-    if known.sum() < MIN_SAMPLES or not np.ptp(course[known]) > 0.0:
+    if known.sum() < LEAST_CHECKED or not np.ptp(course[known]) > 0.0:
         return 0.0
     columns = np.column_stack([by[known], np.ones(int(known.sum()))])
     spread = np.maximum(columns.std(axis=0), 1e-12)

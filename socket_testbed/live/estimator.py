@@ -99,7 +99,10 @@ class OnlineMap:
         self.places = all_regions(geometry)  # of the outputs; the last is the whole socket
 
     def update(self, sample: Samples) -> MapEstimate:
-        """The map of one sample, with N = 1; needs no pose."""
+        """The map of one sample, with N = 1; needs no pose.
+
+        Of the rules for outliers, one sample shows the limits of a person alone.
+        """
         settings = self._settings()
         if settings.force_map != self._prior:
             self._prior = settings.force_map

@@ -19,8 +19,7 @@ from socket_testbed.files import end_with_parent
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import plausibility
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.data_check import MIN_SAMPLES as LEAST_CHECKED
-from socket_testbed.identification.data_check import check_data
+from socket_testbed.identification.data_check import LEAST_CHECKED, check_data
 from socket_testbed.identification.fit import Fit, fit_contact_model
 from socket_testbed.identification.problem import MIN_SAMPLES
 from socket_testbed.live.scheduling import schedule_ordinarily
@@ -169,7 +168,7 @@ def _plausible_fit(
 def _judge(
     old: ContactModel, new: ContactModel, samples: Samples, settings: IdentificationSettings
 ) -> Contest:
-    """Compare the errors of two models on samples, relative to the size of each group."""
+    """Compare the errors of two models, relative to the size of each group for any weights."""
     measured = samples.without(settings.leave_out).trusted_values
     groups = (measured[:, :3], measured[:, 3:6], measured[:, 6:])
     smallest = (plausibility.MIN_MOMENT, plausibility.MIN_FORCE, plausibility.MIN_FORCE)

@@ -67,7 +67,7 @@ def load_history(scenario: Scenario, time: FloatArray, rng: np.random.Generator)
     elif scenario == "protocol":
         share = _trapezoid(time, 0.52 * duration, 0.9 * duration)
         hands += _trapezoid(time, 0.04 * duration, 0.5 * duration)[:, None] * _hands(time, rng)
-    else:
+    elif scenario == "multi_direction":
         share = _trapezoid(time, 0.05 * duration, 0.95 * duration)
         around, up, slow = 2.0 * np.pi * time / _HAND_PERIODS[[0, 3, 1], None]
         push = _MAX_PUSH * share * (0.6 + 0.4 * np.sin(slow))

@@ -11,7 +11,7 @@ from typing import NamedTuple, NoReturn
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
-from socket_testbed.arrays import BREAK, TOLERANCE, FloatArray, IntArray, runs, usual_period
+from socket_testbed.arrays import BREAK, TOLERANCE, FloatArray, IntArray, gaps, runs, usual_period
 from socket_testbed.errors import ConfigurationError, TrialError, likely
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
@@ -204,7 +204,7 @@ def _steadiness(
     steady &= moving_mean(missing, width)[:, 0] <= settings.missing_fraction
     steady &= np.linalg.norm(wrench[:, 3:], axis=1) >= settings.least_force
     mean = np.hstack([wrench, clusters[:, counts]])
-    pauses = np.diff(samples.time) > max(settings.smoothing, BREAK * usual_period(samples.time))
+    pauses = gaps(samples.time, BREAK) & (np.diff(samples.time) > settings.smoothing)
     ends = np.flatnonzero(pauses) + 1  # a load that nobody saw is not steady
     found = [
         part

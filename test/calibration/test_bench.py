@@ -94,13 +94,13 @@ def test_cycles_are_the_file_s_own_or_found_in_spite_of_noise_and_a_spike():
     noise = np.random.default_rng(0).normal(0.0, 0.01, bench.stress.shape)
     stress = bench.stress + noise * FULL_SCALE
     stress[70] = [1.9e6, 9e5, 0.0]
-    found = drift.cycle_ids(dataclasses.replace(bench, stress=stress))
+    found = calibrate.cycle_ids(dataclasses.replace(bench, stress=stress))
     assert (found != true_cycles(bench)).mean() < 0.05 and found.max() == 17
     half = 2 * (true_cycles(bench) > 8)  # all readings of another file were outliers
     split = dataclasses.replace(bench, files=("a", "b", "c"), file=half)
-    assert drift.cycle_ids(split).max() == 17
+    assert calibrate.cycle_ids(split).max() == 17
     named = dataclasses.replace(bench, cycle=np.arange(len(bench)) % 4)
-    ids = drift.cycle_ids(join_benches([named, bench]))  # files never share one
+    ids = calibrate.cycle_ids(join_benches([named, bench]))  # files never share one
     np.testing.assert_array_equal(ids[: len(bench)], named.cycle)
     assert set(ids[len(bench) :]) == set(range(4, 22))
 
@@ -155,7 +155,7 @@ def test_play_of_some_width_is_found_as_hysteresis_of_that_width():
     assert (calibrated(sensor_bench()).figures["hysteresis"] < 0.6).all()  # that of the noise
     # A branch leaves out where a stress dwells.
     ramp = np.concatenate([np.zeros(30), np.linspace(0, 1, 20), np.ones(30), np.linspace(1, 0, 20)])
-    branches = drift.find_branches(bench_of(np.ones((100, 4)), ramp[:, None] * FULL_SCALE))
+    branches = calibrate.find_branches(bench_of(np.ones((100, 4)), ramp[:, None] * FULL_SCALE))
     assert (branches[32:48] == 1).all() and (branches[82:98] == -1).all()
     assert (branches[:30] == 0).all() and (branches[50:80] == 0).all()
 
@@ -163,7 +163,7 @@ def test_play_of_some_width_is_found_as_hysteresis_of_that_width():
 def test_repeatability_is_the_spread_between_cycles():
     bench = sensor_bench(repeats=4)
     cycles = true_cycles(bench, 36)
-    branches = drift.find_branches(bench)
+    branches = calibrate.find_branches(bench)
     variances = []
     for seed in range(20):
         offsets = np.random.default_rng(seed).normal(0.0, 0.02, (36, 3)) * FULL_SCALE
