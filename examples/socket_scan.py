@@ -84,7 +84,7 @@ def _behind(angle: FloatArray) -> FloatArray:
 
 def main() -> None:
     """Write the scan to a file."""
-    path, *edge = sys.argv[1:]
+    path, *edge = sys.argv[1:] or ["scan.stl"]
     mesh = make_socket_scan(*map(float, edge))
     with atomic_output(Path(path)) as output:
         mesh.export(output, file_type="stl")

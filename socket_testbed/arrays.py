@@ -48,7 +48,7 @@ def gaps(time: FloatArray | IntArray, longer: float = GAP) -> BoolArray:
     The usual step is that around each one, as the rate of the trigger may be changed meanwhile.
     """
     steps = np.diff(time)
-    return np.asarray(steps > longer * median_filter(steps, 2 * _AROUND + 1, mode="nearest"))
+    return np.asarray(steps > longer * median_filter(steps, 2 * _AROUND + 1, mode="mirror"))
 
 
 def sample_at(time: FloatArray, when: float) -> int | None:

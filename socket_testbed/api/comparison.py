@@ -23,7 +23,7 @@ from socket_testbed.api.trials import (
 )
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.geometry.socket import SECTOR_TURNS, Side, SocketGeometry
+from socket_testbed.geometry.socket import SECTOR_TURNS, UNMEASURED, Side, SocketGeometry
 from socket_testbed.identification.differences import (
     DIFFERENCE,
     POWER,
@@ -468,6 +468,7 @@ def _notes(
         yield f"{unknown}: {NO_SIDE}"
     shared = {name for part, name, _ in rows[0] if part == "regions"}
     own = {name for trial in trials for name in trial.geometry.regions}
+    own |= {place.name for each in found for place in each.places if place.name == UNMEASURED}
     if lacking := sorted(own - shared):
         yield f"not compared, because these regions differ between trials: {', '.join(lacking)}"
     subjects = {trial.metadata.subject for trial in trials}

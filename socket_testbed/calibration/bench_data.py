@@ -238,11 +238,6 @@ def _read_cells(path: Path) -> tuple[list[str], pd.DataFrame]:
         )
     titles, cells = cells.iloc[0].tolist(), cells[1:]
     if separator != ",":
-        marks = [cells.apply(lambda c, p=p: c.str.fullmatch(p)).any(axis=None) for p in _DECIMALS]
-        if all(marks):
-            raise CalibrationError(
-                f"{path}: has decimal points and commas", "write numbers without separators"
-            )
         cells = cells.replace(",", ".", regex=True)
     below = [cell.strip("[]()") for cell in cells.iloc[0]]
     if set(below) & _ALL_UNITS and not any(re.match(r"[-+.]?\d", cell) for cell in below):
@@ -256,7 +251,6 @@ def _read_cells(path: Path) -> tuple[list[str], pd.DataFrame]:
     return titles, cells
 
 
-_DECIMALS = (r"[-+]?\d*\.\d+", r"[-+]?\d*,\d+")  # a number with a point, with a comma
 _ALL_UNITS = {unit for units in UNITS.values() for unit in units}
 _BRACKETED = re.compile(r"(.*?)[\s_]*[\[(]([^\])]*)[\])]")
 _SUFFIXED = re.compile(rf"(.*?)[\s_]+({'|'.join(sorted(_ALL_UNITS))})", flags=re.IGNORECASE)

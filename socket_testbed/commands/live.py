@@ -249,14 +249,17 @@ def run(
             status.say("ending")
         bringup.end(graph, testbed)
     # A recorder that was restarted or asked for another trial has recorded several.
-    trials = sorted(_trials(*place) - older)
-    for trial in trials:
+    failed = []
+    for trial in sorted(_trials(*place) - older):
         try:
             print(bringup.summary(trial))
+            _require_end(trial)
         except TrialError as error:  # such as one without a trigger
-            print(f"{error}")
-    for trial in trials:
-        _require_end(trial)
+            failed.append(error)
+    for other in failed[1:]:
+        say(f"error: {other}")
+    if failed:
+        raise failed[0]
 
 
 def _trials(folder: Path, name: str) -> set[Path]:

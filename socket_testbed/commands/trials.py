@@ -120,7 +120,7 @@ def _topics(trial: Trial) -> str:
                 name,
                 bag.types[name],
                 str(n),
-                decimals((n - 1) / duration if duration else 0.0, 2),
+                decimals(max(n - 1, 0) / duration if duration else 0.0, 2),
             ]
             for name, n in sorted(bag.counts.items())
         ]

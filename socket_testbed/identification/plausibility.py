@@ -104,7 +104,8 @@ def find_outliers(
         finite_quantile(np.abs(column), UNIT_QUANTILE) <= limit
         for column, limit in zip(values.T, limits, strict=True)
     ]
-    found = (np.abs(values) > limits) & single  # else the unit is wrong: see `require_units`
+    # A channel that is often beyond its limit has another unit: see `require_units`.
+    found: BoolArray = np.asarray((np.abs(values) > limits) & single)
     for group in (*GROUPS, slice(6, None)):
         squares = np.where(found[:, group], 0.0, np.nan_to_num(values[:, group])) ** 2
         count = int(np.count_nonzero(squares))
@@ -113,12 +114,16 @@ def find_outliers(
             place = np.unravel_index(squares.argmax(), squares.shape)
             squares[place] = 0.0
             found[:, group][place] = True
-        found[:, group] |= _spikes(np.where(found[:, group], 0.0, np.nan_to_num(values[:, group])))
+    rest = np.where(found, 0.0, np.nan_to_num(values))
+    spikes: BoolArray = np.hstack([_spikes(rest[:, group]) for group in (*GROUPS, slice(6, None))])
+    # A short load is seen by the load cell and by clusters.
+    felt = np.asarray(spikes[:, :6].any(axis=1) & spikes[:, 6:].any(axis=1))
+    found |= spikes & ~felt[:, None]
     return Outliers(_beyond(samples.position, geometry), found)
 
 
 def _spikes(values: FloatArray) -> BoolArray:
-    """Values of a group, (N, m), far above its usual ones but not above their neighbours'.
+    """Single values of a group, (N, m), far above its usual ones and above their neighbours.
 
     Several spikes raise a sum of squares, which then hides them all.
     """
@@ -127,7 +132,7 @@ def _spikes(values: FloatArray) -> BoolArray:
     if np.count_nonzero(highest) < MIN_VALUES:
         return np.zeros(values.shape, dtype=bool)
     usual = float(np.quantile(highest[highest > 0.0], _USUAL_QUANTILE))
-    around = np.abs(median_filter(values, (5, 1), mode="nearest"))
+    around = np.abs(median_filter(values, (3, 1), mode="nearest"))
     return (sizes > SPIKE_RATIO * usual) & (around < 0.5 * sizes)
 
 

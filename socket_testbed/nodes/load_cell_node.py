@@ -89,10 +89,10 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
 
     def _tare(self, forced: bool = False) -> str:
         """Tare, and publish it as an event for the recorder."""
-        self._trial = recorded_trial(self, self._trial)
-        if self._trial and not forced:
+        trial = recorded_trial(self, self._trial)
+        if trial and not forced:
             raise DeviceError(
-                f"cannot tare: the trial {self._trial} is being recorded",
+                f"cannot tare: the trial {trial} is being recorded",
                 "stop the recording, or force it (load_cell/force_tare)",
             )
         stamp = self.trigger_time.stamp(clocks.monotonic())

@@ -23,6 +23,8 @@ from socket_testbed.nodes.sensor_node import SensorNode
 from socket_testbed.settings.acquisition import MocapSettings, averaging_span
 from socket_testbed.trials import messages, topics
 
+_GONE_AFTER = 5  # checks in a row without a recorder; discovery may pause
+
 
 class MocapNode(SensorNode[MocapSettings]):
     """Averages the bodies' poses around each trigger; an unseen body is missing."""
@@ -45,7 +47,7 @@ class MocapNode(SensorNode[MocapSettings]):
         self._refused = ""  # why a take's name was refused
         self._client.start()
         self.follow_triggers()
-        self._trial = ""  # being recorded
+        self._trial, self._gone = "", 0  # being recorded; checks without its recorder
         self.listen(topics.RECORDED_TRIAL, self._on_recorded, needed=False)
 
     def close(self) -> None:
@@ -98,8 +100,10 @@ class MocapNode(SensorNode[MocapSettings]):
 
     def health(self) -> tuple[int, str]:
         """Health of the stream, the latest fault, or health of Motive's recording."""
-        if self._trial and not base.recorded_trial(self, self._trial):
-            self._on_recorded(String())  # its recorder ended without a word
+        gone = self._trial and not base.recorded_trial(self, self._trial)
+        self._gone = self._gone + 1 if gone else 0
+        if self._gone == _GONE_AFTER:
+            self._on_recorded(String())  # the recorder ended without a word
         level, message = self._client.health(clocks.monotonic())
         if level < base.ERROR and (faults := [f for f in (self.fault.text(), self._refused) if f]):
             return base.WARN, "; ".join(faults)

@@ -30,7 +30,7 @@ class StatusListener:
     """
 
     def __init__(self, status: GraphStatus, namespace: str = "/", pause: str = "") -> None:
-        self._status = status
+        self._status, self._announced = status, ""
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)  # the verb's task
         self._readers = {topic: Reader(topic) for topic in _STATUS_TOPICS}
         self._topics = (*_STATUS_TOPICS, PARAMETERS, RECORDED_TRIAL)
@@ -43,14 +43,14 @@ class StatusListener:
         for topic in self._topics:
             for data in self._inbox.take(topic):
                 self.add(topic, data)
-        self._status.trial = base.recorded_trial(self._inbox.node, self._status.trial)
+        self._status.trial = base.recorded_trial(self._inbox.node, self._announced)
 
     def add(self, topic: Topic, data: bytes) -> None:
         """Process a serialised message of a topic."""
         if topic is PARAMETERS:
             self._status.variant = deserialize_message(data, ContactModel).variant
         elif topic is RECORDED_TRIAL:
-            self._status.trial = deserialize_message(data, String).data
+            self._announced = deserialize_message(data, String).data
         else:
             self._status.add(topic, *self._readers[topic].read(data))
 

@@ -52,7 +52,7 @@ _DEPTHS = {
 }
 _MAX_WRENCHES = 200  # kept to match those of the regions
 _COURSE_DURATION = 30.0  # [s]
-_NO_PRESSURES, _NO_WRENCH = np.zeros(0), np.full(6, np.nan)
+_NO_WRENCH = np.full(6, np.nan)
 _NO_STRESS = (np.full(3, np.nan), Status.MISSING)  # stress and status of no cluster
 _COUNT_KEYS = ("samples", "triggers", "messages")  # figures that give a node's rate
 _SIGNS = ("\N{BLACK CIRCLE}", "\N{BLACK UP-POINTING TRIANGLE}", "\N{BLACK SQUARE}")
@@ -105,7 +105,7 @@ class LiveSource:
         self._rates: dict[str, tuple[float, float, float]] = {}  # count, time [s], rate [Hz]
         self._trial = ("", 0.0)
         self._places = all_regions(geometry)
-        self._measured = _NO_PRESSURES  # by cluster [Pa]
+        self._measured = np.full(len(geometry.clusters), np.nan)  # by cluster [Pa]
         self._shown: document.Document = {}  # cards (except the data's), bars, course
         self._shown_at = -math.inf  # [s]
         self._course: deque[tuple[float, ...]] = deque()  # time [s], force [N], peak and ends [Pa]
@@ -185,7 +185,7 @@ class LiveSource:
         """Take cluster stresses, and update the page with the newest outputs by region and map."""
         now, geometry, places = clocks.monotonic(), self._geometry, self._places
         if now - self._shown_at > _STALE_AFTER:
-            self._shown, self._measured = {}, _NO_PRESSURES
+            self._shown, self._measured = {}, np.full(len(geometry.clusters), np.nan)
         for _, stresses in self._read(inbox, topics.STRESS):
             readings = [stresses.get(name, _NO_STRESS) for name in geometry.clusters]
             normal = [s[0] if status == Status.OK else np.nan for s, status in readings]

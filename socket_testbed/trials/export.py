@@ -219,10 +219,11 @@ def _write_c3d(path: Path, table: pd.DataFrame, labels: list[str]) -> None:
         ) from None
     # The format has one rate and no times: a gap is empty frames.
     file, time = ezc3d.c3d(), table.index.to_numpy()
-    steps = np.diff(time)[~gaps(time)]
-    rate = 1.0 / steps.mean() if len(steps) else 1.0
-    frames = np.round((time - time[0]) * rate).astype(int)
-    if len(frames) > 1 and np.diff(frames).min() < 1:
+    usual = np.diff(time)[~gaps(time)]
+    rate = 1.0 / usual.mean() if len(usual) else 1.0
+    steps = np.maximum(np.round(np.diff(time) * rate), 1.0)
+    frames = np.cumsum([0, *steps.astype(int)])
+    if abs(frames[-1] - (time[-1] - time[0]) * rate) > 1.0 + 0.01 * len(frames):
         raise TrialError(f"{path}: the rate changes within the segment", "export spans of one rate")
     if frames[-1] >= _MAX_FRAMES:
         fact = f"{path}: {frames[-1] + 1} frames are more than C3D holds ({_MAX_FRAMES})"

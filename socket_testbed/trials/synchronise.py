@@ -86,7 +86,8 @@ def read_measurements(
     """Read the measurements of a bag; a TrialError if it cannot be read or lacks a topic.
 
     Samples are the stamps of the required topics. `more` selects LOAD_CELL_RAW and MARKERS in
-    addition. `notify` reports stamps that jump back or occur more than once in a topic.
+    addition. `notify` reports missing poses, and stamps that are far off, jump back or occur more
+    than once in a topic.
     """
     recorded = required_topics(bag)
     for topic in more:
@@ -213,6 +214,7 @@ def _drop_strays(
 
 def _stamp_notes(series: dict[tuple[topics.Topic, str], _Columns]) -> Iterator[str]:
     """Notes on out-of-order and duplicate stamps, one for all topics with the same problem."""
+    series = {key: columns for key, columns in series.items() if len(columns[0])}
     first = min(int(stamps.min()) for stamps, *_ in series.values())
     found: dict[str, list[str]] = defaultdict(list)
     for (topic, name), (stamps, *_) in series.items():

@@ -127,6 +127,10 @@ def test_spikes_do_not_hide_each_other_and_spoil_neither_fit_nor_pressure(sound)
             st.pressure(each, "hold").regions.loc["socket"].iloc[0] for each in (trial, spoilt)
         )
         assert abs(np.subtract(*peaks)) < 0.5
+    tapped = st.open_trial(sound["protocol"])  # a load that clusters feel, too, is none
+    for values in (tapped.samples().wrench, tapped.samples().local_forces):
+        values[rows.start + 20] *= 4.0
+    assert not plausibility.find_outliers(tapped.samples(), tapped.geometry).rows.any()
 
 
 # --- Samples that no limb in a socket gives

@@ -108,6 +108,8 @@ def test_a_page_that_cannot_be_written_leaves_nothing(results, tmp_path, monkeyp
 def test_gaps_and_drop_outs_are_counted():
     time = np.array([0.0, 0.25, 0.5, 1.5, 1.75, 2.0, 5.0, 5.25, 5.6])
     assert find_gaps(time) == [(2.0, 3.0), (0.5, 1.0)]  # the longest first
+    ((start, length),) = find_gaps(np.r_[0.0:80.0:0.25, 119.75])
+    assert (start, length) == (79.75, 40.0)
     assert find_gaps(np.r_[0.0:20.0:0.05, 20.0:60.0:0.25]) == []  # another rate, as was set
     rng = np.random.default_rng(8)
     position, force, wrench = (rng.normal(size=(200, n)) for n in (3, 3, 6))

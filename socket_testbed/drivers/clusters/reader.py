@@ -23,6 +23,7 @@ _POLL_INTERVAL = 0.05  # while chips still convert
 _MAX_AGE = 2.0  # of a conversion at the trigger
 _REUSE_AGE = 0.5  # a value read this shortly before a trigger is closer than the next conversion
 _CONVERSION_TIMEOUT = 2.5
+_UNPLUGGED_AFTER = 1.0  # [s]; of a multiplexer that does not answer
 _SETTLING = 0.5  # two conversions: the one in progress still has the old range
 
 
@@ -129,6 +130,8 @@ class _Bus:
         self._number = number
         self._open_bus = open_bus
         self._bus: i2c.I2cBus | None = None
+        # Since when a multiplexer does not answer [s]; NaN: it answered and may have a channel open
+        self._silent: dict[int, float] = {}
 
     @property
     def is_open(self) -> bool:
@@ -174,15 +177,26 @@ class _Bus:
         self.disconnect(but=multiplexer)
         if multiplexer:
             self.multiplexers[multiplexer].write_byte(1 << channel)
+            self._silent[multiplexer] = math.nan  # it has a channel open
 
     def disconnect(self, but: int = 0) -> None:
-        """Disconnect all channels of all multiplexers except one; an absent one has none."""
+        """Disconnect all channels of all multiplexers except one.
+
+        One that answers no more may have a channel open, so its clusters' chips would answer, too.
+        After a while it counts as unplugged: then it has none.
+        """
         for address, multiplexer in self.multiplexers.items():
+            if address == but:
+                continue
             try:
-                if address != but:
-                    multiplexer.write_byte(0)
+                multiplexer.write_byte(0)
+                self._silent[address] = -math.inf  # it has none
             except i2c.BusError as error:
-                if not but or isinstance(error, i2c.BusTimeoutError | i2c.BusGoneError):
+                now = clocks.monotonic()
+                if math.isnan(self._silent.get(address, -math.inf)):
+                    self._silent[address] = now
+                plugged = now - self._silent.get(address, -math.inf) < _UNPLUGGED_AFTER
+                if plugged or not but or isinstance(error, i2c.BusTimeoutError | i2c.BusGoneError):
                     raise
 
     def close(self) -> None:
