@@ -47,8 +47,10 @@ def gaps(time: FloatArray | IntArray, longer: float = GAP) -> BoolArray:
 
     The usual step is that around each one, as the rate of the trigger may be changed meanwhile.
     """
-    steps = np.diff(time)
-    return np.asarray(steps > longer * median_filter(steps, 2 * _AROUND + 1, mode="mirror"))
+    steps, width = np.diff(time), 2 * _AROUND + 1
+    few = len(steps) < width
+    usual = usual_period(time) if few else median_filter(steps, width, mode="mirror")
+    return np.asarray(steps > longer * usual)
 
 
 def sample_at(time: FloatArray, when: float) -> int | None:

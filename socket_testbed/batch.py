@@ -119,7 +119,7 @@ def run_batch(
     summaries = [task.folder / f"summary{suffix}" for suffix in (".csv", ".parquet")]
     if not task.folder.exists():
         check_new_folder(task.folder)
-    elif set(records.parent.glob("*/")) != {records}:  # it may be another verb's
+    elif set(records.parent.glob("*/")) != {records}:  # the summary may be another verb's
         check_outputs(*summaries, replace=task.replace)
     make_folder(records)
     rows: dict[str, Row] = {}

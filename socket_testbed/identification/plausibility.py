@@ -5,7 +5,8 @@
 - Load: a wrench that is zero throughout says nothing about contact, and a fit is refused.
 - Outliers: a single value beyond the same limits, or far above the root mean square of its group
   of channels (moments, forces, cluster forces: `OUTLIER_RATIO`, `OUTLIER_SHARE`), would dominate
-  the normalisation of its group. It is left out with a note; too many outliers are refused.
+  the normalisation of its group; so would several spikes (`SPIKE_RATIO`), unless load cell and
+  clusters feel them. They are left out with a note; too many outliers are refused.
 - Sign: a wall pushes and a socket opens at its proximal end, so the force of the limb on the
   socket points to the distal end. If it points the other way and exceeds the weight of a
   prosthesis hanging on the limb, while the clusters are in compression, the wrench is negated.
@@ -43,6 +44,7 @@ from socket_testbed.errors import IdentificationError, listed
 from socket_testbed.geometry.regions import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import (
+    FORCES,
     GROUPS,
     LOCAL_CHANNELS,
     WRENCH_CHANNELS,
@@ -60,6 +62,7 @@ UNIT_QUANTILE = 0.75  # [-]; of the magnitudes, compared with the limits
 OUTLIER_RATIO = 200.0  # [-]; of a value's square to the mean square of its group of channels,
 OUTLIER_SHARE = 1.0 / 3.0  # [-]; or to the sum of squares, whichever gives the lower limit
 SPIKE_RATIO = 3.0  # [-]; of a single value to the usual ones of its group; 0.1 in sound trials
+_RISE = 1.5  # [-]; of a short load, to its neighbours
 _USUAL_QUANTILE = 0.95  # [-]; of the largest value of each sample
 MIN_VALUES = 30  # [1]; in a group, to find outliers
 MAX_OUTLIERS = 0.1  # [-]; of the samples
@@ -114,11 +117,11 @@ def find_outliers(
             place = np.unravel_index(squares.argmax(), squares.shape)
             squares[place] = 0.0
             found[:, group][place] = True
-    rest = np.where(found, 0.0, np.nan_to_num(values))
-    spikes: BoolArray = np.hstack([_spikes(rest[:, group]) for group in (*GROUPS, slice(6, None))])
-    # A short load is seen by the load cell and by clusters.
-    felt = np.asarray(spikes[:, :6].any(axis=1) & spikes[:, 6:].any(axis=1))
-    found |= spikes & ~felt[:, None]
+    known = np.nan_to_num(values)
+    spikes = [_spikes(np.where(found, 0.0, known)[:, group]) for group in (*GROUPS, slice(6, None))]
+    # A short load is felt by the load cell and by clusters.
+    felt = _rises(known[:, FORCES]) & _rises(known[:, 6:])
+    found |= np.hstack(spikes) & ~felt[:, None]
     return Outliers(_beyond(samples.position, geometry), found)
 
 
@@ -128,12 +131,18 @@ def _spikes(values: FloatArray) -> BoolArray:
     Several spikes raise a sum of squares, which then hides them all.
     """
     sizes = np.abs(values)
-    highest = sizes.max(axis=1)
+    highest = sizes.max(axis=1, initial=0.0)
     if np.count_nonzero(highest) < MIN_VALUES:
         return np.zeros(values.shape, dtype=bool)
     usual = float(np.quantile(highest[highest > 0.0], _USUAL_QUANTILE))
-    around = np.abs(median_filter(values, (3, 1), mode="nearest"))
+    around = np.abs(median_filter(values, (5, 1), mode="mirror"))
     return (sizes > SPIKE_RATIO * usual) & (around < 0.5 * sizes)
+
+
+def _rises(values: FloatArray) -> BoolArray:
+    """Where vectors (N, m) are larger than their neighbours, (N,)."""
+    size = np.linalg.norm(values, axis=1)
+    return np.asarray(size > _RISE * median_filter(size, 5, mode="mirror"))
 
 
 def without_outliers(

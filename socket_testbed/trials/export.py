@@ -173,6 +173,7 @@ def _markers(trial: Trial) -> tuple[list[str], FloatArray]:
     return list(found), np.stack([*found.values()], axis=1)
 
 
+_MAX_OFF = 1.5  # frames; of a sample from its time, by jitter
 _MAX_FRAMES = 65_535  # of a C3D file, whose header counts them in 16 bits
 
 
@@ -221,9 +222,9 @@ def _write_c3d(path: Path, table: pd.DataFrame, labels: list[str]) -> None:
     file, time = ezc3d.c3d(), table.index.to_numpy()
     usual = np.diff(time)[~gaps(time)]
     rate = 1.0 / usual.mean() if len(usual) else 1.0
-    steps = np.maximum(np.round(np.diff(time) * rate), 1.0)
-    frames = np.cumsum([0, *steps.astype(int)])
-    if abs(frames[-1] - (time[-1] - time[0]) * rate) > 1.0 + 0.01 * len(frames):
+    order, place = np.arange(len(time)), (time - time[0]) * rate
+    frames = np.maximum.accumulate(np.round(place).astype(int) - order) + order  # each its own
+    if np.abs(frames - place).max() > _MAX_OFF:
         raise TrialError(f"{path}: the rate changes within the segment", "export spans of one rate")
     if frames[-1] >= _MAX_FRAMES:
         fact = f"{path}: {frames[-1] + 1} frames are more than C3D holds ({_MAX_FRAMES})"

@@ -88,7 +88,7 @@ def parse_span(span: str, option: str, others: str = "") -> tuple[float, float]:
         start, end = (float(part) for part in span.split(":"))
     except ValueError:
         start = end = 0.0
-    if not -np.inf < start < end < np.inf:
+    if not start < end:
         hint = f"give seconds as T0:T1, with T0 before T1{others}"
         raise ConfigurationError(f"{option} is '{span}'", hint)
     return start, end

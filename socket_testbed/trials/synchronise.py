@@ -203,13 +203,16 @@ def _rows(columns: _Columns, stamps: IntArray) -> _Columns:
 def _drop_strays(
     series: dict[tuple[topics.Topic, str], _Columns], notify: Callable[[str], None]
 ) -> None:
-    """Leave out messages whose stamp is far from those of the triggers, such as zero."""
-    middle = int(np.median(series[topics.TRIGGER, topics.TRIGGER.name][0]))
+    """Leave out messages whose stamp is far from the middle one, such as zero."""
+    stamps = np.sort(np.concatenate([columns[0] for columns in series.values()]))
+    middle, strays = int(stamps[len(stamps) // 2]), []
     for key, columns in series.items():
         near = np.abs(columns[0] - middle) <= _MAX_APART
         if not near.all():
-            notify(f"{int((~near).sum())} stamps of {key[1]} are days from the others: left out")
+            strays.append(f"{key[1]} ({int((~near).sum())})")
             series[key] = [column[near] for column in columns]
+    if strays:
+        notify(f"stamps that are days from the others are left out: {', '.join(strays)}")
 
 
 def _stamp_notes(series: dict[tuple[topics.Topic, str], _Columns]) -> Iterator[str]:
@@ -261,13 +264,13 @@ def correct_measurements(
     loads = _unloaded_forces(measured, spans, least_force, where)
     stored = any(calibration.clusters[name].baseline is not None for name in measured.clusters)
     free = not loads or loads[0] <= least_force
-    if not free:
-        start, end = spans[0]
+    borne = zip(loads, spans, strict=False)  # no loads without a wrench
+    loaded = [f"{load:.0f} N in {a:g}:{b:g}" for load, (a, b) in borne if load > least_force]
+    if loaded:
+        unused = "; the stored baseline is not used" * (stored and not free)
         notify(
-            f"the load cell measured {loads[0]:.0f} N in {start:g}:{end:g}: creep of the limb there"
-            " counts as drift of the clusters; give spans with the limb out of the socket"
-            + "; the stored baseline is not used"
-            * stored
+            f"the load cell measured {', '.join(loaded)}: creep of the limb there counts as drift"
+            f" of the clusters; give spans with the limb out of the socket{unused}"
         )
     time = measured.time
     capacitance = measured.capacitance.copy()

@@ -226,12 +226,9 @@ def test_clusters_on_several_buses_or_of_another_chip_are_told_apart(monkeypatch
         assert is_good(bench.read())
         bench.clock.now += 0.1
     bench.hardware._buses[1].remove(bench.hardware.multiplexers[1, 0x71])  # unplugged
-    lacking = []
-    for _ in range(15):
-        lacking.append(missing(bench.read()))
+    for _ in range(3):
+        assert missing(bench.read()) == [4, 5]
         bench.clock.now += 0.1
-    assert lacking[0] == [0, 1, 2, 3, 4, 5]  # it might only not answer, with a chip connected
-    assert lacking[-1] == [4, 5]
     pair = (type("Other", (kind,), {"address": 0x2A}) for kind in (Fdc1004, SimulatedFdc1004))
     monkeypatch.setitem(hardware.CAPACITIVE_CHIPS, "other", tuple(pair))
     bench = Bench(settings=replace(SETTINGS, chip="other"))

@@ -23,7 +23,6 @@ _POLL_INTERVAL = 0.05  # while chips still convert
 _MAX_AGE = 2.0  # of a conversion at the trigger
 _REUSE_AGE = 0.5  # a value read this shortly before a trigger is closer than the next conversion
 _CONVERSION_TIMEOUT = 2.5
-_UNPLUGGED_AFTER = 1.0  # [s]; of a multiplexer that does not answer
 _SETTLING = 0.5  # two conversions: the one in progress still has the old range
 
 
@@ -51,7 +50,7 @@ class ClusterReader:
         check_settings(settings, chip)
         self._settings = settings
         cycle = i2c.INPUTS / settings.sample_rate  # [s]
-        self._buses = {number: _Bus(number, open_bus) for number in settings.buses}
+        self._buses = {number: _Bus(number, open_bus, chip.address) for number in settings.buses}
         self._clusters: dict[str, _Cluster] = {}
         for name, (number, address, channel) in zip(settings.names, settings.places, strict=True):
             bus = self._buses[number]
@@ -120,8 +119,8 @@ class _Bus:
     the same address, so only one channel may be connected at a time.
     """
 
-    def __init__(self, number: int, open_bus: Callable[[int], i2c.I2cBus]) -> None:
-        self.name = f"i2c-{number}"
+    def __init__(self, number: int, open_bus: Callable[[int], i2c.I2cBus], chip: int) -> None:
+        self.name, self._chip = f"i2c-{number}", chip  # the address of all its chips
         self.configured: set[tuple[int, int]] = set()  # places of configured chips
         self.multiplexers: dict[int, i2c.I2cPort] = {}  # by address
         self.given_up = ""  # why it is not read any more for the current trigger
@@ -130,8 +129,6 @@ class _Bus:
         self._number = number
         self._open_bus = open_bus
         self._bus: i2c.I2cBus | None = None
-        # Since when a multiplexer does not answer [s]; NaN: it answered and may have a channel open
-        self._silent: dict[int, float] = {}
 
     @property
     def is_open(self) -> bool:
@@ -145,7 +142,8 @@ class _Bus:
     def handle_fault(self, error: DeviceError, chip: int, now: float) -> bool:
         """Handle a fault while accessing a chip at an address; returns whether only it is affected.
 
-        Otherwise the bus is gone or its multiplexer fails: the bus is closed and reopened later.
+        Otherwise the bus is gone or its only multiplexer fails: the bus is closed and reopened
+        later. One of several multiplexers fails for its own clusters alone.
         On a hanging bus every transfer takes its full timeout, so only one per trigger is tried.
         """
         if isinstance(error, i2c.BusTimeoutError):
@@ -177,27 +175,33 @@ class _Bus:
         self.disconnect(but=multiplexer)
         if multiplexer:
             self.multiplexers[multiplexer].write_byte(1 << channel)
-            self._silent[multiplexer] = math.nan  # it has a channel open
 
     def disconnect(self, but: int = 0) -> None:
         """Disconnect all channels of all multiplexers except one.
 
-        One that answers no more may have a channel open, so its clusters' chips would answer, too.
-        After a while it counts as unplugged: then it has none.
+        An unplugged one has none. One that only does not answer may have a channel open: then a
+        chip answers although all others are disconnected, and all clusters would be mixed with it.
         """
+        silent: list[i2c.BusError] = []
         for address, multiplexer in self.multiplexers.items():
-            if address == but:
-                continue
             try:
-                multiplexer.write_byte(0)
-                self._silent[address] = -math.inf  # it has none
+                if address != but:
+                    multiplexer.write_byte(0)
             except i2c.BusError as error:
-                now = clocks.monotonic()
-                if math.isnan(self._silent.get(address, -math.inf)):
-                    self._silent[address] = now
-                plugged = now - self._silent.get(address, -math.inf) < _UNPLUGGED_AFTER
-                if plugged or not but or isinstance(error, i2c.BusTimeoutError | i2c.BusGoneError):
+                if not but or isinstance(error, i2c.BusTimeoutError | i2c.BusGoneError):
                     raise
+                silent.append(error)
+        if silent and self._answers(but):
+            raise silent[0]
+
+    def _answers(self, multiplexer: int) -> bool:
+        """Whether a chip answers with this multiplexer disconnected, too."""
+        self.multiplexers[multiplexer].write_byte(0)
+        try:
+            self.i2c_rdwr(i2c_msg.read(self._chip, 1))
+        except OSError:
+            return False
+        return True
 
     def close(self) -> None:
         """Close the bus, unless it is closed already."""
