@@ -39,10 +39,10 @@ from socket_testbed.samples import Samples, Status
 from socket_testbed.simulation.limb import SCENARIOS, TISSUES
 from socket_testbed.simulation.trial import simulate
 
-_PROJECT = [f"project {tissue}" for tissue in TISSUES]
 sys.path.append(str(Path(__file__).parents[1] / "test"))
-from support.outputs import outputs_of  # noqa: E402 - a second implementation, for the tests
+from support.outputs import outputs_of  # a second implementation, for the tests
 
+_PROJECT = [f"project {tissue}" for tissue in TISSUES]
 _OUTPUTS = ("mean", "peak", "area", "integral", "centre", "shear", "direction", "share")
 _SAMPLES = 24  # of a trial
 _LEAST_FORCE = 20.0  # [N]; below it the socket hangs free

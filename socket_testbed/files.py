@@ -115,7 +115,10 @@ def check_outputs(*paths: Path | None, replace: bool) -> None:
                 f"{path} exists already", "name another output, or replace it with --replace"
             )
         _require_parent(path)
-        (_new_outputs.discard if replace else _new_outputs.add)(path.resolve())
+        if replace:
+            _new_outputs.discard(path.resolve())
+        else:
+            _new_outputs.add(path.resolve())
 
 
 def check_new_folder(path: Path) -> None:

@@ -41,7 +41,6 @@ from socket_testbed.arrays import BoolArray, FloatArray, IntArray, evenly
 from socket_testbed.geometry.regions import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import rigid_motions, wrench_map
-from socket_testbed.identification.plausibility import without_outliers
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
 from socket_testbed.settings.identification import MIN_SHARE, ForceMapSettings
 
@@ -438,17 +437,6 @@ def _rice_deviation(size: FloatArray, sigma: FloatArray) -> FloatArray:
     mean = sigma * np.sqrt(0.5 * np.pi) * laguerre
     square = 2.0 * (size**2 + sigma**2 - size * mean)
     return np.asarray(np.sqrt(np.maximum(square, 0.0)))
-
-
-def map_trial(
-    samples: Samples,
-    geometry: SocketGeometry,
-    settings: ForceMapSettings,
-    leave_out: tuple[str, ...] = (),
-) -> tuple[ForceMap, Samples]:
-    """The map of a trial, and its samples without outliers and `leave_out`."""
-    trusted = without_outliers(samples, geometry, leave_out).without(leave_out)
-    return ForceMap(geometry, samples.clusters, settings, trusted), trusted
 
 
 def wall_correlation(geometry: SocketGeometry, length: float) -> FloatArray:

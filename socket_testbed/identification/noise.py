@@ -31,6 +31,7 @@ _GAIN = math.sqrt(20.0)  # [-]; root sum of squares of a third difference's weig
 _TRUNCATED = 0.98658  # [-]; standard deviation of a standard normal variable within +-CUT
 _QUANTISED = math.sqrt(1.0 / 12.0)  # [-]; standard deviation of rounding, in steps
 _ROUNDING = 1e-12  # [-]; smallest step of a channel, relative to its largest value
+_DEFINITE = 1.0 - 1e-6  # [-]; largest correlation of two components
 _WINDOW_END = 1e-6  # [s]; samples at the end of a window belong to it
 
 
@@ -54,9 +55,6 @@ class ChannelNoise:
     def pose_covariance(self, gain: float) -> FloatArray:
         """Covariance of averaged poses, (6, 6) [m^2, m rad, rad^2]; see `smoothing_gain`."""
         return gain * self.pose_correlation * np.outer(self.pose, self.pose)
-
-
-_DEFINITE = 1.0 - 1e-6  # [-]
 
 
 def channel_noise(samples: Samples) -> ChannelNoise:

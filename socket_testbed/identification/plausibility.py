@@ -109,19 +109,19 @@ def find_outliers(
     ]
     # A channel that is often beyond its limit has another unit: see `require_units`.
     found: BoolArray = np.asarray((np.abs(values) > limits) & single)
+    known = np.nan_to_num(values)
+    # A short load is felt by the load cell and by clusters.
+    felt = _rises(known[:, FORCES]) & _rises(known[:, 6:])
     for group in (*GROUPS, slice(6, None)):
-        squares = np.where(found[:, group], 0.0, np.nan_to_num(values[:, group])) ** 2
+        squares = np.where(found[:, group], 0.0, known[:, group]) ** 2
         count = int(np.count_nonzero(squares))
         share = min(OUTLIER_SHARE, OUTLIER_RATIO / max(count, 1))
         while count >= MIN_VALUES and squares.max() > share * squares.sum():
             place = np.unravel_index(squares.argmax(), squares.shape)
             squares[place] = 0.0
             found[:, group][place] = True
-    known = np.nan_to_num(values)
-    spikes = [_spikes(np.where(found, 0.0, known)[:, group]) for group in (*GROUPS, slice(6, None))]
-    # A short load is felt by the load cell and by clusters.
-    felt = _rises(known[:, FORCES]) & _rises(known[:, 6:])
-    found |= np.hstack(spikes) & ~felt[:, None]
+        left = np.where(found[:, group], 0.0, known[:, group])
+        found[:, group] |= _spikes(left) & ~felt[:, None]
     return Outliers(_beyond(samples.position, geometry), found)
 
 

@@ -185,7 +185,7 @@ class LiveSource:
         """Take cluster stresses, and update the page with the newest outputs by region and map."""
         now, geometry, places = clocks.monotonic(), self._geometry, self._places
         if now - self._shown_at > _STALE_AFTER:
-            self._shown, self._measured = {}, np.full(len(geometry.clusters), np.nan)
+            self._shown, self._measured = {}, np.full_like(self._measured, np.nan)
         for _, stresses in self._read(inbox, topics.STRESS):
             readings = [stresses.get(name, _NO_STRESS) for name in geometry.clusters]
             normal = [s[0] if status == Status.OK else np.nan for s, status in readings]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from socket_testbed.arrays import FloatArray, evenly
 from socket_testbed.geometry.regions import Region, all_regions
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import pressure
-from socket_testbed.identification.force_map import ForceMap, map_trial
+from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.plausibility import require_units
 from socket_testbed.identification.suspension import Suspension, find_suspension
 from socket_testbed.samples import Samples
@@ -65,13 +66,13 @@ def mapped_trial(
     """The force map of a trial, on its own socket or on one with other regions."""
     geometry = geometry or trial.geometry
     left_out = settings.identification.leave_out
-    usable = trial.samples().without(left_out).trusted_forces[:, :, 2]
-    seen = dict(zip(trial.samples().clusters, np.isfinite(usable.T), strict=True))
-    clusters = {name: geometry.clusters[name] for name, known in seen.items() if known.any()}
-    places = all_regions(replace(geometry, clusters=clusters), trial.metadata.side)
     require_units(trial.samples(), geometry, left_out)
-    found = map_trial(trial.samples(), geometry, settings.force_map, left_out)
-    return MappedTrial(trial, geometry, places, *found)
+    samples = trial.sound(left_out).without(left_out)
+    seen = np.asarray(np.isfinite(samples.trusted_forces[:, :, 2]).any(axis=0))
+    clusters = {name: geometry.clusters[name] for name in compress(samples.clusters, seen)}
+    places = all_regions(replace(geometry, clusters=clusters), trial.metadata.side)
+    force_map = ForceMap(geometry, samples.clusters, settings.force_map, samples)
+    return MappedTrial(trial, geometry, places, force_map, samples)
 
 
 @dataclass(frozen=True, repr=False)

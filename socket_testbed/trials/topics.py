@@ -85,11 +85,12 @@ def match_topics(types: Mapping[str, str], where: str) -> dict[Topic, str]:
         for topic in TOPICS:
             inside = not topic.name.startswith("/") and name.endswith(f"/{topic.name}")
             if name == topic.name or inside:
-                if topic in found and kind != topic.type:
+                other = found.get(topic)
+                if other and kind != topic.type:
                     continue
-                if topic in found and types[found[topic]] == topic.type:
+                if other and types[other] == topic.type:
                     raise TrialError(
-                        f"{where}: two topics are a '{topic.name}': {found[topic]} and {name}",
+                        f"{where}: two topics are a '{topic.name}': {other} and {name}",
                         "record one testbed per trial",
                     )
                 found[topic] = name
