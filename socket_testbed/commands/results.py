@@ -45,7 +45,7 @@ _COLUMNS = 3  # outputs per table
 _MAX_SHOWN = 8  # tiles of a map
 _FRONT_LEGEND = (
     "wrench error, local error: roots of the weighted squares of the objective, J_w and J_f;"
-    "\nmoment, force, local: mean, mean and median RMSE of the channels in the objective;"
+    "\nRMSE: of the channels in the objective;"
     "\ndominated: another theta is better in both, which is possible with two successive stages"
 )
 
@@ -87,10 +87,6 @@ def _show_fit(found: TrialFit, options: Mapping[str, Any]) -> None:
     print(f"share of the measured load carried by the springs: {', '.join(borne)}")
     if warning := share_warning(shares):
         print(f"warning: {warning}")
-    print(
-        f"without the smoothness, {decimals(found.known_directions(), 1)} of {size} stiffness"
-        f" directions would be known to {settings.stiffness_difference:g} N/m or better"
-    )
     print(
         f"the pose moves by {MIN_RATIO:g} times its noise or more in {motion.directions} of 6"
         " independent directions"

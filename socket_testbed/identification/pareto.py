@@ -28,8 +28,7 @@ from socket_testbed.arrays import BoolArray, FloatArray, evenly
 from socket_testbed.documents import finite_or_null
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.fit import evaluate
+from socket_testbed.identification.fit import evaluate, summarise_errors
 from socket_testbed.identification.problem import Objective, Problem, build_objective
 from socket_testbed.identification.solver import (
     BoxQP,
@@ -37,7 +36,7 @@ from socket_testbed.identification.solver import (
     UncertifiedSolutionError,
     solve_box_qp,
 )
-from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
+from socket_testbed.samples import Samples, channel_unit
 from socket_testbed.settings.identification import PAPER_VARIANTS, IdentificationSettings, Variant
 
 if TYPE_CHECKING:
@@ -50,17 +49,31 @@ SENSOR_ONLY, KNEE, WRENCH_ONLY = "sensor-only", "knee", "wrench-only"
 _MAX_SAMPLES = 4000  # of a front
 
 
+# Figures of a solution: attribute of `Front` and key in JSON, and title of the table's column.
+FIGURES = {
+    "theta": "theta [-]",
+    "wrench_error": "wrench error [-]",
+    "local_error": "local error [-]",
+    "mean_moment_rmse": "mean moment RMSE [N m]",
+    "mean_force_rmse": "mean force RMSE [N]",
+    "median_local_rmse": "median local RMSE [N]",
+    "residual": "KKT residual or gap [-]",
+}
+
+
 @dataclass(frozen=True)
 class FrontPoint:
-    """The solution of both stages at one theta."""
+    """The solution of both stages at one theta, see `Front`; NaN if a stage was not certified."""
 
-    theta: float  # weight of the wrench against the clusters [-]
-    model: ContactModel | None  # None if a stage was not certified
-    rmse: FloatArray  # RMSE of the m channels in the objective [N m, N]; NaN without a model
-    wrench_error: float  # normalised error e_w of the wrench [-]
-    local_error: float  # normalised error e_f of the clusters [-]
-    residual: float  # largest KKT residual or gap of both stages, in scaled units [-]
+    theta: float
+    residual: float
+    rmse: FloatArray
     flaw: str = ""  # why the solution must not be used; empty if it is sound
+    wrench_error: float = np.nan
+    local_error: float = np.nan
+    mean_moment_rmse: float = np.nan
+    mean_force_rmse: float = np.nan
+    median_local_rmse: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -78,18 +91,21 @@ class Knee:
 class Front:
     """The solutions of one variant at T rising thetas."""
 
+    theta: FloatArray  # weights of the wrench against the clusters, shape (T,) [-]
+    wrench_error: FloatArray  # normalised errors e_w of the wrench, shape (T,) [-]
+    local_error: FloatArray  # normalised errors e_f of the clusters, shape (T,) [-]
+    mean_moment_rmse: FloatArray  # of the moments in the objective, shape (T,) [N m]
+    mean_force_rmse: FloatArray  # of the forces in the objective, shape (T,) [N]
+    median_local_rmse: FloatArray  # of the clusters' channels in the objective, shape (T,) [N]
+    residual: FloatArray  # largest KKT residuals or gaps of both stages, scaled, shape (T,) [-]
+
     def __init__(
         self, variant: Variant, channels: tuple[str, ...], points: Sequence[FrontPoint]
     ) -> None:
         self.variant = variant
         self.channels = channels  # names of the m channels in the objective, the wrench's first
-        self.points = points
-        # Weights of the wrench against the clusters, normalised errors e_w and e_f, and the largest
-        # KKT residuals or gaps of both stages, shape (T,) [-].
-        self.theta = np.array([point.theta for point in points])
-        self.wrench_error = np.array([point.wrench_error for point in points])
-        self.local_error = np.array([point.local_error for point in points])
-        self.residual = np.array([point.residual for point in points])
+        for name in FIGURES:
+            setattr(self, name, np.array([getattr(point, name) for point in points]))
         # Root-mean-square errors of the channels, shape (T, m) [N m, N].
         self.rmse = np.array([point.rmse for point in points]).reshape(len(points), len(channels))
         self.flaws = tuple(point.flaw for point in points)
@@ -97,10 +113,6 @@ class Front:
         self.sound = np.array([not flaw for flaw in self.flaws], dtype=bool)
         self.non_dominated = find_non_dominated(self.wrench_error, self.local_error, self.sound)
         self.knee = find_knee(self.wrench_error, self.local_error, self.non_dominated)
-        # Mean RMSE of the moments [N m] and of the forces, and median RMSE of the clusters'
-        # channels [N], each of those in the objective, shape (T,).
-        self.moment_rmse, self.force_rmse = self._mean_rmse("M"), self._mean_rmse("F")
-        self.local_rmse = np.median(self.rmse[:, ["." in name for name in channels]], axis=1)
 
     def __repr__(self) -> str:
         return (
@@ -131,28 +143,13 @@ class Front:
         import pandas as pd
 
         marks = {index: name for name, index in self.marks.items()}
-        columns: dict[str, Any] = {
-            "variant": self.variant,
-            "theta [-]": self.theta,
-            "wrench error [-]": self.wrench_error,
-            "local error [-]": self.local_error,
-            "non-dominated": self.non_dominated.astype(int),
-            "mark": [marks.get(i, "") for i in range(len(self.theta))],
-            "mean moment RMSE [N m]": self.moment_rmse,
-            "mean force RMSE [N]": self.force_rmse,
-            "median local RMSE [N]": self.local_rmse,
-            "KKT residual or gap [-]": self.residual,
-            "flaw": list(self.flaws),
-        }
+        figures = {title: getattr(self, name) for name, title in FIGURES.items()}
+        table = pd.DataFrame({"variant": self.variant, **figures, "flaw": self.flaws})
+        table.insert(4, "non-dominated", self.non_dominated.astype(int))
+        table.insert(5, "mark", [marks.get(i, "") for i in range(len(self.theta))])
         for name, rmse in zip(self.channels, self.rmse.T, strict=True):
-            columns[f"RMSE {name} [{channel_unit(name)}]"] = rmse
-        return pd.DataFrame(columns)
-
-    def _mean_rmse(self, kind: str) -> FloatArray:
-        columns = [name in WRENCH_CHANNELS and name[0] == kind for name in self.channels]
-        if not any(columns):
-            return np.full(len(self.theta), np.nan)
-        return self.rmse[:, columns].mean(axis=1)
+            table[f"RMSE {name} [{channel_unit(name)}]"] = rmse
+        return table
 
 
 def pareto_front(
@@ -229,23 +226,25 @@ def _solve_at(
             continue
         model = problem.model(np.vstack([springs.x.reshape(3, -1), x[3:]]))
         errors = evaluate(objective.samples, model, settings.leave_out)
+        summary = summarise_errors(errors)
         rmse = np.array([error.rmse for error in errors if error.in_objective])
         points[variant] = FrontPoint(
             theta=theta,
-            model=model,
+            residual=max(springs.certificate.worst, rest.certificate.worst),
             rmse=rmse,
+            flaw=_undetermined(stage_two, springs) or _undetermined(stage_one, rest),
             wrench_error=float(np.sqrt(wrench_shares @ rmse[:wrench] ** 2)),
             local_error=float(np.sqrt(objective.channel_shares @ rmse[wrench:] ** 2)),
-            residual=max(springs.certificate.worst, rest.certificate.worst),
-            flaw=_undetermined(stage_two, springs) or _undetermined(stage_one, rest),
+            mean_moment_rmse=summary.moment_rmse,
+            mean_force_rmse=summary.force_rmse,
+            median_local_rmse=summary.local_rmse,
         )
     return points
 
 
 def _flawed(objective: Objective, theta: float, error: UncertifiedSolutionError) -> FrontPoint:
     """The point at a theta for which a stage was not certified."""
-    rmse = np.full(len(objective.names), np.nan)
-    return FrontPoint(theta, None, rmse, np.nan, np.nan, error.residual, error.fact)
+    return FrontPoint(theta, error.residual, np.full(len(objective.names), np.nan), error.fact)
 
 
 def _undetermined(program: BoxQP, solution: BoxSolution) -> str:
@@ -318,18 +317,9 @@ def front_document(front: Front) -> dict[str, Any]:
 
 
 def _solution(front: Front, index: int) -> dict[str, Any]:
-    figures = {
-        "theta": front.theta,
-        "wrench_error": front.wrench_error,
-        "local_error": front.local_error,
-        "mean_moment_rmse": front.moment_rmse,
-        "mean_force_rmse": front.force_rmse,
-        "median_local_rmse": front.local_rmse,
-        "residual": front.residual,
-    }
     rmse = zip(front.channels, front.rmse[index].tolist(), strict=True)
     return {
-        **{name: finite_or_null(float(values[index])) for name, values in figures.items()},
+        **{name: finite_or_null(float(getattr(front, name)[index])) for name in FIGURES},
         "rmse": {name: finite_or_null(value) for name, value in rmse},
         "non_dominated": bool(front.non_dominated[index]),
         "flaw": front.flaws[index] or None,

@@ -13,7 +13,14 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front, front_table
+from socket_testbed.identification.pareto import (
+    FIGURES,
+    KNEE,
+    SENSOR_ONLY,
+    WRENCH_ONLY,
+    Front,
+    front_table,
+)
 from socket_testbed.pages.document import numbers
 from socket_testbed.report.page import ReportFigure, Section
 from socket_testbed.report.results import Results
@@ -79,29 +86,22 @@ def _kept(front: Front) -> tuple[IntArray, FloatArray]:
 
 def marks_table(fronts: Iterable[Front]) -> Table:
     """The marked solutions of each front."""
-    columns = {
-        "theta [-]": "theta",
-        "wrench error [-]": "wrench_error",
-        "local error [-]": "local_error",
-        "moment RMSE [N m]": "moment_rmse",
-        "force RMSE [N]": "force_rmse",
-        "local RMSE [N]": "local_rmse",
-    }
+    columns = [*FIGURES.values()][:-1]  # without the residual
     rows = []
     for front in fronts:
+        table = front.to_dataframe()
         for name in (SENSOR_ONLY, KNEE, WRENCH_ONLY):
             row: dict[str, Any] = {"variant": front.variant, "solution": name}
             index = front.marks.get(name)
             if index is None:
                 flaw = front.flaws[0 if name == SENSOR_ONLY else -1]
-                remark = "none" if name == KNEE else flaw
-                row |= dict.fromkeys(columns, np.nan)
+                row |= dict.fromkeys(columns, np.nan) | {"remark": "none" if name == KNEE else flaw}
             else:
                 remark = "" if front.non_dominated[index] else "dominated"
-                row |= {title: getattr(front, field)[index] for title, field in columns.items()}
-            rows.append(row | {"remark": remark})
+                row |= table.loc[index, columns].to_dict() | {"remark": remark}
+            rows.append(row)
     formats = {"theta [-]": ".3g", "wrench error [-]": ".4f", "local error [-]": ".4f"}
-    caption = "The marked solutions of each front, with mean, mean and median RMSE"
+    caption = "The marked solutions of each front, with RMSE of the channels in the objective"
     return Table("marks", caption, pd.DataFrame(rows).set_index("variant"), formats)
 
 
