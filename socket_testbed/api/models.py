@@ -109,13 +109,6 @@ class TrialFit(Result):
         window = self.fit.settings.pose_smoothing
         return information.measure_motion(self._samples(), self.trial.geometry, window)
 
-    def known_directions(self) -> float:
-        """Stiffness directions with a standard deviation below `stiffness_difference` [-]."""
-        used = self.fit.settings
-        return information.known_directions(
-            self._samples(), self.fit.model, used.stiffness_difference, used.pose_smoothing
-        )
-
     def unseen_half(self) -> tuple[ChannelErrors, ...]:
         """Errors on the second half of the segment for a model fitted on its first half.
 

@@ -22,28 +22,24 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from scipy.linalg import eigh
+from scipy.linalg import eigvalsh
 
-from socket_testbed.arrays import FloatArray, evenly
+from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.regions import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.contact import ContactModel, relative_pose, wrench_map
+from socket_testbed.identification.contact import ContactModel, relative_pose
 from socket_testbed.identification.noise import (
     ChannelNoise,
     channel_noise,
     smooth_poses,
     smoothing_gain,
 )
-from socket_testbed.samples import FORCES, MOMENTS, Samples, turned
-from socket_testbed.settings.identification import BIAS_VARIANTS
+from socket_testbed.samples import FORCES, MOMENTS, Samples
 
 MIN_SPRING_SHARE = 0.5  # [-]; of the load, carried by the springs
 MIN_RATIO = 3.0  # [-]; of motion to noise: noise then lowers a stiffness by a tenth
 _MIN_NOISE = 1e-9  # [m, rad]; of a noise-free pose
 _UNKNOWN_NOISE = 1.0  # [m, rad]; large, so that possible noise does not count as motion
-_MAX_SAMPLES = 300  # of a segment, for derivatives
-_RANK = 1e-9  # [-]; smallest singular value of moving poses
-_DRAWS = 200  # of the pose's noise
 # Position and rotation: name, unit, and how to move it more, along the socket and across.
 _COMPONENTS = (
     ("position", "mm", "load and unload the limb", "push from the sides"),
@@ -100,85 +96,11 @@ def share_warning(shares: tuple[LoadShare, ...]) -> str:
     )
 
 
-def known_directions(
-    samples: Samples, model: ContactModel, accuracy: float, window: float = 0.0
-) -> float:
-    r"""Effective number of stiffness directions observable despite all noise, of 3n [-].
-
-    With the derivatives J_k of all channels of sample k by the stiffnesses, and the noise
-    :math:`\Sigma` of the channels, including the pose's noise propagated through the model,
-
-    .. math:: \mathrm{tr}\bigl((H + \kappa^{-2} I)^{-1} H\bigr), \qquad
-              H = \sum_k J_k^T \Sigma^{-1} J_k
-
-    counts the directions with a standard deviation below the accuracy kappa [N/m]. From J_k the
-    part that the model's offsets could explain is removed (`LoadShare`). The poses are averaged
-    over a window [s] and projected on the directions in which they move `MIN_RATIO` times their
-    noise. NaN if the samples do not determine the noise of the wrench.
-    """
-    noise, spread = _noise(samples, window)
-    attitude, samples = samples.attitude, samples.centred()
-
-    def absolute(pose: FloatArray) -> FloatArray:
-        return np.hstack([pose[:, :3], turned(pose[:, 3:], attitude)])
-
-    rows = np.flatnonzero(samples.has_pose_and_wrench)
-    if not len(rows) or not np.isfinite(noise.wrench).all():
-        return math.nan
-    chosen = rows[evenly(len(rows), _MAX_SAMPLES)]
-    pose = smooth_poses(samples, window).pose[chosen]
-    middle = pose.mean(axis=0)
-    drawn = np.random.default_rng(0).multivariate_normal(np.zeros(6), spread, _DRAWS)
-    sent = model.predict(absolute(middle + drawn), samples.clusters).std(axis=0)
-    deviations = np.hypot(np.nan_to_num(noise.values, nan=np.inf), sent)
-    basis, inverse = _moving_directions(pose - middle, spread)
-    moved = middle + (pose - middle) @ basis @ inverse
-    gram = _information(absolute(moved), model, samples.clusters, deviations)
-    known = np.linalg.eigvalsh(gram) * len(rows) / len(pose) * accuracy**2
-    return float(np.sum(known / (1.0 + known)))
-
-
 def _noise(samples: Samples, window: float) -> tuple[ChannelNoise, FloatArray]:
     """Noise of the channels, and the covariance of the averaged poses' noise, shape (6, 6)."""
     noise = channel_noise(samples)
     spread = np.maximum(np.nan_to_num(noise.pose, nan=_UNKNOWN_NOISE), _MIN_NOISE)
     return noise, replace(noise, pose=spread).pose_covariance(smoothing_gain(samples, window))
-
-
-def _moving_directions(deviation: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Map of poses to the motion along d directions, (6, d), and its inverse, (d, 6).
-
-    Along these, poses (N, 6) move `MIN_RATIO` times their noise about their mean.
-    """
-    covariance = deviation.T @ deviation / max(len(deviation), 1)
-    ratios, vectors = eigh(covariance, noise)
-    chosen = ratios - 1.0 >= MIN_RATIO**2
-    return vectors[:, chosen], np.linalg.inv(vectors)[chosen]
-
-
-def _information(
-    pose: FloatArray, model: ContactModel, clusters: tuple[str, ...], deviations: FloatArray
-) -> FloatArray:
-    """Sum of J' Sigma^-1 J over the poses, shape (3n, 3n) [m^2/N^2]."""
-    count = len(model.anchors)
-    mapping = wrench_map(model.anchors).reshape(6, count, 3)
-    columns = np.zeros((len(pose), 6 + 3 * len(clusters), count, 3))
-    for axis, unit in enumerate(np.eye(3)):
-        springs = replace(model, stiffness=np.tile(unit, (count, 1)), force_bias={})
-        forces = springs.forces(pose)
-        columns[:, :6, :, axis] = np.einsum("wni,kni->kwn", mapping, forces)
-        local = springs.cluster_forces(pose)
-        for number, cluster in enumerate(clusters):
-            place = slice(6 + 3 * number, 9 + 3 * number)
-            columns[:, place, model.cluster_points[cluster], axis] = local[cluster]
-    if model.variant in BIAS_VARIANTS:
-        columns -= columns.mean(axis=0)
-    if model.wrench_slope.any():
-        linear = pose - pose.mean(axis=0)
-        weights = np.linalg.pinv(linear, rcond=_RANK)
-        columns[:, :6] -= np.tensordot(linear @ weights, columns[:, :6], axes=1)
-    scaled = (columns.reshape(*columns.shape[:2], -1) / deviations[:, None]).reshape(-1, 3 * count)
-    return np.asarray(scaled.T @ scaled)
 
 
 @dataclass(frozen=True)
@@ -224,7 +146,9 @@ def measure_motion(samples: Samples, geometry: SocketGeometry, window: float = 0
         Excitation(f"{kind} {x}", unit, float(motion[i]), float(spread[i]), advice[i % 3 != axis])
         for i, ((kind, unit, *advice), x) in enumerate(product(_COMPONENTS, "xyz"))
     )
-    return Motion(excitations, _moving_directions(deviation, covariance)[0].shape[1])
+    # Along principal directions relative to the noise.
+    ratios = eigvalsh(deviation.T @ deviation / max(len(deviation), 1), covariance)
+    return Motion(excitations, int((ratios - 1.0 >= MIN_RATIO**2).sum()))
 
 
 @dataclass(frozen=True)

@@ -53,7 +53,6 @@ class Candidate:
     errors: tuple[ChannelErrors, ...]  # over the segment
     held_out: tuple[ChannelErrors, ...]  # over the rest; empty with too few samples
     shares: tuple[information.LoadShare, ...]  # of the load over the segment
-    known: float  # [-], stiffness directions identifiable from the segment despite noise
     engagement: information.Engagement  # of the springs over the trial
 
     @property
@@ -209,6 +208,5 @@ def _judge(
         errors=evaluate_predictions(chosen, predictions(chosen, model, window), leave_out),
         held_out=held_out if enough else (),
         shares=information.load_shares(smooth_poses(chosen, window), model),
-        known=information.known_directions(chosen, model, settings.stiffness_difference, window),
         engagement=information.engagement(samples, model, window, segment.rows),
     )

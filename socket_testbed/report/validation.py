@@ -22,7 +22,7 @@ from socket_testbed.report.style import (
     lay_out,
     style_axes,
 )
-from socket_testbed.tables import Table, number
+from socket_testbed.tables import Table
 
 _COLOURS = {
     validation.INVERSE_DISTANCE: "0.75",
@@ -66,12 +66,6 @@ def section(results: Results) -> Section:
             figure,
             *judged_tables(results.validation),
         ]
-    difference = results.settings.identification.stiffness_difference
-    known = [
-        f"{candidate.label}: {number(candidate.known, '.1f')} of"
-        f" {candidate.model.stiffness.size} stiffness directions."
-        for candidate in results.candidates
-    ]
     return Section(
         "validation",
         "Validation",
@@ -88,10 +82,6 @@ def section(results: Results) -> Section:
             f" {MIN_RATIO:g} times the noise or more; elsewhere the noise biases the"
             " stiffnesses towards zero, and the smoothness determines them.",
             [str(excitation) for excitation in results.motion.excitations],
-            "Given the noise of channels and pose, and only the pose directions that move, the"
-            " data determine this many stiffnesses, or combinations of them, to"
-            f" {difference:g} N/m or better:",
-            known,
         ],
     )
 

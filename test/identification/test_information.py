@@ -60,26 +60,6 @@ def test_motion_and_noise_are_told_apart(rng):
     assert all("unknown noise" in str(excitation) for excitation in unknown.excitations)
 
 
-def test_what_is_known_grows_with_motion_and_falls_with_noise_and_offsets(rng):
-    geometry = random_socket(rng, rings=4, columns=8, clusters=4)
-    bed = random_bed(rng, geometry, "stiffness_bias")
-    steady = samples_of_bed(rng, bed, rng.normal(0.0, 1e-5, (200, 3)), noise=0.1)
-    few = information.known_directions(steady, bed, 1e3)
-    assert few == pytest.approx(0.0, abs=1e-6)  # the offsets take all that one pose says
-    phase = np.linspace(0.0, 2.0 * np.pi, 200)[:, None] * [1.0, 2.0, 3.0]
-    moving = samples_of_bed(rng, bed, 3e-3 * np.sin(phase), noise=0.1)
-    many = information.known_directions(moving, bed, 1e3)
-    noisy = samples_of_bed(rng, bed, 3e-3 * np.sin(phase), noise=10.0)
-    assert many > information.known_directions(noisy, bed, 1e3) > few
-    assert np.isnan(information.known_directions(moving[:8], bed, 1e3))
-    # What is linear in the pose is no spring's, either.
-    plain = replace(bed, variant="rigid_bias")
-    sloped = replace(plain, wrench_slope=rng.normal(0.0, 1e4, (6, 6)))
-    assert information.known_directions(moving, sloped, 1e3) < information.known_directions(
-        moving, plain, 1e3
-    )
-
-
 def test_springs_are_engaged_in_compression_within_the_spread_of_drawn_poses(rng, monkeypatch):
     """A limb at rest, turned far from {S}, whose pose has noise: no formula but the motion."""
     monkeypatch.setattr(module, "_BLOCK", 700)
