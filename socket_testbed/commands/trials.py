@@ -7,10 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from socket_testbed import api
-from socket_testbed.arrays import gaps, usual_period
 from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.options import (
     check_metadata,
@@ -20,12 +17,13 @@ from socket_testbed.commands.options import (
     print_note,
     report_data,
 )
-from socket_testbed.commands.terminal import Progress, decimals, table
+from socket_testbed.commands.terminal import Progress, decimals, table, text_of
 from socket_testbed.files import CONFIGURATION_FILES, check_outputs
-from socket_testbed.identification.noise import channel_noise, noise_groups
-from socket_testbed.samples import Samples, Status, mean_and_sigma
+from socket_testbed.identification.data_check import describe_samples, drop_outs
+from socket_testbed.identification.noise import noise_table
 from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
 from socket_testbed.trials.metadata import NO_SIDE, TrialMetadata
+from socket_testbed.trials.segment import loads_table
 from socket_testbed.trials.trial import Trial
 
 _MAX_TIMES = 8  # printed per event label
@@ -97,12 +95,14 @@ def info(trial: Path, **options: Any) -> None:
     print(f"{_topics(opened)}\n")
     report_data(opened)
     samples, metadata, estimator = opened.samples(), opened.metadata, opened.estimator
-    print(f"{_triggers(samples)}\n\n{_missing(samples)}\n\n{_noise(samples)}\n")
     sound = opened.sound(estimator.identification.leave_out)
-    for segment in opened.plateaus(estimator):
-        force, _ = mean_and_sigma(sound[segment.rows].wrench[:, 3:])
-        print(f"{segment}: mean force {force:.1f} N")
-    print(_events(opened))
+    tables = [drop_outs(samples), noise_table(samples)]
+    if plateaus := opened.plateaus(estimator):
+        tables.append(loads_table(sound, plateaus))
+    print(describe_samples(samples))
+    for shown in tables:
+        print(f"\n{shown.caption}\n\n{text_of(shown)}")
+    print(f"\n{_events(opened)}")
     print(f"\n{_metadata(metadata)}\n")
     stored = [name for name in CONFIGURATION_FILES if (trial / name).is_file()]
     print(f"recorded with: {', '.join(stored) or 'nothing stored'}")
@@ -128,26 +128,6 @@ def _topics(trial: Trial) -> str:
     return f"{heading}\n{table(['topic', 'type', 'messages', 'Hz'], rows)}"
 
 
-def _triggers(samples: Samples) -> str:
-    periods = np.diff(samples.time)
-    if len(periods) == 0:
-        return "1 sample"
-    return (
-        f"{len(samples)} samples at {1.0 / usual_period(samples.time):.2f} Hz,"
-        f" {samples.has_pose_and_wrench.sum()} with a wrench and a pose;"
-        f" {gaps(samples.time).sum()} gaps, the largest {periods.max():.3f} s"
-    )
-
-
-def _missing(samples: Samples) -> str:
-    states = (Status.MISSING, Status.SATURATED, Status.OUT_OF_RANGE)
-    rows = []
-    for name, status in samples.states.items():
-        counts = [str((status == state).sum()) for state in states]
-        rows.append([name, *(counts if name in samples.clusters else [counts[0], "", ""])])
-    return table(["measurement", "missing", "saturated", "out of range"], rows)
-
-
 def _events(trial: Trial) -> str:
     """Times of the events by label, cut after the first few."""
     times: dict[tuple[str, str], list[str]] = {}
@@ -158,9 +138,3 @@ def _events(trial: Trial) -> str:
         more = f" ... ({len(at)} times)" if len(at) > _MAX_TIMES else ""
         lines.append(f"event {label} ({source}): {', '.join(at[:_MAX_TIMES])} s{more}")
     return "\n".join(lines) or "no events"
-
-
-def _noise(samples: Samples) -> str:
-    groups = noise_groups(channel_noise(samples), samples.clusters)
-    rows = [[name, *(decimals(value, 4) for value in noise)] for name, noise in groups.items()]
-    return table(["noise of one sample", "x", "y", "z"], rows)

@@ -14,12 +14,17 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from socket_testbed.arrays import GAP, BoolArray, FloatArray, StatusArray, gaps, runs, usual_period
+from socket_testbed.arrays import BoolArray, FloatArray, gaps
 from socket_testbed.files import PARAMETERS_FILE
+from socket_testbed.identification.data_check import (
+    describe_samples,
+    drop_outs,
+    states_by_channel,
+)
 from socket_testbed.identification.fit import summarise_errors
 from socket_testbed.identification.information import share_warning
 from socket_testbed.identification.model_file import StoredModel
-from socket_testbed.identification.noise import channel_noise, noise_groups
+from socket_testbed.identification.noise import noise_table
 from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart, utc
 from socket_testbed.report.results import Results
 from socket_testbed.report.style import (
@@ -32,15 +37,14 @@ from socket_testbed.report.style import (
     style_axes,
     thin,
 )
-from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, Status, mean_and_sigma
-from socket_testbed.tables import Table, number, pairs_table
+from socket_testbed.samples import Status
+from socket_testbed.tables import Table, pairs_table
 from socket_testbed.trials.metadata import NO_SIDE
-from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.segment import loads_table
 from socket_testbed.version import __version__
 
 _LIBRARIES = ("numpy", "scipy", "osqp", "qpsolvers", "matplotlib", "plotly")
 _DIGEST_LENGTH = 16  # hexadecimal digits
-_MAX_GAPS = 5  # in the list
 _LOAD_HEIGHT, _ROW_HEIGHT, _AXIS_HEIGHT = 36.0, 4.5, 16.0  # [mm]; rows of drop-outs
 _MAX_BINS = 400  # over time
 _SEGMENT_GREY, _PLATEAU_GREY = "0.80", "0.93"
@@ -50,108 +54,29 @@ _COLOURS = (BLUE, VERMILION)  # of force and moment
 def section(results: Results) -> Section:
     """The section on the data of a trial."""
     samples, limits = results.samples, results.settings.plateau
-    noise = pd.DataFrame.from_dict(
-        noise_groups(channel_noise(samples), samples.clusters), "index", columns=["x", "y", "z"]
-    ).rename_axis("measurement")
-    drop_outs = find_drop_outs(samples, results.segment)
-    counts = dict.fromkeys(drop_outs, ".0f") | {"missing [%]": ".2f", "longest [s]": ".2f"}
-    found = find_gaps(samples.time)
-    listed = [f"{length:.3f} s from {start:.2f} s" for start, length in found[:_MAX_GAPS]]
     return Section(
         "quality",
         "Data quality",
         [
-            f"{len(samples)} samples in {samples.time[-1]:.2f} s at"
-            f" {number(1.0 / usual_period(samples.time))} Hz, {samples.has_pose_and_wrench.sum()}"
-            f" with a wrench and a limb position; {len(found)} gaps longer than {GAP:g} periods.",
-            listed,
+            f"{describe_samples(samples)}.",
             _overview(results),
-            Table("drop-outs", "Samples of the trial without a measurement", drop_outs, counts),
+            drop_outs(samples, results.segment.rows),
             Heading("The segment"),
             f"Requested: {results.specification}; in use: {results.segment}. A plateau lasts"
             f" {limits.least_duration:g} s or more under a steady load of {limits.least_force:g} N"
             " or more; 'plateau' is the longest one. The limits are among the settings below.",
-            _plateaus(results),
+            loads_table(samples, (results.segment, *results.plateaus)),
             Heading("Noise"),
             "From the third differences of the trial, without outliers and steps. Motion from"
             " sample to sample, such as a person's sway, counts as noise.",
-            Table(
-                "noise",
-                "Standard deviation of the noise of a single sample, along each axis",
-                noise,
-                dict.fromkeys(noise, ".2g"),
-            ),
+            noise_table(samples),
         ],
     )
 
 
-def find_gaps(time: FloatArray) -> list[tuple[float, float]]:
-    """Starts and durations [s] of the gaps, the longest first."""
-    periods, found = np.diff(time), np.flatnonzero(gaps(time))
-    longest_first = found[np.argsort(-periods[found], kind="stable")]
-    return [(float(time[i]), float(periods[i])) for i in longest_first]
-
-
-def states(samples: Samples) -> dict[str, StatusArray]:
-    """State of every measurement, shape (N,) each: the wrench, the limb position, the clusters.
-
-    A cluster's channels share its status; other measurements are present or missing.
-    """
-    channels = np.where(np.isnan(samples.wrench.T), Status.MISSING, Status.OK)
-    _, limb, *clusters = samples.states.values()
-    found = dict(zip(WRENCH_CHANNELS, channels, strict=True)) | {"limb position": limb}
-    names = [f"{name} ({', '.join(LOCAL_CHANNELS)})" for name in samples.clusters]
-    return found | dict(zip(names, clusters, strict=True))
-
-
-def find_drop_outs(samples: Samples, segment: Segment) -> pd.DataFrame:
-    """Drop-outs per wrench channel, limb position and cluster, a row each.
-
-    Saturated and out-of-range readings are counted for clusters, NaN for other measurements.
-    """
-    rows = {}
-    for row, (name, state) in enumerate(states(samples).items()):
-        missing = state == Status.MISSING
-        is_cluster = row > len(WRENCH_CHANNELS)
-        rows[name] = {
-            "missing [1]": missing.sum(),
-            "missing [%]": 100.0 * missing.mean(),
-            "of them in the segment [1]": missing[segment.rows].sum(),
-            "longest [s]": _longest(missing, samples.time),
-            "saturated [1]": (state == Status.SATURATED).sum() if is_cluster else np.nan,
-            "out of range [1]": (state == Status.OUT_OF_RANGE).sum() if is_cluster else np.nan,
-        }
-    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("measurement")
-
-
-def _longest(missing: BoolArray, time: FloatArray) -> float:
-    """Longest time from one value to the next across missing ones, within the trial [s]."""
-    start, end = runs(missing).T
-    before, after = np.maximum(start - 1, 0), np.minimum(end, len(time) - 1)
-    return float((time[after] - time[before]).max(initial=0.0))
-
-
-def _plateaus(results: Results) -> Table:
-    rows = {}
-    for part in (results.segment, *results.plateaus):
-        wrench = results.samples.wrench[part.rows]
-        loads = (*mean_and_sigma(wrench[:, 3:]), *mean_and_sigma(wrench[:, :3]))
-        rows[f"{part.start:.2f} to {part.end:.2f}"] = [part.end - part.start, *loads]
-    formats = {
-        "duration [s]": ".2f",
-        "mean force [N]": ".1f",
-        "its sigma [N]": ".2f",
-        "mean moment [N m]": ".2f",
-        "its sigma [N m]": ".3f",
-    }
-    frame = pd.DataFrame.from_dict(rows, orient="index", columns=[*formats])
-    caption = "The segment, then the plateaus, the longest first"
-    return Table("plateaus", caption, frame.rename_axis("from, to [s]"), formats)
-
-
 def _overview(results: Results) -> ReportFigure:
     samples = results.samples
-    lacking = {name: state != Status.OK for name, state in states(samples).items()}
+    lacking = {name: state != Status.OK for name, state in states_by_channel(samples).items()}
     loads = {
         "force magnitude [N]": np.linalg.norm(samples.wrench[:, 3:], axis=1),
         "moment magnitude [N m]": np.linalg.norm(samples.wrench[:, :3], axis=1),
@@ -213,12 +138,8 @@ def list_notes(results: Results) -> list[str]:
     """Notes on the trial to read before using the figures."""
     samples, geometry = results.samples, results.trial.geometry
     notes = [*results.bag_notes, *results.implausible]
-    gaps = find_gaps(samples.time)
-    if gaps:
-        notes.append(
-            f"Gaps between triggers: {len(gaps)}, the longest {gaps[0][1]:.2f} s, from"
-            f" {gaps[0][0]:.2f} s on."
-        )
+    if gaps(samples.time).any():
+        notes.append(f"{describe_samples(samples)}.")
     inside = int(results.in_segment.sum())
     unfitted = inside - max(c.fit.samples for c in results.candidates if c.fit is not None)
     if unfitted:

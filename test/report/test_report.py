@@ -15,16 +15,16 @@ from support.wording import refused
 
 import socket_testbed as st
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.identification.data_check import describe_samples, drop_outs
 from socket_testbed.identification.fit import summarise_errors
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.pages.wall import unrolled_tiles
 from socket_testbed.report import fronts, validation, write
 from socket_testbed.report.page import write_socket_page
-from socket_testbed.report.quality import find_drop_outs, find_gaps, list_notes
+from socket_testbed.report.quality import list_notes
 from socket_testbed.report.results import Results, compute_results
 from socket_testbed.report.write import check_page_path, summarise, write_report
 from socket_testbed.settings.identification import PAPER_VARIANTS
-from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 
 PLAIN, BIAS = PAPER_VARIANTS
@@ -106,25 +106,36 @@ def test_a_page_that_cannot_be_written_leaves_nothing(results, tmp_path, monkeyp
 
 
 def test_gaps_and_drop_outs_are_counted():
-    time = np.array([0.0, 0.25, 0.5, 1.5, 1.75, 2.0, 5.0, 5.25, 5.6])
-    assert find_gaps(time) == [(2.0, 3.0), (0.5, 1.0)]  # the longest first
-    ((start, length),) = find_gaps(np.r_[0.0:80.0:0.25, 119.75])
-    assert (start, length) == (79.75, 40.0)
-    assert find_gaps(np.r_[0.0:20.0:0.05, 20.0:60.0:0.25]) == []  # another rate, as was set
     rng = np.random.default_rng(8)
     position, force, wrench = (rng.normal(size=(200, n)) for n in (3, 3, 6))
     samples = make_samples(position, wrench, {"a": force})  # at 4 Hz
+
+    def said(*parts):
+        time = np.concatenate(parts)
+        stamps = np.int64(1e9) * 10**9 + np.round(1e9 * time).astype(np.int64)
+        return describe_samples(dataclasses.replace(samples[: len(time)], stamps=stamps))
+
+    found = said([0.0, 0.25, 0.5, 1.5, 1.75, 2.0, 5.0, 5.25, 5.6])
+    assert "periods: 2" in found and found.endswith(
+        "longest 3.000 s from 2.00 s, 1.000 s from 0.50 s"
+    )
+    assert said(np.arange(0.0, 40.0, 0.25), [79.75]).endswith(
+        "periods: 1, the longest 40.000 s from 39.75 s"
+    )
+    assert "periods: 0" in said(
+        np.arange(0.0, 5.0, 0.05), np.arange(5.0, 30.0, 0.25)
+    )  # another rate
     samples.wrench[10:20, 2] = np.nan
     samples.position[190:] = np.nan
     for code, rows in ((1, slice(30, 33)), (2, slice(40, 44)), (3, slice(60, 65))):
         samples.status[rows, 0] = code
-    lost = find_drop_outs(samples, Segment("span", 0.0, 4.0, slice(0, 17)))
+    lost = drop_outs(samples, slice(0, 17)).frame
     columns = ["missing [1]", "of them in the segment [1]", "missing [%]"]
     assert tuple(lost.loc["Mz", columns]) == pytest.approx((10, 7, 5.0))
     # From the last value to the next, or to the end.
     longest = lost.loc[["Mz", "limb position", "Mx"], "longest [s]"]
     assert longest.tolist() == pytest.approx([11 / 4.0, 10 / 4.0, 0.0])
-    lost_of_a = lost.loc["a (Fx, Fy, Fz)", ["missing [1]", "saturated [1]", "out of range [1]"]]
+    lost_of_a = lost.loc["a", ["missing [1]", "saturated [1]", "out of range [1]"]]
     assert tuple(lost_of_a) == (4, 3, 5)
 
 
