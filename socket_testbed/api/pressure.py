@@ -32,7 +32,13 @@ from socket_testbed.identification.problem import check_channels
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
 from socket_testbed.tables import write_table
-from socket_testbed.trials.pressure import MappedTrial, SegmentPressure, by_place, mapped_trial
+from socket_testbed.trials.pressure import (
+    CENTRE_TITLES,
+    MappedTrial,
+    SegmentPressure,
+    by_place,
+    mapped_trial,
+)
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 
@@ -46,8 +52,7 @@ if TYPE_CHECKING:
 Rows: TypeAlias = dict[tuple[str, str, str], dict[str, Any]]
 """Values of outputs, by part, name and title."""
 
-_CENTRE_TITLES = [title for title in TITLES if title.startswith("centre of pressure")]
-TILE_TITLES = tuple(t for t in TITLES if t not in (*_CENTRE_TITLES, "contact area [cm^2]"))
+TILE_TITLES = tuple(t for t in TITLES if t not in (*CENTRE_TITLES, "contact area [cm^2]"))
 _ROW_KEYS = ("value", "low", "high", "uncertain")
 _SERIES_TITLES = tuple(title for title in TITLES if not title.startswith("pressure-time"))
 
@@ -67,14 +72,17 @@ class TrialMap(Result):
         """The map at every sample."""
         return self.force_map.estimate(self.samples)
 
+    @cached_property
+    def mean(self) -> MapEstimate:
+        """The mean map, with N = 1."""
+        return self.force_map.mean(self.samples)
+
     def __repr__(self) -> str:
-        mean = self.estimate.mean()
-        peak = int(mean.normal_pressure[0].argmax())
+        highest = self.summary().iloc[0]
         return (
             f"TrialMap({self.trial.name}, {self.segment}; {len(self.time)} samples, highest mean"
-            f" pressure {1e-3 * mean.normal_pressure[0, peak]:.1f} +-"
-            f" {1e-3 * mean.normal_pressure_standard_deviation[0, peak]:.1f} kPa on"
-            f" {self.trial.geometry.names[peak]})"
+            f" pressure {highest['pressure [kPa]']:.1f} +- {highest['pressure sd [kPa]']:.1f} kPa"
+            f" on {highest.name})"
         )
 
     def to_dataframe(self) -> pd.DataFrame:
@@ -94,19 +102,7 @@ class TrialMap(Result):
         Standard deviations are those of the mean's error. They do not shrink with the number of
         samples, because the sensors leave the same uncertainty in each.
         """
-        import pandas as pd
-
-        geometry, mean = self.trial.geometry, self.estimate.mean()
-        table = pd.DataFrame(
-            {
-                "cluster": geometry.cluster_names,
-                "pressure [kPa]": 1e-3 * mean.normal_pressure[0],
-                "pressure sd [kPa]": 1e-3 * mean.normal_pressure_standard_deviation[0],
-                "shear [kPa]": 1e-3 * mean.shear[0],
-                "shear sd [kPa]": 1e-3 * mean.shear_standard_deviation[0],
-            },
-            index=pd.Index(geometry.names, name="tile"),
-        )
+        table = self.mean.by_tile(self.trial.geometry)
         return table.sort_values("pressure [kPa]", ascending=False, kind="stable")
 
     def at(self, time: float) -> TrialMap:
@@ -156,12 +152,12 @@ class TrialMap(Result):
 
         heading = f"{self.trial.name}, {self.segment}: force map"
         side = self.trial.metadata.side
-        return force_map_figure(self.trial.geometry, self.estimate.mean(), heading, style, side)
+        return force_map_figure(self.trial.geometry, self.mean, heading, style, side)
 
     def _draw_into(self, ax: Axes) -> None:
         from socket_testbed.report.tiles import draw_wall
 
-        mean, side = self.estimate.mean(), self.trial.metadata.side
+        mean, side = self.mean, self.trial.metadata.side
         pressure, reach = 1e-3 * mean.normal_pressure[0], 1e-3 * mean.pressure_reach[0]
         draw_wall(ax, self.trial.geometry, pressure, "pressure [kPa]", reach, side)
 
@@ -266,25 +262,6 @@ class TrialPressure(SegmentPressure, Result):
 
         found = {title: row for (part, _, title), row in self.rows().items() if part == "limb"}
         return pd.DataFrame.from_dict(found, orient="index", columns=[*_ROW_KEYS])
-
-    @property
-    def regions(self) -> pd.DataFrame:
-        """Outputs over the segment, a row per region, then `socket`.
-
-        Columns: each of `TITLES`, the best estimate under the posterior, with the ends of its 95 %
-        interval, such as `peak pressure low [kPa]`; and the `nearest tile` to the centre of
-        pressure.
-        """
-        import pandas as pd
-
-        names = pd.Index([place.name for place in self.places], name="region")
-        table = pd.DataFrame(columns_of(self.outputs.regions, TITLES), index=names)
-        geometry, nearest = self.trial.geometry, []
-        for centre in table[_CENTRE_TITLES].to_numpy() * 1e-3:
-            apart = np.linalg.norm(geometry.anchors - centre, axis=1)
-            nearest.append("" if np.isnan(apart).any() else geometry.names[apart.argmin()])
-        table["nearest tile"] = nearest
-        return table
 
     @property
     def tiles(self) -> pd.DataFrame:

@@ -29,10 +29,11 @@ draws M hypotheses, weighted by their mean evidence: over the trial, or live ove
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from types import SimpleNamespace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import chdtri, i0e, i1e, ndtri
@@ -43,6 +44,9 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import rigid_motions, wrench_map
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
 from socket_testbed.settings.identification import MIN_SHARE, ForceMapSettings
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 NORMAL_QUANTILE = 1.96  # [-]; standard deviations to each end of a 95 % interval
 _NUGGET = 1e-9  # [-]; keeps the correlation definite when tiles almost coincide
@@ -96,23 +100,19 @@ class MapEstimate:
             }
         return found
 
-    def mean(self) -> MapEstimate:
-        """The map averaged over the samples, with N = 1: see `ForceMap.mean`."""
-        return _averaged([self], self.source)
+    def by_tile(self, geometry: SocketGeometry) -> pd.DataFrame:
+        """Pressure and shear of the first sample with their standard deviations, a row per tile."""
+        import pandas as pd
 
-
-def _averaged(parts: Iterable[MapEstimate], source: str) -> MapEstimate:
-    """The mean over the samples of all parts; the root mean square of standard deviations."""
-    count, sums = 0, dict[str, FloatArray]()
-    for part in parts:
-        count += len(part.forces)
-        for name, values in vars(part).items():
-            if name != "source":
-                powers = values ** (2 if "deviation" in name else 1)
-                sums[name] = sums.get(name, 0.0) + powers.sum(axis=0, keepdims=True)
-    means = {name: total / count for name, total in sums.items()}
-    means |= {name: np.sqrt(mean) for name, mean in means.items() if "deviation" in name}
-    return MapEstimate(**means, source=source)
+        stresses = {
+            "pressure [kPa]": self.normal_pressure,
+            "pressure sd [kPa]": self.normal_pressure_standard_deviation,
+            "shear [kPa]": self.shear,
+            "shear sd [kPa]": self.shear_standard_deviation,
+        }
+        columns = {title: 1e-3 * values[0] for title, values in stresses.items()}
+        tiles = pd.Index(geometry.names, name="tile")
+        return pd.DataFrame({"cluster": geometry.cluster_names, **columns}, index=tiles)
 
 
 @dataclass(frozen=True)
@@ -317,10 +317,16 @@ class ForceMap:
         typical sample: its standard deviations are root mean squares.
         """
         values, present = _channels(samples)
-        weights = self._weights(samples)
-        chunks = (slice(start, start + _CHUNK) for start in range(0, len(samples), _CHUNK))
-        parts = (self._estimate(values[chunk], present[chunk], weights) for chunk in chunks)
-        return _averaged(parts, self._source(present))
+        weights, sums = self._weights(samples), dict[str, FloatArray]()
+        for start in range(0, len(samples), _CHUNK):
+            chunk = slice(start, start + _CHUNK)
+            for name, found in vars(self._estimate(values[chunk], present[chunk], weights)).items():
+                if name != "source":
+                    powers = found ** (2 if "deviation" in name else 1)
+                    sums[name] = sums.get(name, 0.0) + powers.sum(axis=0, keepdims=True)
+        means = {name: total / len(samples) for name, total in sums.items()}
+        means |= {name: np.sqrt(mean) for name, mean in means.items() if "deviation" in name}
+        return MapEstimate(**means, source=self._source(present))
 
     def source(self, samples: Samples) -> str:
         """The channels that the map of these samples is conditioned on, in words."""

@@ -16,9 +16,7 @@ from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import (
     SHARE,
     THRESHOLD,
-    TITLES,
     Quantity,
-    columns_of,
     normal_quantity,
     with_interval,
 )
@@ -85,8 +83,7 @@ def page_data(results: Results) -> dict[str, Any]:
 def section(results: Results) -> Section:
     """The section with the numerical outputs."""
     found = results.pressure
-    names = pd.Index([place.name for place in found.places], name="region")
-    outputs = pd.DataFrame(columns_of(found.outputs.regions, TITLES), index=names)
+    names = [place.name for place in found.places]
     mean = with_interval("mean pressure [kPa]", found.outputs.mean_pressure().part(..., 1e-3))
     over_time = pd.DataFrame({"time [s]": found.time} | by_place(names, mean))
     return Section(
@@ -108,7 +105,7 @@ def section(results: Results) -> Section:
             _overview(results),
             _force_map(results),
         ],
-        {"pressure.csv": outputs, "pressure_of_regions.csv": over_time},
+        {"pressure.csv": found.regions, "pressure_of_regions.csv": over_time},
     )
 
 
@@ -166,20 +163,12 @@ def _force_map(results: Results) -> ReportFigure:
     side = results.trial.metadata.side
     title = f"{results.trial.name}: Force map, {results.pressure.segment}"
     mean = outputs.force_map.mean(outputs.samples)
-    columns = {
-        "pressure [kPa]": mean.normal_pressure,
-        "pressure sd [kPa]": mean.normal_pressure_standard_deviation,
-        "shear [kPa]": mean.shear,
-        "shear sd [kPa]": mean.shear_standard_deviation,
-    }
     return ReportFigure(
         "force_map",
         "Mean normal pressure over the segment on every tile, and the standard deviation of its"
         f" error. {mean.source}. The greyer, the less certain. Tiles with a cluster are outlined.",
         lambda style: force_map_figure(geometry, mean, title, style, side),
-        pd.DataFrame(
-            {"tile": geometry.names} | {name: 1e-3 * row[0] for name, row in columns.items()}
-        ),
+        mean.by_tile(geometry),
     )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,7 +22,11 @@ from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 _BLOCK = 4096  # samples
+CENTRE_TITLES = [title for title in pressure.TITLES if title.startswith("centre of pressure")]
 
 
 @dataclass(frozen=True)
@@ -93,6 +97,27 @@ class SegmentPressure:
     def peak_time(self) -> float:
         """Time of the highest pressure on any tile, since the first sample of the trial [s]."""
         return float(self.time[self.outputs.peak_row])
+
+    @property
+    def regions(self) -> pd.DataFrame:
+        """Outputs over the segment, a row per region, then `socket`.
+
+        Columns: each of `pressure.TITLES`, the best estimate under the posterior, with the ends of
+        its 95 % interval, such as `peak pressure low [kPa]`; and the `nearest tile` to the centre
+        of pressure.
+        """
+        import pandas as pd
+
+        names = pd.Index([place.name for place in self.places], name="region")
+        table = pd.DataFrame(
+            pressure.columns_of(self.outputs.regions, pressure.TITLES), index=names
+        )
+        geometry, nearest = self.trial.geometry, []
+        for centre in table[CENTRE_TITLES].to_numpy() * 1e-3:
+            apart = np.linalg.norm(geometry.anchors - centre, axis=1)
+            nearest.append("" if np.isnan(apart).any() else geometry.names[apart.argmin()])
+        table["nearest tile"] = nearest
+        return table
 
     @cached_property
     def suspension(self) -> Suspension | None:
