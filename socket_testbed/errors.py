@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copyreg
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 
@@ -28,6 +29,15 @@ class TestbedError(Exception):
     def __reduce__(self) -> tuple[Any, ...]:
         # Lets worker processes return errors, whatever arguments their constructors take.
         return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # type: ignore[attr-defined]
+
+
+@contextmanager
+def naming(place: object) -> Iterator[None]:
+    """Errors inside begin with the place, such as a file: `calibration.yaml: ...`."""
+    try:
+        yield
+    except TestbedError as error:
+        raise type(error)(f"{place}: {error.fact}", error.hint) from None
 
 
 def fact_and_hint(line: str) -> tuple[str, str]:

@@ -9,7 +9,7 @@ import os
 import shutil
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory, gettempdir
@@ -19,6 +19,8 @@ from socket_testbed.errors import ConfigurationError
 # The configuration of a testbed, in `config/` and in the folder of each trial
 SOCKET_FILE, CALIBRATION_FILE, PARAMETERS_FILE = "socket.yaml", "calibration.yaml", "testbed.yaml"
 CONFIGURATION_FILES = (SOCKET_FILE, CALIBRATION_FILE, PARAMETERS_FILE)
+
+TABLES, PICTURES, PAGES = (".csv", ".parquet", ".mat"), (".png", ".pdf"), (".html", ".htm")
 
 _PR_SET_PDEATHSIG = 1
 _TEMPORARY_PREFIX, _TEMPORARY_MARK = "socket_testbed_", ".temporary"
@@ -152,18 +154,11 @@ def _require_parent(path: Path) -> None:
     raise ConfigurationError(f"{path}: cannot be written ({why})", hint)
 
 
-def check_picture(path: Path) -> None:
-    """Refuse a file whose suffix is not a picture format."""
-    if path.suffix.lower() not in PICTURES:
-        raise ConfigurationError(
-            f"{path}: a picture cannot be a '{path.suffix}' file", "name a .png or .pdf file"
-        )
-
-
-def check_page(path: Path, content: str) -> None:
-    """Refuse a page without the suffix of one, before long work."""
-    if path.suffix.lower() not in PAGES:
-        raise ConfigurationError(f"{path}: a {content} is a page", "let it end in .html")
+def check_suffix(path: Path, known: Sequence[str], what: str) -> None:
+    """Refuse a file whose suffix is not one of those `known` for a picture, a table, ..."""
+    if path.suffix.lower() not in known:
+        fact = f"{path}: '{path.suffix}' is not the format of a {what}"
+        raise ConfigurationError(fact, f"name a {' or '.join(known)} file")
 
 
 @contextmanager
@@ -206,7 +201,3 @@ def write_text(path: Path, text: str) -> None:
     """Write a text file atomically."""
     with atomic_output(path) as staging:
         staging.write_text(text, encoding="utf-8")
-
-
-PICTURES = (".png", ".pdf")
-PAGES = (".html", ".htm")

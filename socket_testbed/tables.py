@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import timedelta
 from itertools import chain, count, groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from socket_testbed.errors import ConfigurationError, closest
-from socket_testbed.files import atomic_output
+from socket_testbed.files import TABLES, atomic_output, check_suffix
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -76,14 +75,6 @@ def pairs_table(name: str, caption: str, pairs: Sequence[tuple[str, str]]) -> Ta
     return Table(name, caption, frame, is_text=True)
 
 
-def check_format(path: Path) -> None:
-    """Refuse a file with an unsupported suffix before long work."""
-    if path.suffix.lower() not in _WRITERS:
-        raise ConfigurationError(
-            f"{path}: '{path.suffix}' is not a table format", closest(path.suffix, _WRITERS)
-        )
-
-
 def write_table(frame: pd.DataFrame, path: Path) -> None:
     """Write a table atomically, in the format of the file's suffix.
 
@@ -96,10 +87,11 @@ def write_table(frame: pd.DataFrame, path: Path) -> None:
             numbers; text and counts have none. A named index becomes the first column.
         path: The file, `.csv`, `.parquet` or `.mat`; an existing one is replaced.
     """
-    check_format(path)
+    check_suffix(path, TABLES, "table")
     frame = frame if frame.index.name is None else frame.reset_index()
     with atomic_output(path) as staging:
-        _WRITERS[path.suffix.lower()](frame, staging)
+        write = _write_mat if path.suffix.lower() == ".mat" else _write_arrow
+        write(frame, staging)
 
 
 def split_unit(title: str) -> tuple[str, str]:
@@ -155,11 +147,3 @@ def matlab_names(names: Sequence[str]) -> list[str]:
         possible = (plain[: _MAX_NAME_LENGTH - len(tail)] + tail for tail in tails)
         found[next(unique for unique in possible if unique not in found)] = 0
     return [*found][1:]
-
-
-_WRITERS: dict[str, Callable[[pd.DataFrame, Path], None]] = {
-    ".csv": _write_arrow,
-    ".parquet": _write_arrow,
-    ".mat": _write_mat,
-}
-FORMATS = tuple(_WRITERS)

@@ -22,7 +22,7 @@ from socket_testbed.api.trials import (
     unique_names,
 )
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.errors import ConfigurationError, TrialError
+from socket_testbed.errors import ConfigurationError, naming
 from socket_testbed.geometry.socket import SECTOR_TURNS, UNMEASURED, Side, SocketGeometry
 from socket_testbed.identification.differences import (
     DIFFERENCE,
@@ -287,10 +287,8 @@ def compare(
     report = started(progress, "comparing")
     found = []
     for done, (name, trial) in enumerate(zip(names, trials, strict=True), start=1):
-        try:
+        with naming(name):
             found.append(pressure(trial, segment, threshold=threshold, params=params))
-        except TrialError as error:  # its text may not name the trial
-            raise TrialError(f"{name}: {error.fact}", error.hint) from None
         report(done, len(trials))
     first, sides = trials[0], {trial.metadata.side for trial in trials}
     one_socket = all(trial.geometry.same_tiles(first.geometry) for trial in trials)

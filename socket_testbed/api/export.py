@@ -14,9 +14,10 @@ from socket_testbed.api.pressure import force_map as force_map_of
 from socket_testbed.api.pressure import pressure as pressure_of
 from socket_testbed.api.trials import PathLike, as_trial, select
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import TABLES, check_suffix
 from socket_testbed.identification import information
 from socket_testbed.samples import moments_about
-from socket_testbed.tables import check_format, write_table
+from socket_testbed.tables import write_table
 from socket_testbed.trials.export import (
     GAIT_FORMATS,
     sample_table,
@@ -85,7 +86,7 @@ def export(
     if as_bag and cycles:
         raise ConfigurationError(f"{path}: a bag holds samples", "give .csv for cycles")
     if not as_bag:
-        check_format(path)
+        check_suffix(path, TABLES, "table")
     stored = None if model is None else model_for(trial, model)
     chosen = select(trial, segment, trial.estimator)
     measured, samples = trial.measurements_and_samples()

@@ -15,6 +15,7 @@ from socket_testbed.api.pressure import pressure as pressure_of
 from socket_testbed.api.result import Result, origin
 from socket_testbed.api.trials import PathLike, as_path, as_trial, note, note_implausible, select
 from socket_testbed.arrays import FloatArray
+from socket_testbed.files import TABLES
 from socket_testbed.identification import information, plausibility
 from socket_testbed.identification.fit import (
     ChannelErrors,
@@ -36,7 +37,6 @@ from socket_testbed.identification.validation import judge_unseen_half
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, Variant, Weights
 from socket_testbed.settings.testbed import estimator_settings
-from socket_testbed.tables import FORMATS
 from socket_testbed.trials.segment import Segment, first_frames
 from socket_testbed.trials.trial import Trial
 
@@ -196,7 +196,7 @@ class Evaluation(Result):
             path: The file; JSON unless it ends in `.csv`, `.parquet` or `.mat`.
         """
         path = Path(path)
-        if path.suffix.lower() in FORMATS:
+        if path.suffix.lower() in TABLES:
             super().save(path)
         else:
             self._write_json(path)
@@ -285,11 +285,10 @@ def fit(
         "initial_stiffness": initial_stiffness,
         "solver": solver,
     }
-    trial, chosen, settings = prepare_fit(trial, segment, params, choices)
+    trial, chosen, rows, settings = prepare_fit(trial, segment, params, choices)
     # More threads change the rounding of sums; a trial must give the same model on every machine.
     # The programs are small, so that a single thread is no slower.
     with threadpool_limits(1):
-        rows = trial.sound(settings.leave_out)[chosen.rows]
         found = fit_contact_model(rows, trial.geometry, settings)
     return TrialFit(trial, chosen, found)
 
@@ -299,14 +298,15 @@ def prepare_fit(
     segment: str | Segment,
     params: PathLike | None,
     choices: Mapping[str, Any],
-) -> tuple[Trial, Segment, IdentificationSettings]:
-    """The trial, the part of the segment to be fitted, and the settings; reports the notes."""
+) -> tuple[Trial, Segment, Samples, IdentificationSettings]:
+    """The trial, the part to be fitted, its sound samples, and the settings; reports the notes."""
     trial = as_trial(trial)
     settings = estimator_settings(trial.estimator, as_path(params), **choices)
     samples, frames = trial.samples(), settings.identification.frames
     chosen = first_frames(select(trial, segment, settings), samples, frames)
-    note_implausible(trial, chosen, settings.identification.leave_out)
-    return trial, chosen, settings.identification
+    leave_out = settings.identification.leave_out
+    note_implausible(trial, chosen, leave_out)
+    return trial, chosen, trial.sound(leave_out)[chosen.rows], settings.identification
 
 
 def read_model(path: PathLike) -> StoredModel:

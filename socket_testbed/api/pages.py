@@ -13,7 +13,7 @@ from socket_testbed.api import trials
 from socket_testbed.api.comparison import LEGEND, MAPPED, Comparison
 from socket_testbed.api.models import Model, model_for
 from socket_testbed.api.tradeoff import theta_values
-from socket_testbed.files import check_page
+from socket_testbed.files import PAGES, check_suffix
 from socket_testbed.geometry.socket import SOCKET
 from socket_testbed.identification.differences import DIFFERENCE, SAME_LIMB, VALUE, is_clear
 from socket_testbed.pages.document import moment, pressure_card, socket_document
@@ -137,7 +137,7 @@ def write_comparison(
     from socket_testbed.report.page import Maps, Section, utc, write_page
 
     path = Path(page)
-    check_page(path, "comparison")
+    check_suffix(path, PAGES, "page")
     made = utc(datetime.now(UTC))
     origin = [("page made", made), ("command", command)]
     count, *clearest = found.differing()

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from socket_testbed.api.trials import PathLike
 from socket_testbed.documents import finite_or_null
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import check_picture, write_text
+from socket_testbed.files import PICTURES, check_suffix, write_text
 from socket_testbed.tables import write_table
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
@@ -84,7 +84,7 @@ class Result:
         if ax is not None:
             self._draw_into(ax)
         if path is not None:
-            check_picture(Path(path))
+            check_suffix(Path(path), PICTURES, "picture")
             from socket_testbed.report.style import save_figure
 
             save_figure(self.figure(width, title), Path(path))

@@ -92,10 +92,9 @@ def pareto(
     >>> tradeoff.draw("front.png")
     """
     values = theta_values(thetas)
-    trial, chosen, settings = prepare_fit(trial, segment, params, choices)
+    trial, chosen, rows, settings = prepare_fit(trial, segment, params, choices)
     report = started(progress, "solving for every theta")
     with threadpool_limits(1):
-        rows = trial.sound(settings.leave_out)[chosen.rows]
         fronts = pareto_front(rows, trial.geometry, settings, values, report)
     return Tradeoff(trial, chosen, fronts)
 

@@ -17,11 +17,10 @@ from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.terminal import Progress, say
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, TestbedError
-from socket_testbed.files import check_outputs, check_picture
+from socket_testbed.files import PICTURES, TABLES, check_outputs, check_suffix
 from socket_testbed.identification.data_check import GOOD
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
-from socket_testbed.tables import FORMATS, check_format
 from socket_testbed.trials.bag import find_trials
 from socket_testbed.trials.metadata import FIELDS, TrialMetadata, change_metadata
 from socket_testbed.trials.reprocess import RECORDED
@@ -121,9 +120,9 @@ def check_files(
 ) -> None:
     """Refuse an unsupported format or an existing file before long work."""
     if output is not None and table:
-        check_format(output)
+        check_suffix(output, TABLES, "table")
     if figure is not None:
-        check_picture(figure)
+        check_suffix(figure, PICTURES, "picture")
     check_outputs(output, figure, replace=replace)
 
 
@@ -271,7 +270,7 @@ def on_trials(
     if not trials:
         several = {"jobs": jobs, "dask": dask, "again": again or None}
         refuse_given(several, "a folder of trials", "leave it out")
-        check_files(output, figure, replace=replace, table=verb.suffix.endswith(FORMATS))
+        check_files(output, figure, replace=replace, table=verb.suffix.endswith(TABLES))
         found: Any = verb.work(open_checked(trial, **options), {"alone": True, **options})
         if json:
             print(found.to_json())

@@ -29,7 +29,7 @@ from socket_testbed.commands.options import (
 from socket_testbed.commands.terminal import Progress, decimals, say, text_of
 from socket_testbed.documents import finite_or_null
 from socket_testbed.errors import ConfigurationError, IdentificationError
-from socket_testbed.files import PAGES, PICTURES
+from socket_testbed.files import PAGES, PICTURES, TABLES
 from socket_testbed.geometry.regions import main_regions
 from socket_testbed.identification.fit import ChannelErrors, errors_to_dataframe, summarise_errors
 from socket_testbed.identification.information import MIN_RATIO, share_warning
@@ -38,7 +38,7 @@ from socket_testbed.identification.pareto import Front
 from socket_testbed.identification.pressure import TITLES, interval_end
 from socket_testbed.pages.pressure import cells, limb_cells
 from socket_testbed.settings.identification import PAPER_VARIANTS
-from socket_testbed.tables import FORMATS, Table
+from socket_testbed.tables import Table
 from socket_testbed.trials.trial import Trial
 
 _COLUMNS = 3  # outputs per table
@@ -57,7 +57,7 @@ def fit(trial: Path, *, output: Path, **options: Any) -> None:
     Args:
         output: File of the model, or the folder of the models of a folder of trials.
     """
-    if output.suffix.lower() in (*FORMATS, *PAGES, *PICTURES):
+    if output.suffix.lower() in (*TABLES, *PAGES, *PICTURES):
         raise ConfigurationError(f"{output}: a model is not a {output.suffix}", "name a .json")
     on_trials(TrialVerb("fit", ".json", _fit, _fit_row, _show_fit), trial, output=output, **options)
 

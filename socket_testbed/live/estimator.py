@@ -10,6 +10,7 @@ from collections import OrderedDict, deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError, Future
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -40,45 +41,31 @@ _CHECK_PERIOD = 2_000_000_000  # [ns]; between checks of the data
 
 
 class SampleWindow:
-    """The newest samples, up to a duration [s], stored as bytes for fast access."""
+    """The newest samples, up to a duration [s]."""
 
-    def __init__(self, clusters: tuple[str, ...], duration: float) -> None:
-        self._clusters = clusters
+    def __init__(self, duration: float) -> None:
         self._duration = round(duration * 1e9)
-        width = len(clusters)
-        self._layout = np.dtype(
-            [
-                ("stamps", np.int64),
-                ("position", np.float64, 3),
-                ("rotation", np.float64, 3),
-                ("wrench", np.float64, 6),
-                ("local_forces", np.float64, (width, 3)),
-                ("status", np.uint8, (width,)),
-            ]
-        )
-        self._rows: deque[tuple[int, bytes]] = deque()  # stamp [ns] and sample
+        self._samples: deque[Samples] = deque()  # one in each
 
     def __len__(self) -> int:
-        return len(self._rows)
+        return len(self._samples)
 
     def add(self, sample: Samples) -> None:
         """Add the newest sample; drop those older than the window."""
-        values = tuple(getattr(sample, name)[0] for name in self._layout.names or ())
-        stamp = int(sample.stamps[0])
-        self._rows.append((stamp, np.array(values, self._layout).tobytes()))
-        while self._rows[0][0] < stamp - self._duration:
-            self._rows.popleft()
+        self._samples.append(sample)
+        while self._samples[0].stamps[0] < sample.stamps[0] - self._duration:
+            self._samples.popleft()
 
     def clear(self) -> None:
         """Drop all samples."""
-        self._rows.clear()
+        self._samples.clear()
 
     def samples(self) -> Samples:
         """The samples of the window in the order of their stamps."""
-        rows = np.frombuffer(b"".join(row for _, row in self._rows), self._layout)
-        rows = rows[np.argsort(rows["stamps"], kind="stable")]
-        names = self._layout.names or ()
-        return Samples(clusters=self._clusters, **{name: rows[name] for name in names})
+        names = [field.name for field in fields(Samples) if field.name != "clusters"]
+        joined = {n: np.concatenate([getattr(s, n) for s in self._samples]) for n in names}
+        found = Samples(clusters=self._samples[0].clusters, **joined)
+        return found[np.argsort(found.stamps, kind="stable")]
 
 
 class OnlineMap:
@@ -151,7 +138,7 @@ class OnlineEstimator:
         self._fitter = fitter
         self._notify = notify
         self._clusters = tuple(geometry.clusters)
-        self._window = SampleWindow(self._clusters, settings().window.duration)
+        self._window = SampleWindow(settings().window.duration)
         self._open: OrderedDict[int, dict[Topic, Any]] = OrderedDict()  # incomplete, by stamp
         self._lock = threading.Lock()  # for the window and the start of a fit
         self._fitting = False

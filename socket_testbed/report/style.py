@@ -16,7 +16,7 @@ from matplotlib.textpath import TextPath
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import atomic_output, check_picture
+from socket_testbed.files import PICTURES, atomic_output, check_suffix
 
 SCALE = "viridis"  # perceptually uniform, safe for colour-blind readers
 
@@ -166,7 +166,7 @@ def lay_out(figure: Figure) -> Figure:
 @in_style
 def save_figure(figure: Figure, path: Path, dpi: int = 300) -> None:
     """Write a figure at its printed size as `.png` or `.pdf`; text stays text in a PDF."""
-    check_picture(path)
+    check_suffix(path, PICTURES, "picture")
     with atomic_output(path) as staging:
         figure.savefig(staging, dpi=dpi)
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 
-from socket_testbed.files import atomic_output, check_outputs, check_page, refuse_existing
+from socket_testbed.files import PAGES, atomic_output, check_outputs, check_suffix, refuse_existing
 from socket_testbed.identification.data_check import GOOD
 from socket_testbed.report import fronts, models, pressure, quality, validation
 from socket_testbed.report.page import Section, write_page
@@ -42,7 +42,7 @@ def files_folder(page: Path) -> Path:
 
 def check_page_path(page: Path, replace: bool = False) -> None:
     """Refuse a page that cannot be written, before long work."""
-    check_page(page, "report")
+    check_suffix(page, PAGES, "report")
     check_outputs(page, replace=replace)
     folder = files_folder(page)
     if not replace or (folder.exists() and not (folder / _ERRORS).is_file()):

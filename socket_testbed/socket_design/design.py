@@ -16,7 +16,7 @@ import trimesh
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import Document, read_document
-from socket_testbed.errors import ConfigurationError, RegistrationError
+from socket_testbed.errors import ConfigurationError, RegistrationError, naming
 from socket_testbed.geometry.pose import Point, Pose, ScanPoint, about_z
 from socket_testbed.geometry.regions import SocketAxis, axis_through
 from socket_testbed.geometry.socket import ScanFrame, SocketGeometry
@@ -131,10 +131,8 @@ def place_by_landmarks(path: Path, scale: float) -> Placement:
         np.array([getattr(each, frame) for each in landmarks.values()]).reshape(-1, 3)
         for frame in ("scan", "load_cell")
     )
-    try:
+    with naming(path):
         fit = register_landmarks(scan * scale, load_cell, tuple(landmarks))
-    except RegistrationError as error:
-        raise RegistrationError(f"{path}: {error.fact}", error.hint) from None
     if fit.rms > _MAX_RESIDUAL:
         worst = fit.names[int(fit.residual.argmax())]
         raise RegistrationError(

@@ -23,7 +23,7 @@ import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.documents import decimal, read_text
-from socket_testbed.errors import RegistrationError, closest
+from socket_testbed.errors import RegistrationError, closest, naming
 from socket_testbed.geometry.pose import Pose
 
 _UNNAMED = ("Unlabeled", "Unlabelled")
@@ -106,10 +106,8 @@ def read_motive_csv(path: Path) -> MotiveTake:
             "record a static take with landmark markers in Motive and export it to CSV",
         )
     text = read_text(path, "a take", _MAX_FILE_SIZE)
-    try:
+    with naming(path):
         return _parse(text, path)
-    except RegistrationError as error:
-        raise RegistrationError(f"{path}: {error.fact}", error.hint) from None
 
 
 def _parse(text: str, path: Path) -> MotiveTake:

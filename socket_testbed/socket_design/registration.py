@@ -24,7 +24,7 @@ from msgspec import Meta
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, rms
 from socket_testbed.documents import Document, FieldError, Text, read_document
-from socket_testbed.errors import ConfigurationError, RegistrationError
+from socket_testbed.errors import ConfigurationError, RegistrationError, naming
 from socket_testbed.geometry.marker_bodies import (
     MAX_MARKERS,
     MIN_MARKERS,
@@ -483,10 +483,8 @@ def _register_body(take: MotiveTake, side: LandmarkSide, force: bool) -> Registe
     else:
         in_world = own_frame(own)
     markers = in_world.inverse().apply(own)
-    try:
+    with naming(side.where):
         landmarks = register_landmarks(side.known, measured, side.names, still.noise)
-    except RegistrationError as error:
-        raise RegistrationError(f"{side.where}: {error.fact}", error.hint) from None
     worst = int(landmarks.residual.argmax())
     if landmarks.residual[worst] > MAX_RESIDUAL and not force:
         raise RegistrationError(

@@ -12,7 +12,7 @@ from typing import Annotated, Any, get_args
 from msgspec import Meta
 
 from socket_testbed.documents import convert, plain, read_document, refuse_unknown
-from socket_testbed.errors import ConfigurationError, closest
+from socket_testbed.errors import ConfigurationError, closest, naming
 from socket_testbed.files import write_text
 from socket_testbed.geometry.socket import Side
 from socket_testbed.settings.testbed import MAX_MASS
@@ -101,10 +101,8 @@ def read_metadata(path: Path) -> TrialMetadata:
     """Read the metadata of a trial from its `trial.yaml`."""
     given = read_document(path, dict[str, Any])
     refuse_unknown(given, FIELDS, str(path))
-    try:
+    with naming(path):
         return TrialMetadata(**given)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"{path}: {error.fact}", error.hint) from None
 
 
 def write_metadata(metadata: TrialMetadata, path: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from socket_testbed.arrays import FloatArray
 from socket_testbed.drivers.load_cell import load_cell
 from socket_testbed.drivers.load_cell.load_cell import Bridges
-from socket_testbed.errors import ConfigurationError, TrialError
+from socket_testbed.errors import TrialError, naming
 from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
@@ -34,10 +34,8 @@ def parse_tare(tare: str) -> tuple[float, float] | None:
 def read_load_cell(path: Path) -> LoadCellSettings:
     """Read the load cell's settings from a `testbed.yaml`."""
     settings = read_testbed(path).load_cell_node
-    try:
+    with naming(path):
         load_cell.check_settings(settings)
-    except ConfigurationError as error:
-        raise ConfigurationError(f"{path}: {error.fact}", error.hint) from None
     return settings
 
 

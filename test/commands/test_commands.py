@@ -102,7 +102,7 @@ WRONG = {
     "run --duration 1": ["load_cell_node: "],
     "run --simulated --time-scale 0": ["--time-scale is 0", "from 0.01 to 1"],
     "run --simulated --time-scale -1": ["--time-scale is -1", "from 0.01 to 1"],
-    "pressure HOLD -o regions.foo": ["'.foo' is not a table format"],
+    "pressure HOLD -o regions.foo": ["'.foo' is not the format of a table", ".csv"],
     "compare HOLD": ["1 trials", "2 to 12"],
     "view --tare none": ["--tare is for a trial"],
 }

@@ -128,7 +128,7 @@ def fitted(bench: Bench, fit: Fit) -> Bench:
 
 
 def test_a_window_holds_the_newest_samples_in_the_order_of_their_stamps() -> None:
-    window, pose = estimator.SampleWindow(("p", "q"), duration=3.0), np.zeros((1, 3))
+    window, pose = estimator.SampleWindow(duration=3.0), np.zeros((1, 3))
     stamps = [round(k * 1e7 * (1.0 + (k > 700))) for k in range(2000)]  # 100 Hz, then 50 Hz
     late = stamps[-1] - 1_500_000_001
     for stamp in [*stamps, late]:
