@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from socket_testbed.api.pressure import Rows, TrialPressure, pressure
 from socket_testbed.api.result import Result, records
@@ -41,7 +42,6 @@ from socket_testbed.trials.metadata import FIELDS, NO_SIDE
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
     from socket_testbed.report.style import FigureStyle
@@ -62,8 +62,6 @@ def values_table(
     Only errors of the force map are correlated. Angles are compared modulo 360 degrees. Repeated
     trials add columns for their spread.
     """
-    import pandas as pd
-
     keys = [(part, name, *split_unit(title)) for part, name, title in rows[0]]
     table = pd.DataFrame(keys, columns=[*COLUMNS[:4]])
     values, low, high = (
@@ -132,8 +130,6 @@ class Comparison(Result):
             part: The part, such as `regions`.
             quantity: One quantity, indexed by name; empty for all, indexed by name and quantity.
         """
-        import pandas as pd
-
         rows = self.table[self.table["part"] == part]
         if quantity:
             rows = rows[rows["quantity"] == quantity]
@@ -277,8 +273,6 @@ def compare(
     >>> found.save("comparison.csv")
     >>> st.write_comparison(found, "comparison.html")
     """
-    import pandas as pd
-
     trials, numbers = open_compared(items, conditions)
     names = unique_names(trials)
     compared = Conditions(tuple(conditions or names), numbers)
@@ -376,8 +370,6 @@ def _without_side(name: str, side: Side | None) -> str:
 
 def _wrench_rows(found: TrialPressure) -> Rows:
     """Mean and standard deviation of the wrench over the segment, ignoring missing values."""
-    import pandas as pd
-
     table = pd.DataFrame(found.outputs.samples.wrench, columns=list(WRENCH_CHANNELS))
     statistics = {"mean": table.mean(), "standard deviation": table.std(ddof=0)}
     return {
@@ -406,8 +398,6 @@ def _texts(
     found: Sequence[TrialPressure], names: Sequence[str], compared: Conditions
 ) -> pd.DataFrame:
     """Text entries of each condition; one text where its trials agree."""
-    import pandas as pd
-
     trials = [each.trial for each in found]
     described = [trial.metadata.described() for trial in trials]
     stated = [name for name in FIELDS if any(name in texts for texts in described)]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from socket_testbed.api.result import Result
 from socket_testbed.api.trials import PathLike, as_trial, note, select
@@ -18,7 +19,6 @@ from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -93,8 +93,6 @@ class Cycles(Result):
         Each quantity has columns such as `Fz mean [N]`, `Fz sd [N]` and `Fz n [-]`: mean, standard
         deviation and number of cycles. NaN as in `mean` and `deviation`.
         """
-        import pandas as pd
-
         statistics = {"mean": self.mean, "sd": self.deviation, "n": self.counts}
         columns = {
             f"{name} {label} [{'-' if label == 'n' else unit}]": values[:, number]
@@ -213,8 +211,6 @@ def _series(
     trial: Trial, quantity: str | Sequence[str] | pd.DataFrame | None
 ) -> tuple[FloatArray, tuple[str, ...], FloatArray]:
     """Times [s], titles and values, shape (N, m), of the chosen quantities."""
-    import pandas as pd
-
     table = quantity if isinstance(quantity, pd.DataFrame) else trial.samples().to_dataframe()
     if _TIME in table.columns:
         table = table.set_index(_TIME)

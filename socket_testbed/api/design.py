@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.result import Result
@@ -25,7 +26,6 @@ from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import read_socket, write_socket
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.artist import Artist
     from matplotlib.figure import Figure
 
@@ -60,8 +60,6 @@ class CalibratedCluster(Result):
 
     def to_dataframe(self) -> pd.DataFrame:
         """Range and held-out errors by stress, in Pa and percent of full scale."""
-        import pandas as pd
-
         held_out = self.quality.held_out
         columns = {
             "from [Pa]": self.quality.stress_range[:, 0],

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from socket_testbed.api.cycles import cycles as cycles_of
 from socket_testbed.api.models import Model, model_for, predictions
@@ -26,9 +26,6 @@ from socket_testbed.trials.export import (
 )
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 def export(
@@ -67,8 +64,6 @@ def export(
     (True, 41)
     """
     trial = as_trial(trial)
-    import pandas as pd
-
     path = Path(path)
     if about is not None and not (len(about) == 3 and np.isfinite(about).all()):
         raise ConfigurationError(f"about is {list(about)}", "give three numbers [m]")

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
+import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.pressure import TrialPressure
@@ -41,7 +42,6 @@ from socket_testbed.trials.segment import Segment, first_frames
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
     from socket_testbed.report.style import FigureStyle
@@ -369,8 +369,6 @@ def predict(trial: Trial | PathLike, model: Model) -> pd.DataFrame:
     True
     """
     trial = as_trial(trial)
-    import pandas as pd
-
     samples, values = trial.samples(), predictions(trial, model_for(trial, model))
     return pd.DataFrame(values, pd.Index(samples.time, name="time [s]"), samples.titles)
 

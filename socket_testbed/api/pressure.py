@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
+import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.result import Result, origin, records
@@ -43,7 +44,6 @@ from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -91,8 +91,6 @@ class TrialMap(Result):
         Columns per tile: force in {S} with standard deviations, such as `tile_012.Fz [N]` and
         `tile_012.Fz.sd [N]`, then `pressure [Pa]` (positive in compression) and `shear [Pa]`.
         """
-        import pandas as pd
-
         columns = self.estimate.columns(self.trial.geometry.names)
         return pd.DataFrame(columns, index=pd.Index(self.time, name="time [s]"))
 
@@ -258,16 +256,12 @@ class TrialPressure(SegmentPressure, Result):
         (95 %) and `uncertain`; NaN where the load did not change in every direction. Empty without
         poses. `suspension` holds the full 6 x 6 stiffness.
         """
-        import pandas as pd
-
         found = {title: row for (part, _, title), row in self.rows().items() if part == "limb"}
         return pd.DataFrame.from_dict(found, orient="index", columns=[*_ROW_KEYS])
 
     @property
     def tiles(self) -> pd.DataFrame:
         """Outputs over the segment, a row per tile, with 95 % intervals as in `regions`."""
-        import pandas as pd
-
         geometry = self.trial.geometry
         names = pd.Index(geometry.names, name="tile")
         table = pd.DataFrame(columns_of(self.outputs.tiles, TILE_TITLES), index=names)
@@ -285,8 +279,6 @@ class TrialPressure(SegmentPressure, Result):
         `distal.shear [kPa]` for tiles (`tile distal` if a region has the same name), with the ends
         of their 95 % intervals. Intervals of tiles are 1.96 standard deviations of the force map.
         """
-        import pandas as pd
-
         estimate = self.map.estimate
         pressure = normal_quantity(
             1e-3 * estimate.normal_pressure, 1e-3 * estimate.normal_pressure_standard_deviation

@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import pandas as pd
+
 from socket_testbed.api.trials import PathLike
 from socket_testbed.documents import finite_or_null
 from socket_testbed.errors import ConfigurationError
@@ -15,7 +17,6 @@ from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 

@@ -9,6 +9,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.result import Result
@@ -38,7 +39,6 @@ from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
-    import pandas as pd
     from matplotlib.figure import Figure
 
     from socket_testbed.report.style import FigureStyle
@@ -74,8 +74,6 @@ class Validation(Result):
 
         A trial without judgements has empty cells.
         """
-        import pandas as pd
-
         stated = [metadata.columns() for metadata in self.metadata]
         table = pd.DataFrame(stated, index=pd.Index(self.trials, name="trial"), dtype=object)
         return table.join(validation.judgements_by_trial(self.judgements))

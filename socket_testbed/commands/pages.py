@@ -10,6 +10,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import pandas as pd
+
 from socket_testbed import api
 from socket_testbed.api.comparison import LEGEND, open_compared
 from socket_testbed.api.tradeoff import theta_values
@@ -40,8 +42,6 @@ from socket_testbed.trials.topics import full_namespace
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from socket_testbed.report.results import Results  # slow: it imports matplotlib
 
 _BY_REGION = ("mean pressure", "peak pressure", "share of load")

@@ -8,6 +8,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from socket_testbed import api
 from socket_testbed.api import Evaluation, PaperTable, TrialFit, TrialPressure
 from socket_testbed.api.cycles import MAX_PANELS
@@ -246,8 +248,6 @@ def paper(trial: Path, **options: Any) -> None:
 
 
 def _show_paper(found: PaperTable) -> None:
-    import pandas as pd
-
     settings = found.settings.to_flat()
     print(f"{found.trial.name}: {found.segment}, {found.samples} samples")
     print(
@@ -374,8 +374,6 @@ def _pressure_row(found: TrialPressure) -> Row:
 
 def pressure_tables(found: TrialPressure) -> str:
     """Tables of the outputs of regions and of tiles under a cluster."""
-    import pandas as pd
-
     geometry, outputs = found.trial.geometry, found.outputs
     names = [place.name for place in found.places]
     regions = cells(names, outputs.regions, share=found.share).rename_axis("region")

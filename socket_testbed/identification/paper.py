@@ -7,18 +7,15 @@ names in the column `figure` of the verb `paper` as keys.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from socket_testbed.arrays import usual_period
 from socket_testbed.identification.fit import ChannelErrors, summarise_errors
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PAPER_VARIANTS, IdentificationSettings, Variant
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 MEDIAN = "median RMSE of the clusters in the objective [N]"
 # Without and with offsets; means and median first, in the order of `_figures`.
@@ -57,8 +54,6 @@ def beside_published(
     by its name and unit: the values without and with offsets for this trial and for the paper, NaN
     if unknown, and a remark: why the two are not comparable, or that the printed number is unknown.
     """
-    import pandas as pd
-
     both = [_figures(errors[variant], fronts.get(variant)) for variant in PAPER_VARIANTS]
     conditions = differing_conditions(samples, settings)
     local = [error.in_objective for error in errors["stiffness"][6:]]

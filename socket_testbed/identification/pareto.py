@@ -20,9 +20,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from socket_testbed.arrays import BoolArray, FloatArray, evenly
 from socket_testbed.documents import finite_or_null
@@ -38,9 +39,6 @@ from socket_testbed.identification.solver import (
 )
 from socket_testbed.samples import Samples, channel_unit
 from socket_testbed.settings.identification import PAPER_VARIANTS, IdentificationSettings, Variant
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 RESOLUTION = 1e-3  # [-]; a smaller span of an error is no trade-off
 MIN_DEPTH = 0.05  # [-]; a shallower front has no knee
@@ -140,8 +138,6 @@ class Front:
         Errors are NaN without a solution; `mark` names the notable solutions, `flaw` says why a
         solution must not be used.
         """
-        import pandas as pd
-
         marks = {index: name for name, index in self.marks.items()}
         figures = {title: getattr(self, name) for name, title in FIGURES.items()}
         table = pd.DataFrame({"variant": self.variant, **figures, "flaw": self.flaws})
@@ -294,8 +290,6 @@ def find_knee(wrench_error: FloatArray, local_error: FloatArray, kept: BoolArray
 
 def front_table(fronts: Iterable[Front]) -> pd.DataFrame:
     """Fronts of the same samples as one table: see `Front.to_dataframe`."""
-    import pandas as pd
-
     return pd.concat([front.to_dataframe() for front in fronts], ignore_index=True)
 
 

@@ -18,9 +18,10 @@ import re
 import struct
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from mcap.writer import Writer
 
 from socket_testbed.arrays import FloatArray, gaps, usual_period
@@ -41,9 +42,6 @@ from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.synchronise import Measurements, marker_count, read_measurements
 from socket_testbed.trials.topics import MARKERS
 from socket_testbed.trials.trial import Trial
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 _CDR_HEADER = b"\x00\x01\x00\x00"  # little endian
 GAIT_FORMATS = (".mot", ".sto", ".trc", ".c3d")
@@ -67,8 +65,6 @@ def sample_table(
     3 out of the calibrated range), its stress along its own axes [Pa] and force in {L} [N].
     Missing values are NaN.
     """
-    import pandas as pd
-
     table = samples.to_dataframe().iloc[segment.rows].reset_index()
     stamps = samples.stamps[segment.rows]
     capacitance, status = measured.capacitance[segment.rows], measured.status[segment.rows]
@@ -95,8 +91,6 @@ def write_gait_file(
         The written table, a row per sample, indexed by `time [s]`: loads [N, m, N m], markers [mm],
         or both, with the wrench as six channels [N m, N].
     """
-    import pandas as pd
-
     samples = trial.samples()
     time = pd.Index(samples.time[rows], name="time [s]")
     wrench = moments_about(samples.wrench[rows], about)
