@@ -25,7 +25,7 @@ from socket_testbed.tables import NOTHING, Table, duration_text, number
 from socket_testbed.trials.topics import full_namespace
 
 if TYPE_CHECKING:
-    from socket_testbed.nodes.status_listener import StatusListener
+    from socket_testbed.nodes.controls import StatusListener
 
 _DRAW_INTERVAL = 0.5  # [s]
 _STATUS_LOG_INTERVAL = 60.0  # [s]; without a terminal
@@ -157,7 +157,7 @@ class StatusLine:
     def follow(self, namespace: str = "/") -> None:
         """Follow the graph in a namespace from now on."""
         # Only verbs that run a graph need ROS.
-        from socket_testbed.nodes.status_listener import StatusListener
+        from socket_testbed.nodes.controls import StatusListener
 
         self._listener = StatusListener(self._status, full_namespace(namespace), self._pause)
         self._stack.callback(self._listener.close)

@@ -62,6 +62,9 @@ class SampleWindow:
 
     def samples(self) -> Samples:
         """The samples of the window in the order of their stamps."""
+        if not self._samples:
+            hint = "see in the diagnostics which node sends no measurements"
+            raise IdentificationError("there is no complete sample to fit", hint)
         names = [field.name for field in fields(Samples) if field.name != "clusters"]
         joined = {n: np.concatenate([getattr(s, n) for s in self._samples]) for n in names}
         found = Samples(clusters=self._samples[0].clusters, **joined)
@@ -287,9 +290,9 @@ class OnlineEstimator:
         with self._lock:
             if self._fitting:
                 return None
+            samples = self._window.samples()
             self._fitting = True
             self._since_attempt = 0
-            samples = self._window.samples()
         chosen, condition = settings.identification, None
         if steady:
             # After a change of settings, models are not comparable.

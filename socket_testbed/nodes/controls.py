@@ -1,4 +1,4 @@
-"""User controls of a running testbed: events and services."""
+"""A running testbed seen and controlled from outside: status, events and services."""
 
 from __future__ import annotations
 
@@ -15,22 +15,29 @@ import rclpy
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
-from socket_testbed_msgs.msg import Event
+from socket_testbed_msgs.msg import ContactModel, Event
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from socket_testbed import clocks
 from socket_testbed.errors import ConfigurationError, TestbedError, fact_and_hint
+from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.nodes import base
 from socket_testbed.settings.testbed import NextTrialSettings
 from socket_testbed.trials.cdr import stamp_of
 from socket_testbed.trials.events import check_label
+from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.topics import (
+    ESTIMATED_WRENCH,
     EVENT,
+    PARAMETERS,
     RECORDED_TRIAL,
+    REQUIRED,
     TRIGGER,
+    Topic,
     full_namespace,
     namespace_of,
 )
@@ -52,6 +59,8 @@ _DISCOVERY_TIMEOUT = 3.0  # [s]
 _ANSWER_TIMEOUT = 5.0  # [s] of the testbed; a tare averages for one
 _FIT_TIMEOUT = 120.0  # [s]
 _RETRY_INTERVAL = 2.5  # [s] of the testbed; the middleware can lose an answer
+
+_STATUS_TOPICS = (*REQUIRED, ESTIMATED_WRENCH)  # measurements before their predictions
 
 # Type of each service and the node that offers it.
 _NEXT_TRIAL = "recorder_node/set_parameters_atomically"
@@ -325,3 +334,47 @@ def _refusal(words: str) -> TestbedError:
     """A refusal by a service or node, fact and hint, as an error."""
     fact, hint = fact_and_hint(words)
     return TestbedError(fact, hint) if hint else TestbedError("refused", words)
+
+
+class StatusListener:
+    """Feeds a graph's status with serialised messages; `pause` names a replay's service, if any.
+
+    The program that draws the status line calls `take` twenty times a second.
+    """
+
+    def __init__(self, status: GraphStatus, namespace: str = "/", pause: str = "") -> None:
+        self._status, self._announced = status, ""
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)  # the verb's task
+        self._readers = {topic: Reader(topic) for topic in _STATUS_TOPICS}
+        self._topics = (*_STATUS_TOPICS, PARAMETERS, RECORDED_TRIAL)
+        qos = {topic: base.subscriber_qos(topic) for topic in self._topics}
+        self._inbox = base.Inbox("status_listener", namespace, qos)
+        self._pause = self._inbox.node.create_client(SetBool, pause) if pause else None
+
+    def take(self) -> None:
+        """Process the messages received since the last call."""
+        for topic in self._topics:
+            for data in self._inbox.take(topic):
+                self.add(topic, data)
+        self._status.trial = base.recorded_trial(self._inbox.node, self._announced)
+
+    def add(self, topic: Topic, data: bytes) -> None:
+        """Process a serialised message of a topic."""
+        if topic is PARAMETERS:
+            self._status.variant = deserialize_message(data, ContactModel).variant
+        elif topic is RECORDED_TRIAL:
+            self._announced = deserialize_message(data, String).data
+        else:
+            self._status.add(topic, *self._readers[topic].read(data))
+
+    def set_paused(self, paused: bool) -> bool:
+        """Pause or resume the replay; returns whether its service was available."""
+        if self._pause is None or not self._pause.service_is_ready():
+            return False
+        self._pause.call_async(SetBool.Request(data=paused))
+        return True
+
+    def close(self) -> None:
+        """Disconnect from the graph."""
+        self._inbox.close()
+        rclpy.try_shutdown()

@@ -81,7 +81,7 @@ def _transform(stamp: int, parent: str, name: str, pose: Pose) -> TransformStamp
         header=base.header_to_ros(stamp, parent),
         child_frame_id=name,
         transform=Transform(
-            translation=Vector3(**dict(zip("xyz", pose.translation.tolist(), strict=True))),
-            rotation=Quaternion(**dict(zip("xyzw", pose.quaternion().tolist(), strict=True))),
+            translation=Vector3(**messages.named(pose.translation)),
+            rotation=Quaternion(**messages.named(pose.quaternion())),
         ),
     )

@@ -20,6 +20,7 @@ from std_srvs.srv import SetBool
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
 from socket_testbed.nodes import base
+from socket_testbed.nodes.followers import Followers
 from socket_testbed.nodes.frames import FrameBroadcaster
 from socket_testbed.settings.testbed import ReplaySettings
 from socket_testbed.trials import topics
@@ -124,7 +125,7 @@ class ReplayNode(base.TestbedNode[ReplaySettings]):
         self._frames = self._broadcaster()
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
         self._pacer = Pacer(settings.rate, self._tick, settings.paused)
-        self._followers = base.Followers(self, settings.wait_for, self._pacer.stopped)
+        self._followers = Followers(self, settings.wait_for, self._pacer.stopped)
         self.serve(SetBool, "replay/pause", self._on_pause)
         self._thread = threading.Thread(target=self._replay, name="replay")
         self._thread.start()

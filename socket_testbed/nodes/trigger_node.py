@@ -19,7 +19,8 @@ from socket_testbed.drivers.gpio import Trigger
 from socket_testbed.errors import DeviceError
 from socket_testbed.live.hardware import make_trigger, wall_clock
 from socket_testbed.live.processes import READY_TIMEOUT
-from socket_testbed.nodes.base import ERROR, OK, WARN, Followers, RecentFault, TestbedNode
+from socket_testbed.nodes.base import ERROR, OK, WARN, RecentFault, TestbedNode
+from socket_testbed.nodes.followers import Followers
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.trials.messages import trigger_packer
 from socket_testbed.trials.topics import TRIGGER

@@ -16,11 +16,7 @@ from matplotlib.figure import Figure
 
 from socket_testbed.arrays import BoolArray, FloatArray, gaps
 from socket_testbed.files import PARAMETERS_FILE
-from socket_testbed.identification.data_check import (
-    describe_samples,
-    drop_outs,
-    states_by_channel,
-)
+from socket_testbed.identification.data_check import describe_samples, drop_outs, states_by_channel
 from socket_testbed.identification.fit import summarise_errors
 from socket_testbed.identification.information import share_warning
 from socket_testbed.identification.model_file import StoredModel

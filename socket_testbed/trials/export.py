@@ -29,12 +29,7 @@ from socket_testbed.calibration.bench_data import STRESSES
 from socket_testbed.calibration.model import Calibration
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import atomic_output, write_text
-from socket_testbed.samples import (
-    LOCAL_CHANNELS,
-    WRENCH_CHANNELS,
-    Samples,
-    moments_about,
-)
+from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, moments_about
 from socket_testbed.tables import split_unit
 from socket_testbed.trials.bag import required_topics
 from socket_testbed.trials.cdr import typestore

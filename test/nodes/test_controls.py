@@ -23,8 +23,7 @@ from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.nodes import controls as module
-from socket_testbed.nodes.controls import ServiceControls, stamp_by_triggers
-from socket_testbed.nodes.status_listener import StatusListener
+from socket_testbed.nodes.controls import ServiceControls, StatusListener, stamp_by_triggers
 from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.settings.testbed import RecorderSettings
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
