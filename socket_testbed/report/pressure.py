@@ -84,8 +84,9 @@ def section(results: Results) -> Section:
     """The section with the numerical outputs."""
     found = results.pressure
     names = [place.name for place in found.places]
-    mean = with_interval("mean pressure [kPa]", found.outputs.mean_pressure().part(..., 1e-3))
-    over_time = pd.DataFrame({"time [s]": found.time} | by_place(names, mean))
+    pressure = with_interval("mean pressure [kPa]", found.outputs.mean_pressure().part(..., 1e-3))
+    over_time = pd.DataFrame({"time [s]": found.time} | by_place(names, pressure))
+    mean = found.outputs.force_map.mean(found.outputs.samples)
     return Section(
         "pressure",
         "Pressure",
@@ -103,9 +104,12 @@ def section(results: Results) -> Section:
             " values lie within the intervals. The mean over the segment is as uncertain as a"
             " single sample, because the sensors leave the same uncertainty in each.",
             _overview(results),
-            _force_map(results),
         ],
-        {"pressure.csv": found.regions, "pressure_of_regions.csv": over_time},
+        {
+            "pressure.csv": found.regions,
+            "pressure_of_regions.csv": over_time,
+            "force_map.csv": mean.by_tile(results.trial.geometry),
+        },
     )
 
 
@@ -155,20 +159,6 @@ def _overview(results: Results) -> ReportFigure:
         f" {THINNED}",
         lambda style: pressure_figure(found, "", style),
         pd.DataFrame({"tile": results.trial.geometry.names, **values}),
-    )
-
-
-def _force_map(results: Results) -> ReportFigure:
-    geometry, outputs = results.trial.geometry, results.pressure.outputs
-    side = results.trial.metadata.side
-    title = f"{results.trial.name}: Force map, {results.pressure.segment}"
-    mean = outputs.force_map.mean(outputs.samples)
-    return ReportFigure(
-        "force_map",
-        "Mean normal pressure over the segment on every tile, and the standard deviation of its"
-        f" error. {mean.source}. The greyer, the less certain. Tiles with a cluster are outlined.",
-        lambda style: force_map_figure(geometry, mean, title, style, side),
-        mean.by_tile(geometry),
     )
 
 
