@@ -21,7 +21,7 @@ from socket_testbed.api.trials import PathLike, Progress, as_path, started
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.calibration.model import Calibration, read_calibration, write_calibration
 from socket_testbed.errors import ConfigurationError, closest
-from socket_testbed.files import SOCKET_FILE, packaged, refuse_existing
+from socket_testbed.files import SOCKET_FILE, check_suffix, packaged, refuse_existing
 from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import read_socket, write_socket
 
@@ -398,8 +398,7 @@ def _tiles_named(name: str, tiles: Mapping[str, IntArray]) -> IntArray:
 
 
 def _check_socket_output(output: Path, bodies: PathLike | None) -> None:
-    if output.suffix not in {".yaml", ".yml"}:
-        raise ConfigurationError(f"{output}: is not a .yaml file", "name the output so")
+    check_suffix(output, (".yaml", ".yml"), "socket")
     if output.exists() and not bodies:
         registration = read_socket(output).registration
         if registration:
