@@ -1,7 +1,5 @@
 """`validate` on one trial and on several, and `paper` against fits by hand."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Rivals against their definitions, and judgements against known answers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

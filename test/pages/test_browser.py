@@ -1,7 +1,5 @@
 """The pages in a real browser: what is drawn, and what buttons and keys do."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from collections.abc import Iterator

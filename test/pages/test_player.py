@@ -1,7 +1,5 @@
 """A trial on the page: what is shown of an instant is what the verbs say of it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The page's server answers its own page alone, and nothing that it is sent ends it."""
 
-from __future__ import annotations
-
 import http.client
 import json
 import socket

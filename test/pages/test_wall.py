@@ -1,7 +1,5 @@
 """The socket's surface unrolled against the ring socket's cone."""
 
-from __future__ import annotations
-
 import numpy as np
 from support.problems import ring_socket
 

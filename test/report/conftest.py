@@ -1,7 +1,5 @@
 """What the tests of the report share: results and pages are computed once."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a report computes, says and refuses; the page of a socket."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 

@@ -1,7 +1,5 @@
 """The page of a report as its readers open it: complete, and it says what the evaluation says."""
 
-from __future__ import annotations
-
 import io
 import json
 from contextlib import redirect_stderr, redirect_stdout

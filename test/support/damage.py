@@ -1,7 +1,5 @@
 """Damaged documents and files: values replaced, bytes cut, overwritten, doubled or replaced."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import re

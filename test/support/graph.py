@@ -1,7 +1,5 @@
 """A node of the tests' own, spinning in a thread, that waits on conditions with a deadline."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections import defaultdict

@@ -1,7 +1,5 @@
 """Two moving bodies, a simulated NatNet server that streams them, and a client beside it."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Random sockets, spring beds and samples, and whole problems of identification."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

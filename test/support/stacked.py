@@ -1,7 +1,5 @@
 """The problems of both stages written out row by row, and what compares them with a fit."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from itertools import product
 

@@ -1,7 +1,5 @@
 """Takes as Motive would export them, from benches whose truth is known."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A simulated testbed as users run it, watched over, and an oracle for what it recorded."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import os

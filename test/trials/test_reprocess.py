@@ -1,7 +1,5 @@
 """Trials recorded with a wrong load cell, tare or marker model, or drift: repaired when read."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import shutil
