@@ -11,11 +11,6 @@ from socket_testbed.geometry.socket import read_socket, write_socket
 
 
 @pytest.fixture
-def rng():
-    return np.random.default_rng(23)
-
-
-@pytest.fixture
 def files(rng, tmp_path) -> tuple[Bench, list[object]]:
     """A bench, and the words that register it from its files."""
     bench = make_bench(rng, placement=3e-4)

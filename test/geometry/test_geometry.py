@@ -17,11 +17,6 @@ from socket_testbed.geometry.regions import all_regions, anatomical_regions, soc
 from socket_testbed.geometry.socket import HEIGHTS, ScanFrame, read_socket, write_socket
 
 
-@pytest.fixture
-def rng():
-    return np.random.default_rng(2)
-
-
 def homogeneous(pose: Pose) -> np.ndarray:
     """Poses as 4 x 4 matrices, (4, 4) or (N, 4, 4)."""
     matrix = np.zeros((*pose.rotation.shape[:-2], 4, 4))

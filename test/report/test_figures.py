@@ -21,11 +21,6 @@ from socket_testbed.report.write import SECTIONS
 NASTY, UNIT = "a$_b <i>", "pressure [kPa]"
 
 
-@pytest.fixture
-def rng():
-    return np.random.default_rng(6)
-
-
 def test_a_thinned_line_keeps_its_peaks_its_order_and_its_gaps(rng):
     many = style.MAX_POINTS
     for count, most in ((10, 100), (1001, many), (12_345, 10), (12_345, many)):
