@@ -1,13 +1,12 @@
 """Plateaus, holds and other segments of a trial by its load; events, and cycles between them."""
 
 import dataclasses
-from collections import Counter
+import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from support.bags import add_events, rewrite
+from support.bags import add_events
 from support.problems import make_samples
 from support.wording import refused
 
@@ -22,29 +21,25 @@ RATE = 4.0
 SETTINGS = PlateauSettings()
 
 
-def samples_of(load: np.ndarray, rate: float = RATE, noise: float = 0.2) -> Samples:
-    """Samples at a rate [Hz] of a vertical load [N] with noise [N]; all else is steady."""
+def under(
+    load: np.ndarray, cluster: np.ndarray | float = 0.0, rate: float = RATE, noise: float = 0.2
+) -> Samples:
+    """Samples at a rate [Hz] under a vertical load [N] with noise [N], and a cluster under its own.
+
+    All else is steady.
+    """
     rng, count = np.random.default_rng(0), len(load)
     wrench = rng.normal(0.0, [0.02] * 3 + [noise] * 3, (count, 6))
     wrench[:, 5] -= load
-    pose = rng.normal(0.0, 1e-4, (count, 3))
-    samples = make_samples(pose, wrench, {"a": np.zeros((count, 3))})
+    pose, forces = rng.normal(0.0, 1e-4, (count, 3)), np.zeros((count, 3))
+    forces[:, 2] -= cluster
+    samples = make_samples(pose, wrench, {"a": forces})
     return dataclasses.replace(samples, stamps=np.arange(count) * round(1e9 / rate))
 
 
 def seconds(*parts: tuple[float, float]) -> np.ndarray:
     """A force history from (duration [s], force [N]) parts."""
     return np.concatenate([np.full(round(d * RATE), f) for d, f in parts])
-
-
-def under(force: np.ndarray, cluster: np.ndarray | None = None) -> Samples:
-    """Samples at 4 Hz under a vertical force with a little noise, and of a cluster a normal one."""
-    samples = samples_of(force)
-    if cluster is not None:
-        local = np.zeros((len(samples), 1, 3))
-        local[:, 0, 2] = -cluster
-        samples = dataclasses.replace(samples, local_forces=local)
-    return samples
 
 
 def history(*corners: tuple[float, float]) -> Samples:
@@ -158,7 +153,7 @@ def labels(events: list[events.Event]) -> list[str]:
 
 def test_the_load_is_placed_and_removed_between_its_two_levels() -> None:
     for offset in (0.0, -85.0, 1000.0):
-        found = events.find_events(samples_of(HOLD + offset, FINE), SETTINGS)
+        found = events.find_events(under(HOLD + offset, rate=FINE), SETTINGS)
         assert labels(found) == ["placed", "removed"] and {e.source for e in found} == {"found"}
         # 60 % and 40 % of the way between 90 N and 280 N.
         assert found[0].time == pytest.approx(10 + 2 * 0.6, abs=0.05)
@@ -166,19 +161,19 @@ def test_the_load_is_placed_and_removed_between_its_two_levels() -> None:
 
 
 def test_noise_wrong_values_and_one_level_of_load_are_no_events() -> None:
-    samples = samples_of(HOLD, FINE, noise=8.0)
+    samples = under(HOLD, rate=FINE, noise=8.0)
     samples.wrench[500, 5] = 0.0
     samples.wrench[1000, 5] = -900.0
     samples.wrench[220:240] = np.nan
     assert labels(events.find_events(samples, SETTINGS)) == ["placed", "removed"]
     for count in (600, 1, 0):
-        assert events.find_events(samples_of(np.full(count, 280.0), FINE), SETTINGS) == []
+        assert events.find_events(under(np.full(count, 280.0), rate=FINE), SETTINGS) == []
 
 
 def test_steps_of_a_walk_are_as_many_events_and_cycles() -> None:
     time = np.arange(0.0, 30.0, 1 / FINE)
     load = 40 + 360 * np.clip(np.sin(2 * np.pi * time / 1.5), 0.0, None)
-    found = events.find_events(samples_of(load, FINE), SETTINGS)
+    found = events.find_events(under(load, rate=FINE), SETTINGS)
     assert labels(found) == ["stance", "placed", "removed", "swing"] * 20
     spans = np.array(events.cycle_spans(found))
     assert len(spans) == 19
@@ -232,26 +227,16 @@ def test_neither_an_outlier_nor_a_channel_left_out_of_the_fit_cuts_a_segment(
 ) -> None:
     plateau = Trial(hold).select("plateau", Trial(hold).estimator)
     middle = (plateau.rows.start + plateau.rows.stop) // 2
-    counts = Counter[str]()
-
-    def spoil(topic: str, message: Any) -> Any:
-        counts[topic] += 1
-        if topic == "/load_cell/wrench" and counts[topic] == middle:
-            message.wrench.force.x = 4000.0
-        if topic == "/mocap/pylon/pose" and counts[topic] == middle:
-            message.pose.position.x += 9.0
-        if topic == "/clusters/capacitance" and counts[topic] > middle:
-            cluster = next(each for each in message.clusters if each.name == "distal")
-            cluster.capacitance = cluster.capacitance + 0.3
-        return message
-
-    path = rewrite(hold, tmp_path / "spoilt", spoil)
-    assert st.fit(path).segment != plateau
-    fitted = st.fit(path, leave_out=[f"distal.{axis}" for axis in ("Fx", "Fy", "Fz")])
-    assert fitted.segment == st.evaluate(path, fitted).segment == plateau
-    predicted = st.predict(path, fitted)["Fz [N]"]  # nor does an outlier give a number
+    trial = st.open_trial(shutil.copytree(hold, tmp_path / "spoilt"))
+    samples = trial.samples()
+    samples.wrench[middle, 3], samples.position[middle, 0] = 4000.0, 9.0
+    samples.local_forces[middle + 1 :, samples.clusters.index("distal")] += 5.0
+    assert st.fit(trial).segment != plateau
+    fitted = st.fit(trial, leave_out=[f"distal.{axis}" for axis in ("Fx", "Fy", "Fz")])
+    assert fitted.segment == st.evaluate(trial, fitted).segment == plateau
+    predicted = st.predict(trial, fitted)["Fz [N]"]  # nor does an outlier give a number
     assert predicted.isna().sum() == 1 and predicted.abs().max() < 400.0
-    compared = st.compare(hold, path, segment="25:35").table.query("part == 'wrench'")
+    compared = st.compare(hold, trial, segment="25:35").table.query("part == 'wrench'")
     assert compared["difference"].abs().max() < 10.0
 
 
