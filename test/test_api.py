@@ -14,7 +14,6 @@ import pytest
 from matplotlib.figure import Figure
 from nbclient import NotebookClient
 from support import CHECKOUT, meshes
-from support.bags import rewrite
 from support.benches import sensor_bench, write_bench
 from support.takes import make_bench, write_landmarks, write_take
 
@@ -168,17 +167,11 @@ def test_the_readme_s_lines_run(tmp_path, monkeypatch, capsys) -> None:
     assert "pressure sd [kPa]" in capsys.readouterr().out
 
 
-def test_poses_in_millimetres_are_refused_wherever_they_are_used(folder, tmp_path) -> None:
+def test_poses_in_millimetres_are_refused_wherever_they_are_used(folder) -> None:
     """What else counts as wrong: identification/test_data_check.py."""
-
-    def enlarge(topic: str, message):
-        if topic.endswith("/pose"):
-            place = message.pose.position
-            place.x, place.y, place.z = 1e3 * place.x, 1e3 * place.y, 1e3 * place.z
-        return message
-
     fitted = st.fit(folder / "trials" / "hold", "20:35")
-    trial = st.open_trial(rewrite(folder / "trials" / "hold", tmp_path / "mm", enlarge))
+    trial = st.open_trial(folder / "trials" / "hold")
+    trial.samples().position[:] *= 1e3
     for use in (st.fit, lambda t: st.predict(t, fitted), lambda t: st.evaluate(t, fitted)):
         with pytest.raises(st.TestbedError, match=r"limb position is .* likely in millimetres"):
             use(trial)

@@ -4,11 +4,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from socket_testbed.errors import RegistrationError, TestbedError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.socket_design.motive import read_motive_csv
@@ -160,14 +158,6 @@ def register(bench: Bench, folder: Path, force: bool = False) -> Registration:
     take = read_motive_csv(write_take(bench.take, folder / "take.csv"))
     landmarks = read_landmarks(write_landmarks(bench.document, folder / "landmarks.yaml"))
     return register_take(take, landmarks, bench.geometry, force)
-
-
-def refused(bench: Bench, folder: Path, kind: type[TestbedError] = RegistrationError) -> str:
-    """The error of registering a bench, in one line."""
-    with pytest.raises(kind) as caught:
-        register(bench, folder)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
 
 
 def between(a: Pose, b: Pose) -> tuple[float, float]:
