@@ -1,6 +1,5 @@
 """The status line in a terminal that is a pseudo-terminal, and where there is none."""
 
-import fcntl
 import os
 import pty
 import re
@@ -118,7 +117,7 @@ def test_a_paused_replay_says_how_to_go_on_and_the_space_bar_does(hold: Path) ->
     words = ["replay", str(hold), "--paused", "--rate", "100"]
     pid = os.fork()
     if pid == 0:
-        _login(terminal.slave)
+        os.login_tty(terminal.slave)
         os.environ["TERM"] = "xterm"
         os.execv(sys.executable, [*COMMAND, *words])
     before = termios.tcgetattr(terminal.slave)
@@ -130,10 +129,3 @@ def test_a_paused_replay_says_how_to_go_on_and_the_space_bar_does(hold: Path) ->
     assert len(said) == 2 and end == ""
     assert re.match(r"0:00:\d\d of 0:00:59 \| \d+ triggers, \d+ complete \| F ", last), last
     assert termios.tcgetattr(terminal.slave) == before
-
-
-def _login(slave: int) -> None:
-    os.setsid()
-    fcntl.ioctl(slave, termios.TIOCSCTTY, 0)
-    for number in range(3):
-        os.dup2(slave, number)

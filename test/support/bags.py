@@ -105,9 +105,3 @@ def wrench_vector(wrench: Any) -> tuple[float, ...]:
     """[M; F] of a Wrench message [N m, N]."""
     torque, force = wrench.torque, wrench.force
     return (torque.x, torque.y, torque.z, force.x, force.y, force.z)
-
-
-def pose_vector(pose: Any) -> tuple[float, ...]:
-    """Position [m] and quaternion (x, y, z, w) of a Pose message."""
-    p, q = pose.position, pose.orientation
-    return (p.x, p.y, p.z, q.x, q.y, q.z, q.w)

@@ -66,10 +66,3 @@ def strings_of(message: Any, kind: str) -> list[Any]:
             elif field.type == "string":
                 found.append(one)
     return found
-
-
-def numbers_in(record: np.ndarray) -> list[float]:
-    """All numbers of one record, in the order of its fields."""
-    if record.dtype.names is None:
-        return [float(value) for value in np.ravel(record)]
-    return [number for name in record.dtype.names for number in numbers_in(record[name])]
