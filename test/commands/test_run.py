@@ -15,7 +15,7 @@ from support import HANGS
 from support.clocks import careful_time_scale
 from support.graph import Probe
 from support.testbeds import Recorded
-from support.verbs import COMMAND, call, program, refused
+from support.verbs import COMMAND, Running, call, program, refused
 
 from socket_testbed import clocks
 from socket_testbed.commands import live
@@ -32,12 +32,6 @@ from socket_testbed.trials.trial import Trial
 pytestmark = pytest.mark.graph
 
 SIMULATED = ("--simulated", "--time-scale", "0.25")  # slow enough for a busy machine
-
-
-class Running(subprocess.Popen):
-    def __exit__(self, *error) -> None:
-        self.kill()  # a test that failed would wait for its end
-        super().__exit__(*error)
 
 
 def start(*words: object, folder: Path) -> Running:

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,6 +14,14 @@ from support.wording import check_line
 
 COMMAND = (sys.executable, "-m", "socket_testbed")
 _LONGEST = 500.0  # [s]
+
+
+class Running(subprocess.Popen[str]):
+    """A process that is killed at the end: a test that failed would wait for its own."""
+
+    def __exit__(self, *error: Any) -> None:
+        self.kill()
+        super().__exit__(*error)
 
 
 def program(*words: object, folder: Path | None = None, **environment: str) -> tuple[int, str, str]:
