@@ -12,6 +12,7 @@ import pytest
 import yaml
 from support import CHECKOUT
 from support.bags import move_to_namespace
+from support.testbeds import simulated_parameters
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import packaged
@@ -88,10 +89,8 @@ def environment(command: str) -> set[str]:
 
 
 def test_the_testbed_is_launched_as_run_starts_it(launch: Launch, tmp_path: Path) -> None:
-    params, record = tmp_path / "testbed.yaml", tmp_path / "trial"
-    content = yaml.safe_load(packaged("config", "simulated.yaml").read_text())
-    content |= {"mocap_node": {"ros__parameters": {"server": "192.0.2.1"}}}
-    params.write_text(yaml.safe_dump(content | {"trigger_node": {"ros__parameters": {"rate": 20}}}))
+    changed = {"mocap_node": {"server": "192.0.2.1"}, "trigger_node": {"rate": 20}}
+    params, record = simulated_parameters(tmp_path, **changed), tmp_path / "trial"
     launched = nodes(launch("testbed", params=params, record=record))
     described = Testbed(read_testbed(params), record=record).nodes(tmp_path)
     assert list(launched) == [node.name for node in described]
@@ -135,9 +134,8 @@ def test_a_simulated_testbed_is_launched_with_its_world(launch, capsys) -> None:
 
 
 def test_wrong_arguments_end_a_launch_before_any_node_starts(launch, tmp_path: Path) -> None:
-    params = tmp_path / "testbed.yaml"
-    given = {"estimator_node": {"ros__parameters": {"identification": {"leave_out": ["Fzz"]}}}}
-    params.write_text(yaml.safe_dump(given))
+    given = {"identification": {"leave_out": ["Fzz"]}}
+    params = simulated_parameters(tmp_path, estimator_node=given)
     for arguments, words in (
         ({"time_scale": "0.5"}, "time_scale is for simulated hardware: add simulated:=true"),
         ({"params": params, "simulated": "true"}, "Fz"),

@@ -10,16 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from support import HANGS
 from support.clocks import careful_time_scale
 from support.graph import Probe
-from support.testbeds import Recorded
+from support.testbeds import Recorded, simulated_parameters
 from support.verbs import COMMAND, Running, call, program, refused
 
 from socket_testbed import clocks
 from socket_testbed.commands import live
-from socket_testbed.files import packaged
 from socket_testbed.live import doctor
 from socket_testbed.live.scheduling import MachineSpeed
 from socket_testbed.nodes import controls
@@ -126,15 +124,6 @@ def test_an_event_that_nobody_hears_is_an_error(
 def manageable_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Testbed time as slow as this machine needs; `doctor` gives it to what it simulates."""
     monkeypatch.setattr(clocks, "_scale", careful_time_scale())
-
-
-def simulated_parameters(folder: Path, **nodes: dict[str, object]) -> Path:
-    """A testbed.yaml of simulated hardware, with parameters of some nodes changed."""
-    parameters = yaml.safe_load(packaged("config", "simulated.yaml").read_text())
-    for node, changed in nodes.items():
-        parameters.setdefault(node, {}).setdefault("ros__parameters", {}).update(changed)
-    (folder / "testbed.yaml").write_text(yaml.safe_dump(parameters))
-    return folder / "testbed.yaml"
 
 
 @pytest.mark.usefixtures("manageable_time")

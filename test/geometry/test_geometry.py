@@ -7,11 +7,10 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 from support.damage import changed
-from support.problems import random_pose, random_socket, ring_socket
+from support.problems import GEOMETRY, random_pose, random_socket, ring_socket
 from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import packaged
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.regions import all_regions, anatomical_regions, socket_axis
 from socket_testbed.geometry.socket import HEIGHTS, ScanFrame, read_socket, write_socket
@@ -137,7 +136,7 @@ def test_a_socket_that_cannot_be_is_refused(rng, tmp_path):
 
 # --- the axis, where a tile is in height and angle, and the regions about it
 
-RINGS, PACKAGED = ring_socket(), read_socket(packaged("config", "socket.yaml"))
+RINGS = ring_socket()
 
 
 def test_tiles_in_rings_are_at_their_heights_and_angles_however_the_socket_stands():
@@ -161,7 +160,7 @@ def test_tiles_in_rings_are_at_their_heights_and_angles_however_the_socket_stand
 
 
 def test_regions_are_where_their_names_say_and_share_the_tiles_out():
-    for geometry, side in ((PACKAGED, "left"), (PACKAGED, None), (RINGS, "right")):
+    for geometry, side in ((GEOMETRY, "left"), (GEOMETRY, None), (RINGS, "right")):
         regions = anatomical_regions(geometry, side)
         for group in (regions[:4], regions[4:7], regions[7:]):  # sectors, heights, both
             tiles = np.concatenate([region.tiles for region in group])
@@ -178,7 +177,7 @@ def test_regions_are_where_their_names_say_and_share_the_tiles_out():
         assert heights == sorted(heights, reverse=True)
     # Medial is left on a right leg, and right on a left leg.
     left_leg, right_leg, neither = (
-        {r.name: r.tiles.tolist() for r in anatomical_regions(PACKAGED, side)}
+        {r.name: r.tiles.tolist() for r in anatomical_regions(GEOMETRY, side)}
         for side in ("left", "right", None)
     )
     assert right_leg["medial"] == left_leg["lateral"] == neither["left"]

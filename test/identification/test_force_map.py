@@ -6,12 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from support.outputs import outputs_of
-from support.problems import make_samples, ring_socket
+from support.problems import GEOMETRY, make_samples, ring_socket
 
 from socket_testbed.errors import TrialError
-from socket_testbed.files import packaged
 from socket_testbed.geometry.regions import all_regions, proximal_direction
-from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification import pressure
 from socket_testbed.identification.force_map import (
     ForceMap,
@@ -26,7 +24,6 @@ from socket_testbed.samples import Samples, Status
 from socket_testbed.settings.identification import ForceMapSettings
 from socket_testbed.simulation.limb import LoadedLimb, TissueKind
 
-GEOMETRY = read_socket(packaged("config", "socket.yaml"))
 CLUSTERS = tuple(GEOMETRY.clusters)
 
 

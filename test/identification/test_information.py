@@ -10,7 +10,6 @@ from support.problems import make_samples, moving_limb, random_bed, random_socke
 from socket_testbed.files import packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification import information, noise
-from socket_testbed.identification import information as module
 from socket_testbed.identification.suspension import find_suspension
 from socket_testbed.samples import Samples, Status, turned
 
@@ -62,7 +61,7 @@ def test_motion_and_noise_are_told_apart(rng):
 
 def test_springs_are_engaged_in_compression_within_the_spread_of_drawn_poses(rng, monkeypatch):
     """A limb at rest, turned far from {S}, whose pose has noise: no formula but the motion."""
-    monkeypatch.setattr(module, "_BLOCK", 700)
+    monkeypatch.setattr(information, "_BLOCK", 700)
     count, centre = 3000, np.array([0.01, -0.02, 0.13])
     bed = replace(
         random_bed(rng, random_socket(rng, 4, 8), "rigid_bias", untouched=0.2),

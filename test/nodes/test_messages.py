@@ -17,10 +17,9 @@ from socket_testbed_msgs import msg
 from support import CHECKOUT
 from support.bags import wrench_vector
 from support.messages import Maker, numbers_of
+from support.problems import GEOMETRY
 
-from socket_testbed.files import packaged
 from socket_testbed.geometry.pose import Pose
-from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.nodes.base import header_to_ros, message_type
@@ -29,7 +28,6 @@ from socket_testbed.samples import Status
 from socket_testbed.trials import cdr, messages, topics
 
 FOLDER = CHECKOUT / "msg_defs" / "msg"
-GEOMETRY = read_socket(packaged("config", "socket.yaml"))
 CONTRACT = {
     "Trigger": "std_msgs/Header header; uint64 sequence",
     "ClusterCapacitance": "string name; float64[4] capacitance; uint8[4] status",

@@ -6,13 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.clocks import FakeClock
+from support.problems import GEOMETRY
 from support.wording import refused
 
 import socket_testbed as st
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import packaged
-from socket_testbed.geometry.socket import read_socket, write_socket
+from socket_testbed.geometry.socket import write_socket
 from socket_testbed.identification.fit import summarise_errors
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.live.hardware import make_clusters, make_load_cell
@@ -25,7 +26,6 @@ from socket_testbed.simulation.world import World
 from socket_testbed.socket_design.motive import read_motive_csv
 
 PERFECT = SensorErrors(**{field.name: 0.0 for field in dataclasses.fields(SensorErrors)})
-GEOMETRY = read_socket(packaged("config", "socket.yaml"))
 CALIBRATION = read_calibration(packaged("config", "calibration.yaml"))
 DOWN = np.array([0.0, 0.0, 0.0, 0.0, 0.0, -1.0])
 

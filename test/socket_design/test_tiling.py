@@ -10,11 +10,10 @@ import trimesh
 import yaml
 from scipy.spatial.transform import Rotation
 from support import meshes
+from support.problems import GEOMETRY
 
 from socket_testbed.errors import ConfigurationError, RegistrationError
-from socket_testbed.files import packaged
 from socket_testbed.geometry.pose import Pose
-from socket_testbed.geometry.socket import read_socket
 from socket_testbed.socket_design import clusters
 from socket_testbed.socket_design.design import place_by_landmarks, place_by_points
 from socket_testbed.socket_design.squares import Squares, Surroundings, rim_points, spread_points
@@ -96,9 +95,6 @@ def test_placement_by_landmarks_or_points(tmp_path: Path) -> None:
         assert pose.apply(1e-3 * scan) == pytest.approx(load_cell)
     with pytest.raises(RegistrationError, match=r"l\.yaml"):
         place(scan + np.random.default_rng(8).normal(0.0, 30.0, scan.shape))
-
-
-GEOMETRY = read_socket(packaged("config", "socket.yaml"))
 
 
 def test_clusters_that_are_there_stay_and_each_further_one_lowers_the_error() -> None:

@@ -5,12 +5,14 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from socket_testbed.files import packaged
 from socket_testbed.geometry.pose import Pose
-from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, Variant
 
+GEOMETRY = read_socket(packaged("config", "socket.yaml"))  # the package's own
 SOCKET_TRIAD = np.array([[0.0, 0.0, 0.0], [0.09, 0.0, 0.01], [-0.01, 0.045, 0.0]])  # [m]
 PYLON_TRIAD = np.array([[0.0, 0.01, 0.0], [0.07, 0.0, 0.0], [0.01, 0.05, 0.02]])  # [m]
 

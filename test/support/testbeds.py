@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
+import yaml
 from scipy.interpolate import make_interp_spline
 
+from socket_testbed.files import packaged
 from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.live.bringup import Testbed, end, simulated_testbed, start
 from socket_testbed.live.processes import Graph
@@ -44,6 +46,15 @@ def manageable(simulation: Simulation) -> Simulation:
         scale = min(scale, 0.5)
     print(busy_note(scale) or "the simulated testbed runs in real time")
     return dataclasses.replace(simulation, time_scale=scale)
+
+
+def simulated_parameters(folder: Path, **nodes: dict[str, object]) -> Path:
+    """A testbed.yaml of simulated hardware, with parameters of some nodes changed."""
+    parameters = yaml.safe_load(packaged("config", "simulated.yaml").read_text())
+    for node, changed in nodes.items():
+        parameters.setdefault(node, {}).setdefault("ros__parameters", {}).update(changed)
+    (folder / "testbed.yaml").write_text(yaml.safe_dump(parameters))
+    return folder / "testbed.yaml"
 
 
 class LiveTestbed:
