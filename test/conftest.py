@@ -1,7 +1,6 @@
 import os
 import socket
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -95,11 +94,11 @@ def few_variants(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture(scope="session")
-def shared_data() -> Iterator[Path]:
+def shared_data() -> Path:
     """Real data that nobody here wrote, where it lies beside the checkout."""
     if not SHARED_DATA.is_dir():
         pytest.skip("no shared data beside the checkout")
-    yield SHARED_DATA
+    return SHARED_DATA
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -1,7 +1,4 @@
-"""Readers of tables, scans and bags on damaged files: a named error, or finite numbers.
-
-Documents, whose every field may be wrong, are in `test_documents`.
-"""
+"""Damaged tables, scans and bags: a named error, or finite numbers. Documents: test_documents."""
 
 import pickle
 import shutil
@@ -54,10 +51,6 @@ def sampled(bag: Path) -> Sampled:
     return Sampled(samples.stamps, samples.values, [event.time for event in trial.events()])
 
 
-def sampled_folder(file: Path) -> Sampled:
-    return sampled(file.parent)
-
-
 # By reader: the good file; whether its numbers are text; whether NaN stands for what is missing;
 # whether checksums protect it, so that no number differs whatever the damage.
 READERS: dict[str, tuple[str, Callable[[Path], Any], bool, bool, bool]] = {
@@ -67,10 +60,10 @@ READERS: dict[str, tuple[str, Callable[[Path], Any], bool, bool, bool]] = {
     "text stl": ("text/scan.stl", read_scan, True, False, False),
     "ply": ("scan.ply", read_scan, False, False, False),
     "obj": ("scan.obj", read_scan, True, False, False),
-    "mcap": ("bag/hold.mcap", sampled_folder, False, True, True),
+    "mcap": ("bag/hold.mcap", lambda path: sampled(path.parent), False, True, True),
     "mcap alone": ("bag/hold.mcap", sampled, False, True, True),
-    "sqlite": ("old/old.db3", sampled_folder, False, True, False),
-    "metadata.yaml": ("bag/metadata.yaml", sampled_folder, False, True, True),
+    "sqlite": ("old/old.db3", lambda path: sampled(path.parent), False, True, False),
+    "metadata.yaml": ("bag/metadata.yaml", lambda path: sampled(path.parent), False, True, True),
     "truth": (f"truth/{TRUTH_FILE}", lambda path: read_truth(path.parent), False, True, True),
 }
 

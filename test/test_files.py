@@ -7,12 +7,7 @@ import pytest
 from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import (
-    TemporaryFolder,
-    atomic_output,
-    check_new_folder,
-    check_outputs,
-)
+from socket_testbed.files import TemporaryFolder, atomic_output, check_new_folder, check_outputs
 
 
 def test_two_writers_of_one_output_do_not_meet_and_an_error_leaves_the_older_file(tmp_path) -> None:

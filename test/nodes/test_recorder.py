@@ -62,10 +62,6 @@ def recorded(trial: Path) -> tuple[list[int], list[int]]:
     return [stamp_of(decode(r.data, r.type)) for r in raws], [r.time for r in raws]
 
 
-def names(announced: list[Any]) -> list[str]:
-    return [message.data for message in announced]
-
-
 def record(probe: Probe, wanted: bool) -> str:
     """Start or stop a recording; returns the answer."""
     answer = probe.call(SetBool, "recorder/record", SetBool.Request(data=wanted))
@@ -114,7 +110,7 @@ def test_a_killed_recorder_keeps_what_had_come_and_goes_on_beside(tmp_path: Path
     with Probe() as probe:
         announced = probe.listen(RECORDED_TRIAL)
         with recorder(*settings) as process:
-            probe.wait(lambda: names(announced)[-1:] == ["trial"], "the trial's name")
+            probe.wait(lambda: [m.data for m in announced][-1:] == ["trial"], "the trial's name")
             with recorder(*settings) as second:
                 assert second.wait(timeout=HANGS) == 1, "the folder is being written"
             assert not beside.exists()
@@ -133,7 +129,7 @@ def test_a_killed_recorder_keeps_what_had_come_and_goes_on_beside(tmp_path: Path
         before = {file: file.read_bytes() for file in trial.iterdir()}
         assert trial / "metadata.yaml" not in before
         with recorder(*settings):
-            probe.wait(lambda: names(announced)[-1:] == ["trial_2"], "the other trial's name")
+            probe.wait(lambda: [m.data for m in announced][-1:] == ["trial_2"], "the other name")
             words = f"recording {beside}: {trial} holds a trial"
             probe.wait(lambda: bool(probe.said(NODE, words)), "the recorder's word about it")
             assert probe.said(NODE, words)[0].level == DiagnosticStatus.WARN
@@ -159,7 +155,7 @@ def test_a_full_disk_ends_the_recording_and_keeps_it(tmp_path: Path) -> None:
 
         probe.wait(send_until_full, "the recorder's word about the disk")
         assert probe.said(NODE, "make space")[0].level == DiagnosticStatus.ERROR
-        probe.wait(lambda: names(announced)[-1:] == [""], "no trial's name")
+        probe.wait(lambda: [m.data for m in announced][-1:] == [""], "no trial's name")
         assert record(probe, False) == "nothing was being recorded"
     numbers, _ = recorded(trial)
     assert numbers == list(range(len(numbers))) and len(numbers) > 200

@@ -1,5 +1,6 @@
 """Messages of any type with random content, and what is in them, by the bag library."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -43,26 +44,22 @@ def encode(message: Any, kind: str, little: bool) -> bytes:
 
 def numbers_of(message: Any, kind: str) -> list[float]:
     """All numbers of a message in the order of its fields, strings left out."""
-    found: list[float] = []
-    for field in fields_of(kind):
-        value = getattr(message, field.name)
-        for one in [value] if field.number is None else value:
-            if "/" in field.type:
-                found += numbers_of(one, field.type)
-            elif field.type != "string":
-                found.append(float(one))
-    return found
+    return [value for value in _values(message, kind) if isinstance(value, float)]
 
 
 def strings_of(message: Any, kind: str) -> list[Any]:
     """All strings of a message and the lengths of its sequences, in the order of its fields."""
-    found: list[Any] = []
+    return [value for value in _values(message, kind) if not isinstance(value, float)]
+
+
+def _values(message: Any, kind: str) -> Iterator[float | str | int]:
+    """All numbers as floats, all strings, and the lengths of sequences."""
     for field in fields_of(kind):
         value = getattr(message, field.name)
-        found += [] if field.number is None else [len(value)]
+        if field.number is not None:
+            yield len(value)
         for one in [value] if field.number is None else value:
             if "/" in field.type:
-                found += strings_of(one, field.type)
-            elif field.type == "string":
-                found.append(one)
-    return found
+                yield from _values(one, field.type)
+            else:
+                yield one if field.type == "string" else float(one)
