@@ -1,7 +1,4 @@
-"""Many trials: found, done once, done again when anything changed, and none stops the others.
-
-The trials here are folders with some bytes, and the work counts them.
-"""
+"""Many trials, here folders of bytes: found, done once or when changed, and none stops another."""
 
 import shutil
 from dataclasses import replace

@@ -104,9 +104,7 @@ def test_the_page_s_button_records_without_record_and_at_whatever_speed(tmp_path
     assert [path.name for path in (tmp_path / "trials").iterdir()] == ["s07"]
 
 
-def test_an_event_that_nobody_hears_is_an_error(
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_event_that_nobody_hears_is_an_error(capfd, monkeypatch) -> None:
     monkeypatch.setattr(controls, "_TRIGGER_TIMEOUT", 0.0)
     with Probe() as probe:
         received = probe.listen(topics.EVENT, "/lab/event")

@@ -75,9 +75,7 @@ def status_on(terminal: Terminal) -> Iterator[StatusLine]:
             yield status
 
 
-def test_lines_of_nodes_stand_above_the_status_though_they_were_killed(
-    terminal, monkeypatch
-) -> None:
+def test_lines_of_nodes_stand_above_the_status_though_they_were_killed(terminal, monkeypatch):
     monkeypatch.setattr(module, "_CHUNK", 31)
     with status_on(terminal) as status:
         assert os.environ["RCUTILS_COLORIZED_OUTPUT"] == "1" and status.output is not None

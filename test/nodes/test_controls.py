@@ -110,10 +110,7 @@ def test_complete_samples_are_counted_and_go_on_when_time_jumps_back() -> None:
 
 
 def test_predictions_are_judged_over_the_last_seconds() -> None:
-    """Predictions that are off by (3, 0, 0) N and (0, 0.2, 0) N m, and by far more long before.
-
-    They come right after the wrench that they are of.
-    """
+    """Off by (3, 0, 0) N and (0, 0.2, 0) N m, by more long before; each comes after its wrench."""
     found = []
     for k in range(100):
         off = [0.0, -0.2, 0.0, 30.0 if k < 52 else 3.0, 0.0, 0.0]

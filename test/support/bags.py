@@ -73,10 +73,7 @@ def copy_configuration(source: Path, target: Path) -> Path:
 def add_events(
     source: Path, target: Path, events: list[tuple[str, float, float]], namespace: str = ""
 ) -> Trial:
-    """A copy of a trial with events: labels, stamps and times of recording [s] since its start.
-
-    A stamp that is not finite is left out.
-    """
+    """A copy of a trial with events: labels, stamps (NaN: none) and times [s] since its start."""
     first = int(Trial(source).samples().stamps[0])
     with copying(source, target, namespace) as (old, new):
         new.add_topic(f"{namespace}/event", EVENT)

@@ -23,10 +23,7 @@ def nominal(cluster: str = "distal") -> ClusterCalibration:
 
 
 def load_path(directions: int = 8, repeats: int = 2, steps: int = 30) -> np.ndarray:
-    """Stresses (N, 3) [Pa] of cycles up and down, each with a shear of its own direction.
-
-    One cycle of each round is without shear; the preload has three sizes.
-    """
+    """Stresses (N, 3) [Pa] of cycles up and down: without shear, then in each direction in turn."""
     ramp = np.concatenate([np.linspace(0.0, 1.0, steps), np.linspace(1.0, 0.0, steps)[1:]])
     cycles = []
     for _ in range(repeats):

@@ -64,10 +64,7 @@ def until(condition: Callable[[], bool], what: str = "it") -> float:
 
 
 class Link:
-    """A server with its faults, and a client whose frames go to a tracker.
-
-    `settings` are those of the client; the rest is the server's.
-    """
+    """A server with its faults, and a client of some settings whose frames go to a tracker."""
 
     def __init__(self, multicast=None, bodies=scene, client=True, settings=None, **server: Any):
         self.faults: dict[str, float] = {}

@@ -76,10 +76,7 @@ def ring_socket() -> SocketGeometry:
 def random_socket(
     rng: np.random.Generator, rings: int = 2, columns: int = 4, clusters: int = 3
 ) -> SocketGeometry:
-    """A cone of rings x columns tiles around z of {S}, z pointing to the proximal end.
-
-    The clusters lie on random tiles; the neighbours are those along the ring and the column.
-    """
+    """A cone of rings x columns tiles around z, which is proximal, with clusters on random ones."""
     tiles, pairs = {}, []
     cone = rng.uniform(0.05, 0.2)  # [rad]
     for ring in range(rings):

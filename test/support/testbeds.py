@@ -37,10 +37,7 @@ _RATE = 20.0  # [Hz]; of the trigger
 
 
 def manageable(simulation: Simulation) -> Simulation:
-    """A simulation, as slow as this machine needs at present.
-
-    Tests that run side by side leave some of the machine to each other.
-    """
+    """A simulation, as slow as this machine and the tests side by side need at present."""
     scale = careful_time_scale()
     if "PYTEST_XDIST_WORKER" in os.environ:
         scale = min(scale, 0.5)

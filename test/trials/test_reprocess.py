@@ -87,9 +87,7 @@ def bare(trial: Path, path: Path, name: str = "testbed.yaml") -> Path:
     return path
 
 
-def test_a_wrong_load_cell_and_tare_are_repaired(
-    hold: Path, miswired: Path, right: LoadCellSettings, tmp_path: Path
-) -> None:
+def test_a_wrong_load_cell_and_tare_are_repaired(hold, miswired, right, tmp_path) -> None:
     file, notes = store(right, tmp_path / "right.yaml"), []
     true, recorded = Trial(hold).samples(), Trial(miswired).samples()
     assert np.abs(recorded.wrench - true.wrench).max() > 100.0
@@ -111,9 +109,7 @@ def test_a_wrong_load_cell_and_tare_are_repaired(
         np.testing.assert_allclose(wrench, factor * true.wrench - offset, rtol=1e-12, atol=1e-9)
 
 
-def test_what_cannot_be_repaired_is_refused(
-    hold: Path, miswired: Path, right: LoadCellSettings, tmp_path: Path
-) -> None:
+def test_what_cannot_be_repaired_is_refused(hold, miswired, right, tmp_path) -> None:
     file = store(right, tmp_path / "right.yaml")
     no_raw = lambda name, message: None if name == "/load_cell/raw" else message  # noqa: E731
     old = rewrite(hold, tmp_path / "old", no_raw)

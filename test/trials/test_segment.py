@@ -24,10 +24,7 @@ SETTINGS = PlateauSettings()
 def under(
     load: np.ndarray, cluster: np.ndarray | float = 0.0, rate: float = RATE, noise: float = 0.2
 ) -> Samples:
-    """Samples at a rate [Hz] under a vertical load [N] with noise [N], and a cluster under its own.
-
-    All else is steady.
-    """
+    """Samples at a rate [Hz] under a vertical load [N] with noise [N], and of a cluster's own."""
     rng, count = np.random.default_rng(0), len(load)
     wrench = rng.normal(0.0, [0.02] * 3 + [noise] * 3, (count, 6))
     wrench[:, 5] -= load
@@ -222,9 +219,7 @@ def test_a_span_or_cycles_between_events_or_what_there_is_instead() -> None:
 # --- events recorded with a trial
 
 
-def test_neither_an_outlier_nor_a_channel_left_out_of_the_fit_cuts_a_segment(
-    hold: Path, tmp_path: Path
-) -> None:
+def test_neither_an_outlier_nor_a_channel_left_out_of_the_fit_cuts_a_segment(hold, tmp_path):
     plateau = Trial(hold).select("plateau", Trial(hold).estimator)
     middle = (plateau.rows.start + plateau.rows.stop) // 2
     trial = st.open_trial(shutil.copytree(hold, tmp_path / "spoilt"))

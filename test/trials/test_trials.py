@@ -154,9 +154,7 @@ def test_a_compressed_trial_gives_the_samples_of_the_plain_one(hold: Path, tmp_p
         assert any(f"{journal.name}, which may hold" in note for note in reader.notes)
 
 
-def test_a_compressed_file_that_was_cut_or_is_too_large_names_itself(
-    hold: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_compressed_file_that_was_cut_or_is_too_large_names_itself(hold, tmp_path, monkeypatch):
     path = written(hold, tmp_path / "packed", StoragePlugin.MCAP, CompressionMode.FILE)
     file = path / "packed.mcap.zstd"
     whole = file.read_bytes()
