@@ -101,7 +101,7 @@ WRONG = {
     "run --simulated --view --view-host 192.0.2.1": ["cannot listen on 192.0.2.1"],
     "run --duration 1": ["load_cell_node: "],
     "run --simulated --time-scale 0": ["--time-scale is 0", "from 0.01 to 1"],
-    "run --simulated --time-scale -1": ["--time-scale is -1", "from 0.01 to 1"],
+    "annotate HOLD --mass 815": ["--mass is 815.0"],
     "pressure HOLD -o regions.foo": ["'.foo' is not the format of a table", ".csv"],
     "compare HOLD": ["1 trials", "2 to 12"],
     "view --tare none": ["--tare is for a trial"],

@@ -162,7 +162,8 @@ def test_doctor_without_hardware(capsys, tmp_path: Path, monkeypatch) -> None:
     )
     code, table, err = call(capsys, "doctor", "--params", file)
     assert code == 1 and "Traceback" not in table + err
-    for named in ("/dev/i2c-250", "dtparam=i2c_arm=on", "spidev250.7", "'no such chip'"):
+    chip = ("GPIO chip 'no such chip'", "set trigger_node's chip")
+    for named in ("/dev/i2c-250", "dtparam=i2c_arm=on", "spidev250.7", *chip):
         assert named in table
 
 

@@ -50,12 +50,6 @@ def test_a_trigger_s_time_is_that_of_its_edge_never_of_another_pulse_s(monkeypat
         assert trigger.stray > stray + 10
 
 
-def test_a_chip_that_is_not_there_is_named(monkeypatch) -> None:
-    monkeypatch.setattr(gpio.Path, "glob", lambda *_: iter(()))
-    with refused(DeviceError, "'pinctrl-rp1' (there is none)", "set load_cell_node's chip"):
-        GpiodLines("pinctrl-rp1", {22: "falling"}, "load_cell_node", "chip", "line to -1")
-
-
 def test_drdy_is_asked_for_falling_edges_on_the_steady_clock(monkeypatch) -> None:
     request = Mock()
     request.read_edge_events.return_value = [Mock(timestamp_ns=5_002_000_000)]

@@ -216,7 +216,6 @@ def test_parameters_are_described_checked_and_changed_at_run_time(estimating) ->
     assert "wrench" in described.description and (bounds.from_value, bounds.to_value) == (0.0, 1.0)
     for name, value, reason in (
         ("theta", 1.5, ""),  # the middleware's own words
-        ("variant", "stifness_bias", "did you mean 'stiffness_bias'?"),
         ("solver", "osqqp", "did you mean 'osqp'?"),
         ("leave_out", ["distal.Fq"], "no channel 'distal.Fq'"),
         ("leave_out", None, "cannot be deleted: set it to another value"),
