@@ -15,17 +15,11 @@ from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.identification import fit as fitting
+from socket_testbed.identification import solver as solving
 from socket_testbed.identification.contact import LAWS, ContactModel, wrench_map
 from socket_testbed.identification.model_file import read_model, write_model
 from socket_testbed.identification.problem import MIN_SAMPLES, Problem, build_objective
-from socket_testbed.identification.solver import (
-    WARM_START,
-    BoxQP,
-    BoxSolution,
-    UncertifiedSolutionError,
-    pivot_regularised,
-    solve_box_qp,
-)
+from socket_testbed.identification.solver import WARM_START, BoxQP, pivot_regularised, solve_box_qp
 from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS, IdentificationSettings
 
 SOLVERS = [solver for solver in ("osqp", "daqp") if solver in qpsolvers.available_solvers]
@@ -471,7 +465,7 @@ def test_a_wrong_answer_is_refused_whatever_the_solver_says(monkeypatch):
     monkeypatch.setattr(qpsolvers, "solve_problem", solver := Mock())
     for correct in ("pivot", "pivot_regularised"):  # nobody corrects its answer
         place = f"socket_testbed.identification.solver.{correct}"
-        monkeypatch.setattr(place, lambda of, x: BoxSolution(x, of.certificate(x)))
+        monkeypatch.setattr(place, lambda of, x: solving.BoxSolution(x, of.certificate(x)))
     for result, reason in (
         (qpsolvers.Solution(None, found=True, x=wrong), "KKT"),
         (qpsolvers.Solution(None, found=True, x=None), "gave no answer"),
@@ -479,7 +473,7 @@ def test_a_wrong_answer_is_refused_whatever_the_solver_says(monkeypatch):
         (qpsolvers.exceptions.SolverError("out of luck"), "out of luck"),
     ):
         solver.side_effect = [result]
-        with pytest.raises(UncertifiedSolutionError, match=reason) as caught:
+        with pytest.raises(solving.UncertifiedSolutionError, match=reason) as caught:
             solve_box_qp(problem, "osqp", 1e-6)
         residual = problem.certificate(wrong).worst if reason == "KKT" else np.nan
         assert caught.value.residual == pytest.approx(residual, nan_ok=True)

@@ -10,14 +10,9 @@ from support.problems import GEOMETRY, make_samples, ring_socket
 
 from socket_testbed.errors import TrialError
 from socket_testbed.geometry.regions import all_regions, proximal_direction
+from socket_testbed.identification import force_map as maps
 from socket_testbed.identification import pressure
-from socket_testbed.identification.force_map import (
-    ForceMap,
-    Prior,
-    _rigid_motions,
-    hypotheses,
-    wall_correlation,
-)
+from socket_testbed.identification.force_map import ForceMap, Prior, hypotheses, wall_correlation
 from socket_testbed.identification.plausibility import without_outliers
 from socket_testbed.identification.validation import CLOSED, field_estimators
 from socket_testbed.samples import Samples, Status
@@ -39,7 +34,8 @@ def whole_prior(sizes: SimpleNamespace) -> np.ndarray:
     """The prior's covariance as the module's equation states it, shape (3n, 3n)."""
     tiles = len(GEOMETRY)
     correlation = wall_correlation(GEOMETRY, sizes.length)
-    bed = np.diag([sizes.bed_shear, sizes.bed_shear, 1.0]) @ _rigid_motions(GEOMETRY, sizes.arm)
+    shares = np.diag([sizes.bed_shear, sizes.bed_shear, 1.0])
+    bed = shares @ maps._rigid_motions(GEOMETRY, sizes.arm)
     bed /= np.sqrt((bed**2).sum(axis=(0, 1)) / tiles)
     bed *= [sizes.bed, sizes.bed, sizes.sinking, *[sizes.rotation] * 3]
     bed = bed.reshape(-1, 6)

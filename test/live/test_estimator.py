@@ -25,11 +25,7 @@ from socket_testbed.identification.model_file import StoredModel, read_model
 from socket_testbed.live import estimator
 from socket_testbed.live.fit_worker import Contest, FitWorker, Refit, Steady, fit_samples
 from socket_testbed.samples import Samples
-from socket_testbed.settings.identification import (
-    ForceMapSettings,
-    IdentificationSettings,
-    PlateauSettings,
-)
+from socket_testbed.settings.identification import ForceMapSettings, IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings, WindowSettings
 from socket_testbed.trials.segment import find_plateaus
 from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE, STRESS, WRENCH, Topic
@@ -334,7 +330,7 @@ def test_a_stored_model_predicts_at_once(bench: Bench, hold_model: Path, tmp_pat
 # --- fits, in the process of the worker
 
 SETTINGS = IdentificationSettings()
-PLATEAU = PlateauSettings()
+PLATEAU = EstimatorSettings().plateau
 STEADY = Steady(PLATEAU, least_samples=30)
 
 

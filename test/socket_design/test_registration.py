@@ -14,12 +14,7 @@ from socket_testbed.errors import RegistrationError
 from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.socket_design.motive import MotiveTake, read_motive_csv
-from socket_testbed.socket_design.registration import (
-    LandmarkFit,
-    Registration,
-    average_still,
-    register_landmarks,
-)
+from socket_testbed.socket_design.registration import average_still, register_landmarks
 
 
 def test_a_body_of_more_markers_is_registered_in_the_frame_of_its_first(rng, tmp_path):
@@ -59,7 +54,7 @@ def later(
     return away.apply(socket), away.apply(moved.apply(pylon)), in_cell.apply(bench.q)
 
 
-def limb_position(found: Registration, socket: np.ndarray, pylon: np.ndarray) -> np.ndarray:
+def limb_position(found: takes.Registration, socket: np.ndarray, pylon: np.ndarray) -> np.ndarray:
     """The limb position that a trial finds from two observed triads."""
     geometry = found.geometry
     in_world = [
@@ -148,7 +143,7 @@ NOISE = 4e-4  # [m]
 NAMES = tuple(f"LC{i + 1}" for i in range(len(takes.CELL)))
 
 
-def normalised(fit: LandmarkFit, pose: Pose) -> float:
+def normalised(fit, pose: Pose) -> float:
     """Squared error at the target over its stated covariance."""
     error = pose.rotation.T @ (fit.pose.apply(TARGET) - pose.apply(TARGET))
     return float(error @ np.linalg.solve(fit.uncertainty.at(TARGET), error))

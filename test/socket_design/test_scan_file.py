@@ -8,20 +8,8 @@ import pytest
 import trimesh
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
-from support.meshes import (
-    FULL,
-    UNITS,
-    angle_between,
-    assert_same_faces,
-    assert_same_surface,
-    moved,
-    open_cone,
-    scaled,
-    shell,
-    shifted,
-    with_faces,
-    write_stl,
-)
+from support import meshes
+from support.meshes import assert_same_surface, moved, open_cone, shell, with_faces, write_stl
 from support.wording import refused
 
 from socket_testbed.errors import ScanError
@@ -44,7 +32,7 @@ def path(tmp_path: Path) -> Path:
 
 def export(mesh: trimesh.Trimesh, path: Path, **options) -> Path:
     """Write a file with another program's writer, in mm."""
-    data = scaled(mesh, 1000.0).export(**{"file_type": path.suffix[1:], **options})
+    data = meshes.scaled(mesh, 1000.0).export(**{"file_type": path.suffix[1:], **options})
     path.write_bytes(data if isinstance(data, bytes) else data.encode())
     return path
 
@@ -82,9 +70,9 @@ def test_every_kind_of_file_gives_the_same_surface_and_is_refused_when_cut_off(c
 
 
 def test_a_unit_is_given_or_inferred_in_m_and_mm_alone(path):
-    for unit in UNITS:
+    for unit in meshes.UNITS:
         for size in (0.45, 2.4):
-            mesh = scaled(open_cone(*CONE, 0.03, dome=True), size)  # 0.24 m long at size 1
+            mesh = meshes.scaled(open_cone(*CONE, 0.03, dome=True), size)  # 0.24 m long at size 1
             write_stl(mesh, path, unit)
             assert_same_surface(read_scan(path, unit=unit).mesh, mesh)
             if unit in {"m", "mm"}:
@@ -97,8 +85,8 @@ def test_a_unit_is_given_or_inferred_in_m_and_mm_alone(path):
 
 def test_a_unit_that_the_file_states_is_taken(cone, tmp_path):
     stl = write_stl(cone, tmp_path / "a.stl", "cm", b"scanner X; units: cm")
-    obj = export(scaled(cone, 0.1), tmp_path / "a.obj", header="File units = centimeters")
-    ply = export(scaled(cone, 0.1), tmp_path / "a.ply")
+    obj = export(meshes.scaled(cone, 0.1), tmp_path / "a.obj", header="File units = centimeters")
+    ply = export(meshes.scaled(cone, 0.1), tmp_path / "a.ply")
     ply.write_bytes(ply.read_bytes().replace(b"\nelement", b"\ncomment unit cm\nelement", 1))
     for file in (stl, obj, ply):
         scan = read_scan(file)
@@ -110,7 +98,7 @@ def test_a_unit_that_the_file_states_is_taken(cone, tmp_path):
 
 
 def test_of_two_bodies_one_must_be_chosen_by_its_number(cone, path):
-    pin = shifted(shell(0.02, 0.02, 0.05, EDGE, 0.004), 0.2)
+    pin = meshes.shifted(shell(0.02, 0.02, 0.05, EDGE, 0.004), 0.2)
     write_stl(trimesh.util.concatenate([cone, pin]), path)
     with pytest.raises(ScanError, match=rf"has 2 bodies of 0 \({len(cone.faces)} faces, 1"):
         read_scan(path)
@@ -120,7 +108,7 @@ def test_of_two_bodies_one_must_be_chosen_by_its_number(cone, path):
 
 
 def test_bodies_of_an_obj_go_by_the_names_of_its_objects_or_groups(cone, tmp_path):
-    bodies = {"limb": cone, "plate 2": shifted(cone, 0.2)}
+    bodies = {"limb": cone, "plate 2": meshes.shifted(cone, 0.2)}
     for word in ("o", "g"):
         text, count = "", 1
         for name, mesh in bodies.items():
@@ -164,7 +152,8 @@ def test_bad_files_are_refused_in_one_line_that_names_them(tmp_path, capfd, capl
 
 
 def test_specks_doubles_and_empty_faces_are_removed_and_reported_and_vertices_welded(cone, path):
-    specks = [shifted(trimesh.creation.icosphere(1, 0.001), 0.2 + 0.01 * i) for i in range(3)]
+    speck = trimesh.creation.icosphere(1, 0.001)
+    specks = [meshes.shifted(speck, 0.2 + 0.01 * i) for i in range(3)]
     hair = np.random.default_rng(1).uniform(-2e-8, 2e-8, (cone.faces.size, 3))
     corners = np.arange(cone.faces.size).reshape(-1, 3)
     loose = trimesh.Trimesh(cone.triangles.reshape(-1, 3) + hair, corners, process=False)
@@ -226,7 +215,7 @@ SHAPES = {
     "flat end": {},
     "wide hole in a dome": {"dome": True, "hole": 0.02},
     "half": {"arc": np.pi},
-    "third with a dome": {"dome": True, "arc": FULL / 3.0},
+    "third with a dome": {"dome": True, "arc": meshes.FULL / 3.0},
     "open along its side": {"closed": False, "arc": 5.2},
 }
 
@@ -238,8 +227,8 @@ def inside_out(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 def check(scan: trimesh.Trimesh, inner: trimesh.Trimesh, up=UP, off: float = 1.0) -> None:
     """The interior of a scan is its inner wall, and its opening is up [deg]."""
     interior = find_interior(scan)
-    assert_same_faces(interior.mesh, inner)
-    assert angle_between(interior.proximal, up) < off
+    meshes.assert_same_faces(interior.mesh, inner)
+    assert meshes.angle_between(interior.proximal, up) < off
 
 
 @pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
@@ -286,7 +275,7 @@ def test_sockets_that_are_not_round_or_are_shallow():
         for shape in ({"dome": True}, {"dome": True, "arc": 3.6}):
             scan, inner = shell(*CONE, EDGE, WALL, **shape), open_cone(*CONE, EDGE, **shape)
             found = find_interior(moved(scan, change))
-            assert_same_faces(found.mesh, moved(inner, change))
+            meshes.assert_same_faces(found.mesh, moved(inner, change))
     for height in (0.01, 0.06):
         cone = (0.05, 0.06, height)
         scan = moved(shell(*cone, EDGE, WALL, dome=True), oval)
@@ -307,7 +296,7 @@ def test_a_window_is_an_opening_and_its_rim_is_no_wall():
     place = cone.triangles_center - [0.05, 0.0, 0.1]
     inner = with_faces(cone, np.linalg.norm(place, axis=1) > 0.02)
     interior = find_interior(thickened(inner, WALL))
-    assert_same_faces(interior.mesh, inner)
+    meshes.assert_same_faces(interior.mesh, inner)
     assert "openings: 2, the brim first, 377, " in interior.notes[1]
 
 
@@ -341,7 +330,7 @@ def test_the_inner_wall_of_a_real_shell(shared_data: Path):
     assert surface.query(mesh.triangles_center - depth)[0].max() < 0.0015
     assert np.percentile(surface.query(mesh.triangles_center + depth)[0], 1) > 0.0055
 
-    assert angle_between(interior.proximal, UP) < 8.0  # its wide end is up
+    assert meshes.angle_between(interior.proximal, UP) < 8.0  # its wide end is up
     assert not any("no axis" in note for note in interior.notes)
 
 
@@ -351,16 +340,16 @@ def test_a_real_limb_is_kept_whole_and_separated_from_a_shell_around_it(shared_d
     interior = find_interior(read_scan(path).mesh)
     assert interior.mesh.area == pytest.approx(1e-6 * raw.area, rel=1e-9)
     mesh = interior.mesh  # its normals point into the limb: test_tile.py
-    assert angle_between(interior.proximal, UP) < 5.0
+    assert meshes.angle_between(interior.proximal, UP) < 5.0
     assert "openings: 1, " in interior.notes[1]
-    assert_same_faces(find_interior(thickened(mesh, 0.006)).mesh, mesh, 2e-3)
+    meshes.assert_same_faces(find_interior(thickened(mesh, 0.006)).mesh, mesh, 2e-3)
 
 
 def test_the_more_open_end_is_proximal_and_equal_ends_need_a_direction():
     down = shell(0.06, 0.05, 0.2, EDGE, WALL, closed=False)
     bottle = shell(0.06, 0.04, 0.2, EDGE, WALL, hole=0.03)
     for scan, proximal in ((down, -UP), (bottle, UP)):
-        assert angle_between(find_interior(scan).proximal, proximal) < 1.0
+        assert meshes.angle_between(find_interior(scan).proximal, proximal) < 1.0
     tube = shell(0.05, 0.05, 0.2, EDGE, WALL, closed=False)
     with pytest.raises(ScanError, match=r"equally open.*--proximal"):
         find_interior(tube)
@@ -374,7 +363,7 @@ def test_the_more_open_end_is_proximal_and_equal_ends_need_a_direction():
     ):
         interior = find_interior(scan, np.array(direction))
         np.testing.assert_allclose(interior.proximal, direction / np.linalg.norm(direction))
-        assert_same_faces(interior.mesh, inner)
+        meshes.assert_same_faces(interior.mesh, inner)
         notes = [note for note in interior.notes if "direction" in note or "decides" in note]
         assert words in notes[0]
 
