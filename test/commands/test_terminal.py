@@ -86,9 +86,8 @@ def test_lines_of_nodes_stand_above_the_status_though_they_were_killed(terminal,
                 call = ["sh", "-c", said]
                 subprocess.run(call, check=True, stdout=status.output, stderr=status.output)
                 status.renew()
-        subprocess.run(
-            ["echo", "a line that is too long to be read at once"], check=True, stdout=status.output
-        )
+        long = ["echo", "a line that is too long to be read at once"]
+        subprocess.run(long, check=True, stdout=status.output)
         for _ in range(2):
             status.renew()
         script = "echo one; printf 'two, cut off'; kill -9 $$"

@@ -180,9 +180,8 @@ def fitted(markers) -> tuple[np.ndarray, list[Rotation]]:
 
 def test_the_pose_is_the_mean_of_the_frames_in_the_window_and_markers_are_at_the_trigger():
     noise = np.random.default_rng(0).normal(0.0, 1e-4, (81, 3, 3))
-    tracker = tracker_of(
-        0.005 * np.arange(-40, 41), pose=lambda body, _: steady(body, 0.0), wrong=noise.__getitem__
-    )
+    moments, still = 0.005 * np.arange(-40, 41), lambda body, _: steady(body, 0.0)
+    tracker = tracker_of(moments, pose=still, wrong=noise.__getitem__)
     socket, pylon = tracker.sample(0.0, 0.251)
     assert (socket.frames, pylon.frames, socket.fault, pylon.fault) == (51, 51, "", "")
     positions, rotations = fitted((markers_at(0, 0.0, pose=steady) + noise)[15:66])

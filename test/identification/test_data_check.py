@@ -123,9 +123,7 @@ def test_spikes_do_not_hide_each_other_and_spoil_neither_fit_nor_pressure(sound)
         assert any("single values" in finding.source for finding in spoilt.findings)
         found = st.fit(spoilt, segment="hold").to_dataframe()["RMSE"]
         np.testing.assert_allclose(found, good, rtol=0.1)
-        peaks = (
-            st.pressure(each, "hold").regions.loc["socket"].iloc[0] for each in (trial, spoilt)
-        )
+        peaks = (st.pressure(t, "hold").regions.loc["socket"].iloc[0] for t in (trial, spoilt))
         assert abs(np.subtract(*peaks)) < 0.5
     tapped = st.open_trial(sound["protocol"])  # a load that clusters feel, too, is none
     tapped.samples().wrench[rows.start + 20] *= 4.0

@@ -124,9 +124,8 @@ def test_a_left_out_cluster_is_judged_on_what_the_others_say(rng):
     wrong = np.sqrt(np.mean((np.array([1.0, -2.0, -10.0]) - 5.0) ** 2))
     assert chosen["cluster_0"].error == pytest.approx(wrong / size)
     assert chosen["cluster_1"].samples == 4 and chosen["cluster_0"].samples == 6
-    row = validation.summarise_judgements([*first, *found]).loc[
-        ("cluster", "left out", validation.INVERSE_DISTANCE)
-    ]
+    table = validation.summarise_judgements([*first, *found])
+    row = table.loc["cluster", "left out", validation.INVERSE_DISTANCE]
     assert row["judged [1]"] == 2 and row["worst error [-]"] == chosen[""].error
     assert row["error [-]"] == pytest.approx(0.5 * chosen[""].error)
 

@@ -45,9 +45,8 @@ class FakeFitter:
     def run(self, work: Any, samples: Samples, geometry: Any, *given: Any) -> "Future[Any]":
         future: Future[Any] = Future()
         if work is fit_samples:
-            self.requests.append(
-                SimpleNamespace(samples=samples, settings=given[0], steady=given[1], future=future)
-            )
+            asked = {"samples": samples, "settings": given[0], "steady": given[1]}
+            self.requests.append(SimpleNamespace(**asked, future=future))
         else:
             self.checks.append((samples, future))
         return future

@@ -70,10 +70,9 @@ def test_a_replay_predicts_as_offline(hold: Path, hold_model: Path, tmp_path: Pa
         low, value, high = (outputs[name + end] for end in ("_low", "", "_high"))
         assert (low <= value).all() and (value <= high).all()
     model, samples, repaired = read_model(hold_model).model, trial.samples(), trial.measurements()
-    assert all(set(stamps) == set(samples.stamps.tolist()) for stamps in found.values())
-    wrench, forces, measured, socket, maps = (
-        [of[s] for s in samples.stamps.tolist()] for of in found.values()
-    )
+    stamps = samples.stamps.tolist()
+    assert all(set(of) == set(stamps) for of in found.values())
+    wrench, forces, measured, socket, maps = ([of[s] for s in stamps] for of in found.values())
     np.testing.assert_array_equal(measured, repaired.wrench)
     np.testing.assert_array_equal(socket, repaired.socket)
     np.testing.assert_allclose(wrench, model.wrench(samples.pose), atol=1e-9)
@@ -229,17 +228,14 @@ def test_parameters_are_described_checked_and_changed_at_run_time(estimating) ->
 def test_a_fit_when_asked_answers_and_predicts(hold: Path, estimating) -> None:
     """The map needs no model."""
     graph, probe = estimating
-    maps, models, wrenches = map(
-        probe.listen, (topics.FORCE_MAP, topics.PARAMETERS, topics.ESTIMATED_WRENCH)
-    )
+    outputs = (topics.FORCE_MAP, topics.PARAMETERS, topics.ESTIMATED_WRENCH)
+    maps, models, wrenches = map(probe.listen, outputs)
     answer = probe.call(TriggerService, "estimator/fit", TriggerService.Request())
     assert not answer.success and "no complete sample" in answer.message
     # Each round starts the window anew: one lasts long enough for 60 samples and the fit.
-    replay = testbed.ReplaySettings(
-        trial=str(hold), rate=4.0, wait_for=("calibration_node", "estimator_node")
-    )
-    graph.start("replay_node", dataclasses.replace(replay, loop=True))
-
+    ready = ("calibration_node", "estimator_node")
+    replay = testbed.ReplaySettings(trial=str(hold), rate=4.0, wait_for=ready, loop=True)
+    graph.start("replay_node", replay)
     probe.wait(lambda: probe.figure("estimator_node", "window") > 60, "samples")
     probe.wait(lambda: bool(maps), "a map")
     assert not models and not wrenches

@@ -42,9 +42,7 @@ def triads(bench: takes.Bench) -> list[np.ndarray]:
     return [np.array([bench.places[name] for name in names]) for names in bodies]
 
 
-def later(
-    bench: takes.Bench, rng: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def later(bench: takes.Bench, rng: np.random.Generator) -> tuple[np.ndarray, ...]:
     """The true triads in a later frame, when all has moved, and the limb in the socket, and q."""
     socket, pylon = triads(bench)
     cell_in_world = takes.own_frame_of(socket) @ bench.socket_body.inverse()

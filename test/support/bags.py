@@ -18,9 +18,7 @@ from socket_testbed.trials.trial import Trial
 
 
 @contextmanager
-def copying(
-    source: Path, target: Path, namespace: str = ""
-) -> Iterator[tuple[BagReader, BagWriter]]:
+def copying(source: Path, target: Path, namespace="") -> Iterator[tuple[BagReader, BagWriter]]:
     """A trial and a new one with its topics and configuration; its messages are the caller's."""
     with BagReader(source) as old, BagWriter(target) as new:
         for topic, name in match_topics(old.types, str(source)).items():

@@ -67,9 +67,7 @@ def exact_bench(steps: int = 30) -> BenchData:
     return bench_of(invert_calibration(nominal(), stress), stress)
 
 
-def sensor_bench(
-    seed: int = 0, play: float = 0.0, directions: int = 8, repeats: int = 2
-) -> BenchData:
+def sensor_bench(seed=0, play=0.0, directions=8, repeats=2) -> BenchData:
     """Readings of the simulated sensor of a seed on the bench."""
     stress = load_path(directions, repeats)
     sensor = ClusterSensor(nominal(), ERRORS, np.random.default_rng(seed))

@@ -64,9 +64,8 @@ class Probe:
                 received.append(message)
                 self._news.notify_all()
 
-        self.node.create_subscription(
-            message_type(topic), name or topic.name, on_message, subscriber_qos(topic)
-        )
+        kind, qos = message_type(topic), subscriber_qos(topic)
+        self.node.create_subscription(kind, name or topic.name, on_message, qos)
         return received
 
     def said(self, node: str, words: str = "") -> list[Any]:

@@ -61,9 +61,7 @@ def moved(mesh: trimesh.Trimesh, change: Callable[[np.ndarray], np.ndarray]) -> 
     return trimesh.Trimesh(change(mesh.vertices.copy()), mesh.faces, process=False)
 
 
-def assert_same_faces(
-    mesh: trimesh.Trimesh, expected: trimesh.Trimesh, tolerance: float = 0.0
-) -> None:
+def assert_same_faces(mesh: trimesh.Trimesh, expected: trimesh.Trimesh, tolerance=0.0) -> None:
     """Assert that two meshes have the same faces, wound alike, but for a share of the area."""
     ours, theirs = (
         np.hstack([each.triangles_center, 0.01 * each.face_normals]) for each in (mesh, expected)

@@ -73,9 +73,7 @@ def ring_socket() -> SocketGeometry:
     return _cone(named, 0.047, {name: name for name in on.values()})
 
 
-def random_socket(
-    rng: np.random.Generator, rings: int = 2, columns: int = 4, clusters: int = 3
-) -> SocketGeometry:
+def random_socket(rng: np.random.Generator, rings=2, columns=4, clusters=3) -> SocketGeometry:
     """A cone of rings x columns tiles around z, which is proximal, with clusters on random ones."""
     tiles, pairs = {}, []
     cone = rng.uniform(0.05, 0.2)  # [rad]

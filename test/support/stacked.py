@@ -61,9 +61,7 @@ def stack_stage_two(
     return _stack(samples, geometry, settings, gain, none, difference, (0.0, np.inf), with_bias)
 
 
-def _stack(
-    samples, geometry, settings, gain, constant, difference, bounds, with_bias
-) -> StackedRows:
+def _stack(samples, geometry, settings, gain, constant, difference, bounds, with_bias):
     """Rows of theta J_w + (1 - theta) J_f + lambda J_s, with the forces F = gain x + constant."""
     measured, maps = samples.values, _channel_maps(samples, geometry)
     usable = np.isfinite(measured)

@@ -60,9 +60,7 @@ class LiveTestbed:
     It runs as fast as the machine manages; rates, periods and stamps are in testbed time.
     """
 
-    def __init__(
-        self, record: Path, simulation: Simulation = MOVING, one_process: bool = False
-    ) -> None:
+    def __init__(self, record: Path, simulation=MOVING, one_process=False) -> None:
         testbed = simulated_testbed(record, _RATE, manageable(simulation))
         self.testbed: Testbed = dataclasses.replace(testbed, one_process=one_process)
         self.restarts: list[str] = []

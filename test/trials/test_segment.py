@@ -21,9 +21,7 @@ RATE = 4.0
 SETTINGS = PlateauSettings()
 
 
-def under(
-    load: np.ndarray, cluster: np.ndarray | float = 0.0, rate: float = RATE, noise: float = 0.2
-) -> Samples:
+def under(load: np.ndarray, cluster=0.0, rate=RATE, noise=0.2) -> Samples:
     """Samples at a rate [Hz] under a vertical load [N] with noise [N], and of a cluster's own."""
     rng, count = np.random.default_rng(0), len(load)
     wrench = rng.normal(0.0, [0.02] * 3 + [noise] * 3, (count, 6))
