@@ -33,8 +33,6 @@ from socket_testbed.trials.metadata import read_metadata
 
 
 class Lamp(documents.Document):
-    """A document of these tests."""
-
     power: Annotated[float, Meta(ge=0.0, le=100.0, description="what it takes [W]")]
     colour: Literal["red", "green"] = "red"
     names: list[documents.Text] = []  # noqa: RUF012
@@ -115,7 +113,6 @@ def test_a_number_is_what_ros_reads_as_one_and_not_what_only_yaml_1_1_does(tmp_p
 
 @cache
 def good_documents() -> dict[str, tuple[Any, Callable[[Path], Any]]]:
-    """A good document for every reader."""
     rng = np.random.default_rng(0)
     geometry = dataclasses.replace(random_socket(rng), scan=ScanFrame(1e-3, random_pose(rng)))
     points = {f"mark_{i}": [0.01 * i, 0.05, 0.03 * (i % 2)] for i in range(4)}
@@ -153,7 +150,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @cache
 def model(folder: Path) -> Any:
-    """The document of a model."""
     geometry, _, samples, chosen = make_case(0)
     fit = fit_contact_model(samples, geometry, chosen)
     trial = {"name": "hold", "unloaded": [[0.5, 2.5]]}
@@ -162,7 +158,6 @@ def model(folder: Path) -> Any:
 
 
 def places(document: Any, above: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
-    """Every place in a document."""
     pairs = document.items() if isinstance(document, dict) else enumerate(document)
     for key, value in pairs:
         yield (*above, key)

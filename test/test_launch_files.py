@@ -73,7 +73,6 @@ def handler(actions: list[Stub]) -> dict[str, Any]:
 
 
 def parameters(action: Stub) -> dict[str, Any]:
-    """What the parameter file of a node says."""
     (file,) = action.given["parameters"]
     content = yaml.safe_load(Path(file).read_text())
     return content[f"/**/{action.given['name']}"]["ros__parameters"]

@@ -91,7 +91,6 @@ def test_a_cell_is_a_plain_number_or_named_with_its_line(cell):
 
 
 def edit(path, change):
-    """Rewrite a bench file cell by cell."""
     rows = change([line.split(",") for line in path.read_text(encoding="utf-8").splitlines()])
     path.write_text("\n".join(",".join(row) for row in rows), encoding="utf-8")
     return path

@@ -38,7 +38,6 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def one_by_one(study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Models of single trials, by the API."""
     folder = tmp_path_factory.mktemp("batch") / "single"
     for name in GOOD:
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -47,7 +46,6 @@ def one_by_one(study: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def assert_models(folder: Path, expected: Path) -> None:
-    """Bit for bit the same models, one a trial."""
     found = {p.relative_to(folder).as_posix() for p in folder.rglob("*.json")}
     names = [f"{name}.json" for name in GOOD]
     assert {name for name in found if not name.startswith(".")} == set(names)

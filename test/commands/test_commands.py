@@ -109,7 +109,6 @@ WRONG = {
 
 
 def words_of(line: str, **places: object) -> list[str]:
-    """The words of a call, with the paths of places."""
     for name, path in places.items():
         line = line.replace(name, str(path))
     return line.split()

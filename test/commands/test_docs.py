@@ -34,7 +34,6 @@ def run(script: list[str], folder: Path) -> str:
 
 @pytest.fixture(scope="module")
 def readme_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The folder where the README's commands ran."""
     folder = tmp_path_factory.mktemp("readme")
     assert "mean moment RMSE" in run(commands(PAGES[0]), folder)
     return folder

@@ -12,7 +12,6 @@ from socket_testbed.geometry.socket import read_socket, write_socket
 
 @pytest.fixture
 def files(rng, tmp_path) -> tuple[Bench, list[object]]:
-    """A bench, and the words that register it from its files."""
     bench = make_bench(rng, placement=3e-4)
     bench.take.markers["Cell:2"][:7] = np.nan
     take = write_take(bench.take, tmp_path / "take.csv")

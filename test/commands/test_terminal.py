@@ -68,7 +68,6 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Terminal]:
 
 @contextmanager
 def status_on(terminal: Terminal) -> Iterator[StatusLine]:
-    """A status line, with a terminal as this process's standard error."""
     with pytest.MonkeyPatch.context() as patch, open(terminal.slave, "w", closefd=False) as stream:
         patch.setattr(sys, "stderr", stream)
         with StatusLine() as status:

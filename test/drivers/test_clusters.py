@@ -92,7 +92,6 @@ class Bench:
         return reading
 
     def run(self, rate: float, triggers: int, start: float | None = None) -> list[ClusterReading]:
-        """Readings at a rate [Hz]."""
         start = self.clock.now if start is None else start
         return [self.read(start + n / rate) for n in range(triggers)]
 

@@ -16,7 +16,6 @@ Delay = Callable[[float, np.random.Generator], float]
 
 
 def jitter(shortest: float, mean: float) -> Delay:
-    """A way of a shortest time and an exponential rest [s]."""
     return lambda at, rng: shortest + rng.exponential(mean)
 
 

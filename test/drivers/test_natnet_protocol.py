@@ -66,7 +66,6 @@ DATAGRAMS = [
 
 
 def parse(datagram: bytes, version):
-    """Whatever a client makes of a datagram."""
     message, payload = messages.split_datagram(datagram)
     if message == messages.FRAME:
         return messages.parse_frame(payload, version)

@@ -32,7 +32,6 @@ MODELS = models_of(*NAMES)
 
 
 def steady(body, moment):
-    """Position [m] and orientation of a body that moves and turns steadily."""
     velocity, rate = np.array([0.2, -0.1, 0.3]), np.array([0.5, 0.8, -0.6])  # [m/s], [rad/s]
     place = np.array([0.4, -0.3, 0.7 + 0.2 * body])
     first = Rotation.from_rotvec([0.3, 0.2 * body, -0.4])

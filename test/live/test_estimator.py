@@ -91,7 +91,6 @@ class Bench:
         return found
 
     def send(self, count: int, start: int = 0, lacking: Topic | None = None) -> None:
-        """Send complete samples, or samples that lack a measurement."""
         for k in range(start, start + count):
             self.estimator.trigger(k * PERIOD)
             for topic, value in self.values(1e-4 * k).items():
@@ -99,7 +98,6 @@ class Bench:
                     self.add(topic, k, value)
 
     def answer(self, request: int, fit: Fit, **refit: Any) -> None:
-        """End a fit that was asked for."""
         self.fitter.requests[request].future.set_result(Refit(fit, **refit))
 
     def figures(self, *names: str) -> list[Any]:

@@ -158,7 +158,6 @@ def live(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LiveTestbed]:
 
 @pytest.fixture(scope="module")
 def act(live: LiveTestbed) -> Iterator[Callable[..., str]]:
-    """Does what a button says."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module, "_ANSWER_TIMEOUT", HANGS)  # on a machine that others use
         patch.setattr(module, "_ACKNOWLEDGE_TIMEOUT", HANGS)

@@ -119,7 +119,6 @@ def ros_message(topic: topics.Topic, seed: int) -> Any:
 
 
 def flat(values: Any) -> Iterator[float]:
-    """All numbers in what was read, in their order."""
     if isinstance(values, dict | list | tuple):
         for own in values.values() if isinstance(values, dict) else values:
             yield from flat(own)
@@ -188,7 +187,6 @@ def test_a_model_is_sent_as_it_is_stored(hold_model: Path) -> None:
 
 
 def pose_of(transform: Any) -> Pose:
-    """A transform's pose, from the message's own fields."""
     t, q = transform.transform.translation, transform.transform.rotation
     turn = Rotation.from_quat([q.x, q.y, q.z, q.w])
     return Pose(turn.as_matrix(), np.array([t.x, t.y, t.z]))

@@ -63,7 +63,6 @@ def recorded(trial: Path) -> tuple[list[int], list[int]]:
 
 
 def record(probe: Probe, wanted: bool) -> str:
-    """Start or stop a recording; returns the answer."""
     answer = probe.call(SetBool, "recorder/record", SetBool.Request(data=wanted))
     assert answer.success, answer.message
     return answer.message

@@ -141,7 +141,6 @@ SURFACES = {
 
 @cache
 def tiling_of(name: str) -> Tiling:
-    """The tiling of one of the surfaces, for all tests."""
     return tile(SURFACES[name])
 
 

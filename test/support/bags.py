@@ -48,7 +48,6 @@ def written_by_rosbags(
     storage: StoragePlugin = StoragePlugin.MCAP,
     mode: CompressionMode = CompressionMode.NONE,
 ) -> Path:
-    """A bag by another writer."""
     writer = Writer(target, version=9, storage_plugin=storage)
     if mode is not CompressionMode.NONE:
         writer.set_compression(mode, CompressionFormat.ZSTD)
@@ -62,7 +61,6 @@ def written_by_rosbags(
 
 
 def copy_configuration(source: Path, target: Path) -> Path:
-    """Copy what a trial was recorded with."""
     for name in CONFIGURATION_FILES:
         shutil.copy(source / name, target)
     return target

@@ -88,7 +88,6 @@ class Probe:
         return publisher
 
     def wait(self, condition: Callable[[], bool], what: str) -> None:
-        """Wait until a condition holds."""
         deadline = time.monotonic() + HANGS
         # Asked without the lock: a condition may itself wait for what the thread that takes the
         # messages brings, such as a service's answer.

@@ -57,7 +57,6 @@ def assert_same_surface(mesh: trimesh.Trimesh, expected: trimesh.Trimesh) -> Non
 
 
 def moved(mesh: trimesh.Trimesh, change: Callable[[np.ndarray], np.ndarray]) -> trimesh.Trimesh:
-    """The mesh with its vertices, (V, 3), changed by a function."""
     return trimesh.Trimesh(change(mesh.vertices.copy()), mesh.faces, process=False)
 
 

@@ -103,7 +103,6 @@ class Link:
         return until(reached, f"level {level} '{text}'")
 
     def restart(self) -> None:
-        """Restart the server, and wait for its frames."""
         sessions = self.client.figures()["sessions"]
         self.faults["mocap.restart"] = 1.0
         until(lambda: self.client.figures()["sessions"] > sessions, "a session")

@@ -50,16 +50,13 @@ class Page(HTMLParser):
             self._rows[-1][-1] += data
 
     def attributes(self, *names: str) -> list[str]:
-        """Values of some attributes, whatever the tag."""
         return [a[name] or "" for _, a in self.tags for name in names if name in a]
 
     @property
     def policy(self) -> str:
-        """The content security policy."""
         return next(a["content"] or "" for _, a in self.tags if a.get("http-equiv"))
 
     def script(self, name: str) -> str:
-        """What the script with an id holds."""
         scripts = [attributes.get("id") for tag, attributes in self.tags if tag == "script"]
         return self.said["script"][scripts.index(name)]
 

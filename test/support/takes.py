@@ -154,7 +154,6 @@ def write_landmarks(document: dict, path: Path) -> Path:
 
 
 def register(bench: Bench, folder: Path, force: bool = False) -> Registration:
-    """Register a bench through its files."""
     take = read_motive_csv(write_take(bench.take, folder / "take.csv"))
     landmarks = read_landmarks(write_landmarks(bench.document, folder / "landmarks.yaml"))
     return register_take(take, landmarks, bench.geometry, force)

@@ -101,7 +101,6 @@ class LiveTestbed:
         self.probe.wait(matches, f"{node} {level} '{text}'")
 
     def wait_for_triggers(self, count: int) -> None:
-        """Let so many triggers pass."""
         goal = len(self.triggers) + count
         self.probe.wait(lambda: len(self.triggers) >= goal, f"{count} triggers")
 

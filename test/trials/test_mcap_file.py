@@ -56,7 +56,6 @@ class Recording:
         return self.first(sum(end <= cut for end in self.ends))
 
     def first(self, number: int) -> list[RawMessage]:
-        """The messages of the first chunks."""
         return sorted((m for chunk in self.chunks[:number] for m in chunk), key=lambda m: m.time)
 
 

@@ -133,7 +133,6 @@ def test_stamps_that_jump_back_are_counted_and_named(hold: Path, tmp_path: Path)
 
 
 def written(source: Path, path: Path, *how: StoragePlugin | CompressionMode) -> Path:
-    """A copy of a trial by another program, compressed."""
     with BagReader(source) as plain:
         bags.written_by_rosbags(plain.messages(), path, *how)
     return bags.copy_configuration(source, path)
