@@ -53,24 +53,6 @@ def test_info_says_what_a_trial_holds(hold: Path, capsys) -> None:
     assert "plateau" in out and "socket.yaml, calibration.yaml, testbed.yaml" in out
 
 
-@pytest.mark.slow
-def test_all_but_the_graph_works_without_ros(tmp_path: Path) -> None:
-    script = (
-        "import sys\n"
-        "for name in ('rclpy', 'socket_testbed_msgs', 'geometry_msgs', 'std_msgs'):\n"
-        "    sys.modules[name] = None\n"
-        "from socket_testbed.__main__ import run\n"
-        "assert run(['simulate', '-o', 'hold', '--duration', '40']) == 0\n"
-        "assert run(['info', 'hold']) == 0\n"
-        "assert run(['fit', 'hold', '-o', 'model.json']) == 0\n"
-        "assert run(['evaluate', 'hold', '--model', 'model.json']) == 0\n"
-        "assert run(['replay', 'hold']) == 1\n"
-    )
-    code, _, err = program(sys.executable, "-c", script, folder=tmp_path)
-    assert code == 0, err
-    assert "rclpy cannot be imported: run 'make setup'" in err
-
-
 def test_the_demo_retries_at_half_speed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tried = []
     monkeypatch.setattr(demo, "_run_live", lambda path, seed, scale, log: tried.append(scale))
