@@ -67,7 +67,8 @@ def test_the_verbs_write_the_same_bytes(folder, tmp_path, monkeypatch, capsys) -
     fitted.save("api.json")
     st.evaluate("walk", fitted, "all", pressure=True).save("api.errors")
     st.pareto("hold", "20:35", thetas=3, smoothness=1e-4, leave_out=["Mz"]).save("api.front.csv")
-    st.export("hold", "api.csv", "20:35", fitted, force_map=True, pressure=True)
+    about = (0.02, -0.01, 0.4)
+    st.export("hold", "api.csv", "20:35", fitted, force_map=True, pressure=True, about=about)
     st.export("hold", "api.cycles.csv", cycles="placed:removed")
     st.force_map("hold", "20:35").save("api.map.csv")
     found = st.pressure("hold", "20:35", share=0.01)
@@ -82,7 +83,8 @@ def test_the_verbs_write_the_same_bytes(folder, tmp_path, monkeypatch, capsys) -
         "fit hold -o verb.json --segment 20:35 --leave-out Mz --variant stiffness",
         "evaluate walk --model api.json --segment all --pressure -o verb.errors",
         "pareto hold --segment 20:35 --leave-out Mz --thetas 3 --smoothness 1e-4 -o verb.front.csv",
-        "export hold --segment 20:35 --model api.json --map --pressure -o verb.csv",
+        "export hold --segment 20:35 --model api.json --map --pressure -o verb.csv"
+        " --about 0.02 -0.01 0.4",
         "export hold --cycles placed:removed -o verb.cycles.csv",
         "map hold --segment 20:35 -o verb.map.csv",
         "pressure hold --segment 20:35 --share 0.01 --over-time -o verb.time.csv",

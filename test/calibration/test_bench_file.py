@@ -62,7 +62,6 @@ def test_every_way_of_writing_reads_alike(units, order, style, dialect, ending, 
     np.testing.assert_allclose(found.stress, bench.stress, rtol=1e-12)
     np.testing.assert_allclose(found.capacitance, bench.capacitance, rtol=1e-12)
     np.testing.assert_allclose(found.time, bench.time, rtol=1e-12)
-    # The line of a row is that of the file.
     last = [number for number, line in enumerate(lines, 1) if line.strip(separator)][-1]
     assert found.line[-1] == last and found.place(len(found) - 1) == f"bench.csv line {last}"
 

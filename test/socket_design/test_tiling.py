@@ -10,7 +10,7 @@ import trimesh
 import yaml
 from scipy.spatial.transform import Rotation
 from support import meshes
-from support.problems import GEOMETRY
+from support.problems import GEOMETRY, wall_frame
 
 from socket_testbed.errors import ConfigurationError, RegistrationError
 from socket_testbed.geometry.pose import Pose
@@ -33,9 +33,8 @@ def wall(angle: float, height: float, off: float = 0.0) -> np.ndarray:
 
 def frame_at(angle: float, turned: float = 0.0) -> np.ndarray:
     """The frame of a cluster on the cylinder, turned about the inward normal."""
-    inward = -np.array([math.cos(angle), math.sin(angle), 0.0])
-    tile = np.column_stack([Z, np.cross(inward, Z), inward])
-    return Rotation.from_rotvec(turned * inward).as_matrix() @ tile
+    outwards, tile = wall_frame(angle, 0.0)
+    return Rotation.from_rotvec(-turned * outwards).as_matrix() @ tile
 
 
 def asked_at(centre, frame=None, name="distal") -> clusters.ClusterPlace:

@@ -15,7 +15,6 @@ from scipy.spatial.distance import pdist
 from support.bags import rewrite
 
 import socket_testbed as st
-from socket_testbed.__main__ import run
 from socket_testbed.calibration.bench_data import STRESSES
 from socket_testbed.identification.fit import evaluate
 from socket_testbed.identification.model_file import read_model
@@ -25,10 +24,6 @@ from socket_testbed.trials.cdr import stamp_of
 from socket_testbed.trials.trial import Trial
 
 SHIFT = 123_456_789  # [ns]; no stamp is a round number that a float could hold
-
-
-def call(*words: object) -> None:
-    assert run(["export", *map(str, words)]) == 0
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +68,7 @@ def title(name: str, unit: str, suffix: str) -> str:
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
 def test_samples_are_read_back_as_they_are(suffix, gappy, tmp_path) -> None:
     path = tmp_path / f"out{suffix}"
-    call(gappy, "-o", path)
+    st.export(gappy, path)
     columns, trial = read_back(path), Trial(gappy)
     samples, stamps = trial.samples(), columns["stamp [ns]"]
     assert stamps.dtype == np.int64 and np.array_equal(stamps, samples.stamps)
@@ -112,7 +107,7 @@ def test_samples_are_read_back_as_they_are(suffix, gappy, tmp_path) -> None:
 
 def test_predictions_have_the_errors_that_evaluate_finds(gappy, hold_model, tmp_path) -> None:
     path = tmp_path / "out.parquet"
-    call(gappy, "-o", path, "--model", hold_model, "--segment", "all")
+    st.export(gappy, path, "all", hold_model)
     columns, trusted = read_back(path), Trial(gappy).samples().trusted_values
     errors = evaluate(Trial(gappy).samples(), read_model(hold_model).model)
     for error, measured in zip(errors, trusted.T, strict=True):
@@ -140,9 +135,8 @@ def test_any_name_and_number_survives(tmp_path: Path) -> None:
 
 def test_gait_laboratories_read_loads_and_markers(hold: Path, tmp_path: Path) -> None:
     samples, knee = Trial(hold).samples()[40:81], (0.02, -0.01, 0.4)
-    for words in ("loads.mot", "markers.trc", "trial.c3d", "knee.sto --about 0.02 -0.01 0.4"):
-        name, *options = words.split()
-        call(hold, "-o", tmp_path / name, "--segment", "10:20", *options)
+    for name in ("loads.mot", "markers.trc", "trial.c3d", "knee.sto"):
+        st.export(hold, tmp_path / name, "10:20", about=knee if name == "knee.sto" else None)
     text = (tmp_path / "loads.mot").read_text().splitlines()
     assert {"nRows=41", "nColumns=10"} < {*text[:5]} and text[5] == "endheader"
     tables = (tmp_path / "loads.mot", tmp_path / "knee.sto")
@@ -173,7 +167,7 @@ def test_a_gap_keeps_its_time_as_empty_frames(hold: Path, tmp_path: Path) -> Non
     samples = Trial(hold).samples()
     lost = range(int(samples.stamps[80]), int(samples.stamps[100]))
     cut = rewrite(hold, tmp_path / "cut", lambda _, m: None if stamp_of(m) in lost else m)
-    call(cut, "-o", tmp_path / "cut.c3d", "--segment", "all")
+    st.export(cut, tmp_path / "cut.c3d", "all")
     wrench = ezc3d.c3d(str(tmp_path / "cut.c3d"))["data"]["analogs"][0].T
     assert np.isnan(wrench[80:100]).all() and len(wrench) == len(samples)
     for part in (np.s_[:80], np.s_[100:]):
