@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.bags import edited
+from support.bags import of_another_socket
 from support.verbs import call, program, refused
 
 import socket_testbed as st
@@ -149,10 +149,7 @@ def test_no_output_replaces_a_file_unasked(hold, hold_model, tmp_path, capsys, m
 
 
 def test_a_model_of_another_socket_is_refused(hold, hold_model, tmp_path, capsys) -> None:
-    def move(document) -> None:
-        document["tiles"]["distal"]["anchor"][2] += 0.01
-
-    trial = edited(hold, tmp_path / "hold", move)
+    trial = of_another_socket(hold, tmp_path / "hold")
     for verb, *words in (
         ("evaluate",),
         ("export", "-o", tmp_path / "table.csv"),

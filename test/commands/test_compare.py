@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from support.bags import edited
+from support.bags import edited, of_another_socket
 from support.pages import Page
 from support.verbs import call, refused
 
@@ -22,12 +22,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("compared")
     for seed, name in enumerate(("gel", "sock")):
         st.simulate(path / "trials" / name, duration=30, seed=seed)
-
-    def widen(document) -> None:
-        for tile in document["tiles"].values():
-            tile["anchor"][0] *= 1.1
-
-    edited(path / "trials" / "gel", path / "wider", widen)
+    of_another_socket(path / "trials" / "gel", path / "wider")
     return path
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from support.bags import edited
+from support.bags import of_another_socket
 from support.verbs import call, refused
 
 import socket_testbed as st
@@ -52,10 +52,7 @@ def test_trials_predict_each_other_in_a_row_of_each_trial(folder: Path, tmp_path
 
 @pytest.mark.usefixtures("few_variants")
 def test_what_cannot_be_judged_is_refused_or_passed_over(folder: Path, tmp_path, capsys) -> None:
-    def move(document) -> None:
-        next(iter(document["tiles"].values()))["anchor"][2] += 0.01
-
-    other = edited(folder / "s1", tmp_path / "other", move)
+    other = of_another_socket(folder / "s1", tmp_path / "other")
     named = ["/other is of another socket", "/s0"]
     refused(capsys, "validate", folder / "s0", other, named=named)
     refused(capsys, "validate", folder / "s0", folder, named=["s0 is given twice"])

@@ -56,7 +56,6 @@ def test_tiles_have_the_colours_of_their_values_on_one_scale_unless_their_ranges
             expected = colormaps[style.SCALE](PowerNorm(1.0, *scale)(row))
             np.testing.assert_allclose(squares.get_facecolors(), expected)
         assert figure.get_supxlabel() == f"1 {NASTY}"
-    # What has no value is hatched.
     values = rng.uniform(5.0, 30.0, 18)
     values[3] = np.nan
     figure = tile_map_figure(geometry, {"mean": values}, UNIT, from_zero=True)

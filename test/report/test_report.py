@@ -6,7 +6,6 @@ import json
 import numpy as np
 import pytest
 import trimesh
-from support.bags import rewrite
 from support.pages import MADE, NASTY, THETAS, Page
 from support.problems import make_samples, ring_socket
 from support.wording import refused
@@ -28,12 +27,12 @@ from socket_testbed.trials.trial import Trial
 PLAIN, BIAS = PAPER_VARIANTS
 
 
-def results_of(path, *leave_out: str, segment: str = "plateau", frames: int = 0) -> Results:
+def results_of(trial: Trial, *leave_out: str, segment="plateau", frames=0) -> Results:
     """The results of a trial with some channels left out, fitted on the first frames."""
-    settings = Trial(path).estimator
+    settings = trial.estimator
     chosen = dataclasses.replace(settings.identification, leave_out=leave_out, frames=frames)
     settings = dataclasses.replace(settings, identification=chosen)
-    return compute_results(Trial(path), segment, settings, THETAS)
+    return compute_results(trial, segment, settings, THETAS)
 
 
 def test_the_summary_has_the_numbers_of_every_model_and_its_weakness(results, hold_model):
@@ -51,18 +50,12 @@ def test_the_summary_has_the_numbers_of_every_model_and_its_weakness(results, ho
 
 
 @pytest.mark.usefixtures("few_variants")
-def test_what_is_left_out_is_marked_and_costs_no_sample(spoilt, tmp_path, monkeypatch):
+def test_what_is_left_out_is_marked_and_costs_no_sample(spoilt, monkeypatch):
     monkeypatch.setattr("socket_testbed.report.results.pareto_front", lambda *_, **__: {})
-
-    def kill(topic: str, message):
-        if topic == "/load_cell/wrench":
-            message.wrench.torque.z = float("nan")
-        return message
-
-    channel = f"{NASTY}.Fx"
-    path = rewrite(spoilt, tmp_path / "dead", kill)
-    results = results_of(path, "Mz", channel, frames=60)
-    pressure = st.pressure(path, leave_out=("Mz", channel))  # of the whole segment
+    channel, trial = f"{NASTY}.Fx", Trial(spoilt)
+    trial.samples().wrench[:, 2] = np.nan
+    results = results_of(trial, "Mz", channel, frames=60)
+    pressure = st.pressure(trial, leave_out=("Mz", channel))  # of the whole segment
     assert len(results.samples[results.segment.rows]) == 60 < len(pressure.time)
     integrals = (found.outputs.regions.integral.value for found in (results.pressure, pressure))
     np.testing.assert_array_equal(*integrals)
@@ -78,7 +71,7 @@ def test_what_is_left_out_is_marked_and_costs_no_sample(spoilt, tmp_path, monkey
 @pytest.mark.usefixtures("few_variants")
 def test_without_a_front_or_a_validation_the_rest_stands(hold, monkeypatch):
     monkeypatch.setattr("socket_testbed.identification.validation.MIN_SAMPLES", 500)
-    results = results_of(hold, "Mx", "My", "Mz", "Fx", "Fy", "Fz", segment="all")
+    results = results_of(Trial(hold), "Mx", "My", "Mz", "Fx", "Fy", "Fz", segment="all")
     assert fronts.section(results).parts[0].startswith("None: ")
     assert "two halves" in validation.section(results).parts[0]
     assert "held-out the" not in " ".join(summarise(results))

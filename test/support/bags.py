@@ -94,6 +94,15 @@ def edited(
     return copy
 
 
+def of_another_socket(source: Path, target: Path) -> Path:
+    """A copy of a trial in whose socket a tile is elsewhere."""
+
+    def move(document: Any) -> None:
+        document["tiles"]["distal"]["anchor"][2] += 0.01
+
+    return edited(source, target, move)
+
+
 def wrench_vector(wrench: Any) -> tuple[float, ...]:
     """[M; F] of a Wrench message [N m, N]."""
     torque, force = wrench.torque, wrench.force
