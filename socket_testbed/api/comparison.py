@@ -34,8 +34,7 @@ from socket_testbed.identification.differences import (
     Conditions,
     is_clear,
 )
-from socket_testbed.identification.pressure import THRESHOLD
-from socket_testbed.pages.pressure import decimals_of
+from socket_testbed.identification.pressure import THRESHOLD, decimals_of
 from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
 from socket_testbed.tables import NOTHING, split_unit
 from socket_testbed.trials.metadata import FIELDS, NO_SIDE

@@ -38,9 +38,9 @@ from socket_testbed.identification.information import MIN_RATIO, share_warning
 from socket_testbed.identification.model_file import quoted_figures
 from socket_testbed.identification.pareto import Front
 from socket_testbed.identification.pressure import TITLES, interval_end
-from socket_testbed.pages.pressure import cells, limb_cells
 from socket_testbed.settings.identification import PAPER_VARIANTS
 from socket_testbed.tables import Table
+from socket_testbed.trials.pressure import cells, limb_cells
 from socket_testbed.trials.trial import Trial
 
 _COLUMNS = 3  # outputs per table

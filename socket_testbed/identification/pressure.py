@@ -66,7 +66,7 @@ _COLUMNS: dict[str, tuple[str, int | None, float, int]] = {
 }
 TITLES = tuple(_COLUMNS)
 """Columns of the outputs of a region, with their units."""
-DECIMALS = {title: column[3] for title, column in _COLUMNS.items()}
+_DECIMALS = {title: column[3] for title, column in _COLUMNS.items()}
 
 
 @dataclass(frozen=True)
@@ -112,6 +112,11 @@ class RegionOutputs:
     shear: Quantity  # magnitude of the shear [Pa]
     direction: Quantity  # of the shear, from x to y [rad]; its ends may lie beyond half a turn
     share: Quantity  # share of the load [-]
+
+
+def decimals_of(title: str) -> int:
+    """Displayed decimals of an output by its title, such as `stiffness Fz [N/mm]`."""
+    return _DECIMALS.get(title, 1 if title.endswith("[N]") else 2)
 
 
 def read_column(found: RegionOutputs, title: str) -> Quantity:

@@ -25,13 +25,12 @@ from socket_testbed.geometry.socket import (
 )
 from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.identification.pressure import (
-    DECIMALS,
     PressureOutputs,
     Quantity,
     RegionOutputs,
+    decimals_of,
     read_column,
 )
-from socket_testbed.pages.pressure import greyness
 from socket_testbed.pages.wall import Patch, patches, side_names, unrolled_tiles
 from socket_testbed.samples import Samples
 from socket_testbed.trials.trial import Trial
@@ -42,6 +41,10 @@ _UNIT = 1.0 / 8192.0  # [-]; unit of the stored weights, 16-bit integers
 _CLOSED = [0, 1, 2, 3, 0]  # corners of a square
 POWER = 0.5  # [-]; exponent of the colours of pressures, finer at low ones
 GREY: dict[str, Any] = {"colour": [150, 150, 150], "greyest": 0.85}  # of uncertain pressures
+# Full colour up to a ratio of interval reach to value, the greyest from another on. Lower values
+# are treated as `_MIN_GREYED`.
+_FULL_COLOUR, _GREYEST = 1.0, 2.5  # [-]
+_MIN_GREYED = 5e3  # [Pa]
 
 Document = dict[str, Any]
 
@@ -84,6 +87,12 @@ def _patch(patch: Patch) -> Document:
         "unit": _UNIT,
         "weights": base64.b64encode(weights.tobytes()).decode(),
     }
+
+
+def greyness(value: FloatArray, reach: FloatArray) -> FloatArray:
+    """Greyness of pressures by the reach of 95 % intervals [Pa]: 0 full colour, 1 greyest."""
+    share = reach / np.maximum(np.abs(value), _MIN_GREYED)
+    return np.asarray(np.clip((share - _FULL_COLOUR) / (_GREYEST - _FULL_COLOUR), 0.0, 1.0))
 
 
 def moment(
@@ -163,7 +172,7 @@ def bars(places: Sequence[Region], outputs: RegionOutputs) -> Document:
         title: numbers(np.stack([output.value, output.low, output.high], axis=-1)[shown], 6)
         for title, output in found.items()
     }
-    decimals = {title: DECIMALS[title] for title in _BAR_TITLES}
+    decimals = {title: decimals_of(title) for title in _BAR_TITLES}
     return {"regions": [places[i].name for i in shown], "values": values, "decimals": decimals}
 
 
@@ -200,7 +209,7 @@ def pressure_card(
     title: str, value: Any, low: Any, high: Any, words: str, sign: str = "-"
 ) -> Document:
     """Card of a pressure or of a difference, with its interval [kPa]."""
-    spec = f".{DECIMALS['peak pressure [kPa]']}f"
+    spec = f".{decimals_of('peak pressure [kPa]')}f"
     number = {"value": f"{value:{sign}{spec}} kPa", "interval": f"{low:{spec}} to {high:{spec}}"}
     return {"title": title, **number, "words": words}
 

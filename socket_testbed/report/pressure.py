@@ -21,7 +21,6 @@ from socket_testbed.identification.pressure import (
     with_interval,
 )
 from socket_testbed.pages import document
-from socket_testbed.pages.pressure import cells, limb_cells
 from socket_testbed.report.models import model_values
 from socket_testbed.report.page import Heading, Pictures, ReportFigure, Section
 from socket_testbed.report.results import Results
@@ -36,7 +35,7 @@ from socket_testbed.report.style import (
 )
 from socket_testbed.report.tiles import add_key, tile_map_figure
 from socket_testbed.tables import Table, split_unit
-from socket_testbed.trials.pressure import SegmentPressure, by_place
+from socket_testbed.trials.pressure import SegmentPressure, by_place, cells, limb_cells
 
 _PRESSURE_COLUMNS = 5  # in the first table by region
 _NAMED_SEGMENTS = ("plateau", "hold")

@@ -1,4 +1,4 @@
-"""Force map of a trial, and pressure outputs over segments and at single samples."""
+"""Force map of a trial, and its pressure outputs: over segments, at single samples, as text."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from socket_testbed.identification.plausibility import require_units
 from socket_testbed.identification.suspension import Suspension, find_suspension
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings
+from socket_testbed.tables import NOTHING, UNCERTAIN
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _BLOCK = 4096  # samples
+INLINE = "{} ({})"  # a value and its interval
 CENTRE_TITLES = [title for title in pressure.TITLES if title.startswith("centre of pressure")]
 
 
@@ -132,3 +134,43 @@ def by_place(names: Iterable[str], found: Mapping[str, FloatArray]) -> dict[str,
         for column, name in enumerate(names)
         for title, values in found.items()
     }
+
+
+def cells(
+    names: Iterable[str],
+    found: pressure.RegionOutputs,
+    form: str = INLINE,
+    share: float = pressure.SHARE,
+) -> pd.DataFrame:
+    """Formatted outputs, a row per place: values and intervals in a form.
+
+    An interval that reaches farther than a share of its value is marked uncertain.
+    """
+    import pandas as pd
+
+    columns = {
+        title: _formatted(title, pressure.read_column(found, title), form, share)
+        for title in pressure.TITLES
+    }
+    return pd.DataFrame(columns, index=[*names])
+
+
+def limb_cells(found: Suspension, share: float = pressure.SHARE) -> dict[str, str]:
+    """Formatted outputs of the limb in the socket, by title."""
+    outputs = found.outputs().items()
+    return {title: _formatted(title, value, INLINE, share)[0] for title, value in outputs}
+
+
+def _formatted(title: str, quantity: pressure.Quantity, form: str, share: float) -> list[str]:
+    """Values with their intervals; a dash for unknown ones."""
+    columns = (quantity.value, quantity.low, quantity.high, quantity.certain(share))
+    number = f"{{:z.{pressure.decimals_of(title)}f}}"
+    return [
+        form.format(
+            number.format(value),
+            f"{number} to {number}".format(low, high) + UNCERTAIN * (not certain),
+        )
+        if np.isfinite([low, high]).all()
+        else NOTHING
+        for value, low, high, certain in zip(*map(np.atleast_1d, columns), strict=True)
+    ]
