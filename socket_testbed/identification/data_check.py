@@ -80,15 +80,13 @@ def check_data(
     if len(samples) < LEAST_CHECKED:
         fact = f"{len(samples)} samples are too few to judge it"
         return (DataFinding("the trial", fact, f"record {LEAST_CHECKED} or more"),)
-    counted = plausibility.without_outliers(samples, geometry, leave_out).without(leave_out)
-    counted = counted.centred()
+    outliers = plausibility.find_outliers(samples, geometry, leave_out)
+    counted = outliers.taken_from(samples).without(leave_out).centred()
     found = [*_units(counted, geometry, mass)]
     if whole:
         found += [*_time_series(counted, geometry)] or [*_disagreements(counted, geometry)]
     found += [finding for finding in _channels(samples) if finding.source not in leave_out]
-    spikes = plausibility.outlier_notes(
-        samples, plausibility.find_outliers(samples, geometry, leave_out)
-    )
+    spikes = plausibility.outlier_notes(samples, outliers)
     found += [DataFinding("single values", note, "check cables and connectors") for note in spikes]
     return tuple(found)
 

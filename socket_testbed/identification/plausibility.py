@@ -145,13 +145,6 @@ def _rises(values: FloatArray) -> BoolArray:
     return np.asarray(size > _RISE * median_filter(size, 5, mode="mirror"))
 
 
-def without_outliers(
-    samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...] = ()
-) -> Samples:
-    """The samples with single outliers marked as missing."""
-    return find_outliers(samples, geometry, leave_out).taken_from(samples)
-
-
 def outlier_notes(samples: Samples, outliers: Outliers, start: int | None = None) -> list[str]:
     """A note per channel with outliers: their values and times since `start` [ns]."""
     time = (samples.stamps - (samples.stamps[0] if start is None else start)) * 1e-9

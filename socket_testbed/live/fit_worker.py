@@ -133,7 +133,8 @@ def fit_samples(
         return Refit(_plausible_fit(samples, geometry, settings))
     if len(samples) and not samples.wrench.any():
         plausibility.require_load(samples, np.ones(6, dtype=bool))
-    cleaned = plausibility.without_outliers(samples, geometry, settings.leave_out)
+    outliers = plausibility.find_outliers(samples, geometry, settings.leave_out)
+    cleaned = outliers.taken_from(samples)
     complete = cleaned.has_pose_and_wrench
     for stretch in find_newest_plateaus(cleaned, steady.plateau, settings.leave_out):
         used = np.zeros(len(samples), dtype=bool)

@@ -13,7 +13,7 @@ from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import CALIBRATION_FILE, PARAMETERS_FILE, SOCKET_FILE, file_or_packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
-from socket_testbed.identification.plausibility import without_outliers
+from socket_testbed.identification.plausibility import find_outliers
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, TestbedSettings, read_testbed
 from socket_testbed.trials import reprocess, synchronise, topics
@@ -138,7 +138,9 @@ class Trial:
     def sound(self, leave_out: tuple[str, ...] = ()) -> Samples:
         """The samples without outliers, found in channels that are not left out; cached."""
         if leave_out not in self._sound:
-            self._sound[leave_out] = without_outliers(self.samples(), self.geometry, leave_out)
+            samples = self.samples()
+            outliers = find_outliers(samples, self.geometry, leave_out)
+            self._sound[leave_out] = outliers.taken_from(samples)
         return self._sound[leave_out]
 
     @cached_property

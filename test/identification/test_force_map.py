@@ -13,7 +13,7 @@ from socket_testbed.geometry.regions import all_regions, proximal_direction
 from socket_testbed.identification import force_map as maps
 from socket_testbed.identification import pressure
 from socket_testbed.identification.force_map import ForceMap, Prior, hypotheses, wall_correlation
-from socket_testbed.identification.plausibility import without_outliers
+from socket_testbed.identification.plausibility import find_outliers
 from socket_testbed.identification.validation import CLOSED, field_estimators
 from socket_testbed.samples import Samples, Status
 from socket_testbed.settings.identification import ForceMapSettings
@@ -104,7 +104,7 @@ def test_outliers_and_channels_left_out_do_not_count() -> None:
     samples = some_samples(40)
     samples.local_forces[7, 2, 0] = 1e9
     samples.wrench[:, 2] += 40.0
-    trusted = without_outliers(samples, GEOMETRY, ("Mz",)).without(("Mz",))
+    trusted = find_outliers(samples, GEOMETRY, ("Mz",)).taken_from(samples).without(("Mz",))
     found = ForceMap(GEOMETRY, CLUSTERS, ForceMapSettings(), trusted).estimate(trusted)
     samples.local_forces[7, 2, 0] = np.nan
     samples.wrench[:, 2] = np.nan
