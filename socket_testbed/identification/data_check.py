@@ -104,7 +104,7 @@ def _units(samples: Samples, geometry: SocketGeometry, mass: float | None) -> It
             hint = "check that moments are in N m and forces in N, and the load cell's channels"
             yield DataFinding("the wrench", f"{found.channel}: {found.reason}", hint)
             break
-    size = plausibility.finite_quantile(_norm(samples.wrench[:, 3:]), 0.95)
+    size = plausibility.finite_quantile(np.linalg.norm(samples.wrench[:, 3:], axis=1), 0.95)
     weights = size / (GRAVITY * mass) if mass else 1.0
     if not LOAD_RANGE[0] <= weights <= LOAD_RANGE[1]:
         yield DataFinding(
@@ -112,7 +112,7 @@ def _units(samples: Samples, geometry: SocketGeometry, mass: float | None) -> It
             f"its force of {size:.3g} N is {weights:.2g} weights of the stated {mass:g} kg",
             "check that forces are in N, and the mass",
         )
-    angle = plausibility.finite_quantile(_norm(samples.rotation), 0.95)
+    angle = plausibility.finite_quantile(np.linalg.norm(samples.rotation, axis=1), 0.95)
     if angle > MAX_ROTATION:
         yield DataFinding(
             "the limb pose",
@@ -242,7 +242,8 @@ def _channels(samples: Samples) -> Iterator[DataFinding]:
         fact = f"{share:.0f} % of the time has no sample"
         yield DataFinding("the trigger", fact, "see 'info' for the gaps, and the trigger's rate")
     # An averaged or extrapolated pose still varies in its last digits.
-    if period * max(map(_longest_run, _known(samples.pose).T)) > max(MAX_STILL, 4.0 * period):
+    poses = samples.pose[samples.has_pose]
+    if period * max(map(_longest_run, poses.T)) > max(MAX_STILL, 4.0 * period):
         yield DataFinding(
             "the limb pose", "it stands still", "check the cameras and the bodies' names"
         )
@@ -266,16 +267,6 @@ def _channels(samples: Samples) -> Iterator[DataFinding]:
         else:
             continue
         yield DataFinding(name, fact, hint)
-
-
-def _known(vectors: FloatArray) -> FloatArray:
-    """The complete vectors; the first vector if none is complete."""
-    known = vectors[np.isfinite(vectors).all(axis=1)]
-    return known if len(known) else vectors[:1]
-
-
-def _norm(vectors: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.norm(vectors, axis=1))
 
 
 def _filled(course: FloatArray, time: FloatArray) -> FloatArray:
