@@ -22,10 +22,10 @@ from socket_testbed.identification.fit import (
     ChannelErrors,
     Fit,
     errors_to_dataframe,
-    evaluate_predictions,
     fit_contact_model,
     summarise_errors,
 )
+from socket_testbed.identification.fit import evaluate as _evaluate
 from socket_testbed.identification.model_file import (
     StoredModel,
     quoted_figures,
@@ -413,6 +413,6 @@ def evaluate(
     if bool(trial.unloaded) != bool(stored.unloaded):
         fitted = "with" if stored.unloaded else "without"
         note(trial, f"the model was fitted {fitted} --unloaded: its offsets differ")
-    errors = evaluate_predictions(rows, _predictions(rows, stored), leave_out)
+    errors = _evaluate(rows, _predictions(rows, stored), leave_out)
     outputs = pressure_of(trial, chosen) if pressure else None
     return Evaluation(trial, stored, chosen, int(rows.has_pose_and_wrench.sum()), errors, outputs)

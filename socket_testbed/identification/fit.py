@@ -81,8 +81,7 @@ def channel_errors(
     if count:
         rmse = float(np.sqrt(np.mean(residual**2)))
         mae, sigma = float(np.mean(np.abs(residual))), float(np.std(residual))
-        if constant := deviation(measured[rows]):
-            skill = 1.0 - rmse / constant
+        skill = 1.0 - rmse / (deviation(measured[rows]) or np.nan)
     return ChannelErrors(name, channel_unit(name), rmse, mae, sigma, skill, count, in_objective)
 
 
@@ -131,17 +130,14 @@ def predictions(samples: Samples, model: ContactModel, window: float) -> FloatAr
 
 
 def evaluate(
-    samples: Samples, model: ContactModel, leave_out: tuple[str, ...] = ()
+    samples: Samples, predicted: ContactModel | FloatArray, leave_out: tuple[str, ...] = ()
 ) -> tuple[ChannelErrors, ...]:
-    """Errors of a model on every channel of the samples; `leave_out` were not in its fit."""
-    predicted = model.predict(samples.pose, samples.clusters)
-    return evaluate_predictions(samples, predicted, leave_out)
+    """Errors of a model, or of its predictions for the samples, shape (N, 6 + 3c), by channel.
 
-
-def evaluate_predictions(
-    samples: Samples, predicted: FloatArray, leave_out: tuple[str, ...] = ()
-) -> tuple[ChannelErrors, ...]:
-    """Errors of predictions made by `ContactModel.predict`: see `evaluate`."""
+    `leave_out` were not in its fit.
+    """
+    if isinstance(predicted, ContactModel):
+        predicted = predicted.predict(samples.pose, samples.clusters)
     measured = samples.trusted_values
     return tuple(
         channel_errors(name, measured[:, i], predicted[:, i], name not in leave_out)

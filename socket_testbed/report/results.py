@@ -17,7 +17,7 @@ from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.identification.fit import (
     ChannelErrors,
     Fit,
-    evaluate_predictions,
+    evaluate,
     fit_contact_model,
     predictions,
 )
@@ -199,13 +199,13 @@ def _judge(
     window, leave_out = settings.pose_smoothing, settings.leave_out
     predicted = predictions(samples, model, window)
     outside = ~_rows_of(segment, samples)
-    held_out = evaluate_predictions(samples[outside], predicted[outside], leave_out)
+    held_out = evaluate(samples[outside], predicted[outside], leave_out)
     enough = max(error.samples for error in held_out) >= _MIN_HELD_OUT
     return Candidate(
         label=label,
         source=source,
         predicted=predicted,
-        errors=evaluate_predictions(chosen, predictions(chosen, model, window), leave_out),
+        errors=evaluate(chosen, predictions(chosen, model, window), leave_out),
         held_out=held_out if enough else (),
         shares=information.load_shares(smooth_poses(chosen, window), model),
         engagement=information.engagement(samples, model, window, segment.rows),
