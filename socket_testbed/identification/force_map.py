@@ -78,39 +78,36 @@ class MapEstimate:
         """Half-widths of the 95 % intervals of the normal pressures, shape (N, n) [Pa]."""
         return NORMAL_QUANTILE * self.normal_pressure_standard_deviation
 
+    @property
+    def _stresses(self) -> dict[str, FloatArray]:
+        """Pressure and shear with their standard deviations, by name, shape (N, n) each [Pa]."""
+        return {
+            "pressure": self.normal_pressure,
+            "pressure sd": self.normal_pressure_standard_deviation,
+            "shear": self.shear,
+            "shear sd": self.shear_standard_deviation,
+        }
+
     def columns(self, names: tuple[str, ...], prefix: str = "") -> dict[str, FloatArray]:
         """Columns of a table with one row per sample, by titles with units.
 
         For each tile the force in {S} and its standard deviation, such as `tile_012.Fz [N]` and
         `tile_012.Fz.sd [N]`, then likewise `pressure` and `shear` [Pa].
         """
-        stresses = {
-            "pressure": self.normal_pressure,
-            "pressure.sd": self.normal_pressure_standard_deviation,
-            "shear": self.shear,
-            "shear.sd": self.shear_standard_deviation,
-        }
         found = {}
         for tile, name in enumerate(names):
             for axis, force in enumerate(LOCAL_CHANNELS):
                 found[f"{prefix}{name}.{force} [N]"] = self.forces[:, tile, axis]
                 found[f"{prefix}{name}.{force}.sd [N]"] = self.standard_deviations[:, tile, axis]
-            found |= {
-                f"{prefix}{name}.{of} [Pa]": values[:, tile] for of, values in stresses.items()
-            }
+            for stress, values in self._stresses.items():
+                found[f"{prefix}{name}.{stress.replace(' ', '.')} [Pa]"] = values[:, tile]
         return found
 
     def by_tile(self, geometry: SocketGeometry) -> pd.DataFrame:
         """Pressure and shear of the first sample with their standard deviations, a row per tile."""
         import pandas as pd
 
-        stresses = {
-            "pressure [kPa]": self.normal_pressure,
-            "pressure sd [kPa]": self.normal_pressure_standard_deviation,
-            "shear [kPa]": self.shear,
-            "shear sd [kPa]": self.shear_standard_deviation,
-        }
-        columns = {title: 1e-3 * values[0] for title, values in stresses.items()}
+        columns = {f"{name} [kPa]": 1e-3 * values[0] for name, values in self._stresses.items()}
         tiles = pd.Index(geometry.names, name="tile")
         return pd.DataFrame({"cluster": geometry.cluster_names, **columns}, index=tiles)
 
