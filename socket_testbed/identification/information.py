@@ -28,12 +28,7 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.geometry.regions import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel, relative_pose
-from socket_testbed.identification.noise import (
-    ChannelNoise,
-    channel_noise,
-    smooth_poses,
-    smoothing_gain,
-)
+from socket_testbed.identification.noise import channel_noise, smooth_poses, smoothing_gain
 from socket_testbed.samples import FORCES, MOMENTS, Samples
 
 MIN_SPRING_SHARE = 0.5  # [-]; of the load, carried by the springs
@@ -96,13 +91,6 @@ def share_warning(shares: tuple[LoadShare, ...]) -> str:
     )
 
 
-def _noise(samples: Samples, window: float) -> tuple[ChannelNoise, FloatArray]:
-    """Noise of the channels, and the covariance of the averaged poses' noise, shape (6, 6)."""
-    noise = channel_noise(samples)
-    spread = np.maximum(np.nan_to_num(noise.pose, nan=_UNKNOWN_NOISE), _MIN_NOISE)
-    return noise, replace(noise, pose=spread).pose_covariance(smoothing_gain(samples, window))
-
-
 @dataclass(frozen=True)
 class Excitation:
     """How far one component of the pose moves, compared with its noise."""
@@ -134,7 +122,9 @@ class Motion:
 
 def measure_motion(samples: Samples, geometry: SocketGeometry, window: float = 0.0) -> Motion:
     """Compare the motion of the limb with the noise of its pose, averaged over a window [s]."""
-    noise, covariance = _noise(samples, window)
+    noise = channel_noise(samples)
+    size = np.maximum(np.nan_to_num(noise.pose, nan=_UNKNOWN_NOISE), _MIN_NOISE)
+    covariance = replace(noise, pose=size).pose_covariance(smoothing_gain(samples, window))
     pose = smooth_poses(samples.centred(), window).pose[samples.has_pose]
     deviation = pose - pose.mean(axis=0)
     spread = np.sqrt(np.diag(covariance))
