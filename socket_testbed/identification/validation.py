@@ -243,29 +243,27 @@ def judge_clusters(
     The intervals are those of a measurement: they include the errors of the cluster's own channels,
     with the standard deviations `noise` in its frame, shape (c, 3) [N].
     """
-    by_name: dict[str, list[_Compared]] = {name: [] for name in estimators}
-    judged = []
+    size = rms(samples.trusted_forces)
+    together: dict[str, list[_Compared]] = {}
+    found = []
     for column, cluster in enumerate(samples.clusters):
         tile = geometry.clusters[cluster]
         rotation = geometry.rotations[tile]
         truth = samples.trusted_forces[:, column] @ rotation.T
         if not np.isfinite(truth).all(axis=1).any():
             continue
-        judged.append(cluster)
         hidden = without_cluster(samples, cluster)
         # Noise along the axes of {S}: the diagonal of R diag(noise^2) R'.
         variance = rotation**2 @ np.nan_to_num(noise[column]) ** 2
         for name, estimate in estimators.items():
             forces, deviations = (values[:, tile] for values in estimate(hidden))
-            by_name[name].append((truth, forces, np.sqrt(deviations**2 + variance)))
-    size = rms(samples.trusted_forces)
-    found = []
-    for row, cluster in enumerate([*judged, ""]):
-        for name, compared in by_name.items():
-            chosen = compared[row : row + 1] if cluster else compared
-            if chosen:
-                judgement = Judgement("cluster", name, "left out", "", tested_on, cluster)
-                found.append(_judged(judgement, chosen, size))
+            compared = truth, forces, np.sqrt(deviations**2 + variance)
+            together.setdefault(name, []).append(compared)
+            figures = _figures([compared], size)
+            found.append(Judgement("cluster", name, "left out", "", tested_on, cluster, **figures))
+    for name, all_compared in together.items():
+        figures = _figures(all_compared, size)
+        found.append(Judgement("cluster", name, "left out", "", tested_on, **figures))
     return found
 
 
@@ -285,8 +283,8 @@ def judge_tiles(
     found = []
     for name, estimate in estimators.items():
         forces, deviations = (values[:, bare] for values in estimate(samples))
-        judgement = Judgement("tiles", name, test, "", tested_on)
-        found.append(_judged(judgement, [(truth, forces, deviations)], rms(truth)))
+        figures = _figures([(truth, forces, deviations)], rms(truth))
+        found.append(Judgement("tiles", name, test, "", tested_on, **figures))
     return found
 
 
@@ -294,8 +292,8 @@ _Compared = tuple[FloatArray, FloatArray, FloatArray]
 """True and estimated forces of N samples, and the estimates' standard deviations."""
 
 
-def _judged(judgement: Judgement, compared: Sequence[_Compared], size: float) -> Judgement:
-    """The judgement with its figures; `size` is the RMS of the true forces [N]."""
+def _figures(compared: Sequence[_Compared], size: float) -> dict[str, Any]:
+    """Figures of a `Judgement` of forces; `size` is the RMS of the true forces [N]."""
     errors = np.concatenate([(forces - truth).ravel() for truth, forces, _ in compared])
     scaled = np.abs(errors / np.concatenate([spread.ravel() for *_, spread in compared]))
     scaled = scaled[np.isfinite(scaled)]
@@ -306,7 +304,7 @@ def _judged(judgement: Judgement, compared: Sequence[_Compared], size: float) ->
         limits = ndtri(0.5 + 0.5 * np.array(LEVELS))
         coverage = tuple(float(np.mean(scaled <= limit)) for limit in limits)
     share = rms(errors) / size if size > 0.0 else float("nan")
-    return dataclasses.replace(judgement, samples=samples, error=share, coverage=coverage)
+    return {"samples": samples, "error": share, "coverage": coverage}
 
 
 def fit_variants(
