@@ -166,11 +166,6 @@ _MAX_OFF = 1.5  # frames; of a sample from its time, by jitter
 _MAX_FRAMES = 65_535  # of a C3D file, whose header counts them in 16 bits
 
 
-def _rate(table: pd.DataFrame) -> float:
-    """Sample rate [Hz]."""
-    return 1.0 / usual_period(table.index.to_numpy()) if len(table) > 1 else 1.0
-
-
 def _storage(table: pd.DataFrame) -> str:
     """The text of an OpenSim storage file."""
     columns = len(table.columns) + 1
@@ -181,7 +176,8 @@ def _storage(table: pd.DataFrame) -> str:
 
 def _markers_text(table: pd.DataFrame, labels: list[str], name: str) -> str:
     """The text of a TRC file; unseen markers are blank."""
-    rate, count = f"{_rate(table):.6g}", len(table)
+    count = len(table)
+    rate = f"{1.0 / usual_period(table.index.to_numpy()):.6g}" if count > 1 else "1"
     fields = "DataRate CameraRate NumFrames NumMarkers Units OrigDataRate OrigDataStartFrame"
     values = [rate, rate, count, len(labels), "mm", rate, 1, count]
     axes = [f"{axis}{k}" for k in range(1, len(labels) + 1) for axis in "XYZ"]
