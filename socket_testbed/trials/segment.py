@@ -186,7 +186,8 @@ def _steadiness(
     limits = np.repeat(
         [settings.moment_drift, settings.force_drift, settings.cluster_drift], [3, 3, counts.sum()]
     )
-    width = _window_width(samples, settings.smoothing)
+    period = usual_period(samples.stamps) * 1e-9
+    width = max(3, round(settings.smoothing / period)) if len(samples) > 1 else 3
     if 2 * width > len(samples):
         return _Steadiness([], names, np.empty((0, len(limits))), limits, width)
     # A channel without any value counts as missing, not as a change of load.
@@ -238,13 +239,6 @@ def moving_mean(values: FloatArray, width: int) -> FloatArray:
     with np.errstate(invalid="ignore", divide="ignore"):
         total = mean(np.where(finite, values, 0.0))
         return np.where(share > 0.5 / width, total / share, np.nan)
-
-
-def _window_width(samples: Samples, duration: float) -> int:
-    """Number of samples in a duration [s], at least three."""
-    if len(samples) < 3:
-        return 3
-    return max(3, round(duration / (usual_period(samples.stamps) * 1e-9)))
 
 
 def _fill_gaps(values: FloatArray) -> FloatArray:
