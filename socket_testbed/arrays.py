@@ -67,17 +67,12 @@ def evenly(count: int, most: int) -> IntArray:
 
 
 def line_weights(offsets: FloatArray) -> FloatArray:
-    """Weights of n values in their least-squares line at offset 0.
+    """Weights of n values in their least-squares line at offset 0, shape (n,) [-].
 
-    For offsets symmetric about 0 this is the mean. Otherwise, such as with missing values, the
-    mean would lag behind a steady motion; the line does not.
-
-    Args:
-        offsets: Times of the values relative to the requested time, shape (n,) [s].
-
-    Returns:
-        Weights, shape (n,) [-]; their sum of squares is the variance of the result for values of
-        variance 1.
+    The offsets are times relative to the requested time, shape (n,) [s]. If they are symmetric
+    about 0 the result is the mean. Otherwise, such as with missing values, the mean would lag
+    behind a steady motion; the line does not. The sum of the squared weights is the variance of the
+    result for values of variance 1.
     """
     if len(offsets) == 0:
         return offsets

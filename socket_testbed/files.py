@@ -30,12 +30,7 @@ _new_outputs: set[Path] = set()  # outputs that did not exist before the work
 
 
 def packaged(folder: str, name: str) -> Path:
-    """Path of a file shipped with the package, in the checkout or the installation.
-
-    Args:
-        folder: `config` or `msg`.
-        name: Name of the file.
-    """
+    """Path of a file in the package's `config` or `msg`, in the checkout or the installation."""
     here = Path(__file__).resolve()
     in_checkout = {"msg": "msg_defs/msg"}.get(folder, folder)
     candidates = [here.parents[1] / in_checkout / name]
@@ -105,9 +100,7 @@ class TemporaryFolder(TemporaryDirectory[str]):
 def check_outputs(*paths: Path | None, replace: bool) -> None:
     """Check output files before any work: an existing file is replaced only on request.
 
-    Args:
-        paths: The files; None for an output that is not wanted.
-        replace: Whether to replace existing outputs.
+    None stands for an output that is not wanted.
     """
     for path in filter(None, paths):
         if path.is_dir():

@@ -210,12 +210,9 @@ class JointDraws:
 class ForceMap:
     """Maps one sample's clusters and wrench to the forces on all tiles, with uncertainty.
 
-    Args:
-        geometry: Geometry of the socket.
-        clusters: Names of the clusters, in the order of the samples.
-        settings: The prior.
-        trial: Samples whose evidence weighs the hypotheses. Without them `estimate` and `sample`
-            use that of their own samples, and `update` that of recent samples.
+    The names of the clusters are in the order of the samples; the settings are the prior. The
+    evidence of the samples of a `trial` weighs the hypotheses. Without them `estimate` and `sample`
+    use that of their own samples, and `update` that of recent samples.
     """
 
     def __init__(

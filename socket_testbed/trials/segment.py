@@ -46,14 +46,10 @@ def select_segment(
     leave_out: tuple[str, ...] = (),
     events: Callable[[], Sequence[Event]] | None = None,
 ) -> Segment:
-    """Select a part of a trial.
+    """Select a part of a trial by a specification as in `st.select_segment`.
 
-    Args:
-        samples: The samples of the trial.
-        specification: As in `st.select_segment`.
-        settings: Criteria of a plateau.
-        leave_out: Channels of clusters that plateaus ignore.
-        events: Returns the events of the trial; None for those detected in the load.
+    Plateaus ignore the clusters' channels in `leave_out`. `events` returns the events of the trial;
+    None stands for those detected in the load.
 
     Raises:
         ConfigurationError: If the specification cannot be parsed.
