@@ -60,10 +60,8 @@ class MappedTrial:
         blocks = np.array_split(np.arange(count), count // _BLOCK + 1)  # to bound the memory
         pressures = (self.force_map.estimate(self.samples[rows]).normal_pressure for rows in blocks)
         highest = np.concatenate([found.max(axis=1) for found in pressures]).argmax()
-        samples = self.samples[np.union1d(evenly(count, most), [highest, *also])]
-        return pressure.pressure_outputs(
-            self.force_map, samples, self.geometry, self.places[-1:], pressure.THRESHOLD
-        )
+        rows = np.union1d(evenly(count, most), [highest, *also])
+        return replace(self, places=self.places[-1:]).outputs(rows)
 
 
 def mapped_trial(
