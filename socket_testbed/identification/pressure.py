@@ -434,8 +434,5 @@ def integration_weights(time: FloatArray) -> FloatArray:
 
     A step longer than three times the usual one is a break, in which the data is unknown.
     """
-    steps = np.where(gaps(time, BREAK), 0.0, np.diff(time))
-    weights = np.zeros(len(time))
-    weights[1:] += 0.5 * steps
-    weights[:-1] += 0.5 * steps
-    return weights
+    steps = np.pad(np.where(gaps(time, BREAK), 0.0, np.diff(time)), 1)
+    return 0.5 * (steps[:-1] + steps[1:])
