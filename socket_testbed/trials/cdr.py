@@ -49,11 +49,6 @@ def typestore() -> Typestore:
     return store
 
 
-def message_class(name: str) -> Any:
-    """The class of a message type, given as `package/msg/Type`."""
-    return typestore().types[name]
-
-
 def decode(raw: bytes | memoryview, message_type: str) -> Any:
     """Deserialise a message."""
     return typestore().deserialize_cdr(raw, message_type)
@@ -109,7 +104,7 @@ def make_message(message_type: str, **given: Any) -> Any:
         else:
             many = [_made(kind, value) for value in given.get(name, [None] * number)]
             content[name] = np.array(many, _NUMBER_TYPES[kind]) if kind in _NUMBER_TYPES else many
-    return message_class(message_type)(**content)
+    return typestore().types[message_type](**content)
 
 
 def _made(kind: str, given: Any) -> Any:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from socket_testbed.trials.cdr import fields_of, message_class, typestore
+from socket_testbed.trials.cdr import fields_of, typestore
 
 
 class Maker:
@@ -26,7 +26,7 @@ class Maker:
                 scalar = field.type != "string" and "/" not in field.type
                 kind = {"byte": "int8", "char": "uint8"}.get(field.type, field.type)
                 own[field.name] = np.array(many, dtype=kind) if scalar else many
-        return message_class(name)(**own)
+        return typestore().types[name](**own)
 
     def one(self, kind: str) -> Any:
         if kind == "string":
