@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from socket_testbed.arrays import GAP, FloatArray, StatusArray, gaps, runs, usual_period
+from socket_testbed.arrays import GAP, FloatArray, StatusArray, evenly, gaps, runs, usual_period
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.regions import axial_force, proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
@@ -196,15 +196,16 @@ def _time_series(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFin
 
 def _disagreements(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFinding]:
     """The cluster, if any, that contradicts the others and the wrench most."""
-    rows = validation.thinned(validation.loaded_rows(samples, MIN_LOAD_CHANGE), _COMPARED_SAMPLES)
-    if not len(rows):
+    loaded = samples[validation.loaded_rows(samples, MIN_LOAD_CHANGE)]
+    if not len(loaded):
         return
+    compared = loaded[evenly(len(loaded), _COMPARED_SAMPLES)]
     noise = validation.measurement_errors(
         samples, channel_noise(samples).local_forces, ForceMapSettings()
     )
     worst = (MAX_INNOVATION, "", "")
-    compared = validation.left_out_pressures(samples[rows], geometry)
-    for error, (name, measured, expected, deviation) in zip(noise, compared, strict=True):
+    pressures = validation.left_out_pressures(compared, geometry)
+    for error, (name, measured, expected, deviation) in zip(noise, pressures, strict=True):
         if np.isfinite(measured).any():
             own = np.nan_to_num(error[2]) / geometry.areas[geometry.clusters[name]]
             scale = np.hypot(deviation, own)

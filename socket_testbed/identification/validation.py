@@ -354,12 +354,6 @@ def judge_unseen_half(
     return fit.evaluate(unseen, model, settings.leave_out)
 
 
-def thinned(rows: BoolArray, limit: int = MAX_SAMPLES) -> IntArray:
-    """Indices of at most `limit` of the rows, evenly spread."""
-    numbers = np.flatnonzero(rows)
-    return numbers[evenly(len(numbers), limit)]
-
-
 def judge_samples(
     samples: Samples,
     geometry: SocketGeometry,
@@ -398,7 +392,8 @@ def judge_map(
     samples: Samples, geometry: SocketGeometry, settings: EstimatorSettings, name: str = ""
 ) -> list[Judgement]:
     """Judge the estimators that need no fit on left-out clusters."""
-    samples = samples[thinned(loaded_rows(samples, settings.plateau.least_force))]
+    loaded = samples[loaded_rows(samples, settings.plateau.least_force)]
+    samples = loaded[evenly(len(loaded), MAX_SAMPLES)]
     noise = measurement_errors(samples, channel_noise(samples).local_forces, settings.force_map)
     estimators = field_estimators(geometry, settings.force_map)
     return judge_clusters(samples, geometry, estimators, noise, name)

@@ -7,6 +7,7 @@ import pytest
 from support.problems import make_samples, random_socket
 from support.wording import refused
 
+from socket_testbed.arrays import evenly
 from socket_testbed.errors import IdentificationError
 from socket_testbed.identification import fit, validation
 from socket_testbed.identification.contact import wrench_map
@@ -168,6 +169,6 @@ def test_loaded_samples_are_complete_and_pressed_and_come_in_halves(rng):
     samples.wrench[:, 3:] = np.outer(np.arange(60) >= 10, [0.0, 0.0, -100.0])
     first, second = validation.split(samples, 20.0)
     assert first.tolist() == [*range(10, 35)] and second.tolist() == [*range(35, 60)]
-    assert validation.thinned(np.arange(60) >= 10, 3).tolist() == [10, 34, 59]
+    assert np.arange(10, 60)[evenly(50, 3)].tolist() == [10, 34, 59]
     with refused(IdentificationError, "only 20 of 30 samples", "need 24"):
         validation.split(samples[:30], 20.0)
