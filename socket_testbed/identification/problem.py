@@ -535,8 +535,6 @@ class Problem:
 
 def _block_means(values: FloatArray, size: int) -> FloatArray:
     """Means of the finite values over blocks of rows; NaN without any."""
-    if size <= 1:
-        return values
     starts = np.arange(0, len(values), size)
     known = np.isfinite(values)
     total = np.add.reduceat(np.where(known, values, 0.0), starts, axis=0)
