@@ -123,9 +123,10 @@ class ContactLaw(ABC):
     SHARPNESS: ClassVar[str]  # name of the setting for the gate's sharpness
 
     @property
-    @abstractmethod
     def frames(self) -> FloatArray:
-        """The law's frames B_i, which map to {S}, shape (n, 3, 3) [-]."""
+        """The law's frames B_i, which map to {S}: the tiles' or {S} itself, shape (n, 3, 3) [-]."""
+        axes = np.broadcast_to(np.eye(3), self.rotations.shape)
+        return self.rotations if self.IN_TILES else axes
 
     @abstractmethod
     def motion_map(self) -> FloatArray:
@@ -196,7 +197,9 @@ class ContactLaw(ABC):
 
     def stored(self, rest: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Rest positions (n, 3) [m] and reference pose (6,) of a model, from r (3, n)."""
-        return rest.T.copy(), self.reference_pose
+        if self.IN_TILES:
+            return rest.T.copy(), self.reference_pose
+        return rest.T + self.reference_pose[:3], np.zeros(6)
 
     def wrench_offsets(
         self, motion: FloatArray, residual: FloatArray, wrench: FloatArray
@@ -220,11 +223,6 @@ class PaperLaw(ContactLaw):
 
     GATES = (0, 1, 2)
     SHARPNESS = "gate_sharpness"
-
-    @property
-    def frames(self) -> FloatArray:
-        """The axes of {S}, for every tile."""
-        return np.broadcast_to(np.eye(3), (len(self.anchors), 3, 3))
 
     def motion_map(self) -> FloatArray:
         """Every tile moves with the limb's position."""
@@ -265,10 +263,6 @@ class PaperLaw(ContactLaw):
             limit=settings.rest_position_limit,
             prior=np.multiply.outer(weights, smooth),
         )
-
-    def stored(self, rest: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Rest positions in {S}."""
-        return rest.T + self.reference_pose[:3], np.zeros(6)
 
 
 MEAN_WEIGHT = 0.3  # [-]; epsilon: weight of the common mean, relative to the neighbours
@@ -324,11 +318,6 @@ class RigidLaw(ContactLaw):
     MAX_ROWS = 500
     GATES = (2,)
     SHARPNESS = "contact_sharpness"
-
-    @property
-    def frames(self) -> FloatArray:
-        """The tiles' frames."""
-        return self.rotations
 
     def motion_map(self) -> FloatArray:
         """Displacements of the tiles' centres, moved with the limb."""
