@@ -6,7 +6,7 @@ Heights are measured from the distal end, angles from anterior towards left.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,6 +40,11 @@ class SocketAxis:
         """Unit vector towards left, at +90 degrees, shape (3,) [-]."""
         return np.cross(self.proximal, self.anterior)
 
+    @property
+    def frame(self) -> FloatArray:
+        """Rotation from the points' frame to anterior, left and proximal, shape (3, 3) [-]."""
+        return np.stack([self.anterior, self.left, self.proximal])
+
     def heights(self, points: FloatArray) -> FloatArray:
         """Heights of points in {S} above the distal end, shape (...) of (..., 3) [m]."""
         return np.asarray((points - self.end) @ self.proximal)
@@ -66,6 +71,14 @@ def axis_through(end: FloatArray, proximal: FloatArray, anterior: FloatArray = _
     if np.linalg.norm(across) < _NO_DIRECTION:
         across = -_Z + (_Z @ along) * along
     return SocketAxis(np.asarray(end), along, across / np.linalg.norm(across))
+
+
+def axis_between(points: FloatArray, proximal: FloatArray, anterior: FloatArray = _X) -> SocketAxis:
+    """The axis centred between points (N, 3) [m], from the lowest one up; see `axis_through`."""
+    axis = axis_through(np.zeros(3), proximal, anterior)
+    along = points @ axis.frame.T
+    low, high = along.min(axis=0), along.max(axis=0)
+    return replace(axis, end=np.array([*0.5 * (low + high)[:2], low[2]]) @ axis.frame)
 
 
 def proximal_direction(geometry: SocketGeometry) -> FloatArray:
@@ -95,12 +108,7 @@ def socket_axis(geometry: SocketGeometry) -> SocketAxis:
 
     Its `heights(geometry.anchors)` and `angles(geometry.anchors)` locate each tile.
     """
-    through_s = axis_through(np.zeros(3), proximal_direction(geometry))
-    frame = np.stack([through_s.anterior, through_s.left, through_s.proximal])
-    along = geometry.anchors @ frame.T
-    low, high = along.min(axis=0), along.max(axis=0)
-    end = np.array([*0.5 * (low + high)[:2], low[2]]) @ frame
-    return SocketAxis(end, through_s.proximal, through_s.anterior)
+    return axis_between(geometry.anchors, proximal_direction(geometry))
 
 
 def wall_tiles(geometry: SocketGeometry, around: SocketAxis) -> BoolArray:

@@ -18,7 +18,7 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.documents import Document, read_document
 from socket_testbed.errors import ConfigurationError, RegistrationError, naming
 from socket_testbed.geometry.pose import Point, Pose, ScanPoint, about_z
-from socket_testbed.geometry.regions import SocketAxis, axis_through
+from socket_testbed.geometry.regions import SocketAxis, axis_between
 from socket_testbed.geometry.socket import ScanFrame, SocketGeometry
 from socket_testbed.socket_design.clusters import ClusterPlace
 from socket_testbed.socket_design.interior import find_interior
@@ -79,20 +79,14 @@ def place_by_directions(
     assumed = anterior is None
     if anterior is None:
         anterior = np.eye(3)[0 if abs(proximal[0]) < 0.7 else 1]
-    z = proximal / np.linalg.norm(proximal)
-    x = anterior - (anterior @ z) * z
-    if np.linalg.norm(x) < _MIN_SINE:
+    if np.linalg.norm(np.cross(proximal, anterior)) < _MIN_SINE * np.linalg.norm(proximal):
         raise ConfigurationError(
             "--anterior is along the proximal direction", "give the direction of the shin's front"
         )
-    x /= np.linalg.norm(x)
-    rotation = np.array([x, np.cross(z, x), z])
-    inside = vertices @ rotation.T
-    low, high = inside.min(axis=0), inside.max(axis=0)
-    origin = np.array([*(0.5 * (low + high))[:2], low[2] - height])
+    axis = axis_between(vertices, proximal, anterior)
     how = f"z proximal, x {'assumed' if assumed else 'given as'} anterior, the distal end's"
     return Placement(
-        Pose(rotation, -origin),
+        Pose(axis.frame, np.array([0.0, 0.0, height]) - axis.frame @ axis.end),
         f"{how} lowest point {1e3 * height:g} mm above the load cell: nominal",
     )
 
@@ -223,7 +217,7 @@ def design_socket(
     upwards = pose.rotation @ interior.proximal
     known = [place.in_load_cell(frame) for place in clusters or ()]
     tiling = tile_interior(mesh, upwards, _ANTERIOR, settings, progress, known)
-    axis = _axis_of(mesh, upwards)
+    axis = axis_between(np.asarray(mesh.vertices), upwards)
     notes = [
         f"no tile fits at cluster {laid.name}: the nearest one is {1e3 * laid.moved:.1f} mm off"
         for laid in tiling.clusters
@@ -239,14 +233,6 @@ def design_socket(
     geometry = _tiled_socket(tiling, axis, nominal, bodies, source, frame)
     notes = [*scan.notes, *interior.notes, *notes]
     return SocketDesign(name, scan, mesh, placement, tiling, geometry, settings, tuple(notes))
-
-
-def _axis_of(mesh: trimesh.Trimesh, proximal: FloatArray) -> SocketAxis:
-    """The socket's axis in the middle of its interior, from its lowest point."""
-    vertices = np.asarray(mesh.vertices)
-    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
-    lowest = float((vertices @ proximal).min())
-    return axis_through(middle + (lowest - middle @ proximal) * proximal, proximal, _ANTERIOR)
 
 
 TILE_NAME = re.compile(r"h\d{3}_a\d{3}[a-z]?")
