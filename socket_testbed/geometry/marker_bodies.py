@@ -26,8 +26,7 @@ class PoseUncertainty:
 
     def at(self, point: FloatArray) -> FloatArray:
         """Covariance of a point fixed to the body, shape (3, 3) [m^2]."""
-        x, y, z = point - self.centroid
-        lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # lever @ w = w x r
+        lever = np.cross(np.eye(3), point - self.centroid).T  # lever @ w = w x r
         return self.shift + lever @ self.rotation @ lever.T
 
 
@@ -51,26 +50,27 @@ def pose_uncertainty(points: FloatArray, noise: float) -> PoseUncertainty:
 def fit_rigid(points: FloatArray, observed: FloatArray) -> Pose:
     """Least-squares poses of a body from its points (Kabsch 1976, doi:10.1107/S0567739476001873).
 
-    The points are in the body's frame, shape (k, 3) [m]. The M observations, shape (M, k, 3) [m],
-    and the M poses are in another frame.
+    The points are in the body's frame, shape (k, 3) [m]. The observations, one of shape (k, 3) or M
+    of shape (M, k, 3) [m], and their poses are in another frame.
     """
     centre_points = points.mean(axis=0)
-    centre_observed = observed.mean(axis=1)
-    covariance = np.swapaxes(observed - centre_observed[:, None], 1, 2) @ (points - centre_points)
+    centre_observed = observed.mean(axis=-2)
+    offsets = observed - centre_observed[..., None, :]
+    covariance = np.swapaxes(offsets, -1, -2) @ (points - centre_points)
     rotation = nearest_rotations(covariance)
     return Pose(rotation, centre_observed - rotation @ centre_points)
 
 
 def nearest_rotations(matrices: FloatArray) -> FloatArray:
-    """The rotation nearest to each matrix (Frobenius norm), shape (M, 3, 3) [-]."""
+    """The rotation nearest to each matrix (Frobenius norm), shape (..., 3, 3) [-]."""
     left, _, right = np.linalg.svd(matrices)
     # Coplanar points leave the sign of the normal open: choose the proper rotation.
-    left[:, :, 2] *= np.sign(np.linalg.det(left @ right))[:, None]
+    left[..., 2] *= np.sign(np.linalg.det(left @ right))[..., None]
     return np.asarray(left @ right)
 
 
 def misfit(points: FloatArray, observed: FloatArray, pose: Pose) -> FloatArray:
-    """Distances of observed points from those placed by the poses, shape (M, k) [m]."""
+    """Distances of observed points from those placed by the poses, shape (..., k) [m]."""
     return np.linalg.norm(observed - pose.place(points), axis=-1)
 
 

@@ -73,8 +73,8 @@ class Pose:
         return _rotate(self.rotation, points) + self.translation
 
     def place(self, points: FloatArray) -> FloatArray:
-        """The same k points of N bodies, (k, 3) [m], in the frame, shape (N, k, 3) [m]."""
-        return points @ np.swapaxes(self.rotation, 1, 2) + self.translation[:, None]
+        """The same k points of N bodies, (k, 3) [m], in the frame, shape ([N,] k, 3) [m]."""
+        return points @ np.swapaxes(self.rotation, -1, -2) + self.translation[..., None, :]
 
 
 def _rotate(rotation: FloatArray, vectors: FloatArray) -> FloatArray:

@@ -169,13 +169,13 @@ def register_landmarks(
     _require_spread(known, names, "are given")
     _require_spread(measured, names, "were measured")
 
-    batch = fit_rigid(known, measured[None])
-    residual = misfit(known, measured[None], batch)[0]
+    pose = fit_rigid(known, measured)
+    residual = misfit(known, measured, pose)
     degrees = 3 * len(names) - 6
     sigma = max(float(np.sqrt((residual**2).sum() / degrees)), noise)
     return LandmarkFit(
         names=tuple(names),
-        pose=Pose(batch.rotation[0], batch.translation[0]),
+        pose=pose,
         residual=residual,
         noise=sigma,
         degrees=degrees,
@@ -354,8 +354,7 @@ def tracked_frame(markers: FloatArray, body: Pose, where: str) -> Pose:
         )
     arms = markers[tracked] - body.translation[tracked, None]
     in_body = np.median(arms @ body.rotation[tracked], axis=0)
-    pose = fit_rigid(in_body, markers.mean(axis=0)[None])
-    return Pose(pose.rotation[0], pose.translation[0])
+    return fit_rigid(in_body, markers.mean(axis=0))
 
 
 NOTED_RESIDUAL = 0.002  # [m]
