@@ -10,6 +10,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
+from trimesh.intersections import slice_faces_plane
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.socket_design.scan_file import number_cells
@@ -231,12 +232,6 @@ class Footprints:
         return 0.5 * float(np.linalg.norm(trimesh.triangles.cross(seen), axis=1).sum())
 
 
-def _over_square(triangles: FloatArray, edge: float) -> BoolArray:
-    """Whether triangles in a square's frame may overlap it, shape (f,)."""
-    low, high = _ends(triangles[:, :, :2])
-    return np.all((low < 0.5 * edge) & (high > -0.5 * edge), axis=1)
-
-
 def _ends(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Minima and maxima over the three corners of triangles, shape (f, 3, ...)."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
@@ -245,30 +240,15 @@ def _ends(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _cut_to_square(triangles: FloatArray, edge: float) -> FloatArray:
     """Triangles clipped to the column over a square, triangulated again."""
-    triangles = triangles[_over_square(triangles, edge)]
+    low, high = _ends(triangles[:, :, :2])
+    triangles = triangles[((low < 0.5 * edge) & (high > -0.5 * edge)).all(axis=1)]
     inside = (np.abs(triangles[:, :, :2]) <= 0.5 * edge).all(axis=(1, 2))
-    cut = triangles[~inside]
-    for axis in (0, 1):
-        for side in (1.0, -1.0):
-            cut = _cut_off(cut, side * cut[:, :, axis] - 0.5 * edge)
-    return np.concatenate([triangles[inside], cut])
-
-
-def _cut_off(triangles: FloatArray, beyond: FloatArray) -> FloatArray:
-    """Triangles, shape (f, 3, 3), clipped at a plane, given their corners' distances beyond it."""
-    out = beyond > 0.0
-    corners_out = out.sum(axis=1)
-    pieces = [triangles[corners_out == 0]]
-    for count, alone in (1, out), (2, ~out):
-        some = np.flatnonzero(corners_out == count)
-        order = (alone[some].argmax(axis=1)[:, None] + np.arange(3)) % 3  # the lone corner first
-        a, b, c = np.moveaxis(triangles[some[:, None], order], 1, 0)
-        distance = beyond[some[:, None], order]
-        to_b, to_c = (distance[:, :1] / (distance[:, :1] - distance[:, 1:])).T[:, :, None]
-        on_b, on_c = a + to_b * (b - a), a + to_c * (c - a)
-        cuts = [(a, on_b, on_c)] if count == 2 else [(on_b, b, c), (on_b, c, on_c)]
-        pieces += [np.stack(corners, axis=1) for corners in cuts]
-    return np.concatenate(pieces)
+    vertices = triangles[~inside].reshape(-1, 3)
+    faces = np.arange(len(vertices)).reshape(-1, 3)
+    for inwards in (*np.eye(3)[:2], *-np.eye(3)[:2]):
+        on_side = -0.5 * edge * inwards
+        vertices, faces = slice_faces_plane(vertices, faces, inwards, on_side)[:2]
+    return np.concatenate([triangles[inside], vertices[faces]])
 
 
 _END_ANGLE = 10.0  # [deg]; between normal and proximal direction, for a proximal tangent
