@@ -306,7 +306,11 @@ def tile_interior(
     kept = [footprints.footprint(int(tile)) for tile in tiles]
     squares = fitting.take(tiles)
     covered = _covered(points, squares)
-    inside = _distance(points.positions, surroundings.rim) > 0.5 * settings.edge
+    from_rim, from_tiles = (
+        KDTree(others).query(points.positions)[0]  # infinite without a rim
+        for others in (surroundings.rim, points.positions[covered])
+    )
+    inside = from_rim > 0.5 * settings.edge
     return Tiling(
         squares=squares,
         footprint_areas=np.array([footprint.area for footprint in kept]),
@@ -314,16 +318,9 @@ def tile_interior(
         neighbours=_nearby_pairs(squares),
         interior_area=float(mesh.area),
         cover_inside=float(points.areas[covered & inside].sum() / points.areas[inside].sum()),
-        largest_gap=float(_distance(points.positions, points.positions[covered]).max()),
+        largest_gap=float(from_tiles.max()),
         clusters=tuple(laid),
     )
-
-
-def _distance(points: FloatArray, others: FloatArray) -> FloatArray:
-    """Distance of each point from the nearest other one; infinite without others [m]."""
-    if not len(others):
-        return np.full(len(points), np.inf)
-    return KDTree(others).query(points)[0]
 
 
 def _covered(points: SurfacePoints, squares: Squares) -> BoolArray:
