@@ -22,7 +22,7 @@ from socket_testbed.geometry.regions import SocketAxis, axis_between
 from socket_testbed.geometry.socket import ScanFrame, SocketGeometry
 from socket_testbed.socket_design.clusters import ClusterPlace
 from socket_testbed.socket_design.interior import find_interior
-from socket_testbed.socket_design.registration import register_landmarks
+from socket_testbed.socket_design.registration import own_frame, register_landmarks
 from socket_testbed.socket_design.scan_file import METRES, Scan, refuse_implausible
 from socket_testbed.socket_design.squares import Squares
 from socket_testbed.socket_design.tiling import Tiling, TilingSettings, tile_interior
@@ -101,9 +101,7 @@ def place_by_points(points: FloatArray) -> Placement:
             "the three --points are on one line or at one place",
             "pick the origin of {S}, a point on its +x axis, and a third one towards +y",
         )
-    x, z = along / np.linalg.norm(along), normal / np.linalg.norm(normal)
-    rotation = np.array([x, np.cross(z, x), z])
-    return Placement(Pose(rotation, -rotation @ points[0]), "three picked points")
+    return Placement(own_frame(points).inverse(), "three picked points")
 
 
 class _PickedLandmark(Document):
