@@ -119,19 +119,6 @@ class NatNetClient:
         self._last_frame = self._received = 0.0  # [s]
         self._next_echo = self._next_keepalive = self._next_models = 0.0  # [s]
         self._forget()
-        self._handlers: dict[int, Callable[[bytes, float], None]] = {
-            messages.SERVERINFO: self._handle_server_info,
-            messages.FRAME: self._handle_frame,
-            messages.MODELDEF: self._handle_models,
-            messages.ECHORESPONSE: self._handle_echo,
-            messages.DISCONNECT: lambda payload, now: self._restart(),
-            messages.RESPONSE: lambda payload, now: self._commands.answer(
-                connection.Answer(payload), now
-            ),
-            messages.UNRECOGNIZED: lambda payload, now: self._commands.answer(
-                connection.Answer(payload, recognized=False), now
-            ),
-        }
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="natnet", daemon=True)
 
@@ -330,8 +317,20 @@ class NatNetClient:
         """Handle a datagram of the server."""
         self._received = now
         message, payload = messages.split_datagram(datagram)
-        if (handler := self._handlers.get(message)) is not None:
-            handler(payload, now)
+        match message:
+            case messages.SERVERINFO:
+                self._handle_server_info(payload, now)
+            case messages.FRAME:
+                self._handle_frame(payload, now)
+            case messages.MODELDEF:
+                self._handle_models(payload, now)
+            case messages.ECHORESPONSE:
+                self._handle_echo(payload, now)
+            case messages.DISCONNECT:
+                self._restart()
+            case messages.RESPONSE | messages.UNRECOGNIZED:
+                known = message == messages.RESPONSE
+                self._commands.answer(connection.Answer(payload, known), now)
 
     def _handle_server_info(self, payload: bytes, now: float) -> None:
         info = messages.parse_server_info(payload)
