@@ -19,7 +19,6 @@ class EdgeLine(Protocol):
 
     def edges(self, within: float) -> list[float]:
         """Times of edges on the steady clock [s]; waits up to `within` [s] for the first."""
-        ...
 
     def close(self) -> None:
         """Release the line."""

@@ -155,12 +155,9 @@ class CapacitiveChip(Protocol):
 
         Raises an error if the chip has lost its settings.
         """
-        ...
 
     def read(self, channel: int) -> int:
         """Code of the last conversion of an input [1]; clears its `done`."""
-        ...
 
     def convert(self, channel: int, code: int) -> Conversion:
         """Convert an input's code to capacitance; shifts the range if it is out of range."""
-        ...

@@ -38,7 +38,6 @@ class SpiDevice(Protocol):
 
     def xfer2(self, data: list[int], /) -> list[int]:
         """Exchange bytes; the chip stays selected throughout."""
-        ...
 
     def close(self) -> None:
         """Release the bus."""
@@ -80,8 +79,7 @@ def open_spi(device: str, clock: float) -> SpiDevice:
             missing="enable SPI (dtparam=spi=on in config.txt), or set load_cell_node's device",
             otherwise="check that nothing else uses it, and check load_cell_node's spi_clock",
         ) from None
-    opened: SpiDevice = spi
-    return opened
+    return spi
 
 
 def checksum(data: bytes, crc: str) -> int:
