@@ -121,11 +121,8 @@ def _find_cycles(stress: FloatArray) -> IntArray:
     """
     load = median_filter(np.linalg.norm(scaled_stress(stress), axis=1), 3)  # removes spikes
     extremes = find_extremes(load, _MIN_CYCLE * float(np.ptp(load)))
-    low = [
-        i
-        for k, i in enumerate(extremes)
-        if 0 < k < len(extremes) - 1 and load[i] < load[extremes[k - 1]]
-    ]
+    inner = extremes[1:-1]
+    low = inner[load[inner] < load[extremes[:-2]]]
     return np.searchsorted(low, np.arange(len(load)), side="right").astype(np.int64)
 
 
