@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import SHEAR_SIGNS, ClusterCalibration, shear_terms
-from socket_testbed.geometry.pose import Pose
+from socket_testbed.geometry.pose import Pose, about_z
 from socket_testbed.geometry.socket import SocketGeometry
 
 CAMERA_RATE = 240.0  # [Hz]
@@ -115,9 +115,7 @@ class ClusterSensor:
     ) -> None:
         self._calibration = calibration
         self._noise = errors.capacitance_noise
-        turn = rng.normal(0.0, errors.placement)
-        c, s = np.cos(turn), np.sin(turn)
-        self._turn = np.array([[c, -s], [s, c]])
+        self._turn = about_z(rng.normal(0.0, errors.placement))[:2, :2]
         self._mixing = (1.0 - errors.cross_talk) * np.eye(4) + errors.cross_talk / 4.0
         self._gains = 1.0 + rng.normal(0.0, errors.gain_mismatch, 4)
         self._offsets = rng.normal(0.0, errors.offset, 4)

@@ -76,7 +76,7 @@ def random_streams(seed: int) -> tuple[np.random.Generator, ...]:
 
     The size of one error does not affect the other parts.
     """
-    return tuple(np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(6))
+    return tuple(np.random.default_rng(seed).spawn(6))
 
 
 def simulate(

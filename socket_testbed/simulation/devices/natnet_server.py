@@ -325,9 +325,7 @@ class NatNetServer:
         self._version = version
         self._multicast = multicast
         self._faults: Mapping[str, float] = {} if faults is None else faults
-        self._rng, network_rng, scene_rng = (
-            np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(3)
-        )
+        self._rng, network_rng, scene_rng = np.random.default_rng(seed).spawn(3)
         self._scene = Scene(bodies, self._faults, noise, scene_rng)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
