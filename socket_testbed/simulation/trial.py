@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.calibration.model import Calibration
@@ -91,20 +92,12 @@ def simulate(
     tissue: TissueKind = "soft",
     mocap_window: float = MocapSettings.window,
 ) -> SimulatedTrial:
-    """Simulate a trial.
+    """Simulate a trial with the lab's geometry and calibration.
 
-    Args:
-        geometry: The lab's geometry of the socket.
-        calibration: The lab's calibration of the clusters.
-        scenario: The load history, see `load_history`.
-        duration: Duration [s].
-        rate: Rate of the trigger [Hz].
-        seed: Seed of all random numbers.
-        errors: Sizes of the sensors' errors; None for the defaults.
-        progress: Called with the steps done and the total.
-        tissue: Kind of the limb's tissue, see `make_tissue`.
-        mocap_window: Span of the frames averaged around a trigger, see `averaging_span`; 0 for a
-            single frame [s].
+    Its duration is in s, the rate of the trigger in Hz; the seed is that of all random numbers.
+    See `load_history` for the scenarios, `make_tissue` for the tissues. `progress` is called with
+    the steps done and the total. `mocap_window` is the span of the frames averaged around a
+    trigger, see `averaging_span`; 0 for a single frame [s].
     """
     calibration.require(geometry.clusters, "the socket")
     errors = errors or sensors.SensorErrors()
@@ -159,12 +152,14 @@ def _motion_capture(
     count = len(truth.wrench)
     markers = {name: np.empty((count, *own.shape)) for name, own in geometry.markers.items()}
     poses = {name: Pose(np.empty((count, 3, 3)), np.empty((count, 3))) for name in markers}
+    motions = [
+        make_interp_spline(np.arange(count), values, k=1)
+        for values in (truth.position, truth.rotation, truth.wrench)
+    ]
     chunks = 1 + count * len(offsets) // _MAX_FRAMES
     for rows in np.array_split(np.arange(count), chunks):
         at = (rows[:, None] + offsets).ravel()
-        after = np.clip(np.ceil(at).astype(int), 1, count - 1)
-        moved = (truth.position, truth.rotation, truth.wrench)
-        true = bodies.poses(*(_interpolate(values, after, at - after + 1.0) for values in moved))
+        true = bodies.poses(*(motion(at) for motion in motions))
         for pose, (name, own) in zip(true, geometry.markers.items(), strict=True):
             seen = sensors.observe_markers(pose, own, errors, rng)
             markers[name][rows] = seen[reach :: len(offsets)]
@@ -223,19 +218,18 @@ def read_truth(path: Path, stamps: IntArray | None = None) -> GroundTruth:
     try:
         with np.load(path / TRUTH_FILE) as data:
             times, tiles = data["stamps"], tuple(data["names"].tolist())
-            arrays = [data[field.name] for field in fields(GroundTruth)[1:]]
-        if times.ndim != 1 or len(times) < 2 or any(len(times) != len(array) for array in arrays):
-            raise ValueError("its arrays differ in length")
+            since = times - times[0]
+            if len(since) < 2:
+                raise ValueError("it has fewer than two times")
+            names = [field.name for field in fields(GroundTruth)[1:]]
+            splines = [make_interp_spline(since, data[name], k=1) for name in names]
     except Exception as error:  # parsing may raise any error
         raise TrialError(
             f"{path / TRUTH_FILE}: is damaged ({error})",
             "simulate the trial again, or remove the file",
         ) from None
-    stamps = times if stamps is None else stamps
-    after = np.clip(np.searchsorted(times, stamps), 1, len(times) - 1)
-    span = times[after] - times[after - 1]
-    share = np.clip((stamps - times[after - 1]) / span, 0.0, 1.0)
-    return GroundTruth(tiles, *(_interpolate(array, after, share) for array in arrays))
+    at = since if stamps is None else np.clip(stamps - times[0], 0, since[-1])
+    return GroundTruth(tiles, *(spline(at) for spline in splines))
 
 
 def read_true_forces(path: Path, stamps: IntArray, tiles: Sequence[str]) -> FloatArray | None:
@@ -247,11 +241,6 @@ def read_true_forces(path: Path, stamps: IntArray, tiles: Sequence[str]) -> Floa
         return None
     truth = read_truth(path, stamps)
     return truth.forces if truth.tiles == tuple(tiles) else None
-
-
-def _interpolate(values: FloatArray, after: IntArray, share: FloatArray) -> FloatArray:
-    share = share.reshape(-1, *[1] * (values.ndim - 1))
-    return np.asarray((1.0 - share) * values[after - 1] + share * values[after])
 
 
 def _messages(
