@@ -250,14 +250,11 @@ class _ExpectedError:
 
     def error(self, tiles: Sequence[int]) -> float:
         """Expected error on the tiles without a cluster, over their RMS [-]."""
-        left = self._posterior(tiles)
-        free = np.setdiff1d(np.arange(len(left[0]) // 3), tiles)
-        rows = (3 * free[:, None] + np.arange(3)).ravel()
-        ratios = [
-            np.trace(after[np.ix_(rows, rows)]) / np.trace(before[np.ix_(rows, rows)])
-            for after, before in zip(left, self._prior, strict=True)
-        ]
-        return float(np.sqrt(np.mean(ratios)))
+        after, before = (
+            np.array([np.delete(np.diag(K).reshape(-1, 3), tiles, axis=0).sum() for K in found])
+            for found in (self._posterior(tiles), self._prior)
+        )
+        return float(np.sqrt((after / before).mean()))
 
     def best(self, tiles: Sequence[int], free: IntArray) -> int:
         """The free tile on which another cluster lowers the error most."""
