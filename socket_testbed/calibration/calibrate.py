@@ -131,16 +131,12 @@ def cycle_ids(bench: BenchData) -> IntArray:
 
     A single name for all rows of a file is ignored.
     """
-    ids = np.empty(len(bench), dtype=np.int64)
-    first = 0
+    cycles = pd.DataFrame({"file": bench.file, "cycle": bench.cycle})
     for file in np.unique(bench.file):
         rows = np.flatnonzero(bench.file == file)
-        named = (bench.cycle[rows] != UNNAMED).all() and np.ptp(bench.cycle[rows]) > 0
-        cycles = bench.cycle[rows] if named else _find_cycles(bench.stress[rows])
-        _, ids[rows] = np.unique(cycles, return_inverse=True)
-        ids[rows] += first
-        first = int(ids[rows].max()) + 1
-    return ids
+        if (bench.cycle[rows] == UNNAMED).any() or np.ptp(bench.cycle[rows]) == 0:
+            cycles.loc[rows, "cycle"] = _find_cycles(bench.stress[rows])
+    return cycles.groupby(["file", "cycle"]).ngroup().to_numpy()
 
 
 def find_branches(bench: BenchData) -> IntArray:
