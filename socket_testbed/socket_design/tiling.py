@@ -75,10 +75,7 @@ def _border_gaps(
     own = (borders[others] - squares.anchors[index]) @ squares.rotations[index][:, :2]
     offset = borders[index] - squares.anchors[others][:, None]
     theirs = offset @ squares.rotations[others][:, :, :2]
-    outside = [
-        np.maximum(np.abs(seen[:, :, 0]), np.abs(seen[:, :, 1])).min(axis=1)
-        for seen in (own, theirs)
-    ]
+    outside = (np.abs(seen).max(axis=2).min(axis=1) for seen in (own, theirs))
     return np.minimum(*outside) - 0.5 * squares.edge
 
 
