@@ -166,7 +166,11 @@ class SocketGeometry:
             )
         }
         document["neighbours"] = [[self.names[a], self.names[b]] for a, b in self.neighbours]
-        document["clusters"] = {name: self._cluster_document(name) for name in self.clusters}
+        clusters: dict[str, Any] = {name: self.names[i] for name, i in self.clusters.items()}
+        for name, angle in self.turned.items():
+            turned = round(float(np.degrees(angle)), 9)
+            clusters[name] = {"tile": clusters[name], "turned": turned}
+        document["clusters"] = clusters
         if self.regions:
             own = {name: [self.names[i] for i in tiles] for name, tiles in self.regions.items()}
             document["regions"] = own
@@ -178,10 +182,6 @@ class SocketGeometry:
             "pylon": {"markers": rounded(self.pylon_markers)} | pylon,
         }
         return document
-
-    def _cluster_document(self, cluster: str) -> str | dict[str, Any]:
-        tile, turned = self.names[self.clusters[cluster]], self.turned.get(cluster, 0.0)
-        return {"tile": tile, "turned": round(float(np.degrees(turned)), 9)} if turned else tile
 
 
 def _turn(x: FloatArray, y: FloatArray, angle: float) -> tuple[FloatArray, FloatArray]:
