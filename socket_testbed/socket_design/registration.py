@@ -150,18 +150,13 @@ class LandmarkFit:
 def register_landmarks(
     known: FloatArray, measured: FloatArray, names: Sequence[str], noise: float = 0.0
 ) -> LandmarkFit:
-    """Least-squares pose of a frame from landmarks.
+    """Least-squares pose of a frame from known landmarks, measured in another, (k, 3) [m] each.
 
     The uncertainty is of first order (`pose_uncertainty`). Sigma comes from the residuals,
-    ``sigma^2 = sum(residual^2) / (3k - 6)``, but is at least the given noise: few landmarks may fit
-    better than their accuracy by chance (three leave 3 degrees of freedom). Residuals cannot show
-    an error common to all landmarks, such as a wrong origin of the registered frame.
-
-    Args:
-        known: Landmarks in the frame to register, shape (k, 3) [m].
-        measured: The same landmarks in another frame, shape (k, 3) [m].
-        names: Their names.
-        noise: Smallest 1-sigma error of a landmark's coordinate [m].
+    ``sigma^2 = sum(residual^2) / (3k - 6)``, but is at least the noise, the smallest 1-sigma error
+    of a coordinate [m]: few landmarks may fit better than their accuracy by chance (three leave 3
+    degrees of freedom). Residuals cannot show an error common to all landmarks, such as a wrong
+    origin of the registered frame.
     """
     if len(names) < _MIN_LANDMARKS:
         named = ", ".join(names) or "none"

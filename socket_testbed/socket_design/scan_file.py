@@ -46,10 +46,7 @@ def separate(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArra
 
     Faces stay joined across edges shared by exactly two of them. Where more faces meet at an edge,
     or two fans of faces meet only at a vertex, each gets its own vertices, so that every boundary
-    vertex occurs once, on one boundary loop.
-
-    Returns:
-        The new vertices and faces, in the same order of faces.
+    vertex occurs once, on one boundary loop. The order of the faces stays.
     """
     start = faces.ravel()
     one, other = twin_half_edges(faces).T
@@ -143,8 +140,7 @@ def fill_holes(
 ) -> tuple[FloatArray, IntArray, list[float], list[float]]:
     """Close holes with a circumference below a limit [m] by a fan around their middle.
 
-    Returns:
-        The vertices; the faces; the circumferences of the closed holes and of the open ones [m].
+    Also returns the circumferences of the closed holes and of the open ones [m].
     """
     new_vertices, new_faces = [vertices], [faces]
     closed, left = list[float](), list[float]()
@@ -179,11 +175,8 @@ class Scan:
 def read_scan(path: Path, unit: str | None = None, body: str | None = None) -> Scan:
     """Read one body of an STL, PLY or OBJ file, and repair it as far as possible.
 
-    Args:
-        path: The file.
-        unit: Its unit of length, one of m, cm, mm, in; by default as stated or inferred.
-        body: Name (of an object or, without objects, a group of an OBJ) or number of the body;
-            required if there is more than one.
+    Its unit of length, one of m, cm, mm, in, is by default as stated or inferred. The body's name
+    (of an object or, without objects, a group of an OBJ) or number is required if there are more.
     """
     if unit not in {None, *METRES}:
         raise ScanError(f"the unit '{unit}' is unknown", closest(str(unit), METRES))
