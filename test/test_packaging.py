@@ -22,8 +22,6 @@ SOURCES = (
     *("LICENSE", "colcon_defaults.yaml", "package.xml", "pyproject.toml", "setup.cfg", "setup.py"),
 )
 
-_ACTIVE = "#!/usr/bin/env python3\n"  # nodes run in the active environment, not in colcon's
-
 
 @pytest.fixture(scope="module")
 def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -62,7 +60,8 @@ def test_a_plain_colcon_build_gives_a_package_that_works_anywhere(workspace, tmp
 
     # Away from the sources, the installed package finds its own files and messages.
     paths = [next((workspace / "install" / name).rglob("site-packages")) for name in PACKAGES]
-    assert (prefix / "lib/socket_testbed/estimator_node").read_text().startswith(_ACTIVE)
+    node = (prefix / "lib/socket_testbed/estimator_node").read_text()
+    assert node.startswith("#!/usr/bin/env python3\n")  # in the active environment, not colcon's
     script = (
         "import sys, socket_testbed, socket_testbed_msgs.msg as m;"
         "print(socket_testbed.__file__, m.__file__);"

@@ -2,6 +2,7 @@
 
 import itertools
 import socket
+from unittest.mock import Mock
 
 import pytest
 from support.clocks import careful_time_scale
@@ -121,14 +122,8 @@ def test_neither_strangers_nor_a_callback_that_fails_end_the_stream(link):
             stranger.sendto(b"\x09\x00\x00\x00", ("127.0.0.1", port))  # DISCONNECT, not from it
     assert link.worst() < ACCURACY
     assert link.client.figures()["sessions"] == 1
-    taken = []
-
-    def take(frame, moment, models):
-        taken.append(frame)
-        raise ValueError("the callback's own")
-
-    link.client._on_frame = take
-    until(lambda: len(taken) > 10, "frames")
+    link.client._on_frame = take = Mock(side_effect=ValueError("the callback's own"))
+    until(lambda: take.call_count > 10, "frames")
     assert "the callback's own" in link.health()[1]
 
 

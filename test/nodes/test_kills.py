@@ -29,9 +29,7 @@ def test_any_node_may_be_killed_and_comes_back(tmp_path: Path) -> None:
                 live.switch("clusters.shifted", 2)  # what a restart of the host does to a chip
             live.kill(node)
             seen = len(live.probe.said(node))
-            live.probe.wait(
-                lambda node=node, seen=seen: len(live.probe.said(node)) > seen, f"{node} again"
-            )
+            live.wait_for(node, "OK|WARN|ERROR", since=seen)
             if node not in COMPUTING:
                 live.wait_for(node, "OK")
             live.switch("clusters.shifted", 0)

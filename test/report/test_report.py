@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -86,9 +87,7 @@ def test_a_page_that_cannot_be_written_leaves_nothing(results, tmp_path, monkeyp
             write_report(results, tmp_path / "page.html", "", MADE)
         (tmp_path / taken).rmdir()
 
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
+    full = Mock(side_effect=OSError(28, "No space left on device"))
     monkeypatch.setattr(write, "SECTIONS", {"Data": (write.models.errors_section,)})
     monkeypatch.setattr(write, "write_table", full)
     with refused(ConfigurationError, "No space left"):
