@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 import yaml
 from support import CHECKOUT
-from support.bags import move_to_namespace
+from support.bags import add_events
 from support.testbeds import simulated_parameters
 
 from socket_testbed.errors import ConfigurationError
@@ -32,11 +32,8 @@ class Stub:
         return context[self.positional[0]]
 
 
-Launch = Callable[..., list[Stub]]
-
-
 @pytest.fixture
-def launch(monkeypatch: pytest.MonkeyPatch) -> Launch:
+def launch(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[Stub]]:
     """Runs a launch file with arguments; returns the actions that it gives."""
 
     class Anything(ModuleType):
@@ -87,7 +84,7 @@ def environment(command: str) -> set[str]:
     raise AssertionError(f"no process {command}")
 
 
-def test_the_testbed_is_launched_as_run_starts_it(launch: Launch, tmp_path: Path) -> None:
+def test_the_testbed_is_launched_as_run_starts_it(launch, tmp_path: Path) -> None:
     changed = {"mocap_node": {"server": "192.0.2.1"}, "trigger_node": {"rate": 20}}
     params, record = simulated_parameters(tmp_path, **changed), tmp_path / "trial"
     launched = nodes(launch("testbed", params=params, record=record))
@@ -143,8 +140,8 @@ def test_wrong_arguments_end_a_launch_before_any_node_starts(launch, tmp_path: P
             launch("testbed", **arguments)
 
 
-def test_a_trial_is_replayed_in_its_namespace(launch: Launch, hold: Path, tmp_path: Path) -> None:
-    lab = move_to_namespace(hold, tmp_path / "lab", "/lab")
+def test_a_trial_is_replayed_in_its_namespace(launch, hold: Path, tmp_path: Path) -> None:
+    lab = add_events(hold, tmp_path / "lab", [], "/lab").path
     own = packaged("config", "calibration.yaml")
     actions = launch("replay", trial=lab, rate="2", loop="true", calibration=own)
     launched = nodes(actions)

@@ -23,6 +23,7 @@ from socket_testbed.identification.solver import WARM_START, BoxQP, pivot_regula
 from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS, IdentificationSettings
 
 SOLVERS = [solver for solver in ("osqp", "daqp") if solver in qpsolvers.available_solvers]
+REFERENCE = np.array([0.01, -0.02, 0.15, 0.02, 0.1, -0.05])  # [m, rad]
 LEFT_OUT = [
     (),
     ("cluster_1.Fx",),
@@ -172,7 +173,7 @@ def rigid_case(seed: int, variant="rigid", count: int = 80, **changes):
         rest_positions=rng.normal([0.0, 0.0, 0.003], 0.001, size) - 0.004 * inwards,
         stiffness=rng.uniform(0.5, 1.5, size) * [2000.0, 2000.0, 6000.0],
         sharpness=300.0,
-        reference_pose=np.array([0.01, -0.02, 0.15, 0.02, 0.1, -0.05]),
+        reference_pose=REFERENCE,
     )
     pose = rigid_motion(rng, count, bed)
     samples = problems.make_samples(pose, bed.wrench(pose), bed.cluster_forces(pose))
@@ -359,9 +360,6 @@ def test_a_spoilt_model_is_refused_and_one_of_an_older_version_is_read(hold_mode
 
 
 # --- The contact laws against their definitions
-
-
-REFERENCE = np.array([0.01, -0.02, 0.15, 0.02, 0.1, -0.05])  # [m, rad]
 
 
 @pytest.mark.parametrize("variant", PAPER_VARIANTS)

@@ -394,8 +394,7 @@ def test_the_newest_stretch_since_a_slip_is_fitted(trial: Trial, samples: Sample
         assert found.fit.last_stamp < window.stamps[window.has_pose_and_wrench][newest]
         return found
 
-    # It replaces a model of the time before the slip; a model of the time after it stays while
-    # steady data from before it is all that can be fitted.
+    # It replaces a model of before; one of after stays while all that can be fitted is of before.
     assert not refit(samples, before).is_worse
     assert refit(samples[: row + 16], after).is_worse
 

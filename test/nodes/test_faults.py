@@ -1,7 +1,6 @@
 """Every fault of docs/faults.md, switched on in the running testbed while it records.
 
-What counts: the fault is named, the others go on, the recovery is named, no value of the trial is
-wrong, and no sample is missing without a status.
+It and its end are named, the others go on, and no value is wrong or missing without a status.
 """
 
 import re

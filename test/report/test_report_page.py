@@ -34,8 +34,7 @@ pytestmark = pytest.mark.slow  # all figures are drawn and saved
 def page_path(results: Results, tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("report") / "my report.html"
     with pytest.MonkeyPatch.context() as patch:
-        # Layout, fonts to copy text from, and pixels take most of the time; the tests of the
-        # figures look at them.
+        # Layout, fonts and pixels take most of the time: the tests of the figures look at them.
         patch.setattr(ConstrainedLayoutEngine, "execute", lambda *_: None)
         patch.setitem(style._STYLE, "pdf.fonttype", 3)
         patch.setattr("socket_testbed.report.page.save_figure", partial(style.save_figure, dpi=50))

@@ -37,11 +37,6 @@ def rewrite(source: Path, target: Path, change: Callable[[str, Any], Any]) -> Pa
     return target
 
 
-def move_to_namespace(source: Path, target: Path, namespace: str) -> Path:
-    """Copy a trial as if its graph had run in a namespace."""
-    return add_events(source, target, [], namespace).path
-
-
 def written_by_rosbags(
     messages: Iterable[RawMessage],
     target: Path,
@@ -69,7 +64,7 @@ def copy_configuration(source: Path, target: Path) -> Path:
 def add_events(
     source: Path, target: Path, events: list[tuple[str, float, float]], namespace: str = ""
 ) -> Trial:
-    """A copy of a trial with events: labels, stamps (NaN: none) and times [s] since its start."""
+    """A copy in a namespace with events: labels, stamps (NaN: none) and times [s] of the trial."""
     first = int(Trial(source).samples().stamps[0])
     with copying(source, target, namespace) as (old, new):
         new.add_topic(f"{namespace}/event", EVENT)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.bags import copying, rewrite
+from support.problems import GEOMETRY
 from support.verbs import call
 from support.wording import refused
 
@@ -16,7 +17,7 @@ import socket_testbed as st
 from socket_testbed.errors import CalibrationError, ConfigurationError, TestbedError, TrialError
 from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.pose import Pose
-from socket_testbed.geometry.socket import SocketGeometry, read_socket, write_socket
+from socket_testbed.geometry.socket import SocketGeometry, write_socket
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.settings.testbed import TestbedSettings, read_testbed, write_testbed
 from socket_testbed.trials import synchronise
@@ -111,8 +112,7 @@ def test_a_wrong_load_cell_and_tare_are_repaired(hold, miswired, right, tmp_path
 
 def test_what_cannot_be_repaired_is_refused(hold, miswired, right, tmp_path) -> None:
     file = store(right, tmp_path / "right.yaml")
-    no_raw = lambda name, message: None if name == "/load_cell/raw" else message  # noqa: E731
-    old = rewrite(hold, tmp_path / "old", no_raw)
+    old = rewrite(hold, tmp_path / "old", lambda name, m: None if name == "/load_cell/raw" else m)
     unknown, other = bare(miswired, tmp_path / "unknown"), bare(miswired, tmp_path / "other")
     store(right, other / "testbed.yaml")
     for path, given, text in (
@@ -143,11 +143,6 @@ def test_results_depend_on_load_cell_tare_and_spans_and_models_remember_them(
     assert "fitted with --unloaded" in call(capsys, "evaluate", hold, "--model", model)[2]
 
 
-@pytest.fixture(scope="module")
-def geometry(hold: Path) -> SocketGeometry:
-    return read_socket(hold / "socket.yaml")
-
-
 def recorded_with(hold: Path, path: Path, wrong: SocketGeometry) -> Path:
     """The hold as the node would record it that knows other markers of the socket."""
     pose = fit_body(wrong.socket_markers, measured_of(hold).markers["socket"][:, :3]).pose
@@ -157,21 +152,21 @@ def recorded_with(hold: Path, path: Path, wrong: SocketGeometry) -> Path:
     return path
 
 
-def moved_marker(geometry: SocketGeometry, by: float) -> SocketGeometry:
-    markers = geometry.socket_markers.copy()
+def moved_marker(by: float) -> SocketGeometry:
+    markers = GEOMETRY.socket_markers.copy()
     markers[1, 0] += by
-    return dataclasses.replace(geometry, socket_markers=markers)
+    return dataclasses.replace(GEOMETRY, socket_markers=markers)
 
 
 @pytest.mark.parametrize("by", [0.005, 0.001])
-def test_a_marker_that_was_registered_wrong_is_repaired(hold, geometry, tmp_path, by) -> None:
+def test_a_marker_that_was_registered_wrong_is_repaired(hold, tmp_path, by) -> None:
     """Wrong by 5 mm it has no pose, by 1 mm a wrong one."""
-    path, notes = recorded_with(hold, tmp_path / "trial", moved_marker(geometry, by)), []
+    path, notes = recorded_with(hold, tmp_path / "trial", moved_marker(by)), []
     file, true = hold / "socket.yaml", Trial(hold).measurements()
     trial = st.open_trial(path, geometry=file, notify=notes.append)
     found = trial.measurements()
     np.testing.assert_array_equal(found.pylon, true.pylon)
-    right = recorded_with(hold, tmp_path / "right", geometry)
+    right = recorded_with(hold, tmp_path / "right", GEOMETRY)
     np.testing.assert_allclose(found.socket, Trial(right).measurements().socket, atol=1e-12)
     missing = int(np.isnan(found.socket[:, 0]).sum())
     text = f"socket: poses refitted to the recorded markers: {240 - missing} of 240 found, "
@@ -187,19 +182,19 @@ def test_a_marker_that_was_registered_wrong_is_repaired(hold, geometry, tmp_path
     assert np.nanmax(np.abs(shift)) < 2e-4
 
 
-def test_a_body_s_frame_moves_no_limb(hold: Path, geometry: SocketGeometry, tmp_path: Path) -> None:
+def test_a_body_s_frame_moves_no_limb(hold: Path, tmp_path: Path) -> None:
     turn = Pose.from_quaternion(np.array([0.02, -0.03, 0.05]), np.array([0.2, -0.1, 0.3, 0.9]))
-    markers, body = turn.apply(geometry.socket_markers), geometry.socket_body @ turn.inverse()
-    other = dataclasses.replace(geometry, socket_markers=markers, socket_body=body)
+    markers, body = turn.apply(GEOMETRY.socket_markers), GEOMETRY.socket_body @ turn.inverse()
+    other = dataclasses.replace(GEOMETRY, socket_markers=markers, socket_body=body)
     write_socket(other, tmp_path / "other.yaml")
     found, wanted = (Trial(hold, *given).samples() for given in ((tmp_path / "other.yaml",), ()))
     off = np.abs(found.position - wanted.position)
     assert np.isfinite(off).mean() > 0.95 and np.nanmax(off) < 2e-4
 
 
-def test_poses_stay_without_markers(hold: Path, geometry: SocketGeometry, tmp_path: Path) -> None:
+def test_poses_stay_without_markers(hold: Path, tmp_path: Path) -> None:
     other, notes = tmp_path / "other.yaml", []
-    write_socket(moved_marker(geometry, 0.005), other)
+    write_socket(moved_marker(0.005), other)
     unknown = bare(hold, tmp_path / "unknown", "socket.yaml")
     found = Trial(unknown, other, notify=notes.append).measurements()
     np.testing.assert_array_equal(found.socket, Trial(hold).measurements().socket)

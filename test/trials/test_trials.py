@@ -94,10 +94,9 @@ def test_metadata_that_is_missing_or_promises_other_counts(hold: Path, tmp_path:
 
 
 def test_topics_are_found_in_the_namespace_of_the_recording(hold: Path, tmp_path: Path) -> None:
-    target = bags.move_to_namespace(hold, tmp_path / "lab", "/lab")
-    assert recorded_namespace(Trial(target)) == "/lab"
-    assert recorded_namespace(Trial(hold)) == "/"
-    np.testing.assert_array_equal(Trial(target).samples().values, Trial(hold).samples().values)
+    lab = bags.add_events(hold, tmp_path / "lab", [], "/lab")
+    assert (recorded_namespace(lab), recorded_namespace(Trial(hold))) == ("/lab", "/")
+    np.testing.assert_array_equal(lab.samples().values, Trial(hold).samples().values)
     with refused(TrialError, "two topics"):
         topics.match_topics(dict.fromkeys(["/a/trigger", "/b/trigger"], topics.TRIGGER.type), "bag")
     types = {"/camera/trigger": "std_msgs/msg/Bool", "/lab/trigger": topics.TRIGGER.type}
