@@ -33,9 +33,8 @@ from socket_testbed.identification.validation import (
     LEVELS,
     close_wrench,
     inverse_distance,
-    without_cluster,
 )
-from socket_testbed.samples import Samples, Status
+from socket_testbed.samples import Samples, Status, local_channels
 from socket_testbed.simulation.limb import SCENARIOS, TISSUES
 from socket_testbed.simulation.trial import simulate
 
@@ -145,7 +144,7 @@ def _print_times(geometry: SocketGeometry) -> None:
     wrench, local = random.normal(0.0, 10.0, (1, 6)), random.normal(0.0, 3.0, (1, 4, 3))
     nothing, status = np.zeros((1, 3)), np.zeros((1, 4), dtype=np.uint8)
     present = Samples(np.zeros(1, np.int64), nothing, nothing, wrench, clusters, local, status)
-    missing = without_cluster(present, clusters[1])
+    missing = present.without(local_channels(clusters[1]))
     force_map = ForceMap(geometry, clusters)
 
     def first_sample_without_a_cluster() -> None:

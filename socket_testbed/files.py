@@ -100,7 +100,9 @@ class TemporaryFolder(TemporaryDirectory[str]):
 def check_outputs(*paths: Path | None, replace: bool) -> None:
     """Check output files before any work: an existing file is replaced only on request.
 
-    None stands for an output that is not wanted.
+    Args:
+        paths: The files; None for an output that is not wanted.
+        replace: Whether to replace existing outputs.
     """
     for path in filter(None, paths):
         if path.is_dir():

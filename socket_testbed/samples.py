@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,9 +31,14 @@ class Status(IntEnum):
     OUT_OF_RANGE = 3
 
 
+def local_channels(cluster: str) -> list[str]:
+    """Names of the three channels of a cluster."""
+    return [f"{cluster}.{channel}" for channel in LOCAL_CHANNELS]
+
+
 def channel_names(clusters: tuple[str, ...]) -> tuple[str, ...]:
     """Names of all channels: the wrench's, then three per cluster."""
-    return WRENCH_CHANNELS + tuple(f"{c}.{channel}" for c in clusters for channel in LOCAL_CHANNELS)
+    return (*WRENCH_CHANNELS, *chain.from_iterable(map(local_channels, clusters)))
 
 
 def channel_unit(name: str) -> str:

@@ -17,7 +17,7 @@ from socket_testbed.files import PAGES, check_suffix
 from socket_testbed.geometry.socket import SOCKET
 from socket_testbed.identification.differences import DIFFERENCE, SAME_LIMB, VALUE, is_clear
 from socket_testbed.pages.document import moment, pressure_card, socket_document
-from socket_testbed.settings.testbed import estimator_settings
+from socket_testbed.settings.testbed import ViewSettings, estimator_settings
 from socket_testbed.tables import Table, pairs_table
 from socket_testbed.trials.trial import Trial
 
@@ -225,7 +225,7 @@ def view(
     model: Model | None = None,
     *,
     port: int = 0,
-    host: str = "127.0.0.1",
+    host: str = ViewSettings.host,
     names: tuple[str, ...] = (),
 ) -> PageServer:
     """Show a trial in a browser: play, pause, seek; the pressure on the socket at every instant.

@@ -24,6 +24,7 @@ from socket_testbed.geometry.socket import Side, read_socket
 from socket_testbed.identification import plausibility
 from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.samples import Samples
+from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.settings.identification import PlateauSettings
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials import segment as segments
@@ -270,7 +271,7 @@ def simulate(
     tissue: TissueKind = "soft",
     like_paper: bool = False,
     duration: float = 120.0,
-    rate: float = 4.0,
+    rate: float = TriggerSettings.rate,
     seed: int = 0,
     geometry: PathLike | None = None,
     calibration: PathLike | None = None,

@@ -55,16 +55,16 @@ _INTERVAL = 0.2  # [s]; between checks of the time
     "fit",
     without="figure page command variant",  # the paper's variants and the default
 )
-def report(trial: Path, *, output: Path, thetas: int = 31, **options: Any) -> None:
+def report(trial: Path, *, output: Path, **options: Any) -> None:
     """Write a page with a trial's results: figures, errors, data quality.
 
     Args:
         output: The page, or the folder of the pages of a folder of trials.
     """
-    theta_values(thetas)  # a wrong number is reported once
+    theta_values(options["thetas"])  # a wrong number is reported once
     options["command"] = typed_command()
     verb = TrialVerb("report", ".html", _report, _report_row, _show_report, FIELDS)
-    on_trials(verb, trial, output=output, thetas=thetas, **options)
+    on_trials(verb, trial, output=output, **options)
 
 
 def _report(trial: Trial, options: Mapping[str, Any]) -> Results:

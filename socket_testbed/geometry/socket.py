@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -109,6 +109,16 @@ class SocketGeometry:
             and np.allclose(self.anchors, other.anchors, rtol=0.0, atol=_SAME_PLACE)
             and np.allclose(self.rotations, other.rotations, rtol=0.0, atol=1e-3)
         )
+
+    def require(self, clusters: Iterable[str], of: str) -> None:
+        """Refuse a socket that lacks one of the clusters."""
+        for name in clusters:
+            if name not in self.clusters:
+                raise ConfigurationError(
+                    f"the cluster '{name}' of {of} is on no tile of the socket (which has"
+                    f" {', '.join(self.clusters) or 'none'})",
+                    "give the socket.yaml of these clusters, or correct the name",
+                )
 
     def limb_pose(self, socket_in_world: Pose, pylon_in_world: Pose) -> Pose:
         """N poses of the limb in {S} from those of both marker bodies; NaN if either is NaN.

@@ -46,11 +46,11 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import (
     FORCES,
     GROUPS,
-    LOCAL_CHANNELS,
     WRENCH_CHANNELS,
     Samples,
     Status,
     channel_unit,
+    local_channels,
 )
 from socket_testbed.settings.identification import PlateauSettings
 
@@ -208,7 +208,7 @@ def find_implausible(samples: Samples, geometry: SocketGeometry) -> tuple[Implau
         outside = int(np.isin(status, (Status.SATURATED, Status.OUT_OF_RANGE)).sum())
         if outside > OUTSIDE_SHARE * read:
             reason = f"{outside} of {read} readings are saturated or out of the calibrated range"
-            found += [Implausible(f"{cluster}.{channel}", reason) for channel in LOCAL_CHANNELS]
+            found += [Implausible(channel, reason) for channel in local_channels(cluster)]
     return tuple(sorted(found, key=lambda proposal: samples.channels.index(proposal.channel)))
 
 

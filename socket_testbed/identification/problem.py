@@ -34,6 +34,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import compress
 from typing import Any, cast
 
 import numpy as np
@@ -46,7 +47,7 @@ from socket_testbed.identification import plausibility
 from socket_testbed.identification.contact import LAWS, ContactModel, Loading
 from socket_testbed.identification.noise import ChannelNoise, channel_noise, smooth_poses
 from socket_testbed.identification.solver import BoxQP
-from socket_testbed.samples import GROUPS, LOCAL_CHANNELS, WRENCH_CHANNELS, Samples
+from socket_testbed.samples import GROUPS, WRENCH_CHANNELS, Samples, local_channels
 from socket_testbed.settings.identification import BIAS_VARIANTS, IdentificationSettings, Variant
 
 MODEL_ERROR = 0.01  # [-]; of the RMS of the forces
@@ -173,20 +174,16 @@ def build_objective(
 def _cluster_channels(
     samples: Samples, geometry: SocketGeometry, counts: BoolArray
 ) -> tuple[ClusterChannel, ...]:
+    geometry.require(samples.clusters, "the samples")
     channels = []
     for column, cluster in enumerate(samples.clusters):
-        if cluster not in geometry.clusters:
-            raise ConfigurationError(
-                f"cluster '{cluster}' of the samples is on no tile of the socket",
-                closest(cluster, geometry.clusters),
-            )
         point = geometry.clusters[cluster]
         for axis in np.flatnonzero(counts[column]).tolist():
             force = samples.trusted_forces[:, column, axis]
             if np.isfinite(force).sum() < 2:
-                names = [f"{cluster}.{LOCAL_CHANNELS[a]}" for a in np.flatnonzero(counts[column])]
+                names = compress(local_channels(cluster), counts[column])
                 raise IdentificationError(
-                    f"{cluster}.{LOCAL_CHANNELS[axis]} has fewer than 2 usable values in the"
+                    f"{local_channels(cluster)[axis]} has fewer than 2 usable values in the"
                     f" {len(samples)} samples",
                     f"check the cluster or leave it out (--leave-out {' '.join(names)})",
                 )

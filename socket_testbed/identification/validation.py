@@ -29,7 +29,7 @@ from socket_testbed.identification.contact import ContactModel, relative_pose, w
 from socket_testbed.identification.force_map import ForceMap
 from socket_testbed.identification.noise import channel_noise, smooth_poses
 from socket_testbed.identification.problem import MIN_SAMPLES
-from socket_testbed.samples import FORCES, MOMENTS, Samples, Status
+from socket_testbed.samples import FORCES, MOMENTS, Samples, local_channels
 from socket_testbed.settings.identification import (
     VARIANTS,
     ForceMapSettings,
@@ -175,15 +175,6 @@ def loaded_rows(samples: Samples, least_force: float) -> BoolArray:
     return np.asarray(samples.has_pose & measured.all(axis=1) & (force >= least_force))
 
 
-def without_cluster(samples: Samples, cluster: str) -> Samples:
-    """The samples with a cluster marked as missing."""
-    column = samples.clusters.index(cluster)
-    forces, status = samples.local_forces.copy(), samples.status.copy()
-    forces[:, column] = np.nan
-    status[:, column] = Status.MISSING
-    return dataclasses.replace(samples, local_forces=forces, status=status)
-
-
 def left_out_pressures(
     samples: Samples, geometry: SocketGeometry
 ) -> Iterator[tuple[str, FloatArray, FloatArray, FloatArray]]:
@@ -195,7 +186,7 @@ def left_out_pressures(
     for column, name in enumerate(samples.clusters):
         tile = geometry.clusters[name]
         measured = geometry.cluster_stress(name, samples.trusted_forces[:, column])[:, 0]
-        others = force_map.estimate(without_cluster(samples, name))
+        others = force_map.estimate(samples.without(local_channels(name)))
         deviation = others.normal_pressure_standard_deviation[:, tile]
         yield name, measured, others.normal_pressure[:, tile], deviation
 
@@ -252,7 +243,7 @@ def judge_clusters(
         truth = samples.trusted_forces[:, column] @ rotation.T
         if not np.isfinite(truth).all(axis=1).any():
             continue
-        hidden = without_cluster(samples, cluster)
+        hidden = samples.without(local_channels(cluster))
         # Noise along the axes of {S}: the diagonal of R diag(noise^2) R'.
         variance = rotation**2 @ np.nan_to_num(noise[column]) ** 2
         for name, estimate in estimators.items():

@@ -15,7 +15,7 @@ from socket_testbed.calibration.model import read_calibration
 from socket_testbed.drivers.clusters import reader as clusters
 from socket_testbed.drivers.load_cell import load_cell
 from socket_testbed.drivers.natnet.connection import server_address
-from socket_testbed.errors import ConfigurationError, TestbedError, closest
+from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.files import CALIBRATION_FILE, SOCKET_FILE, packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.fit import check_names
@@ -24,6 +24,7 @@ from socket_testbed.live.hardware import capacitive_chip
 from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.samples import Status
+from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.settings.testbed import (
     CalibrationNodeSettings,
     EstimatorSettings,
@@ -69,17 +70,14 @@ class Testbed:
     def __post_init__(self) -> None:
         names = self.settings.cluster_node.names
         check_names(self.settings.estimator_node.identification, names)
-        calibration, tiles = read_calibration(self.calibration), read_socket(self.geometry).clusters
+        calibration, socket = read_calibration(self.calibration), read_socket(self.geometry)
         calibration.require(names, "cluster_node")
-        if self.simulation is not None and len(tiles) > MAX_CLUSTERS:
-            fact = f"has {len(tiles)} clusters, and {MAX_CLUSTERS} can be simulated"
+        if self.simulation is not None and len(socket.clusters) > MAX_CLUSTERS:
+            fact = f"has {len(socket.clusters)} clusters, and {MAX_CLUSTERS} can be simulated"
             raise ConfigurationError(f"{self.geometry}: {fact}", "take the others off their tiles")
         if self.simulation is not None:
-            calibration.require(tiles, f"the simulation of {self.geometry}")
-        for name in names:
-            if name not in tiles:
-                fact = f"cluster_node: the cluster '{name}' is on no tile of {self.geometry}"
-                raise ConfigurationError(fact, closest(name, tiles))
+            calibration.require(socket.clusters, f"the simulation of {self.geometry}")
+        socket.require(names, f"cluster_node (socket {self.geometry})")
 
     @property
     def time_scale(self) -> float:
@@ -156,7 +154,9 @@ def testbed_settings(params: Path | None, simulation: Simulation | None) -> Test
 
 
 def simulated_testbed(
-    record: Path | None = None, rate: float = 4.0, simulation: Simulation | None = None
+    record: Path | None = None,
+    rate: float = TriggerSettings.rate,
+    simulation: Simulation | None = None,
 ) -> Testbed:
     """The package's own simulated testbed."""
     simulation = simulation or Simulation()

@@ -19,6 +19,7 @@ from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.clocks import SteadyClock
+from socket_testbed.documents import check_number
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.live.processes import end_with_starter
@@ -46,6 +47,9 @@ class Simulation:
     time_scale: float = 1.0  # testbed seconds per real second, in (0, 1] [-]
     tissue: TissueKind = "soft"  # kind of the limb's tissue
     noise: float = 1.0  # of the load cell, relative to the default [-]
+
+    def __post_init__(self) -> None:
+        check_number(self.time_scale, "the time scale", 0.01, 1.0)
 
 
 class LiveTestbed:

@@ -180,13 +180,7 @@ class Trial:
 
     def _require_clusters(self, clusters: Collection[str]) -> None:
         self.calibration.require(clusters, f"the trial {self.path}")
-        for name in clusters:
-            if name not in self.geometry.clusters:
-                raise TrialError(
-                    f"{self.path}: its cluster '{name}' is on no tile of the socket"
-                    f" (which has {', '.join(self.geometry.clusters)})",
-                    "give the socket.yaml of this trial with --geometry",
-                )
+        self.geometry.require(clusters, f"the trial {self.path}")
 
     @property
     def notes(self) -> list[str]:

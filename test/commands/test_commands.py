@@ -82,7 +82,7 @@ WRONG = {
     "run --simulated --leave-out distal.Fq": ["distal.F"],
     "run --simulated --view --view-host 192.0.2.1": ["cannot listen on 192.0.2.1"],
     "run --duration 1": ["load_cell_node: "],
-    "run --simulated --time-scale 0": ["--time-scale is 0", "from 0.01 to 1"],
+    "run --simulated --time-scale 0": ["the time scale is 0", "from 0.01 to 1"],
     "annotate HOLD --mass 815": ["--mass is 815.0"],
     "pressure HOLD -o regions.foo": ["'.foo' is not the format of a table", ".csv"],
     "compare HOLD": ["1 trials", "2 to 12"],
