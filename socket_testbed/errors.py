@@ -32,11 +32,11 @@ class TestbedError(Exception):
 
 
 @contextmanager
-def naming(place: object) -> Iterator[None]:
-    """Errors inside begin with the place, such as a file: `calibration.yaml: ...`."""
+def naming(place: object, kind: type[TestbedError] = TestbedError) -> Iterator[None]:
+    """Errors of a kind inside begin with the place, such as a file: `calibration.yaml: ...`."""
     try:
         yield
-    except TestbedError as error:
+    except kind as error:
         raise type(error)(f"{place}: {error.fact}", error.hint) from None
 
 

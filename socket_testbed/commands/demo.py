@@ -32,6 +32,7 @@ from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
 from socket_testbed.simulation.trial import GroundTruth, read_truth
 from socket_testbed.trials import topics
 from socket_testbed.trials.bag import BagReader
+from socket_testbed.trials.description import summary
 from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.trial import Trial
 
@@ -108,7 +109,7 @@ def _record(trial: Trial, seed: int, log: Path) -> tuple[Samples, float]:
         scale = max(0.5 * scale, SLOWEST)
         print(f"   only {complete:.0%} of the samples are complete: again at {speed_text(scale)}")
         shutil.rmtree(trial.path, ignore_errors=True)
-    print("   " + bringup.summary(trial.path))
+    print("   " + summary(trial.path))
     return trial.samples(), scale
 
 

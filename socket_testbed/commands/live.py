@@ -248,11 +248,13 @@ def run(
         except KeyboardInterrupt:
             status.say("ending")
         bringup.end(graph, testbed)
+    from socket_testbed.trials.description import summary  # pandas would delay the start
+
     # A recorder that was restarted or asked for another trial has recorded several.
     failed = []
     for trial in sorted(_trials(*place) - older):
         try:
-            print(bringup.summary(trial))
+            print(summary(trial))
             _require_end(trial)
         except TrialError as error:  # such as one without a trigger
             failed.append(error)

@@ -19,11 +19,9 @@ from socket_testbed.commands.options import (
 )
 from socket_testbed.commands.terminal import Progress, decimals, table, text_of
 from socket_testbed.files import CONFIGURATION_FILES, check_outputs
-from socket_testbed.identification.data_check import describe_samples, drop_outs
-from socket_testbed.identification.noise import noise_table
 from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
+from socket_testbed.trials.description import describe_samples, drop_outs, loads_table, noise_table
 from socket_testbed.trials.metadata import NO_SIDE, TrialMetadata
-from socket_testbed.trials.segment import loads_table
 from socket_testbed.trials.trial import Trial
 
 _MAX_TIMES = 8  # printed per event label
@@ -96,7 +94,7 @@ def info(trial: Path, **options: Any) -> None:
     report_data(opened)
     samples, metadata, estimator = opened.samples(), opened.metadata, opened.estimator
     sound = opened.sound(estimator.identification.leave_out)
-    tables = [drop_outs(samples), noise_table(samples)]
+    tables = [drop_outs(samples), noise_table(sound)]
     if plateaus := opened.plateaus(estimator):
         tables.append(loads_table(sound, plateaus))
     print(describe_samples(samples))

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from socket_testbed.arrays import GAP, FloatArray, StatusArray, evenly, gaps, runs, usual_period
+from socket_testbed.arrays import FloatArray, evenly, gaps, usual_period
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.regions import axial_force, proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
@@ -25,7 +25,6 @@ from socket_testbed.identification.force_map import NORMAL_QUANTILE
 from socket_testbed.identification.noise import channel_noise
 from socket_testbed.samples import GRAVITY, WRENCH_CHANNELS, Samples, Status, channel_unit
 from socket_testbed.settings.identification import ForceMapSettings
-from socket_testbed.tables import Table, number
 
 GOOD, LOOK = "data: good", "data: look at "
 LEAST_CHECKED = 30
@@ -40,7 +39,6 @@ SEARCHED_LAG = 10.0  # [s]
 LAG_STEP = 0.04  # [s]; at least
 MAX_MISSING = 0.05  # [-]; share of a source's samples; sound 0
 MAX_INNOVATION = 3.5  # [-]; innovation of a cluster over its deviation; sound <= 3.3
-_MAX_GAPS = 5  # listed
 _COMPARED_SAMPLES = 60  # samples under load on which a cluster is compared with the others
 MAX_STILL = 2.0  # [s]; time without any change; sound two samples
 MAX_CLIPPED = 0.05  # [-]; share of the samples at one end of a channel's range; sound 0.002
@@ -332,55 +330,3 @@ def _longest_run(values: FloatArray) -> int:
 
 
 # --- the facts, as 'info' and the report show them
-
-
-def describe_samples(samples: Samples) -> str:
-    """Number, rate and gaps of some samples, in words."""
-    time, steps = samples.time, np.diff(samples.time)
-    found = np.flatnonzero(gaps(time))
-    longest_first = found[np.argsort(-steps[found], kind="stable")]
-    listed = [f"{steps[i]:.3f} s from {time[i]:.2f} s" for i in longest_first[:_MAX_GAPS]]
-    rate = number(1.0 / usual_period(time), ".2f")
-    text = (
-        f"{len(samples)} samples at {rate} Hz in {time[-1]:.2f} s,"
-        f" {samples.has_pose_and_wrench.sum()} with a wrench and a limb position; gaps longer than"
-        f" {GAP:g} periods: {len(found)}"
-    )
-    return f"{text}, the longest {', '.join(listed)}" if listed else text
-
-
-def states_by_channel(samples: Samples) -> dict[str, StatusArray]:
-    """State of every measurement, shape (N,) each: the wrench, the limb position, the clusters.
-
-    A cluster's channels share its status; other measurements are present or missing.
-    """
-    channels = np.where(np.isnan(samples.wrench.T), Status.MISSING, Status.OK)
-    _, limb, *clusters = samples.states.values()
-    found = dict(zip(WRENCH_CHANNELS, channels, strict=True)) | {"limb position": limb}
-    return found | dict(zip(samples.clusters, clusters, strict=True))
-
-
-def drop_outs(samples: Samples, segment: slice | None = None) -> Table:
-    """Drop-outs of wrench channels, limb position and clusters, also those in a segment's rows.
-
-    Saturated and out-of-range readings are counted for clusters, NaN for other measurements.
-    """
-    import pandas as pd
-
-    found = {}
-    for name, state in states_by_channel(samples).items():
-        missing, is_cluster = state == Status.MISSING, name in samples.clusters
-        start, end = runs(missing).T
-        before, after = np.maximum(start - 1, 0), np.minimum(end, len(samples) - 1)
-        found[name] = {
-            "missing [1]": missing.sum(),
-            "missing [%]": 100.0 * missing.mean(),
-            **({"of them in the segment [1]": missing[segment].sum()} if segment else {}),
-            # from one value to the next across missing ones, within the trial
-            "longest [s]": (samples.time[after] - samples.time[before]).max(initial=0.0),
-            "saturated [1]": (state == Status.SATURATED).sum() if is_cluster else np.nan,
-            "out of range [1]": (state == Status.OUT_OF_RANGE).sum() if is_cluster else np.nan,
-        }
-    frame = pd.DataFrame.from_dict(found, orient="index").rename_axis("measurement")
-    formats = dict.fromkeys(frame, ".0f") | {"missing [%]": ".2f", "longest [s]": ".2f"}
-    return Table("drop-outs", "Samples of the trial without a measurement", frame, formats)

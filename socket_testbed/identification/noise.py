@@ -24,7 +24,6 @@ import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, gaps, robust_deviation
 from socket_testbed.samples import Samples, turned
-from socket_testbed.tables import Table
 
 MIN_DIFFERENCES = 12  # [1]; of a channel, for an estimate
 CUT = 3.0  # [-]; largest magnitude of a difference, in standard deviations
@@ -76,24 +75,6 @@ def channel_noise(samples: Samples) -> ChannelNoise:
         pose=pose,
         pose_correlation=_correlation(motion, regular, pose),
     )
-
-
-def noise_table(samples: Samples) -> Table:
-    """Noise along x, y and z of each group of channels, with the unit in the group's name."""
-    import pandas as pd
-
-    noise = channel_noise(samples)
-    local = zip(samples.clusters, noise.local_forces, strict=True)
-    groups = {
-        "moment [N m]": noise.wrench[:3],
-        "force [N]": noise.wrench[3:],
-        "limb position [mm]": 1e3 * noise.pose[:3],
-        "limb rotation [mrad]": 1e3 * noise.pose[3:],
-        **{f"{name} [N]": deviations for name, deviations in local},
-    }
-    frame = pd.DataFrame.from_dict(groups, "index", columns=["x", "y", "z"])
-    caption = "Standard deviation of the noise of a single sample, along each axis"
-    return Table("noise", caption, frame.rename_axis("measurement"), dict.fromkeys(frame, ".2g"))
 
 
 def _differences(values: FloatArray, regular: BoolArray) -> FloatArray:

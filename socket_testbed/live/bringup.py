@@ -23,7 +23,6 @@ from socket_testbed.identification.model_file import read_model
 from socket_testbed.live.hardware import capacitive_chip
 from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.live.simulated_world import Simulation
-from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.settings.testbed import (
     CalibrationNodeSettings,
@@ -183,15 +182,6 @@ def end(graph: Graph, testbed: Testbed) -> None:
     if testbed.record is not None:
         graph.stop("recorder_node")
     graph.stop()
-
-
-def summary(path: Path) -> str:
-    """The numbers of triggers and missing measurements of a trial, in one line."""
-    samples = Trial(path).samples()
-    missing = {name: (state == Status.MISSING).sum() for name, state in samples.states.items()}
-    lacking = [f"{name} missing {count}" for name, count in missing.items() if count]
-    found = ", ".join(lacking) if lacking else f"all {len(samples)} complete"
-    return f"{path}: {len(samples)} triggers, {found}"
 
 
 def simulate_hardware(

@@ -6,7 +6,7 @@ It does not depend on ROS: the estimator node converts its messages and publishe
 from __future__ import annotations
 
 import threading
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError, Future
 from concurrent.futures.process import BrokenProcessPool
@@ -45,30 +45,33 @@ class SampleWindow:
 
     def __init__(self, duration: float) -> None:
         self._duration = round(duration * 1e9)
-        self._samples: deque[Samples] = deque()  # one in each
+        self._parts: list[Samples] = []  # what was joined last, and the samples since
+        self._count = 0  # of their samples
 
     def __len__(self) -> int:
-        return len(self._samples)
+        return self._count
 
     def add(self, sample: Samples) -> None:
-        """Add the newest sample; drop those older than the window."""
-        self._samples.append(sample)
-        while self._samples[0].stamps[0] < sample.stamps[0] - self._duration:
-            self._samples.popleft()
+        """Add the newest sample."""
+        self._parts.append(sample)
+        self._count += 1
 
     def clear(self) -> None:
         """Drop all samples."""
-        self._samples.clear()
+        self._parts, self._count = [], 0
 
     def samples(self) -> Samples:
         """The samples of the window in the order of their stamps."""
-        if not self._samples:
+        if not self._parts:
             hint = "see in the diagnostics which node sends no measurements"
             raise IdentificationError("there is no complete sample to fit", hint)
         names = [field.name for field in fields(Samples) if field.name != "clusters"]
-        joined = {n: np.concatenate([getattr(s, n) for s in self._samples]) for n in names}
-        found = Samples(clusters=self._samples[0].clusters, **joined)
-        return found[np.argsort(found.stamps, kind="stable")]
+        joined = {n: np.concatenate([getattr(s, n) for s in self._parts]) for n in names}
+        found = Samples(clusters=self._parts[0].clusters, **joined)
+        found = found[np.argsort(found.stamps, kind="stable")]
+        found = found[found.stamps >= found.stamps[-1] - self._duration]
+        self._parts, self._count = [found], len(found)
+        return found
 
 
 class OnlineMap:

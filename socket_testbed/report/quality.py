@@ -16,11 +16,9 @@ from matplotlib.figure import Figure
 
 from socket_testbed.arrays import BoolArray, FloatArray, gaps
 from socket_testbed.files import PARAMETERS_FILE
-from socket_testbed.identification.data_check import describe_samples, drop_outs, states_by_channel
 from socket_testbed.identification.fit import summarise_errors
 from socket_testbed.identification.information import share_warning
 from socket_testbed.identification.model_file import StoredModel
-from socket_testbed.identification.noise import noise_table
 from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart, utc
 from socket_testbed.report.results import Results
 from socket_testbed.report.style import (
@@ -35,8 +33,14 @@ from socket_testbed.report.style import (
 )
 from socket_testbed.samples import Status
 from socket_testbed.tables import Table, pairs_table
+from socket_testbed.trials.description import (
+    describe_samples,
+    drop_outs,
+    loads_table,
+    noise_table,
+    states_by_channel,
+)
 from socket_testbed.trials.metadata import NO_SIDE
-from socket_testbed.trials.segment import loads_table
 from socket_testbed.version import __version__
 
 _LIBRARIES = ("numpy", "scipy", "osqp", "qpsolvers", "matplotlib", "plotly")
@@ -49,7 +53,7 @@ _COLOURS = (BLUE, VERMILION)  # of force and moment
 
 def section(results: Results) -> Section:
     """The section on the data of a trial."""
-    samples, limits = results.samples, results.settings.plateau
+    samples, limits = results.trial.samples(), results.settings.plateau
     return Section(
         "quality",
         "Data quality",
@@ -61,18 +65,18 @@ def section(results: Results) -> Section:
             f"Requested: {results.specification}; in use: {results.segment}. A plateau lasts"
             f" {limits.least_duration:g} s or more under a steady load of {limits.least_force:g} N"
             " or more; 'plateau' is the longest one. The limits are among the settings below.",
-            loads_table(samples, (results.segment, *results.plateaus)),
+            loads_table(results.samples, (results.segment, *results.plateaus)),
             Heading("Noise"),
             "From the third differences of the trial, without outliers and steps. Motion from"
             " sample to sample, such as a person's sway, counts as noise.",
-            noise_table(samples),
+            noise_table(results.samples),
         ],
     )
 
 
 def _overview(results: Results) -> ReportFigure:
-    samples = results.samples
-    lacking = {name: state != Status.OK for name, state in states_by_channel(samples).items()}
+    samples, states = results.samples, states_by_channel(results.trial.samples())
+    lacking = {name: state != Status.OK for name, state in states.items()}
     loads = {
         "force magnitude [N]": np.linalg.norm(samples.wrench[:, 3:], axis=1),
         "moment magnitude [N m]": np.linalg.norm(samples.wrench[:, :3], axis=1),
@@ -134,8 +138,8 @@ def list_notes(results: Results) -> list[str]:
     """Notes on the trial to read before using the figures."""
     samples, geometry = results.samples, results.trial.geometry
     notes = [*results.bag_notes, *results.implausible]
-    if gaps(samples.time).any():
-        notes.append(f"{describe_samples(samples)}.")
+    if count := gaps(samples.time).sum():
+        notes.append(f"Gaps between triggers: {count}, listed under Data quality.")
     inside = int(results.in_segment.sum())
     unfitted = inside - max(c.fit.samples for c in results.candidates if c.fit is not None)
     if unfitted:

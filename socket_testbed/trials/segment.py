@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import compress, pairwise
@@ -13,9 +13,8 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from socket_testbed.arrays import BREAK, TOLERANCE, FloatArray, IntArray, gaps, runs, usual_period
 from socket_testbed.errors import ConfigurationError, TrialError, likely
-from socket_testbed.samples import Samples, mean_and_sigma
+from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
-from socket_testbed.tables import Table
 from socket_testbed.trials.events import Event, event_span, find_events, is_loaded, loaded_span
 
 NAMED = ("plateau", "hold", "auto", "all")  # segments
@@ -281,23 +280,3 @@ def _starts_within(values: FloatArray, limits: FloatArray, length: int) -> IntAr
 def _segment(kind: str, samples: Samples, start: int, end: int) -> Segment:
     time = samples.time
     return Segment(kind, float(time[start]), float(time[end - 1]), slice(start, end))
-
-
-def loads_table(samples: Samples, parts: Iterable[Segment]) -> Table:
-    """Duration and mean load of some parts of a trial, such as its plateaus."""
-    import pandas as pd
-
-    formats = {
-        "duration [s]": ".2f",
-        "mean force [N]": ".1f",
-        "its sigma [N]": ".2f",
-        "mean moment [N m]": ".2f",
-        "its sigma [N m]": ".3f",
-    }
-    rows = {}
-    for part in parts:
-        wrench = samples.wrench[part.rows]
-        loads = (*mean_and_sigma(wrench[:, 3:]), *mean_and_sigma(wrench[:, :3]))
-        rows[str(part)] = [part.end - part.start, *loads]
-    frame = pd.DataFrame.from_dict(rows, orient="index", columns=[*formats])
-    return Table("plateaus", "Load of parts of the trial", frame.rename_axis("part"), formats)

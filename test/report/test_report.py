@@ -13,7 +13,6 @@ from support.wording import refused
 
 import socket_testbed as st
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.identification.data_check import describe_samples, drop_outs
 from socket_testbed.identification.fit import summarise_errors
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.pages.wall import unrolled_tiles
@@ -23,6 +22,7 @@ from socket_testbed.report.quality import list_notes
 from socket_testbed.report.results import Results, compute_results
 from socket_testbed.report.write import check_page_path, summarise, write_report
 from socket_testbed.settings.identification import PAPER_VARIANTS
+from socket_testbed.trials.description import describe_samples, drop_outs
 from socket_testbed.trials.trial import Trial
 
 PLAIN, BIAS = PAPER_VARIANTS
