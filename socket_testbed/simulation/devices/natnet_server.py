@@ -222,14 +222,7 @@ class Scene:
             for k, (marker, is_hidden) in enumerate(zip(markers, hidden, strict=True)):
                 flags = HAS_MODEL | (OCCLUDED if is_hidden else SOLVED)
                 labelled.append(Marker(identity, k + 1, marker, flags))
-        return Content(
-            number=number,
-            ticks=ticks,
-            bodies=bodies,
-            markers=labelled,
-            recording=recording,
-            models_changed=self._changed > 0,
-        )
+        return Content(number, ticks, bodies, labelled, recording, self._changed > 0)
 
     def _identify(self, name: str) -> int:
         return self._ids.setdefault(name, len(self._ids) + 1)
