@@ -48,8 +48,7 @@ class SimulatedAds131m0x:
         self._modulator = clock_in / 2.0  # [Hz]
         self._rng = np.random.default_rng(seed)
         self._unplugged = False
-        self._next_brown_out: float | None = None  # of the supply [s]
-        self._edges_until = now = clocks.monotonic()
+        self._edges_until = self._supplied_since = now = clocks.monotonic()
         self.is_wired = True  # whether DRDY is connected
         self._power_on(now)
 
@@ -115,11 +114,9 @@ class SimulatedAds131m0x:
     def _brown_out(self, now: float) -> None:
         every = self._fault("brown_out")
         if every <= 0.0:
-            self._next_brown_out = None
-        elif self._next_brown_out is None:
-            self._next_brown_out = now + every
-        elif now >= self._next_brown_out:
-            self._next_brown_out = now + every
+            self._supplied_since = now
+        elif now - self._supplied_since >= every:
+            self._supplied_since = now
             self._power_on(now)
 
     def _finished(self, now: float) -> int:
