@@ -188,10 +188,8 @@ def make_tissue(
     between_normals /= np.linalg.norm(between_normals, axis=1, keepdims=True)
     gap_area = _GAP_AREA * geometry.areas.sum() / max(len(a), 1)
 
-    count = len(geometry) * _GRID**2
     points = np.vstack([on_tiles.reshape(-1, 3), between])
-    tile = np.full(len(points), -1)
-    tile[:count] = np.repeat(np.arange(len(geometry)), _GRID**2)
+    on_tile = np.repeat(np.arange(len(geometry)), _GRID**2)
     variation = np.exp(spread * _smooth_field(points, rng))
     return Tissue(
         points=points,
@@ -199,7 +197,7 @@ def make_tissue(
         areas=np.concatenate(
             [np.repeat(geometry.areas / _GRID**2, _GRID**2), np.full(len(a), gap_area)]
         ),
-        tile=tile,
+        tile=np.concatenate([on_tile, np.full(len(a), -1)]),
         modulus=modulus * variation,
         stiffening=stiffening,
         shear_modulus=shear_modulus * variation,
