@@ -235,8 +235,7 @@ def observe_markers(
     seen = pose.place(markers)
     seen += rng.normal(0.0, errors.marker_noise, seen.shape)
     count, size = seen.shape[:2]
-    swapped = np.flatnonzero(rng.uniform(size=count) < errors.label_swap)
-    for k in swapped:
+    for k in np.flatnonzero(rng.uniform(size=count) < errors.label_swap):
         pair = rng.choice(size, 2, replace=False)
         seen[k, pair] = seen[k, pair[::-1]]
     seen[rng.uniform(size=(count, size)) < errors.drop_out] = np.nan
