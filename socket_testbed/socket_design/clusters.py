@@ -119,6 +119,7 @@ class LaidCluster:
 
 _MAX_DISTANCE = 0.030  # [m]; of a place from the interior
 _MAX_TILT = 30.0  # [deg]; of a frame's z from the inward normal
+_MIN_TURN = np.radians(0.1)  # a smaller one is none
 _MAX_SHIFT = 0.5  # [edges]; of a tile that does not fit at its cluster's place
 
 
@@ -199,9 +200,6 @@ def _turn_angle(place: ClusterPlace, square: Squares) -> float:
         )
     turned = float(np.arctan2(x[1], x[0]))
     return 0.0 if abs(turned) < _MIN_TURN else turned
-
-
-_MIN_TURN = np.radians(0.1)
 
 
 def _nearest_first(spot: SurfacePoints, centres: SurfacePoints, farthest: float) -> SurfacePoints:

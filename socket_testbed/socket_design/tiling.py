@@ -284,12 +284,10 @@ def tile_interior(
     places = spread_points(mesh, _PLACE_SPACING * settings.edge, rng)
     fitting = squares_at(places, surroundings, settings.edge)
     fitting = fitting.take(roughly_fit(fitting, surroundings, settings.flatness))
-    laid: list[LaidCluster] = []
-    if clusters:
-        glued, laid = lay_clusters(
-            mesh, clusters, places, surroundings, settings.edge, settings.flatness
-        )
-        fitting = glued.join(fitting)
+    glued, laid = lay_clusters(
+        mesh, clusters, places, surroundings, settings.edge, settings.flatness
+    )
+    fitting = glued.join(fitting)
     footprints = Footprints(mesh, fitting, settings.flatness)
     search = Search(fitting, points, footprints, len(laid)) if len(fitting) else None
     tiles = search.fill() if search else np.zeros(0, dtype=np.int64)
