@@ -147,9 +147,7 @@ def fill_holes(
     for loop in boundary_loops(faces):
         around = loop_length(vertices, loop)
         (closed if around < longest else left).append(around)
-        if around < longest and len(loop) == 3:
-            new_faces.append(loop[None, ::-1])
-        elif around < longest:
+        if around < longest:
             middle = np.full(len(loop), sum(map(len, new_vertices)))
             new_vertices.append(vertices[loop].mean(axis=0, keepdims=True))
             new_faces.append(np.column_stack([np.roll(loop, -1), loop, middle]))
