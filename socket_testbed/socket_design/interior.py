@@ -150,18 +150,6 @@ class SurfaceSamples:
         return 2 * np.bincount(self.owners, votes) > np.bincount(self.owners)
 
 
-def _spread_samples(mesh: trimesh.Trimesh) -> SurfaceSamples:
-    """Points on a surface, dense enough for its overall shape."""
-    spacing = float(np.sqrt(mesh.area)) / _FINENESS
-    count = int(_PER_SQUARE * _FINENESS**2)
-    points, owners = trimesh.sample.sample_surface(mesh, count, seed=0)
-    return SurfaceSamples(
-        np.concatenate([np.arange(len(mesh.faces)), owners]),
-        np.concatenate([mesh.triangles_center, points]),  # each face has a vote
-        spacing,
-    )
-
-
 _MIN_FRONT_SHARE = 0.5  # [-]; smallest front share of a cavity
 _FLAT_RATIO = 0.95  # [-]; area of the caps over that of the wall, for a flat one
 _MIN_OPENING = 0.1  # [-]; net opening over a cross-section of the cavity
@@ -238,7 +226,12 @@ def _view(mesh: trimesh.Trimesh, samples: SurfaceSamples, spine: Spine) -> Cavit
 def _find_cavity(name: str, mesh: trimesh.Trimesh) -> Cavity:
     if mesh.is_watertight and mesh.volume < 0.0:
         mesh = _flipped(mesh)
-    samples = _spread_samples(mesh)
+    points, owners = trimesh.sample.sample_surface(mesh, _PER_SQUARE * _FINENESS**2, seed=0)
+    samples = SurfaceSamples(
+        np.concatenate([np.arange(len(mesh.faces)), owners]),
+        np.concatenate([mesh.triangles_center, points]),  # each face has a vote
+        spacing=float(np.sqrt(mesh.area)) / _FINENESS,
+    )
     likeliest = None
     for axis in _fit_axis(mesh).likely():
         cavity = _view(mesh, samples, _spine_along(axis, mesh))
