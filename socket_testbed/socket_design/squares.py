@@ -92,6 +92,13 @@ def seen_from(squares: Squares, points: FloatArray) -> FloatArray:
     return axes @ points.T - (axes * squares.anchors).sum(axis=2)[:, :, None]
 
 
+def points_over(squares: Squares, points: FloatArray, reach: float) -> tuple[BoolArray, FloatArray]:
+    """Which points are over which squares within a reach [m], and their heights, (m, p) each."""
+    x, y, height = seen_from(squares, points)
+    over = np.maximum(np.abs(x), np.abs(y)) < 0.5 * squares.edge
+    return over & (cdist(squares.anchors, points) <= reach), height
+
+
 def _blocks_of(
     centres: FloatArray, points: FloatArray, radius: float
 ) -> Iterator[tuple[IntArray, IntArray]]:
@@ -310,22 +317,18 @@ def roughly_fit(squares: Squares, surroundings: Surroundings, flatness: float) -
     A square fits if all of it lies on the surface, without a rim inside, and the surface is within
     the flatness [m] of its plane and not folded away from it.
     """
-    points, half = surroundings.points, 0.5 * squares.edge
-    reach = float(np.hypot(np.sqrt(2.0) * half, flatness))
+    points = surroundings.points
+    reach = float(np.hypot(squares.edge / np.sqrt(2.0), flatness))
     fits = np.zeros(len(squares), dtype=bool)
     for rows, near in _blocks_of(squares.anchors, points.positions, 1.1 * reach):
         block = squares.take(rows)
-        x, y, height = seen_from(block, points.positions[near])
+        inside, height = points_over(block, points.positions[near], 1.1 * reach)
         facing = block.rotations[:, :, 2] @ points.normals[near].T
-        inside = (np.abs(x) < half) & (np.abs(y) < half) & (facing > FACING_WALL)
-        inside &= cdist(block.anchors, points.positions[near]) <= 1.1 * reach
+        inside &= facing > FACING_WALL
         unfit = inside & ((np.abs(height) > _FLATNESS_MARGIN * flatness) | (facing < MIN_FACING))
         cover = np.where(inside, facing, 0.0) @ points.areas[near]
         fits[rows] = (cover > _MIN_COVER * squares.edge**2) & ~unfit.any(axis=1)
     for rows, near in _blocks_of(squares.anchors, surroundings.rim, reach):
-        block = squares.take(rows)
-        x, y, _ = seen_from(block, surroundings.rim[near])
-        cut = (np.abs(x) < half) & (np.abs(y) < half)
-        cut &= cdist(block.anchors, surroundings.rim[near]) <= reach
+        cut, _ = points_over(squares.take(rows), surroundings.rim[near], reach)
         fits[rows] &= ~cut.any(axis=1)
     return fits

@@ -33,9 +33,9 @@ from socket_testbed.socket_design.squares import (
     Surroundings,
     gaps,
     overlapping,
+    points_over,
     rim_points,
     roughly_fit,
-    seen_from,
     spread_points,
     squares_at,
 )
@@ -300,7 +300,8 @@ def tile_interior(
     tiles = search.improve(tiles, settings.rounds, rng, progress)
     kept = [footprints.footprint(int(tile)) for tile in tiles]
     squares = fitting.take(tiles)
-    covered = _covered(points, squares)
+    under, _ = points_over(squares, points.positions, settings.edge)
+    covered = (under & (squares.rotations[:, :, 2] @ points.normals.T > 0.0)).any(axis=0)
     from_rim, from_tiles = (
         KDTree(others).query(points.positions)[0]  # infinite without a rim
         for others in (surroundings.rim, points.positions[covered])
@@ -316,12 +317,3 @@ def tile_interior(
         largest_gap=float(from_tiles.max()),
         clusters=tuple(laid),
     )
-
-
-def _covered(points: SurfacePoints, squares: Squares) -> BoolArray:
-    half = 0.5 * squares.edge
-    x, y, _ = np.abs(seen_from(squares, points.positions))
-    covered = (x < half) & (y < half)
-    covered &= squares.rotations[:, :, 2] @ points.normals.T > 0.0
-    covered &= cdist(squares.anchors, points.positions) < squares.edge
-    return np.asarray(covered.any(axis=0))
