@@ -10,7 +10,7 @@ from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, line_weights
@@ -250,9 +250,8 @@ class _TrackedBody:
 def _interpolate(poses: Pose, pair: list[int], weight: float) -> tuple[FloatArray, int]:
     """The vector of a pose between two of N poses, and their number (2)."""
     start, end = poses.translation[pair]
-    before, after = Rotation.from_matrix(poses.rotation[pair])
-    # Slerp (Shoemake 1985, doi:10.1145/325165.325242).
-    between = before * (before.inv() * after) ** weight
+    # Shoemake 1985, doi:10.1145/325165.325242.
+    between = Slerp([0.0, 1.0], Rotation.from_matrix(poses.rotation[pair]))(weight)
     return np.hstack([start + weight * (end - start), between.as_quat()]), 2
 
 
