@@ -106,9 +106,8 @@ class ClusterReader:
     def close(self) -> None:
         """Disconnect the chips and close the buses."""
         for bus in self._buses.values():
-            if bus.is_open:
-                with suppress(DeviceError):
-                    bus.disconnect()
+            with suppress(DeviceError):
+                bus.disconnect()
             bus.close()
 
 
