@@ -335,8 +335,7 @@ def _index(tile: Text, names: tuple[str, ...], where: str) -> int:
 def _check_anchors(anchors: FloatArray, names: tuple[str, ...], where: str) -> None:
     apart, nearest = cKDTree(anchors).query(anchors, k=2)
     if apart[:, 1].min() < _SAME_PLACE:
-        a = int(apart[:, 1].argmin())
-        b = next(int(i) for i in nearest[a] if i != a)
+        a, b = sorted(nearest[apart[:, 1].argmin()])
         raise ConfigurationError(
             f"{where}: tiles: {names[a]}: is at the same place as {names[b]}", "remove one of them"
         )
