@@ -27,7 +27,6 @@ from socket_testbed.socket_design.scan_file import METRES, Scan, refuse_implausi
 from socket_testbed.socket_design.squares import Squares
 from socket_testbed.socket_design.tiling import Tiling, TilingSettings, tile_interior
 
-_AXES = {"x": 0, "y": 1, "z": 2}
 _MIN_SINE = 0.1  # [-]; about 6 degrees between directions that span a plane
 _MAX_RESIDUAL = 0.01  # [m]
 
@@ -44,9 +43,8 @@ def parse_direction(text: str, where: str) -> FloatArray:
     """A direction (3,) [-] given as an axis, such as +z, or three numbers, such as "0 0.1 1"."""
     axis = re.fullmatch(r"([+-]?)([xyz])", text.strip().lower())
     if axis:
-        direction = np.zeros(3)
-        direction[_AXES[axis[2]]] = -1.0 if axis[1] == "-" else 1.0
-        return direction
+        direction = np.eye(3)["xyz".index(axis[2])]
+        return -direction if axis[1] == "-" else direction
     try:
         vector = parse_point(text, where)
     except ConfigurationError as error:
@@ -76,18 +74,18 @@ def place_by_directions(
     The interior's vertices (v, 3) [m] and the directions (3,) [-] are in the scan's frame. Without
     anterior, +x of the scan is used, or +y if +x is along the socket.
     """
-    assumed = anterior is None
+    how = "given as"
     if anterior is None:
-        anterior = np.eye(3)[0 if abs(proximal[0]) < 0.7 else 1]
+        anterior, how = np.eye(3)[0 if abs(proximal[0]) < 0.7 else 1], "assumed"
     if np.linalg.norm(np.cross(proximal, anterior)) < _MIN_SINE * np.linalg.norm(proximal):
         raise ConfigurationError(
             "--anterior is along the proximal direction", "give the direction of the shin's front"
         )
     axis = axis_between(vertices, proximal, anterior)
-    how = f"z proximal, x {'assumed' if assumed else 'given as'} anterior, the distal end's"
     return Placement(
         Pose(axis.frame, np.array([0.0, 0.0, height]) - axis.frame @ axis.end),
-        f"{how} lowest point {1e3 * height:g} mm above the load cell: nominal",
+        f"z proximal, x {how} anterior, the distal end's lowest point {1e3 * height:g} mm above the"
+        " load cell: nominal",
     )
 
 
