@@ -361,9 +361,7 @@ def find_interior(mesh: trimesh.Trimesh, proximal: FloatArray | None = None) -> 
     cavity = cavity.along(axis, open_above=True)
     kept = _inner_wall(cavity)
 
-    vertices, faces = separate(
-        np.asarray(cavity.mesh.vertices), np.asarray(cavity.mesh.faces)[kept]
-    )
+    vertices, faces = separate(cavity.mesh.vertices, cavity.mesh.faces[kept])
     around = sorted((loop_length(vertices, loop) for loop in boundary_loops(faces)), reverse=True)
     if not around or around[0] < _MIN_BRIM * cavity.spine.radius:
         raise ScanError(
