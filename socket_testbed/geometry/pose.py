@@ -83,8 +83,7 @@ def _rotate(rotation: FloatArray, vectors: FloatArray) -> FloatArray:
 
 def about_z(angle: float) -> FloatArray:
     """Rotation about z by an angle [rad], shape (3, 3) [-]."""
-    cosine, sine = np.cos(angle), np.sin(angle)
-    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    return np.asarray(Rotation.from_euler("z", angle).as_matrix())
 
 
 _TOLERANCE = 1e-6  # [-]; files have at least seven digits
