@@ -99,9 +99,8 @@ def invert_calibration(calibration: ClusterCalibration, stress: FloatArray) -> F
         x, y = x + step_x, y + step_y
         if max(np.abs(step_x).max(initial=0.0), np.abs(step_y).max(initial=0.0)) < _TOLERANCE:
             break
-    differences = np.column_stack([x, y])
     # Channels from mean and differences; the fourth combination, a twist, is zero.
-    channels = mean[:, None] + 0.5 * differences @ SHEAR_SIGNS
+    channels = mean[:, None] + 0.5 * np.column_stack([x, y]) @ SHEAR_SIGNS
     inputs = np.empty_like(channels)
     inputs[:, calibration.wiring] = channels
     return inputs
@@ -219,9 +218,8 @@ class MarkerBodies:
 
     def _misregister(self, pose: Pose) -> Pose:
         """The true pose for a registered one."""
-        errors = self._errors
-        turn = Rotation.from_rotvec(self._rng.normal(0.0, errors.registration_angle, 3))
-        shift = self._rng.normal(0.0, errors.registration, 3)
+        turn = Rotation.from_rotvec(self._rng.normal(0.0, self._errors.registration_angle, 3))
+        shift = self._rng.normal(0.0, self._errors.registration, 3)
         return Pose(pose.rotation @ turn.as_matrix(), pose.translation + shift)
 
 
