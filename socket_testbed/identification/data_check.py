@@ -91,12 +91,11 @@ def check_data(
 
 def _units(samples: Samples, geometry: SocketGeometry, mass: float | None) -> Iterator[DataFinding]:
     """Units and frames."""
-    for require in (plausibility.require_position, plausibility.require_units):
-        try:
-            require(samples, geometry)
-        except IdentificationError as error:
-            yield DataFinding("the units", error.fact, error.hint)
-            return
+    try:
+        plausibility.require_units(samples, geometry)
+    except IdentificationError as error:
+        yield DataFinding("the units", error.fact, error.hint)
+        return
     for found in plausibility.find_implausible(samples, geometry):
         if found.channel in WRENCH_CHANNELS:
             hint = "check that moments are in N m and forces in N, and the load cell's channels"

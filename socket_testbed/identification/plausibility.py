@@ -301,7 +301,7 @@ def require_position(samples: Samples, geometry: SocketGeometry) -> None:
 def require_units(
     samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...] = ()
 ) -> None:
-    """Refuse samples in another unit or frame."""
+    """Refuse samples, the limb positions first, in another unit or frame."""
     require_position(samples, geometry)
     values = _counted(samples, leave_out)
     for name, column, limit in zip(
