@@ -109,10 +109,8 @@ class Samples:
 
     def __getitem__(self, rows: slice | BoolArray | IntArray) -> Samples:
         """The samples in the given rows."""
-        return Samples(
-            self.stamps[rows], self.position[rows], self.rotation[rows], self.wrench[rows],
-            self.clusters, self.local_forces[rows], self.status[rows],
-        )  # fmt: skip
+        parts = {name: values[rows] for name, values in vars(self).items() if name != "clusters"}
+        return replace(self, **parts)
 
     @property
     def time(self) -> FloatArray:
