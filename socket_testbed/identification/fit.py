@@ -132,10 +132,7 @@ def predictions(samples: Samples, model: ContactModel, window: float) -> FloatAr
 def evaluate(
     samples: Samples, predicted: ContactModel | FloatArray, leave_out: tuple[str, ...] = ()
 ) -> tuple[ChannelErrors, ...]:
-    """Errors of a model, or of its predictions for the samples, shape (N, 6 + 3c), by channel.
-
-    `leave_out` were not in its fit.
-    """
+    """Errors by channel of a model or of its predictions, (N, 6 + 3c); `leave_out`: not fitted."""
     if isinstance(predicted, ContactModel):
         predicted = predicted.predict(samples.pose, samples.clusters)
     measured = samples.trusted_values

@@ -440,10 +440,7 @@ def _rice_deviation(size: FloatArray, sigma: FloatArray) -> FloatArray:
 
 
 def wall_correlation(geometry: SocketGeometry, length: float) -> FloatArray:
-    """Matern correlation of the tiles, smoothness 3/2, definite, shape (n, n) [-].
-
-    The length l [m] is the correlation length over the distance of the tiles' centres.
-    """
+    """Definite Matern correlation over the distance of the tiles' centres, length [m], (n, n)."""
     apart = np.linalg.norm(geometry.anchors[:, None] - geometry.anchors, axis=2)
     return matern(apart, length) + _NUGGET * np.eye(len(geometry))
 

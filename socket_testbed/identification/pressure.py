@@ -347,10 +347,7 @@ def pressure_outputs(
     regions: Sequence[Region],
     threshold: float,
 ) -> PressureOutputs:
-    """Outputs of regions and tiles over a span with 95 % intervals.
-
-    A tile is in contact above the threshold [Pa].
-    """
+    """Outputs of regions and tiles over a span; a tile is in contact above the threshold [Pa]."""
     kept = np.flatnonzero(measured_rows(samples))
     if not len(kept):
         raise TrialError(

@@ -109,9 +109,6 @@ class Template:
         return bytes(self._content)
 
 
-# Readers and packers of the testbed's messages, by type.
-
-
 def trigger_packer() -> Callable[[int, int], bytes]:
     """Packs a Trigger from its stamp [ns] and sequence."""
     template = Template(topics.TRIGGER.type)
@@ -189,10 +186,7 @@ def _capacitances(records: cdr.Record, sample: Any) -> Capacitances:
 
 
 def capacitance_packer(names: Sequence[str]) -> Callable[[int, FloatArray, StatusArray], bytes]:
-    """Packs a ClusterCapacitanceArray of c clusters.
-
-    From its stamp [ns], and capacitances [pF] and statuses, shape (c, 4).
-    """
+    """Packs a ClusterCapacitanceArray: stamp [ns], capacitances [pF] and statuses, shape (c, 4)."""
     template = Template(topics.CAPACITANCE.type, clusters=[{"name": name} for name in names])
     clusters = cdr.elements(template.numbers, "clusters")
 
@@ -219,10 +213,7 @@ def _stress(records: cdr.Record, sample: Any) -> dict[str, tuple[FloatArray, int
 
 
 def stress_packer(names: Sequence[str]) -> Callable[[int, FloatArray, StatusArray], bytes]:
-    """Packs a ClusterStressArray of c clusters.
-
-    From its stamp [ns], normal stress, shear x and y, shape (c, 3) [Pa], and statuses, shape (c,).
-    """
+    """Packs a ClusterStressArray: stamp [ns]; normal, shear x and y (c, 3) [Pa]; statuses (c,)."""
     template = Template(topics.STRESS.type, clusters=[{"name": name} for name in names])
     clusters = cdr.elements(template.numbers, "clusters")
 
