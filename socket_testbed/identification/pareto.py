@@ -153,7 +153,7 @@ def pareto_front(
     geometry: SocketGeometry,
     settings: IdentificationSettings,
     thetas: Sequence[float] | FloatArray,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> dict[Variant, Front]:
     """Identify the contact model for every theta, for both of the paper's variants.
 
@@ -177,8 +177,7 @@ def pareto_front(
     for done, theta in enumerate(thetas, start=1):
         for variant, point in _solve_at(objective, float(theta), last).items():
             points[variant].append(point)
-        if progress is not None:
-            progress(done, len(thetas))
+        progress(done, len(thetas))
     channels = objective.names
     fronts = {variant: Front(variant, channels, found) for variant, found in points.items()}
     if not any(front.sound.any() for front in fronts.values()):

@@ -302,7 +302,7 @@ def fit_variants(
     samples: Samples,
     geometry: SocketGeometry,
     settings: IdentificationSettings,
-    notify: Callable[[str], None] | None = None,
+    notify: Callable[[str], None],
 ) -> dict[str, ContactModel]:
     """Fit every variant of the contact model, by name; report those that cannot be fitted."""
     models: dict[str, ContactModel] = {}
@@ -316,8 +316,7 @@ def fit_variants(
     if not models:
         raise next(iter(errors.values()))
     for name, reason in errors.items():
-        if notify is not None:
-            notify(f"{name} is not judged: {reason}")
+        notify(f"{name} is not judged: {reason}")
     return models
 
 
@@ -349,9 +348,9 @@ def judge_samples(
     samples: Samples,
     geometry: SocketGeometry,
     settings: EstimatorSettings,
-    truth: FloatArray | None = None,
-    name: str = "",
-    notify: Callable[[str], None] | None = None,
+    truth: FloatArray | None,
+    name: str,
+    notify: Callable[[str], None],
 ) -> list[Judgement]:
     """Answer all three questions on the loaded part of one trial.
 
@@ -380,7 +379,7 @@ def judge_samples(
 
 
 def judge_map(
-    samples: Samples, geometry: SocketGeometry, settings: EstimatorSettings, name: str = ""
+    samples: Samples, geometry: SocketGeometry, settings: EstimatorSettings, name: str
 ) -> list[Judgement]:
     """Judge the estimators that need no fit on left-out clusters."""
     loaded = samples[loaded_rows(samples, settings.plateau.least_force)]

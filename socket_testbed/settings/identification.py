@@ -14,7 +14,6 @@ VARIANTS: tuple[Variant, ...] = get_args(Variant)
 PAPER_VARIANTS: tuple[Variant, ...] = ("stiffness", "stiffness_bias")
 BIAS_VARIANTS: tuple[Variant, ...] = ("stiffness_bias", "rigid_bias")
 Weights = Literal["size", "noise", "raw"]
-WEIGHTS: tuple[Weights, ...] = get_args(Weights)
 
 
 def check_solver(solver: str) -> None:
@@ -43,7 +42,7 @@ class IdentificationSettings(Settings):
     )
     weights: str = setting(
         "size", "weights of the channels within a group: by size, by noise, or equal (raw) [-]",
-        choices=WEIGHTS,
+        choices=get_args(Weights),
     )  # fmt: skip
     gate_sharpness: float = setting(2000.0, "sharpness alpha of the gate [1/m]", 1.0, 1e6)
     initial_stiffness: float = setting(
