@@ -72,10 +72,6 @@ class BoxQP:
     upper: FloatArray  # upper bounds, shape (p,) [-]; infinite for none
     name: str  # for error messages
 
-    def objective(self, x: FloatArray) -> float:
-        """Value of the objective at x [-]."""
-        return float(0.5 * x @ self.P @ x + self.q @ x)
-
     def certificate(self, x: FloatArray) -> Certificate:
         """Karush-Kuhn-Tucker residuals and duality gap at x.
 
