@@ -225,11 +225,7 @@ def _errors_document(
 
 
 def _means(errors: Sequence[ChannelErrors]) -> str:
-    summary = summarise_errors(errors)
-    return (
-        f"mean RMSE {summary.moment_rmse:.3g} N m, {summary.force_rmse:.3g} N;"
-        f" median local RMSE {summary.local_rmse:.3g} N"
-    )
+    return summarise_errors(errors).in_words()
 
 
 def fit(
@@ -269,7 +265,7 @@ def fit(
     >>> trial = st.open_trial("trials/hold")
     >>> fitted = st.fit(trial, variant="rigid_bias", theta=0.5)
     >>> fitted
-    TrialFit(rigid_bias on hold, plateau ... s, theta 0.5; mean RMSE ...; median local RMSE ...)
+    TrialFit(rigid_bias on hold, plateau ... s, theta 0.5; mean moment RMSE ... N)
     >>> fitted.to_dataframe().loc["Fz", "unit"]
     'N'
     >>> fitted.save("hold.json")
@@ -395,7 +391,7 @@ def evaluate(
     >>> fitted = st.fit(st.open_trial("trials/hold"))
     >>> found = st.evaluate(st.open_trial("trials/walk"), fitted, segment="all")
     >>> found
-    Evaluation(rigid_bias of hold on walk, all 0.00 s to 39.75 s; mean RMSE ...)
+    Evaluation(rigid_bias of hold on walk, all 0.00 s to 39.75 s; mean moment RMSE ... N)
     >>> list(found.to_dataframe())
     ['unit', 'RMSE', 'MAE', 'sigma', 'skill', 'samples', 'in objective']
     """

@@ -268,9 +268,7 @@ def errors_table(errors: Sequence[ChannelErrors]) -> str:
     lines = [
         text_of(Table("errors", "", frame, {"skill": "z.2f"})),
         "",
-        f"mean moment RMSE {decimals(summary.moment_rmse)} N m, mean force RMSE"
-        f" {decimals(summary.force_rmse)} N, median local RMSE {decimals(summary.local_rmse)} N,"
-        " of the channels in the objective",
+        f"{summary.in_words(decimals)}, of the channels in the objective",
         f"median skill of the wrench {decimals(summary.wrench_skill, 2)}, of the local forces"
         f" {decimals(summary.local_skill, 2)}",
     ]

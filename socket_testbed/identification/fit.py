@@ -33,6 +33,7 @@ from socket_testbed.identification.solver import (
 )
 from socket_testbed.samples import GROUPS, WRENCH_CHANNELS, Samples, channel_names, channel_unit
 from socket_testbed.settings.identification import IdentificationSettings, check_solver
+from socket_testbed.tables import number, split_unit
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -94,18 +95,37 @@ def errors_to_dataframe(errors: Iterable[ChannelErrors]) -> pd.DataFrame:
     return table.rename(columns=titles).set_index("channel")
 
 
+# The paper's summary figures: fields of `ErrorSummary` with their titles
+QUOTED = {
+    "mean_moment_rmse": "mean moment RMSE [N m]",
+    "mean_force_rmse": "mean force RMSE [N]",
+    "median_local_rmse": "median local RMSE [N]",
+}
+
+
 @dataclass(frozen=True)
 class ErrorSummary:
     """The paper's summary figures over the channels in the objective; NaN without any."""
 
-    moment_rmse: float  # mean RMSE of the moments [N m]
-    force_rmse: float  # mean RMSE of the forces [N]
-    local_rmse: float  # median RMSE of the clusters' channels [N]
+    mean_moment_rmse: float  # of the moments [N m]
+    mean_force_rmse: float  # of the forces [N]
+    median_local_rmse: float  # of the clusters' channels [N]
     skill: float  # median skill of these channels [-]
     wrench_skill: float  # median skill of the wrench's channels [-]
     local_skill: float  # median skill of the clusters' channels [-]
     # channels without a sample that is both measured and predicted, in none of the figures
     without_value: tuple[str, ...]
+
+    @property
+    def quoted(self) -> dict[str, float]:
+        """The paper's figures, by field."""
+        return {field: getattr(self, field) for field in QUOTED}
+
+    def in_words(self, form: Callable[[float], str] = number) -> str:
+        """The paper's figures with their units."""
+        titles = map(split_unit, QUOTED.values())
+        pairs = zip(titles, self.quoted.values(), strict=True)
+        return ", ".join(f"{name} {form(value)} {unit}" for (name, unit), value in pairs)
 
 
 def summarise_errors(errors: Sequence[ChannelErrors]) -> ErrorSummary:
@@ -114,9 +134,9 @@ def summarise_errors(errors: Sequence[ChannelErrors]) -> ErrorSummary:
     wrench = [error for error in known if error.name in WRENCH_CHANNELS]
     local = [error for error in known if error.name not in WRENCH_CHANNELS]
     return ErrorSummary(
-        moment_rmse=finite_mean(error.rmse for error in wrench if error.name[0] == "M"),
-        force_rmse=finite_mean(error.rmse for error in wrench if error.name[0] == "F"),
-        local_rmse=finite_mean((error.rmse for error in local), np.median),
+        mean_moment_rmse=finite_mean(error.rmse for error in wrench if error.name[0] == "M"),
+        mean_force_rmse=finite_mean(error.rmse for error in wrench if error.name[0] == "F"),
+        median_local_rmse=finite_mean((error.rmse for error in local), np.median),
         skill=finite_mean((error.skill for error in known), np.median),
         wrench_skill=finite_mean((error.skill for error in wrench), np.median),
         local_skill=finite_mean((error.skill for error in local), np.median),

@@ -20,9 +20,16 @@ from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import write_text
 from socket_testbed.geometry.socket import SocketGeometry, socket_from_document
 from socket_testbed.identification.contact import ContactModel
-from socket_testbed.identification.fit import ChannelErrors, Fit, predictions, summarise_errors
+from socket_testbed.identification.fit import (
+    QUOTED,
+    ChannelErrors,
+    Fit,
+    predictions,
+    summarise_errors,
+)
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, Variant
+from socket_testbed.tables import split_unit
 
 _FORMAT = "socket_testbed model 1"
 _AGAIN = "fit the trial again"
@@ -121,13 +128,11 @@ def record(of: Any) -> dict[str, Any]:
 
 def quoted_figures(errors: Sequence[ChannelErrors]) -> dict[str, Any]:
     """The paper's summary figures over the channels in the objective, by name and unit."""
-    summary = summarise_errors(errors)
-    figures = {
-        "mean_moment_rmse [N m]": summary.moment_rmse,
-        "mean_force_rmse [N]": summary.force_rmse,
-        "median_local_rmse [N]": summary.local_rmse,
+    figures = summarise_errors(errors).quoted.items()
+    return {
+        f"{name} [{split_unit(QUOTED[name])[1]}]": documents.finite_or_null(value)
+        for name, value in figures
     }
-    return {name: documents.finite_or_null(value) for name, value in figures.items()}
 
 
 _Parameter = Annotated[float, Meta(ge=-1e9, le=1e9)]  # [N/m, N, N m]; far beyond any real one

@@ -12,16 +12,16 @@ import numpy as np
 import pandas as pd
 
 from socket_testbed.arrays import usual_period
-from socket_testbed.identification.fit import ChannelErrors, summarise_errors
+from socket_testbed.identification.fit import QUOTED, ChannelErrors, summarise_errors
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PAPER_VARIANTS, IdentificationSettings, Variant
 
-MEDIAN = "median RMSE of the clusters in the objective [N]"
-# Without and with offsets; means and median first, in the order of `_figures`.
+MEDIAN = QUOTED["median_local_rmse"]
+# Without and with offsets
 PUBLISHED: dict[str, tuple[float, float]] = {
-    "mean RMSE of the moments [N m]": (1.69, 0.44),
-    "mean RMSE of the forces [N]": (5.94, 5.25),
+    QUOTED["mean_moment_rmse"]: (1.69, 0.44),
+    QUOTED["mean_force_rmse"]: (5.94, 5.25),
     MEDIAN: (90.07, 3.76),
     "RMSE of Mx [N m]": (3.99, 0.95),
 }
@@ -81,9 +81,8 @@ def beside_published(
 
 def _figures(errors: Sequence[ChannelErrors], front: Front | None) -> dict[str, float]:
     """Summary figures, RMSE of every channel, sigma of the wrench, thetas of the marks."""
-    summary = summarise_errors(errors)
-    quoted = (summary.moment_rmse, summary.force_rmse, summary.local_rmse)
-    figures = dict(zip(PUBLISHED, quoted, strict=False))
+    quoted = summarise_errors(errors).quoted
+    figures = {QUOTED[name]: value for name, value in quoted.items()}
     figures |= {f"RMSE of {error.name} [{error.unit}]": error.rmse for error in errors}
     figures |= {f"sigma of {error.name} [{error.unit}]": error.sigma for error in errors[:6]}
     if front is not None:

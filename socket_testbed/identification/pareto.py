@@ -29,7 +29,7 @@ from socket_testbed.arrays import BoolArray, FloatArray, evenly
 from socket_testbed.documents import finite_or_null
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
-from socket_testbed.identification.fit import evaluate, summarise_errors
+from socket_testbed.identification.fit import QUOTED, evaluate, summarise_errors
 from socket_testbed.identification.problem import Objective, Problem, build_objective
 from socket_testbed.identification.solver import (
     BoxQP,
@@ -52,9 +52,7 @@ FIGURES = {
     "theta": "theta [-]",
     "wrench_error": "wrench error [-]",
     "local_error": "local error [-]",
-    "mean_moment_rmse": "mean moment RMSE [N m]",
-    "mean_force_rmse": "mean force RMSE [N]",
-    "median_local_rmse": "median local RMSE [N]",
+    **QUOTED,
     "residual": "KKT residual or gap [-]",
 }
 
@@ -221,7 +219,6 @@ def _solve_at(
             continue
         model = problem.model(np.vstack([springs.x.reshape(3, -1), x[3:]]))
         errors = evaluate(objective.samples, model, settings.leave_out)
-        summary = summarise_errors(errors)
         rmse = np.array([error.rmse for error in errors if error.in_objective])
         points[variant] = FrontPoint(
             theta=theta,
@@ -230,9 +227,7 @@ def _solve_at(
             flaw=_undetermined(stage_two, springs) or _undetermined(stage_one, rest),
             wrench_error=float(np.sqrt(wrench_shares @ rmse[:wrench] ** 2)),
             local_error=float(np.sqrt(objective.channel_shares @ rmse[wrench:] ** 2)),
-            mean_moment_rmse=summary.moment_rmse,
-            mean_force_rmse=summary.force_rmse,
-            median_local_rmse=summary.local_rmse,
+            **summarise_errors(errors).quoted,
         )
     return points
 

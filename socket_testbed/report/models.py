@@ -10,7 +10,7 @@ import pandas as pd
 from matplotlib.figure import Figure, SubFigure
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.identification.fit import ChannelErrors, summarise_errors
+from socket_testbed.identification.fit import QUOTED, ChannelErrors, summarise_errors
 from socket_testbed.identification.paper import THEIRS, beside_published
 from socket_testbed.pages.document import numbers
 from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart
@@ -41,11 +41,6 @@ _SERIES_HEIGHT = 68.0  # [mm]; two panels over time with their key
 _QUANTITIES = {"N m": "moment", "N": "force"}
 _FORCES_FIRST = (3, 4, 5, 0, 1, 2)  # forces above, moments below
 _MEASURES = {"RMSE": "rmse", "MAE": "mae", "sigma": "sigma", "skill [-]": "skill"}
-_SUMMARIES = {
-    "mean of the moments in the objective": ("N m", "moment_rmse"),
-    "mean of the forces in the objective": ("N", "force_rmse"),
-    "median of the local forces in the objective": ("N", "local_rmse"),
-}
 
 
 def section(results: Results) -> Section:
@@ -70,11 +65,7 @@ def _describe(candidate: Candidate) -> str:
     for title, errors in (("in-sample", candidate.errors), ("held-out", candidate.held_out)):
         if errors:
             found = summarise_errors(errors)
-            parts.append(
-                f"{title} the mean RMSE of the moments {number(found.moment_rmse)} N m and of the"
-                f" forces {number(found.force_rmse)} N, the median RMSE of the local forces"
-                f" {number(found.local_rmse)} N, the median skill {number(found.skill, 'z.2f')}"
-            )
+            parts.append(f"{title}: {found.in_words()}, median skill {number(found.skill, 'z.2f')}")
     offset = float(np.linalg.norm(candidate.model.wrench_bias[3:]))
     if offset > 0.0:
         parts.append(f"its constant force, carried by no tile, {number(offset)} N")
@@ -160,11 +151,12 @@ def _errors(
     }
     summaries = [*map(summarise_errors, errors)]
     none = [np.nan] * 3
-    for title, (unit, field) in _SUMMARIES.items():
-        cells = [cell for summary in summaries for cell in (getattr(summary, field), *none)]
-        rows[title] = [unit, *cells, ""]
+    for field, title in QUOTED.items():
+        figure, unit = split_unit(title)
+        cells = [cell for summary in summaries for cell in (summary.quoted[field], *none)]
+        rows[f"{figure} in the objective"] = [unit, *cells, ""]
     skills = [cell for summary in summaries for cell in (*none, summary.skill)]
-    rows["median of all in the objective"] = ["-", *skills, ""]
+    rows["median skill in the objective"] = ["-", *skills, ""]
     frame = pd.DataFrame.from_dict(rows, orient="index").rename_axis("channel")
     labels = [(candidate.label, title) for candidate in results.candidates for title in _MEASURES]
     frame.columns = pd.MultiIndex.from_tuples([("", "unit"), *labels, ("", "remark")])

@@ -82,9 +82,9 @@ def test_the_figures_are_the_paper_s_on_the_first_frames(hold, tmp_path, capsys)
             (row,) = (key for key in rows.index if key.startswith(f"RMSE of {name} ["))
             assert rows.loc[row, title] == pytest.approx(value)
         local = [v for name, v in rmse.items() if "." in name and name != "distal.Fy"]
-        median = rows.loc["median RMSE of the clusters in the objective [N]", title]
+        median = rows.loc["median local RMSE [N]", title]
         assert median == pytest.approx(np.median(local))
-    name, remarks = "mean RMSE of the moments [N m]", rows["", "remark"]
+    name, remarks = "mean moment RMSE [N m]", rows["", "remark"]
     assert rows.loc[name, "the paper"].tolist() == [1.69, 0.44]
     assert "not comparable: 50 samples, 1000" in remarks[name]
 

@@ -318,7 +318,7 @@ def test_the_quoted_figures_are_means_and_medians_of_the_channels_in_the_objecti
     dead = fitting.channel_errors("Mz", np.full(30, np.nan), np.zeros(30))
     found = fitting.summarise_errors([*errors, left_out, dead])
     rmse = np.array([error.rmse for error in errors])
-    means = (found.moment_rmse, found.force_rmse, found.local_rmse)
+    means = (found.mean_moment_rmse, found.mean_force_rmse, found.median_local_rmse)
     assert means == pytest.approx((rmse[:3].mean(), rmse[3:6].mean(), np.median(rmse[6:])))
     assert found.without_value == ("Mz",)
 

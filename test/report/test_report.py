@@ -42,9 +42,9 @@ def test_the_summary_has_the_numbers_of_every_model_and_its_weakness(results, ho
     np.testing.assert_allclose(given.predicted, fitted.predicted, rtol=1e-6, atol=1e-6)
     found = {line.partition(": ")[0]: line for line in summarise(results)}
     for candidate in results.candidates:
-        in_sample, _, held_out = found[candidate.label].partition("; held-out ")
+        in_sample, _, held_out = found[candidate.label].partition("; held-out: ")
         for text, errors in ((in_sample, candidate.errors), (held_out, candidate.held_out)):
-            assert f"moments {summarise_errors(errors).moment_rmse:.3g} N m" in text
+            assert f"mean moment RMSE {summarise_errors(errors).mean_moment_rmse:.3g} N m" in text
     share = results.fitted[BIAS].shares[1].springs  # in a hold the offsets bear the load
     only = f"only {100 * share:.0f} %"
     assert any(n.startswith(BIAS) and only in n for n in list_notes(results))

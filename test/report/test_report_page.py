@@ -78,8 +78,8 @@ def test_the_errors_on_page_and_in_file_are_those_of_the_evaluation(page, page_p
                 expected = [error.rmse, error.mae, error.sigma, error.skill]
                 assert unit == error.unit
                 np.testing.assert_allclose(shown, expected, rtol=0.0, atol=5.001e-4)
-            value = summarise_errors(errors).local_rmse
-            title = "median of the local forces in the objective"
+            value = summarise_errors(errors).median_local_rmse
+            title = "median local RMSE in the objective"
             assert float(rows[title][1 + 4 * column]) == pytest.approx(value, abs=5.001e-4)
             written = found.get_group((candidate.label, part)).set_index("channel")["RMSE"]
             assert [*written.index] == [error.name for error in errors]
