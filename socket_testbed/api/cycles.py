@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from socket_testbed.api.result import Result
-from socket_testbed.api.trials import PathLike, as_trial, note, select
+from socket_testbed.api.trials import PathLike, as_trial, select
 from socket_testbed.arrays import BREAK, FloatArray, IntArray, gaps
 from socket_testbed.errors import ConfigurationError, TrialError, closest
 from socket_testbed.tables import split_unit
@@ -203,7 +203,7 @@ def cycles(
     curves = np.stack([np.interp(moments, time, column) for column in values.T], axis=-1)
     if samples < _MIN_SAMPLES:
         few = f"a cycle by '{by}' has {samples:.0f} samples"
-        note(trial, f"{few}: the course between them is interpolated, record at a higher rate")
+        trial.note(f"{few}: the course between them is interpolated, record at a higher rate")
     return Cycles(trial, by, spans, int((~kept).sum()), titles, curves)
 
 

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from socket_testbed.api.pressure import TrialPressure
 from socket_testbed.api.pressure import pressure as pressure_of
 from socket_testbed.api.result import Result, origin
-from socket_testbed.api.trials import PathLike, as_path, as_trial, note, note_implausible, select
+from socket_testbed.api.trials import PathLike, as_path, as_trial, note_implausible, select
 from socket_testbed.arrays import FloatArray
 from socket_testbed.files import TABLES
 from socket_testbed.identification import information, plausibility
@@ -408,7 +408,7 @@ def evaluate(
     rows = trial.sound(leave_out)[chosen.rows]
     if bool(trial.unloaded) != bool(stored.unloaded):
         fitted = "with" if stored.unloaded else "without"
-        note(trial, f"the model was fitted {fitted} --unloaded: its offsets differ")
+        trial.note(f"the model was fitted {fitted} --unloaded: its offsets differ")
     errors = _evaluate(rows, _predictions(rows, stored), leave_out)
     outputs = pressure_of(trial, chosen) if pressure else None
     return Evaluation(trial, stored, chosen, int(rows.has_pose_and_wrench.sum()), errors, outputs)

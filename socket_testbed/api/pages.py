@@ -113,7 +113,7 @@ def write_report(
             trials.started(progress, "fitting, judging, mapping"),
         )
     for text in (*results.bag_notes, *results.implausible):
-        trials.note(trial, text)
+        trial.note(text)
     drawing = trials.started(progress, "drawing") if figures else None
     made, printed = datetime.now(UTC), style if figures else None
     write_page(results, page, command, made, drawing, replace, printed)

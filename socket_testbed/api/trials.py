@@ -59,7 +59,7 @@ def note_implausible(trial: Trial, segment: Segment, leave_out: tuple[str, ...])
     samples = trial.samples()
     start, chosen = int(samples.stamps[0]), samples[segment.rows]
     for text in plausibility.implausible_notes(chosen, trial.geometry, leave_out, start):
-        note(trial, text)
+        trial.note(text)
 
 
 def unique_names(trials: Sequence[Trial]) -> tuple[str, ...]:
@@ -127,12 +127,6 @@ def open_trial(
 def as_trial(trial: Trial | PathLike) -> Trial:
     """The trial itself, or the one at the path."""
     return trial if isinstance(trial, Trial) else open_trial(trial)
-
-
-def note(trial: Trial, text: str) -> None:
-    """Send a note on a trial to its listener, if any."""
-    if trial.notify is not None:
-        trial.notify(text)
 
 
 def require_different(trials: Sequence[Trial]) -> None:

@@ -18,7 +18,6 @@ from socket_testbed.api.trials import (
     Progress,
     as_path,
     as_trial,
-    note,
     require_different,
     require_one_socket,
     select,
@@ -166,7 +165,7 @@ def _skip_failed(name: str, trial: Trial, several: bool) -> Iterator[None]:
     except (IdentificationError, TrialError) as error:
         if not several:
             raise
-        note(trial, f"{name}: passed over: {error}")
+        trial.note(f"{name}: passed over: {error}")
 
 
 def _selected(recordings: Sequence[_Recording]) -> list[_Recording]:
@@ -206,7 +205,7 @@ class _Recording:
         return [*chain.from_iterable(found)]
 
     def _note(self, text: str) -> None:
-        note(self.trial, f"{self.name}: {text}")
+        self.trial.note(f"{self.name}: {text}")
 
     @property
     def loaded(self) -> Samples:

@@ -85,8 +85,8 @@ def report_data(trial: Trial, good: bool = True) -> str:
     except TestbedError:
         return ""
     for line in found:
-        if trial.notify is not None and (good or line != GOOD):
-            trial.notify(line)
+        if good or line != GOOD:
+            trial.note(line)
     return found[0].removeprefix("data: ")
 
 

@@ -106,8 +106,7 @@ def _fit_row(found: TrialFit) -> Row:
     try:
         unseen = found.unseen_half()
     except IdentificationError as error:
-        if found.trial.notify is not None:
-            found.trial.notify(f"no skill on an unseen half: {error}")
+        found.trial.note(f"no skill on an unseen half: {error}")
     return {
         **segment_columns(fit.samples, found.segment),
         "variant": fit.model.variant,
@@ -393,8 +392,7 @@ def pressure_tables(found: TrialPressure) -> str:
         [
             *(text_of(Table("outputs", "", frame)) + "\n" for frame in frames),
             "best estimate under the posterior (95 % interval); uncertain: the interval reaches"
-            f" farther from the value than {found.share:g} of it\nin contact: above"
-            f" {found.threshold:g} kPa; the integrals cover {found.outputs.integrated:.1f} s",
+            f" farther from the value than {found.share:g} of it\n{found.contact}",
         ]
     )
 

@@ -241,7 +241,8 @@ def _channels(samples: Samples) -> Iterator[DataFinding]:
         yield DataFinding("the trigger", fact, "see 'info' for the gaps, and the trigger's rate")
     # An averaged or extrapolated pose still varies in its last digits.
     poses = samples.pose[samples.has_pose]
-    if period * max(map(_longest_run, poses.T)) > max(MAX_STILL, 4.0 * period):
+    limit = max(MAX_STILL, 4.0 * period)
+    if period * max(map(_longest_run, poses.T)) > limit:
         yield DataFinding(
             "the limb pose", "it stands still", "check the cameras and the bodies' names"
         )
@@ -254,7 +255,7 @@ def _channels(samples: Samples) -> Iterator[DataFinding]:
         still = period * _longest_run(known)
         at_end, end = max((np.mean(known == end), end) for end in (known.min(), known.max()))
         unit = channel_unit(name)
-        if still > max(MAX_STILL, 4.0 * period):
+        if still > limit:
             fact, hint = f"it does not change for {still:.1f} s", "check the sensor and its driver"
         elif at_end > MAX_CLIPPED:
             fact = f"{100.0 * at_end:.0f} % of its values are at one end, {end:.3g} {unit}"

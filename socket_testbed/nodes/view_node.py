@@ -27,7 +27,7 @@ from socket_testbed.files import SOCKET_FILE, file_or_packaged
 from socket_testbed.geometry.regions import all_regions, axial_force
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.data_check import LOOK
-from socket_testbed.identification.force_map import NORMAL_QUANTILE
+from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import Quantity, RegionOutputs
 from socket_testbed.nodes import base
 from socket_testbed.nodes.controls import ServiceControls
@@ -169,10 +169,12 @@ class LiveSource:
         for topic in (topics.FORCE_MAP, topics.WRENCH, topics.ESTIMATED_WRENCH):
             for stamp, values in self._read(inbox, topic):
                 if topic is topics.FORCE_MAP:
-                    self._foreign = values[0] != self._geometry.names
-                    if self._foreign:
-                        continue
-                elif topic is topics.WRENCH:
+                    names, fields = values
+                    self._foreign = names != self._geometry.names
+                    if not self._foreign:
+                        self._newest[topic] = stamp, MapEstimate(**fields), now
+                    continue
+                if topic is topics.WRENCH:
                     if self._wrenches and stamp < self._wrenches[-1][0]:
                         self._wrenches.clear()  # the graph was restarted
                         self._course.clear()
@@ -206,7 +208,7 @@ class LiveSource:
             self._shown_at = now
             self._shown = {
                 "cards": document.cards(
-                    geometry, places, outputs, mapped[1]["normal_pressure"][0], self._measured
+                    geometry, places, outputs, mapped.normal_pressure[0], self._measured
                 ),
                 "bars": document.bars(places, outputs),
                 "course": document.course(time, load, Quantity(value, low, high, value), []),
@@ -217,10 +219,9 @@ class LiveSource:
         found = self._recent(topics.FORCE_MAP)
         if found is None:
             return {"time": 0.0, "words": "no force map"}
-        names = ("normal_pressure", "normal_pressure_standard_deviation", "shear")
-        pressure, deviation, shear = (found[1][name][0] for name in names)
+        stresses = found.normal_pressure[0], found.pressure_reach[0], found.shear[0]
         time = 1e-9 * (self._newest[topics.FORCE_MAP][0] - self._first)
-        return document.moment(time, pressure, NORMAL_QUANTILE * deviation, shear, self._measured)
+        return document.moment(time, *stresses, self._measured)
 
     def _recent(self, topic: topics.Topic) -> Any:
         """The newest values of a topic; None if stale."""

@@ -15,7 +15,6 @@ from socket_testbed.geometry.socket import HEIGHTS, SECTORS, Side, SocketGeometr
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import (
     SHARE,
-    THRESHOLD,
     Quantity,
     normal_quantity,
     with_interval,
@@ -91,11 +90,9 @@ def section(results: Results) -> Section:
         "Pressure",
         [
             f"Over {found.segment}. A value is marked uncertain if its 95 % interval reaches"
-            f" farther than {100.0 * SHARE:g} % of it. In contact:"
-            f" above {1e-3 * THRESHOLD:g} kPa; the integrals cover"
-            f" {found.outputs.integrated:.1f} s, while in contact. Shear direction is measured"
-            " from proximal about the inward normal. 'socket-testbed pressure' gives the same"
-            " numbers, also for other segments and thresholds.",
+            f" farther than {100.0 * SHARE:g} % of it; {found.contact}. Shear direction is"
+            " measured from proximal about the inward normal. 'socket-testbed pressure' gives the"
+            " same numbers, also for other segments and thresholds.",
             *_tables(found),
             Heading("Estimation"),
             "From the measurements of clusters and load cell, without a fitted model: a Gaussian"

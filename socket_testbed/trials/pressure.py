@@ -119,6 +119,12 @@ class SegmentPressure:
         table["nearest tile"] = nearest
         return table
 
+    @property
+    def contact(self) -> str:
+        """What counts as contact and the time of the integrals, in words."""
+        limit, time = 1e-3 * self.outputs.threshold, self.outputs.integrated
+        return f"in contact: above {limit:g} kPa; the integrals cover {time:.1f} s"
+
     @cached_property
     def suspension(self) -> Suspension | None:
         """Motion and stiffness of the limb in the socket; None without poses and a wrench."""

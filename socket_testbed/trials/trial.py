@@ -187,10 +187,14 @@ class Trial:
         """The notes on the trial so far, without duplicates."""
         return [*self._noted]
 
+    def note(self, text: str) -> None:
+        """Send a note on the trial to `notify`, if any."""
+        if self.notify is not None:
+            self.notify(text)
+
     def _notify(self, note: str) -> None:
         self._noted[note] = None
-        if self.notify is not None:
-            self.notify(note)
+        self.note(note)
 
     @property
     def metadata(self) -> TrialMetadata:
