@@ -169,7 +169,7 @@ class Samples:
 
         Forces outside the calibrated range are extrapolated, so fits and evaluations ignore them.
         """
-        return np.where((self.status == 0)[:, :, None], self.local_forces, np.nan)
+        return np.where((self.status == Status.OK)[:, :, None], self.local_forces, np.nan)
 
     @property
     def trusted_values(self) -> FloatArray:

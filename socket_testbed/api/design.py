@@ -20,10 +20,11 @@ from socket_testbed.api.result import Result
 from socket_testbed.api.trials import PathLike, Progress, as_path, started
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.calibration.model import Calibration, read_calibration, write_calibration
+from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import SOCKET_FILE, check_suffix, packaged, refuse_existing
 from socket_testbed.geometry.regions import all_regions
-from socket_testbed.geometry.socket import read_socket, write_socket
+from socket_testbed.geometry.socket import AREA_LIMITS, read_socket, write_socket
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -222,7 +223,9 @@ def calibrate(
 
     paths = [bench] if isinstance(bench, str | os.PathLike) else list(bench)
     columns, units = columns or {}, units or {}
-    if area is None and geometry is not None:
+    if area is not None:
+        check_number(area, "--area", *AREA_LIMITS)
+    elif geometry is not None:
         area = _tile_area(Path(geometry), cluster)
     if len(baseline) > 2:
         raise ConfigurationError(
@@ -412,13 +415,15 @@ def _write_design(design: SocketDesign, output: Path) -> None:
     from socket_testbed.report.page import write_socket_page
     from socket_testbed.report.style import save_figure
     from socket_testbed.report.tiles import socket_figure
+    from socket_testbed.socket_design.scan_file import simplify
 
     title = f"{design.name}: {len(design.geometry)} tiles"
     write_socket(design.geometry, output)
     picture = socket_figure(design.geometry, title)
     save_figure(picture, output.with_suffix(".png"), dpi=200)
     page = output.with_suffix(".html")
-    write_socket_page(design.mesh, design.geometry, page, title, design.facts())
+    shown = simplify(design.mesh)
+    write_socket_page(shown, design.geometry, page, title, design.facts())
 
 
 def register(

@@ -31,7 +31,6 @@ from socket_testbed.tables import Table
 _MM = 1e3
 
 _MAX_SHOWN = 10  # outliers
-_AREA_LIMITS = (1e-6, 0.05)  # [m^2]
 _UNITS = ("Pa", *["Pa/pF"] * 2, *["Pa/pF^2"] * 3)
 
 
@@ -210,8 +209,6 @@ def calibrate(
         figure: Draw the fit.
     """
     check_number(limit, "--limit", 0.0, 100.0)
-    if options["area"] is not None:
-        check_number(options["area"], "--area", *_AREA_LIMITS)
     new = into is not None and into.resolve() != output.resolve()
     check_files(output if new else None, figure, replace=replace, table=False)
     found = api.calibrate(

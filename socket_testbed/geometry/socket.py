@@ -46,6 +46,7 @@ UNMEASURED = "unmeasured wall"  # the region of the tiles without a cluster
 _STANDARD_REGIONS = {SOCKET, UNMEASURED, *SECTORS, *HEIGHTS, *SECTOR_PARTS}
 _SAME_PLACE = 1e-4  # [m]
 _MAX_GAP_RATIO, _MAX_GAP = 4.0, 0.06  # over the median gap [-], and [m]; beyond both: off the wall
+AREA_LIMITS = (1e-8, 0.05)  # [m^2]; of a tile
 _FromScan = Annotated[float, Meta(ge=-100.0, le=100.0)]  # [m]; the scanner's origin is arbitrary
 _InBody = Annotated[float, Meta(ge=-1.0, le=1.0)]  # [m]; larger values have another unit
 
@@ -217,7 +218,7 @@ _HEADER = """\
 class _Tile(Document):
     anchor: Point
     frame: RotationRows
-    area: Annotated[float, Meta(ge=1e-8, le=0.05, description="the area [m^2]")]
+    area: Annotated[float, Meta(ge=AREA_LIMITS[0], le=AREA_LIMITS[1], description="the area [m^2]")]
 
     def __post_init__(self) -> None:
         check_rotation(self.frame, "frame")

@@ -15,6 +15,7 @@ import numpy as np
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import read_calibration
+from socket_testbed.drivers import ERROR
 from socket_testbed.drivers.load_cell.ads131m0x import CHECK_WIRING
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker
@@ -197,7 +198,7 @@ def check_motion_capture(testbed: Testbed) -> Iterator[Outcome]:
     finally:
         client.close()
     level, message = health
-    if level > 1:
+    if level >= ERROR:
         yield _failure("motion capture", message)
         return
     address = f"{settings.server}:{settings.command_port}"

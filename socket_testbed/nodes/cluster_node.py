@@ -10,6 +10,7 @@ from socket_testbed.drivers.clusters.reader import ClusterReading
 from socket_testbed.live.hardware import make_clusters
 from socket_testbed.nodes.base import ERROR, OK
 from socket_testbed.nodes.sensor_node import SensorNode
+from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import ClusterSettings
 from socket_testbed.trials.messages import capacitance_packer
 from socket_testbed.trials.topics import CAPACITANCE
@@ -40,7 +41,7 @@ class ClusterNode(SensorNode[ClusterSettings]):
     def measure(self, stamp: int, moment: float) -> None:
         """Read all clusters; `missing` counts channels without a value."""
         reading = self._read(moment)
-        self.missing += int((reading.status != 0).sum())
+        self.missing += int((reading.status != Status.OK).sum())
         self._send(stamp, reading.capacitance, reading.status)
 
     def idle(self) -> None:

@@ -11,7 +11,6 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-import numpy as np
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -28,9 +27,6 @@ from socket_testbed.tables import UNCERTAIN, pairs_table, write_table
 
 if TYPE_CHECKING:
     import trimesh
-
-_MAX_FACES = 20_000  # of the surface on a page
-_GROWTH = 1.1  # [-]; of the cells for merging vertices, per attempt
 
 
 @dataclass(frozen=True)
@@ -159,10 +155,14 @@ def write_socket_page(
 ) -> None:
     """Write a single-file page with the interior surface of a socket in {S} [m] and its tiles."""
     heights = 1e3 * socket_axis(geometry).heights(geometry.anchors)
-    shown = simplify(surface)
     data = {
         "socket": socket_document(geometry)
-        | {"surface": {"points": numbers(1e3 * shown.vertices, 1), "faces": shown.faces.tolist()}},
+        | {
+            "surface": {
+                "points": numbers(1e3 * surface.vertices, 1),
+                "faces": surface.faces.tolist(),
+            }
+        },
         "moments": [{"time": 0.0, "words": f"{len(geometry)} tiles"}],
         "start": 0.0,
         "kinds": ["tiles"],
@@ -175,23 +175,3 @@ def write_socket_page(
     table = pairs_table("facts", "The socket and its tiles", facts)
     subtitle = "lengths in mm in {S}, the frame of the load cell"
     write_page(path, title, subtitle, {"": [Section("socket", "", [pictures, table])]}, data)
-
-
-def simplify(surface: trimesh.Trimesh, most_faces: int = _MAX_FACES) -> trimesh.Trimesh:
-    """Merge the vertices in each cell of a cubic grid, growing the cells until few faces remain.
-
-    Vertex clustering (Rossignac and Borrel 1993, doi:10.1007/978-3-642-78114-8_29) needs no
-    manifold, so it accepts any scan.
-    """
-    cell = np.sqrt(2.0 * surface.area / most_faces)
-    simplified = surface
-    while len(simplified.faces) > most_faces:
-        place = np.floor(surface.vertices / cell)
-        merged = np.unique(place, axis=0, return_inverse=True)[1].ravel()
-        sums = [np.bincount(merged, axis) for axis in surface.vertices.T]
-        mean = np.column_stack(sums) / np.bincount(merged)[:, None]
-        simplified = type(surface)(mean, merged[surface.faces], process=False)
-        simplified.update_faces(simplified.nondegenerate_faces())
-        simplified.update_faces(simplified.unique_faces())
-        cell *= _GROWTH
-    return simplified

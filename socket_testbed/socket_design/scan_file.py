@@ -442,3 +442,26 @@ def _note(notes: list[str], count: int, text: str) -> None:
 
 def _millimetres(lengths: list[float]) -> str:
     return ", ".join(f"{1e3 * length:.0f} mm" for length in sorted(lengths, reverse=True)[:3])
+
+
+_MAX_FACES = 20_000  # of the surface on a page
+_GROWTH = 1.1  # [-]; of the cells for merging vertices, per attempt
+
+
+def simplify(surface: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Merge the vertices in each cell of a cubic grid, growing the cells until few faces remain.
+
+    Vertex clustering (Rossignac and Borrel 1993, doi:10.1007/978-3-642-78114-8_29) needs no
+    manifold, so it accepts any scan.
+    """
+    cell = np.sqrt(2.0 * surface.area / _MAX_FACES)
+    simplified = surface
+    while len(simplified.faces) > _MAX_FACES:
+        merged = number_cells(surface.vertices, cell)
+        sums = [np.bincount(merged, axis) for axis in surface.vertices.T]
+        mean = np.column_stack(sums) / np.bincount(merged)[:, None]
+        simplified = plain_mesh(mean, merged[surface.faces])
+        simplified.update_faces(simplified.nondegenerate_faces())
+        simplified.update_faces(simplified.unique_faces())
+        cell *= _GROWTH
+    return simplified

@@ -56,7 +56,7 @@ def test_info_says_what_a_trial_holds(hold: Path, capsys) -> None:
 def test_the_demo_retries_at_half_speed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tried = []
     monkeypatch.setattr(demo, "_run_live", lambda path, seed, scale, log: tried.append(scale))
-    monkeypatch.setattr(demo.bringup, "summary", lambda path: "all there")
+    monkeypatch.setattr(demo, "summary", lambda path: "all there")
     monkeypatch.setattr(Trial, "samples", lambda trial: None)
     for speed, complete, scales in (
         (1.0, [0.4, 0.8, 0.95], [1.0, 0.5, 0.25]),

@@ -266,7 +266,7 @@ class LoadCell:
         if self.converter.has_all(moment + self._reach(span)[1]):
             return True
         now = clocks.monotonic()
-        return now >= self.end_time(moment, span) and self.converter.fault_at(now)[0] > 1
+        return now >= self.end_time(moment, span) and self.converter.fault_at(now)[0] >= ERROR
 
     def wrench_at(self, moment: float, span: float = 0.0) -> WrenchReading:
         """The wrench at a time; arguments as in `end_time`.
