@@ -169,9 +169,7 @@ def check_load_cell(testbed: Testbed) -> Iterator[Outcome]:
         hint = CHECK_WIRING if corrupted else ""
         yield Outcome("load cell CRC", f"{corrupted} of {_FRAMES} frames corrupted", hint)
         ends = clocks.monotonic() + _WATCH_DURATION
-        while clocks.monotonic() < ends:
-            converter.poll()
-            clocks.sleep(0.5 * converter.period)
+        converter.poll_until(lambda: clocks.monotonic() >= ends)
         level, message = cell.health(clocks.monotonic())
         if (line := settings.data_ready_line) >= 0:
             counts = converter.counts()
@@ -315,11 +313,6 @@ def _readings(testbed: Testbed) -> Iterator[Callable[[], FloatArray]]:
     ):
         stopping = threading.Event()
 
-        def poll() -> None:
-            while not stopping.is_set():
-                converter.poll()
-                clocks.sleep(converter.period)
-
         def read() -> FloatArray:
             due = clocks.monotonic() + _READING_PERIOD
             reading = clusters.read(clocks.monotonic())
@@ -328,7 +321,9 @@ def _readings(testbed: Testbed) -> Iterator[Callable[[], FloatArray]]:
             wrench = cell.wrench_at(due - 0.7 * _READING_PERIOD, 0.5 * _READING_PERIOD).wrench
             return np.concatenate([stress[:, 0], wrench[3:]])
 
-        polling = threading.Thread(target=poll, daemon=True)
+        polling = threading.Thread(
+            target=converter.poll_until, args=(stopping.is_set,), daemon=True
+        )
         polling.start()
         try:
             yield read

@@ -29,9 +29,10 @@ from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.identification.model_file import StoredModel, read_model
 from socket_testbed.identification.plausibility import channel_limits
 from socket_testbed.live.fit_worker import FitWorker, Refit, Steady, check_samples, fit_samples
-from socket_testbed.samples import Samples, Status
+from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings
+from socket_testbed.trials.messages import in_order
 from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE, STRESS, WRENCH, Topic
 
 MEASURED = (STRESS, WRENCH, SOCKET_POSE, PYLON_POSE)  # the parts of a sample
@@ -370,10 +371,6 @@ def cluster_forces(
 
     An absent cluster has the status missing and NaN forces.
     """
-    missing = (np.full(3, np.nan), Status.MISSING)
-    found = [stresses.get(name, missing) for name in geometry.clusters]
-    forces = [
-        geometry.cluster_force(name, stress)
-        for name, (stress, _) in zip(geometry.clusters, found, strict=True)
-    ]
-    return np.array(forces), np.array([status for _, status in found], dtype=np.uint8)
+    found, status = in_order(stresses, geometry.clusters)
+    pairs = zip(geometry.clusters, found, strict=True)
+    return np.array([geometry.cluster_force(*pair) for pair in pairs]), status

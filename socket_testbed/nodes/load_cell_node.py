@@ -39,7 +39,10 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         self._averaged = 0  # conversions around the last trigger
         self._polled = threading.Condition()
         self._stopping = threading.Event()
-        self._polling = threading.Thread(target=self._poll, name="load_cell")
+        polling = (self._stopping.is_set, self._wake)
+        self._polling = threading.Thread(
+            target=self._cell.converter.poll_until, args=polling, name="load_cell"
+        )
         self._polling.start()
         self.follow_triggers()
         self._events = self.advertise(EVENT)
@@ -61,15 +64,10 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         own = {"averaged_conversions": self._averaged}
         return {**super().figures(), **own, **self._cell.figures()}
 
-    def _poll(self) -> None:
-        """Read the converter at its own rate; a pause only loses conversions."""
-        due, period = clocks.monotonic(), self._cell.converter.period
-        while not self._stopping.is_set():
-            self._cell.converter.poll()
-            with self._polled:
-                self._polled.notify_all()
-            due = max(due + period, clocks.monotonic() - period)
-            clocks.sleep(max(0.0, due - clocks.monotonic()))
+    def _wake(self) -> None:
+        """Wake the thread that waits for conversions."""
+        with self._polled:
+            self._polled.notify_all()
 
     def measure(self, stamp: int, moment: float) -> None:
         """Wait for the conversions around the trigger and average them."""

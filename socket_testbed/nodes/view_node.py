@@ -37,7 +37,7 @@ from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.tables import duration_text
 from socket_testbed.trials import topics
-from socket_testbed.trials.messages import REGION_FIELDS, Reader
+from socket_testbed.trials.messages import REGION_FIELDS, Reader, in_order
 from socket_testbed.trials.metadata import FIELDS
 
 _STALE_AFTER = 2.0  # [s]; older data is not shown as current
@@ -53,7 +53,6 @@ _DEPTHS = {
 _MAX_WRENCHES = 200  # kept to match those of the regions
 _COURSE_DURATION = 30.0  # [s]
 _NO_WRENCH = np.full(6, np.nan)
-_NO_STRESS = (np.full(3, np.nan), Status.MISSING)  # stress and status of no cluster
 _COUNT_KEYS = ("samples", "triggers", "messages")  # figures that give a node's rate
 _SIGNS = ("\N{BLACK CIRCLE}", "\N{BLACK UP-POINTING TRIANGLE}", "\N{BLACK SQUARE}")
 
@@ -189,9 +188,8 @@ class LiveSource:
         if now - self._shown_at > _STALE_AFTER:
             self._shown, self._measured = {}, np.full_like(self._measured, np.nan)
         for _, stresses in self._read(inbox, topics.STRESS):
-            readings = [stresses.get(name, _NO_STRESS) for name in geometry.clusters]
-            normal = [s[0] if status == Status.OK else np.nan for s, status in readings]
-            self._measured = np.array(normal)
+            stress, status = in_order(stresses, geometry.clusters)
+            self._measured = np.where(status == Status.OK, stress[:, 0], np.nan)
         for stamp, (names, fields) in self._read(inbox, topics.REGIONS):
             mapped = self._recent(topics.FORCE_MAP)
             if mapped is None or names != tuple(place.name for place in places):

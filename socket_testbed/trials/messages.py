@@ -6,7 +6,7 @@ of each layout. Packing fills in a serialised blank message.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
@@ -210,6 +210,15 @@ def _stress(records: cdr.Record, sample: Any) -> dict[str, tuple[FloatArray, int
             stress, status = [np.nan] * 3, int(Status.MISSING)
         found[cluster.name] = np.array(stress), status
     return found
+
+
+def in_order(
+    stresses: Mapping[str, tuple[FloatArray, int]], names: Iterable[str]
+) -> tuple[FloatArray, StatusArray]:
+    """Stresses (c, 3) [Pa] and statuses (c,) of the named clusters; an absent one is missing."""
+    missing = np.full(3, np.nan), Status.MISSING
+    stress, status = zip(*(stresses.get(name, missing) for name in names), strict=True)
+    return np.array(stress), np.array(status, dtype=np.uint8)
 
 
 def stress_packer(names: Sequence[str]) -> Callable[[int, FloatArray, StatusArray], bytes]:

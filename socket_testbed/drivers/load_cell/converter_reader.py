@@ -98,7 +98,7 @@ class ConverterReader:
         open_device: Callable[[], ads131m0x.SpiDevice],
         open_line: Callable[[], EdgeLine] | None = None,
     ) -> None:
-        # time between conversions [s]; poll as often
+        # time between conversions [s]
         self.period = ads131m0x.conversion_period(settings.clock_in, settings.oversampling)
         self.open_line = open_line
         self._silence = max(_SILENCE_TIMEOUT, 5.0 * self.period)  # error without a conversion [s]
@@ -128,6 +128,17 @@ class ConverterReader:
         self._counts = {"conversions": 0, "checksum_errors": 0, "restarts": 0}
         if open_line is not None:
             self._counts["status_disagrees"] = 0
+
+    def poll_until(
+        self, stopped: Callable[[], bool], polled: Callable[[], None] = lambda: None
+    ) -> None:
+        """Poll at the converter's own rate until stopped, and call `polled` after each time."""
+        due = clocks.monotonic()
+        while not stopped():
+            self.poll()
+            polled()
+            due = max(due + self.period, clocks.monotonic() - self.period)
+            clocks.sleep(max(0.0, due - clocks.monotonic()))
 
     def poll(self) -> None:
         """Read the waiting conversions, or reconnect to the converter when due.
