@@ -34,7 +34,7 @@ from socket_testbed.identification.differences import (
     Conditions,
     is_clear,
 )
-from socket_testbed.identification.pressure import THRESHOLD, decimals_of
+from socket_testbed.identification.pressure import THRESHOLD, Quantity, decimals_of
 from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
 from socket_testbed.tables import NOTHING, split_unit
 from socket_testbed.trials.metadata import FIELDS, NO_SIDE
@@ -195,21 +195,23 @@ class Comparison(Result):
             return super()._figure(style)
         from socket_testbed.report.tiles import tile_map_figure
 
-        pressures, low, high = self.tile_pressures(VALUE)
+        pressures = self.tile_pressures(VALUE)
         return tile_map_figure(
             self.geometry,
-            dict(zip(self.items, pressures, strict=True)),
+            dict(zip(self.items, pressures.value, strict=True)),
             "mean pressure [kPa]",
             style=style,
-            limits=(pressures.min(), pressures.max()),
+            limits=(pressures.value.min(), pressures.value.max()),
             side=self.side,
-            reach=dict(zip(self.items, 0.5 * (high - low), strict=True)),
+            reach=dict(zip(self.items, pressures.reach, strict=True)),
         )
 
-    def tile_pressures(self, columns: Sequence[str]) -> Iterator[FloatArray]:
-        """Mean pressures of n tiles, or differences, and the ends of their intervals, (k, n)."""
+    def tile_pressures(self, columns: Sequence[str]) -> Quantity:
+        """Mean pressures of n tiles, or their differences from the first trial, (k, n) [kPa]."""
         rows = self.table.query("part == 'tiles' and quantity == 'mean pressure'")
-        return (rows[name].to_numpy().reshape(-1, len(self.items)).T for name in columns)
+        ends = (rows[name].to_numpy().reshape(-1, len(self.items)).T for name in columns)
+        value, low, high = ends
+        return Quantity(value, low, high, np.abs(value))
 
 
 def _cell(row: Mapping[str, Any], columns: Sequence[str]) -> str:

@@ -182,11 +182,12 @@ def _map_data(found: Comparison) -> tuple[dict[str, Any], dict[str, str]]:
     """Maps of the trials on a common scale, of the differences on another, and their titles."""
     if found.geometry is None:
         return {}, {}
-    (values, *ends), (differences, low, high) = map(found.tile_pressures, (VALUE, DIFFERENCE))
-    reaches, spreads = (0.5 * (above - below) for below, above in (ends, (low, high)))
+    pressures, change = map(found.tile_pressures, (VALUE, DIFFERENCE))
+    values, differences = pressures.value, change.value
     names = [*found.items, *map(found.difference_title, found.items[1:])]
-    greys = [*[None] * len(values), *(1.0 * ~is_clear(low, high)[1:])]
-    both = zip([*values, *differences[1:]], [*reaches, *spreads[1:]], greys, strict=True)
+    greys = [*[None] * len(values), *(1.0 * ~is_clear(change.low, change.high)[1:])]
+    reaches = [*pressures.reach, *change.reach[1:]]
+    both = zip([*values, *differences[1:]], reaches, greys, strict=True)
     limit = float(np.abs(differences[1:]).max()) or 1.0
     nothing = np.zeros(0)
     maps: list[dict[str, Any]] = [

@@ -125,6 +125,10 @@ class Region:
     tiles: IntArray  # indices of its tiles, ascending; (k,)
 
 
+# Angles of the sectors' borders, from anterior towards left [deg]
+SECTOR_EDGES = (-135, -45, 45, 135)
+
+
 def main_regions(places: Iterable[Region]) -> list[Region]:
     """Sectors, heights and the user's regions: neither parts of sectors nor what covers them."""
     return [place for place in places if place.name not in {SOCKET, UNMEASURED, *SECTOR_PARTS}]

@@ -29,6 +29,7 @@ from socket_testbed.settings.identification import ForceMapSettings
 GOOD, LOOK = "data: good", "data: look at "
 LEAST_CHECKED = 30
 MIN_LOAD_CHANGE = 15.0  # [N]; standard deviation of the load, to compare other sources with it
+MIN_LOAD = 15.0  # [N]; to compare the clusters with each other
 REVERSED = -0.2  # [-]; correlation with the load below which a sign is reversed; sound >= 0
 MIN_CORRELATION = 0.2  # [-]; correlation with the load below which a source does not follow it
 MIN_SIGNAL = 4.0  # [-]; standard deviation of a cluster over its noise, to compare it with the load
@@ -193,7 +194,7 @@ def _time_series(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFin
 
 def _disagreements(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFinding]:
     """The cluster, if any, that contradicts the others and the wrench most."""
-    loaded = samples[validation.loaded_rows(samples, MIN_LOAD_CHANGE)]
+    loaded = samples[validation.loaded_rows(samples, MIN_LOAD)]
     if not len(loaded):
         return
     compared = loaded[evenly(len(loaded), _COMPARED_SAMPLES)]
@@ -327,6 +328,3 @@ def _lag(reference: FloatArray, course: FloatArray, period: float) -> float:
 def _longest_run(values: FloatArray) -> int:
     ends = np.flatnonzero(np.append(np.diff(values) != 0.0, True))
     return int(np.diff(np.append(-1, ends)).max())
-
-
-# --- the facts, as 'info' and the report show them

@@ -14,7 +14,7 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import first_of
-from socket_testbed.geometry.regions import Region, axial_force, third_edges
+from socket_testbed.geometry.regions import SECTOR_EDGES, Region, axial_force, third_edges
 from socket_testbed.geometry.socket import (
     HEIGHTS,
     SECTOR_PARTS,
@@ -67,6 +67,7 @@ def socket_document(geometry: SocketGeometry, side: Side | None = None) -> Docum
         "corners": numbers(tiles.corners[:, _CLOSED], 1),
         "squares": numbers(1e3 * tiles.squares[:, _CLOSED], 1),
         "sides": side_names(side),
+        "sectors": SECTOR_EDGES,
         "heights": list(reversed(HEIGHTS)),
         "thirds": numbers(1e3 * third_edges(geometry), 1),
         "proximal": numbers(tiles.around.proximal, 4),

@@ -180,7 +180,7 @@ class SocketMap {
       layout.yaxis = {...base, range: [low, high], tickvals: middles,
         ticktext: socket.heights, domain: [below && end ? 0.36 : 0, 1], tickangle: below ? -90 : 0};
       const line = {color: "rgba(255,255,255,0.55)", width: 1, dash: "dot"};
-      for (const x of [-135, -45, 45, 135]) { lines.push({type: "line", x0: x, x1: x, y0: low, y1: high, line}); }
+      for (const x of socket.sectors) { lines.push({type: "line", x0: x, x1: x, y0: low, y1: high, line}); }
       for (const y of edges.slice(1, 3)) { lines.push({type: "line", x0: -180, x1: 180, y0: y, y1: y, line}); }
     }
     if (end) {
