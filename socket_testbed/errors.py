@@ -32,11 +32,12 @@ class TestbedError(Exception):
 
 
 @contextmanager
-def naming(place: object, kind: type[TestbedError] = TestbedError) -> Iterator[None]:
-    """Errors of a kind inside begin with the place, such as a file: `calibration.yaml: ...`."""
+def naming(place: object, *kinds: type[TestbedError]) -> Iterator[None]:
+    """Errors of some kinds (default: all) begin with the place, such as a file: `a.yaml: ...`."""
+    kinds = kinds or (TestbedError,)
     try:
         yield
-    except kind as error:
+    except kinds as error:
         raise type(error)(f"{place}: {error.fact}", error.hint) from None
 
 

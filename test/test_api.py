@@ -177,6 +177,8 @@ def test_poses_in_millimetres_are_refused_wherever_they_are_used(folder) -> None
     for use in (st.fit, lambda t: st.predict(t, fitted), lambda t: st.evaluate(t, fitted)):
         with pytest.raises(st.TestbedError, match=r"limb position is .* likely in millimetres"):
             use(trial)
+    with pytest.raises(st.TestbedError, match=r"^hold: the limb position is .* likely in"):
+        st.compare(folder / "trials" / "walk", trial, segment="15:20")
 
 
 def test_a_model_is_judged_on_poses_averaged_as_in_its_fit(folder, tmp_path) -> None:

@@ -23,7 +23,7 @@ from socket_testbed.api.trials import (
     unique_names,
 )
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.errors import ConfigurationError, TrialError, naming
+from socket_testbed.errors import ConfigurationError, IdentificationError, TrialError, naming
 from socket_testbed.geometry.socket import SECTOR_TURNS, UNMEASURED, Side, SocketGeometry
 from socket_testbed.identification.differences import (
     DIFFERENCE,
@@ -282,7 +282,7 @@ def compare(
     report = started(progress, "comparing")
     found = []
     for done, (name, trial) in enumerate(zip(names, trials, strict=True), start=1):
-        with naming(name, TrialError):
+        with naming(name, TrialError, IdentificationError):
             found.append(pressure(trial, segment, threshold=threshold, params=params))
         report(done, len(trials))
     first, sides = trials[0], {trial.metadata.side for trial in trials}

@@ -6,7 +6,7 @@ It does not depend on ROS: the estimator node converts its messages and publishe
 from __future__ import annotations
 
 import threading
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError, Future
 from concurrent.futures.process import BrokenProcessPool
@@ -46,7 +46,7 @@ class SampleWindow:
 
     def __init__(self, duration: float) -> None:
         self._duration = round(duration * 1e9)
-        self._parts: list[Samples] = []  # what was joined last, and the samples since
+        self._parts: deque[Samples] = deque()  # what was joined last, and the samples since
         self._count = 0  # of their samples
 
     def __len__(self) -> int:
@@ -56,10 +56,12 @@ class SampleWindow:
         """Add the newest sample."""
         self._parts.append(sample)
         self._count += 1
+        while self._parts[0].stamps[-1] < sample.stamps[0] - self._duration:
+            self._count -= len(self._parts.popleft())
 
     def clear(self) -> None:
         """Drop all samples."""
-        self._parts, self._count = [], 0
+        self._parts, self._count = deque(), 0
 
     def samples(self) -> Samples:
         """The samples of the window in the order of their stamps."""
@@ -71,7 +73,7 @@ class SampleWindow:
         found = Samples(clusters=self._parts[0].clusters, **joined)
         found = found[np.argsort(found.stamps, kind="stable")]
         found = found[found.stamps >= found.stamps[-1] - self._duration]
-        self._parts, self._count = [found], len(found)
+        self._parts, self._count = deque([found]), len(found)
         return found
 
 

@@ -217,8 +217,9 @@ def in_order(
 ) -> tuple[FloatArray, StatusArray]:
     """Stresses (c, 3) [Pa] and statuses (c,) of the named clusters; an absent one is missing."""
     missing = np.full(3, np.nan), Status.MISSING
-    stress, status = zip(*(stresses.get(name, missing) for name in names), strict=True)
-    return np.array(stress), np.array(status, dtype=np.uint8)
+    found = [stresses.get(name, missing) for name in names]
+    stress = np.array([stress for stress, _ in found]).reshape(-1, 3)
+    return stress, np.array([status for _, status in found], dtype=np.uint8)
 
 
 def stress_packer(names: Sequence[str]) -> Callable[[int, FloatArray, StatusArray], bytes]:

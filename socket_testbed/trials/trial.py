@@ -180,7 +180,11 @@ class Trial:
 
     def _require_clusters(self, clusters: Collection[str]) -> None:
         self.calibration.require(clusters, f"the trial {self.path}")
-        self.geometry.require(clusters, f"the trial {self.path}")
+        try:
+            self.geometry.require(clusters, f"the trial {self.path}")
+        except ConfigurationError as error:
+            hint = "give the socket.yaml of this trial with --geometry"
+            raise TrialError(error.fact, hint) from None
 
     @property
     def notes(self) -> list[str]:
