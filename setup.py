@@ -13,17 +13,9 @@ def requirements(name: str) -> list[str]:
     return [line.partition("#")[0].strip() for line in lines if line.strip() and line[0] != "#"]
 
 
-NODES = (
-    "trigger",
-    "cluster",
-    "load_cell",
-    "mocap",
-    "calibration",
-    "estimator",
-    "recorder",
-    "replay",
-    "view",
-)
+# The fields of `TestbedSettings`, one per node
+SETTINGS = Path(f"{NAME}/settings/testbed.py").read_text()
+NODES = re.findall(r"^    (\w+_node): ", SETTINGS, flags=re.MULTILINE)
 
 setup(
     name=NAME,
@@ -53,7 +45,7 @@ setup(
     entry_points={
         "console_scripts": [
             f"socket-testbed = {NAME}.__main__:main",
-            *(f"{node}_node = {NAME}.nodes.__main__:main" for node in NODES),
+            *(f"{node} = {NAME}.nodes.__main__:main" for node in NODES),
         ]
     },
 )

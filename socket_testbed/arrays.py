@@ -61,6 +61,11 @@ def sample_at(time: FloatArray, when: float) -> int | None:
     return row if row >= 0 and when - time[row] <= holds else None
 
 
+def within(time: FloatArray, start: float, end: float) -> BoolArray:
+    """Which samples lie in a span [s] including its ends, shape (N,)."""
+    return (time >= start - TOLERANCE) & (time <= end + TOLERANCE)
+
+
 def evenly(count: int, most: int) -> IntArray:
     """At most `most` of `count` indices, evenly spread from the first to the last."""
     return np.linspace(0, count - 1, min(count, most)).astype(np.int64)

@@ -65,7 +65,7 @@ class ConfigurationError(TestbedError):
 
 
 class CalibrationError(TestbedError):
-    """A calibration cannot be applied to these clusters."""
+    """Bench data, a calibration or its baselines cannot be used."""
 
 
 class TrialError(TestbedError):

@@ -2,7 +2,8 @@
 
 `import socket_testbed as st` provides the functions; heavy libraries are imported on first use.
 Functions behave like their verbs: they report the same notes (as warnings) and write the same
-files, but replace older ones.
+files. Results saved by `save` or `draw` replace older ones; a trial, a report and a calibrated
+cluster replace none unless asked.
 Fits run linear algebra in a single thread, so that a trial gives the same model on every machine.
 
 Functions that take a trial also accept its path. Lengths are in metres, forces in newtons, times

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from socket_testbed.api import trials
 from socket_testbed.api.comparison import LEGEND, MAPPED, Comparison
-from socket_testbed.api.models import Model, model_for
+from socket_testbed.api.models import Model, model_for, predictions
 from socket_testbed.api.tradeoff import theta_values
 from socket_testbed.files import PAGES, check_suffix
 from socket_testbed.geometry.socket import SOCKET
@@ -253,5 +253,6 @@ def view(
     from socket_testbed.pages.player import Player
     from socket_testbed.pages.server import PageServer
 
-    player = Player(trial, None if model is None else model_for(trial, model))
+    predicted = None if model is None else predictions(trial, model_for(trial, model))
+    player = Player(trial, predicted)
     return PageServer(player, host, port, names)

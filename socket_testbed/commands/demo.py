@@ -16,7 +16,7 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.commands.terminal import Progress, decimals, table
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import TemporaryFolder, check_new_folder, make_folder
-from socket_testbed.geometry.regions import all_regions
+from socket_testbed.geometry.regions import all_regions, part_of
 from socket_testbed.identification import validation
 from socket_testbed.identification.fit import REGRESSION
 from socket_testbed.identification.force_map import NORMAL_QUANTILE
@@ -24,7 +24,6 @@ from socket_testbed.live import bringup
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.scheduling import SLOWEST, busy_note, measure_speed, speed_text
 from socket_testbed.live.simulated_world import Simulation
-from socket_testbed.pages.document import part_of
 from socket_testbed.report import style
 from socket_testbed.report.tiles import tile_map_figure
 from socket_testbed.samples import Samples, mean_and_sigma

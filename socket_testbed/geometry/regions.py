@@ -134,6 +134,12 @@ def main_regions(places: Iterable[Region]) -> list[Region]:
     return [place for place in places if place.name not in {SOCKET, UNMEASURED, *SECTOR_PARTS}]
 
 
+def part_of(places: Iterable[Region], tile: int) -> str:
+    """The smallest anatomical region of a tile, in words."""
+    inside = [p for p in places if tile in p.tiles and p.name not in (SOCKET, UNMEASURED)]
+    return min(inside, key=lambda place: len(place.tiles)).name if inside else SOCKET
+
+
 def third_edges(geometry: SocketGeometry) -> FloatArray:
     """Heights of the edges of the thirds, from distal to proximal, (4,) [m]."""
     heights = socket_axis(geometry).heights(geometry.anchors)

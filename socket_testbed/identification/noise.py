@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from socket_testbed.arrays import BoolArray, FloatArray, IntArray, gaps, robust_deviation
+from socket_testbed.arrays import TOLERANCE, BoolArray, FloatArray, IntArray, gaps, robust_deviation
 from socket_testbed.samples import Samples, turned
 
 MIN_DIFFERENCES = 12  # [1]; of a channel, for an estimate
@@ -32,7 +32,6 @@ _TRUNCATED = 0.98658  # [-]; standard deviation of a standard normal variable wi
 _QUANTISED = math.sqrt(1.0 / 12.0)  # [-]; standard deviation of rounding, in steps
 _ROUNDING = 1e-12  # [-]; smallest step of a channel, relative to its largest value
 _DEFINITE = 1.0 - 1e-6  # [-]; largest correlation of two components
-_WINDOW_END = 1e-6  # [s]; samples at the end of a window belong to it
 
 
 @dataclass(frozen=True)
@@ -147,7 +146,7 @@ def _windows(samples: Samples, window: float) -> tuple[IntArray, IntArray]:
     run = np.concatenate([[0], np.cumsum(gaps(samples.stamps))])  # of samples between gaps
     start = time[np.searchsorted(run, run, "left")]
     stop = time[np.searchsorted(run, run, "right") - 1]
-    reach = np.minimum(0.5 * window, np.minimum(time - start, stop - time)) + _WINDOW_END
+    reach = np.minimum(0.5 * window, np.minimum(time - start, stop - time)) + TOLERANCE
     first = np.searchsorted(time, time - reach, "left")
     return first, np.searchsorted(time, time + reach, "right")
 

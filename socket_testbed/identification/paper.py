@@ -16,6 +16,7 @@ from socket_testbed.identification.fit import QUOTED, ChannelErrors, summarise_e
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PAPER_VARIANTS, IdentificationSettings, Variant
+from socket_testbed.tables import split_unit
 
 MEDIAN = QUOTED["median_local_rmse"]
 # Without and with offsets
@@ -70,7 +71,7 @@ def beside_published(
         remark = "" if name in PUBLISHED else NOT_HERE
         if name in PUBLISHED and differing:
             remark = f"not comparable: {'; '.join(differing)} in the paper"
-        remark = left_out.get(name.rpartition(" [")[0], remark)
+        remark = left_out.get(split_unit(name)[0], remark)
         rows[name] = [*(ours[name] for ours in both), *theirs, remark]
     frame = pd.DataFrame.from_dict(rows, orient="index")
     pairs = [(source, variant) for source in (OURS, THEIRS) for variant in (WITHOUT, WITH)]

@@ -12,8 +12,9 @@ both variants:
 
 with W the channels of the wrench and L those of the clusters in the objective; r_c is the
 root mean square of all measured moments of the segment for a moment, of all measured forces
-for a force, and r_f that of all measured cluster forces. Predicting zero gives errors of 1.
-They are the square roots of J_w and J_f of docs/identification.md.
+for a force, and r_f that of all measured cluster forces, if the weights are by size: then
+predicting zero gives errors of 1. They are the square roots of J_w and J_f of
+docs/identification.md.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ Over a region:
   :math:`A_i \max(p_i, 0)`;
 - shear: the magnitude of the mean tangential stress over area and span, and its direction from x
   (proximal) towards y;
-- share of load: the axial force (along z of {S}) of the region over that of all tiles.
+- share of load: the axial force (along the socket) of the region over that of all tiles.
 
 Values come from the force map, except the contact area, which is biased near the threshold: its
 value is the mean of the draws. Peak, integral and shear are convex functions of the forces, so
@@ -39,6 +39,7 @@ from socket_testbed.geometry.regions import Region, proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.force_map import NORMAL_QUANTILE, ForceMap, MapEstimate
 from socket_testbed.samples import Samples
+from socket_testbed.tables import split_unit
 
 THRESHOLD = 5e3  # [Pa]; default for a tile in contact
 SHARE = 0.5  # [-]; a value is uncertain if its interval reaches farther than this share of it
@@ -143,8 +144,8 @@ def with_interval(title: str, quantity: Quantity) -> dict[str, FloatArray]:
 
 def interval_end(title: str, end: str) -> str:
     """Title of the end, `low` or `high`, of a column's interval: `peak pressure low [kPa]`."""
-    name, unit = title.rsplit(" [", 1)
-    return f"{name} {end} [{unit}"
+    name, unit = split_unit(title)
+    return f"{name} {end} [{unit}]"
 
 
 @dataclass(frozen=True)

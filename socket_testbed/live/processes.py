@@ -38,7 +38,6 @@ _PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILE
 SPARE = "spare"  # name of the process that stands by to replace a killed node
 
 _NODES = "socket_testbed.nodes"
-READY_TIMEOUT = 60.0  # [s] of real time; for all nodes before the first trigger
 _STOP_TIMEOUT = 60.0  # [s]; for a clean end of a node
 _POLL_INTERVAL = 0.05  # [s]
 _EARLY_FAILURE = 10.0  # [s]; an earlier failure means wrong input

@@ -55,7 +55,7 @@ S = TypeVar("S", bound=Settings)
 
 
 def publisher_qos(topic: Topic) -> QoSProfile:
-    """Quality of service of a publisher: reliable, keep last 100, volatile.
+    """Quality of service of a publisher: reliable, keep last `topic.depth`, volatile.
 
     Latched topics are transient local with depth 1: late subscribers get the last message.
     """

@@ -32,7 +32,7 @@ _READY_TIMEOUT = 180.0  # [s]; for the followers to start and discover each othe
 _DISCOVERY_TIME = 3.0  # [s]; DDS takes 5 ms or more than 2 s, at random
 _PROGRESS_TIMEOUT = 60.0  # [s]; without any progress of the followers
 _MAX_IN_FLIGHT = topics.PUBLISHER_DEPTH // 2  # triggers ahead of the followers
-_BURST_SIZE = 50  # messages sent at once, half of what a writer keeps for retransmission
+_BURST_SIZE = topics.PUBLISHER_DEPTH // 2  # messages sent at once; writers keep twice as many
 _BURST_PAUSE = 0.002  # [s]; after a burst
 
 _TICK_PERIOD = 0.02  # [s]; of /clock between messages

@@ -14,7 +14,7 @@ import numpy as np
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import first_of
-from socket_testbed.geometry.regions import SECTOR_EDGES, Region, axial_force, third_edges
+from socket_testbed.geometry.regions import SECTOR_EDGES, Region, axial_force, part_of, third_edges
 from socket_testbed.geometry.socket import (
     HEIGHTS,
     SECTOR_PARTS,
@@ -227,9 +227,3 @@ def data_card(problems: Sequence[str], good: str, value: str = "look") -> Docume
     if not problems:
         return {"title": "Data", "value": "good", "words": good}
     return {"title": "Data", "value": value, "words": first_of(problems), "bad": True}
-
-
-def part_of(places: Sequence[Region], tile: int) -> str:
-    """The smallest anatomical region of a tile, in words."""
-    inside = [p for p in places if tile in p.tiles and p.name not in (SOCKET, UNMEASURED)]
-    return min(inside, key=lambda place: len(place.tiles)).name if inside else SOCKET

@@ -6,10 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from socket_testbed.arrays import sample_at
+from socket_testbed.arrays import FloatArray, sample_at
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.identification.model_file import StoredModel
-from socket_testbed.identification.plausibility import require_position
 from socket_testbed.identification.pressure import measured_rows
 from socket_testbed.pages import document
 from socket_testbed.trials.pressure import mapped_trial
@@ -21,17 +19,15 @@ _COURSE_SAMPLES = 400
 class Player:
     """A trial as a `Source` of the page: map and outputs are computed on demand.
 
-    An optional model predicts the wrench.
+    A model may have predicted its channels, shape (N, 6 + 3c).
     """
 
-    def __init__(self, trial: Trial, model: StoredModel | None = None) -> None:
+    def __init__(self, trial: Trial, predicted: FloatArray | None = None) -> None:
         self._samples = samples = trial.samples()
         self._mapped = mapped_trial(trial, trial.estimator)
         self._data = document.check_card(trial.findings)
-        self._predicted = np.full((len(samples), 6), np.nan)
-        if model is not None:
-            require_position(samples, trial.geometry)
-            self._predicted = model.predictions(trial.sound(model.settings.leave_out))[:, :6]
+        nothing = np.full((len(samples), 6), np.nan)
+        self._predicted = nothing if predicted is None else predicted[:, :6]
         found = self._mapped.course(_COURSE_SAMPLES)
         time = 1e-9 * (found.samples.stamps - samples.stamps[0])
         self._start = document.trial_document(trial, found, time) | {

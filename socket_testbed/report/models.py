@@ -34,6 +34,8 @@ from socket_testbed.settings.identification import BIAS_VARIANTS, PAPER_VARIANTS
 from socket_testbed.tables import Table, number, split_unit
 from socket_testbed.trials.segment import Segment
 
+ERRORS_FILE = "errors.csv"  # in the folder of every report, which it marks as one
+
 _PANEL_HEIGHT, _KEY_LINE = 34.0, 3.1  # [mm]; panel without its key; line of the key
 _MIN_WIDE = 80.0  # [mm]; width of a panel for a model and its errors in two lines
 _NAME_WIDTH = 26.0  # [mm]; longest line of a name above a panel
@@ -134,7 +136,7 @@ def errors_section(results: Results) -> Section:
         for part, errors in (("segment", candidate.errors), ("rest", candidate.held_out))
         for error in errors
     )
-    return Section("errors-section", "Errors", parts, {"errors.csv": every})
+    return Section("errors-section", "Errors", parts, {ERRORS_FILE: every})
 
 
 def _errors(

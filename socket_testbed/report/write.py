@@ -14,8 +14,6 @@ from socket_testbed.report.results import Results
 from socket_testbed.report.style import FigureStyle
 from socket_testbed.tables import write_table
 
-_ERRORS = "errors.csv"  # in the folder of every report
-
 # In page order, by the title of their fold; the provenance, which needs the command, comes last.
 
 SECTIONS: dict[str, tuple[Callable[[Results], Section], ...]] = {
@@ -45,7 +43,7 @@ def check_page_path(page: Path, replace: bool = False) -> None:
     check_suffix(page, PAGES, "report")
     check_outputs(page, replace=replace)
     folder = files_folder(page)
-    if not replace or (folder.exists() and not (folder / _ERRORS).is_file()):
+    if not replace or (folder.exists() and not (folder / models.ERRORS_FILE).is_file()):
         refuse_existing(folder)
 
 

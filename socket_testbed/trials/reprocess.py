@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from socket_testbed.arrays import FloatArray
+from socket_testbed.arrays import FloatArray, within
 from socket_testbed.drivers.load_cell import load_cell
 from socket_testbed.drivers.load_cell.load_cell import Bridges
 from socket_testbed.errors import TrialError, naming
@@ -95,7 +95,7 @@ def _mean_load(
 ) -> FloatArray:
     """Mean of the wrenches in a span [s], shape (6,) [N m, N]; the load must be at rest there."""
     start, end = span
-    rows = (time >= start) & (time <= end) & np.isfinite(wrenches).all(axis=1)
+    rows = within(time, start, end) & np.isfinite(wrenches).all(axis=1)
     if not rows.any():
         raise TrialError(
             f"{where}: --tare {start:g}:{end:g} holds no wrench",

@@ -11,7 +11,7 @@ from typing import NamedTuple, NoReturn
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
-from socket_testbed.arrays import BREAK, TOLERANCE, FloatArray, IntArray, gaps, runs, usual_period
+from socket_testbed.arrays import BREAK, FloatArray, IntArray, gaps, runs, usual_period, within
 from socket_testbed.errors import ConfigurationError, TrialError, likely
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
@@ -110,7 +110,7 @@ def _no_plateau(what: str, samples: Samples, settings: PlateauSettings) -> NoRet
 
 
 def _span(samples: Samples, start: float, end: float, kind: str) -> Segment:
-    rows = np.flatnonzero((samples.time >= start - TOLERANCE) & (samples.time <= end + TOLERANCE))
+    rows = np.flatnonzero(within(samples.time, start, end))
     if len(rows) < 2:
         raise TrialError(
             f"the segment {start:g}:{end:g} s holds {len(rows)} samples",

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from socket_testbed.arrays import FloatArray, IntArray, StatusArray
+from socket_testbed.arrays import FloatArray, IntArray, StatusArray, within
 from socket_testbed.calibration import drift
 from socket_testbed.calibration.model import Calibration
 from socket_testbed.errors import ConfigurationError, TrialError, listed
@@ -279,7 +279,7 @@ def correct_measurements(
         readings = capacitance[:, column]
         baselines = []
         for start, end in spans:
-            rows = (time >= start) & (time <= end) & np.isfinite(readings).all(axis=1)
+            rows = within(time, start, end) & np.isfinite(readings).all(axis=1)
             middle = float(np.median(time[rows])) if rows.any() else start
             of_span = f"{where}: {name} from {start:g} s to {end:g} s"
             baselines.append(drift.average_baseline(middle, readings[rows], of_span))
@@ -316,8 +316,8 @@ def _unloaded_forces(
     least = float(steady.min())
     loads = []
     for start, end in spans:
-        within = force[(time >= start) & (time <= end)]
-        load = float(np.median(within)) if len(within) else least
+        forces = force[within(time, start, end)]
+        load = float(np.median(forces)) if len(forces) else least
         if load > least + least_force:
             raise TrialError(
                 f"{where}: {start:g}:{end:g} is not without load, the load cell measured"

@@ -18,7 +18,7 @@ from socket_testbed.trials.segment import Segment
 
 def test_an_instant_is_that_of_the_verbs(hold: Path, hold_model: Path) -> None:
     trial = st.open_trial(hold)
-    played = Player(trial, st.read_model(hold_model))
+    played = Player(trial, st.predict(trial, hold_model).to_numpy())
     samples, estimate = trial.samples(), st.force_map(trial, "all").estimate
     predicted, tiles = st.predict(trial, hold_model).to_numpy(), [*trial.geometry.clusters.values()]
     measured = -samples.local_forces[:, :, 2] / trial.geometry.areas[tiles]
