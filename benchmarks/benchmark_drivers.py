@@ -32,9 +32,9 @@ from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.bringup import Testbed, simulate_hardware, simulated_testbed
 from socket_testbed.live.hardware import capacitive_chip, i2c_opener, spi_opener
 from socket_testbed.live.processes import Graph
-from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.settings.acquisition import averaging_span
 from socket_testbed.simulation.sensors import CAMERA_RATE
+from socket_testbed.simulation.testbed import Simulation
 
 _TRANSFERS, _ON_BUS = 44, 107e-6  # fewest per trigger; their mean time at 400 kHz [s]
 _DATAGRAM = 407  # [bytes]; a frame of two triads

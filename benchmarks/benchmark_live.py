@@ -38,9 +38,9 @@ from socket_testbed.__main__ import run as verb
 from socket_testbed.clocks import BEGINNING, SteadyClock
 from socket_testbed.live.bringup import Testbed, end, simulated_testbed, start, summary
 from socket_testbed.live.processes import Graph, GraphNode
-from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.nodes.base import message_type, publisher_qos, subscriber_qos
 from socket_testbed.settings.testbed import ViewSettings
+from socket_testbed.simulation.testbed import Simulation
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.topics import (
     CAPACITANCE,
@@ -222,7 +222,7 @@ def main() -> None:
 
 def show_costs(spent: dict[str, float], count: int, rate: float) -> None:
     """Print the processor time of each process, and of all nodes together."""
-    helpers = ("bare relay", "browsers", "socket_testbed.live.simulated_world")
+    helpers = ("bare relay", "browsers", "socket_testbed.simulation.testbed")
     spent["all nodes"] = sum(each for who, each in spent.items() if who not in helpers)
     print(f"{'process':36} {'ms a trigger':>12} {f'% at {rate:g} Hz':>12} / relay")
     for who, seconds in sorted(spent.items(), key=lambda entry: entry[1]):

@@ -20,9 +20,9 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
-from socket_testbed.files import TemporaryFolder
+from socket_testbed.files import PARENT, TemporaryFolder
 from socket_testbed.live.bringup import replay_nodes
-from socket_testbed.live.processes import PARENT, launched, local_graph
+from socket_testbed.live.processes import launched, local_graph
 from socket_testbed.settings.testbed import ReplaySettings, estimator_settings
 from socket_testbed.trials.trial import Trial
 

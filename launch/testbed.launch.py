@@ -27,7 +27,7 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 from socket_testbed.clocks import Backoff
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import CALIBRATION_FILE, SOCKET_FILE, check_new_folder, packaged
+from socket_testbed.files import CALIBRATION_FILE, PARENT, SOCKET_FILE, check_new_folder, packaged
 from socket_testbed.live.bringup import (
     Simulation,
     Testbed,
@@ -36,7 +36,6 @@ from socket_testbed.live.bringup import (
 )
 from socket_testbed.live.processes import (
     MAX_BACKOFF,
-    PARENT,
     Graph,
     GraphNode,
     is_wrong_input,

@@ -22,6 +22,7 @@ CONFIGURATION_FILES = (SOCKET_FILE, CALIBRATION_FILE, PARAMETERS_FILE)
 
 TABLES, PICTURES, PAGES = (".csv", ".parquet", ".mat"), (".png", ".pdf"), (".html", ".htm")
 
+PARENT = "SOCKET_TESTBED_PARENT"  # environment variable: the process that started this one
 _PR_SET_PDEATHSIG = 1
 _TEMPORARY_PREFIX, _TEMPORARY_MARK = "socket_testbed_", ".temporary"
 _MIN_AGE = 60.0  # [s]; a younger folder may not be locked yet
@@ -57,6 +58,16 @@ def refuse_existing(path: Path) -> None:
 def end_with_parent(number: signal.Signals) -> None:
     """Ask the kernel to send this process a signal when its parent ends (Linux)."""
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
+
+
+def end_with_starter() -> None:
+    """End cleanly with the command that started this process, if any."""
+    starter = os.environ.get(PARENT)
+    if starter is None:
+        return
+    end_with_parent(signal.SIGTERM)
+    if os.getppid() != int(starter):  # it ended before the request to the kernel
+        os.kill(os.getpid(), signal.SIGTERM)
 
 
 def hold(folder: Path) -> int:

@@ -122,7 +122,7 @@ def test_a_simulated_testbed_is_launched_with_its_world(launch, capsys) -> None:
         for name in ("trigger_node", "cluster_node", "load_cell_node"):
             folder = parameters(launched[name])["simulation"]
             assert World(Path(folder)).port, "the world is up"
-        inherited = environment(f"socket_testbed.live.simulated_world\0{folder}")
+        inherited = environment(f"socket_testbed.simulation.testbed\0{folder}")
         assert {f"{name}={value}" for name, value in clock} <= inherited, "one origin for all"
     finally:
         handler(actions)["on_shutdown"](None, None)

@@ -23,11 +23,11 @@ from socket_testbed.identification.force_map import NORMAL_QUANTILE
 from socket_testbed.live import bringup
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.scheduling import SLOWEST, busy_note, measure_speed, speed_text
-from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.report import style
 from socket_testbed.report.tiles import tile_map_figure
 from socket_testbed.samples import Samples, mean_and_sigma
 from socket_testbed.settings.testbed import EstimatorSettings, ReplaySettings
+from socket_testbed.simulation.testbed import Simulation
 from socket_testbed.simulation.trial import GroundTruth, read_truth
 from socket_testbed.trials import topics
 from socket_testbed.trials.bag import BagReader

@@ -39,7 +39,6 @@ from socket_testbed.live import bringup
 from socket_testbed.live.doctor import examine, press_test
 from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.live.scheduling import busy_note, measure_speed, speed_text
-from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import (
     RecorderSettings,
@@ -48,6 +47,7 @@ from socket_testbed.settings.testbed import (
     estimator_settings,
 )
 from socket_testbed.simulation.limb import Scenario, TissueKind
+from socket_testbed.simulation.testbed import Simulation
 from socket_testbed.simulation.world import FAULTS, World
 from socket_testbed.trials.bag import BAG_METADATA
 from socket_testbed.trials.metadata import METADATA_FILE, write_metadata

@@ -22,7 +22,6 @@ from socket_testbed.identification.fit import check_names
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.live.hardware import capacitive_chip
 from socket_testbed.live.processes import Graph, GraphNode
-from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.settings.testbed import (
     CalibrationNodeSettings,
@@ -33,6 +32,7 @@ from socket_testbed.settings.testbed import (
     read_testbed,
     write_testbed,
 )
+from socket_testbed.simulation.testbed import Simulation
 from socket_testbed.simulation.trial import TRUTH_FILE
 from socket_testbed.simulation.world import MAX_CLUSTERS, World
 from socket_testbed.trials.metadata import (
@@ -195,7 +195,7 @@ def simulate_hardware(
     truth = str(recorded.resolve() / TRUTH_FILE) if recorded else ""
     described = json.dumps(asdict(simulation))
     arguments = [str(folder), described, str(testbed.geometry), str(testbed.calibration), truth]
-    graph.start_program("simulation", "socket_testbed.live.simulated_world", arguments)
+    graph.start_program("simulation", "socket_testbed.simulation.testbed", arguments)
     deadline = time.monotonic() + _START_TIMEOUT
     while not world.port:
         graph.check()

@@ -22,14 +22,13 @@ from typing import IO, Any, Self
 from socket_testbed.clocks import Backoff, shared_environment
 from socket_testbed.documents import dump_yaml
 from socket_testbed.errors import ConfigurationError, TestbedError
-from socket_testbed.files import TemporaryFolder, end_with_parent, packaged
+from socket_testbed.files import PARENT, TemporaryFolder, packaged
 from socket_testbed.settings.fields import Settings, parameter_values
 
 # Each testbed has its own transforms, in the namespace of its other topics.
 REMAPPINGS = (("/tf", "tf"), ("/tf_static", "tf_static"))
 
 # Environment variables of the processes:
-PARENT = "SOCKET_TESTBED_PARENT"  # the process that started this one
 RESTARTED = "SOCKET_TESTBED_RESTARTED"  # set if this process replaces another
 RANGE, _LOCAL = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
 # Fast DDS; newer versions read the second name.
@@ -43,16 +42,6 @@ _POLL_INTERVAL = 0.05  # [s]
 _EARLY_FAILURE = 10.0  # [s]; an earlier failure means wrong input
 MAX_BACKOFF = 10.0  # [s]; before restarting a process that ends repeatedly
 _CALM_AFTER = 3.0  # [s]; all processes have run this long before a spare one is started
-
-
-def end_with_starter() -> None:
-    """End cleanly with the command that started this process, if any."""
-    starter = os.environ.get(PARENT)
-    if starter is None:
-        return
-    end_with_parent(signal.SIGTERM)
-    if os.getppid() != int(starter):  # it ended before the request to the kernel
-        os.kill(os.getpid(), signal.SIGTERM)
 
 
 @dataclass(frozen=True)

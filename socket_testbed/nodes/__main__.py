@@ -27,7 +27,8 @@ try:
     from rclpy.experimental.events_executor import EventsExecutor
 
     from socket_testbed.errors import ConfigurationError, TestbedError, closest
-    from socket_testbed.live.processes import RESTARTED, SPARE, end_with_starter
+    from socket_testbed.files import end_with_starter
+    from socket_testbed.live.processes import RESTARTED, SPARE
     from socket_testbed.live.scheduling import schedule
     from socket_testbed.nodes.base import TestbedNode
     from socket_testbed.settings.acquisition import SchedulingSettings

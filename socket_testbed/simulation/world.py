@@ -1,6 +1,6 @@
 """The world of the simulated hardware and its faults, shared between processes through a file.
 
-One process advances it (`live.simulated_world`). The simulated chips in the nodes' processes read
+One process advances it (`simulation.testbed`). The simulated chips in the nodes' processes read
 states, at any time of the steady clock, and active faults through `World`. They need only this
 module, so a node starts without the physics.
 """

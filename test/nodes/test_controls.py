@@ -21,12 +21,12 @@ from support.wording import refused
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.live.processes import Graph
-from socket_testbed.live.simulated_world import Simulation
 from socket_testbed.nodes import controls as module
 from socket_testbed.nodes.controls import ServiceControls, StatusListener, stamp_by_triggers
 from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.settings.testbed import RecorderSettings
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
+from socket_testbed.simulation.testbed import Simulation
 from socket_testbed.trials import messages, topics
 from socket_testbed.trials.cdr import stamp_of
 from socket_testbed.trials.metadata import TrialMetadata

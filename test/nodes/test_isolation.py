@@ -16,7 +16,7 @@ from support.testbeds import manageable
 
 from socket_testbed.live.bringup import end, simulated_testbed, start
 from socket_testbed.live.processes import RANGE, Graph
-from socket_testbed.live.simulated_world import Simulation
+from socket_testbed.simulation.testbed import Simulation
 from socket_testbed.trials.cdr import stamp_of
 from socket_testbed.trials.topics import TF, TF_STATIC, TRIGGER, WRENCH
 

@@ -17,10 +17,10 @@ from socket_testbed.geometry.socket import write_socket
 from socket_testbed.identification.fit import summarise_errors
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.live.hardware import make_clusters, make_load_cell
-from socket_testbed.live.simulated_world import LiveTestbed, Simulation
 from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.simulation.limb import LoadedLimb, load_history
 from socket_testbed.simulation.sensors import CAMERA_RATE, SensorErrors
+from socket_testbed.simulation.testbed import LiveTestbed, Simulation
 from socket_testbed.simulation.trial import simulate
 from socket_testbed.simulation.world import World
 from socket_testbed.socket_design.motive import read_motive_csv

@@ -18,7 +18,7 @@ from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.live.bringup import Testbed, end, simulated_testbed, start
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.scheduling import busy_note
-from socket_testbed.live.simulated_world import Simulation
+from socket_testbed.simulation.testbed import Simulation
 from socket_testbed.simulation.trial import TRUTH_FILE
 from socket_testbed.trials import topics
 from socket_testbed.trials.messages import Reader

@@ -1,6 +1,6 @@
 """The live simulated testbed: the physics advances the world that the simulated chips sense.
 
-Run as a process next to the nodes: `python -m socket_testbed.live.simulated_world`.
+Run as a process next to the nodes: `python -m socket_testbed.simulation.testbed`.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.documents import check_number
+from socket_testbed.files import end_with_starter
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
-from socket_testbed.live.processes import end_with_starter
 from socket_testbed.simulation import sensors
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
 from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, load_history
