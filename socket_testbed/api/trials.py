@@ -36,6 +36,7 @@ from socket_testbed.trials.metadata import (
     read_metadata,
     write_metadata,
 )
+from socket_testbed.trials.reprocess import RECORDED
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 
@@ -82,7 +83,7 @@ def open_trial(
     notify: Callable[[str], None] | None = None,
     *,
     load_cell: PathLike | None = None,
-    tare: str = "recorded",
+    tare: str = RECORDED,
 ) -> Trial:
     """Open a trial: a folder written by `record`, `run --record` or `simulate`.
 

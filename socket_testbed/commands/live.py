@@ -51,7 +51,7 @@ from socket_testbed.simulation.testbed import Simulation
 from socket_testbed.simulation.world import FAULTS, World
 from socket_testbed.trials.bag import BAG_METADATA
 from socket_testbed.trials.metadata import METADATA_FILE, write_metadata
-from socket_testbed.trials.topics import full_namespace
+from socket_testbed.trials.topics import Service, full_namespace
 from socket_testbed.trials.trial import read_configuration, recorded_namespace
 
 _START_TIMEOUT = 60.0  # [s]; --duration counts from the first trigger or the end of this time
@@ -422,7 +422,7 @@ def replay(
     namespace = recorded_namespace(opened)
     with opened.open() as bag:  # an unreadable trial is reported before any node starts
         length = bag.duration
-    pause = f"{nodes[-1].namespace.rstrip('/')}/replay/pause"
+    pause = f"{nodes[-1].namespace.rstrip('/')}/{Service.PAUSE_REPLAY}"
     with (
         StatusLine(duration=length, pause=pause, paused=paused) as status,
         Graph(status.output, status.renew) as graph,

@@ -50,7 +50,7 @@ def open_given(
     calibration: Path | None = None,
     unloaded: Sequence[str] = (),
     load_cell: Path | None = None,
-    tare: str = "recorded",
+    tare: str = RECORDED,
     **others: Any,
 ) -> Trial:
     """Open a trial with its options; each note is printed once on standard error.

@@ -125,7 +125,7 @@ class Region:
     tiles: IntArray  # indices of its tiles, ascending; (k,)
 
 
-# Angles of the sectors' borders, from anterior towards left [deg]
+# Borders of the sectors, quarter turns in `anatomical_regions`, from anterior towards left [deg]
 SECTOR_EDGES = (-135, -45, 45, 135)
 
 

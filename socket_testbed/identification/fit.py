@@ -72,6 +72,11 @@ def deviation(values: FloatArray) -> float:
     return 0.0 if found <= _CONSTANT * float(np.abs(values).max()) else found
 
 
+def skill_of(error: float, of_constant: float) -> float:
+    """Skill of an error relative to that of the best constant [-]; NaN if the latter is 0."""
+    return 1.0 - error / (of_constant or np.nan)
+
+
 def channel_errors(
     name: str, measured: FloatArray, predicted: FloatArray, in_objective: bool = True
 ) -> ChannelErrors:
@@ -82,7 +87,7 @@ def channel_errors(
     if count:
         rmse = float(np.sqrt(np.mean(residual**2)))
         mae, sigma = float(np.mean(np.abs(residual))), float(np.std(residual))
-        skill = 1.0 - rmse / (deviation(measured[rows]) or np.nan)
+        skill = skill_of(rmse, deviation(measured[rows]))
     return ChannelErrors(name, channel_unit(name), rmse, mae, sigma, skill, count, in_objective)
 
 

@@ -158,7 +158,7 @@ def judge_wrench(
         figures: dict[str, Any] = {"samples": len(samples)}
         for kind, part in (("moment", MOMENTS), ("force", FORCES)):
             error = fit.finite_mean(rmse[part])
-            skill = 1.0 - error / (fit.finite_mean(constant[part]) or np.nan)
+            skill = fit.skill_of(error, fit.finite_mean(constant[part]))
             figures |= {f"{kind}_rmse": error, f"{kind}_skill": skill}
         found.append(Judgement("wrench", name, test, fitted_on, tested_on, **figures))
     return found

@@ -37,6 +37,7 @@ from socket_testbed.trials.topics import (
     RECORDED_TRIAL,
     REQUIRED,
     TRIGGER,
+    Service,
     Topic,
     full_namespace,
     namespace_of,
@@ -65,19 +66,19 @@ _STATUS_TOPICS = (*REQUIRED, ESTIMATED_WRENCH)  # measurements before their pred
 # Type of each service and the node that offers it.
 _NEXT_TRIAL = "recorder_node/set_parameters_atomically"
 _SERVICES = {
-    "load_cell/tare": (Trigger, "load_cell_node"),
-    "estimator/fit": (Trigger, "estimator_node"),
-    "trigger/enable": (SetBool, "trigger_node"),
-    "recorder/record": (SetBool, "recorder_node"),
+    Service.TARE: (Trigger, "load_cell_node"),
+    Service.FIT: (Trigger, "estimator_node"),
+    Service.ENABLE_TRIGGER: (SetBool, "trigger_node"),
+    Service.RECORD: (SetBool, "recorder_node"),
     _NEXT_TRIAL: (SetParametersAtomically, "recorder_node"),
 }
 # Services that controls call with a fixed request.
 _CALLS = {
-    "tare": ("load_cell/tare", Trigger.Request()),
-    "fit": ("estimator/fit", Trigger.Request()),
-    "trigger-on": ("trigger/enable", SetBool.Request(data=True)),
-    "trigger-off": ("trigger/enable", SetBool.Request(data=False)),
-    "stop recording": ("recorder/record", SetBool.Request(data=False)),
+    "tare": (Service.TARE, Trigger.Request()),
+    "fit": (Service.FIT, Trigger.Request()),
+    "trigger-on": (Service.ENABLE_TRIGGER, SetBool.Request(data=True)),
+    "trigger-off": (Service.ENABLE_TRIGGER, SetBool.Request(data=False)),
+    "stop recording": (Service.RECORD, SetBool.Request(data=False)),
 }
 
 
@@ -297,7 +298,7 @@ class ServiceControls:
             result = self._call(_NEXT_TRIAL, request).result
             if not result.successful:
                 raise _refusal(result.reason)
-            return self._ask("recorder/record", SetBool.Request(data=True))
+            return self._ask(Service.RECORD, SetBool.Request(data=True))
 
     def _ask(self, name: str, request: Any) -> str:
         """Call a service that returns success and a message; a failure becomes an error."""
@@ -308,7 +309,7 @@ class ServiceControls:
 
     def _call(self, name: str, request: Any) -> Any:
         within, again = clocks.real(_ANSWER_TIMEOUT), clocks.real(_RETRY_INTERVAL)
-        if name == "estimator/fit":  # slow, so no retry
+        if name == Service.FIT:  # slow, so no retry
             within = again = clocks.real(_FIT_TIMEOUT)
         client, (_, offered_by) = self._clients[name], _SERVICES[name]
         if not _wait(client.service_is_ready, _DISCOVERY_TIMEOUT):

@@ -76,7 +76,7 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         for topic in MEASURED:
             self.follow(topic, partial(self._on_measured, topic))
         self.follow(topics.TRIGGER, lambda stamp, sequence: self._estimator.trigger(stamp))
-        self.serve(TriggerService, "estimator/fit", self._on_fit, slow=True)
+        self.serve(TriggerService, topics.Service.FIT, self._on_fit, slow=True)
         if self.settings.model:
             self._estimator.load(Path(self.settings.model))
 

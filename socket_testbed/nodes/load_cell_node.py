@@ -22,7 +22,14 @@ from socket_testbed.nodes.base import OK, WARN, header_to_ros, recorded_trial
 from socket_testbed.nodes.sensor_node import SensorNode
 from socket_testbed.settings.acquisition import LoadCellSettings, averaging_span
 from socket_testbed.trials.messages import load_cell_raw_packer, wrench_packer
-from socket_testbed.trials.topics import EVENT, LOAD_CELL_RAW, RECORDED_TRIAL, TARE, WRENCH
+from socket_testbed.trials.topics import (
+    EVENT,
+    LOAD_CELL_RAW,
+    RECORDED_TRIAL,
+    TARE,
+    WRENCH,
+    Service,
+)
 
 _CONVERSION_TIMEOUT = 0.05  # [s]; for the conversions after a trigger
 
@@ -48,9 +55,9 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         self._events = self.advertise(EVENT)
         self._trial = ""  # being recorded
         self.listen(RECORDED_TRIAL, self._on_recorded, needed=False)
-        self.serve(TriggerService, "load_cell/tare", self._tare, slow=True)
+        self.serve(TriggerService, Service.TARE, self._tare, slow=True)
         forced = partial(self._tare, forced=True)
-        self.serve(TriggerService, "load_cell/force_tare", forced, slow=True)
+        self.serve(TriggerService, Service.FORCE_TARE, forced, slow=True)
 
     def close(self) -> None:
         """Stop reading and close the converter."""

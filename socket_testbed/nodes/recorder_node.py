@@ -38,7 +38,7 @@ from socket_testbed.nodes.base import ELAPSED, ERROR, FREE, OK, WARN, TestbedNod
 from socket_testbed.settings.testbed import NextTrialSettings, RecorderSettings, check_take_name
 from socket_testbed.trials import metadata
 from socket_testbed.trials.bag import BagWriter, is_bag
-from socket_testbed.trials.topics import RECORDED_TRIAL, TOPICS
+from socket_testbed.trials.topics import RECORDED_TRIAL, TOPICS, Service
 from socket_testbed.trials.trial import read_configuration, store_configuration
 
 _SILENCE_TIMEOUT = 10.0  # [s]; for a graph to start
@@ -70,7 +70,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         for name, topic in self._topics.items():
             callback = partial(self._on_message, name)
             self.listen(topic, callback, name, needed=topic.required, raw=True)
-        self.serve(SetBool, "recorder/record", self._on_record)
+        self.serve(SetBool, Service.RECORD, self._on_record)
         self.repeat(settings.flush_period, self._flush)
         self._announce()
         if settings.record:

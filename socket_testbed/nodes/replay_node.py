@@ -126,7 +126,7 @@ class ReplayNode(base.TestbedNode[ReplaySettings]):
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
         self._pacer = Pacer(settings.rate, self._tick, settings.paused)
         self._followers = Followers(self, settings.wait_for, self._pacer.stopped)
-        self.serve(SetBool, "replay/pause", self._on_pause)
+        self.serve(SetBool, topics.Service.PAUSE_REPLAY, self._on_pause)
         self._thread = threading.Thread(target=self._replay, name="replay")
         self._thread.start()
 

@@ -22,7 +22,7 @@ from socket_testbed.nodes.base import ERROR, OK, WARN, RecentFault, TestbedNode
 from socket_testbed.nodes.followers import Followers
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.trials.messages import trigger_packer
-from socket_testbed.trials.topics import TRIGGER
+from socket_testbed.trials.topics import TRIGGER, Service
 
 _READY_TIMEOUT = 60.0  # [s] of real time; for all nodes before the first trigger
 _FOREIGN_DURATION = 5.0  # [s]; how long another testbed is reported
@@ -55,7 +55,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         self._send = self.sender(TRIGGER, trigger_packer())
         self.follow(TRIGGER, self._on_trigger, needed=False)
         self._followers = Followers(self, settings.wait_for, self._stopping.is_set)
-        self.serve(SetBool, "trigger/enable", self._on_enable)
+        self.serve(SetBool, Service.ENABLE_TRIGGER, self._on_enable)
         self._thread = threading.Thread(target=self._run, name="trigger")
         self._thread.start()
 

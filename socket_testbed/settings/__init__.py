@@ -1,1 +1,1 @@
-"""Settings of the package; their defaults are defined only here."""
+"""Settings of nodes, fits and maps; their defaults are defined only here."""

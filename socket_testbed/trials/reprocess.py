@@ -20,7 +20,8 @@ from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.trials.segment import parse_span
 from socket_testbed.trials.synchronise import Measurements, marker_count
 
-RECORDED, NO_TARE = "recorded", "none"
+RECORDED = "recorded"
+NO_TARE = "none"
 _MARKER_TOLERANCE = 1e-6  # [m]
 _WRENCH_TOLERANCE = 1e-6  # [-]; relative to full scale
 

@@ -1,10 +1,11 @@
-"""The topics of the testbed: names, types, and whether a trial needs them."""
+"""The topics of the testbed: names, types, and whether a trial needs them; names of services."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 
 from socket_testbed.errors import ConfigurationError, TrialError
 
@@ -62,6 +63,18 @@ TOPICS = (
     *(ESTIMATED_WRENCH, LOCAL_FORCES, FORCE_MAP, REGIONS, PARAMETERS, PRESSURE_MAP, DIAGNOSTICS),
 )
 REQUIRED = tuple(topic for topic in TOPICS if topic.required)
+
+
+class Service(StrEnum):
+    """Names of the services, relative to the namespace of the testbed."""
+
+    TARE = "load_cell/tare"
+    FORCE_TARE = "load_cell/force_tare"
+    FIT = "estimator/fit"
+    ENABLE_TRIGGER = "trigger/enable"
+    RECORD = "recorder/record"
+    PAUSE_REPLAY = "replay/pause"
+
 
 PUBLISHER_DEPTH = 100  # [messages]; of all publishers except latched ones
 
