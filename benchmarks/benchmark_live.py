@@ -36,12 +36,13 @@ from rclpy.task import Future
 
 from socket_testbed.__main__ import run as verb
 from socket_testbed.clocks import BEGINNING, SteadyClock
-from socket_testbed.live.bringup import Testbed, end, simulated_testbed, start, summary
+from socket_testbed.live.bringup import Testbed, end, simulated_testbed, start
 from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.nodes.base import message_type, publisher_qos, subscriber_qos
 from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.simulation.testbed import Simulation
 from socket_testbed.trials.bag import BagReader
+from socket_testbed.trials.description import summary
 from socket_testbed.trials.topics import (
     CAPACITANCE,
     ESTIMATED_WRENCH,

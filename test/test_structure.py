@@ -3,6 +3,9 @@
 import ast
 from graphlib import TopologicalSorter
 from pathlib import Path
+from pkgutil import resolve_name
+
+import pytest
 
 PACKAGE = Path(__file__).resolve().parents[1] / "socket_testbed"
 FILES = sorted(PACKAGE.rglob("*.py"))
@@ -72,3 +75,10 @@ def test_only_nodes_import_ros() -> None:
         packages = {name.split(".")[0] for name in names}
         ros = [name for name in packages if name in ROS or name.endswith(("_msgs", "_srvs"))]
         assert not ros or top(own) == "nodes", (own, ros)
+
+
+@pytest.mark.parametrize("folder", ["benchmarks", "examples", "launch"])
+def test_what_programs_outside_the_package_import_is_there(folder: str) -> None:
+    for path in (PACKAGE.parent / folder).glob("*.py"):
+        for name in imports(ast.parse(path.read_text())):
+            assert not name.startswith("socket_testbed.") or resolve_name(name), path
