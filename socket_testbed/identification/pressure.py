@@ -43,6 +43,10 @@ from socket_testbed.tables import split_unit
 
 THRESHOLD = 5e3  # [Pa]; default for a tile in contact
 SHARE = 0.5  # [-]; a value is uncertain if its interval reaches farther than this share of it
+# In pictures, full colour up to a ratio of interval reach to value, the greyest from another on.
+# Lower values are treated as `_MIN_GREYED`.
+_FULL_COLOUR, _GREYEST = 1.0, 2.5  # [-]
+_MIN_GREYED = 5e3  # [Pa]
 _DRAWS = 200
 _PEAK_WIDENING = 1.25  # [-]; of the errors, as true fields have longer tails than the draws
 _QUANTILES = (0.025, 0.5, 0.975)  # [-]
@@ -118,6 +122,12 @@ class RegionOutputs:
 def decimals_of(title: str) -> int:
     """Displayed decimals of an output by its title, such as `stiffness Fz [N/mm]`."""
     return _DECIMALS.get(title, 1 if title.endswith("[N]") else 2)
+
+
+def greyness(value: FloatArray, reach: FloatArray) -> FloatArray:
+    """Greyness of pressures by the reach of 95 % intervals [Pa]: 0 full colour, 1 greyest."""
+    share = reach / np.maximum(np.abs(value), _MIN_GREYED)
+    return np.asarray(np.clip((share - _FULL_COLOUR) / (_GREYEST - _FULL_COLOUR), 0.0, 1.0))
 
 
 def read_column(found: RegionOutputs, title: str) -> Quantity:

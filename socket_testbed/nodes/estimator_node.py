@@ -25,10 +25,10 @@ from socket_testbed.files import SOCKET_FILE, file_or_packaged
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.fit import check_names
 from socket_testbed.identification.force_map import MapEstimate
+from socket_testbed.identification.pressure import greyness
 from socket_testbed.live.estimator import MEASURED, OnlineEstimator
 from socket_testbed.live.fit_worker import FitWorker
 from socket_testbed.nodes.base import NEWEST_STAMP, TestbedNode
-from socket_testbed.pages.document import greyness
 from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials import messages, topics
 from socket_testbed.trials.cdr import blank, elements

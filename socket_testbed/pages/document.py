@@ -29,6 +29,7 @@ from socket_testbed.identification.pressure import (
     Quantity,
     RegionOutputs,
     decimals_of,
+    greyness,
     read_column,
 )
 from socket_testbed.pages.wall import Patch, patches, side_names, unrolled_tiles
@@ -41,10 +42,6 @@ _UNIT = 1.0 / 8192.0  # [-]; unit of the stored weights, 16-bit integers
 _CLOSED = [0, 1, 2, 3, 0]  # corners of a square
 POWER = 0.5  # [-]; exponent of the colours of pressures, finer at low ones
 GREY: dict[str, Any] = {"colour": [150, 150, 150], "greyest": 0.85}  # of uncertain pressures
-# Full colour up to a ratio of interval reach to value, the greyest from another on. Lower values
-# are treated as `_MIN_GREYED`.
-_FULL_COLOUR, _GREYEST = 1.0, 2.5  # [-]
-_MIN_GREYED = 5e3  # [Pa]
 
 Document = dict[str, Any]
 
@@ -88,12 +85,6 @@ def _patch(patch: Patch) -> Document:
         "unit": _UNIT,
         "weights": base64.b64encode(weights.tobytes()).decode(),
     }
-
-
-def greyness(value: FloatArray, reach: FloatArray) -> FloatArray:
-    """Greyness of pressures by the reach of 95 % intervals [Pa]: 0 full colour, 1 greyest."""
-    share = reach / np.maximum(np.abs(value), _MIN_GREYED)
-    return np.asarray(np.clip((share - _FULL_COLOUR) / (_GREYEST - _FULL_COLOUR), 0.0, 1.0))
 
 
 def moment(

@@ -18,7 +18,8 @@ from matplotlib.patheffects import withStroke
 
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.geometry.socket import Side, SocketGeometry
-from socket_testbed.pages.document import GREY, POWER, greyness
+from socket_testbed.identification.pressure import greyness
+from socket_testbed.pages.document import GREY, POWER
 from socket_testbed.pages.wall import Patch, UnrolledTiles, patches, side_names, unrolled_tiles
 from socket_testbed.report.style import (
     DEFAULT_STYLE,
