@@ -209,8 +209,9 @@ class Comparison(Result):
     def tile_pressures(self, columns: Sequence[str]) -> Quantity:
         """Mean pressures of n tiles, or their differences from the first trial, (k, n) [kPa]."""
         rows = self.table.query("part == 'tiles' and quantity == 'mean pressure'")
-        ends = (rows[name].to_numpy().reshape(-1, len(self.items)).T for name in columns)
-        value, low, high = ends
+        value, low, high = (
+            rows[name].to_numpy().reshape(-1, len(self.items)).T for name in columns
+        )
         return Quantity(value, low, high, np.abs(value))
 
 

@@ -155,14 +155,9 @@ def write_socket_page(
 ) -> None:
     """Write a single-file page with the interior surface of a socket in {S} [m] and its tiles."""
     heights = 1e3 * socket_axis(geometry).heights(geometry.anchors)
+    mesh = {"points": numbers(1e3 * surface.vertices, 1), "faces": surface.faces.tolist()}
     data = {
-        "socket": socket_document(geometry)
-        | {
-            "surface": {
-                "points": numbers(1e3 * surface.vertices, 1),
-                "faces": surface.faces.tolist(),
-            }
-        },
+        "socket": socket_document(geometry) | {"surface": mesh},
         "moments": [{"time": 0.0, "words": f"{len(geometry)} tiles"}],
         "start": 0.0,
         "kinds": ["tiles"],

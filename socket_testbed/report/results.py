@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from socket_testbed.arrays import BoolArray, FloatArray
@@ -33,9 +33,6 @@ from socket_testbed.simulation.trial import read_true_forces
 from socket_testbed.trials.pressure import SegmentPressure, mapped_trial
 from socket_testbed.trials.segment import Segment, first_frames
 from socket_testbed.trials.trial import Trial
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 GIVEN = "given"
 _MIN_HELD_OUT = 10  # samples
@@ -101,8 +98,6 @@ class Results:
 
     def series(self, columns: Mapping[str, ArrayLike]) -> pd.DataFrame:
         """Columns of shape (N,), preceded by stamps and times of the samples."""
-        import pandas as pd
-
         first = {
             "stamp [ns]": self.samples.stamps,
             "time [s]": self.samples.time,

@@ -6,9 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from socket_testbed.arrays import FloatArray, evenly
 from socket_testbed.geometry.regions import Region, all_regions
@@ -22,9 +23,6 @@ from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.tables import NOTHING, UNCERTAIN
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 _BLOCK = 4096  # samples
 INLINE = "{} ({})"  # a value and its interval
@@ -106,8 +104,6 @@ class SegmentPressure:
         its 95 % interval, such as `peak pressure low [kPa]`; and the `nearest tile` to the centre
         of pressure.
         """
-        import pandas as pd
-
         names = pd.Index([place.name for place in self.places], name="region")
         table = pd.DataFrame(
             pressure.columns_of(self.outputs.regions, pressure.TITLES), index=names
@@ -150,8 +146,6 @@ def cells(
 
     An interval that reaches farther than a share of its value is marked uncertain.
     """
-    import pandas as pd
-
     columns = {
         title: _formatted(title, pressure.read_column(found, title), form, share)
         for title in pressure.TITLES
