@@ -3,7 +3,6 @@
 ros2 launch socket_testbed replay.launch.py trial:=/path/of/trial rate:=2.0
 """
 
-import os
 from pathlib import Path
 
 import yaml
@@ -20,9 +19,9 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from launch import LaunchContext, LaunchDescription
-from socket_testbed.files import PARENT, TemporaryFolder
+from socket_testbed.files import TemporaryFolder
 from socket_testbed.live.bringup import replay_nodes
-from socket_testbed.live.processes import launched, local_graph
+from socket_testbed.live.processes import launch_environment, launched
 from socket_testbed.settings.testbed import ReplaySettings, estimator_settings
 from socket_testbed.trials.trial import Trial
 
@@ -64,8 +63,7 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             # The graph stays on this machine unless the user's environment says otherwise.
-            *(SetEnvironmentVariable(*item) for item in local_graph().items()),
-            SetEnvironmentVariable(PARENT, str(os.getpid())),  # the nodes end with it
+            *(SetEnvironmentVariable(*item) for item in launch_environment().items()),
             DeclareLaunchArgument("trial", description="folder of the trial"),
             *(
                 DeclareLaunchArgument(name, default_value=default, description=description)

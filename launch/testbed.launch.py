@@ -4,7 +4,6 @@ ros2 launch socket_testbed testbed.launch.py params:=/path/of/testbed.yaml recor
 ros2 launch socket_testbed testbed.launch.py simulated:=true namespace:=left
 """
 
-import os
 import time
 from functools import partial
 from pathlib import Path
@@ -27,7 +26,7 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 from socket_testbed.clocks import Backoff
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import CALIBRATION_FILE, PARENT, SOCKET_FILE, check_new_folder, packaged
+from socket_testbed.files import CALIBRATION_FILE, SOCKET_FILE, check_new_folder, packaged
 from socket_testbed.live.bringup import (
     Simulation,
     Testbed,
@@ -39,8 +38,8 @@ from socket_testbed.live.processes import (
     Graph,
     GraphNode,
     is_wrong_input,
+    launch_environment,
     launched,
-    local_graph,
     wait_again,
 )
 
@@ -111,8 +110,7 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             # The graph stays on this machine unless the user's environment says otherwise.
-            *(SetEnvironmentVariable(*item) for item in local_graph().items()),
-            SetEnvironmentVariable(PARENT, str(os.getpid())),  # the nodes end with it
+            *(SetEnvironmentVariable(*item) for item in launch_environment().items()),
             DeclareLaunchArgument(
                 "simulated",
                 default_value="false",

@@ -41,6 +41,7 @@ from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.live.scheduling import busy_note, measure_speed, speed_text
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import (
+    EstimatorSettings,
     RecorderSettings,
     ReplaySettings,
     check_take_name,
@@ -51,7 +52,7 @@ from socket_testbed.simulation.testbed import Simulation
 from socket_testbed.simulation.world import FAULTS, World
 from socket_testbed.trials.bag import BAG_METADATA
 from socket_testbed.trials.metadata import METADATA_FILE, write_metadata
-from socket_testbed.trials.topics import Service, full_namespace
+from socket_testbed.trials.topics import Service, full_name, full_namespace
 from socket_testbed.trials.trial import read_configuration, recorded_namespace
 
 _START_TIMEOUT = 60.0  # [s]; --duration counts from the first trigger or the end of this time
@@ -313,15 +314,26 @@ def _testbed(
     trigger = testbed.settings.trigger_node
     if rate is not None:
         trigger = dataclasses.replace(trigger, rate=rate)
-    chosen = given(options, IdentificationSettings)
-    estimator = estimator_settings(testbed.settings.estimator_node, **chosen)
-    if model is not None:
-        estimator = bringup.predict_with(model, estimator, read_socket(testbed.geometry))
+    estimator = _estimator(testbed.settings.estimator_node, None, model, testbed.geometry, options)
     metadata = check_metadata(options)
     if record is None:
         refuse_given(metadata.stated(), "a recorded trial", "add --record DIR")
     settings = dataclasses.replace(testbed.settings, trigger_node=trigger, estimator_node=estimator)
     return dataclasses.replace(testbed, settings=settings, record=record, metadata=metadata)
+
+
+def _estimator(
+    stored: EstimatorSettings,
+    params: Path | None,
+    model: Path | None,
+    geometry: Path,
+    options: Mapping[str, Any],
+) -> EstimatorSettings:
+    """Settings of the estimator, which predicts with a given model and fits none."""
+    estimator = estimator_settings(stored, params, **given(options, IdentificationSettings))
+    if model is None:
+        return estimator
+    return bringup.predict_with(model, estimator, read_socket(geometry))
 
 
 def _page(
@@ -411,10 +423,8 @@ def replay(
     opened = open_given(trial, **options)
     replayed = ReplaySettings(trial=str(trial.resolve()), rate=rate, loop=loop, paused=paused)
     if estimate:
-        chosen = given(options, IdentificationSettings)
-        estimator = estimator_settings(opened.estimator, options["params"], **chosen)
-        if model is not None:
-            estimator = bringup.predict_with(model, estimator, opened.geometry)
+        stored, geometry = opened.estimator, opened.geometry_path
+        estimator = _estimator(stored, options["params"], model, geometry, options)
         nodes = bringup.replay_nodes(opened, replayed, estimator)
     else:
         refuse_given({"model": model, **options}, "the estimator", "add --estimate")
@@ -422,7 +432,7 @@ def replay(
     namespace = recorded_namespace(opened)
     with opened.open() as bag:  # an unreadable trial is reported before any node starts
         length = bag.duration
-    pause = f"{nodes[-1].namespace.rstrip('/')}/{Service.PAUSE_REPLAY}"
+    pause = full_name(Service.PAUSE_REPLAY, nodes[-1].namespace)
     with (
         StatusLine(duration=length, pause=pause, paused=paused) as status,
         Graph(status.output, status.renew) as graph,

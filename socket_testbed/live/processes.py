@@ -24,6 +24,7 @@ from socket_testbed.documents import dump_yaml
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.files import PARENT, TemporaryFolder, packaged
 from socket_testbed.settings.fields import Settings, parameter_values
+from socket_testbed.trials.topics import full_name
 
 # Each testbed has its own transforms, in the namespace of its other topics.
 REMAPPINGS = (("/tf", "tf"), ("/tf_static", "tf_static"))
@@ -58,7 +59,7 @@ class GraphNode:
     @property
     def full_name(self) -> str:
         """Its name in the graph, such as /left/estimator_node."""
-        return f"{self.namespace.rstrip('/')}/{self.name}"
+        return full_name(self.name, self.namespace)
 
 
 def write_parameters(nodes: Iterable[GraphNode], path: Path) -> Path:
@@ -104,6 +105,11 @@ def local_graph() -> dict[str, str]:
     if not any(name in os.environ for name in _PROFILE_VARIABLES):
         found |= dict.fromkeys(_PROFILE_VARIABLES, str(packaged("config", "loopback.xml")))
     return found
+
+
+def launch_environment() -> dict[str, str]:
+    """Variables of a launch file's processes: a local graph that ends with the launch."""
+    return {**local_graph(), PARENT: str(os.getpid())}
 
 
 def is_wrong_input(code: int, began: float) -> bool:

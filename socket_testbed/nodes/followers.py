@@ -13,7 +13,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 
 from socket_testbed.nodes.base import HEARS, LINKS, NEWEST_STAMP, WAITING_FOR, TestbedNode
-from socket_testbed.trials.topics import DIAGNOSTICS
+from socket_testbed.trials.topics import DIAGNOSTICS, full_name
 
 _POLL_INTERVAL = 0.02  # [s]
 
@@ -28,9 +28,8 @@ class Followers:
     def __init__(
         self, node: TestbedNode[Any], names: tuple[str, ...], stopped: Callable[[], bool]
     ) -> None:
-        namespace = node.get_namespace().rstrip("/")
-        full = (name if name.startswith("/") else f"{namespace}/{name}" for name in names)
-        self._waiting = dict.fromkeys(full, "not seen")
+        namespace = node.get_namespace()
+        self._waiting = {full_name(name, namespace): "not seen" for name in names}
         self._links: dict[str, dict[str, int]] = {}
         self._hears: dict[str, list[str]] = {}
         self._newest: dict[str, int] = {}

@@ -113,10 +113,12 @@ class ReplayNode(base.TestbedNode[ReplaySettings]):
         self._bag.__enter__()
         self._topics = self._replayed_topics()
         waits = bool(settings.wait_for)  # then required topics must have a subscriber
-        wanted = f"{topics.full_namespace(settings.namespace).rstrip('/')}/"
+        wanted = topics.full_namespace(settings.namespace)
         self._by_topic = {
             name: self.advertise(
-                topic, wanted + topic.name if settings.namespace else name, topic.required and waits
+                topic,
+                topics.full_name(topic.name, wanted) if settings.namespace else name,
+                topic.required and waits,
             )
             for name, topic in self._topics.items()
         }

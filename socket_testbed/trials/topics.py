@@ -115,6 +115,11 @@ def namespace_of(name: str, topic: Topic) -> str:
     return name.removesuffix(topic.name).rstrip("/")
 
 
+def full_name(name: str, namespace: str) -> str:
+    """An absolute name in the graph, such as /left/trigger for trigger in /left."""
+    return name if name.startswith("/") else f"{namespace.rstrip('/')}/{name}"
+
+
 def full_namespace(given: str) -> str:
     """An absolute ROS namespace, such as /left for left."""
     namespace = "/" + given.strip("/")
