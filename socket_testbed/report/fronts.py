@@ -30,6 +30,7 @@ from socket_testbed.report.style import (
     FigureStyle,
     in_style,
     lay_out,
+    page_line,
     style_axes,
 )
 from socket_testbed.tables import Table
@@ -56,9 +57,10 @@ def section(results: Results) -> Section:
     if not results.fronts:
         return Section("fronts", "Pareto fronts", [f"None: {results.no_fronts}."])
     fronts, lines = [*results.fronts.values()], {}
-    for front in fronts:
+    for front, style in zip(fronts, LINE_STYLES, strict=False):
         kept, errors = _kept(front)
-        lines[_describe(front)] = dict(zip("xy", numbers(errors[:, kept], 6), strict=True))
+        x, y = numbers(errors[:, kept], 6)
+        lines[_describe(front)] = {"x": x, "y": y, "style": page_line(style)}
     figure = ReportFigure(
         "pareto",
         "Normalised error of the clusters against that of the wrench, for theta from 0 to 1. Errors"

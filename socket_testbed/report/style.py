@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import TextPath
@@ -21,11 +23,12 @@ from socket_testbed.files import PICTURES, atomic_output, check_suffix
 SCALE = "viridis"  # perceptually uniform, safe for colour-blind readers
 
 VERMILION, BLUE, GREEN = "#D55E00", "#0072B2", "#009E73"  # Okabe & Ito's
+INK = "#222222"  # the colour of text on a page, also a dark one
 # These colours also differ in lightness, and each line has its own dashes.
 LINE_STYLES: tuple[dict[str, Any], ...] = (
     {"color": VERMILION, "linestyle": (0, (4, 1.5))},
     {"color": BLUE, "linestyle": "-"},
-    {"color": "#222222", "linestyle": (0, (1, 1.2))},
+    {"color": INK, "linestyle": (0, (1, 1.2))},
     {"color": GREEN, "linestyle": (0, (5, 1.5, 1, 1.5))},
 )
 MAX_POINTS = 1000  # per line
@@ -33,8 +36,19 @@ THINNED = (
     f"Lines with more than {MAX_POINTS} samples show the lowest and highest value of each interval,"
     " so no peak is lost; the CSV holds all samples."
 )
-MEASURED_STYLE: dict[str, Any] = {"color": "0.72", "linewidth": 2.4}
+MEASURED_STYLE: dict[str, Any] = {"color": "0.65", "linewidth": 2.4}
 SEGMENT_STYLE: dict[str, Any] = {"color": "0.94", "linewidth": 0.0, "zorder": 0.5}
+
+
+def page_line(style: Mapping[str, Any]) -> dict[str, Any]:
+    """A line style of the figures for plotly, in pixels; no colour stands for `INK`."""
+    found: dict[str, Any] = {"width": 1.2 * style.get("linewidth", 1.1)}
+    if style["color"] != INK:
+        found["color"] = to_hex(style["color"])
+    if not isinstance(style.get("linestyle", "-"), str):
+        found["dash"] = ",".join(f"{2.0 * length:g}px" for length in style["linestyle"][1])
+    return found
+
 
 COLUMN, PAGE = WIDTHS = (88, 180)  # [mm]; one column and two columns of a paper
 MM = 1.0 / 25.4  # [inch]

@@ -4,22 +4,18 @@
 function lineChart(box, chart) {
   const ink = getComputedStyle(box).color, wide = box.clientWidth > 700 ? 3 : 1;
   const columns = Math.min(wide, chart.panels.length), rows = Math.ceil(chart.panels.length / columns);
-  const colours = ["#888", "#d55e00", "#0072b2", "#cc79a7", "#009e73"], traces = [], notes = [];
+  const traces = [], notes = [];
   const layout = {grid: {rows, columns, pattern: "independent", ygap: 0.35},
     height: 60 + 190 * rows, margin: {l: 48, r: 8, t: 40, b: 36}, font: {color: ink, size: 11},
     paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", annotations: notes,
     legend: {orientation: "h", y: 1.0, yref: "container", yanchor: "top"}};
-  const seen = [];
   chart.panels.forEach((panel, i) => {
     const axis = i ? i + 1 : "";
     for (const [name, line] of Object.entries(panel.lines)) {
-      if (!seen.includes(name)) { seen.push(name); }
-      const number = seen.indexOf(name);
       traces.push({type: "scatter", mode: chart.dots ? "lines+markers" : "lines", name: plain(name),
         x: line.x, y: line.y, xaxis: `x${axis}`, yaxis: `y${axis}`,
         legendgroup: name, showlegend: traces.every((trace) => trace.name !== plain(name)),
-        line: {color: colours[number % 5], width: number ? 1.3 : 2.4,
-          dash: ["solid", "dash", "solid", "dot", "dashdot"][number % 5]}});
+        line: {color: ink, ...line.style}});
     }
     notes.push({text: `<b>${plain(panel.title)}</b>`, xref: `x${axis} domain`, yref: `y${axis} domain`,
       x: 0, y: 1, yanchor: "bottom", xanchor: "left", showarrow: false});
