@@ -187,21 +187,12 @@ def annotate(
     >>> st.annotate(trial, remove=["mass"]).mass
     """
     trial = as_trial(trial)
-    changes = {
-        "subject": subject,
-        "side": side,
-        "socket": socket,
-        "liner": liner,
-        "mass": mass,
-        "operator": operator,
-        "protocol": protocol,
-        "notes": notes,
-    }
+    stated = TrialMetadata(subject, side, socket, liner, mass, operator, protocol, notes)
     if not is_bag(trial.path):
         raise TrialError(f"{trial.path}: is not a trial folder", "give the folder of one trial")
     path = trial.path / METADATA_FILE
     stored = read_metadata(path) if path.exists() else TrialMetadata()
-    metadata = change_metadata(stored, changes, remove)
+    metadata = change_metadata(stored, stated.stated(), remove)
     if metadata != stored:
         write_metadata(metadata, path)
     return metadata

@@ -103,12 +103,8 @@ def find_outliers(
     """Find single outliers by the rule of the module, ignoring `leave_out`."""
     values = _counted(samples, leave_out)
     limits = channel_limits(geometry, samples.clusters)
-    single = [
-        finite_quantile(np.abs(column), UNIT_QUANTILE) <= limit
-        for column, limit in zip(values.T, limits, strict=True)
-    ]
     # A channel that is often beyond its limit has another unit: see `require_units`.
-    found: BoolArray = np.asarray((np.abs(values) > limits) & single)
+    found: BoolArray = np.asarray((np.abs(values) > limits) & (_usual_sizes(values) <= limits))
     known = np.nan_to_num(values)
     # A short load is felt by the load cell and by clusters.
     felt = _rises(known[:, FORCES]) & _rises(known[:, 6:])
@@ -274,6 +270,11 @@ def finite_quantile(values: FloatArray, share: float) -> float:
     return float(np.quantile(finite, share)) if len(finite) else 0.0
 
 
+def _usual_sizes(values: FloatArray) -> FloatArray:
+    """The `UNIT_QUANTILE` of the magnitudes of each channel, (C,) of (N, C)."""
+    return np.array([finite_quantile(np.abs(column), UNIT_QUANTILE) for column in values.T])
+
+
 def _peak(values: FloatArray) -> float:
     """The `PEAK_QUANTILE` of the magnitudes, rounded down to one of them; 0 without a value."""
     finite = np.abs(values[np.isfinite(values)])
@@ -304,10 +305,8 @@ def require_units(
     """Refuse samples, the limb positions first, in another unit or frame."""
     require_position(samples, geometry)
     values = _counted(samples, leave_out)
-    for name, column, limit in zip(
-        samples.channels, values.T, channel_limits(geometry, samples.clusters), strict=True
-    ):
-        size = finite_quantile(np.abs(column), UNIT_QUANTILE)
+    limits = channel_limits(geometry, samples.clusters)
+    for name, size, limit in zip(samples.channels, _usual_sizes(values), limits, strict=True):
         if size > limit:
             unit = channel_unit(name)
             likely = {"N": "millinewtons", "N m": "newton millimetres"}[unit]

@@ -25,7 +25,7 @@ from socket_testbed.documents import load_yaml
 from socket_testbed.errors import TrialError
 from socket_testbed.files import TemporaryFolder, hold
 from socket_testbed.trials.cdr import typestore
-from socket_testbed.trials.mcap_file import McapFile, is_empty
+from socket_testbed.trials.mcap_file import COPY_AGAIN, GIVE_BAG, McapFile, is_empty
 from socket_testbed.trials.topics import POSES, REQUIRED, TOPICS, Topic, match_topics
 
 _COMPRESSED_SUFFIX = ".zstd"
@@ -136,7 +136,7 @@ class BagReader:
             if lacking := sum(left.values()):
                 raise TrialError(
                     f"{file}: is damaged: its index lists {lacking} more messages than can be read",
-                    "copy the trial again if it is whole elsewhere",
+                    COPY_AGAIN,
                 )
 
     def _storage_files(self, metadata: tuple[list[str], Any] | None) -> list[Path]:
@@ -332,7 +332,7 @@ def is_storage(file: Path) -> bool:
 
 def _damaged(file: Path, error: Exception) -> TrialError:
     reason = str(error).rstrip(".")
-    return TrialError(f"{file}: cannot be read ({reason})", "give an MCAP or SQLite bag of ROS 2")
+    return TrialError(f"{file}: cannot be read ({reason})", GIVE_BAG)
 
 
 class BagWriter:

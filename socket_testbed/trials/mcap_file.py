@@ -40,7 +40,8 @@ _MAX_CHUNK_SIZE = 2**28  # [bytes]; recorders write 1 MiB, a larger length is co
 _MAX_LOOSE_SIZE = 2**20  # [bytes] of messages outside chunks that are grouped into one
 _FIRST_PRIVATE_OPCODE = 0x80  # applications may use opcodes from here on
 
-_HINT = "copy the trial again if it is whole elsewhere"
+COPY_AGAIN = "copy the trial again if it is whole elsewhere"
+GIVE_BAG = "give an MCAP or SQLite bag of ROS 2"
 
 
 class _Place(NamedTuple):
@@ -169,7 +170,7 @@ class McapFile:
         self.message_count = counts.total()
         self.connections = _connections(definitions, counts)
         if sum(connection.msgcount for connection in self.connections) < self.message_count:
-            raise TrialError(f"{name}: is damaged, its topics are lost", _HINT)
+            raise TrialError(f"{name}: is damaged, its topics are lost", COPY_AGAIN)
         self.notes: list[str] = []
         if not all(chunk.checked for chunk in self._chunks):
             self.notes.append(f"{self.path.name} has no checksums: damage cannot be detected")
@@ -189,10 +190,10 @@ class McapFile:
             fact = "holds nothing: its recorder ended before any data reached the disk"
             hint = "remove it, or copy the trial again if it is complete elsewhere"
         elif ended:
-            fact, hint = "is damaged, nothing in it can be read", _HINT
+            fact, hint = "is damaged, nothing in it can be read", COPY_AGAIN
         elif not _MAGIC.startswith(magic):
             fact = "cannot be read (it is not an MCAP file)"
-            hint = "give an MCAP or SQLite bag of ROS 2"
+            hint = GIVE_BAG
         else:
             fact = "is truncated (it has no end, and no complete chunk of messages)"
             hint = "record the trial again; 'mcap recover' may still find a part of it"
@@ -226,7 +227,7 @@ class McapFile:
         lost = len(found) - len(self._chunks)
         counted = f"{lost} of its {len(found)} chunks cannot be read, " if lost else ""
         what = f"{counted}missing: {', '.join(gaps)}" if gaps else "no message is missing"
-        return f"the recording {self.path.name} is damaged: {what} ({_HINT})"
+        return f"the recording {self.path.name} is damaged: {what} ({COPY_AGAIN})"
 
 
 class _Index:
