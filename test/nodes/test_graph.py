@@ -133,10 +133,10 @@ def test_a_node_that_cannot_start_says_why_in_one_line() -> None:
 
 @pytest.mark.slow
 def test_a_killed_command_leaves_no_node(hold: Path) -> None:
-    with Probe() as probe:
-        command = [*COMMAND, "replay", str(hold), "--estimate"]
-        replay = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
-        probe.wait(lambda: bool(probe.said("estimator_node")), "the estimator")
+    command = [*COMMAND, "replay", str(hold), "--estimate"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as replay:
+        with Probe() as probe:
+            probe.wait(lambda: bool(probe.said("estimator_node")), "the estimator")
         replay.kill()
         # The pipe closes when the last process that holds it has ended.
         replay.communicate(timeout=HANGS)

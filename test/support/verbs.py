@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +15,20 @@ from support.wording import check_line
 
 COMMAND = (sys.executable, "-m", "socket_testbed")
 _LONGEST = 500.0  # [s]
+_ENDS_WITHIN = 20.0  # [s]; when asked
 
 
 class Running(subprocess.Popen[str]):
-    """A process that is killed at the end: a test that failed would wait for its own."""
+    """A process that is ended at the end: a test that failed would wait for its own.
+
+    By SIGTERM: for two seconds after a kill, Fast DDS repairs the shared memory of all others, and
+    a process that takes down its own node just then can crash.
+    """
 
     def __exit__(self, *error: Any) -> None:
+        self.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            self.wait(_ENDS_WITHIN)
         self.kill()
         super().__exit__(*error)
 
