@@ -151,6 +151,16 @@ class Samples:
         """Rows with both a wrench and a limb pose, as a fit requires, shape (N,)."""
         return self.has_pose & self.has_wrench
 
+    def under_load(self, least_force: float) -> BoolArray:
+        """Rows with a pose, a wrench, and a force of at least so many newtons, shape (N,).
+
+        Wrench channels that never have a value are not required.
+        """
+        measured = np.isfinite(self.wrench)
+        measured |= ~measured.any(axis=0)
+        force = np.linalg.norm(np.nan_to_num(self.wrench[:, 3:]), axis=1)
+        return np.asarray(self.has_pose & measured.all(axis=1) & (force >= least_force))
+
     @property
     def states(self) -> dict[str, StatusArray]:
         """Status of the wrench, the limb position and each cluster, shape (N,) each."""

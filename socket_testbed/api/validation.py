@@ -210,7 +210,7 @@ class _Recording:
     @property
     def loaded(self) -> Samples:
         """The samples under load."""
-        return self.samples[validation.loaded_rows(self.samples, self.settings.plateau.least_force)]
+        return self.samples[self.samples.under_load(self.settings.plateau.least_force)]
 
     @property
     def smooth(self) -> Samples:

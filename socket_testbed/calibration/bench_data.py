@@ -13,20 +13,20 @@ import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.documents import read_text
+from socket_testbed.drivers.clusters.fdc1004 import PER_PICOFARAD
 from socket_testbed.errors import CalibrationError
 
 if TYPE_CHECKING:
     import pandas as pd
 
 _FORCES = {"N": 1.0, "kN": 1e3}  # a stress may be given as a force on the cluster's area
-_COUNTS_PER_PF = 2.0**19  # of the FDC1004
 STRESSES = ("normal", "shear_x", "shear_y")
 INPUTS = ("c0", "c1", "c2", "c3")
 UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "sec": 1.0},
     "cycle": {},
     **{name: {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, **_FORCES} for name in STRESSES},
-    **{name: {"pF": 1.0, "fF": 1e-3, "nF": 1e3, "counts": 1.0 / _COUNTS_PER_PF} for name in INPUTS},
+    **{name: {"pF": 1.0, "fF": 1e-3, "nF": 1e3, "counts": 1.0 / PER_PICOFARAD} for name in INPUTS},
 }
 """Units of each quantity with their factors to s, Pa (or N) and pF; a cycle has no unit."""
 

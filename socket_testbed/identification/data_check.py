@@ -194,7 +194,7 @@ def _time_series(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFin
 
 def _disagreements(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFinding]:
     """The cluster, if any, that contradicts the others and the wrench most."""
-    loaded = samples[validation.loaded_rows(samples, MIN_LOAD)]
+    loaded = samples[samples.under_load(MIN_LOAD)]
     if not len(loaded):
         return
     compared = loaded[evenly(len(loaded), _COMPARED_SAMPLES)]

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from scipy.special import ndtri
 
-from socket_testbed.arrays import BoolArray, FloatArray, IntArray, evenly, rms
+from socket_testbed.arrays import FloatArray, IntArray, evenly, rms
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import fit
@@ -147,7 +147,7 @@ def judge_wrench(
     fitted_on: str = "",
     tested_on: str = "",
 ) -> list[Judgement]:
-    """Judge predictions of the wrench from the pose alone, on samples selected by `loaded_rows`.
+    """Judge predictions of the wrench from the pose alone, on samples `under_load`.
 
     Means leave out wrench channels without a value.
     """
@@ -162,17 +162,6 @@ def judge_wrench(
             figures |= {f"{kind}_rmse": error, f"{kind}_skill": skill}
         found.append(Judgement("wrench", name, test, fitted_on, tested_on, **figures))
     return found
-
-
-def loaded_rows(samples: Samples, least_force: float) -> BoolArray:
-    """Samples under load, shape (N,): with a pose, a wrench, and a force of `least_force` [N].
-
-    Wrench channels that never have a value are not required.
-    """
-    measured = np.isfinite(samples.wrench)
-    measured |= ~measured.any(axis=0)
-    force = np.linalg.norm(np.nan_to_num(samples.wrench[:, 3:]), axis=1)
-    return np.asarray(samples.has_pose & measured.all(axis=1) & (force >= least_force))
 
 
 def left_out_pressures(
@@ -322,7 +311,7 @@ def fit_variants(
 
 def split(samples: Samples, least_force: float) -> tuple[IntArray, IntArray]:
     """Indices of the first and the second half of the samples under load."""
-    loaded = np.flatnonzero(loaded_rows(samples, least_force))
+    loaded = np.flatnonzero(samples.under_load(least_force))
     if len(loaded) < 2 * MIN_SAMPLES:
         raise IdentificationError(
             f"only {len(loaded)} of {len(samples)} samples have a pose and a wrench under load"
@@ -382,7 +371,7 @@ def judge_map(
     samples: Samples, geometry: SocketGeometry, settings: EstimatorSettings, name: str
 ) -> list[Judgement]:
     """Judge the estimators that need no fit on left-out clusters."""
-    loaded = samples[loaded_rows(samples, settings.plateau.least_force)]
+    loaded = samples[samples.under_load(settings.plateau.least_force)]
     samples = loaded[evenly(len(loaded), MAX_SAMPLES)]
     noise = measurement_errors(samples, channel_noise(samples).local_forces, settings.force_map)
     estimators = field_estimators(geometry, settings.force_map)

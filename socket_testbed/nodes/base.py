@@ -40,6 +40,7 @@ from socket_testbed.trials.topics import DIAGNOSTICS, RECORDED_TRIAL, Topic
 OK, WARN, ERROR = drivers.OK, drivers.WARN, drivers.ERROR
 
 # Diagnostics keys that other nodes read.
+COUNTS = SAMPLES, TRIGGERS, MESSAGES = "samples", "triggers", "messages"  # they give a rate
 WAITING_FOR = "waiting_for"
 NEWEST_STAMP = "newest_stamp"
 ELAPSED = "elapsed"  # [s]; of the recording

@@ -9,7 +9,7 @@ import numpy as np
 
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.files import CALIBRATION_FILE, file_or_packaged
-from socket_testbed.nodes.base import ERROR, NEWEST_STAMP, OK, WARN, TestbedNode
+from socket_testbed.nodes.base import ERROR, MESSAGES, NEWEST_STAMP, OK, WARN, TestbedNode
 from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import CalibrationNodeSettings
 from socket_testbed.trials.messages import Capacitances, stress_packer
@@ -32,7 +32,7 @@ class CalibrationNode(TestbedNode[CalibrationNodeSettings]):
 
     def figures(self) -> dict[str, object]:
         """Number of messages, and the newest stamp."""
-        return {"messages": self._messages, NEWEST_STAMP: self._newest}
+        return {MESSAGES: self._messages, NEWEST_STAMP: self._newest}
 
     def _on_capacitance(self, stamp: int, read: Capacitances) -> None:
         news = read.names != self._names

@@ -8,7 +8,7 @@ from __future__ import annotations
 from socket_testbed import clocks
 from socket_testbed.drivers.clusters.reader import ClusterReading
 from socket_testbed.live.hardware import make_clusters
-from socket_testbed.nodes.base import ERROR, OK
+from socket_testbed.nodes.base import ERROR, OK, SAMPLES
 from socket_testbed.nodes.sensor_node import SensorNode
 from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import ClusterSettings
@@ -36,7 +36,7 @@ class ClusterNode(SensorNode[ClusterSettings]):
 
     def figures(self) -> dict[str, object]:
         """Numbers of measurements, and of channels without a value: missing or saturated."""
-        return {"samples": self.samples, "missing_channels": self.missing}
+        return {SAMPLES: self.samples, "missing_channels": self.missing}
 
     def measure(self, stamp: int, moment: float) -> None:
         """Read all clusters; `missing` counts channels without a value."""

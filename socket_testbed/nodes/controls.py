@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-import numpy as np
 import rclpy
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
@@ -52,8 +51,6 @@ _MIN_SPAN = 1.0  # [s]; from the first trigger to the last
 _SPAN_FACTOR = 3.0  # [-]; span of a slow testbed's triggers, relative to the age of the call
 _MAX_SPAN = 12.0  # [s]; upper limit of that span
 _ACKNOWLEDGE_TIMEOUT = 5.0  # [s]
-_REAL_TIME = 1e9  # [ns/s]
-_SPEED_TOLERANCE = 0.1  # [-]; a smaller deviation from real time is noise
 
 # Services:
 _DISCOVERY_TIMEOUT = 3.0  # [s]
@@ -180,10 +177,10 @@ class EventMarker:
         self._wait(lambda: self._has_triggers(max(_MIN_SPAN, 0.5 * since)), _TRIGGER_TIMEOUT)
         if not self._triggers:
             return time.time_ns() - round((time.monotonic() - called) * 1e9)
-        if _speed(self._triggers) != _REAL_TIME:
+        if clocks.trigger_speed(self._triggers) != clocks.REAL_TIME:
             span = min(_SPAN_FACTOR * since, _MAX_SPAN)
             self._wait(lambda: self._has_triggers(span), span)
-        return stamp_by_triggers(called, self._triggers)
+        return clocks.stamp_by_triggers(called, self._triggers)
 
     def _has_triggers(self, span: float) -> bool:
         triggers = self._triggers
@@ -213,36 +210,6 @@ class EventMarker:
 
     def _on_trial(self, message: String) -> None:
         self._trial = message.data
-
-
-def stamp_by_triggers(called: float, triggers: Sequence[tuple[float, int]]) -> int:
-    """Convert a time on the monotonic clock [s] to a stamp in trigger time [ns].
-
-    Takes arrival [s] and stamp [ns] of at least one trigger. The triggers' clock may run at another
-    speed. A busy machine delays triggers and none arrives early, so the least delayed trigger
-    gives the offset between the clocks.
-    """
-    arrivals, stamps = (np.array(values) for values in zip(*triggers, strict=True))
-    ahead = np.round(_speed(triggers) * (called - arrivals)).astype(np.int64)
-    return int((stamps + ahead).max())
-
-
-def _speed(triggers: Sequence[tuple[float, int]]) -> float:
-    """Speed of the triggers' clock [ns/s]; exactly real time if close to it.
-
-    The slope of the upper hull of stamps over arrivals at the mean arrival: of all lines that no
-    trigger is early on, that of the least total delay (Moon, Skelly and Towsley, 1999).
-    """
-    arrivals, stamps = (np.array(values) for values in zip(*triggers, strict=True))
-    passed, middle = arrivals - arrivals[:, None], arrivals.mean()
-    across = (arrivals[:, None] <= middle) & (arrivals > middle) & (passed >= _POLL_INTERVAL)
-    if not across.any():
-        return _REAL_TIME
-    first, last = np.nonzero(across)
-    speeds = (stamps[last] - stamps[first]) / passed[across]
-    highest = (stamps[first] - stamps[0] + speeds * (middle - arrivals[first])).argmax()
-    speed = float(speeds[highest])
-    return _REAL_TIME if abs(speed - _REAL_TIME) < _SPEED_TOLERANCE * _REAL_TIME else speed
 
 
 class ServiceControls:

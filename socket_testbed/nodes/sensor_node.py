@@ -8,7 +8,7 @@ from typing import Any
 
 from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock, TriggerPeriod, TriggerTime
-from socket_testbed.nodes.base import OK, WARN, RecentFault, S, TestbedNode
+from socket_testbed.nodes.base import OK, SAMPLES, WARN, RecentFault, S, TestbedNode
 from socket_testbed.trials.topics import TRIGGER
 
 _IDLE_AFTER = 0.3  # [s]; without a trigger
@@ -58,7 +58,7 @@ class SensorNode(TestbedNode[S]):
 
     def figures(self) -> dict[str, object]:
         """Numbers of measurements and of missing ones."""
-        return {"samples": self.samples, "missing": self.missing}
+        return {SAMPLES: self.samples, "missing": self.missing}
 
     def check(self) -> None:
         """Report the device's health, or that triggers had to be timed by their arrival."""

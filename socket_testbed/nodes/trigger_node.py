@@ -18,7 +18,7 @@ from socket_testbed.clocks import SteadyClock
 from socket_testbed.drivers.gpio import Trigger
 from socket_testbed.errors import DeviceError
 from socket_testbed.live.hardware import make_trigger, wall_clock
-from socket_testbed.nodes.base import ERROR, OK, WARN, RecentFault, TestbedNode
+from socket_testbed.nodes.base import ERROR, OK, TRIGGERS, WARN, RecentFault, TestbedNode
 from socket_testbed.nodes.followers import Followers
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.trials.messages import trigger_packer
@@ -69,7 +69,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
     def figures(self) -> dict[str, object]:
         """Numbers of pulses and of faults."""
         return {
-            "triggers": self._sequence,
+            TRIGGERS: self._sequence,
             "unseen": self._unseen,
             "skipped": self._skipped,
             "stray_edges": self._trigger.stray if self._trigger is not None else 0,

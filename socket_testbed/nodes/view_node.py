@@ -53,7 +53,6 @@ _DEPTHS = {
 _MAX_WRENCHES = 200  # kept to match those of the regions
 _COURSE_DURATION = 30.0  # [s]
 _NO_WRENCH = np.full(6, np.nan)
-_COUNT_KEYS = ("samples", "triggers", "messages")  # figures that give a node's rate
 _SIGNS = ("\N{BLACK CIRCLE}", "\N{BLACK UP-POINTING TRIANGLE}", "\N{BLACK SQUARE}")
 
 
@@ -268,7 +267,7 @@ class LiveSource:
                 continue
             self._sensors[status.name] = status, now
             values = {entry.key: entry.value for entry in status.values}
-            count = next((float(values[key]) for key in _COUNT_KEYS if key in values), math.nan)
+            count = next((float(values[key]) for key in base.COUNTS if key in values), math.nan)
             before, since, _ = self._rates.setdefault(status.name, (count, now, math.nan))
             if count < before:  # it was restarted
                 self._rates[status.name] = count, now, math.nan

@@ -22,13 +22,12 @@ from socket_testbed.geometry.regions import SocketAxis, axis_between
 from socket_testbed.geometry.socket import ScanFrame, SocketGeometry
 from socket_testbed.socket_design.clusters import ClusterPlace
 from socket_testbed.socket_design.interior import find_interior
-from socket_testbed.socket_design.registration import own_frame, register_landmarks
+from socket_testbed.socket_design.registration import MAX_RESIDUAL, own_frame, register_landmarks
 from socket_testbed.socket_design.scan_file import METRES, Scan, refuse_implausible
 from socket_testbed.socket_design.squares import Squares
 from socket_testbed.socket_design.tiling import Tiling, TilingSettings, tile_interior
 
 _MIN_SINE = 0.1  # [-]; about 6 degrees between directions that span a plane
-_MAX_RESIDUAL = 0.01  # [m]
 
 
 @dataclass(frozen=True)
@@ -123,7 +122,7 @@ def place_by_landmarks(path: Path, scale: float) -> Placement:
     )
     with naming(path):
         fit = register_landmarks(scan * scale, load_cell, tuple(landmarks))
-    if fit.rms > _MAX_RESIDUAL:
+    if fit.rms > MAX_RESIDUAL:
         worst = fit.names[int(fit.residual.argmax())]
         raise RegistrationError(
             f"{path}: the landmarks only fit to {1e3 * fit.rms:.1f} mm",

@@ -164,7 +164,7 @@ def test_loaded_samples_are_complete_and_pressed_and_come_in_halves(rng):
     samples.wrench[:, 3:] = [[0, 0, -30], [0, 0, -5], [30, 0, 0], [0, np.nan, -40], [0, 0, -40]]
     samples.position[4, 0] = np.nan
     samples.wrench[:, 0] = np.nan  # a channel that is never measured is not asked for
-    assert validation.loaded_rows(samples, 20.0).tolist() == [True, False, True, False, False]
+    assert samples.under_load(20.0).tolist() == [True, False, True, False, False]
     samples, _ = moving_samples(rng, 60)
     samples.wrench[:, 3:] = np.outer(np.arange(60) >= 10, [0.0, 0.0, -100.0])
     first, second = validation.split(samples, 20.0)

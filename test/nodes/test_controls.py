@@ -22,7 +22,7 @@ from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.live.processes import Graph
 from socket_testbed.nodes import controls as module
-from socket_testbed.nodes.controls import ServiceControls, StatusListener, stamp_by_triggers
+from socket_testbed.nodes.controls import ServiceControls, StatusListener
 from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.settings.testbed import RecorderSettings
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
@@ -60,10 +60,6 @@ def test_an_event_has_the_time_of_its_call_at_any_scale(monkeypatch: pytest.Monk
         marker.mark("push", 96.0)
         found = stamp_of(publisher.publish.call_args.args[0])
         assert found == pytest.approx(EPOCH - 4e9 * scale, abs=1e7 * scale), (scale, late)
-    # One, or a burst alone, is in real time.
-    assert stamp_by_triggers(99.0, [(100.0, EPOCH)]) == EPOCH - 10**9
-    two = [(100.0, EPOCH), (100.0 + 1e-5, EPOCH + 250_000_000)]
-    assert stamp_by_triggers(100.0, two) == pytest.approx(two[1][1], abs=1e5)
 
 
 # --- the status line

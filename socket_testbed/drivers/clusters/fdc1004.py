@@ -14,7 +14,7 @@ _DONE = 0x000F
 _TO_CAPDAC = 4  # CHB; the offset needs this setting
 _MAX_CAPDAC = 31
 _RAILS = (0x7FFFFF, -0x800000)
-_PER_PICOFARAD = 2**19  # [1/pF]
+PER_PICOFARAD = 2**19  # [1/pF]
 _CAPDAC_UNIT = 3.125  # [pF]
 _CAPDAC_STEP = 8  # 25 pF, so that neighbouring ranges of 30 pF overlap
 _MAX_RESET_POLLS = 10
@@ -90,7 +90,7 @@ class Fdc1004:
         """C = code / 2^19 + 3.125 CAPDAC [pF]; a code at a rail shifts CAPDAC towards it."""
         previous = self.capdac[channel]
         if code not in _RAILS:
-            return Conversion(code / _PER_PICOFARAD + _CAPDAC_UNIT * previous)
+            return Conversion(code / PER_PICOFARAD + _CAPDAC_UNIT * previous)
         step = _CAPDAC_STEP if code > 0 else -_CAPDAC_STEP
         self.capdac[channel] = capdac = min(max(previous + step, 0), _MAX_CAPDAC)
         if capdac == previous:

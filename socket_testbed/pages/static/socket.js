@@ -28,6 +28,8 @@ function viridis(share, power) {
 }
 
 const colourScale = (power) => VIRIDIS.map((rgb, i) => [(i / 10) ** (1 / power), `rgb(${rgb})`]);
+const veiled = (rgb, veil, {colour, greyest}) =>
+  `rgb(${rgb.map((c, k) => Math.round(c + veil * greyest * (colour[k] - c)))})`;
 const DIVERGING = [[0, "#2166ac"], [0.25, "#67a9cf"], [0.5, "#f7f7f7"], [0.75, "#f4a582"], [1, "#b2182b"]];
 
 function unpack(patch, tiles) {
@@ -54,6 +56,9 @@ class SocketMap {
     this.wall = socket.patches.find((patch) => patch.name === "wall");
     this.end = socket.patches.find((patch) => patch.name === "end");
     this.clusters = Object.entries(socket.clusters);
+    const legend = document.documentElement.style, teal = viridis(0.4, 1);
+    legend.setProperty("--certain", VIRIDIS.map((rgb) => `rgb(${rgb})`).join());
+    legend.setProperty("--uncertain", [0, 1].map((veil) => veiled(teal, veil, socket.grey)).join());
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.show());
     this.narrow = matchMedia("(max-width: 700px)");
     this.narrow.addEventListener("change", () => this.show());
@@ -194,7 +199,7 @@ class SocketMap {
   }
 
   drawSolid(paint, ink) {
-    const {socket} = this, {colour, greyest} = socket.grey;
+    const {socket} = this;
     const traces = socket.patches.map((patch) => {
       const wide = patch.x.length, faces = [[], [], []];
       for (let row = 0; row + 1 < patch.y.length; row++) {
@@ -208,8 +213,7 @@ class SocketMap {
       const colours = patch.flat.map((_, i) => {
         if (!found || !known(found.z[i])) { return "rgb(200,200,200)"; }
         const share = (found.z[i] - paint.low) / (paint.high - paint.low);
-        const veil = greyest * (found.veil?.[i] ?? 0);
-        return `rgb(${viridis(share, paint.power).map((c, k) => Math.round(c + veil * (colour[k] - c)))})`;
+        return veiled(viridis(share, paint.power), found.veil?.[i] ?? 0, socket.grey);
       });
       const [x, y, z] = [0, 1, 2].map((axis) => patch.flat.map((point) => point[axis] ?? 0));
       return {type: "mesh3d", x, y, z, i: faces[0], j: faces[1], k: faces[2], vertexcolor: colours,
