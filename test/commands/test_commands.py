@@ -16,6 +16,8 @@ from socket_testbed.__main__ import EXAMPLES, VERBS, _parse, run
 from socket_testbed.commands import demo
 from socket_testbed.commands.arguments import Parser, add_options
 from socket_testbed.live.scheduling import MachineSpeed
+from socket_testbed.trials.reprocess import NO_TARE, RECORDED
+from socket_testbed.trials.segment import NAMED
 from socket_testbed.trials.trial import Trial
 
 
@@ -25,7 +27,10 @@ def test_every_verb_explains_itself_and_each_of_its_options(capsys) -> None:
         assert _parse([verb, *EXAMPLES[verb].split()]).verb == verb
         with pytest.raises(SystemExit) as ended:
             run([verb, "--help"])
-        assert ended.value.code == 0 and f"socket-testbed {verb} " in capsys.readouterr().out
+        out = capsys.readouterr().out
+        assert ended.value.code == 0 and f"socket-testbed {verb} " in out
+        words = {"--segment": "|".join(NAMED), "--tare": f"|{NO_TARE}|{RECORDED}"}
+        assert all(words[name] in out for name in words if f"[{name} " in out), verb
         add_options(parser := Parser(), f"commands.{module}.{verb}")
         options = {action.dest: action.help for action in parser._actions}
         assert all(options.values()), (verb, options)
