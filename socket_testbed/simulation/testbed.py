@@ -44,7 +44,7 @@ class Simulation:
     seed: int = 0  # for all random numbers
     pace: float = 1.0  # speed of the load relative to the scenario [-]
     sway: float = 0.0  # amplitude of the stand's sway in the world [m]
-    time_scale: float = 1.0  # testbed seconds per real second, in (0, 1] [-]
+    time_scale: float = 1.0  # testbed seconds per real second, 0.01 to 1 [-]
     tissue: TissueKind = "soft"  # kind of the limb's tissue
     noise: float = 1.0  # of the load cell, relative to the default [-]
 
