@@ -48,9 +48,9 @@ VERBS = {verb: module for group in _GROUPS.values() for verb, (module, _) in gro
 EXAMPLES = {verb: example for group in _GROUPS.values() for verb, (_, example) in group.items()}
 
 
-def main(arguments: list[str] | None = None) -> None:
+def main() -> None:
     """Run a verb and exit: 0 on success, 1 on an error, 2 on a wrong call."""
-    sys.exit(run(arguments))
+    sys.exit(run())
 
 
 def _parse(words: list[str]) -> argparse.Namespace:

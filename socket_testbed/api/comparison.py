@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from socket_testbed.report.style import FigureStyle
 
 _MAX_ITEMS = 12  # trials or conditions
+_MOST_DIFFERING = 10  # in words
 _LOAD_TOLERANCE = 0.1  # [-]; relative difference in mean force above which a note is given
 _TIME_TOLERANCE = 0.05  # [-]; likewise for the time covered by an integral
 COLUMNS = ("part", "name", "quantity", "unit", "item", *VALUES, "text")
@@ -148,7 +149,7 @@ class Comparison(Result):
         table = table.reindex(columns=[name for name in columns if name in table])
         return table.droplevel("quantity") if quantity else table
 
-    def differing(self, most: int = 10) -> list[str]:
+    def differing(self) -> list[str]:
         """Differences of regions whose interval excludes zero, in words, the clearest first.
 
         The first line counts them: one in 20 of 95 % intervals excludes zero by chance.
@@ -162,7 +163,7 @@ class Comparison(Result):
             f"{len(clear)} of {len(rows)} intervals of the regions' differences exclude 0; by"
             f" chance alone up to about {0.05 * len(rows):.0f} would"
         ]
-        for row in clear.head(most).to_dict("records"):
+        for row in clear.head(_MOST_DIFFERING).to_dict("records"):
             digits = _decimals(row, "difference")
             by, *ends = (abs(row[name]) for name in DIFFERENCE)
             low, high = sorted(ends)

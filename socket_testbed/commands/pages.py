@@ -32,11 +32,12 @@ from socket_testbed.commands.options import (
     typed_command,
 )
 from socket_testbed.commands.results import error_columns
-from socket_testbed.commands.terminal import Progress, say, table
+from socket_testbed.commands.terminal import Progress, say, text_of
 from socket_testbed.documents import check_number
 from socket_testbed.files import PAGES
 from socket_testbed.live.processes import Graph
 from socket_testbed.settings.testbed import ViewSettings
+from socket_testbed.tables import Table
 from socket_testbed.trials.metadata import FIELDS
 from socket_testbed.trials.topics import full_namespace
 from socket_testbed.trials.trial import Trial
@@ -149,15 +150,13 @@ def _show_comparison(found: api.Comparison) -> None:
         _print(f"{quantity} by region", found.cells("regions", quantity).drop("socket"))
     if "limb" in set(found.table["part"]):
         _print("limb in the socket", found.cells("limb").droplevel("name"))
-    _print("wrench", found.cells("wrench"))
+    _print("wrench", found.cells("wrench").reset_index("quantity"))
     print("\n" + "\n  ".join(found.differing()))
     print(f"\n{LEGEND}")
 
 
 def _print(title: str, cells: pd.DataFrame) -> None:
-    header = [*(name or "" for name in cells.index.names), *cells.columns]
-    rows = cells.reset_index().astype(str).to_numpy().tolist()
-    print(f"\n{title}\n\n{table(list(map(str, header)), rows)}")
+    print(f"\n{title}\n\n{text_of(Table('', '', cells))}")
 
 
 @takes("commands.options.open_given", "view", without="unloaded names")

@@ -102,6 +102,7 @@ def _fit_row(found: TrialFit) -> Row:
     fit = found.fit
     solutions = (fit.stage_one, fit.stage_two, fit.joint)
     certificates = [solution.certificate for solution in solutions if solution is not None]
+    _, force, _ = found.load_shares()
     unseen: tuple[ChannelErrors, ...] = ()  # none where they are unknown
     try:
         unseen = found.unseen_half()
@@ -111,7 +112,7 @@ def _fit_row(found: TrialFit) -> Row:
         **segment_columns(fit.samples, found.segment),
         "variant": fit.model.variant,
         "theta [-]": fit.settings.theta,
-        "force_on_springs [-]": finite_or_null(found.load_shares()[1].springs),
+        "force_on_springs [-]": finite_or_null(force.springs),
         "kkt_residual [-]": max(c.stationarity for c in certificates),
         "duality_gap [-]": max(c.gap for c in certificates),
         **error_columns(fit.errors, {"_in_sample": fit.errors, "_unseen_half": unseen}),

@@ -20,7 +20,6 @@ from socket_testbed.drivers.load_cell.ads131m0x import CHECK_WIRING
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker
 from socket_testbed.errors import DeviceError, TestbedError, fact_and_hint
-from socket_testbed.geometry.marker_bodies import MIN_MARKERS
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.live.hardware import make_clusters, make_load_cell, make_trigger
@@ -207,9 +206,7 @@ def check_motion_capture(testbed: Testbed) -> Iterator[Outcome]:
     yield Outcome("motion capture clock", f"known within {known:.2f} ms")
     names = (settings.socket_body, settings.pylon_body)
     for name, markers, body in zip(names, geometry.markers.values(), seen, strict=True):
-        count = len(markers)
-        what, number = f"rigid body {name}", "three" if count == MIN_MARKERS else count
-        found = f"its {number} markers are seen"
+        what, found = f"rigid body {name}", f"its {len(markers)} markers are seen"
         yield _failure(what, body.fault) if body.fault else Outcome(what, found)
 
 

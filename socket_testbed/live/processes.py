@@ -179,11 +179,9 @@ class Graph:
         """Start all further processes with this scale of the testbed clock, in (0, 1] [-]."""
         self.clock = shared_environment(scale)
 
-    def start(
-        self, node: str, settings: Settings, namespace: str = "/", use_sim_time: bool = False
-    ) -> None:
+    def start(self, node: str, settings: Settings, namespace: str = "/") -> None:
         """Start a node, see `GraphNode`."""
-        self.start_nodes([GraphNode(node, settings, namespace, use_sim_time)])
+        self.start_nodes([GraphNode(node, settings, namespace)])
 
     def start_nodes(self, nodes: Iterable[GraphNode]) -> None:
         """Start nodes in order; those of a shared process together with its first."""

@@ -10,7 +10,6 @@ messages are never decoded.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections import deque
 from typing import Any
@@ -28,7 +27,7 @@ from socket_testbed.geometry.regions import all_regions, axial_force
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.data_check import LOOK
 from socket_testbed.identification.force_map import MapEstimate
-from socket_testbed.identification.pressure import Quantity, RegionOutputs
+from socket_testbed.identification.pressure import Quantity
 from socket_testbed.nodes import base
 from socket_testbed.nodes.controls import ServiceControls
 from socket_testbed.pages import document
@@ -37,7 +36,7 @@ from socket_testbed.samples import Status
 from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.tables import duration_text
 from socket_testbed.trials import topics
-from socket_testbed.trials.messages import REGION_FIELDS, Reader, in_order
+from socket_testbed.trials.messages import Reader, in_order
 from socket_testbed.trials.metadata import FIELDS
 
 _STALE_AFTER = 2.0  # [s]; older data is not shown as current
@@ -189,11 +188,10 @@ class LiveSource:
         for _, stresses in self._read(inbox, topics.STRESS):
             stress, status = in_order(stresses, geometry.clusters)
             self._measured = np.where(status == Status.OK, stress[:, 0], np.nan)
-        for stamp, (names, fields) in self._read(inbox, topics.REGIONS):
+        for stamp, (names, outputs) in self._read(inbox, topics.REGIONS):
             mapped = self._recent(topics.FORCE_MAP)
             if mapped is None or names != tuple(place.name for place in places):
                 continue
-            outputs = _region_outputs(fields)
             wrench = dict(self._wrenches).get(stamp, _NO_WRENCH)
             peak = outputs.peak
             row = (axial_force(geometry, wrench), peak.value[-1], peak.low[-1], peak.high[-1])
@@ -276,11 +274,3 @@ class LiveSource:
 
     def _on_trial(self, message: String) -> None:
         self._trial = message.data, clocks.monotonic()
-
-
-def _region_outputs(fields: dict[str, FloatArray]) -> RegionOutputs:
-    """The outputs of R regions from a RegionPressures; quantities not in it are NaN."""
-    found: dict[str, Any] = {field.name: np.nan for field in dataclasses.fields(RegionOutputs)}
-    for name, field in REGION_FIELDS.items():
-        found[name] = Quantity(*(fields[field + end] for end in ("", "_low", "_high", "")))
-    return RegionOutputs(**found)

@@ -15,6 +15,7 @@ from socket_testbed.geometry.socket import HEIGHTS, SECTORS, Side, SocketGeometr
 from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import (
     SHARE,
+    TITLES,
     Quantity,
     normal_quantity,
     with_interval,
@@ -25,7 +26,6 @@ from socket_testbed.report.page import Heading, Pictures, ReportFigure, Section
 from socket_testbed.report.results import Results
 from socket_testbed.report.style import (
     LINE_STYLES,
-    THINNED,
     FigureStyle,
     add_legend,
     panels,
@@ -36,7 +36,7 @@ from socket_testbed.report.tiles import add_key, tile_map_figure
 from socket_testbed.tables import Table, split_unit
 from socket_testbed.trials.pressure import SegmentPressure, by_place, cells, limb_cells
 
-_PRESSURE_COLUMNS = 5  # in the first table by region
+_SENTENCE = ["peak pressure [kPa]", "mean pressure [kPa]", "contact area [cm^2]"]
 _NAMED_SEGMENTS = ("plateau", "hold")
 _LABEL = "pressure [kPa]"
 _MAX_POINTS = 300  # per line
@@ -114,7 +114,8 @@ def _tables(found: SegmentPressure) -> list[Table]:
     shown = cells([place.name for place in found.places], found.outputs.regions, "{}\n{}")
     shown = shown.rename(columns=_printed).rename_axis("region")
     below = "by region, the 95 % interval below each value"
-    first, second = shown.iloc[:, :_PRESSURE_COLUMNS], shown.iloc[:, _PRESSURE_COLUMNS:]
+    shear = TITLES.index("shear [kPa]")
+    first, second = shown.iloc[:, :shear], shown.iloc[:, shear:]
     tables = [
         Table("pressure-regions", f"Pressure and load {below}", first),
         Table("pressure-shear", f"Shear and centre of pressure {below}", second),
@@ -129,7 +130,7 @@ def describe_pressure(found: SegmentPressure) -> str:
     """The pressure on the socket in a sentence."""
     socket = cells([place.name for place in found.places], found.outputs.regions).iloc[-1]
     parts = []
-    for title, value in socket.iloc[:3].items():
+    for title, value in socket[_SENTENCE].items():
         name, unit = split_unit(_printed(title))
         parts.append(f"{name} {value} {unit}")
     peak = found.outputs.peak_map.normal_pressure[0].argmax()
@@ -151,8 +152,8 @@ def _overview(results: Results) -> ReportFigure:
         "pressure_map",
         f"Pressure on the unrolled socket, {found.segment}, and at its peak. The greyer, the"
         " less certain. Tiles with a cluster are outlined. Below, the mean pressure of sectors,"
-        " heights and user-defined regions."
-        f" {THINNED}",
+        " heights and user-defined regions, thinned without losing a peak;"
+        " pressure_of_regions.csv holds all samples.",
         lambda style: pressure_figure(found, "", style),
         pd.DataFrame({"tile": results.trial.geometry.names, **values}),
     )

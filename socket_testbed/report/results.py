@@ -141,9 +141,9 @@ def compute_results(
         if variant in PAPER_VARIANTS or variant == identification.variant:
             own = replace(identification, variant=variant)
             fit = fit_contact_model(chosen, trial.geometry, own)
-            candidates.append(_judge(samples, segment, chosen, variant, fit))
+            candidates.append(_judge(trial, segment, variant, fit))
     if given is not None:
-        candidates.append(_judge(samples, segment, chosen, GIVEN, given))
+        candidates.append(_judge(trial, segment, GIVEN, given))
     progress(2, _STAGES)
     # The report may lack a front or a validation.
     fronts, validation, no_fronts, no_validation = {}, [], "", ""
@@ -186,12 +186,12 @@ def compute_results(
     )
 
 
-def _judge(
-    samples: Samples, segment: Segment, chosen: Samples, label: str, source: Fit | StoredModel
-) -> Candidate:
-    """A model over the trial and over the `chosen` samples of the segment, as in `st.evaluate`."""
+def _judge(trial: Trial, segment: Segment, label: str, source: Fit | StoredModel) -> Candidate:
+    """A model over the trial and over the samples of the segment, as in `st.evaluate`."""
     model, settings = source.model, source.settings
     window, leave_out = settings.pose_smoothing, settings.leave_out
+    samples = trial.sound(leave_out)
+    chosen = samples[segment.rows]
     predicted = predictions(samples, model, window)
     outside = ~_rows_of(segment, samples)
     held_out = evaluate(samples[outside], predicted[outside], leave_out)

@@ -29,9 +29,12 @@ _COLOURS = {
     validation.CLOSED: "0.5",
     validation.FORCE_MAP: LINE_STYLES[1]["color"],
 }
-_QUESTIONS = {"cluster": "all clusters", "tiles": "tiles without a sensor"}
-_MARKERS = {"cluster": "o", "tiles": "s"}
-_CAPTIONS = {
+_QUESTIONS: dict[validation.Question, str] = {
+    "cluster": "all clusters",
+    "tiles": "tiles without a sensor",
+}
+_MARKERS: dict[validation.Question, str] = {"cluster": "o", "tiles": "s"}
+_CAPTIONS: dict[tuple[validation.Question, validation.Test], str] = {
     ("cluster", "left out"): "Force on a left-out cluster, from the others and the wrench",
     ("tiles", "second half"): "Force on the tiles without a sensor, against the simulated truth",
     ("wrench", "second half"): "Wrench from the pose alone, fitted on the other half of the trial",
@@ -39,8 +42,9 @@ _CAPTIONS = {
     ("wrench", "in-sample"): "Wrench from the pose alone, IN-SAMPLE: on the fitted half",
 }
 LEGEND = (
-    "error: rms error over the rms of the forces, predicting zero gives 1; in 50, 80, 95 %: share"
-    " of values within these intervals of the estimate; RMSE: mean of three channels; skill: 1 -"
+    "error: rms error over the rms of the forces, predicting zero gives 1; in"
+    f" {', '.join(f'{100 * level:g}' for level in validation.LEVELS)} %: share of values within"
+    " these intervals of the estimate; RMSE: mean of three channels; skill: 1 -"
     " RMSE over that of the best constants for these samples, below 0 worse than a constant"
 )
 

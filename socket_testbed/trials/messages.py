@@ -7,6 +7,7 @@ of each layout. Packing fills in a serialised blank message.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import fields
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
@@ -304,16 +305,22 @@ def force_map_packer(names: Sequence[str]) -> Callable[[int, MapEstimate], bytes
     return pack
 
 
-REGION_FIELDS = {"mean": "mean", "peak": "peak", "shear": "shear", "share": "load_share"}
-"""Region outputs and their fields in a RegionPressures."""
+# Region outputs and their fields in a RegionPressures.
+_REGION_FIELDS = {"mean": "mean", "peak": "peak", "shear": "shear", "share": "load_share"}
 _REGION_COLUMNS = [
-    f"{name}{end}" for name in REGION_FIELDS.values() for end in ("", "_low", "_high")
+    f"{name}{end}" for name in _REGION_FIELDS.values() for end in ("", "_low", "_high")
 ]
 
 
-def _regions(records: cdr.Record, sample: Any) -> tuple[tuple[str, ...], dict[str, FloatArray]]:
-    """Names of the R regions, and the fields."""
-    return tuple(sample.names), {n: records[n].astype(np.float64) for n in _REGION_COLUMNS}
+def _regions(records: cdr.Record, sample: Any) -> tuple[tuple[str, ...], RegionOutputs]:
+    """Names of the R regions, and their outputs; quantities not in the message are NaN."""
+    from socket_testbed.identification.pressure import Quantity, RegionOutputs  # few nodes need it
+
+    found: dict[str, Any] = {field.name: np.nan for field in fields(RegionOutputs)}
+    for name, field in _REGION_FIELDS.items():
+        ends = (records[field + end].astype(np.float64) for end in ("", "_low", "_high", ""))
+        found[name] = Quantity(*ends)
+    return tuple(sample.names), RegionOutputs(**found)
 
 
 def regions_packer(names: Sequence[str]) -> Callable[[int, RegionOutputs], bytes]:
@@ -321,7 +328,7 @@ def regions_packer(names: Sequence[str]) -> Callable[[int, RegionOutputs], bytes
     template = _per_name(topics.REGIONS, names, _REGION_COLUMNS)
 
     def pack(stamp: int, outputs: RegionOutputs) -> bytes:
-        quantities = [getattr(outputs, output) for output in REGION_FIELDS]
+        quantities = [getattr(outputs, output) for output in _REGION_FIELDS]
         values = [own for each in quantities for own in (each.value, each.low, each.high)]
         return template.serialised(stamp, **dict(zip(_REGION_COLUMNS, values, strict=True)))
 

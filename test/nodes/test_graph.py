@@ -24,7 +24,7 @@ from socket_testbed.geometry.socket import write_socket
 from socket_testbed.identification.force_map import ForceMap, MapEstimate
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.live.bringup import record_estimates
-from socket_testbed.live.processes import Graph
+from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.nodes.base import ELAPSED, FREE, TestbedNode
 from socket_testbed.nodes.view_node import LiveSource
 from socket_testbed.settings import testbed
@@ -65,10 +65,9 @@ def test_a_replay_predicts_as_offline(hold: Path, hold_model: Path, tmp_path: Pa
     assert len(decode(picture.data, picture.type).markers) == 2 * len(own)
     names, outputs = list(found.pop(topics.REGIONS).values())[-1]
     assert names == tuple(place.name for place in all_regions(own))
-    assert outputs["load_share"][-1] == pytest.approx(1.0) and 1e3 < outputs["peak"][-1] < 1e5
-    for name in ("mean", "peak", "shear", "load_share"):
-        low, value, high = (outputs[name + end] for end in ("_low", "", "_high"))
-        assert (low <= value).all() and (value <= high).all()
+    assert outputs.share.value[-1] == pytest.approx(1.0) and 1e3 < outputs.peak.value[-1] < 1e5
+    for found_of in (outputs.mean, outputs.peak, outputs.shear, outputs.share):
+        assert (found_of.low <= found_of.value).all() and (found_of.value <= found_of.high).all()
     model, samples, repaired = read_model(hold_model).model, trial.samples(), trial.measurements()
     stamps = samples.stamps.tolist()
     assert all(set(of) == set(stamps) for of in found.values())
@@ -181,8 +180,9 @@ def test_a_map_of_another_socket_is_named_and_not_drawn() -> None:
 def estimating() -> Iterator[tuple[Graph, Probe]]:
     """A calibration and an estimator node in the time of a replay, and what another hears."""
     with Graph() as graph, Probe() as probe:
-        graph.start("calibration_node", testbed.CalibrationNodeSettings(), use_sim_time=True)
-        graph.start("estimator_node", NO_FIT, use_sim_time=True)
+        calibration = testbed.CalibrationNodeSettings()
+        for node, settings in (("calibration_node", calibration), ("estimator_node", NO_FIT)):
+            graph.start_nodes([GraphNode(node, settings, use_sim_time=True)])
         yield graph, probe
 
 

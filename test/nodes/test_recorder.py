@@ -17,7 +17,7 @@ from support.graph import Probe
 from support.verbs import COMMAND, Running
 
 from socket_testbed.files import CONFIGURATION_FILES, packaged
-from socket_testbed.live.processes import Graph
+from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.nodes.base import stamp_to_ros
 from socket_testbed.settings.testbed import RecorderSettings, ReplaySettings
 from socket_testbed.trials.bag import BagReader
@@ -75,7 +75,7 @@ def test_a_replay_is_the_recording_in_its_order_and_time(hold: Path, tmp_path: P
         probe.node.create_subscription(Clock, "/clock", ticks.append, 1000)
         frames = probe.listen(TF)
         settings = RecorderSettings(directory=str(recorded), record=False)
-        graph.start("recorder_node", settings, use_sim_time=True)
+        graph.start_nodes([GraphNode(NODE, settings, use_sim_time=True)])
         probe.wait(lambda: bool(probe.said(NODE)), "the recorder's diagnostics")
         replay = ReplaySettings(trial=str(hold), rate=30.0, paused=True, wait_for=(NODE,))
         graph.start("replay_node", replay)

@@ -321,7 +321,7 @@ function showBars(box, bars, title) {
   box.replaceChildren(...bars.regions.map((name, i) => {
     const row = element("div", "bar-row"), track = element("div", "track");
     const [value, from, to] = rows[i];
-    row.append(element("span", "name", name), track);
+    row.append(element("span", "", name), track);
     if (known(value)) {
       const bar = element("div", "bar"), whisker = element("div", "whisker");
       const sides = [Math.min(0, value), Math.max(0, value)];
