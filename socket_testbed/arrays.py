@@ -1,6 +1,7 @@
 """Array types and shared array helpers of the package."""
 
-from typing import TypeAlias
+from collections.abc import Callable, Iterable
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,18 @@ def rms(values: FloatArray, empty: float = float("nan")) -> float:
     """Root mean square of the finite values; `empty` without any."""
     finite = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(finite**2))) if len(finite) else empty
+
+
+def finite_mean(values: Iterable[float], mean: Callable[[list[float]], Any] = np.mean) -> float:
+    """Mean, or another `mean`, of the finite values; NaN without any."""
+    finite = [value for value in values if np.isfinite(value)]
+    return float(mean(finite)) if finite else float("nan")
+
+
+def finite_quantile(values: FloatArray, share: float) -> float:
+    """A quantile of the finite values; 0 without any."""
+    finite = values[np.isfinite(values)]
+    return float(np.quantile(finite, share)) if len(finite) else 0.0
 
 
 def robust_deviation(errors: FloatArray) -> FloatArray:

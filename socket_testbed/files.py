@@ -70,6 +70,15 @@ def end_with_starter() -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
 
+def sync(path: Path) -> None:
+    """Flush a file or the entries of a folder to the disk."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
 def hold(folder: Path) -> int:
     """Lock a folder until the returned descriptor is closed or the process ends."""
     descriptor = os.open(folder, os.O_RDONLY)

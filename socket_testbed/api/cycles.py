@@ -53,8 +53,7 @@ class Cycles(Result):
         start, _, end = self.by.partition(":")
         following = f"'{end}'" if end else "one"
         durations = self.durations
-        longer = f"; {self.left_out} left out, longer than {_MAX_DURATION:g} times the median"
-        paused = longer * bool(self.left_out)
+        paused = f"; {self.left_out} left out, longer than twice the median" * bool(self.left_out)
         return (
             f"{len(self)} cycles from each '{start}' to the next {following},"
             f" {np.median(durations):.2f} s ({durations.min():.2f} to {durations.max():.2f} s)"

@@ -8,7 +8,6 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -18,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.result import Result
 from socket_testbed.api.trials import PathLike, Progress, as_path, started
-from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import Calibration, read_calibration, write_calibration
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, closest
@@ -330,7 +329,7 @@ def tile(
     own = [place.name for place in places or ()]
     for name in keep_out:  # before any tile is laid
         if name not in own and not designs.TILE_NAME.fullmatch(name):
-            _tiles_named(name, usual_regions)
+            designs.tiles_named(name, usual_regions)
     kept = read_socket(Path(bodies)) if bodies else dataclasses.replace(usual, registration="")
     upwards = designs.parse_direction(proximal, "--proximal") if proximal else None
     front = designs.parse_direction(anterior, "--anterior") if anterior else None
@@ -355,49 +354,13 @@ def tile(
             started(progress, "tiling"),
         )
         if place:
-            design = _with_proposed_clusters(design, place, keep_out)
+            design = designs.with_proposed_clusters(design, place, keep_out)
     if landmarks is None and points is None and front is None:
         note = "x of the scan is assumed to be anterior: check it, or give --anterior"
         design = dataclasses.replace(design, notes=(*design.notes, note))
     if output is not None:
         _write_design(design, Path(output))
     return design
-
-
-def _with_proposed_clusters(
-    design: SocketDesign, number: int, keep_out: Sequence[str]
-) -> SocketDesign:
-    """The design with clusters at the most informative tiles, and a note on their benefit."""
-    from socket_testbed.socket_design.clusters import place_clusters
-
-    geometry = design.geometry
-    tiles = {tile: np.array([number]) for number, tile in enumerate(geometry.names)}
-    tiles |= {region.name: region.tiles for region in all_regions(geometry)}
-    allowed = np.ones(len(geometry), dtype=bool)
-    for name in keep_out:
-        allowed[_tiles_named(name, tiles)] = False
-    found = place_clusters(geometry, number, list(geometry.clusters.values()), allowed)
-    names, clusters = list(geometry.names), dict(geometry.clusters)
-    free = (name for n in count(1) if (name := f"cluster_{n}") not in clusters)
-    for tile, name in zip(found.tiles[len(clusters) :].tolist(), free, strict=False):
-        clusters[name], names[tile] = tile, name
-    errors = ", ".join(f"{n}: {error:.2f}" for n, error in found.errors.items())
-    low, high = found.at_random
-    note = (
-        "the clusters are proposed. Expected error of the force map on tiles without one, over"
-        f" their rms, by the number of clusters: {errors}; with {number} at random {low:.2f} to"
-        f" {high:.2f}: the number matters more than the places"
-    )
-    geometry = dataclasses.replace(geometry, names=tuple(names), clusters=clusters)
-    return dataclasses.replace(design, geometry=geometry, notes=(*design.notes, note))
-
-
-def _tiles_named(name: str, tiles: Mapping[str, IntArray]) -> IntArray:
-    """The tiles of a region, or the one of that name."""
-    if name not in tiles:
-        fact = f"--keep-out: there is no region or tile '{name}'"
-        raise ConfigurationError(fact, closest(name, tiles))
-    return tiles[name]
 
 
 def _check_socket_output(output: Path, bodies: PathLike | None) -> None:

@@ -41,7 +41,6 @@ from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.live.scheduling import busy_note, measure_speed, speed_text
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import (
-    EstimatorSettings,
     RecorderSettings,
     ReplaySettings,
     check_take_name,
@@ -314,26 +313,14 @@ def _testbed(
     trigger = testbed.settings.trigger_node
     if rate is not None:
         trigger = dataclasses.replace(trigger, rate=rate)
-    estimator = _estimator(testbed.settings.estimator_node, None, model, testbed.geometry, options)
+    stored, chosen = testbed.settings.estimator_node, given(options, IdentificationSettings)
+    estimator = estimator_settings(stored, **chosen)
+    estimator = bringup.predict_with(model, estimator, testbed.geometry)
     metadata = check_metadata(options)
     if record is None:
         refuse_given(metadata.stated(), "a recorded trial", "add --record DIR")
     settings = dataclasses.replace(testbed.settings, trigger_node=trigger, estimator_node=estimator)
     return dataclasses.replace(testbed, settings=settings, record=record, metadata=metadata)
-
-
-def _estimator(
-    stored: EstimatorSettings,
-    params: Path | None,
-    model: Path | None,
-    geometry: Path,
-    options: Mapping[str, Any],
-) -> EstimatorSettings:
-    """Settings of the estimator, which predicts with a given model and fits none."""
-    estimator = estimator_settings(stored, params, **given(options, IdentificationSettings))
-    if model is None:
-        return estimator
-    return bringup.predict_with(model, estimator, read_socket(geometry))
 
 
 def _page(
@@ -423,8 +410,9 @@ def replay(
     opened = open_given(trial, **options)
     replayed = ReplaySettings(trial=str(trial.resolve()), rate=rate, loop=loop, paused=paused)
     if estimate:
-        stored, geometry = opened.estimator, opened.geometry_path
-        estimator = _estimator(stored, options["params"], model, geometry, options)
+        chosen = given(options, IdentificationSettings)
+        estimator = estimator_settings(opened.estimator, options["params"], **chosen)
+        estimator = bringup.predict_with(model, estimator, opened.geometry_path)
         nodes = bringup.replay_nodes(opened, replayed, estimator)
     else:
         refuse_given({"model": model, **options}, "the estimator", "add --estimate")

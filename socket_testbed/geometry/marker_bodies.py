@@ -78,7 +78,8 @@ EDGE_TOLERANCE = 0.002  # [m]; well above the noise of a marker
 _MIN_DISTANCE = 0.01  # [m]; between two markers, and of one from the line of the others
 _MIN_TRIAD_WIDTH = 0.002  # [m]; the latter for three markers, which are all needed for a pose
 _TIGHT = 0.25  # of the tolerance
-MIN_MARKERS, MAX_MARKERS = 3, 8  # per body
+MIN_MARKERS = 3  # per body
+MAX_MARKERS = 8
 
 
 @dataclass(frozen=True)

@@ -60,8 +60,8 @@ class SocketAxis:
         return np.hypot(offset @ self.left, offset @ self.anterior)
 
 
-def axis_through(end: FloatArray, proximal: FloatArray, anterior: FloatArray = _X) -> SocketAxis:
-    """The axis through the distal end (3,) [m] in {S}, in the proximal direction (3,).
+def axis_between(points: FloatArray, proximal: FloatArray, anterior: FloatArray = _X) -> SocketAxis:
+    """The axis in a proximal direction (3,), centred between points (N, 3) [m], from the lowest up.
 
     `anterior`, by default x of {S} (REP 103), is projected across the axis. If it is parallel to
     the axis, -z of {S} is anterior.
@@ -70,14 +70,9 @@ def axis_through(end: FloatArray, proximal: FloatArray, anterior: FloatArray = _
     across = anterior - (anterior @ along) * along
     if np.linalg.norm(across) < _NO_DIRECTION:
         across = -_Z + (_Z @ along) * along
-    return SocketAxis(np.asarray(end), along, across / np.linalg.norm(across))
-
-
-def axis_between(points: FloatArray, proximal: FloatArray, anterior: FloatArray = _X) -> SocketAxis:
-    """The axis centred between points (N, 3) [m], from the lowest one up; see `axis_through`."""
-    axis = axis_through(np.zeros(3), proximal, anterior)
-    along = points @ axis.frame.T
-    low, high = along.min(axis=0), along.max(axis=0)
+    axis = SocketAxis(np.zeros(3), along, across / np.linalg.norm(across))
+    inside = points @ axis.frame.T
+    low, high = inside.min(axis=0), inside.max(axis=0)
     return replace(axis, end=np.array([*0.5 * (low + high)[:2], low[2]]) @ axis.frame)
 
 

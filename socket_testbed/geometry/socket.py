@@ -209,7 +209,7 @@ _HEADER = """\
 # source: origin of the tiles; scan: its unit [m] and the pose of its frame in {S}.
 # clusters: the tile under each; turned: from the tile's x to the cluster's, about z [deg].
 # regions: your own, each a list of tiles; they may overlap.
-# bodies: 3 to 8 markers each in their bodies' frames; in_load_cell: the socket body's pose in {S};
+# bodies: the markers of each in its own frame; in_load_cell: the socket body's pose in {S};
 # limb_in_body: the limb's pose in the pylon's body, its origin being the lumped mass;
 # registration: origin of their registration; without it they are nominal.
 """

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from socket_testbed.arrays import FloatArray, evenly, gaps, usual_period
+from socket_testbed.arrays import FloatArray, evenly, finite_quantile, gaps, usual_period
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.regions import axial_force, proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
@@ -102,7 +102,7 @@ def _units(samples: Samples, geometry: SocketGeometry, mass: float | None) -> It
             hint = "check that moments are in N m and forces in N, and the load cell's channels"
             yield DataFinding("the wrench", f"{found.channel}: {found.reason}", hint)
             break
-    size = plausibility.finite_quantile(np.linalg.norm(samples.wrench[:, 3:], axis=1), 0.95)
+    size = finite_quantile(np.linalg.norm(samples.wrench[:, 3:], axis=1), 0.95)
     weights = size / (GRAVITY * mass) if mass else 1.0
     if not LOAD_RANGE[0] <= weights <= LOAD_RANGE[1]:
         yield DataFinding(
@@ -110,7 +110,7 @@ def _units(samples: Samples, geometry: SocketGeometry, mass: float | None) -> It
             f"its force of {size:.3g} N is {weights:.2g} weights of the stated {mass:g} kg",
             "check that forces are in N, and the mass",
         )
-    angle = plausibility.finite_quantile(np.linalg.norm(samples.rotation, axis=1), 0.95)
+    angle = finite_quantile(np.linalg.norm(samples.rotation, axis=1), 0.95)
     if angle > MAX_ROTATION:
         yield DataFinding(
             "the limb pose",

@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from socket_testbed.arrays import FloatArray
+from socket_testbed.arrays import FloatArray, finite_mean, rms
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification.contact import ContactModel, relative_change
@@ -85,7 +85,7 @@ def channel_errors(
     residual, count = predicted[rows] - measured[rows], int(rows.sum())
     rmse = mae = sigma = skill = float("nan")
     if count:
-        rmse = float(np.sqrt(np.mean(residual**2)))
+        rmse = rms(residual)
         mae, sigma = float(np.mean(np.abs(residual))), float(np.std(residual))
         skill = skill_of(rmse, deviation(measured[rows]))
     return ChannelErrors(name, channel_unit(name), rmse, mae, sigma, skill, count, in_objective)
@@ -167,12 +167,6 @@ def evaluate(
     )
 
 
-def finite_mean(values: Iterable[float], mean: Callable[[list[float]], Any] = np.mean) -> float:
-    """Mean, or another `mean`, of the finite values; NaN without any."""
-    finite = [value for value in values if np.isfinite(value)]
-    return float(mean(finite)) if finite else float("nan")
-
-
 @dataclass(frozen=True)
 class Fit:
     """A fitted model with its errors and certificates."""
@@ -189,8 +183,8 @@ class Fit:
     stage_one: BoxSolution  # certified solution of Stage 1
     stage_two: BoxSolution  # certified solution of Stage 2
     # certified joint refinement of both in the rigid variants, otherwise None
-    joint: BoxSolution | None = None
-    wrench: str = ""  # what predicts the wrench, if not the model's own springs
+    joint: BoxSolution | None
+    wrench: str  # what predicts the wrench, empty for the model's own springs
 
     @property
     def wrench_rmse(self) -> FloatArray:

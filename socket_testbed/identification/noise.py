@@ -28,7 +28,9 @@ from socket_testbed.samples import Samples, turned
 MIN_DIFFERENCES = 12  # [1]; of a channel, for an estimate
 CUT = 3.0  # [-]; largest magnitude of a difference, in standard deviations
 _GAIN = math.sqrt(20.0)  # [-]; root sum of squares of a third difference's weights
-_TRUNCATED = 0.98658  # [-]; standard deviation of a standard normal variable within +-CUT
+# Standard deviation of a standard normal variable within +-CUT [-]
+_WITHIN = math.erf(CUT / math.sqrt(2.0))
+_TRUNCATED = math.sqrt(1.0 - CUT * math.sqrt(2.0 / math.pi) * math.exp(-0.5 * CUT**2) / _WITHIN)
 _QUANTISED = math.sqrt(1.0 / 12.0)  # [-]; standard deviation of rounding, in steps
 _ROUNDING = 1e-12  # [-]; smallest step of a channel, relative to its largest value
 _DEFINITE = 1.0 - 1e-6  # [-]; largest correlation of two components

@@ -39,7 +39,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import median_filter
 
-from socket_testbed.arrays import BoolArray, FloatArray
+from socket_testbed.arrays import BoolArray, FloatArray, finite_quantile
 from socket_testbed.errors import IdentificationError, listed
 from socket_testbed.geometry.regions import proximal_direction
 from socket_testbed.geometry.socket import SocketGeometry
@@ -262,12 +262,6 @@ def proposals(
         advice = "is left out" if name in leave_out else f"consider --leave-out {name}"
         notes.append(f"{name} looks implausible: {found.reason}; {advice}")
     return tuple(notes)
-
-
-def finite_quantile(values: FloatArray, share: float) -> float:
-    """A quantile of the finite values; 0 without any."""
-    finite = values[np.isfinite(values)]
-    return float(np.quantile(finite, share)) if len(finite) else 0.0
 
 
 def _usual_sizes(values: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from scipy.special import ndtri
 
-from socket_testbed.arrays import FloatArray, IntArray, evenly, rms
+from socket_testbed.arrays import FloatArray, IntArray, evenly, finite_mean, rms
 from socket_testbed.errors import IdentificationError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import fit
@@ -157,8 +157,8 @@ def judge_wrench(
         rmse = np.sqrt(np.mean((predict(samples.pose) - samples.wrench) ** 2, axis=0))
         figures: dict[str, Any] = {"samples": len(samples)}
         for kind, part in (("moment", MOMENTS), ("force", FORCES)):
-            error = fit.finite_mean(rmse[part])
-            skill = fit.skill_of(error, fit.finite_mean(constant[part]))
+            error = finite_mean(rmse[part])
+            skill = fit.skill_of(error, finite_mean(constant[part]))
             figures |= {f"{kind}_rmse": error, f"{kind}_skill": skill}
         found.append(Judgement("wrench", name, test, fitted_on, tested_on, **figures))
     return found

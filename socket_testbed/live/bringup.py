@@ -17,7 +17,7 @@ from socket_testbed.drivers.load_cell import load_cell
 from socket_testbed.drivers.natnet.connection import server_address
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.files import CALIBRATION_FILE, SOCKET_FILE, packaged
-from socket_testbed.geometry.socket import SocketGeometry, read_socket
+from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.fit import check_names
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.live.hardware import capacitive_chip
@@ -219,10 +219,12 @@ def simulate_hardware(
 
 
 def predict_with(
-    model: Path, estimator: EstimatorSettings, geometry: SocketGeometry
+    model: Path | None, estimator: EstimatorSettings, geometry: Path
 ) -> EstimatorSettings:
-    """Estimator settings to predict with a stored model, without fitting."""
-    read_model(model, geometry)
+    """Estimator settings to predict with a stored model, if one is given, without fitting."""
+    if model is None:
+        return estimator
+    read_model(model, read_socket(geometry))
     return replace(estimator, model=str(model.resolve()), auto_fit=False)
 
 

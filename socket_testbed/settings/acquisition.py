@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from socket_testbed.settings.fields import Settings, fixed, setting
 
 MAX_TARE = 60.0  # [s]
+MAX_STALE = 1.0  # [s]
 MAX_SPAN = 0.25  # [s]; of the default averaging around a trigger
 
 
@@ -141,8 +142,9 @@ class MocapSettings(Settings):
     pylon_body: str = fixed("pylon", "name of the pylon's rigid body in Motive [-]")
     geometry: str = fixed("", "path of socket.yaml, for markers; empty: the package's own [-]")
     stale: float = fixed(
-        0.05, "largest gap between frames around a trigger, and timeout for them [s]", 1e-3, 1.0
-    )
+        0.05, "largest gap between frames around a trigger, and timeout for them [s]",
+        1e-3, MAX_STALE,
+    )  # fmt: skip
     window: float = setting(
         -1.0, "span of frames centred on a trigger to average for its pose; negative: the trigger's"
         f" period, at most {MAX_SPAN}; 0: between the two frames around it [s]", -1.0, 0.5,

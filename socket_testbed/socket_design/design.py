@@ -7,23 +7,24 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 
 import numpy as np
 import trimesh
 
-from socket_testbed.arrays import FloatArray
+from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.documents import Document, read_document
-from socket_testbed.errors import ConfigurationError, RegistrationError, naming
+from socket_testbed.errors import ConfigurationError, RegistrationError, closest, naming
 from socket_testbed.geometry.pose import Point, Pose, ScanPoint, about_z
-from socket_testbed.geometry.regions import SocketAxis, axis_between
+from socket_testbed.geometry.regions import SocketAxis, all_regions, axis_between
 from socket_testbed.geometry.socket import ScanFrame, SocketGeometry
-from socket_testbed.socket_design.clusters import ClusterPlace
-from socket_testbed.socket_design.interior import find_interior
+from socket_testbed.socket_design.clusters import ClusterPlace, place_clusters
+from socket_testbed.socket_design.interior import find_interior, refuse_implausible
 from socket_testbed.socket_design.registration import MAX_RESIDUAL, own_frame, register_landmarks
-from socket_testbed.socket_design.scan_file import METRES, Scan, refuse_implausible
+from socket_testbed.socket_design.scan_file import METRES, Scan
 from socket_testbed.socket_design.squares import Squares
 from socket_testbed.socket_design.tiling import Tiling, TilingSettings, tile_interior
 
@@ -247,6 +248,40 @@ def tile_names(anchors: FloatArray, axis: SocketAxis) -> tuple[str, ...]:
         twins = sum(other.startswith(name) for other in names)
         names.append(name + (chr(ord("a") + twins) if twins else ""))
     return tuple(names)
+
+
+def with_proposed_clusters(
+    design: SocketDesign, number: int, keep_out: Sequence[str]
+) -> SocketDesign:
+    """The design with clusters at the most informative tiles, and a note on their benefit."""
+    geometry = design.geometry
+    tiles = {tile: np.array([number]) for number, tile in enumerate(geometry.names)}
+    tiles |= {region.name: region.tiles for region in all_regions(geometry)}
+    allowed = np.ones(len(geometry), dtype=bool)
+    for name in keep_out:
+        allowed[tiles_named(name, tiles)] = False
+    found = place_clusters(geometry, number, list(geometry.clusters.values()), allowed)
+    names, clusters = list(geometry.names), dict(geometry.clusters)
+    free = (name for n in count(1) if (name := f"cluster_{n}") not in clusters)
+    for tile, name in zip(found.tiles[len(clusters) :].tolist(), free, strict=False):
+        clusters[name], names[tile] = tile, name
+    errors = ", ".join(f"{n}: {error:.2f}" for n, error in found.errors.items())
+    low, high = found.at_random
+    note = (
+        "the clusters are proposed. Expected error of the force map on tiles without one, over"
+        f" their rms, by the number of clusters: {errors}; with {number} at random {low:.2f} to"
+        f" {high:.2f}: the number matters more than the places"
+    )
+    geometry = dataclasses.replace(geometry, names=tuple(names), clusters=clusters)
+    return dataclasses.replace(design, geometry=geometry, notes=(*design.notes, note))
+
+
+def tiles_named(name: str, tiles: Mapping[str, IntArray]) -> IntArray:
+    """The tiles of a region, or the one of that name."""
+    if name not in tiles:
+        fact = f"--keep-out: there is no region or tile '{name}'"
+        raise ConfigurationError(fact, closest(name, tiles))
+    return tiles[name]
 
 
 # Usual places of three of the testbed's clusters: angle from anterior [deg], relative height [-].

@@ -14,6 +14,7 @@ from trimesh.util import diagonal_dot
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import ScanError
 from socket_testbed.socket_design.scan_file import (
+    METRES,
     boundary_half_edges,
     boundary_loops,
     loop_length,
@@ -419,3 +420,27 @@ def _notes_on_direction(given: FloatArray, axis: Axis, decided: bool) -> list[st
     if angle > _NOTED_ANGLE:
         return [f"the given proximal direction is {angle:.0f} deg off the axis of the cavity"]
     return []
+
+
+_LENGTH = (0.04, 0.7)  # [m]; of the cavity of a socket along its axis
+_GIRTH = (0.12, 0.85)  # [m]; of its wall
+
+
+def refuse_implausible(name: str, length: float, girth: float, unit: str) -> None:
+    """Refuse a cavity whose length and girth [m], in the file's unit, do not fit a socket."""
+
+    def plausible(scale: float) -> bool:
+        sizes = ((length, _LENGTH), (girth, _GIRTH))
+        return all(low <= scale * size <= high for size, (low, high) in sizes)
+
+    if plausible(1.0):
+        return
+    likely = [other for other, metres in METRES.items() if plausible(metres / METRES[unit])]
+    hint = "no unit makes it one: export the model in its real size"
+    if likely:
+        hint = f"its unit is likely {' or '.join(likely)}: give --unit {likely[0]}"
+    raise ScanError(
+        f"{name}: in {unit} its cavity is {length:.3g} m long and {girth:.3g} m around, which fits"
+        f" no socket ({_LENGTH[0]:g} to {_LENGTH[1]:g} m and {_GIRTH[0]:g} to {_GIRTH[1]:g} m)",
+        hint,
+    )

@@ -504,7 +504,8 @@ def _markers_of(take: MotiveTake, body: str, where: str) -> tuple[str, ...]:
         raise RegistrationError(
             f"{where}: the rigid body '{body}' has {len(names)} measured markers in the take"
             f" ({', '.join(names) or 'none'})",
-            "export its markers, or name three to eight of them instead of 'rigid_body'",
+            f"export its markers, or name {MIN_MARKERS} to {MAX_MARKERS} of them instead of"
+            " 'rigid_body'",
         )
     return names
 

@@ -23,7 +23,7 @@ from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
 from socket_testbed.documents import load_yaml
 from socket_testbed.errors import TrialError
-from socket_testbed.files import TemporaryFolder, hold
+from socket_testbed.files import TemporaryFolder, hold, sync
 from socket_testbed.trials.cdr import typestore
 from socket_testbed.trials.mcap_file import COPY_AGAIN, GIVE_BAG, McapFile, is_empty
 from socket_testbed.trials.topics import POSES, REQUIRED, TOPICS, Topic, match_topics
@@ -422,12 +422,3 @@ class BagWriter:
         storage.bio.seek(start + _CHUNK_CHECKSUM_OFFSET)
         storage.bio.write(checksum.to_bytes(4, "little"))
         storage.bio.seek(0, os.SEEK_END)
-
-
-def sync(path: Path) -> None:
-    """Flush a file or the entries of a folder to the disk."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -41,7 +41,6 @@ from socket_testbed.trials.trial import Trial
 _CDR_HEADER = b"\x00\x01\x00\x00"  # little endian
 GAIT_FORMATS = (".mot", ".sto", ".trc", ".c3d")
 _LOAD_COLUMNS = [f"socket_{name}{i}" for name in ("force_v", "force_p", "torque_") for i in "xyz"]
-_SHARED_COLUMNS = 1 + 6 + 6  # columns before those of the clusters: time, wrench, limb pose
 
 
 def sample_table(
@@ -63,7 +62,9 @@ def sample_table(
     table = samples.to_dataframe().iloc[segment.rows].reset_index()
     stamps = samples.stamps[segment.rows]
     capacitance, status = measured.capacitance[segment.rows], measured.status[segment.rows]
-    columns: dict[str, Any] = {"stamp [ns]": stamps, **table.iloc[:, :_SHARED_COLUMNS]}
+    of_clusters = tuple(f"{name}." for name in samples.clusters)
+    shared = [title for title in table if not title.startswith(of_clusters)]
+    columns: dict[str, Any] = {"stamp [ns]": stamps, **table[shared]}
     for number, name in enumerate(samples.clusters):
         readings = capacitance[:, number]
         stress, _ = calibration.clusters[name].apply(readings, status[:, number])

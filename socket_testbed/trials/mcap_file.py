@@ -206,7 +206,7 @@ class McapFile:
         return (
             f"the recording {self.path.name} was cut short (no end): {self.message_count} messages"
             f" up to {until} ({(self.end_time - 1 - self.start_time) * 1e-9:.1f} s) were saved, "
-            + ("none is missing" if complete else f"the last second may be missing{unread}")
+            + ("none is missing" if complete else f"the newest may be missing{unread}")
         )
 
     def _describe_damage(self, found: list[_Chunk], start: float, known: bool) -> str:

@@ -109,7 +109,7 @@ class SegmentPressure:
             pressure.columns_of(self.outputs.regions, pressure.TITLES), index=names
         )
         geometry, nearest = self.trial.geometry, []
-        for centre in table[CENTRE_TITLES].to_numpy() * 1e-3:
+        for centre in self.outputs.regions.centre.value:
             apart = np.linalg.norm(geometry.anchors - centre, axis=1)
             nearest.append("" if np.isnan(apart).any() else geometry.names[apart.argmin()])
         table["nearest tile"] = nearest

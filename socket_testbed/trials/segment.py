@@ -222,7 +222,13 @@ def _slips(steady: _Steadiness, start: int, settings: PlateauSettings) -> str:
         and np.linalg.norm(change[3:6]) <= settings.force_change
     ):
         return ""
-    slipped = np.flatnonzero(np.abs(change[6:]) > settings.cluster_change) + 6
+    channels: dict[str, list[int]] = {}
+    for i, name in enumerate(steady.names[6:], start=6):
+        channels.setdefault(name.rpartition(".")[0], []).append(i)
+    limit, slipped = settings.cluster_change, []
+    for own in channels.values():
+        if np.linalg.norm(change[own]) > limit:
+            slipped += [i for i in own if abs(change[i]) > limit / np.sqrt(3.0)]
     return ", ".join(f"{steady.names[i]} changed by {change[i]:.1f} N" for i in slipped)
 
 

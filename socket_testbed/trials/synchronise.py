@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -45,9 +45,9 @@ class Measurements:
     # Empty unless requested: ratios of the load cell's bridges, shape (N, 6) [-], the subtracted
     # tares [M; F], shape (N, 6) [N m, N], and the markers in the world by body, shape (N, k, 3)
     # [m], with k the maximum number of any body.
-    ratios: FloatArray = field(default_factory=lambda: np.empty((0, 6)))
-    tares: FloatArray = field(default_factory=lambda: np.empty((0, 6)))
-    markers: dict[str, FloatArray] = field(default_factory=dict)
+    ratios: FloatArray
+    tares: FloatArray
+    markers: dict[str, FloatArray]
 
     @property
     def time(self) -> FloatArray:

@@ -11,13 +11,19 @@ from typing import TYPE_CHECKING, Any
 
 from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.files import CALIBRATION_FILE, PARAMETERS_FILE, SOCKET_FILE, file_or_packaged
+from socket_testbed.files import (
+    CALIBRATION_FILE,
+    PARAMETERS_FILE,
+    SOCKET_FILE,
+    file_or_packaged,
+    sync,
+)
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.plausibility import find_outliers
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings, TestbedSettings, read_testbed
 from socket_testbed.trials import reprocess, synchronise, topics
-from socket_testbed.trials.bag import BagReader, required_topics, sync
+from socket_testbed.trials.bag import BagReader, required_topics
 from socket_testbed.trials.events import Event, find_events, join_events, read_events
 from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.metadata import METADATA_FILE, TrialMetadata, read_metadata

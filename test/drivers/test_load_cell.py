@@ -356,7 +356,7 @@ def test_checksums_delays_and_periods_are_those_of_the_data_sheet() -> None:
 
 def test_the_conversation_is_that_of_the_data_sheet() -> None:
     _, wire, converter = converter_on_a_wire()
-    converter.reset_and_configure(4096, 8)
+    converter.reset_and_configure(4096, 8, 8.192e6)
     assert wire.sent == [
         words(0x0655),
         words(0x0011),
@@ -383,25 +383,25 @@ def test_the_conversation_is_that_of_the_data_sheet() -> None:
 def test_a_chip_that_is_another_or_dead_or_deaf_is_named() -> None:
     _, _, converter = converter_on_a_wire(8, chip_channels=6)
     with refused(DeviceError, "the converter says ID 0x2602, not 0x28xx"):
-        converter.reset_and_configure(4096, 1)
+        converter.reset_and_configure(4096, 1, 8.192e6)
     chip, wire, converter = converter_on_a_wire()
     wire.alter = lambda answer: [255] * len(answer)
     with refused(DeviceError, "spidev0.0: no answer (every bit reads 1)", "MISO"):
-        converter.reset_and_configure(4096, 1)
+        converter.reset_and_configure(4096, 1, 8.192e6)
     deaf = Mock(xfer2=lambda data: chip.xfer2(words(0) if data[:2] == [0x61, 0x03] else data))
     with refused(DeviceError, "register 0x02"):
-        ads131m0x.Ads131m0x(deaf, 6).reset_and_configure(4096, 1)
+        ads131m0x.Ads131m0x(deaf, 6).reset_and_configure(4096, 1, 8.192e6)
 
 
 def test_another_configuration_follows_an_earlier_one() -> None:
     """After a crash of the computer the chip is as it was left, checksum and lock included."""
     chip, wire, converter = converter_on_a_wire(crc="ansi")
-    converter.reset_and_configure(1024, 2)
+    converter.reset_and_configure(1024, 2, 8.192e6)
     chip.xfer2(words(0x0555))
     chip.xfer2(words(0x0011))
     assert int.from_bytes(chip.xfer2(words(0))[:2], "big") & 0x8500 == 0x8100  # locked, no reset
     again = ads131m0x.Ads131m0x(wire, 6)
-    again.reset_and_configure(4096, 1)
+    again.reset_and_configure(4096, 1, 8.192e6)
     clocks.sleep(CONVERSION)
     assert again.read().new
 

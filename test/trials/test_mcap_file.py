@@ -223,7 +223,7 @@ def test_notes_name_what_was_saved_and_what_is_missing(recording, tmp_path: Path
         _, note = bag.notes
     assert (folder / "bag.mcap").read_bytes() == recording.data[:cut]  # it is only read
     assert f"cut short (no end): {3 * MESSAGES} messages up to " in note
-    assert "(0.3 s) were saved, the last second may be missing (5 bytes cannot be read)" in note
+    assert "(0.3 s) were saved, the newest may be missing (5 bytes cannot be read)" in note
     assert read(folder / "bag.mcap") == recording.before(cut)  # a single file
     with pytest.raises(TrialError, match="cannot be read"):
         read(write(tmp_path / "bag", b"no MCAP at all, whatever its name says: " * 9))

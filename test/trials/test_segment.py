@@ -112,6 +112,9 @@ def test_a_step_of_a_cluster_ends_a_plateau_and_the_newest_names_it() -> None:
     assert newest.start >= 29.0 and newest.end == samples.time[-1]
     for part in segment.find_newest_plateaus(under(seconds((30, 150), (50, 280)), force), SETTINGS):
         assert part.cause == ""  # the load changed, too
+    slid = under(seconds((80, 280)))
+    slid.local_forces[120:] += 0.95 * SETTINGS.cluster_change  # in three directions at once
+    assert segment.find_newest_plateaus(slid, SETTINGS)[0].cause.count(" changed by ") == 3
     samples.local_forces[120 : 120 + missing] = np.nan  # a gap hides no step
     settings = dataclasses.replace(SETTINGS, missing_fraction=0.5)
     longest, other = segment.find_plateaus(samples, settings)

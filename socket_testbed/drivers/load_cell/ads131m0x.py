@@ -153,7 +153,7 @@ class Ads131m0x:
         """Type and place of the converter."""
         return f"ADS131M{self._channels:02d} on {self._name}, ID 0x{self.identity:04X}"
 
-    def reset_and_configure(self, oversampling: int, gain: int, clock_in: float = 8.192e6) -> None:
+    def reset_and_configure(self, oversampling: int, gain: int, clock_in: float) -> None:
         """Reset the chip, write its registers, read them back and drop unsettled conversions.
 
         The oversampling ratio, 128 to 16384, and the gain of all channels, 1 to 128, are powers of

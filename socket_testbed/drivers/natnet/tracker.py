@@ -17,9 +17,9 @@ from socket_testbed.arrays import BoolArray, FloatArray, IntArray, line_weights
 from socket_testbed.drivers.natnet.messages import BodiesByName, MocapFrame
 from socket_testbed.geometry.marker_bodies import EDGE_TOLERANCE, MIN_MARKERS, distances, fit_body
 from socket_testbed.geometry.pose import Pose
-from socket_testbed.settings.acquisition import MocapSettings
+from socket_testbed.settings.acquisition import MAX_STALE, MocapSettings
 
-_HISTORY = 1.0  # [s]
+_HISTORY = MAX_STALE  # [s]
 _MAX_VOTES, _MIN_VOTES = 20, 3  # fits that determine the usual order of the labels
 _NOWHERE = np.full(7, np.nan)  # the pose of a body that has none
 _MAX_STEP = 0.01  # [m]; of a marker between two frames, if its body was not fitted
