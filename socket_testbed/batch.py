@@ -26,7 +26,6 @@ from socket_testbed.files import (
 )
 from socket_testbed.tables import split_unit, write_table
 from socket_testbed.trials.metadata import METADATA_FILE
-from socket_testbed.trials.reprocess import RECORDED
 from socket_testbed.trials.trial import Trial
 from socket_testbed.version import __version__
 
@@ -46,7 +45,7 @@ class Job:
     name: str  # its path below the folder of trials, such as `s01/hold`
     trial: Trial
     output: Path
-    files: Mapping[str, Path] = field(default_factory=dict)  # further inputs, by option
+    files: Mapping[str, Path] = field(default_factory=dict)  # further inputs, such as `model`
 
 
 @dataclass(frozen=True)
@@ -67,29 +66,22 @@ class Task:
 
 
 def plan_jobs(
-    trials: Mapping[str, Path],
-    output: Path,
-    suffix: str,
-    files: Mapping[str, Path | None] | None = None,
-    unloaded: tuple[tuple[float, float], ...] = (),
-    tare: str = RECORDED,
+    trials: Mapping[str, Trial], output: Path, suffix: str, files: Mapping[str, Path]
 ) -> list[Job]:
-    """The jobs of a folder of trials; all paths are absolute, as remote workers require.
+    """The jobs of a folder of trials; remote workers require absolute paths.
 
     Outputs mirror the folder of the trials, with a suffix such as `.json`. All results depend on
-    `files`, given by option; a folder stands for the file in it with the trial's name, such as
+    `files`, by option; a folder stands for the file in it with the trial's name, such as
     `models/s01/hold.json`.
     """
-    given = {option: path.absolute() for option, path in (files or {}).items() if path}
-    replaced = given.get("--geometry"), given.get("--calibration")
     return [
         Job(
             name,
-            Trial(path.absolute(), *replaced, None, unloaded, given.get("--load-cell"), tare),
-            output.absolute() / f"{name}{suffix}",
-            {opt: file / f"{name}.json" if file.is_dir() else file for opt, file in given.items()},
+            replace(trial, notify=None),  # notes come back with the row
+            output / f"{name}{suffix}",
+            {opt: file / f"{name}.json" if file.is_dir() else file for opt, file in files.items()},
         )
-        for name, path in trials.items()
+        for name, trial in trials.items()
     ]
 
 

@@ -11,6 +11,7 @@ from support.batches import count
 from socket_testbed.batch import Job, Row, Task, plan_jobs, run_batch
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.trials.bag import find_trials
+from socket_testbed.trials.trial import Trial
 
 
 def make_trial(path: Path, content: str = "messages") -> Path:
@@ -37,8 +38,9 @@ def task(tmp_path: Path) -> Task:
 
 def run(study: Path, task: Task, processes: int = 1, **more: object) -> tuple[list[str], list[str]]:
     """States of the trials as they are printed, and warnings."""
-    files = {"--calibration": file} if (file := study / "calibration.yaml").exists() else {}
-    jobs = plan_jobs(find_trials(study), task.folder, ".json", files)
+    files = {"calibration": file} if (file := study / "calibration.yaml").exists() else {}
+    trials = {name: Trial(path) for name, path in find_trials(study).items()}
+    jobs = plan_jobs(trials, task.folder, ".json", files)
     lines, warned = [], []
     try:
         run_batch(task, jobs, lines.append, warned.append, processes, **more)

@@ -112,7 +112,8 @@ def refuse_given(options: Mapping[str, Any], belongs: str, hint: str) -> None:
     """Raise an error for options without meaning in this call."""
     for name, value in options.items():
         if value not in (None, RECORDED):
-            raise ConfigurationError(f"{_option(name)} is for {belongs}", hint)
+            option = f"--{name.replace('_', '-')}"
+            raise ConfigurationError(f"{option} is for {belongs}", hint)
 
 
 def check_files(
@@ -283,9 +284,9 @@ def on_trials(
             "give -o FOLDER without --json and --figure, or one trial",
         )
     check_settings(options)
-    files = {_option(name): options.get(name) for name in _FILES}
-    spans = parse_unloaded([*options["unloaded"]])
-    planned = plan_jobs(trials, output, verb.suffix, files, spans, options["tare"])
+    files = {name: path.absolute() for name in _FILES if (path := options.get(name))}
+    opened = {name: open_given(path.absolute(), **options | files) for name, path in trials.items()}
+    planned = plan_jobs(opened, output.absolute(), verb.suffix, files)
     work = partial(_run_job, verb, {"alone": False, **options})
     settings = {name: value for name, value in options.items() if name not in _NO_SETTINGS}
     metadata = (*verb.metadata, "mass")  # the data check compares the load with it
@@ -297,12 +298,7 @@ def on_trials(
 
 
 def _run_job(verb: TrialVerb[R], options: Mapping[str, Any], job: Job) -> Row:
-    files = {name: job.files.get(_option(name)) for name in _FILES}
     data = report_data(job.trial, good=False)
     return {"data": data} | verb.row(
-        verb.work(job.trial, {**options, **files, "output": job.output})
+        verb.work(job.trial, {**options, **job.files, "output": job.output})
     )
-
-
-def _option(name: str) -> str:
-    return f"--{name.replace('_', '-')}"
