@@ -23,9 +23,8 @@ from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
 from socket_testbed.trials.bag import find_trials
 from socket_testbed.trials.metadata import FIELDS, TrialMetadata, change_metadata
-from socket_testbed.trials.reprocess import RECORDED
+from socket_testbed.trials.reprocess import RECORDED, parse_unloaded
 from socket_testbed.trials.segment import Segment
-from socket_testbed.trials.synchronise import parse_unloaded
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:

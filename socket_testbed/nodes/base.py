@@ -49,7 +49,7 @@ LINKS = "links"  # topic=number of matched subscribers, separated by blanks
 HEARS = "hears"  # topics from which it needs a publisher, separated by blanks
 
 _SUBSCRIBER_DEPTH = 2000  # [messages]; enough for a fast replay or a busy moment
-_REPORT_PERIOD = 1.0  # [s]
+REPORT_PERIOD = 1.0  # [s]
 _CHECK_PERIOD = 0.1  # [s]; of links and node
 
 S = TypeVar("S", bound=Settings)
@@ -344,7 +344,7 @@ class TestbedNode(Node, Generic[S]):
             self._checks += 1
             # A replay advances with the progress that its followers report.
             replayed = self.count_publishers("/clock") > 0
-            due = self._checks * _CHECK_PERIOD >= _REPORT_PERIOD
+            due = self._checks * _CHECK_PERIOD >= REPORT_PERIOD
             if replayed or due or waiting != self._waiting:
                 self._waiting = waiting
                 self._publish_diagnostics()

@@ -54,7 +54,7 @@ _ACKNOWLEDGE_TIMEOUT = 5.0  # [s]
 
 # Services:
 _DISCOVERY_TIMEOUT = 3.0  # [s]
-_ANSWER_TIMEOUT = 5.0  # [s] of the testbed; a tare averages for one
+_ANSWER_TIMEOUT = 5.0  # [s] of the testbed
 _FIT_TIMEOUT = 120.0  # [s]
 _RETRY_INTERVAL = 2.5  # [s] of the testbed; the middleware can lose an answer
 

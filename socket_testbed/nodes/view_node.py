@@ -40,7 +40,7 @@ from socket_testbed.trials.messages import Reader, in_order
 from socket_testbed.trials.metadata import FIELDS
 
 _STALE_AFTER = 2.0  # [s]; older data is not shown as current
-_SILENT_AFTER = 3.0  # [s]; a node without a report for longer is silent
+_SILENT_AFTER = 3.0 * base.REPORT_PERIOD  # [s]; a node without a report for longer is silent
 _IDLE_AFTER = 3.0  # [s]; without a request for longer, no browser is open
 _DEPTHS = {
     topics.FORCE_MAP: 1,

@@ -1,34 +1,29 @@
 """Samples of a trial: recorded values, matched by trigger timestamp.
 
-`read_measurements` arranges the recorded values in rows, one per trigger. `correct_measurements`
-removes the clusters' drift, if unloaded spans are known. `make_samples` computes the stresses and
-forces, with a calibration, and the limb position. `Trial.samples` does all of this with the trial's
-own configuration.
+`read_measurements` arranges the recorded values in rows, one per trigger; `reprocess` may replace
+some. `make_samples` computes the stresses and forces, with a calibration, and the limb position.
+`Trial.samples` does all of this with the trial's own configuration.
 """
 
 from __future__ import annotations
 
-import dataclasses
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
-from socket_testbed.arrays import FloatArray, IntArray, StatusArray, within
-from socket_testbed.calibration import drift
+from socket_testbed.arrays import FloatArray, IntArray, StatusArray
 from socket_testbed.calibration.model import Calibration
-from socket_testbed.errors import ConfigurationError, TrialError, listed
+from socket_testbed.errors import TrialError, listed
 from socket_testbed.geometry.marker_bodies import MAX_MARKERS
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import Samples, Status
 from socket_testbed.trials import topics
 from socket_testbed.trials.bag import BagReader, required_topics
 from socket_testbed.trials.messages import Reader, VectorPacker, pose_packer, wrench_packer
-from socket_testbed.trials.segment import parse_span
 
 
 @dataclass(frozen=True)
@@ -245,98 +240,6 @@ def _times(parts: list[str]) -> str:
     return f"{times} ({listed(parts, _MAX_LISTED)})"
 
 
-def correct_measurements(
-    measured: Measurements,
-    spans: Sequence[tuple[float, float]],
-    calibration: Calibration,
-    least_force: float,
-    where: str,
-    notify: Callable[[str], None],
-) -> Measurements:
-    """Shift the clusters' readings to the baseline of their calibration.
-
-    The drift is taken as linear between two unloaded spans [s]. A calibration's baseline is that of
-    an unloaded cluster. If it stores none, or the load cell measured more than `least_force` [N] in
-    the first span (even a pylon alone has weight), only the drift since that span is corrected.
-    `notify` reports the drift between two spans, flags a large one, and lists uncorrected clusters;
-    `where` names the trial in errors.
-    """
-    loads = _unloaded_forces(measured, spans, least_force, where)
-    stored = any(calibration.clusters[name].baseline is not None for name in measured.clusters)
-    free = not loads or loads[0] <= least_force
-    borne = zip(loads, spans, strict=False)  # no loads without a wrench
-    loaded = [f"{load:.0f} N in {a:g}:{b:g}" for load, (a, b) in borne if load > least_force]
-    if loaded:
-        unused = "; the stored baseline is not used" * (stored and not free)
-        notify(
-            f"the load cell measured {', '.join(loaded)}: creep of the limb there counts as drift"
-            f" of the clusters; give spans with the limb out of the socket{unused}"
-        )
-    time = measured.time
-    capacitance = measured.capacitance.copy()
-    unchanged = []
-    for column, name in enumerate(measured.clusters):
-        readings = capacitance[:, column]
-        baselines = []
-        for start, end in spans:
-            rows = within(time, start, end) & np.isfinite(readings).all(axis=1)
-            middle = float(np.median(time[rows])) if rows.any() else start
-            of_span = f"{where}: {name} from {start:g} s to {end:g} s"
-            baselines.append(drift.average_baseline(middle, readings[rows], of_span))
-        cluster = calibration.clusters[name]
-        before, after = baselines[0], baselines[1] if len(baselines) > 1 else None
-        reference = cluster.baseline if free else None
-        capacitance[:, column] = drift.correct_drift(readings, time, before, after, reference)
-        if after is not None:
-            notify(f"{name} {_describe(drift.measure_drift(cluster, before, after))}")
-        elif reference is None:
-            unchanged.append(name)
-    if unchanged:
-        notify(
-            f"one span without load and no stored baseline in use: the drift of"
-            f" {', '.join(unchanged)} is not corrected: give a second span, after the load"
-        )
-    return dataclasses.replace(measured, capacitance=capacitance)
-
-
-_MIN_REST = 1.0  # [s]; shorter pauses are not unloaded spans
-
-
-def _unloaded_forces(
-    measured: Measurements, spans: Sequence[tuple[float, float]], least_force: float, where: str
-) -> list[float]:
-    """Median force in each span [N], empty if no force is known; refuses a loaded span."""
-    force = np.linalg.norm(measured.wrench[:, 3:], axis=1)
-    known = np.isfinite(force)
-    time, force = measured.time[known], force[known]
-    if len(force) == 0:
-        return []
-    width = max(3, int(_MIN_REST * len(time) / max(float(time[-1] - time[0]), _MIN_REST)))
-    steady = median_filter(force, width, mode="nearest")
-    least = float(steady.min())
-    loads = []
-    for start, end in spans:
-        forces = force[within(time, start, end)]
-        load = float(np.median(forces)) if len(forces) else least
-        if load > least + least_force:
-            raise TrialError(
-                f"{where}: {start:g}:{end:g} is not without load, the load cell measured"
-                f" {load:.0f} N there",
-                f"give a span as at {time[steady.argmin()]:.1f} s, where it measured {least:.0f} N",
-            )
-        loads.append(load)
-    return loads
-
-
-def _describe(found: drift.Drift) -> str:
-    normal, shear_x, shear_y = 1e-3 * found.stress
-    flag = f", more than {1e-3 * drift.DRIFT_LIMIT:g} kPa" if found.flagged else ""
-    return (
-        f"drifted by {normal:+.2f} kPa normal, {shear_x:+.2f} and {shear_y:+.2f} kPa shear between"
-        f" the spans, corrected{flag}"
-    )
-
-
 def make_samples(
     measured: Measurements, calibration: Calibration, geometry: SocketGeometry
 ) -> Samples:
@@ -362,26 +265,3 @@ def make_samples(
         local_forces=forces,
         status=status,
     )
-
-
-def check_unloaded(spans: tuple[tuple[float, float], ...]) -> None:
-    """Refuse unloaded spans [s]: more than two, reversed, overlapping or unsorted ones."""
-    if len(spans) > 2:
-        raise ConfigurationError(
-            f"--unloaded has {len(spans)} spans", "give one before, or one before and one after"
-        )
-    for start, end in spans:
-        parse_span(f"{start}:{end}", "--unloaded")
-    if len(spans) == 2 and not spans[0][1] < spans[1][0]:
-        first, second = (f"{start:g}:{end:g}" for start, end in spans)
-        raise ConfigurationError(
-            f"--unloaded: {second} does not begin after {first}",
-            "give the span before the load first, the one after it second",
-        )
-
-
-def parse_unloaded(spans: list[str]) -> tuple[tuple[float, float], ...]:
-    """Unloaded spans given as `T0:T1`, in seconds since the trial's first sample."""
-    parsed = tuple(parse_span(span, "--unloaded") for span in spans)
-    check_unloaded(parsed)
-    return parsed

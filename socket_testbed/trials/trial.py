@@ -56,7 +56,7 @@ class Trial:
     _noted: dict[str, None] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        synchronise.check_unloaded(self.unloaded)
+        reprocess.check_unloaded(self.unloaded)
         reprocess.parse_tare(self.tare)
 
     def __repr__(self) -> str:
@@ -122,7 +122,7 @@ class Trial:
             return measured
         self._require_clusters(measured.clusters)
         least_force = self.estimator.plateau.least_force
-        return synchronise.correct_measurements(
+        return reprocess.correct_measurements(
             measured, self.unloaded, self.calibration, least_force, where, self._notify
         )
 

@@ -9,8 +9,9 @@ import pytest
 from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
-from matplotlib.colors import PowerNorm
+from matplotlib.colors import PowerNorm, to_hex
 from matplotlib.text import Text
+from support import CHECKOUT
 from support.problems import random_socket, ring_socket
 
 from socket_testbed.report import style
@@ -36,6 +37,17 @@ def test_a_thinned_line_keeps_its_peaks_its_order_and_its_gaps(rng):
     assert np.isnan(kept[(x >= 4100) & (x < 5900)]).all()
     _, lowest, highest = style.thin_band(time, low, high, 500)
     assert np.nanmin(lowest) == np.nanmin(low) and highest.max() == high.max()
+
+
+def test_print_and_pages_have_one_colour_scale() -> None:
+    script = (
+        (CHECKOUT / "socket_testbed/pages/static/socket.js")
+        .read_text()
+        .partition("const VIRIDIS")[2]
+        .partition("].map")[0]
+    )
+    ours = [to_hex(colormaps[style.SCALE](place)) for place in np.linspace(0.0, 1.0, 11)]
+    assert re.findall(r"#[0-9a-f]{6}", script) == ours
 
 
 def scales_of(figure) -> list[tuple[float, float]]:

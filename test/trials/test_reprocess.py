@@ -20,7 +20,7 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, write_socket
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.settings.testbed import TestbedSettings, read_testbed, write_testbed
-from socket_testbed.trials import synchronise
+from socket_testbed.trials import reprocess, synchronise
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.cdr import decode, stamp_of
 from socket_testbed.trials.messages import load_cell_raw_packer, pose_packer, wrench_packer
@@ -217,7 +217,7 @@ def measured(hold: Path) -> synchronise.Measurements:
 def correct(trial: Trial, measured: synchronise.Measurements) -> synchronise.Measurements:
     """The correction of `Trial.measurements`, of any measurements."""
     least, notify = trial.estimator.plateau.least_force, trial.notify or (lambda note: None)
-    return synchronise.correct_measurements(
+    return reprocess.correct_measurements(
         measured, trial.unloaded, trial.calibration, least, str(trial.path), notify
     )
 
@@ -274,4 +274,4 @@ def test_spans_under_load_are_refused(hold: Path, measured: synchronise.Measurem
     assert len(notes) == 2 and "distal is not corrected: give a second span" in notes[1]
     for wrong in (["8:2"], ["nan:1"], ["0:1", "2:3", "4:5"], ["0:5", "3:8"]):
         with refused(ConfigurationError, "--unloaded"):
-            synchronise.parse_unloaded(wrong)
+            reprocess.parse_unloaded(wrong)
