@@ -3,13 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from socket_testbed.clocks import (
-    BEGINNING,
-    SteadyClock,
-    TriggerPeriod,
-    TriggerTime,
-    stamp_by_triggers,
-)
+from socket_testbed.clocks import BEGINNING, SteadyClock, TriggerPeriod, TriggerTime
 
 START = 1_760_000_000_123_456_789  # [ns]
 
@@ -85,9 +79,3 @@ def test_jitter_missed_pulses_and_pauses_leave_the_period_and_another_rate_is_fo
     assert periods_of(faster)[-5:] == pytest.approx([0.01] * 5)
     restarted = [(0.05 * k, 100 + k) for k in range(9)] + [(3.0 + 0.1 * k, k) for k in range(5)]
     assert periods_of(restarted)[-5:] == pytest.approx([0.0] * 3 + [0.1] * 2)
-
-
-def test_one_trigger_or_a_burst_alone_is_in_real_time() -> None:
-    assert stamp_by_triggers(99.0, [(100.0, START)]) == START - 10**9
-    two = [(100.0, START), (100.0 + 1e-5, START + 250_000_000)]
-    assert stamp_by_triggers(100.0, two) == pytest.approx(two[1][1], abs=1e5)

@@ -162,7 +162,7 @@ class CalibratedCluster(Result):
             below.plot(x[some], unseen, "x", color=VERMILION, markersize=3.0, label="held out")
             fit = (fitted - known)[some, k]
             below.plot(x[some], fit, ".", color="0.2", markersize=2.0, label="in the fit")
-            below.axhline(0.0, color="0.72", linewidth=1.0)
+            below.axhline(0.0, color=MEASURED_STYLE["color"], linewidth=1.0)
             error = f"\nheld-out:\n{found.held_out['percent'].iloc[k]:.1f} % of\nfull scale"
             above.set_title(name + error * style.titles)
             below.set_xlabel("known [kPa]")

@@ -168,11 +168,8 @@ class Evaluation(Result):
     @property
     def in_sample(self) -> bool:
         """Whether the model was fitted on some of these samples."""
-        same = self.model.trial == self.trial.name
-        if not same or self.model.last_stamp not in self.trial.samples().stamps:
-            return False
-        start, end = self.model.span
-        return start <= self.segment.end and self.segment.start <= end
+        used = self.model.used(self.trial.name, self.trial.samples())
+        return bool(used[self.segment.rows].any())
 
     def to_dataframe(self) -> pd.DataFrame:
         """Errors, one row per channel in the channel's unit."""

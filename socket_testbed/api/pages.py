@@ -150,12 +150,12 @@ def write_comparison(
     groups = {
         "": [
             Section("differing", "", [[*clearest, f"{count}."]]),
+            *([Section("notes", "Notes", [found.notes])] if found.notes else []),
             *([Section("maps", "Maps", [Maps(titles, _MAPS)])] if titles else []),
             Section("socket", "Whole socket", [socket]),
         ],
         "Numbers": [Section("intervals", "Intervals", [_INDEPENDENT, LEGEND]), *numbers],
         "Data": [
-            Section("notes", "Notes", [found.notes]),
             *(Section(name, _HEADINGS[name], tables) for name, tables in parts.items()),
             Section("provenance", "Provenance", [made_with]),
         ],

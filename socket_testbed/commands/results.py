@@ -378,7 +378,8 @@ def pressure_tables(found: TrialPressure) -> str:
     tiles = cells(geometry.names, outputs.tiles, share=found.share)
     clusters = tiles.iloc[[*geometry.clusters.values()]]
     clusters.index = [
-        f"{tile}, {name}" for tile, name in zip(clusters.index, geometry.clusters, strict=True)
+        ", ".join(dict.fromkeys(names))
+        for names in zip(clusters.index, geometry.clusters, strict=True)
     ]
     clusters = clusters[list(TILE_TITLES)].rename_axis("tile under a cluster")
     frames = [

@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from socket_testbed import documents
-from socket_testbed.arrays import FloatArray
+from socket_testbed.arrays import BoolArray, FloatArray, within
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import write_text
 from socket_testbed.geometry.socket import SocketGeometry, socket_from_document
@@ -57,11 +57,12 @@ class StoredModel:
         """Predictions of all channels, (N, 6 + 3c), with poses averaged as in the fit."""
         return predictions(samples, self.model, self.settings.pose_smoothing)
 
-    @property
-    def span(self) -> tuple[float, float]:
-        """Start and end of the segment since the trial's first sample [s]; the whole if unknown."""
+    def used(self, trial: str, samples: Samples) -> BoolArray:
+        """Which samples of a trial of this name are in the segment of the fit, shape (N,)."""
+        if trial != self.trial or self.last_stamp not in samples.stamps:
+            return np.zeros(len(samples), dtype=bool)
         found = re.search(r"([\d.]+) s to ([\d.]+) s$", self.segment)
-        return (float(found[1]), float(found[2])) if found else (0.0, math.inf)
+        return within(samples.time, *map(float, found.groups() if found else (0.0, math.inf)))
 
     def __repr__(self) -> str:
         return (

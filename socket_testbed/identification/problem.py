@@ -113,7 +113,9 @@ def check_channels(leave_out: tuple[str, ...], names: tuple[str, ...]) -> None:
     """Check that every name is a channel."""
     for name in leave_out:
         if name not in names:
-            raise ConfigurationError(f"leave_out: no channel '{name}'", closest(name, names))
+            own = [channel for channel in names if channel.startswith(f"{name}.")]
+            hint = f"give {' '.join(own)}" if own else closest(name, names)
+            raise ConfigurationError(f"leave_out: no channel '{name}'", hint)
 
 
 def _usable_rows(samples: Samples, wrench_counts: BoolArray) -> BoolArray:

@@ -27,7 +27,12 @@ from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.nodes import base
 from socket_testbed.settings.testbed import NextTrialSettings
 from socket_testbed.trials.cdr import stamp_of
-from socket_testbed.trials.events import check_label
+from socket_testbed.trials.events import (
+    REAL_TIME,
+    check_label,
+    stamp_by_triggers,
+    trigger_speed,
+)
 from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.topics import (
     ESTIMATED_WRENCH,
@@ -177,10 +182,10 @@ class EventMarker:
         self._wait(lambda: self._has_triggers(max(_MIN_SPAN, 0.5 * since)), _TRIGGER_TIMEOUT)
         if not self._triggers:
             return time.time_ns() - round((time.monotonic() - called) * 1e9)
-        if clocks.trigger_speed(self._triggers) != clocks.REAL_TIME:
+        if trigger_speed(self._triggers) != REAL_TIME:
             span = min(_SPAN_FACTOR * since, _MAX_SPAN)
             self._wait(lambda: self._has_triggers(span), span)
-        return clocks.stamp_by_triggers(called, self._triggers)
+        return stamp_by_triggers(called, self._triggers)
 
     def _has_triggers(self, span: float) -> bool:
         triggers = self._triggers

@@ -27,10 +27,10 @@ from socket_testbed.report.results import Results
 from socket_testbed.report.style import (
     DEFAULT_STYLE,
     LINE_STYLES,
+    PAGE_LINES,
     FigureStyle,
     in_style,
     lay_out,
-    page_line,
     style_axes,
 )
 from socket_testbed.tables import Table
@@ -57,10 +57,10 @@ def section(results: Results) -> Section:
     if not results.fronts:
         return Section("fronts", "Pareto fronts", [f"None: {results.no_fronts}."])
     fronts, lines = [*results.fronts.values()], {}
-    for front, style in zip(fronts, LINE_STYLES, strict=False):
+    for front, style in zip(fronts, PAGE_LINES[1:], strict=False):
         kept, errors = _kept(front)
         x, y = numbers(errors[:, kept], 6)
-        lines[_describe(front)] = {"x": x, "y": y, "style": page_line(style)}
+        lines[_describe(front)] = {"x": x, "y": y, "style": style}
     figure = ReportFigure(
         "pareto",
         "Normalised error of the clusters against that of the wrench, for theta from 0 to 1. Errors"

@@ -57,14 +57,16 @@ def describe_models(results: Results) -> list[str]:
     return [
         f"Fitted to the segment, {results.segment}: {int(results.in_segment.sum())} of"
         f" {len(results.samples)} samples, mean force {number(force)} N, mean moment"
-        f" {number(moment)} N m. Errors over it are in-sample, those over the rest held-out.",
+        f" {number(moment)} N m. Errors over it are {results.judged_on}, those over the rest"
+        " held-out.",
         *(_describe(candidate) for candidate in results.candidates),
     ]
 
 
 def _describe(candidate: Candidate) -> str:
     parts = []
-    for title, errors in (("in-sample", candidate.errors), ("held-out", candidate.held_out)):
+    segment = "in-sample" if candidate.in_sample else "on the unseen segment"
+    for title, errors in ((segment, candidate.errors), ("held-out", candidate.held_out)):
         if errors:
             found = summarise_errors(errors)
             parts.append(f"{title}: {found.in_words()}, median skill {number(found.skill, 'z.2f')}")
@@ -103,13 +105,13 @@ def paper_section(results: Results) -> Section:
 def errors_section(results: Results) -> Section:
     """The section on the errors of every model, over the segment and over the rest."""
     parts = [
-        "In-sample: errors over the segment used for the fits. Sigma is the standard deviation of"
-        " the residual; skill is 1 - RMSE / RMSE of the best constant: 1 is perfect, 0 no better"
-        " than the channel's mean over these samples.",
+        f"Errors over the segment used for the fits: {results.judged_on}. Sigma is the standard"
+        " deviation of the residual; skill is 1 - RMSE / RMSE of the best constant: 1 is perfect, 0"
+        " no better than the channel's mean over these samples.",
         _errors(
             results,
             "errors",
-            "Errors over the segment (in-sample), in the unit of the channel",
+            f"Errors over the segment ({results.judged_on}), in the unit of the channel",
             [candidate.errors for candidate in results.candidates],
         ),
     ]
@@ -194,8 +196,8 @@ def _channels(results: Results, name: str, title: str, channels: Sequence[int]) 
     heading = results.title(title)
     return ReportFigure(
         name,
-        f"{title}, {results.segment}; errors in the panels are over the shaded segment, used for"
-        f" the fits (in-sample). {THINNED}",
+        f"{title}, {results.segment}. In figures for print, with errors over the shaded segment"
+        f" ({results.judged_on}). {THINNED}",
         lambda style: wrench_figure(samples, results.segment, models, heading, style, channels),
         results.series(columns),
         line_chart(samples.time, charts),

@@ -22,14 +22,7 @@ from socket_testbed.files import write_text
 from socket_testbed.geometry.regions import socket_axis
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.pages.document import numbers, socket_document
-from socket_testbed.report.style import (
-    LINE_STYLES,
-    MEASURED_STYLE,
-    FigureStyle,
-    page_line,
-    save_figure,
-    thin,
-)
+from socket_testbed.report.style import PAGE_LINES, FigureStyle, save_figure, thin
 from socket_testbed.tables import UNCERTAIN, pairs_table, write_table
 
 if TYPE_CHECKING:
@@ -68,11 +61,10 @@ def utc(moment: datetime) -> str:
 
 def line_chart(time: FloatArray, panels: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """A chart of panels over time (N,) [s], thinned: what is measured, then named models."""
-    styles = [page_line(style) for style in (MEASURED_STYLE, *LINE_STYLES)]
     shown = []
     for panel in panels:
         lines = {}
-        for (name, values), style in zip(panel["lines"].items(), styles, strict=False):
+        for (name, values), style in zip(panel["lines"].items(), PAGE_LINES, strict=False):
             x, y = thin(time, values)
             lines[name] = {"x": numbers(x), "y": numbers(y, 4), "style": style}
         shown.append({"title": panel["title"], "lines": lines})

@@ -48,7 +48,8 @@ class Candidate:
     source: Fit | StoredModel
     predicted: FloatArray  # (N, 6 + 3c) [N m, N], over the trial
     errors: tuple[ChannelErrors, ...]  # over the segment
-    held_out: tuple[ChannelErrors, ...]  # over the rest; empty with too few samples
+    in_sample: bool  # whether it was fitted on samples of the segment
+    held_out: tuple[ChannelErrors, ...]  # over the rest, unused; empty with too few samples
     shares: tuple[information.LoadShare, ...]  # of the load over the segment
     engagement: information.Engagement  # of the springs over the trial
 
@@ -90,6 +91,12 @@ class Results:
     def in_segment(self) -> BoolArray:
         """Samples of the segment, shape (N,)."""
         return _rows_of(self.segment, self.samples)
+
+    @property
+    def judged_on(self) -> str:
+        """Relation of the segment to the fits, in words."""
+        unseen = any(not candidate.in_sample for candidate in self.candidates)
+        return f"in-sample{f', unseen by the {GIVEN} model' * unseen}"
 
     @property
     def fitted(self) -> dict[str, Candidate]:
@@ -143,6 +150,8 @@ def compute_results(
             fit = fit_contact_model(chosen, trial.geometry, own)
             candidates.append(_judge(trial, segment, variant, fit))
     if given is not None:
+        if given.settings.leave_out != leave_out:
+            notes.append(f"the {GIVEN} model leaves out what its fit did, outliers as well")
         candidates.append(_judge(trial, segment, GIVEN, given))
     progress(2, _STAGES)
     # The report may lack a front or a validation.
@@ -193,14 +202,17 @@ def _judge(trial: Trial, segment: Segment, label: str, source: Fit | StoredModel
     samples = trial.sound(leave_out)
     chosen = samples[segment.rows]
     predicted = predictions(samples, model, window)
-    outside = ~_rows_of(segment, samples)
-    held_out = evaluate(samples[outside], predicted[outside], leave_out)
+    inside = _rows_of(segment, samples)
+    used = inside if isinstance(source, Fit) else source.used(trial.name, samples)
+    rest = ~(inside | used)
+    held_out = evaluate(samples[rest], predicted[rest], leave_out)
     enough = max(error.samples for error in held_out) >= _MIN_HELD_OUT
     return Candidate(
         label=label,
         source=source,
         predicted=predicted,
         errors=evaluate(chosen, predictions(chosen, model, window), leave_out),
+        in_sample=bool(used[segment.rows].any()),
         held_out=held_out if enough else (),
         shares=information.load_shares(smooth_poses(chosen, window), model),
         engagement=information.engagement(samples, model, window, segment.rows),

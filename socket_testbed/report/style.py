@@ -40,7 +40,7 @@ MEASURED_STYLE: dict[str, Any] = {"color": "0.65", "linewidth": 2.4}
 SEGMENT_STYLE: dict[str, Any] = {"color": "0.94", "linewidth": 0.0, "zorder": 0.5}
 
 
-def page_line(style: Mapping[str, Any]) -> dict[str, Any]:
+def _page_line(style: Mapping[str, Any]) -> dict[str, Any]:
     """A line style of the figures for plotly, in pixels; no colour stands for `INK`."""
     found: dict[str, Any] = {"width": 1.2 * style.get("linewidth", 1.1)}
     if style["color"] != INK:
@@ -49,6 +49,9 @@ def page_line(style: Mapping[str, Any]) -> dict[str, Any]:
         found["dash"] = ",".join(f"{2.0 * length:g}px" for length in style["linestyle"][1])
     return found
 
+
+# Of measured lines, then as `LINE_STYLES`
+PAGE_LINES = [_page_line(style) for style in (MEASURED_STYLE, *LINE_STYLES)]
 
 COLUMN, PAGE = WIDTHS = (88, 180)  # [mm]; one column and two columns of a paper
 MM = 1.0 / 25.4  # [inch]

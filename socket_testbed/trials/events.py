@@ -283,3 +283,40 @@ def cycle_spans(events: Sequence[Event], by: str = PLACED) -> list[tuple[float, 
         if event.label == start:
             begin = event.time
     return spans
+
+
+# --- stamps of events that are marked live
+
+REAL_TIME = 1e9  # [ns/s]
+_SPEED_TOLERANCE = 0.1  # [-]; a smaller deviation from real time is noise
+_NEAR = 0.02  # [s]; triggers nearer to each other give no speed
+
+
+def stamp_by_triggers(called: float, triggers: Sequence[tuple[float, int]]) -> int:
+    """Convert a time on the monotonic clock [s] to a stamp in trigger time [ns].
+
+    Takes arrival [s] and stamp [ns] of at least one trigger. The triggers' clock may run at another
+    speed. A busy machine delays triggers and none arrives early, so the least delayed trigger
+    gives the offset between the clocks.
+    """
+    arrivals, stamps = (np.array(values) for values in zip(*triggers, strict=True))
+    ahead = np.round(trigger_speed(triggers) * (called - arrivals)).astype(np.int64)
+    return int((stamps + ahead).max())
+
+
+def trigger_speed(triggers: Sequence[tuple[float, int]]) -> float:
+    """Speed of the triggers' clock [ns/s]; exactly real time if close to it.
+
+    The slope of the upper hull of stamps over arrivals at the mean arrival: of all lines that no
+    trigger is early on, that of the least total delay (Moon, Skelly and Towsley, 1999).
+    """
+    arrivals, stamps = (np.array(values) for values in zip(*triggers, strict=True))
+    passed, middle = arrivals - arrivals[:, None], arrivals.mean()
+    across = (arrivals[:, None] <= middle) & (arrivals > middle) & (passed >= _NEAR)
+    if not across.any():
+        return REAL_TIME
+    first, last = np.nonzero(across)
+    speeds = (stamps[last] - stamps[first]) / passed[across]
+    highest = (stamps[first] - stamps[0] + speeds * (middle - arrivals[first])).argmax()
+    speed = float(speeds[highest])
+    return REAL_TIME if abs(speed - REAL_TIME) < _SPEED_TOLERANCE * REAL_TIME else speed

@@ -41,6 +41,7 @@ def test_every_verb_explains_itself_and_each_of_its_options(capsys) -> None:
 def test_the_package_and_the_help_import_no_library() -> None:
     script = (
         "import sys, socket_testbed; from socket_testbed.__main__ import run\n"
+        "import socket_testbed.live.processes\n"  # 'mark' takes its time after it
         "for words in (['--help'], ['fit', '--help']):\n"
         "    try: run(words)\n"
         "    except SystemExit: pass\n"

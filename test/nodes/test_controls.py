@@ -29,6 +29,7 @@ from socket_testbed.simulation.devices.natnet_server import NatNetServer
 from socket_testbed.simulation.testbed import Simulation
 from socket_testbed.trials import messages, topics
 from socket_testbed.trials.cdr import stamp_of
+from socket_testbed.trials.events import stamp_by_triggers
 from socket_testbed.trials.metadata import TrialMetadata
 from socket_testbed.trials.trial import Trial
 
@@ -60,6 +61,10 @@ def test_an_event_has_the_time_of_its_call_at_any_scale(monkeypatch: pytest.Monk
         marker.mark("push", 96.0)
         found = stamp_of(publisher.publish.call_args.args[0])
         assert found == pytest.approx(EPOCH - 4e9 * scale, abs=1e7 * scale), (scale, late)
+    # One, or a burst alone, is in real time.
+    assert stamp_by_triggers(99.0, [(100.0, EPOCH)]) == EPOCH - 10**9
+    two = [(100.0, EPOCH), (100.0 + 1e-5, EPOCH + 250_000_000)]
+    assert stamp_by_triggers(100.0, two) == pytest.approx(two[1][1], abs=1e5)
 
 
 # --- the status line

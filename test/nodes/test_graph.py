@@ -17,7 +17,7 @@ from support import HANGS
 from support.bags import copying
 from support.graph import Probe
 from support.problems import ring_socket
-from support.verbs import COMMAND, program
+from support.verbs import COMMAND, Running, program
 
 from socket_testbed.geometry.regions import all_regions
 from socket_testbed.geometry.socket import write_socket
@@ -133,7 +133,7 @@ def test_a_node_that_cannot_start_says_why_in_one_line() -> None:
 @pytest.mark.slow
 def test_a_killed_command_leaves_no_node(hold: Path) -> None:
     command = [*COMMAND, "replay", str(hold), "--estimate"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as replay:
+    with Running(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT) as replay:
         with Probe() as probe:
             probe.wait(lambda: bool(probe.said("estimator_node")), "the estimator")
         replay.kill()

@@ -12,6 +12,7 @@ from support.problems import make_samples, ring_socket
 from support.wording import refused
 
 import socket_testbed as st
+from socket_testbed.arrays import within
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.fit import summarise_errors
 from socket_testbed.identification.model_file import read_model
@@ -67,6 +68,19 @@ def test_what_is_left_out_is_marked_and_costs_no_sample(spoilt, monkeypatch):
     for candidate in results.candidates:
         assert candidate.held_out
         assert [e.name for e in candidate.errors if not e.in_objective] == ["Mz", channel]
+
+
+@pytest.mark.usefixtures("few_variants")
+def test_a_given_model_is_judged_on_what_its_fit_has_not_used(hold, hold_model, monkeypatch):
+    monkeypatch.setattr("socket_testbed.report.results.pareto_front", lambda *_, **__: {})
+    trial, model = Trial(hold), read_model(hold_model)  # of the plateau
+    outside = ~within(trial.samples().time, 20.0, 40.0)
+    for name, words in (("hold", "in-sample"), ("walk", "on the unseen segment")):
+        given = dataclasses.replace(model, trial=name)
+        found = compute_results(trial, "20:40", trial.estimator, THETAS, given)
+        assert any(line.startswith(f"given: {words}: ") for line in summarise(found))
+        rest = outside & ~given.used("hold", trial.samples())
+        assert max(e.samples for e in found.candidates[-1].held_out) == rest.sum()
 
 
 @pytest.mark.usefixtures("few_variants")
