@@ -276,7 +276,7 @@ def simulate(
             the published experiment, with a calibration whose ranges admit them.
         duration: Duration [s].
         rate: Trigger rate [Hz].
-        seed: Seed of the random numbers.
+        seed: Seed of the random numbers: of the limb, its load and all errors.
         geometry: A `socket.yaml` (default: the package's own).
         calibration: A `calibration.yaml` (default: the package's own, `config/like_paper.yaml` with
             `like_paper`).
