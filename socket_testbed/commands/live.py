@@ -152,7 +152,7 @@ def doctor(*, press: bool = False, **options: Any) -> None:
             for name, value in faults.items():
                 world.faults.switch(name, value)
         if press:
-            clusters = [*read_socket(testbed.geometry).clusters]
+            clusters = testbed.settings.cluster_node.names
             findings = list(press_test(testbed, partial(_ask, world, clusters)))
         else:
             findings = examine(testbed)

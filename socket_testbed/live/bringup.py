@@ -68,14 +68,12 @@ class Testbed:
 
     def __post_init__(self) -> None:
         names = self.settings.cluster_node.names
+        if self.simulation is not None and len(names) > MAX_CLUSTERS:
+            fact = f"names {len(names)} clusters, and {MAX_CLUSTERS} can be simulated"
+            raise ConfigurationError(f"cluster_node: {fact}", "leave the others out")
         check_names(self.settings.estimator_node.identification, names)
         calibration, socket = read_calibration(self.calibration), read_socket(self.geometry)
         calibration.require(names, "cluster_node")
-        if self.simulation is not None and len(socket.clusters) > MAX_CLUSTERS:
-            fact = f"has {len(socket.clusters)} clusters, and {MAX_CLUSTERS} can be simulated"
-            raise ConfigurationError(f"{self.geometry}: {fact}", "take the others off their tiles")
-        if self.simulation is not None:
-            calibration.require(socket.clusters, f"the simulation of {self.geometry}")
         socket.require(names, f"cluster_node (socket {self.geometry})")
 
     @property
@@ -194,7 +192,9 @@ def simulate_hardware(
     recorded = testbed.record if testbed.at_once else None
     truth = str(recorded.resolve() / TRUTH_FILE) if recorded else ""
     described = json.dumps(asdict(simulation))
-    arguments = [str(folder), described, str(testbed.geometry), str(testbed.calibration), truth]
+    names = json.dumps(testbed.settings.cluster_node.names)
+    files = str(testbed.geometry), str(testbed.calibration), truth
+    arguments = [str(folder), described, names, *files]
     graph.start_program("simulation", "socket_testbed.simulation.testbed", arguments)
     deadline = time.monotonic() + _START_TIMEOUT
     while not world.port:

@@ -26,13 +26,8 @@ from socket_testbed.errors import ConfigurationError, TestbedError, fact_and_hin
 from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.nodes import base
 from socket_testbed.settings.testbed import NextTrialSettings
+from socket_testbed.trials import events
 from socket_testbed.trials.cdr import stamp_of
-from socket_testbed.trials.events import (
-    REAL_TIME,
-    check_label,
-    stamp_by_triggers,
-    trigger_speed,
-)
 from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.topics import (
     ESTIMATED_WRENCH,
@@ -182,10 +177,10 @@ class EventMarker:
         self._wait(lambda: self._has_triggers(max(_MIN_SPAN, 0.5 * since)), _TRIGGER_TIMEOUT)
         if not self._triggers:
             return time.time_ns() - round((time.monotonic() - called) * 1e9)
-        if trigger_speed(self._triggers) != REAL_TIME:
+        if events.trigger_speed(self._triggers) != events.REAL_TIME:
             span = min(_SPAN_FACTOR * since, _MAX_SPAN)
             self._wait(lambda: self._has_triggers(span), span)
-        return stamp_by_triggers(called, self._triggers)
+        return events.stamp_by_triggers(called, self._triggers)
 
     def _has_triggers(self, span: float) -> bool:
         triggers = self._triggers
@@ -247,7 +242,7 @@ class ServiceControls:
 
     def _mark(self, label: str) -> str:
         called = time.monotonic()
-        label = check_label(label)
+        label = events.check_label(label)
         with self._marking:  # a later call waits but keeps its time
             marked = self._marker.mark(label, called)
         where = f" in the trial {marked.trial}" if marked.trial else ""

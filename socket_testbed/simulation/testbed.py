@@ -9,7 +9,7 @@ import json
 import signal
 import sys
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -168,10 +168,11 @@ def _padded(markers: list[FloatArray]) -> FloatArray:
 def main() -> None:
     """Advance a world with the testbed's clock until the process is stopped.
 
-    Arguments: the folder of the world, the `Simulation` as JSON, the paths of `socket.yaml` and
-    `calibration.yaml`, and the file for the true states, empty for none.
+    Arguments: the folder of the world, the `Simulation` and the names of the wired clusters as
+    JSON, the paths of `socket.yaml` and `calibration.yaml`, and the file for the true states, empty
+    for none.
     """
-    folder, described, socket_file, calibration_file, truth = sys.argv[1:]
+    folder, described, names, socket_file, calibration_file, truth = sys.argv[1:]
     simulation = Simulation(**json.loads(described))
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -181,7 +182,8 @@ def main() -> None:
     clock = SteadyClock()
     world = World(Path(folder))
     errors = sensors.SensorErrors()
-    geometry = read_socket(Path(socket_file))
+    socket = read_socket(Path(socket_file))
+    geometry = replace(socket, clusters={name: socket.clusters[name] for name in json.loads(names)})
     calibration = read_calibration(Path(calibration_file))
     testbed = LiveTestbed(world, geometry, calibration, simulation, errors, bool(truth))
 

@@ -26,6 +26,7 @@ FAULTS = {
     "clusters.stuck_done": "number of the cluster whose chip stops converting until it is reset",
     "clusters.rail": "number of the cluster whose chip reads full scale on all inputs",
     "clusters.shifted": "number of the cluster whose chip shifts its inputs until it is reset",
+    "clusters.exchanged": "the cables of the first two clusters are exchanged",
     "clusters.brown_out": "number of the cluster whose chip resets itself repeatedly",
     "load_cell.unplugged": "the chip is gone: every byte reads 0x00",
     "load_cell.flipped_bits": "probability that a frame has a flipped bit [-]",

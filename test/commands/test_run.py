@@ -179,9 +179,14 @@ def test_presses_find_wrong_wiring(capsys: pytest.CaptureFixture[str], tmp_path:
     for name in ("brim_lateral", "mid_anterior", "posterior_distal", "distal"):
         assert rows[name][0] == "ok" and rows[name][1].startswith(f"{name} felt +1")
 
-    # Two cables are exchanged.
-    names = ["mid_anterior", "brim_lateral", "posterior_distal", "distal"]
-    rows = pressed("--params", simulated_parameters(tmp_path, cluster_node={"names": names}))
+    # The wires follow the names; then two cables are exchanged.
+    names = ["mid_anterior", "brim_lateral", "distal"]
+    wired = ("--params", simulated_parameters(tmp_path, cluster_node={
+        "names": names, "buses": [1] * 3, "channels": [0, 1, 2],
+    }))  # fmt: skip
+    rows = pressed(*wired)
+    assert all(rows[name][1].startswith(f"{name} felt +1") for name in names)
+    rows = pressed(*wired, "--fault", "clusters.exchanged=1")
     assert rows["mid_anterior"][1].startswith("brim_lateral felt +")
     assert "exchange the places of mid_anterior and brim_lateral" in rows["mid_anterior"][2]
 

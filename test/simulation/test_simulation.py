@@ -13,11 +13,11 @@ import socket_testbed as st
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import packaged
-from socket_testbed.geometry.socket import write_socket
 from socket_testbed.identification.fit import summarise_errors
 from socket_testbed.live.bringup import Testbed
 from socket_testbed.live.hardware import make_clusters, make_load_cell
-from socket_testbed.settings.testbed import read_testbed
+from socket_testbed.settings.acquisition import ClusterSettings
+from socket_testbed.settings.testbed import TestbedSettings, read_testbed
 from socket_testbed.simulation.limb import LoadedLimb, load_history
 from socket_testbed.simulation.sensors import CAMERA_RATE, SensorErrors
 from socket_testbed.simulation.testbed import LiveTestbed, Simulation
@@ -83,12 +83,11 @@ def test_perfect_sensors_see_the_truth() -> None:
         np.testing.assert_allclose(GEOMETRY.cluster_force(cluster, stress), actual, atol=2e-3)
 
 
-def test_more_clusters_than_a_simulated_world_holds_are_refused(tmp_path: Path) -> None:
-    free = sorted({*range(len(GEOMETRY))} - {*GEOMETRY.clusters.values()})
-    many = GEOMETRY.clusters | {f"c{tile}": tile for tile in free[:13]}
-    write_socket(dataclasses.replace(GEOMETRY, clusters=many), tmp_path / "socket.yaml")
-    with refused(ConfigurationError, "socket.yaml: has 17 clusters, and 16 can be simulated"):
-        Testbed(geometry=tmp_path / "socket.yaml", simulation=Simulation())
+def test_more_clusters_than_a_simulated_world_holds_are_refused() -> None:
+    clusters = ClusterSettings(names=tuple(f"c{number}" for number in range(17)))
+    nodes = dataclasses.replace(TestbedSettings(), cluster_node=clusters)
+    with refused(ConfigurationError, "names 17 clusters, and 16 can be simulated"):
+        Testbed(nodes, simulation=Simulation())
 
 
 def test_a_running_testbed_is_as_noisy_as_a_simulated_trial(tmp_path: Path, monkeypatch) -> None:
