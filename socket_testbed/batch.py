@@ -198,7 +198,7 @@ def _inputs(task: Task, job: Job) -> str:
     """Everything a result depends on, as JSON: version, size and date of files, settings."""
     files = [path for path in job.trial.path.iterdir() if path.is_file() and path.name[0] != "."]
     stamps = {path.name: _stamp(path) for path in files if path.name != METADATA_FILE}
-    stamps |= {option: _stamp(path) for option, path in job.files.items()}
+    stamps |= {f"--{name.replace('_', '-')}": _stamp(file) for name, file in job.files.items()}
     stated = [getattr(job.trial.metadata, name) for name in task.metadata]
     return json.dumps([__version__, stamps, stated, task.settings], sort_keys=True)
 

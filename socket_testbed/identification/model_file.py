@@ -32,6 +32,7 @@ from socket_testbed.settings.identification import IdentificationSettings, Varia
 from socket_testbed.tables import split_unit
 
 _FORMAT = "socket_testbed model 1"
+_ROUNDING = 0.005  # [s]; of the segment's times
 _AGAIN = "fit the trial again"
 
 
@@ -62,7 +63,8 @@ class StoredModel:
         if trial != self.trial or self.last_stamp not in samples.stamps:
             return np.zeros(len(samples), dtype=bool)
         found = re.search(r"([\d.]+) s to ([\d.]+) s$", self.segment)
-        return within(samples.time, *map(float, found.groups() if found else (0.0, math.inf)))
+        start, end = map(float, found.groups() if found else (0.0, math.inf))
+        return within(samples.time, start - _ROUNDING, end + _ROUNDING)
 
     def __repr__(self) -> str:
         return (

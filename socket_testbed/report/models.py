@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -65,7 +65,7 @@ def describe_models(results: Results) -> list[str]:
 
 def _describe(candidate: Candidate) -> str:
     parts = []
-    segment = "in-sample" if candidate.in_sample else "on the unseen segment"
+    segment = "in-sample" if candidate.in_sample else "over the segment"
     for title, errors in ((segment, candidate.errors), ("held-out", candidate.held_out)):
         if errors:
             found = summarise_errors(errors)
@@ -109,20 +109,20 @@ def errors_section(results: Results) -> Section:
         " deviation of the residual; skill is 1 - RMSE / RMSE of the best constant: 1 is perfect, 0"
         " no better than the channel's mean over these samples.",
         _errors(
-            results,
             "errors",
             f"Errors over the segment ({results.judged_on}), in the unit of the channel",
-            [candidate.errors for candidate in results.candidates],
+            {candidate.label: candidate.errors for candidate in results.candidates},
         ),
     ]
-    held_out = [candidate.held_out for candidate in results.candidates]
-    if all(held_out):
+    judged = {candidate.label: candidate.held_out for candidate in results.candidates}
+    held_out = {label: errors for label, errors in judged.items() if errors}
+    if held_out:
         caption = "Errors over the rest of the trial (held-out), in the unit of the channel"
         parts += [
             Heading("Held-out: the rest of the trial"),
             "Samples of the same trial outside the segment, not used for the fits: other loads and"
             " the changes between them, but the same session, so no substitute for another trial.",
-            _errors(results, "held-out", caption, held_out),
+            _errors("held-out", caption, held_out),
         ]
     every = pd.DataFrame(
         {
@@ -141,19 +141,17 @@ def errors_section(results: Results) -> Section:
     return Section("errors-section", "Errors", parts, {ERRORS_FILE: every})
 
 
-def _errors(
-    results: Results, name: str, caption: str, errors: Sequence[Sequence[ChannelErrors]]
-) -> Table:
-    """Errors of every model, a row per channel, then the summaries quoted by the paper."""
+def _errors(name: str, caption: str, errors: Mapping[str, Sequence[ChannelErrors]]) -> Table:
+    """Errors of models by label, a row per channel, then the summaries quoted by the paper."""
     rows = {
         channel[0].name: [
             channel[0].unit,
             *(getattr(error, field) for error in channel for field in _MEASURES.values()),
-            _remark(results, channel),
+            _remark([*errors], channel),
         ]
-        for channel in zip(*errors, strict=True)
+        for channel in zip(*errors.values(), strict=True)
     }
-    summaries = [*map(summarise_errors, errors)]
+    summaries = [*map(summarise_errors, errors.values())]
     none = [np.nan] * 3
     for field, title in QUOTED.items():
         figure, unit = split_unit(title)
@@ -162,15 +160,15 @@ def _errors(
     skills = [cell for summary in summaries for cell in (*none, summary.skill)]
     rows["median skill in the objective"] = ["-", *skills, ""]
     frame = pd.DataFrame.from_dict(rows, orient="index").rename_axis("channel")
-    labels = [(candidate.label, title) for candidate in results.candidates for title in _MEASURES]
+    labels = [(label, title) for label in errors for title in _MEASURES]
     frame.columns = pd.MultiIndex.from_tuples([("", "unit"), *labels, ("", "remark")])
     return Table(name, caption, frame)
 
 
-def _remark(results: Results, errors: Sequence[ChannelErrors]) -> str:
+def _remark(labels: Sequence[str], errors: Sequence[ChannelErrors]) -> str:
     """The models without this channel in their objective."""
-    pairs = zip(results.candidates, errors, strict=True)
-    left_out = [candidate.label for candidate, error in pairs if not error.in_objective]
+    pairs = zip(labels, errors, strict=True)
+    left_out = [label for label, error in pairs if not error.in_objective]
     if len(left_out) in (0, len(errors)):
         return "not in objective" if left_out else ""
     return f"not in objective of {', '.join(left_out)}"

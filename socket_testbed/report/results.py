@@ -95,8 +95,8 @@ class Results:
     @property
     def judged_on(self) -> str:
         """Relation of the segment to the fits, in words."""
-        unseen = any(not candidate.in_sample for candidate in self.candidates)
-        return f"in-sample{f', unseen by the {GIVEN} model' * unseen}"
+        elsewhere = any(not candidate.in_sample for candidate in self.candidates)
+        return f"in-sample{f', except for the {GIVEN} model' * elsewhere}"
 
     @property
     def fitted(self) -> dict[str, Candidate]:
@@ -150,7 +150,7 @@ def compute_results(
             fit = fit_contact_model(chosen, trial.geometry, own)
             candidates.append(_judge(trial, segment, variant, fit))
     if given is not None:
-        if given.settings.leave_out != leave_out:
+        if {*given.settings.leave_out} != {*leave_out}:
             notes.append(f"the {GIVEN} model leaves out what its fit did, outliers as well")
         candidates.append(_judge(trial, segment, GIVEN, given))
     progress(2, _STAGES)

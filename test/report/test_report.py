@@ -75,7 +75,7 @@ def test_a_given_model_is_judged_on_what_its_fit_has_not_used(hold, hold_model, 
     monkeypatch.setattr("socket_testbed.report.results.pareto_front", lambda *_, **__: {})
     trial, model = Trial(hold), read_model(hold_model)  # of the plateau
     outside = ~within(trial.samples().time, 20.0, 40.0)
-    for name, words in (("hold", "in-sample"), ("walk", "on the unseen segment")):
+    for name, words in (("hold", "in-sample"), ("walk", "over the segment")):
         given = dataclasses.replace(model, trial=name)
         found = compute_results(trial, "20:40", trial.estimator, THETAS, given)
         assert any(line.startswith(f"given: {words}: ") for line in summarise(found))
