@@ -201,7 +201,7 @@ def pressure_card(
     title: str, value: Any, low: Any, high: Any, words: str, sign: str = "-"
 ) -> Document:
     """Card of a pressure or of a difference, with its interval [kPa]."""
-    spec = f".{decimals_of('peak pressure [kPa]')}f"
+    spec = f"z.{decimals_of('peak pressure [kPa]')}f"
     number = {"value": f"{value:{sign}{spec}} kPa", "interval": f"{low:{spec}} to {high:{spec}}"}
     return {"title": title, **number, "words": words}
 
