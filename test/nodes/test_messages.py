@@ -64,6 +64,8 @@ def test_the_messages_are_the_contract_s_with_a_unit_a_field() -> None:
         lines = [line.partition("#")[0].split() for line in text]
         fields = [tuple(words) for words in lines if len(words) == 2 and "=" not in words[1]]
         assert fields == [tuple(field.split()) for field in content.split(";")]
+        constants = [words[1].split("=") for words in lines if len(words) == 2 and "=" in words[1]]
+        assert all(Status[state] == int(number) for state, number in constants)
         names = [field for _, field in fields]
         assert list(getattr(msg, name).get_fields_and_field_types()) == names
         offline = cdr.typestore().types[f"socket_testbed_msgs/msg/{name}"].__dataclass_fields__
