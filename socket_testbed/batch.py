@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.documents import load_json
-from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
+from socket_testbed.errors import ConfigurationError, TestbedError, TrialError, option_of
 from socket_testbed.files import (
     check_new_folder,
     check_outputs,
@@ -198,7 +198,7 @@ def _inputs(task: Task, job: Job) -> str:
     """Everything a result depends on, as JSON: version, size and date of files, settings."""
     files = [path for path in job.trial.path.iterdir() if path.is_file() and path.name[0] != "."]
     stamps = {path.name: _stamp(path) for path in files if path.name != METADATA_FILE}
-    stamps |= {f"--{name.replace('_', '-')}": _stamp(file) for name, file in job.files.items()}
+    stamps |= {option_of(name): _stamp(file) for name, file in job.files.items()}
     stated = [getattr(job.trial.metadata, name) for name in task.metadata]
     return json.dumps([__version__, stamps, stated, task.settings], sort_keys=True)
 

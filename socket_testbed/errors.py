@@ -102,6 +102,11 @@ def listed(parts: Sequence[str], most: int) -> str:
     return ", ".join(parts[:most]) + more
 
 
+def option_of(name: str) -> str:
+    """The option of a parameter, such as `--load-cell`."""
+    return f"--{name.replace('_', '-')}"
+
+
 def first_of(problems: Sequence[object]) -> str:
     """The first of some problems, and the number of the others."""
     return f"{problems[0]}" + f" (and {len(problems) - 1} more)" * (len(problems) > 1)

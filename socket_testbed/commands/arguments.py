@@ -20,7 +20,7 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, NoReturn, TypeVar, Union, get_args, get_origin
 
-from socket_testbed.errors import likely
+from socket_testbed.errors import likely, option_of
 
 _PACKAGE = "socket_testbed"
 _REFERENCE = re.compile(r"As (?:`(?P<name>\w+)` )?in `(?:st\.)?(?P<function>[\w.]+)`")
@@ -302,7 +302,7 @@ def _add(group: Any, parameter: Parameter, positional: bool, keywords: dict[str,
         keywords["default"] = [*default] if keywords.get("action") == "append" else default
     elif keywords.get("action") != "store_true":
         keywords["required"] = True
-    flags = [f"--{name.replace('_', '-')}"]
+    flags = [option_of(name)]
     if default is True:
         flags, keywords["action"] = [f"--no-{name}"], "store_false"
         keywords["help"] = f"without {keywords['help']}"

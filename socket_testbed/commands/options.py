@@ -16,7 +16,7 @@ from socket_testbed.batch import Job, Row, Task, plan_jobs, run_batch
 from socket_testbed.commands.arguments import takes
 from socket_testbed.commands.terminal import Progress, say
 from socket_testbed.documents import check_number
-from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.errors import ConfigurationError, TestbedError, option_of
 from socket_testbed.files import PICTURES, TABLES, check_outputs, check_suffix
 from socket_testbed.identification.data_check import GOOD
 from socket_testbed.settings.identification import IdentificationSettings
@@ -111,8 +111,7 @@ def refuse_given(options: Mapping[str, Any], belongs: str, hint: str) -> None:
     """Raise an error for options without meaning in this call."""
     for name, value in options.items():
         if value not in (None, RECORDED):
-            option = f"--{name.replace('_', '-')}"
-            raise ConfigurationError(f"{option} is for {belongs}", hint)
+            raise ConfigurationError(f"{option_of(name)} is for {belongs}", hint)
 
 
 def check_files(
