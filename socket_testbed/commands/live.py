@@ -314,8 +314,7 @@ def _testbed(
     if rate is not None:
         trigger = dataclasses.replace(trigger, rate=rate)
     stored, chosen = testbed.settings.estimator_node, given(options, IdentificationSettings)
-    estimator = estimator_settings(stored, **chosen)
-    estimator = bringup.predict_with(model, estimator, testbed.geometry)
+    estimator = bringup.predict_with(model, estimator_settings(stored, **chosen), testbed.geometry)
     metadata = check_metadata(options)
     if record is None:
         refuse_given(metadata.stated(), "a recorded trial", "add --record DIR")

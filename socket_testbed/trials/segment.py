@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import compress, pairwise
+from itertools import compress, groupby, pairwise
 from typing import NamedTuple, NoReturn
 
 import numpy as np
@@ -222,11 +222,9 @@ def _slips(steady: _Steadiness, start: int, settings: PlateauSettings) -> str:
         and np.linalg.norm(change[3:6]) <= settings.force_change
     ):
         return ""
-    channels: dict[str, list[int]] = {}
-    for i, name in enumerate(steady.names[6:], start=6):
-        channels.setdefault(name.rpartition(".")[0], []).append(i)
     limit, slipped = settings.cluster_change, []
-    for own in channels.values():
+    for _, group in groupby(range(6, len(change)), lambda i: steady.names[i].rpartition(".")[0]):
+        own = [*group]
         if np.linalg.norm(change[own]) > limit:
             slipped += [i for i in own if abs(change[i]) > limit / np.sqrt(3.0)]
     return ", ".join(f"{steady.names[i]} changed by {change[i]:.1f} N" for i in slipped)
