@@ -178,11 +178,13 @@ class Capacitances(NamedTuple):
 
 
 def _capacitances(records: cdr.Record, sample: Any) -> Capacitances:
+    """Clusters that share a name are ambiguous and count as missing."""
     names = tuple(cluster.name for cluster in sample.clusters)
-    capacitance = np.empty((*records.shape, len(names), 4))
-    status = np.empty(capacitance.shape, np.uint8)
+    capacitance = np.full((*records.shape, len(names), 4), np.nan)
+    status = np.full(capacitance.shape, Status.MISSING, np.uint8)
     for i, own in enumerate(cdr.elements(records, "clusters")):
-        capacitance[..., i, :], status[..., i, :] = own["capacitance"], own["status"]
+        if names.count(names[i]) == 1:
+            capacitance[..., i, :], status[..., i, :] = own["capacitance"], own["status"]
     return Capacitances(names, capacitance, status)
 
 
@@ -200,15 +202,10 @@ def capacitance_packer(names: Sequence[str]) -> Callable[[int, FloatArray, Statu
 
 
 def _stress(records: cdr.Record, sample: Any) -> dict[str, tuple[FloatArray, int]]:
-    """Normal stress, shear x and y [Pa], and status by cluster, of one message.
-
-    Clusters that share a name are ambiguous and count as missing.
-    """
+    """Normal stress, shear x and y [Pa], and status by cluster, of one message."""
     found = {}
     for cluster, own in zip(sample.clusters, cdr.elements(records, "clusters"), strict=True):
         *stress, status = own.tolist()
-        if cluster.name in found:
-            stress, status = [np.nan] * 3, int(Status.MISSING)
         found[cluster.name] = np.array(stress), status
     return found
 

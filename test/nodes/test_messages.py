@@ -149,15 +149,6 @@ def test_what_ros_sends_is_read_and_what_is_packed_is_what_ros_sends(topic: topi
         assert repr(deserialize_message(packed, type(message))) == repr(message)
 
 
-def test_two_clusters_of_one_name_are_missing() -> None:
-    clusters = [{"name": name, "normal": 1.0} for name in ("distal", "distal", "other")]
-    message = cdr.make_message(topics.STRESS.type, clusters=clusters)
-    data = cdr.encode(message, topics.STRESS.type)
-    found = messages.Reader(topics.STRESS).read(data)[1]
-    assert np.isnan(found["distal"][0]).all() and found["distal"][1] == Status.MISSING
-    assert found["other"][1] == Status.OK
-
-
 def xyz(vectors: Any) -> np.ndarray:
     return np.array([(v.x, v.y, v.z) for v in vectors]).reshape(-1, 3)
 

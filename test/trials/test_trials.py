@@ -176,15 +176,22 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def plainly_read(path: Path) -> dict[str, dict[int, Any]]:
-    """By topic, or cluster, and stamp: the numbers of the last message, as a user would read it."""
+    """By topic, or cluster, and stamp: the numbers of the last message, as a user would read it.
+
+    Two clusters of one name in a message are missing: nobody knows which is which.
+    """
     found: dict[str, dict[int, Any]] = defaultdict(dict)
     with BagReader(path) as bag:
         for raw in bag.messages():
             message = decode(raw.data, raw.type)
             stamp = stamp_of(message)
             if raw.topic.endswith(topics.CAPACITANCE.name):
+                names = [cluster.name for cluster in message.clusters]
                 for cluster in message.clusters:
-                    found[cluster.name][stamp] = [*cluster.capacitance, *cluster.status]
+                    reading = [*cluster.capacitance, *cluster.status]
+                    if names.count(cluster.name) > 1:
+                        reading = [*[np.nan] * 4, *[Status.MISSING] * 4]
+                    found[cluster.name][stamp] = reading
             elif raw.topic.endswith(topics.WRENCH.name):
                 found[topics.WRENCH.name][stamp] = bags.wrench_vector(message.wrench)
             elif raw.topic.endswith("/pose"):
