@@ -37,7 +37,7 @@ from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.tables import duration_text
 from socket_testbed.trials import topics
 from socket_testbed.trials.messages import Reader, in_order
-from socket_testbed.trials.metadata import FIELDS
+from socket_testbed.trials.metadata import FIELDS, SIDES
 
 _STALE_AFTER = 2.0  # [s]; older data is not shown as current
 _SILENT_AFTER = 3.0 * base.REPORT_PERIOD  # [s]; a node without a report for longer is silent
@@ -117,7 +117,7 @@ class LiveSource:
             "socket": document.socket_document(self._geometry),
             "live": True,
             "buttons": self._controls is not None,
-            "metadata": FIELDS,
+            "metadata": {name: ("", *SIDES) if name == "side" else () for name in FIELDS},
         }
 
     def now(self, time: float | None) -> document.Document:
@@ -128,12 +128,12 @@ class LiveSource:
             self._inbox = self._subscribe()
         self._take(self._inbox)
         self._update(self._inbox)
-        measured, predicted = self._recent(topics.WRENCH), self._recent(topics.ESTIMATED_WRENCH)
         data, sensors = self._state_of_sensors()
         found = {"moment": self._moment(), "sensors": sensors, "recording": self._recording()}
         found |= self._shown | {"cards": [*self._shown.get("cards", []), data]}
-        pair = (_NO_WRENCH if wrench is None else wrench for wrench in (measured, predicted))
-        return found | {"wrench": [document.numbers(wrench) for wrench in pair]}
+        wrenches = map(self._recent, (topics.WRENCH, topics.ESTIMATED_WRENCH))
+        pair = (_NO_WRENCH if wrench is None else wrench for wrench in wrenches)
+        return found | {"wrench": document.wrench_rows(*pair)}
 
     def act(self, what: str, given: dict[str, Any]) -> str:
         """Call the service of a button."""

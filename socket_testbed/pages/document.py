@@ -33,7 +33,7 @@ from socket_testbed.identification.pressure import (
     read_column,
 )
 from socket_testbed.pages.wall import Patch, patches, side_names, unrolled_tiles
-from socket_testbed.samples import Samples
+from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.trials.trial import Trial
 
 _BAR_TITLES = ("mean pressure [kPa]", "peak pressure [kPa]", "share of load [%]", "shear [kPa]")
@@ -114,6 +114,15 @@ def moments(time: FloatArray, outputs: PressureOutputs, geometry: SocketGeometry
     found, measured = outputs.estimate, measured_pressure(outputs.samples, geometry)
     stresses = found.normal_pressure, found.pressure_reach, found.shear
     return [moment(*row) for row in zip(time.tolist(), *stresses, measured, strict=True)]
+
+
+def wrench_rows(measured: FloatArray, predicted: FloatArray) -> list[list[str]]:
+    """Rows of a table of two wrenches [M; F], shape (6,) [N m, N]."""
+    rows = [["", "measured", "predicted"]]
+    for name, *values in zip(WRENCH_CHANNELS, measured.tolist(), predicted.tolist(), strict=True):
+        shown = [f"{value:.2f}" if np.isfinite(value) else "none" for value in values]
+        rows.append([f"{name} [{channel_unit(name)}]", *shown])
+    return rows
 
 
 def measured_pressure(samples: Samples, geometry: SocketGeometry) -> FloatArray:

@@ -57,10 +57,7 @@ class Player:
             "moment": document.moments(samples.time[one], found, mapped.geometry)[0],
             "cards": [*shown, self._data],
             "bars": document.bars(mapped.places, found.regions),
-            "wrench": [
-                document.numbers(samples.wrench[row]),
-                document.numbers(self._predicted[row]),
-            ],
+            "wrench": document.wrench_rows(samples.wrench[row], self._predicted[row]),
         }
 
     def act(self, what: str, given: dict[str, Any]) -> str:

@@ -108,7 +108,7 @@ class Bench(Player):
     pressed: tuple[tuple[str, dict[str, Any]], ...] = ()
 
     def start(self) -> dict[str, Any]:
-        return super().start() | {"live": True, "buttons": True, "metadata": ["side"]}
+        return super().start() | {"live": True, "buttons": True, "metadata": {"side": ["", "left"]}}
 
     def now(self, time: float | None) -> dict[str, Any]:
         recording = {"on": bool(self.pressed), "words": "recording s01" if self.pressed else ""}

@@ -7,7 +7,6 @@ const ASK = {
   tare: "Tare the load cell? The limb must be out of the socket and nothing may touch it.",
   "trigger-off": "Stop the measurement? No sensor is read until it is started again.",
 };
-const WRENCH = ["Mx [N m]", "My [N m]", "Mz [N m]", "Fx [N]", "Fy [N]", "Fz [N]"];
 
 async function get(path) { return (await fetch(path)).json(); }
 
@@ -53,9 +52,9 @@ function fill(table, rows) {
 
   if (live) {
     byId("buttons").hidden = byId("trial").hidden = byId("service").hidden = !start.buttons;
-    const fields = ["trial", ...(start.metadata ?? [])].map((name) => {
-      const field = element(name === "side" ? "select" : "input");
-      if (name === "side") { field.append(...["", "left", "right"].map((side) => new Option(side))); }
+    const fields = Object.entries({trial: [], ...start.metadata}).map(([name, choices]) => {
+      const field = element(choices.length ? "select" : "input");
+      field.append(...choices.map((choice) => new Option(choice)));
       field.name = name;
       const label = element("label", "", `${name} `);
       label.append(field);
@@ -107,11 +106,7 @@ function fill(table, rows) {
         if (lost) { say(""); }
         lost = false;
         if (found.sensors) { fill(byId("sensors"), found.sensors); }
-        if (found.wrench) {
-          const [measured, predicted] = found.wrench;
-          fill(byId("wrench"), [["", "measured", "predicted"], ...WRENCH.map((name, i) => [name,
-            measured[i]?.toFixed(2) ?? "none", predicted[i]?.toFixed(2) ?? "none"])]);
-        }
+        if (found.wrench) { fill(byId("wrench"), found.wrench); }
         if (found.recording) {
           byId("recording").textContent = found.recording.words;
           byId("record").dataset.on = found.recording.on ? "on" : "";

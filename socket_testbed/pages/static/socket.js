@@ -7,6 +7,9 @@ const VIRIDIS = ["#440154", "#482475", "#414487", "#355f8d", "#2a788e", "#21918c
   "#44bf70", "#7ad151", "#bddf26", "#fde725"].map((hex) => [1, 3, 5].map(
   (at) => parseInt(hex.slice(at, at + 2), 16)));
 const SCALES = [25, 50, 100, 200, 400];  // [kPa]
+const LEGEND = `<i class="full"></i> certain <i class="grey"></i> the greyer, the farther the 95 % interval
+  reaches beyond the value. Outlined: clusters, with their measured pressure [kPa]. The wall is unrolled
+  and seen from outside.`;
 const SOLID_PERIOD = 400;  // [ms]; minimum between 3D pictures
 const PLAIN = {displayModeBar: false, responsive: true};
 const byId = (name) => document.getElementById(name);
@@ -333,7 +336,7 @@ function showBars(box, bars, title) {
     const said = known(value) ? `${text(value)} (${text(from)} to ${text(to)})` : "none";
     row.append(element("span", "said", said));
     return row;
-  }));
+  }), element("p", "legend", "Whiskers and parentheses: 95 % intervals."));
 }
 
 function offer(select, names, change) {
@@ -350,6 +353,7 @@ class SocketView {
     this.map.extras = extras;
     this.course = byId("course") && new Course(byId("course"), byId("cursor"), seek);
     this.bars = null;
+    byId("legend").innerHTML = LEGEND;
     offer(byId("kind"), [...kinds, ...Object.keys(extras)], (event) => { this.map.kind = event.target.value; this.map.show(); });
     offer(byId("scale"), ["automatic", ...SCALES.map((end) => `0 to ${end} kPa`)], (event) => {
       this.map.chosen = SCALES[event.target.selectedIndex - 1];
