@@ -90,6 +90,7 @@ class TrialFit(Result):
             geometry=self.trial.geometry,
             settings=fit.settings,
             samples=fit.samples,
+            first_stamp=fit.first_stamp,
             last_stamp=fit.last_stamp,
             wrench_rmse=fit.wrench_rmse,
             errors=fit.errors,

@@ -175,7 +175,8 @@ class Fit:
     # settings of the identification, with the `initial_stiffness` used
     settings: IdentificationSettings
     samples: int  # number of samples in the objective
-    last_stamp: int  # timestamp of the newest of them [ns]
+    first_stamp: int  # timestamp of the oldest of them [ns]
+    last_stamp: int  # of the newest
     # effective number of stiffness directions determined by the data, of 3n; the smoothness
     # determines the others [-]
     determined: float
@@ -229,6 +230,7 @@ def fit_contact_model(
         model=model,
         settings=problem.settings,
         samples=len(used),
+        first_stamp=int(used.stamps[0]),
         last_stamp=int(used.stamps[-1]),
         determined=problem.determined_directions(x, moments),
         errors=evaluate(used, model, settings.leave_out),

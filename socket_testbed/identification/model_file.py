@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy as np
 from msgspec import Meta, Struct
 
 from socket_testbed import documents
-from socket_testbed.arrays import BoolArray, FloatArray, within
+from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import write_text
 from socket_testbed.geometry.socket import SocketGeometry, socket_from_document
@@ -32,7 +31,6 @@ from socket_testbed.settings.identification import IdentificationSettings, Varia
 from socket_testbed.tables import split_unit
 
 _FORMAT = "socket_testbed model 1"
-_ROUNDING = 0.005  # [s]; of the segment's times
 _AGAIN = "fit the trial again"
 
 
@@ -44,7 +42,8 @@ class StoredModel:
     geometry: SocketGeometry  # geometry of the socket it was fitted on
     settings: IdentificationSettings
     samples: int  # number of samples of its fit
-    last_stamp: int  # timestamp of the newest of them [ns]
+    first_stamp: int  # timestamp of the oldest of them [ns]; 0 in a model of an older version
+    last_stamp: int  # of the newest
     wrench_rmse: FloatArray  # errors of its fit, shape (6,) [N m, N]
     # errors of its fit on every channel; empty in a model of an older version
     errors: tuple[ChannelErrors, ...]
@@ -59,12 +58,10 @@ class StoredModel:
         return predictions(samples, self.model, self.settings.pose_smoothing)
 
     def used(self, trial: str, samples: Samples) -> BoolArray:
-        """Which samples of a trial of this name are in the segment of the fit, shape (N,)."""
+        """Which samples of a trial of this name are in the span of the fit, shape (N,)."""
         if trial != self.trial or self.last_stamp not in samples.stamps:
             return np.zeros(len(samples), dtype=bool)
-        found = re.search(r"([\d.]+) s to ([\d.]+) s$", self.segment)
-        start, end = map(float, found.groups() if found else (0.0, math.inf))
-        return within(samples.time, start - _ROUNDING, end + _ROUNDING)
+        return (samples.stamps >= self.first_stamp) & (samples.stamps <= self.last_stamp)
 
     def __repr__(self) -> str:
         return (
@@ -98,6 +95,7 @@ def write_model(
         "parameters": _parameters(fit.model),
         "quality": {
             "samples": fit.samples,
+            "first_stamp": fit.first_stamp,
             "last_stamp": fit.last_stamp,
             "determined_directions": fit.determined,
             "status": fit.status,
@@ -197,6 +195,7 @@ class _Quality(Struct):  # the certificates are for human readers
     wrench_rmse: tuple[_Figure, _Figure, _Figure, _Figure, _Figure, _Figure]
     status: str
     errors: list[dict[str, Any]] = []
+    first_stamp: _Count = 0
 
 
 class _Trial(Struct):  # ignores any further identity
@@ -235,6 +234,7 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredMode
         geometry=fitted_on,
         settings=IdentificationSettings.from_flat(document.settings, f"{path}: settings"),
         samples=quality.samples,
+        first_stamp=quality.first_stamp,
         last_stamp=quality.last_stamp,
         wrench_rmse=np.array(quality.wrench_rmse, dtype=float),
         errors=documents.convert(errors, tuple[ChannelErrors, ...], f"{path}: quality: errors"),
