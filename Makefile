@@ -57,7 +57,7 @@ colcon: $(VENV)/.packages
 	AMENT_PREFIX_PATH=$(CURDIR)/$(VENV) CMAKE_PREFIX_PATH=$(CURDIR)/$(VENV) \
 		PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/colcon build
 
-$(VENV)/.packages: $(REQUIREMENTS) requirements/dask.txt scripts/fix_ros_wheels.py
+$(VENV)/.packages: $(wildcard requirements/*.txt) scripts/fix_ros_wheels.py
 	@test -n "$(PYTHON)" || { echo "error: no Python 3.11, 3.12 or 3.13 with venv: install one, or give PYTHON=..."; exit 1; }
 	@test "$$(uname -m)" = x86_64 || { echo "error: the ROS wheels are for x86-64: on $$(uname -m) use a ROS installation (README)"; exit 1; }
 	@echo "setting up $(VENV) with $(PYTHON) (about two minutes, once)"

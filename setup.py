@@ -30,12 +30,13 @@ setup(
         # The offline side reads trials with the same message definitions, without ROS.
         (f"share/{NAME}/msg", glob("msg_defs/msg/*.msg")),
     ],
+    python_requires=">=3.11,<3.14",
     install_requires=requirements("runtime"),  # of the offline part; ROS has its own installation
     # Without "test", colcon test runs no test.
     extras_require={
         "test": ["pytest"],
-        "c3d": ["ezc3d>=1.5,<2"],
-        "completion": ["argcomplete>=3,<4"],
+        "c3d": requirements("c3d"),
+        "completion": requirements("completion"),
     },
     zip_safe=True,
     maintainer="socket_testbed maintainers",
