@@ -1,5 +1,6 @@
 """The launch files, with stand-ins for launch and launch_ros, which only a ROS installation has."""
 
+import re
 import runpy
 import sys
 from collections.abc import Callable
@@ -17,7 +18,7 @@ from support.testbeds import simulated_parameters
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import packaged
 from socket_testbed.live.bringup import Testbed
-from socket_testbed.live.processes import RESTARTED
+from socket_testbed.live.processes import RESTARTED, STOP_TIMEOUT
 from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.simulation.world import World
 
@@ -154,3 +155,9 @@ def test_a_trial_is_replayed_in_its_namespace(launch, hold: Path, tmp_path: Path
     assert found["calibration_node"]["use_sim_time"] and found["estimator_node"]["use_sim_time"]
     assert found["calibration_node"]["calibration"] == str(own)
     assert handler(actions)["target_action"] is launched["replay_node"]  # its end ends the launch
+
+
+def test_systemd_waits_for_the_three_stops_of_a_graph() -> None:
+    text = (CHECKOUT / "config/socket_testbed.service").read_text()
+    (limit,) = re.findall(r"^TimeoutStopSec=(\d+)$", text, re.MULTILINE)
+    assert float(limit) >= 3 * STOP_TIMEOUT

@@ -38,7 +38,7 @@ _PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILE
 SPARE = "spare"  # name of the process that stands by to replace a killed node
 
 _NODES = "socket_testbed.nodes"
-_STOP_TIMEOUT = 60.0  # [s]; for a clean end of a node
+STOP_TIMEOUT = 60.0  # [s]; for a clean end of a node
 _POLL_INTERVAL = 0.05  # [s]
 _EARLY_FAILURE = 10.0  # [s]; an earlier failure means wrong input
 MAX_BACKOFF = 10.0  # [s]; before restarting a process that ends repeatedly
@@ -83,7 +83,7 @@ def launched(node: GraphNode, folder: Path, again: bool = False) -> dict[str, An
         "parameters": [str(write_parameters([node], folder / f"{node.name}.yaml"))],
         "output": "screen",
         "additional_env": {RESTARTED: "1"} if again else {},
-        "sigterm_timeout": f"{_STOP_TIMEOUT:g}",  # a recorder may need longer than the default
+        "sigterm_timeout": f"{STOP_TIMEOUT:g}",  # a recorder may need longer than the default
     }
 
 
@@ -291,7 +291,7 @@ class Graph:
             for member in running:
                 with suppress(ProcessLookupError):
                     os.kill(member.process.pid, number)
-            deadline = time.monotonic() + _STOP_TIMEOUT
+            deadline = time.monotonic() + STOP_TIMEOUT
             while time.monotonic() < deadline and any(m.exit_code() is None for m in running):
                 self.pause()
         for member in members:

@@ -5,15 +5,19 @@ import re
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support import CHECKOUT
 from support.verbs import program
 
-from socket_testbed import __version__
+from socket_testbed import __version__, clocks
 from socket_testbed.__main__ import VERBS
-from socket_testbed.trials.topics import TOPICS
+from socket_testbed.identification import data_check, plausibility, problem
+from socket_testbed.nodes import estimator_node, recorder_node
+from socket_testbed.trials.topics import PUBLISHER_DEPTH, TOPICS
 
-PAGES = [CHECKOUT / "README.md", CHECKOUT / "CONTRIBUTING.md", *(CHECKOUT / "docs").glob("*.md")]
+DOCS = CHECKOUT / "docs"
+PAGES = [CHECKOUT / "README.md", CHECKOUT / "CONTRIBUTING.md", *DOCS.glob("*.md")]
 
 
 def commands(page: Path) -> list[str]:
@@ -53,20 +57,57 @@ def test_commands_of_a_page_run(page: Path, tmp_path: Path, request: pytest.Fixt
 
 def test_pages_name_verbs_targets_topics_and_functions_that_exist() -> None:
     targets = re.findall(r"^([a-z]+):", (CHECKOUT / "Makefile").read_text(), flags=re.MULTILINE)
-    readme, docs = PAGES[0].read_text(), CHECKOUT / "docs"
+    readme = PAGES[0].read_text()
     assert set(re.findall(r"(?:^|`)make ([a-z]+)", readme, flags=re.MULTILINE)) <= set(targets)
     rows = readme.partition("| for | verbs")[2].partition("\n\n")[0]
     assert set(re.findall(r"`([a-z]+)`", rows)) == set(VERBS)
-    conventions = (docs / "conventions.md").read_text()
+    conventions = (DOCS / "conventions.md").read_text()
     for topic in TOPICS:
         package, _, name = topic.type.split("/")
         assert re.search(rf"`{topic.name}`.*\| {package}/{name} \|", conventions), topic.name
-    places = re.findall(r"`(\S+\.py): ([^`]+)`", (docs / "paper.md").read_text())
+    places = re.findall(r"`(\S+\.py): ([^`]+)`", (DOCS / "paper.md").read_text())
     assert len(places) > 20
     for name, listed in places:
         (file,) = (CHECKOUT / "socket_testbed").rglob(name)
         for defined in listed.split(", "):
             assert re.search(rf"(def|class) {defined.rpartition('.')[2]}\b", file.read_text()), name
+
+
+def test_numbers_of_the_pages_are_those_of_the_code() -> None:
+    shown = {
+        "faults": (
+            f"retries after {clocks._MIN_WAIT} s, then after up to {clocks._MAX_WAIT} s",
+            f"no data at the recorder for {recorder_node._SILENCE_TIMEOUT:g} s",
+            f"correlation below {data_check.REVERSED}; sound",
+            f"clusters vary {data_check.LOCAL_SHARE[1]:g} times as much as the load",
+            f"{data_check.LOAD_RANGE[1]:g} body weights",
+            f"a lag above {data_check.MAX_LAG} s",
+            f"turns by {np.degrees(data_check.MAX_ROTATION):.0f} degrees",
+            f"normal force {data_check.MAX_INNOVATION} sigma off",
+            f"{data_check.MAX_MISSING:.0%} missing, no change for {data_check.MAX_STILL:g} s,"
+            f" {data_check.MAX_CLIPPED:.0%} at one end",
+            f"noise above {data_check.MAX_NOISE['N']:g} N or {data_check.MAX_NOISE['N m']:g} N m",
+        ),
+        "conventions": (
+            f"volatile with depth {PUBLISHER_DEPTH}",
+            f"dark red at {1e-3 * estimator_node._MAX_PRESSURE:g} kPa",
+            f"vanish after {estimator_node._LIFETIME} s",
+            f"{1e9 / estimator_node._REGIONS_PERIOD:g} Hz, only with a subscriber",
+            f"up to {1e9 / estimator_node._PICTURE_PERIOD:g} Hz",
+        ),
+        "fitting": (
+            f"fewer than {problem.MIN_SAMPLES} with a wrench",
+            f"below {plausibility.MIN_FORCE:g} N and {plausibility.MIN_MOMENT:g} N m throughout",
+            f"above {1e-3 * plausibility.MAX_FORCE:g} kN, {plausibility.MAX_MOMENT:g} N m, or"
+            f" {1e-6 * plausibility.MAX_STRESS:g} MPa on a cluster",
+            f"refused above {plausibility.MAX_OUTLIERS:.0%}",
+            f"wrench above {plausibility.HANGING_WEIGHT:g} N towards proximal",
+        ),
+    }
+    for page, numbers in shown.items():
+        text = re.sub(r"(?<=\d) %", "%", " ".join((DOCS / f"{page}.md").read_text().split()))
+        for number in numbers:
+            assert number in text, page
 
 
 def test_every_link_leads_to_a_file_and_its_heading() -> None:
@@ -87,7 +128,7 @@ def test_the_map_names_folders_and_files_that_exist() -> None:
     known = {path.name for top in shown for path in (top, *top.rglob("*"))}
     named = {name.rstrip("/") for name in re.findall(r"[a-z0-9_]+\.py\b|[a-z0-9_]+/(?= )", page)}
     assert named and not named - known
-    text = page + (CHECKOUT / "docs" / "data_flow.svg").read_text()
+    text = page + (DOCS / "data_flow.svg").read_text()
     for name in re.findall(r"(?:[a-z0-9_]+/)+(?:[a-z0-9_]+\.(?:py|md)\b|(?=</text>))", text):
         assert any((top / name).exists() for top in (CHECKOUT / "socket_testbed", CHECKOUT)), name
 
