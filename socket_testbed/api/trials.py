@@ -187,7 +187,10 @@ def annotate(
     >>> st.annotate(trial, remove=["mass"]).mass
     """
     trial = as_trial(trial)
-    stated = TrialMetadata(subject, side, socket, liner, mass, operator, protocol, notes)
+    stated = TrialMetadata(
+        subject=subject, side=side, socket=socket, liner=liner, mass=mass, operator=operator,
+        protocol=protocol, notes=notes,
+    )  # fmt: skip
     if not is_bag(trial.path):
         raise TrialError(f"{trial.path}: is not a trial folder", "give the folder of one trial")
     path = trial.path / METADATA_FILE

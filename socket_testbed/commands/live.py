@@ -39,6 +39,7 @@ from socket_testbed.live import bringup
 from socket_testbed.live.doctor import examine, press_test
 from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.live.scheduling import busy_note, measure_speed, speed_text
+from socket_testbed.settings.acquisition import READY_TIMEOUT
 from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import (
     RecorderSettings,
@@ -54,7 +55,8 @@ from socket_testbed.trials.metadata import METADATA_FILE, write_metadata
 from socket_testbed.trials.topics import Service, full_name, full_namespace
 from socket_testbed.trials.trial import read_configuration, recorded_namespace
 
-_START_TIMEOUT = 60.0  # [s]; --duration counts from the first trigger or the end of this time
+# --duration counts from the first trigger, at the latest from this time after the start [s].
+_START_TIMEOUT = READY_TIMEOUT + 30.0
 _DEFAULT_FOLDER = Path("trials")  # recordings started from the page without --record
 
 

@@ -47,7 +47,7 @@ from socket_testbed.identification import plausibility
 from socket_testbed.identification.contact import LAWS, ContactModel, Loading
 from socket_testbed.identification.noise import ChannelNoise, channel_noise, smooth_poses
 from socket_testbed.identification.solver import BoxQP
-from socket_testbed.samples import GROUPS, WRENCH_CHANNELS, Samples, local_channels
+from socket_testbed.samples import WRENCH_CHANNELS, Samples, local_channels
 from socket_testbed.settings.identification import BIAS_VARIANTS, IdentificationSettings, Variant
 
 MODEL_ERROR = 0.01  # [-]; of the RMS of the forces
@@ -194,6 +194,13 @@ def _cluster_channels(
     return tuple(channels)
 
 
+def group_sizes(values: FloatArray) -> list[float]:
+    """RMS of the moments, forces and cluster forces of values (N, 6 + 3c), with lower limits."""
+    groups = values[:, :3], values[:, 3:6], values[:, 6:]
+    least = plausibility.MIN_MOMENT, plausibility.MIN_FORCE, plausibility.MIN_FORCE
+    return [max(rms(group, 0.0), low) for group, low in zip(groups, least, strict=True)]
+
+
 def _shares(objective: Objective, noise: ChannelNoise | None) -> tuple[FloatArray, FloatArray]:
     """Weights of squared errors of the wrench (6,) and of m channels of clusters: see the module.
 
@@ -207,20 +214,15 @@ def _shares(objective: Objective, noise: ChannelNoise | None) -> tuple[FloatArra
         factor = 2.0 / max(power.sum() + local_power.sum(), plausibility.MIN_FORCE**2)
         return factor * wrench_counts, np.full(len(channels), factor)
 
-    # The mean square of each channel's group, with a lower limit.
-    moment, force = (
-        max(power[g].sum() / max(wrench_counts[g].sum(), 1), least[g][0] ** 2) for g in GROUPS
-    )
-    local = max(
-        rms(np.concatenate([c.force for c in channels] or [np.zeros(1)])), plausibility.MIN_FORCE
-    )
+    counted = objective.samples.without(objective.settings.leave_out)
+    moment, force, local = group_sizes(counted.trusted_values)
     if noise is None:
-        shares = wrench_counts / np.repeat([moment, force], 3)
+        shares = wrench_counts / np.repeat([moment**2, force**2], 3)
         local_shares = np.full(len(channels), 1.0 / local**2)
         return shares / max(wrench_counts.sum(), 1), local_shares / max(len(channels), 1)
 
     lever = rms(np.linalg.norm(objective.geometry.anchors, axis=1))
-    model_error = MODEL_ERROR**2 * force * np.repeat([lever**2, 1.0], 3)
+    model_error = (MODEL_ERROR * force) ** 2 * np.repeat([lever**2, 1.0], 3)
     shares = wrench_counts / (np.nan_to_num(noise.wrench) ** 2 + model_error)
     clusters = objective.samples.clusters
     deviations = np.array([noise.local_forces[clusters.index(c.cluster), c.axis] for c in channels])

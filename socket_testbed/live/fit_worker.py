@@ -21,7 +21,7 @@ from socket_testbed.identification import plausibility
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.data_check import LEAST_CHECKED, check_data
 from socket_testbed.identification.fit import Fit, fit_contact_model
-from socket_testbed.identification.problem import MIN_SAMPLES
+from socket_testbed.identification.problem import MIN_SAMPLES, group_sizes
 from socket_testbed.live.scheduling import schedule_ordinarily
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
@@ -171,10 +171,7 @@ def _judge(
 ) -> Contest:
     """Compare the errors of two models, relative to the size of each group for any weights."""
     measured = samples.without(settings.leave_out).trusted_values
-    groups = (measured[:, :3], measured[:, 3:6], measured[:, 6:])
-    smallest = (plausibility.MIN_MOMENT, plausibility.MIN_FORCE, plausibility.MIN_FORCE)
-    sizes = [max(rms(group, 0.0), least) for group, least in zip(groups, smallest, strict=True)]
-    size = np.repeat(sizes, [group.shape[1] for group in groups])
+    size = np.repeat(group_sizes(measured), [3, 3, measured.shape[1] - 6])
 
     def error(model: ContactModel) -> float:
         predicted = model.predict(samples.pose, samples.clusters)

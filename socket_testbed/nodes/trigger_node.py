@@ -20,11 +20,10 @@ from socket_testbed.errors import DeviceError
 from socket_testbed.live.hardware import make_trigger, wall_clock
 from socket_testbed.nodes.base import ERROR, OK, TRIGGERS, WARN, RecentFault, TestbedNode
 from socket_testbed.nodes.followers import Followers
-from socket_testbed.settings.acquisition import TriggerSettings
+from socket_testbed.settings.acquisition import READY_TIMEOUT, TriggerSettings
 from socket_testbed.trials.messages import trigger_packer
 from socket_testbed.trials.topics import TRIGGER, Service
 
-_READY_TIMEOUT = 60.0  # [s] of real time; for all nodes before the first trigger
 _FOREIGN_DURATION = 5.0  # [s]; how long another testbed is reported
 _LINGER = 0.05  # [s]; a busy node may not have received the last trigger when its publisher ends
 _MAX_REMEMBERED = 200  # own triggers, to recognise foreign ones
@@ -90,7 +89,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
     def _run(self) -> None:
         with self.until_ros_ends():
             # The first trigger must reach all nodes that measure.
-            if lacking := self._followers.await_links(_READY_TIMEOUT):
+            if lacking := self._followers.await_links(READY_TIMEOUT):
                 self.get_logger().warning(f"triggering without waiting any longer for {lacking}")
             due = clocks.monotonic()
             while not self._stopping.is_set():

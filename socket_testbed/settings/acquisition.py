@@ -8,6 +8,7 @@ from socket_testbed.settings.fields import Settings, fixed, setting
 
 MAX_TARE = 60.0  # [s]
 MAX_STALE = 1.0  # [s]
+READY_TIMEOUT = 60.0  # [s] of real time; for all nodes before the first trigger
 MAX_SPAN = 0.25  # [s]; of the default averaging around a trigger
 
 

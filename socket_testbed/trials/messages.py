@@ -147,9 +147,9 @@ def _vector_packer(template: Template, field: str, *halves: str) -> VectorPacker
 
 
 def _raw(records: cdr.Record, sample: Any) -> FloatArray:
-    """Ratios of the bridges [-] and tare [M; F] [N m, N], shape (..., 12)."""
+    """Ratios of the bridges [mV/V] and tare [M; F] [N m, N], shape (..., 12)."""
     tare = _joined(records["tare"], "torque", "force")
-    return np.concatenate([records["ratios"], tare], axis=-1)
+    return np.concatenate([1e3 * records["ratios"], tare], axis=-1)
 
 
 def load_cell_raw_packer() -> Callable[[int, FloatArray, FloatArray, int, int], bytes]:

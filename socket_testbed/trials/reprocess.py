@@ -60,7 +60,7 @@ def remake_wrenches(
     offsets = measured.tares
     wrenches = measured.wrench + offsets
     if given is not None:
-        new, ratios = Bridges(given), 1e3 * measured.ratios
+        new, ratios = Bridges(given), measured.ratios
         if recorded.matrix:
             old = Bridges(recorded)
             off = np.nan_to_num(np.abs(old.wrenches(ratios) - wrenches))

@@ -37,7 +37,7 @@ class Measurements:
     clusters: tuple[str, ...]  # names of the c clusters
     capacitance: FloatArray  # by converter input, shape (N, c, 4) [pF]
     status: StatusArray  # of each capacitance, shape (N, c, 4)
-    # Empty unless requested: ratios of the load cell's bridges, shape (N, 6) [-], the subtracted
+    # Empty unless requested: ratios of the load cell's bridges, shape (N, 6) [mV/V], the subtracted
     # tares [M; F], shape (N, 6) [N m, N], and the markers in the world by body, shape (N, k, 3)
     # [m], with k the maximum number of any body.
     ratios: FloatArray

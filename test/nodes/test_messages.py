@@ -80,7 +80,7 @@ PACK: dict[topics.Topic, Callable[[int, Any, Any], bytes]] = {
     topics.WRENCH: lambda t, v, m: messages.wrench_packer()(t, v),
     topics.SOCKET_POSE: lambda t, v, m: messages.pose_packer()(t, v),
     topics.LOAD_CELL_RAW: lambda t, v, m: messages.load_cell_raw_packer()(
-        t, 1e3 * v[:6], v[6:], cdr.nanoseconds(m.tared), m.status
+        t, v[:6], v[6:], cdr.nanoseconds(m.tared), m.status
     ),
     topics.CAPACITANCE: lambda t, v, m: messages.capacitance_packer(v.names)(
         t, v.capacitance, v.status
@@ -133,7 +133,7 @@ def test_what_ros_sends_is_read_and_what_is_packed_is_what_ros_sends(topic: topi
         if topic is topics.WRENCH:
             expected = [*wrench_vector(message.wrench)]
         elif topic is topics.LOAD_CELL_RAW:
-            expected = [*message.ratios, *wrench_vector(message.tare)]
+            expected = [*(1e3 * message.ratios), *wrench_vector(message.tare)]
         elif topic is topics.CAPACITANCE:
             expected = [x for c in message.clusters for x in c.capacitance]
             expected += [x for c in message.clusters for x in c.status]

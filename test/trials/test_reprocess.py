@@ -67,14 +67,14 @@ def miswired(hold: Path, right: LoadCellSettings, tmp_path_factory: pytest.TempP
     wrong = dataclasses.replace(right, matrix=tuple(matrix), **WRONG)
     ratios = measured_of(hold).ratios[:, WRONG["inputs"]] * WRONG["sign"] * right.excitation / 4.0
     # The matrix gives [F; M] over the ratios in mV/V.
-    wrench = 1e3 * np.roll(ratios @ matrix.reshape(6, 6).T, 3, axis=1)
+    wrench = np.roll(ratios @ matrix.reshape(6, 6).T, 3, axis=1)
     tare, pack_raw, pack_wrench = wrench[100], load_cell_raw_packer(), wrench_packer()
     path = recorded_as(
         hold,
         tmp_path_factory.mktemp("trials") / "miswired",
         {
             "/load_cell/wrench": lambda stamp, row: pack_wrench(stamp, wrench[row] - tare),
-            "/load_cell/raw": lambda stamp, row: pack_raw(stamp, 1e3 * ratios[row], tare, 0, 0),
+            "/load_cell/raw": lambda stamp, row: pack_raw(stamp, ratios[row], tare, 0, 0),
         },
     )
     store(wrong, path / "testbed.yaml")

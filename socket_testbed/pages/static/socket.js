@@ -251,9 +251,13 @@ class SocketMap {
 
 // --- the course over time
 
+const SIDES = {l: 46, r: 52};  // [px]; beside the plot, and beside the slider below it
+
 class Course {
   constructor(box, slider, seek) {
     Object.assign(this, {box, slider, course: null, at: 0});
+    Object.assign(slider?.style ?? {}, {width: `calc(100% - ${SIDES.l + SIDES.r}px)`,
+      margin: `0 ${SIDES.r}px 0 ${SIDES.l}px`});
     slider?.addEventListener("input", () => seek(Number(slider.value)));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.show());
     this.seek = seek;
@@ -277,7 +281,7 @@ class Course {
     const mark = (x, look) => ({type: "line", x0: x, x1: x, y0: 0, y1: 1, yref: "paper", line: look});
     const span = [time[0], time.at(-1)];
     Plotly.react(this.box, traces, {
-      margin: {l: 46, r: 52, t: 24, b: 32}, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
+      margin: {...SIDES, t: 24, b: 32}, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
       font: {color: ink, family: "inherit"}, dragmode: false,
       hoverlabel: {font: {color: "#111"}, bgcolor: "#fff"},
       legend: {orientation: "h", x: 0, y: 1.02, yanchor: "bottom", font: {color: ink, size: 11}},
