@@ -16,7 +16,7 @@ from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.drivers import ERROR
-from socket_testbed.drivers.load_cell.ads131m0x import CHECK_WIRING
+from socket_testbed.drivers.load_cell.ads131m0x import CHECK_WIRING, conversion_period
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.drivers.natnet.tracker import BodyTracker
 from socket_testbed.errors import DeviceError, TestbedError, fact_and_hint
@@ -34,6 +34,7 @@ _POLL_INTERVAL = 0.05  # [s]
 _DEFAULT_PRIORITY = 10  # tried if none is set
 _MODEL_FILE = Path("/proc/device-tree/model")  # of the computer
 _SOUND_I2C = [6, 6, 28]  # the first packaged kernel with raspberrypi/linux#6071 (March 2024)
+_MAX_PAUSE = 1.5  # conversions of the load cell, whose converter keeps two
 _MAX_LATENESS = 0.25  # [-]; of a reading, as a share of the trigger period
 
 # Press test:
@@ -124,7 +125,9 @@ def check_scheduling(testbed: Testbed) -> Iterator[Outcome]:
     else:
         found += "; no permission for a real-time priority"
     used = urgent if wanted and len(urgent) else ordinary
-    enough = np.percentile(used, 99) <= min(LATEST, _MAX_LATENESS / rate)
+    cell = testbed.settings.load_cell_node
+    pause = _MAX_PAUSE * conversion_period(cell.clock_in, cell.oversampling)
+    enough = np.percentile(used, 99) <= min(LATEST, pause, _MAX_LATENESS / rate)
     found += f": {'soon enough' if enough else 'too late'} for {rate:g} Hz"
     hint = ""
     if not enough and testbed.simulation is None:

@@ -6,6 +6,7 @@ import sys
 import tempfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.verbs import program
 from support.wording import refused
@@ -13,8 +14,10 @@ from support.wording import refused
 from socket_testbed import clocks
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.live import doctor, hardware
+from socket_testbed.live.bringup import Testbed
 from socket_testbed.live.processes import Graph
 from socket_testbed.settings import acquisition
+from socket_testbed.settings.testbed import TestbedSettings
 
 NODE = """
 import os, signal, rclpy
@@ -97,3 +100,11 @@ def test_doctor_names_kernels_whose_bus_locks_up() -> None:
     assert "5784" in found.found and found.hint == "update it to 6.6.28 or newer"
     for model, release in ((pi, "6.8.0-1013-raspi"), (pi, "6.6.28"), ("a laptop", "5.15.0")):
         assert not doctor.kernel_finding(model, release).hint
+
+
+def test_doctor_judges_lateness_by_the_conversions_that_the_load_cell_keeps(monkeypatch) -> None:
+    monkeypatch.setattr(doctor, "measure_lateness", lambda *_: np.full(10, 2e-3))
+    for oversampling, verdict in ((8192, "soon enough"), (1024, "too late")):
+        cell = acquisition.LoadCellSettings(oversampling=oversampling)
+        (found,) = doctor.check_scheduling(Testbed(TestbedSettings(load_cell_node=cell)))
+        assert f": {verdict} for 4 Hz" in found.found
