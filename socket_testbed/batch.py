@@ -175,7 +175,9 @@ def _run_job(task: Task, job: Job) -> tuple[str, Row]:
             row |= {"status": "skipped", **old[2]}
             notes += old[3]
         else:
-            _remove_older(job.output, record, task.replace)
+            # The record of an interrupted run is empty.
+            ours = record.exists() and (not old or old[1] == _stamp(job.output))
+            _remove_older(job.output, record, task.replace or ours)
             start = time.perf_counter()
             with threadpool_limits(1):  # trials run in parallel, one per core
                 figures = task.work(replace(job, trial=trial))
@@ -211,11 +213,11 @@ def _stamp(path: Path) -> list[int]:
     return [status.st_size, status.st_mtime_ns]
 
 
-def _remove_older(output: Path, record: Path, replace_others: bool) -> None:
+def _remove_older(output: Path, record: Path, replace: bool) -> None:
     """Remove an older result, so that it cannot pass for this one if the work fails."""
     make_folder(output.parent)
     make_folder(record.parent)
-    check_outputs(output, replace=replace_others or record.exists())
+    check_outputs(output, replace=replace)
     record.write_text("")  # marks the output as ours even if the run is interrupted
     output.unlink(missing_ok=True)
 

@@ -46,6 +46,16 @@ def channel_unit(name: str) -> str:
     return "N m" if name.rpartition(".")[2].startswith("M") else "N"
 
 
+def force_magnitude(wrench: FloatArray) -> FloatArray:
+    """Magnitudes of the forces of N wrenches, (N,) of (N, 6) [N]; NaN where one is missing.
+
+    A channel that never has a value does not count.
+    """
+    force = wrench[:, 3:]
+    dead = np.isnan(force).all(axis=0)
+    return np.asarray(np.linalg.norm(force[:, ~dead] if not dead.all() else force, axis=1))
+
+
 def moments_about(wrench: FloatArray, point: Sequence[float] | None) -> FloatArray:
     """Wrenches [M; F], shape (N, 6), about a point in their frame, shape (3,) [m]; None: as is."""
     if point is None:
@@ -143,8 +153,10 @@ class Samples:
 
     @property
     def has_wrench(self) -> BoolArray:
-        """Rows with a whole wrench, shape (N,)."""
-        return np.asarray(np.isfinite(self.wrench).all(axis=1))
+        """Rows with a wrench, shape (N,); channels that never have a value are not required."""
+        measured = np.isfinite(self.wrench)
+        complete = (measured | ~measured.any(axis=0)).all(axis=1)
+        return np.asarray(complete & measured.any(axis=1))
 
     @property
     def has_pose_and_wrench(self) -> BoolArray:
@@ -152,19 +164,14 @@ class Samples:
         return self.has_pose & self.has_wrench
 
     def under_load(self, least_force: float) -> BoolArray:
-        """Rows with a pose, a wrench, and a force of at least so many newtons, shape (N,).
-
-        Wrench channels that never have a value are not required.
-        """
-        measured = np.isfinite(self.wrench)
-        measured |= ~measured.any(axis=0)
-        force = np.linalg.norm(np.nan_to_num(self.wrench[:, 3:]), axis=1)
-        return np.asarray(self.has_pose & measured.all(axis=1) & (force >= least_force))
+        """Rows with a pose, a wrench, and a force of at least so many newtons, shape (N,)."""
+        return self.has_pose_and_wrench & (force_magnitude(self.wrench) >= least_force)
 
     @property
     def states(self) -> dict[str, StatusArray]:
         """Status of the wrench, the limb position and each cluster, shape (N,) each."""
-        present = {"wrench": self.has_wrench, "limb position": self.has_pose}
+        complete = np.isfinite(self.wrench).all(axis=1)
+        present = {"wrench": complete, "limb position": self.has_pose}
         found = {name: np.where(rows, Status.OK, Status.MISSING) for name, rows in present.items()}
         return found | dict(zip(self.clusters, self.status.T, strict=True))
 

@@ -91,7 +91,6 @@ def test_a_trial_is_done_again_when_anything_changed(study: Path, task: Task) ->
     for change in (
         lambda: (trial / "walk.mcap").write_text("MESSAGES of walk"),  # of the same size
         lambda: (trial / "trial.yaml").write_text("mass: 71\nsubject: A"),
-        lambda: output.write_text("another model"),
         output.unlink,
         lambda: (shutil.rmtree(trial), older.rename(trial)),  # an older one
     ):
@@ -112,6 +111,10 @@ def test_one_that_fails_stops_no_other_and_leaves_no_older_result(study: Path, t
         run(study, task)
     assert (task.folder / "walk.json").read_text() == "of somebody"
     assert "exists already" in table_of(task)["error"]["walk"]
+    assert run(study, replace(task, replace=True))[0] == ["skipped", "skipped", "ok"]
+    (task.folder / "walk.json").write_text("of somebody again")
+    with pytest.raises(TrialError, match="1 of 3 trials failed"):
+        run(study, task)
     assert run(study, replace(task, replace=True))[0] == ["skipped", "skipped", "ok"]
     (study / "s01" / "hold" / "hold.mcap").write_text("wrong")
     (study / "s02" / "hold" / "hold.mcap").write_text("bug")

@@ -75,6 +75,7 @@ class TrialFit(Result):
         samples = self.trial.samples()
         identity = {
             "name": self.trial.name,
+            "fingerprint": self.trial.fingerprint,
             "first_stamp": int(samples.stamps[0]),
             "last_stamp": int(samples.stamps[-1]),
             "samples": len(samples),
@@ -96,6 +97,7 @@ class TrialFit(Result):
             errors=fit.errors,
             status=fit.status,
             trial=self.trial.name,
+            fingerprint=self.trial.fingerprint,
             unloaded=self.trial.unloaded,
             segment=str(self.segment),
         )
@@ -169,7 +171,7 @@ class Evaluation(Result):
     @property
     def in_sample(self) -> bool:
         """Whether the model was fitted on some of these samples."""
-        used = self.model.used(self.trial.name, self.trial.samples())
+        used = self.model.used(self.trial.fingerprint, self.trial.samples())
         return bool(used[self.segment.rows].any())
 
     def to_dataframe(self) -> pd.DataFrame:

@@ -231,7 +231,8 @@ def _recordings(
             settings = estimator_settings(trial.estimator, params, **choices)
             rows = select(trial, segment, settings).rows
             require_position(trial.samples()[rows], trial.geometry)
-            samples = trial.sound(settings.identification.leave_out)[rows]
+            leave_out = settings.identification.leave_out
+            samples = trial.sound(leave_out)[rows].without(leave_out)
             found.append(_Recording(name, trial, settings, samples))
     read = [recording.trial for recording in found]
     require_one_socket(read, "validate the trials of one socket at a time")

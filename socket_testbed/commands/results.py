@@ -81,6 +81,8 @@ def _show_fit(found: TrialFit, options: Mapping[str, Any]) -> None:
     )
     if model.variant in PAPER_VARIANTS:
         print(f"stiffness k0 of Stage 1: {settings.initial_stiffness:.4g} N/m")
+    if not (fit.stage_one.determined and fit.stage_two.determined):
+        print("warning: the solution is not unique: give a --smoothness above 0")
     if fit.wrench:
         print(f"the wrench is predicted by {fit.wrench}")
     print(f"{fit.status}\n\n{errors_table(fit.errors)}\n")

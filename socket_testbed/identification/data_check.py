@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 
@@ -23,7 +24,14 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.identification import plausibility, validation
 from socket_testbed.identification.force_map import NORMAL_QUANTILE
 from socket_testbed.identification.noise import channel_noise
-from socket_testbed.samples import GRAVITY, WRENCH_CHANNELS, Samples, Status, channel_unit
+from socket_testbed.samples import (
+    GRAVITY,
+    WRENCH_CHANNELS,
+    Samples,
+    Status,
+    channel_unit,
+    force_magnitude,
+)
 from socket_testbed.settings.identification import ForceMapSettings
 
 GOOD, LOOK = "data: good", "data: look at "
@@ -84,7 +92,7 @@ def check_data(
     found = [*_units(counted, geometry, mass)]
     if whole:
         found += [*_time_series(counted, geometry)] or [*_disagreements(counted, geometry)]
-    found += [finding for finding in _channels(samples) if finding.source not in leave_out]
+    found += _channels(samples, leave_out)
     spikes = plausibility.outlier_notes(samples, outliers)
     found += [DataFinding("single values", note, "check cables and connectors") for note in spikes]
     return tuple(found)
@@ -102,7 +110,7 @@ def _units(samples: Samples, geometry: SocketGeometry, mass: float | None) -> It
             hint = "check that moments are in N m and forces in N, and the load cell's channels"
             yield DataFinding("the wrench", f"{found.channel}: {found.reason}", hint)
             break
-    size = finite_quantile(np.linalg.norm(samples.wrench[:, 3:], axis=1), 0.95)
+    size = finite_quantile(force_magnitude(samples.wrench), 0.95)
     weights = size / (GRAVITY * mass) if mass else 1.0
     if not LOAD_RANGE[0] <= weights <= LOAD_RANGE[1]:
         yield DataFinding(
@@ -218,14 +226,19 @@ def _disagreements(samples: Samples, geometry: SocketGeometry) -> Iterator[DataF
         yield DataFinding(name, fact, hint)
 
 
-def _channels(samples: Samples) -> Iterator[DataFinding]:
+def _channels(samples: Samples, leave_out: tuple[str, ...]) -> Iterator[DataFinding]:
     """Sources and channels that are missing, frozen, clipped or noisy."""
-    period = usual_period(samples.time)
+    period, counts = usual_period(samples.time), samples.counted(leave_out)
+    measured = np.isfinite(samples.wrench[:, counts[:6]])
+    names = compress(WRENCH_CHANNELS, counts)
+    lacking = [name for name, column in zip(names, measured.T, strict=False) if not column.any()]
     sources = {
-        "the wrench": samples.has_wrench,
+        lacking[0] if len(lacking) == 1 else "the wrench": measured.all(axis=1),
         "the limb pose": samples.has_pose,
-        **{name: samples.status[:, k] == Status.OK for k, name in enumerate(samples.clusters)},
     }
+    for k, name in enumerate(samples.clusters):
+        if counts[6 + 3 * k : 9 + 3 * k].any():
+            sources[name] = samples.status[:, k] == Status.OK
     for name, present in sources.items():
         share = float(np.mean(~present))
         if share > MAX_MISSING:
@@ -251,7 +264,7 @@ def _channels(samples: Samples) -> Iterator[DataFinding]:
     noises = channel_noise(samples).values.tolist()
     for name, column, noise in zip(samples.channels, values.T, noises, strict=True):
         known = column[np.isfinite(column)]
-        if len(known) < LEAST_CHECKED:
+        if len(known) < LEAST_CHECKED or name in leave_out:
             continue
         still = period * _longest_run(known)
         at_end, end = max((np.mean(known == end), end) for end in (known.min(), known.max()))

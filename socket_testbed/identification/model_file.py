@@ -49,6 +49,7 @@ class StoredModel:
     errors: tuple[ChannelErrors, ...]
     status: str  # solver and certificate of both stages, in words
     trial: str  # name of the trial it was fitted on
+    fingerprint: str  # of that trial; empty in a model of an older version
     # spans of the trial used to correct the clusters' drift [s]
     unloaded: tuple[tuple[float, float], ...]
     segment: str  # of the trial, such as `plateau 12.00 s to 31.50 s`
@@ -57,11 +58,11 @@ class StoredModel:
         """Predictions of all channels, (N, 6 + 3c), with poses averaged as in the fit."""
         return predictions(samples, self.model, self.settings.pose_smoothing)
 
-    def used(self, trial: str, samples: Samples) -> BoolArray:
-        """Which samples of a trial of this name are in the span of the fit, shape (N,)."""
-        if trial != self.trial or self.last_stamp not in samples.stamps:
-            return np.zeros(len(samples), dtype=bool)
-        return (samples.stamps >= self.first_stamp) & (samples.stamps <= self.last_stamp)
+    def used(self, fingerprint: str, samples: Samples) -> BoolArray:
+        """Which samples of the trial of this fingerprint are in the span of the fit, shape (N,)."""
+        own = self.fingerprint in ("", fingerprint) and self.last_stamp in samples.stamps
+        stamps = samples.stamps
+        return own & (stamps >= self.first_stamp) & (stamps <= self.last_stamp)
 
     def __repr__(self) -> str:
         return (
@@ -77,6 +78,14 @@ class StoredModel:
                 f" tiles) than the one that it is used on ({len(geometry)} tiles)",
                 "fit a model on this socket, or give the socket.yaml of the model's trial",
             )
+        own = self.geometry
+        for name in own.clusters.keys() & geometry.clusters.keys():
+            tile, other = own.clusters[name], geometry.clusters[name]
+            if tile != other or not np.isclose(own.areas[tile], geometry.areas[other]):
+                raise ConfigurationError(
+                    f"{name} had another tile or area in the socket of the model of {self.trial}",
+                    "fit the model again with this socket.yaml",
+                )
 
 
 def write_model(
@@ -84,7 +93,7 @@ def write_model(
 ) -> None:
     """Write a model fitted on a segment as JSON, replacing an older file.
 
-    The trial's identity contains at least its `name`.
+    The trial's identity contains at least its `name` and `fingerprint`.
     """
     document = {
         "format": _FORMAT,
@@ -200,6 +209,7 @@ class _Quality(Struct):  # the certificates are for human readers
 
 class _Trial(Struct):  # ignores any further identity
     name: documents.Text
+    fingerprint: str = ""
     unloaded: list[tuple[_Second, _Second]] = []
 
 
@@ -240,6 +250,7 @@ def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredMode
         errors=documents.convert(errors, tuple[ChannelErrors, ...], f"{path}: quality: errors"),
         status=quality.status,
         trial=str(document.trial.name),
+        fingerprint=document.trial.fingerprint,
         unloaded=tuple(document.trial.unloaded),
         segment=document.segment,
     )

@@ -14,7 +14,7 @@ import pandas as pd
 from socket_testbed.arrays import usual_period
 from socket_testbed.identification.fit import QUOTED, ChannelErrors, summarise_errors
 from socket_testbed.identification.pareto import KNEE, SENSOR_ONLY, WRENCH_ONLY, Front
-from socket_testbed.samples import Samples
+from socket_testbed.samples import Samples, force_magnitude
 from socket_testbed.settings.identification import PAPER_VARIANTS, IdentificationSettings, Variant
 from socket_testbed.tables import split_unit
 
@@ -95,7 +95,7 @@ def _figures(errors: Sequence[ChannelErrors], front: Front | None) -> dict[str, 
 
 def differing_conditions(samples: Samples, settings: IdentificationSettings) -> list[str]:
     """Differences from the published experiment and fit: this trial's value, then the paper's."""
-    force = np.linalg.norm(samples.wrench[samples.has_pose_and_wrench, 3:], axis=1)
+    force = force_magnitude(samples.wrench[samples.has_pose_and_wrench])
     load, rate = float(np.median(force)), 1.0 / usual_period(samples.time)
     found = []
     if abs(load - PUBLISHED_LOAD) > _LOAD_TOLERANCE * PUBLISHED_LOAD:

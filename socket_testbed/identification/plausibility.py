@@ -50,6 +50,7 @@ from socket_testbed.samples import (
     Samples,
     Status,
     channel_unit,
+    force_magnitude,
     local_channels,
 )
 from socket_testbed.settings.identification import PlateauSettings
@@ -192,7 +193,7 @@ class Implausible:
 
 def find_implausible(samples: Samples, geometry: SocketGeometry) -> tuple[Implausible, ...]:
     """Propose channels to leave out, by the rule of the module, one per channel and reason."""
-    force = np.linalg.norm(samples.wrench[:, 3:], axis=1)
+    force = force_magnitude(samples.wrench)
     load, peak = finite_quantile(force, 0.5), _peak(force)
     found: list[Implausible] = []
     for name, values in zip(samples.channels, samples.values.T, strict=True):

@@ -60,7 +60,7 @@ class Suspension:
 def find_suspension(samples: Samples, geometry: SocketGeometry) -> Suspension | None:
     """The suspension over some samples; None if too few have a pose and a wrench."""
     noise = channel_noise(samples).wrench
-    known = samples.has_pose_and_wrench
+    known = samples.has_pose & np.isfinite(samples.wrench).all(axis=1)
     if known.sum() < _MIN_SAMPLES:
         return None
     centre, pose = geometry.anchors.mean(axis=0), samples.centred().pose[known]

@@ -112,9 +112,11 @@ def close_wrench(
     so that large tiles change more than small ones, as under an added stress:
     :math:`\Delta F = A C^T (C A C^T)^{-1} (w - C F)`. The force on `held` tiles, such as those with
     a sensor, is fixed. Forces are in {S}, shape (N, n, 3) [N], wrenches [M; F], shape (N, 6)
-    [N m, N]; if there are too few other tiles to match the wrench, the misfit is least.
+    [N m, N]; if there are too few other tiles to match the wrench, the misfit is least. A channel
+    that never has a value is not matched.
     """
-    mapping = wrench_map(geometry.anchors)
+    known = np.isfinite(wrench).any(axis=0)
+    mapping, wrench = wrench_map(geometry.anchors)[known], wrench[:, known]
     areas = geometry.areas.copy()
     areas[list(held)] = 0.0
     gain = np.repeat(areas, 3)[:, None] * mapping.T

@@ -10,7 +10,7 @@ import pandas as pd
 from matplotlib.figure import Figure, SubFigure
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.identification.fit import QUOTED, ChannelErrors, summarise_errors
+from socket_testbed.identification.fit import QUOTED, REGRESSION, ChannelErrors, summarise_errors
 from socket_testbed.identification.paper import THEIRS, beside_published
 from socket_testbed.pages.document import numbers
 from socket_testbed.report.page import Heading, ReportFigure, Section, line_chart
@@ -70,8 +70,13 @@ def _describe(candidate: Candidate) -> str:
         if errors:
             found = summarise_errors(errors)
             parts.append(f"{title}: {found.in_words()}, median skill {number(found.skill, 'z.2f')}")
+    of_wrench = candidate.model.of_wrench
     offset = float(np.linalg.norm(candidate.model.wrench_bias[3:]))
-    if offset > 0.0:
+    if of_wrench is not None:
+        springs = f"springs of sharpness {of_wrench.sharpness:g} /m"
+        kind = springs if of_wrench.stiffness.any() else REGRESSION
+        parts.append(f"its wrench is predicted by {kind}, not by the springs on the tiles")
+    elif offset > 0.0:
         parts.append(f"its constant force, carried by no tile, {number(offset)} N")
     return f"{candidate.label}: {'; '.join(parts)}."
 
@@ -264,7 +269,10 @@ def surface_section(results: Results) -> Section:
         " wrench's offset belongs to no tile. Channels outside the objective have no offset."
     )
     offsets = _offsets(results)
-    shown = Table("offsets", "Constant offsets, added to the springs' predictions", offsets)
+    caption = "Constant offsets, added to the springs' predictions"
+    if any(candidate.model.of_wrench is not None for candidate in results.candidates):
+        caption += "; where another model predicts the wrench, its own offsets count"
+    shown = Table("offsets", caption, offsets)
     return Section(
         "surface",
         "Parameters on the socket's surface",

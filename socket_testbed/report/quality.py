@@ -31,7 +31,7 @@ from socket_testbed.report.style import (
     style_axes,
     thin,
 )
-from socket_testbed.samples import Status
+from socket_testbed.samples import Status, force_magnitude
 from socket_testbed.tables import Table, pairs_table
 from socket_testbed.trials.description import (
     describe_samples,
@@ -78,7 +78,7 @@ def _overview(results: Results) -> ReportFigure:
     samples, states = results.samples, states_by_channel(results.trial.samples())
     lacking = {name: state != Status.OK for name, state in states.items()}
     loads = {
-        "force magnitude [N]": np.linalg.norm(samples.wrench[:, 3:], axis=1),
+        "force magnitude [N]": force_magnitude(samples.wrench),
         "moment magnitude [N m]": np.linalg.norm(samples.wrench[:, :3], axis=1),
     }
     flags = {f"{name} not usable [-]": rows.astype(int) for name, rows in lacking.items()}

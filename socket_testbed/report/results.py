@@ -164,7 +164,7 @@ def compute_results(
     truth = read_true_forces(trial.path, samples.stamps, trial.geometry.names)
     try:
         validation = judge_samples(
-            samples, trial.geometry, settings, truth, trial.name, notes.append
+            samples.without(leave_out), trial.geometry, settings, truth, trial.name, notes.append
         )
     except IdentificationError as error:
         no_validation = str(error)
@@ -203,7 +203,7 @@ def _judge(trial: Trial, segment: Segment, label: str, source: Fit | StoredModel
     chosen = samples[segment.rows]
     predicted = predictions(samples, model, window)
     inside = _rows_of(segment, samples)
-    used = inside if isinstance(source, Fit) else source.used(trial.name, samples)
+    used = inside if isinstance(source, Fit) else source.used(trial.fingerprint, samples)
     rest = ~(inside | used)
     held_out = evaluate(samples[rest], predicted[rest], leave_out)
     enough = max(error.samples for error in held_out) >= _MIN_HELD_OUT

@@ -23,7 +23,7 @@ from scipy.ndimage import median_filter
 
 from socket_testbed.arrays import BREAK, FloatArray, gaps
 from socket_testbed.errors import ConfigurationError, TrialError, likely
-from socket_testbed.samples import Samples
+from socket_testbed.samples import Samples, force_magnitude
 from socket_testbed.settings.identification import PlateauSettings
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.messages import Reader
@@ -188,7 +188,7 @@ def loaded_span(samples: Samples, settings: PlateauSettings) -> tuple[float, flo
 
 def _load(samples: Samples) -> tuple[FloatArray, FloatArray]:
     """Times [s] and magnitudes [N] of the known forces, without single-sample outliers."""
-    load = np.linalg.norm(samples.wrench[:, 3:], axis=1)
+    load = force_magnitude(samples.wrench)
     known = np.isfinite(load)
     return samples.time[known], np.asarray(median_filter(load[known], 3, mode="nearest"))
 

@@ -18,6 +18,7 @@ from socket_testbed.errors import ConfigurationError, TrialError, naming
 from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
+from socket_testbed.samples import force_magnitude
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.settings.testbed import read_testbed
 from socket_testbed.trials.segment import parse_span
@@ -256,7 +257,7 @@ def _unloaded_forces(
     measured: Measurements, spans: Sequence[tuple[float, float]], least_force: float, where: str
 ) -> list[float]:
     """Median force in each span [N], empty if no force is known; refuses a loaded span."""
-    force = np.linalg.norm(measured.wrench[:, 3:], axis=1)
+    force = force_magnitude(measured.wrench)
     known = np.isfinite(force)
     time, force = measured.time[known], force[known]
     if len(force) == 0:

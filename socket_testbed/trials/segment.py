@@ -196,7 +196,7 @@ def _steadiness(
     steady &= (np.linalg.norm(change, axis=2) <= settings.cluster_change).all(axis=1)
     # Without motion capture no position is missing.
     position = samples.position[:, : 3 * samples.has_pose.any()]
-    channels = np.hstack([position, samples.values])
+    channels = np.hstack([position, samples.values[:, samples.counted(leave_out)]])
     missing = np.isnan(channels).mean(axis=1, keepdims=True)
     steady &= moving_mean(missing, width)[:, 0] <= settings.missing_fraction
     steady &= np.linalg.norm(wrench[:, 3:], axis=1) >= settings.least_force

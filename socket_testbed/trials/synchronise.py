@@ -85,12 +85,13 @@ def read_measurements(
     than once in a topic.
     """
     recorded = required_topics(bag)
+    if not all(bag.counts.get(recorded.get(topic, "")) for topic in topics.POSES.values()):
+        notify("the trial has no limb positions: a fit and the limb's motion need them")
+        more = set(more) - {topics.MARKERS}
     for topic in more:
         if not bag.counts.get(recorded.get(topic, "")):
             why, hint = _MISSING_TOPICS[topic]
             raise TrialError(f"{bag.path}: holds no '{topic.name}', so {why}", hint)
-    if not all(bag.counts.get(recorded.get(topic, "")) for topic in topics.POSES.values()):
-        notify("the trial has no limb positions: a fit and the limb's motion need them")
     series = _read_series(bag, {recorded[t]: t for t in recorded if t.required or t in more})
     _drop_strays(series, notify)
     clusters = tuple(name for topic, name in series if topic is topics.CAPACITANCE)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
+from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -114,7 +115,7 @@ class Trial:
             measured = reprocess.remake_wrenches(
                 measured, recorded, given, self.tare, where, self._notify
             )
-        if self._other_markers:
+        if self._other_markers and measured.markers:
             measured = reprocess.refit_poses(
                 measured, self.geometry, self._other_markers, where, self._notify
             )
@@ -177,12 +178,22 @@ class Trial:
 
         Raises the errors of `samples`; returns the names of the trial's clusters.
         """
-        with self.open() as bag:
-            name = required_topics(bag)[topics.CAPACITANCE]
-            first = next(bag.messages([name]))
-        clusters: tuple[str, ...] = Reader(topics.CAPACITANCE, self.path).read(first.data)[1].names
+        reader = Reader(topics.CAPACITANCE, self.path)
+        clusters: tuple[str, ...] = reader.read(self._first_message)[1].names
         self._require_clusters(clusters)
         return clusters
+
+    @property
+    def fingerprint(self) -> str:
+        """Identifies the recording, whatever its folder is called."""
+        return sha256(self._first_message).hexdigest()[:16]
+
+    @cached_property
+    def _first_message(self) -> bytes:
+        """The first message of the clusters: its noise is unique."""
+        with self.open() as bag:
+            name = required_topics(bag)[topics.CAPACITANCE]
+            return next(bag.messages([name])).data
 
     def _require_clusters(self, clusters: Collection[str]) -> None:
         self.calibration.require(clusters, f"the trial {self.path}")

@@ -36,6 +36,16 @@ def test_one_trial_is_judged_on_its_other_half(folder: Path, capsys) -> None:
 
 
 @pytest.mark.usefixtures("few_variants")
+def test_what_is_left_out_is_left_out_of_the_map_that_is_judged(folder: Path) -> None:
+    sound, spoilt = (st.open_trial(folder / "s0") for _ in range(2))
+    names = [f"{spoilt.samples().clusters[0]}.{axis}" for axis in ("Fx", "Fy", "Fz")]
+    spoilt.samples().local_forces[:, 0] = 40.0
+    spoilt.samples().wrench[:, 0] = np.nan
+    found = [st.validate(t, leave_out=["Mx", *names]).to_dataframe() for t in (sound, spoilt)]
+    pd.testing.assert_frame_equal(*found)
+
+
+@pytest.mark.usefixtures("few_variants")
 def test_trials_predict_each_other_in_a_row_of_each_trial(folder: Path, tmp_path, capsys) -> None:
     study, output = shutil.copytree(folder, tmp_path / "study"), tmp_path / "study.csv"
     st.annotate(st.open_trial(study / "s1"), liner="gel", mass=80.0)

@@ -63,7 +63,7 @@ DAMAGED = {
     "late pose": ("the limb pose", ("position", "rotation"), late),
     "no pose": ("the limb pose", ("position", "rotation"), put(np.nan, ALL)),
     "dead channel": ("Fz", ("wrench",), put(0.0, ALL, 5)),
-    "missing channel": ("the wrench", ("wrench",), put(np.nan, ALL, 5)),
+    "missing channel": ("Fz", ("wrench",), put(np.nan, ALL, 5)),
     "dead cluster": ("distal", ("local_forces",), put(0.0, ALL, 3)),
     "missing cluster": ("distal", ("status",), put(Status.MISSING, ALL, 3)),
     "frozen": ("Fz", ("wrench",), put(-200.0, slice(200, 300), 5)),
@@ -93,6 +93,12 @@ def test_a_reversed_cluster_another_size_and_few_samples_are_named(sound: dict[s
     spoilt = replace(samples, wrench=samples.wrench * [1, 1, 1e4, 1, 1, 1])
     assert check_data(spoilt, trial.geometry)
     assert not check_data(spoilt, trial.geometry, leave_out=("Mz",))
+    wrench, status = samples.wrench * [1, 1, np.nan, 1, 1, 1], samples.status.copy()
+    status[:, 0] = Status.MISSING
+    dead = replace(samples, wrench=wrench, status=status)
+    found = check_data(dead, trial.geometry)
+    assert {finding.source for finding in found} == {"Mz", samples.clusters[0]}
+    assert not check_data(dead, trial.geometry, leave_out=("Mz", *samples.channels[6:9]))
     clipped = samples.wrench.copy()
     clipped[::4, 3] = low = clipped[:, 3].min()
     (found,) = check_data(replace(samples, wrench=clipped), trial.geometry)

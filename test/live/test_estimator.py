@@ -308,11 +308,18 @@ def test_the_model_that_is_better_on_the_newest_samples_stays(trial: Trial, fit:
 
 def test_a_stored_model_predicts_at_once(bench: Bench, hold_model: Path, tmp_path: Path) -> None:
     document = json.loads(hold_model.read_text())
-    tile = next(iter(document["geometry"]["tiles"].values()))
-    tile["anchor"][2] += 0.01
-    (tmp_path / "model.json").write_text(json.dumps(document))
-    with refused(ConfigurationError, "another socket"):
-        bench.estimator.load(tmp_path / "model.json")
+    clusters, tile = (document["geometry"][key] for key in ("clusters", "tiles"))
+    first, second, *_ = clusters
+    exchanged = {first: clusters[second], second: clusters[first]}
+    tile = next(iter(tile.values()))
+    for change, wrong in (
+        (lambda: clusters.update(exchanged), "had another tile or area"),
+        (lambda: tile["anchor"].append(tile["anchor"].pop() + 0.01), "another socket"),
+    ):
+        change()
+        (tmp_path / "model.json").write_text(json.dumps(document))
+        with refused(ConfigurationError, wrong):
+            bench.estimator.load(tmp_path / "model.json")
     bench.estimator.load(hold_model)
     (reported,) = bench.models
     assert isinstance(reported, StoredModel) and reported.trial == read_model(hold_model).trial

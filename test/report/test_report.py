@@ -75,11 +75,12 @@ def test_a_given_model_is_judged_on_what_its_fit_has_not_used(hold, hold_model, 
     monkeypatch.setattr("socket_testbed.report.results.pareto_front", lambda *_, **__: {})
     trial, model = Trial(hold), read_model(hold_model)  # of the plateau
     outside = ~within(trial.samples().time, 20.0, 40.0)
-    for name, words in (("hold", "in-sample"), ("walk", "over the segment")):
-        given = dataclasses.replace(model, trial=name)
+    own = Trial(hold).fingerprint
+    for fingerprint, words in ((own, "in-sample"), ("of another trial", "over the segment")):
+        given = dataclasses.replace(model, fingerprint=fingerprint)
         found = compute_results(trial, "20:40", trial.estimator, THETAS, given)
         assert any(line.startswith(f"given: {words}: ") for line in summarise(found))
-        rest = outside & ~given.used("hold", trial.samples())
+        rest = outside & ~given.used(own, trial.samples())
         assert max(e.samples for e in found.candidates[-1].held_out) == rest.sum()
 
 

@@ -267,6 +267,9 @@ def test_spans_under_load_are_refused(hold: Path, measured: synchronise.Measurem
     for spans in (((25.0, 30.0),), ((0.0, 5.0), (25.0, 30.0))):
         with refused(TrialError, "25:30 is not without load", "279 N there: ", " 92 N"):
             Trial(hold, unloaded=spans).samples()
+    dead = dataclasses.replace(measured, wrench=measured.wrench * [1, 1, 1, np.nan, 1, 1])
+    with refused(TrialError, "25:30 is not without load"):
+        correct(Trial(hold, unloaded=((25.0, 30.0),)), dead)
     with refused(CalibrationError, "from 900 s to 901 s", "too few"):
         correct(Trial(hold, unloaded=((900.0, 901.0),)), measured)
     notes: list[str] = []

@@ -236,6 +236,15 @@ def test_neither_an_outlier_nor_a_channel_left_out_of_the_fit_cuts_a_segment(hol
     assert compared["difference"].abs().max() < 10.0
 
 
+def test_a_channel_without_any_value_hides_no_load_and_left_out_clusters_no_plateau(hold):
+    sound, dead, few = (Trial(hold) for _ in range(3))
+    dead.samples().wrench[:, 3] = np.nan
+    for name in ("hold", "auto"):
+        assert dead.select(name, dead.estimator) == sound.select(name, sound.estimator)
+    few.samples().local_forces[:, :2] = np.nan
+    assert st.fit(few, leave_out=few.samples().channels[6:12]).segment.kind == "plateau"
+
+
 def test_recorded_and_found_events_are_in_one_list(hold: Path, tmp_path: Path) -> None:
     found = Trial(hold).events()
     assert labels(found) == ["placed", "removed"]
