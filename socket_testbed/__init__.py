@@ -26,7 +26,7 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_public()})
+    return sorted(["__version__", *_public()])
 
 
 def _public() -> dict[str, Any]:

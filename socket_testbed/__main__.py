@@ -26,7 +26,7 @@ _GROUPS = {
         "record": ("live", "trials/s01"),
         "mark": ("mark", "push"),
         "view": ("pages", "trials/s01"),
-        "simulate": ("trials", "-o trials/walk --scenario protocol --duration 60"),
+        "simulate": ("trials", "-o trials/protocol --scenario protocol --duration 60"),
     },
     "afterwards": {
         "info": ("trials", "trials/s01"),

@@ -20,7 +20,7 @@ from socket_testbed.errors import ConfigurationError
 SOCKET_FILE, CALIBRATION_FILE, PARAMETERS_FILE = "socket.yaml", "calibration.yaml", "testbed.yaml"
 CONFIGURATION_FILES = (SOCKET_FILE, CALIBRATION_FILE, PARAMETERS_FILE)
 
-TABLES, PICTURES, PAGES = (".csv", ".parquet", ".mat"), (".png", ".pdf"), (".html", ".htm")
+TABLES, PICTURES, PAGES = (".csv", ".parquet", ".mat"), (".png", ".pdf", ".svg"), (".html", ".htm")
 
 PARENT = "SOCKET_TESTBED_PARENT"  # environment variable: the process that started this one
 _PR_SET_PDEATHSIG = 1

@@ -321,7 +321,7 @@ def open_compared(
         raise ConfigurationError(f"the condition '{empty[0]}' has no trial", "name its trials")
     if not 2 <= len(groups) <= _MAX_ITEMS:
         raise ConfigurationError(
-            f"{len(groups)} {'conditions' if conditions else 'trials'} are given to compare",
+            f"{'conditions' if conditions else 'trials'} to compare: {len(groups)}",
             f"give 2 to {_MAX_ITEMS}, or 'pressure FOLDER -o OUTPUT' for a table with all trials",
         )
     trials = []

@@ -27,6 +27,8 @@ from socket_testbed.trials.export import (
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 
+_MAX_ABOUT = 2.0  # [m]
+
 
 def export(
     trial: Trial | PathLike,
@@ -65,8 +67,9 @@ def export(
     """
     trial = as_trial(trial)
     path = Path(path)
-    if about is not None and not (len(about) == 3 and np.isfinite(about).all()):
-        raise ConfigurationError(f"about is {list(about)}", "give three numbers [m]")
+    if about is not None and not (len(about) == 3 and np.abs(about).max() <= _MAX_ABOUT):
+        hint = f"give three numbers [m], from -{_MAX_ABOUT:g} to {_MAX_ABOUT:g}"
+        raise ConfigurationError(f"about is {list(about)}", hint)
     if path.suffix.lower() in GAIT_FORMATS:
         if model or force_map or pressure or cycles:
             raise ConfigurationError(

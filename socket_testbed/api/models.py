@@ -187,6 +187,7 @@ class Evaluation(Result):
     def document(self) -> dict[str, Any]:
         """The evaluation for JSON."""
         found = _errors_document(self, self.model, self.samples, self.errors)
+        found["in_sample"] = self.in_sample
         return found | ({"pressure": self.pressure.document()} if self.pressure else {})
 
     def save(self, path: PathLike) -> None:

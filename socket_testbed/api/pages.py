@@ -52,7 +52,7 @@ def write_report(
     segment: str = "plateau",
     *,
     model: Model | None = None,
-    thetas: int = 31,
+    thetas: int = 101,
     params: trials.PathLike | None = None,
     command: str = "socket_testbed.write_report",
     replace: bool = False,

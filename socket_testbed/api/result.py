@@ -73,7 +73,7 @@ class Result:
         *,
         ax: Axes | None = None,
     ) -> None:
-        """Write `figure` as `.png` or `.pdf`, or draw into your own axes.
+        """Write `figure` as `.png`, `.pdf` or `.svg`, or draw into your own axes.
 
         Args:
             path: The file; an existing one is replaced.

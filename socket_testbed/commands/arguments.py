@@ -213,6 +213,8 @@ class Parser(argparse.ArgumentParser):
         choice = re.search(r"invalid choice: '(.*)' \(choose from (.*)\)", message)
         if choice:
             hint = likely(choice[1], re.findall(r"[\w-]+", choice[2])) or hint
+        if re.search(r"invalid \w+ value: '-?\d+,\d+'", message):
+            hint = "write decimals with a point"
         known = re.findall(r"--[\w-]+", self.format_help())
         for word in self.words:
             option = word.partition("=")[0]

@@ -136,7 +136,7 @@ def draw(
     """Draw a result if `figure` is given.
 
     Args:
-        figure: Draw the results as .png or .pdf.
+        figure: Draw the results as .png, .pdf or .svg.
         width: Printed width of figures [mm]: one column of a paper, or the full page.
         title: Titles of figures and errors in their keys.
     """

@@ -36,8 +36,7 @@ from socket_testbed.trials.segment import Segment
 
 ERRORS_FILE = "errors.csv"  # in the folder of every report, which it marks as one
 
-_PANEL_HEIGHT, _KEY_LINE = 34.0, 3.1  # [mm]; panel without its key; line of the key
-_MIN_WIDE = 80.0  # [mm]; width of a panel for a model and its errors in two lines
+_PANEL_HEIGHT, _KEY_LINE = 30.0, 3.1  # [mm]; panel without its key; line of the key
 _NAME_WIDTH = 26.0  # [mm]; longest line of a name above a panel
 _SERIES_HEIGHT = 68.0  # [mm]; two panels over time with their key
 _QUANTITIES = {"N m": "moment", "N": "force"}
@@ -199,11 +198,11 @@ def _channels(results: Results, name: str, title: str, channels: Sequence[int]) 
     heading = results.title(title)
     return ReportFigure(
         name,
-        f"{title}, {results.segment}. In figures for print, with errors over the shaded segment"
+        f"{title}; {results.segment} is shaded. Figures for print add the errors over it"
         f" ({results.judged_on}). {THINNED}",
         lambda style: wrench_figure(samples, results.segment, models, heading, style, channels),
         results.series(columns),
-        line_chart(samples.time, charts),
+        line_chart(samples.time, charts, [results.segment]),
     )
 
 
@@ -218,13 +217,13 @@ def wrench_figure(
 ) -> Figure:
     """Measured and predicted channels, by default those of the wrench.
 
-    One panel per channel, three per row of a page, with errors unless titles are off.
+    One panel per channel: three per row of a page, with errors unless titles are off, or two per
+    row of a column.
     """
-    across = 3 if not style.is_narrow else 1 if style.titles else 2
+    across, has_errors = 2 if style.is_narrow else 3, style.titles and not style.is_narrow
     rows = -(-len(channels) // across)
-    lines = (2 if style.width / across >= _MIN_WIDE else 3) if style.titles else 0
-    key = _KEY_LINE * (2.5 + lines * len(models)) if style.titles else 0.0
-    figure = style.figure(rows * (_PANEL_HEIGHT + key) + (12.0 if style.titles else 20.0))
+    key = _KEY_LINE * (2.5 + 2 * len(models)) if has_errors else 0.0
+    figure = style.figure(rows * (_PANEL_HEIGHT + key) + (12.0 if has_errors else 20.0))
     style.add_title(figure, title)
     axes, measured = panels(figure, len(channels), across), samples.trusted_values
     for axis, channel in zip(axes, channels, strict=True):
@@ -232,30 +231,27 @@ def wrench_figure(
         axis.axvspan(segment.start, segment.end, **SEGMENT_STYLE)
         axis.plot(*thin(samples.time, measured[:, channel]), label="measured", **MEASURED_STYLE)
         for (label, predicted, errors), look in zip(models, LINE_STYLES, strict=False):
-            described = _key(label, errors[channel], lines)
+            described = _key(label, errors[channel]) if has_errors else label
             axis.plot(*thin(samples.time, predicted[:, channel]), label=described, **look)
         axis.set_ylabel(f"{_QUANTITIES[first.unit]} [{first.unit}]")
         name = first.name + " (not in objective)" * (not first.in_objective)
-        if lines:
+        if has_errors:
             add_legend(axis, title=name, labelspacing=0.2, handlelength=1.8)
         else:
             axis.set_title(wrap(name, _NAME_WIDTH), loc="left", fontweight="bold", parse_math=False)
-    if not lines:
+    if not has_errors:
         handles, labels = axes[0].get_legend_handles_labels()
         add_legend(figure, handles, labels, loc="outside lower center", ncols=across + 1)
     return lay_out(figure)
 
 
-def _key(label: str, e: ChannelErrors, lines: int) -> str:
-    if not lines:
-        return label
-    separator = ":\n" if lines == 3 else ": "
+def _key(label: str, e: ChannelErrors) -> str:
     if e.samples == 0:
-        return f"{label}{separator}no errors,\nno value in the span"
+        return f"{label}: no errors,\nno value in the span"
     digits = "z.2f" if abs(e.skill) < 10.0 else "z.0f"
     return (
-        f"{label}{separator}RMSE {e.rmse:.2f}, MAE {e.mae:.2f},\n"
-        f"\N{GREEK SMALL LETTER SIGMA} {e.sigma:.2f} {e.unit}, skill {number(e.skill, digits)}"
+        f"{label}: RMSE {e.rmse:.2f} {e.unit},\nMAE {e.mae:.2f},"
+        f" \N{GREEK SMALL LETTER SIGMA} {e.sigma:.2f}, skill {number(e.skill, digits)}"
     )
 
 

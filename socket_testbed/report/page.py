@@ -28,6 +28,8 @@ from socket_testbed.tables import UNCERTAIN, pairs_table, write_table
 if TYPE_CHECKING:
     import trimesh
 
+    from socket_testbed.trials.segment import Segment
+
 
 @dataclass(frozen=True)
 class ReportFigure:
@@ -59,7 +61,9 @@ def utc(moment: datetime) -> str:
     return moment.astimezone(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
-def line_chart(time: FloatArray, panels: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def line_chart(
+    time: FloatArray, panels: Sequence[Mapping[str, Any]], shaded: Sequence[Segment]
+) -> dict[str, Any]:
     """A chart of panels over time (N,) [s], thinned: what is measured, then named models."""
     shown = []
     for panel in panels:
@@ -68,7 +72,8 @@ def line_chart(time: FloatArray, panels: Sequence[Mapping[str, Any]]) -> dict[st
             x, y = thin(time, values)
             lines[name] = {"x": numbers(x), "y": numbers(y, 4), "style": style}
         shown.append({"title": panel["title"], "lines": lines})
-    return {"over": "time [s]", "panels": shown}
+    spans = [[segment.start, segment.end] for segment in shaded]
+    return {"over": "time [s]", "panels": shown, "shaded": spans}
 
 
 @dataclass(frozen=True)

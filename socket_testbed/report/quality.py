@@ -85,12 +85,12 @@ def _overview(results: Results) -> ReportFigure:
     charts = [{"title": title, "lines": {"measured": load}} for title, load in loads.items()]
     return ReportFigure(
         "overview",
-        "Measured load over the trial, with plateaus in light and the segment in darker grey;"
-        " below, the share of samples in which a measurement was unusable: missing, saturated, or"
-        f" out of the calibrated range. {THINNED}",
+        "Measured load over the trial, with plateaus in light and the segment in darker grey."
+        " Figures for print also show the share of samples in which a measurement was unusable:"
+        f" missing, saturated, or out of the calibrated range. {THINNED}",
         lambda style: _draw_overview(results, loads, lacking, style),
         results.series(loads | flags),
-        line_chart(samples.time, charts),
+        line_chart(samples.time, charts, [*results.plateaus, results.segment]),
     )
 
 
@@ -167,7 +167,8 @@ def origin_section(results: Results, command: str, made: datetime) -> Section:
     settings = [
         (name, ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value))
         for name, value in results.settings.to_flat().items()
-        if name.startswith(("identification.", "plateau.")) and name != "identification.variant"
+        if name.startswith(("identification.", "plateau.", "force_map."))
+        and name != "identification.variant"
     ]
     tolerance = results.settings.identification.solver_tolerance
     return Section(
@@ -184,7 +185,7 @@ def origin_section(results: Results, command: str, made: datetime) -> Section:
             " computed from the solution independently of the solver. Those of the stages never"
             f" exceed {tolerance:g}; a joint refinement that does was stopped early.",
             _certificates(results),
-            Heading("Settings of the identification and the plateaus"),
+            Heading("Settings of identification, plateaus and force map"),
             pairs_table("settings", "Settings by name in testbed.yaml", settings),
         ],
     )
@@ -236,7 +237,7 @@ def _certificates(results: Results) -> Table:
     rows: list[tuple[Any, ...]] = []
     for candidate in results.candidates:
         if (fit := candidate.fit) is not None:
-            determined = f"{fit.determined:.1f} of {fit.model.stiffness.size}"
+            determined = f"{fit.determined:.0f} of {fit.model.stiffness.size}"
             names = ("1, rest positions", "2, stiffnesses", "joint")
             stages = zip(names, (fit.stage_one, fit.stage_two, fit.joint), strict=True)
             for stage, solution in stages:

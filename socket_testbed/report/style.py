@@ -77,6 +77,7 @@ _STYLE: dict[str, Any] = {
     "figure.constrained_layout.w_pad": 0.02,
     "figure.constrained_layout.h_pad": 0.02,
     "pdf.fonttype": 42,  # TrueType: text stays text
+    "svg.fonttype": "none",  # likewise
     "savefig.bbox": "standard",  # a tight box would change the width
     "text.usetex": False,
 }
@@ -182,7 +183,7 @@ def lay_out(figure: Figure) -> Figure:
 
 @in_style
 def save_figure(figure: Figure, path: Path, dpi: int = 300) -> None:
-    """Write a figure at its printed size as `.png` or `.pdf`; text stays text in a PDF."""
+    """Write a figure at its printed size, as `.png`, `.pdf` or `.svg`; text stays text."""
     check_suffix(path, PICTURES, "picture")
     with atomic_output(path) as staging:
         figure.savefig(staging, dpi=dpi)

@@ -249,7 +249,7 @@ def _draw_maps(
         _draw_end(panels[1], paint, labels)
         panels[1].set_axis_off()
         has_end = not paint.tiles.on_wall.all()
-        panels[1].set_title("distal end" if has_end else "", fontsize=SMALL, y=1.0)
+        panels[1].set_title("distal end,\nanterior up" if has_end else "", fontsize=SMALL, y=1.0)
         if not common:
             figure.colorbar(paint.scale, ax=[*panels], aspect=20.0, **bar)
     for panel in axes[len(values) :].flat:

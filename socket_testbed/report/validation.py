@@ -77,8 +77,8 @@ def section(results: Results) -> Section:
             *judged,
             Heading("Load shares"),
             "Predictions of springs and offsets projected onto the measured load; with the"
-            " residual, they add up to 100 %. The share of the offsets does not transfer to another"
-            " load.",
+            " residual, they add up to 100 %. A share below zero opposes the load. The share of the"
+            " offsets does not transfer to another load.",
             _shares(results),
             Heading("Information in the pose"),
             "Standard deviation of the motion over the segment against that of the noise. In"
@@ -127,7 +127,7 @@ def _shares(results: Results) -> Table:
     }
     names = [share.name for share in results.candidates[0].shares]
     frame = pd.DataFrame(columns, index=pd.Index(names, name="measured"))
-    formats = dict.fromkeys((title for _, title in columns), ".0f")
+    formats = dict.fromkeys((title for _, title in columns), "z.0f")
     return Table("shares", "Shares of the measured load over the segment", frame, formats)
 
 

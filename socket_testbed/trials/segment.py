@@ -85,7 +85,7 @@ def parse_span(span: str, option: str, others: str = "") -> tuple[float, float]:
     except ValueError:
         start = end = 0.0
     if not start < end:
-        hint = f"give seconds as T0:T1, with T0 before T1{others}"
+        hint = f"give seconds as T0:T1, the earlier first, such as 12.5:60{others}"
         raise ConfigurationError(f"{option} is '{span}'", hint)
     return start, end
 

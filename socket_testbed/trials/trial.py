@@ -278,10 +278,12 @@ class Trial:
         if not stored.is_file():
             with self.open():
                 pass  # raises the proper error if this is not a trial
-            raise TrialError(
-                f"{self.path}: no {name} is stored in this trial",
-                "give the missing files with --geometry and --calibration",
-            )
+            hint = "give the missing files with --geometry and --calibration"
+            if self.path.is_file():
+                hint = (
+                    f"give the trial's folder, {self.path.parent}, or {hint.removeprefix('give ')}"
+                )
+            raise TrialError(f"{self.path}: no {name} is stored in this trial", hint)
         return stored
 
     @cached_property

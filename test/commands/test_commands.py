@@ -91,7 +91,7 @@ WRONG = {
     "run --simulated --time-scale 0": ["the time scale is 0", "from 0.01 to 1"],
     "annotate HOLD --mass 815": ["--mass is 815.0"],
     "pressure HOLD -o regions.foo": ["'.foo' is not the format of a table", ".csv"],
-    "compare HOLD": ["1 trials", "2 to 12"],
+    "compare HOLD": ["trials to compare: 1", "2 to 12"],
     "view --tare none": ["--tare is for a trial"],
 }
 

@@ -4,10 +4,10 @@
 function lineChart(box, chart) {
   const ink = getComputedStyle(box).color, wide = box.clientWidth > 700 ? 3 : 1;
   const columns = Math.min(wide, chart.panels.length), rows = Math.ceil(chart.panels.length / columns);
-  const traces = [], notes = [];
+  const traces = [], notes = [], shapes = [];
   const layout = {grid: {rows, columns, pattern: "independent", ygap: 0.35},
     height: 60 + 190 * rows, margin: {l: 48, r: 8, t: 40, b: 36}, font: {color: ink, size: 11},
-    paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", annotations: notes,
+    paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", annotations: notes, shapes,
     legend: {orientation: "h", y: 1.0, yref: "container", yanchor: "top"}};
   chart.panels.forEach((panel, i) => {
     const axis = i ? i + 1 : "";
@@ -16,6 +16,10 @@ function lineChart(box, chart) {
         x: line.x, y: line.y, xaxis: `x${axis}`, yaxis: `y${axis}`,
         legendgroup: name, showlegend: traces.every((trace) => trace.name !== plain(name)),
         line: {color: ink, ...line.style}});
+    }
+    for (const [x0, x1] of chart.shaded ?? []) {
+      shapes.push({type: "rect", xref: `x${axis}`, yref: `y${axis} domain`, x0, x1, y0: 0, y1: 1,
+        fillcolor: "rgba(128,128,128,0.18)", line: {width: 0}, layer: "below"});
     }
     notes.push({text: `<b>${plain(panel.title)}</b>`, xref: `x${axis} domain`, yref: `y${axis} domain`,
       x: 0, y: 1, yanchor: "bottom", xanchor: "left", showarrow: false});

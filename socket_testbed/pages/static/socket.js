@@ -157,7 +157,7 @@ class SocketMap {
       outline(tile, {line: {color: "#fff", width: 4}});
       outline(tile, {line: {color: "#111", width: 2}});
       const measured = this.kind === "pressure" ? this.moment?.measured?.[i] : null;
-      label(tile, plain(name).replaceAll("_", " ") + (known(measured) ? `: <b>${measured.toFixed(1)}</b>` : ""),
+      label(tile, plain(name) + (known(measured) ? `: <b>${measured.toFixed(1)}</b>` : ""),
         narrow.matches ? 20 : 26);
     });
     if (!values) {  // the tiles alone
