@@ -26,11 +26,13 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 from socket_testbed.clocks import Backoff
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import CALIBRATION_FILE, SOCKET_FILE, check_new_folder, packaged
+from socket_testbed.files import check_new_folder
 from socket_testbed.live.bringup import (
     Simulation,
     Testbed,
+    new_trial,
     simulate_hardware,
+    testbed_files,
     testbed_settings,
 )
 from socket_testbed.live.processes import (
@@ -50,9 +52,9 @@ BEGAN = time.monotonic()
 
 ARGUMENTS = {
     "params": ("", "node parameters, a testbed.yaml"),
-    "geometry": (str(packaged("config", SOCKET_FILE)), "the socket, a socket.yaml"),
-    "calibration": (str(packaged("config", CALIBRATION_FILE)), "a calibration.yaml"),
-    "record": ("", "folder of a new trial; empty: no recording"),
+    "geometry": ("", "a socket.yaml; empty: as in params, or the package's own"),
+    "calibration": ("", "a calibration.yaml; empty: as in params, or the package's own"),
+    "record": ("", "folder of a new trial; empty: as in params, or no recording"),
     "namespace": ("", "of nodes and topics, such as left; empty: none"),
     "time_scale": ("1.0", "speed of the simulated testbed relative to real time, at most 1"),
 }
@@ -66,12 +68,12 @@ def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler | SetEn
     elif scale != 1.0:
         raise ConfigurationError("time_scale is for simulated hardware", "add simulated:=true")
     params = Path(given["params"]) if given["params"] else None
+    settings = testbed_settings(params, simulation)
     testbed = Testbed(
-        testbed_settings(params, simulation),
-        geometry=Path(given["geometry"]).resolve(),
-        calibration=Path(given["calibration"]).resolve(),
+        settings,
+        *testbed_files(settings, given["geometry"], given["calibration"]),
         simulation=simulation,
-        record=Path(given["record"]) if given["record"] else None,
+        record=new_trial(settings, Path(given["record"]) if given["record"] else None),
         namespace=given["namespace"],
     )
     testbed.check_devices()

@@ -31,6 +31,9 @@ class Status(IntEnum):
     OUT_OF_RANGE = 3
 
 
+WITHOUT_VALUE = (Status.SATURATED, Status.MISSING)
+
+
 def local_channels(cluster: str) -> list[str]:
     """Names of the three channels of a cluster."""
     return [f"{cluster}.{channel}" for channel in LOCAL_CHANNELS]
@@ -177,8 +180,8 @@ class Samples:
 
     @property
     def complete(self) -> BoolArray:
-        """Rows of which nothing is missing, shape (N,)."""
-        return np.all([state != Status.MISSING for state in self.states.values()], axis=0)
+        """Rows of which nothing is missing or saturated, shape (N,)."""
+        return np.all([~np.isin(state, WITHOUT_VALUE) for state in self.states.values()], axis=0)
 
     @property
     def trusted_forces(self) -> FloatArray:

@@ -5,6 +5,7 @@ import runpy
 import sys
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -86,10 +87,17 @@ def environment(command: str) -> set[str]:
 
 
 def test_the_testbed_is_launched_as_run_starts_it(launch, tmp_path: Path) -> None:
-    changed = {"mocap_node": {"server": "192.0.2.1"}, "trigger_node": {"rate": 20}}
-    params, record = simulated_parameters(tmp_path, **changed), tmp_path / "trial"
-    launched = nodes(launch("testbed", params=params, record=record))
-    described = Testbed(read_testbed(params), record=record).nodes(tmp_path)
+    record, calibration = tmp_path / "trial", tmp_path / "calibration.yaml"
+    calibration.write_bytes(packaged("config", calibration.name).read_bytes())
+    changed = {
+        "mocap_node": {"server": "192.0.2.1"},
+        "trigger_node": {"rate": 20},
+        "calibration_node": {"calibration": str(calibration)},
+        "recorder_node": {"record": True, "directory": str(record)},
+    }
+    params = simulated_parameters(tmp_path, **changed)
+    launched, settings = nodes(launch("testbed", params=params)), read_testbed(params)
+    described = Testbed(settings, calibration=calibration, record=record).nodes(tmp_path)
     assert list(launched) == [node.name for node in described]
     for node in described:
         action, found = launched[node.name], parameters(launched[node.name])
@@ -110,6 +118,10 @@ def test_the_testbed_is_launched_as_run_starts_it(launch, tmp_path: Path) -> Non
     assert "recorder_node" in parameters(launched["trigger_node"])["wait_for"]
     stored = Path(parameters(launched["recorder_node"])["parameters"])
     assert read_testbed(stored).trigger_node.rate == 20.0
+    predicting = replace(settings.estimator_node, model="model.json", auto_fit=False)
+    Testbed(replace(settings, estimator_node=predicting), record=record).nodes(tmp_path)
+    stored = read_testbed(tmp_path / "stored.yaml").estimator_node
+    assert stored.auto_fit, "a replay has no model, so it fits"
 
 
 @pytest.mark.graph

@@ -14,7 +14,7 @@ import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.result import Result, origin, records
-from socket_testbed.api.trials import PathLike, as_path, as_trial, note_implausible, select
+from socket_testbed.api.trials import PathLike, as_path, as_trial, select
 from socket_testbed.arrays import FloatArray, sample_at
 from socket_testbed.documents import check_number, finite_or_null
 from socket_testbed.errors import ConfigurationError, TrialError
@@ -380,7 +380,6 @@ def pressure(
         own = find_regions(regions, geometry.names, "regions")
         geometry = dataclasses.replace(geometry, regions=own)
     chosen, mapped = _mapped(trial, segment, settings, geometry)
-    note_implausible(trial, chosen, settings.identification.leave_out)
     with threadpool_limits(1):
         found = mapped.over(chosen, 1e3 * threshold)
     return TrialPressure(**vars(found), threshold=threshold, share=share)

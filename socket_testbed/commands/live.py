@@ -21,16 +21,14 @@ from socket_testbed.commands.options import (
     open_given,
     print_note,
     refuse_given,
+    report_data,
 )
 from socket_testbed.commands.terminal import StatusLine, say, table
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, DeviceError, TrialError, closest
 from socket_testbed.files import (
-    CALIBRATION_FILE,
-    SOCKET_FILE,
     check_new_folder,
     check_outputs,
-    file_or_packaged,
     is_held,
     make_folder,
 )
@@ -57,7 +55,6 @@ from socket_testbed.trials.trial import read_configuration, recorded_namespace
 
 # --duration counts from the first trigger, at the latest from this time after the start [s].
 _START_TIMEOUT = READY_TIMEOUT + 30.0
-_DEFAULT_FOLDER = Path("trials")  # recordings started from the page without --record
 
 
 def simulated(
@@ -101,7 +98,9 @@ def _fault(text: str) -> tuple[str, float]:
     if name not in FAULTS:
         raise ConfigurationError(f"--fault {text}: unknown fault '{name}'", closest(name, FAULTS))
     try:
-        return name, check_number(float(value), f"--fault {name}", -1e6, 1e6)
+        least = {"limb.out": -1.0, "clock.step": -1e6}.get(name, 0.0)
+        most = 1.0 if FAULTS[name].startswith("probability") else 1e6
+        return name, check_number(float(value), f"--fault {name}", least, most)
     except ValueError:
         raise ConfigurationError(
             f"--fault {text}: '{value}' is not a number", f"{name} takes {FAULTS[name]}"
@@ -123,15 +122,11 @@ def configured(
         calibration: A `calibration.yaml` (default: the package's own).
         params: A `testbed.yaml` with the parameters of the nodes.
     """
-    geometry = file_or_packaged(geometry, SOCKET_FILE).resolve()
-    if simulation is None and not (socket := read_socket(geometry)).registration:
-        print_note(f"{geometry}: {socket.bodies}")
-    return bringup.Testbed(
-        settings=bringup.testbed_settings(params, simulation),
-        geometry=geometry,
-        calibration=file_or_packaged(calibration, CALIBRATION_FILE).resolve(),
-        simulation=simulation,
-    )
+    settings = bringup.testbed_settings(params, simulation)
+    files = bringup.testbed_files(settings, geometry, calibration)
+    if simulation is None and not (socket := read_socket(files[0])).registration:
+        print_note(f"{files[0]}: {socket.bodies}")
+    return bringup.Testbed(settings, *files, simulation=simulation)
 
 
 @takes("commands.live.configured", "commands.live.simulated")
@@ -151,8 +146,7 @@ def doctor(*, press: bool = False, **options: Any) -> None:
             simulation = dataclasses.replace(simulation, time_scale=clocks.time_scale())
             graph = stack.enter_context(Graph())
             testbed, world = bringup.simulate_hardware(graph, testbed, simulation)
-            for name, value in faults.items():
-                world.faults.switch(name, value)
+            _switch(world, faults, testbed)
         if press:
             clusters = testbed.settings.cluster_node.names
             findings = list(press_test(testbed, partial(_ask, world, clusters)))
@@ -163,6 +157,16 @@ def doctor(*, press: bool = False, **options: Any) -> None:
     failing = sum(bool(finding.hint) for finding in findings)
     if failing:
         raise DeviceError(f"{failing} of {len(findings)} checks failed", "see the table's hints")
+
+
+def _switch(world: World, faults: Mapping[str, float], testbed: bringup.Testbed) -> None:
+    """Switch faults of a simulated world on."""
+    count = len(testbed.settings.cluster_node.names)
+    for name, value in faults.items():
+        if value > count and (name == "limb.out" or "number of the cluster" in FAULTS[name]):
+            hint = f"give 1 to {count}: {name} takes {FAULTS[name]}"
+            raise ConfigurationError(f"--fault {name}={value:g}: there is no such cluster", hint)
+        world.faults.switch(name, value)
 
 
 def _ask(world: World | None, clusters: Sequence[str], request: str) -> None:
@@ -197,7 +201,7 @@ def run(
     """Start the testbed, real or simulated, and record it.
 
     Args:
-        record: Record a trial into this folder; by default the page's button records into trials/.
+        record: Record a trial into this folder; without it, the page's button records into trials/.
         model: Predict with this model instead of fitting one.
         rate: Trigger rate [Hz].
         duration: Stop after this testbed time, counted from the first trigger [s].
@@ -210,8 +214,6 @@ def run(
     """
     if duration is not None:
         check_number(duration, "--duration", 0.1, 1e6)
-    if record is not None:
-        _check_writable(record)
     simulation, faults = simulated(**options)
     if simulation is not None:
         simulation = dataclasses.replace(simulation, time_scale=_time_scale(time_scale))
@@ -219,10 +221,13 @@ def run(
         raise ConfigurationError("--time-scale is for simulated hardware", "add --simulated")
     testbed = _testbed(simulation, record, model, rate, options)
     testbed = dataclasses.replace(testbed, one_process=one_process)
-    place = (_DEFAULT_FOLDER, "") if record is None else (record.parent, record.resolve().name)
+    record, trials = testbed.record, Path(testbed.settings.recorder_node.directory)
+    if record is not None:
+        _check_writable(record)
+    place = (trials, "") if record is None else (record.parent, record.resolve().name)
     older = _trials(*place)
     if record is None and view:  # the page's button records
-        testbed = dataclasses.replace(testbed, record=_DEFAULT_FOLDER, at_once=False)
+        testbed = dataclasses.replace(testbed, record=trials, at_once=False)
     page = _page(testbed, view, view_host, view_port)
     with (
         StatusLine(record.parent if record else None) as status,
@@ -231,9 +236,8 @@ def run(
         world = bringup.start(graph, testbed)
         if page is not None:
             graph.start_nodes([page])
-        for name, value in faults.items():
-            assert world is not None
-            world.faults.switch(name, value)
+        if world is not None:
+            _switch(world, faults, testbed)
         status.say("the testbed starts; Ctrl-C ends it")
         begin = time.monotonic() + _START_TIMEOUT
 
@@ -317,7 +321,7 @@ def _testbed(
         trigger = dataclasses.replace(trigger, rate=rate)
     stored, chosen = testbed.settings.estimator_node, given(options, IdentificationSettings)
     estimator = bringup.predict_with(model, estimator_settings(stored, **chosen), testbed.geometry)
-    metadata = check_metadata(options)
+    metadata, record = check_metadata(options), bringup.new_trial(testbed.settings, record)
     if record is None:
         refuse_given(metadata.stated(), "a recorded trial", "add --record DIR")
     settings = dataclasses.replace(testbed.settings, trigger_node=trigger, estimator_node=estimator)
@@ -409,6 +413,7 @@ def replay(
         model: Predict with this model instead of fitting one.
     """
     opened = open_given(trial, **options)
+    report_data(opened)
     replayed = ReplaySettings(trial=str(trial.resolve()), rate=rate, loop=loop, paused=paused)
     if estimate:
         chosen = given(options, IdentificationSettings)

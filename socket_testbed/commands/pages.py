@@ -192,7 +192,9 @@ def view(
         return
     live = {"namespace": namespace, "buttons": buttons or None}
     refuse_given(live, "the running testbed", "leave out the trial")
-    with api.view(open_given(trial, **options), model, **served) as page:
+    opened = open_given(trial, **options)
+    report_data(opened)
+    with api.view(opened, model, **served) as page:
         say(f"the trial is shown at {page.url}; Ctrl-C ends it")
         with suppress(KeyboardInterrupt):
             while time.monotonic() < ends:

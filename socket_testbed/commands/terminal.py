@@ -248,7 +248,8 @@ def status_parts(
     if duration is not None:
         elapsed += f" of {duration_text(duration)}"
     parts = [elapsed, f"{status.triggers} triggers, {status.complete} complete"]
-    if status.heard is not None and (silence := time.monotonic() - status.heard) > _SILENCE_LIMIT:
+    silence = 0.0 if status.heard is None else time.monotonic() - status.heard
+    if silence > max(_SILENCE_LIMIT, 3.0 * status.elapsed / max(status.triggers - 1, 1)):
         parts.append(f"no trigger for {silence:.0f} s")
     if status.trial:
         parts.append(f"recording {''.join(c if c.isprintable() else '?' for c in status.trial)}")

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import compress
+from itertools import compress, groupby
 
 import numpy as np
 
@@ -105,11 +105,13 @@ def _units(samples: Samples, geometry: SocketGeometry, mass: float | None) -> It
     except IdentificationError as error:
         yield DataFinding("the units", error.fact, error.hint)
         return
-    for found in plausibility.find_implausible(samples, geometry):
-        if found.channel in WRENCH_CHANNELS:
-            hint = "check that moments are in N m and forces in N, and the load cell's channels"
-            yield DataFinding("the wrench", f"{found.channel}: {found.reason}", hint)
-            break
+    implausible = plausibility.find_implausible(samples, geometry)
+    for source, group in groupby(implausible, lambda each: each.channel.rpartition(".")[0]):
+        found = next(group)  # of the wrench, then of each cluster
+        hint = "check that moments are in N m and forces in N, and the load cell's channels"
+        if source:
+            hint = f"check its calibration, or leave it out (--leave-out {found.channel})"
+        yield DataFinding(source or "the wrench", f"{found.channel}: {found.reason}", hint)
     size = finite_quantile(force_magnitude(samples.wrench), 0.95)
     weights = size / (GRAVITY * mass) if mass else 1.0
     if not LOAD_RANGE[0] <= weights <= LOAD_RANGE[1]:

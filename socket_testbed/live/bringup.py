@@ -16,13 +16,14 @@ from socket_testbed.drivers.clusters import reader as clusters
 from socket_testbed.drivers.load_cell import load_cell
 from socket_testbed.drivers.natnet.connection import server_address
 from socket_testbed.errors import ConfigurationError, TestbedError
-from socket_testbed.files import CALIBRATION_FILE, SOCKET_FILE, packaged
+from socket_testbed.files import CALIBRATION_FILE, SOCKET_FILE, file_or_packaged, packaged
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.fit import check_names
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.live.hardware import capacitive_chip
 from socket_testbed.live.processes import Graph, GraphNode
 from socket_testbed.settings.acquisition import TriggerSettings
+from socket_testbed.settings.fields import Settings
 from socket_testbed.settings.testbed import (
     CalibrationNodeSettings,
     EstimatorSettings,
@@ -116,7 +117,10 @@ class Testbed:
         if self.record is None:
             return nodes
         stored = folder / "stored.yaml"
-        write_testbed({node.name: node.settings for node in nodes}, stored)
+        used: dict[str, Settings] = {node.name: node.settings for node in nodes}
+        if given.estimator_node.model:  # a replay has no model, so it must fit one
+            used["estimator_node"] = replace(given.estimator_node, auto_fit=True)
+        write_testbed(used, stored)
         recorder = replace(
             given.recorder_node,
             directory=str(self.record.resolve()),
@@ -148,6 +152,22 @@ def testbed_settings(params: Path | None, simulation: Simulation | None) -> Test
     if simulation is not None:
         settings = read_testbed(packaged("config", "simulated.yaml"))
     return settings if params is None else read_testbed(params, settings)
+
+
+def testbed_files(
+    settings: TestbedSettings, geometry: Path | str | None, calibration: Path | str | None
+) -> tuple[Path, Path]:
+    """Geometry and calibration of a `Testbed`: those given, else of the settings, else our own."""
+    geometry = geometry or settings.mocap_node.geometry or settings.estimator_node.geometry
+    calibration = calibration or settings.calibration_node.calibration
+    socket = file_or_packaged(geometry, SOCKET_FILE).resolve()
+    return socket, file_or_packaged(calibration, CALIBRATION_FILE).resolve()
+
+
+def new_trial(settings: TestbedSettings, record: Path | None) -> Path | None:
+    """Folder of the new trial: as given, else as the settings say; None to record nothing."""
+    recorder = settings.recorder_node
+    return record or (Path(recorder.directory) if recorder.record else None)
 
 
 def simulated_testbed(

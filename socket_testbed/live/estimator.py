@@ -163,7 +163,8 @@ class OnlineEstimator:
         self._findings: tuple[str, ...] = ()  # on the data of the window
         names = ("triggers", "samples", "predictions", "fits", "refused", "incomplete")
         self._counts = dict.fromkeys(names, 0)
-        self._state = (OK, "no model yet: waiting for steady data or estimator/fit")
+        waiting = "waiting for steady data or " * settings().auto_fit
+        self._state = (OK, f"no model yet: {waiting}estimator/fit")
         self.map = OnlineMap(geometry, settings)
         self.newest = 0  # newest stamp of a complete sample [ns]; 0 after a jump back in time
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from socket_testbed.arrays import FloatArray
-from socket_testbed.samples import Status
+from socket_testbed.samples import WITHOUT_VALUE
 from socket_testbed.trials import topics
 
 _MAX_PENDING = 1000  # stamps whose measurements are incomplete
@@ -63,9 +63,8 @@ class GraphStatus:
         elif topic is topics.WRENCH:
             self.wrench = self._measured[stamp] = values
             _keep_newest(self._measured)
-        missing = (
-            values.status == Status.MISSING if topic is topics.CAPACITANCE else np.isnan(values)
-        )
+        is_clusters = topic is topics.CAPACITANCE
+        missing = np.isin(values.status, WITHOUT_VALUE) if is_clusters else np.isnan(values)
         if not missing.any():
             self._pending.setdefault(stamp, set()).add(topic)
             if len(self._pending[stamp]) == len(topics.REQUIRED):

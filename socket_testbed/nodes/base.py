@@ -31,7 +31,7 @@ from rclpy.task import Future
 from std_msgs.msg import Header
 
 from socket_testbed import clocks, drivers
-from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
 from socket_testbed.live.processes import RESTARTED
 from socket_testbed.settings.fields import Settings, parameter_values
 from socket_testbed.trials.messages import LOAD_CELL_FRAME, Reader
@@ -51,6 +51,7 @@ HEARS = "hears"  # topics from which it needs a publisher, separated by blanks
 _SUBSCRIBER_DEPTH = 2000  # [messages]; enough for a fast replay or a busy moment
 REPORT_PERIOD = 1.0  # [s]
 _CHECK_PERIOD = 0.1  # [s]; of links and node
+_REPEAT_PERIOD = 10.0  # [s]; of a warning on messages that cannot be decoded
 
 S = TypeVar("S", bound=Settings)
 
@@ -262,9 +263,21 @@ class TestbedNode(Node, Generic[S]):
     def follow(
         self, topic: Topic, callback: Callable[[int, Any], None], needed: bool = True
     ) -> None:
-        """Subscribe; the callback gets the stamp [ns] and values of each message, see `Reader`."""
-        read = Reader(topic).read
-        self.listen(topic, lambda data: callback(*read(data)), needed=needed, raw=True)
+        """Subscribe; the callback gets the stamp [ns] and values of each message, see `Reader`.
+
+        A message that cannot be decoded, of another program, is reported and dropped.
+        """
+        reader = Reader(topic)
+
+        def receive(data: bytes) -> None:
+            try:
+                stamp, values = reader.read(data)
+            except TrialError as error:
+                self.get_logger().warning(str(error), throttle_duration_sec=_REPEAT_PERIOD)
+            else:
+                callback(stamp, values)
+
+        self.listen(topic, receive, needed=needed, raw=True)
 
     def serve(self, kind: Any, name: str, answer: Callable[..., str], slow: bool = False) -> None:
         """Offer a SetBool or Trigger service; a slow one runs in its own thread.

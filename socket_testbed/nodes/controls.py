@@ -6,6 +6,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -22,7 +23,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from socket_testbed import clocks
-from socket_testbed.errors import ConfigurationError, TestbedError, fact_and_hint
+from socket_testbed.errors import ConfigurationError, TestbedError, TrialError, fact_and_hint
 from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.nodes import base
 from socket_testbed.settings.testbed import NextTrialSettings
@@ -323,7 +324,8 @@ class StatusListener:
         """Process the messages received since the last call."""
         for topic in self._topics:
             for data in self._inbox.take(topic):
-                self.add(topic, data)
+                with suppress(TrialError, RuntimeError):  # another program's layout
+                    self.add(topic, data)
         self._status.trial = base.recorded_trial(self._inbox.node, self._announced)
 
     def add(self, topic: Topic, data: bytes) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 from functools import partial
+from typing import Any
 
 import numpy as np
 from socket_testbed_msgs.msg import Event
@@ -15,7 +16,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger as TriggerService
 
 from socket_testbed import clocks
-from socket_testbed.drivers.load_cell.load_cell import in_words
+from socket_testbed.drivers.load_cell.load_cell import check_settings, in_words
 from socket_testbed.errors import DeviceError
 from socket_testbed.live.hardware import make_load_cell
 from socket_testbed.nodes.base import OK, WARN, header_to_ros, recorded_trial
@@ -58,6 +59,11 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         self.serve(TriggerService, Service.TARE, self._tare, slow=True)
         forced = partial(self._tare, forced=True)
         self.serve(TriggerService, Service.FORCE_TARE, forced, slow=True)
+
+    def _read_settings(self, changes: dict[str, Any]) -> LoadCellSettings:
+        settings = super()._read_settings(changes)
+        check_settings(settings)
+        return settings
 
     def close(self) -> None:
         """Stop reading and close the converter."""

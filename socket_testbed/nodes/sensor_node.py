@@ -8,7 +8,7 @@ from typing import Any
 
 from socket_testbed import clocks
 from socket_testbed.clocks import SteadyClock, TriggerPeriod, TriggerTime
-from socket_testbed.nodes.base import OK, SAMPLES, WARN, RecentFault, S, TestbedNode
+from socket_testbed.nodes.base import ERROR, OK, SAMPLES, WARN, RecentFault, S, TestbedNode
 from socket_testbed.trials.topics import TRIGGER
 
 _IDLE_AFTER = 0.3  # [s]; without a trigger
@@ -62,6 +62,9 @@ class SensorNode(TestbedNode[S]):
 
     def check(self) -> None:
         """Report the device's health, or that triggers had to be timed by their arrival."""
+        if self._measuring.ident is not None and not self._measuring.is_alive():
+            self.report(ERROR, "it stopped measuring: see what it printed, and start it again")
+            return
         if (health := self.health()) is None:
             return
         level, message = health

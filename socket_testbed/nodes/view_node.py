@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from std_msgs.msg import String
 
 from socket_testbed import clocks
 from socket_testbed.arrays import FloatArray
-from socket_testbed.errors import ConfigurationError
+from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import SOCKET_FILE, file_or_packaged
 from socket_testbed.geometry.regions import all_regions, axial_force
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
@@ -158,7 +159,11 @@ class LiveSource:
 
     def _read(self, inbox: base.Inbox, topic: topics.Topic) -> list[tuple[int, Any]]:
         """Stamps and values of the queued messages of a topic, in order."""
-        return [self._readers[topic].read(data) for data in inbox.take(topic)]
+        found = []
+        for data in inbox.take(topic):
+            with suppress(TrialError):  # another program's layout
+                found.append(self._readers[topic].read(data))
+        return found
 
     def _take(self, inbox: base.Inbox) -> None:
         """Take maps and wrenches."""

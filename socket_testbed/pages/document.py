@@ -215,12 +215,10 @@ def pressure_card(
     return {"title": title, **number, "words": words}
 
 
-def check_card(
-    findings: Sequence[DataFinding], implausible: Sequence[str], notes: Sequence[str]
-) -> Document:
-    """Card of the data check, the implausible channels, and the notes on the recording."""
-    problems = [*(f"{found.fact}; {found.hint}" for found in findings), *implausible]
-    value = f"look at {findings[0].source}" if findings else "look"
+def check_card(findings: Sequence[DataFinding], notes: Sequence[str]) -> Document:
+    """Card of the data check, with the notes on a good recording."""
+    problems = [f"{found.fact}; {found.hint}" for found in findings]
+    value = f"look at {findings[0].source}" if findings else ""
     good = "; ".join(["nothing implausible in any source", *([first_of(notes)] if notes else [])])
     return data_card(problems, good, value)
 

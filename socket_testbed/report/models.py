@@ -101,8 +101,9 @@ def paper_section(results: Results) -> Section:
         results.samples[results.segment.rows],
         results.settings.identification,
     )
-    caption = "The figures of the paper, for its variants; 'paper' computes them with its settings"
-    table = Table("paper", caption, frame, {THEIRS: ".2f"})
+    known = frame[frame[THEIRS].notna().all(axis=1)]
+    caption = "The figures of the paper, for its variants; 'paper' computes more, with its settings"
+    table = Table("paper", caption, known, {THEIRS: ".2f"})
     return Section("paper-section", "This trial and the paper", [table])
 
 

@@ -59,7 +59,6 @@ def page_data(results: Results) -> dict[str, Any]:
     means = tiles.mean.value, tiles.mean.reach, tiles.shear.value, measured.mean().to_numpy()
     mean = document.moment(found.peak_time, *means)
     at_peak = outputs.peak_map.normal_pressure[0]
-    implausible = [note for note in results.implausible if "--leave-out" in note]
     return document.trial_document(trial, over_trial, time) | {
         "start": found.peak_time,
         "moments": document.moments(time, over_trial, geometry),
@@ -68,7 +67,7 @@ def page_data(results: Results) -> dict[str, Any]:
             *document.cards(
                 geometry, found.places, outputs.regions, at_peak, measured.loc[outputs.peak_row]
             ),
-            document.check_card(results.data, implausible, results.bag_notes),
+            document.check_card(results.data, results.bag_notes),
         ],
         "bars": document.bars(found.places, outputs.regions),
         "extras": {

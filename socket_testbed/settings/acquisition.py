@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.settings.fields import Settings, fixed, setting
 
 MAX_TARE = 60.0  # [s]
 MAX_STALE = 1.0  # [s]
 READY_TIMEOUT = 60.0  # [s] of real time; for all nodes before the first trigger
+MAX_PULSE = 0.5  # [-]; of the trigger's period
 MAX_SPAN = 0.25  # [s]; of the default averaging around a trigger
 
 
@@ -48,6 +50,12 @@ class TriggerSettings(Settings):
     simulation: str = fixed("", "folder of a simulated world; empty: the hardware [-]")
     edge_within: float = fixed(1e-3, "longest delay of the edge after the pulse [s]", 1e-5, 0.1)
     scheduling: SchedulingSettings = SchedulingSettings()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.pulse * self.rate > MAX_PULSE:
+            fact = f"a pulse of {self.pulse:g} s is too long for {self.rate:g} Hz"
+            raise ConfigurationError(fact, f"set pulse to {MAX_PULSE / self.rate:.2g} s or less")
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import Calibration, read_calibration
 from socket_testbed.clocks import SteadyClock
 from socket_testbed.documents import check_number
+from socket_testbed.errors import TestbedError
 from socket_testbed.files import end_with_starter
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
@@ -215,4 +216,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except TestbedError as error:
+        sys.exit(f"error: {error}")

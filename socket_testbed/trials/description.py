@@ -10,7 +10,7 @@ import pandas as pd
 
 from socket_testbed.arrays import GAP, StatusArray, gaps, runs, usual_period
 from socket_testbed.identification.noise import channel_noise
-from socket_testbed.samples import WRENCH_CHANNELS, Samples, Status, mean_and_sigma
+from socket_testbed.samples import WITHOUT_VALUE, WRENCH_CHANNELS, Samples, Status, mean_and_sigma
 from socket_testbed.tables import Table, number
 from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
@@ -19,10 +19,14 @@ _MAX_GAPS = 5  # listed, the longest
 
 
 def summary(path: Path) -> str:
-    """The numbers of triggers and missing measurements of a trial, in one line."""
+    """The numbers of triggers and of measurements without a value, in one line."""
     samples = Trial(path).samples()
-    missing = {name: (state == Status.MISSING).sum() for name, state in samples.states.items()}
-    lacking = [f"{name} missing {count}" for name, count in missing.items() if count]
+    lacking = [
+        f"{name} {without.name.lower()} {count}"
+        for name, state in samples.states.items()
+        for without in WITHOUT_VALUE[::-1]
+        if (count := (state == without).sum())
+    ]
     found = ", ".join(lacking) if lacking else f"all {len(samples)} complete"
     return f"{path}: {len(samples)} triggers, {found}"
 

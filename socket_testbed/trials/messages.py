@@ -37,7 +37,8 @@ are equal in all. Shapes begin with that of the records."""
 class Reader:
     """Reads serialised messages of a topic, all of one layout at once.
 
-    A message that cannot be decoded raises a TrialError that names `where` it came from.
+    A message that cannot be decoded raises a TrialError that names `where` it came from; of many
+    in parts, `refused` keeps these errors.
     """
 
     def __init__(self, topic: topics.Topic, where: object = "this graph") -> None:
@@ -46,6 +47,7 @@ class Reader:
         self._values = VALUES[topic.type]
         cdr.fields_of(topic.type)  # cached now, so that a node's first message is not delayed
         self._known: list[tuple[cdr.Layout, Any]] = []
+        self.refused: list[TrialError] = []
 
     def read(self, data: bytes) -> tuple[int, Any]:
         """Stamp since the epoch [ns] and values of one message."""
@@ -70,7 +72,12 @@ class Reader:
             if tried < len(self._known):
                 layout, sample = self._known[tried]
             else:
-                layout, sample = self._learn(messages[left[0]])
+                try:
+                    layout, sample = self._learn(messages[left[0]])
+                except TrialError as error:
+                    self.refused.append(error)
+                    left = left[1:]
+                    continue
                 if tried < _MAX_LAYOUTS:
                     self._known.append((layout, sample))
                 else:

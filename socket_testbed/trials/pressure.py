@@ -156,7 +156,11 @@ def cells(
 def limb_cells(found: Suspension, share: float = pressure.SHARE) -> dict[str, str]:
     """Formatted outputs of the limb in the socket, by title."""
     outputs = found.outputs().items()
-    return {title: _formatted(title, value, INLINE, share)[0] for title, value in outputs}
+    unknown = f"{NOTHING} (the load does not change in every direction)"
+    return {
+        title: unknown if np.isnan(value.value) else _formatted(title, value, INLINE, share)[0]
+        for title, value in outputs
+    }
 
 
 def _formatted(title: str, quantity: pressure.Quantity, form: str, share: float) -> list[str]:

@@ -92,7 +92,8 @@ def read_measurements(
         if not bag.counts.get(recorded.get(topic, "")):
             why, hint = _MISSING_TOPICS[topic]
             raise TrialError(f"{bag.path}: holds no '{topic.name}', so {why}", hint)
-    series = _read_series(bag, {recorded[t]: t for t in recorded if t.required or t in more})
+    wanted = {recorded[t]: t for t in recorded if t.required or t in more}
+    series = _read_series(bag, wanted, notify)
     _drop_strays(series, notify)
     clusters = tuple(name for topic, name in series if topic is topics.CAPACITANCE)
     for note in _stamp_notes(series):
@@ -145,7 +146,7 @@ def marker_count(seen: FloatArray) -> int:
 
 
 def _read_series(
-    bag: BagReader, wanted: dict[str, topics.Topic]
+    bag: BagReader, wanted: dict[str, topics.Topic], notify: Callable[[str], None]
 ) -> dict[tuple[topics.Topic, str], _Columns]:
     """Recorded columns by topic and name: of a cluster, a body, or the topic itself."""
     readers = {topic: Reader(topic, bag.path) for topic in wanted.values()}
@@ -160,6 +161,11 @@ def _read_series(
             places, *columns = _joined(own)
             order = np.argsort(places, kind="stable")
             parts[topic, name].append([column[order] for column in columns])
+    for topic, reader in readers.items():
+        if reader.refused:
+            if not any(own is topic for own, _ in parts):
+                raise reader.refused[0]
+            notify(f"{len(reader.refused)} times {reader.refused[0]}: left out")
     return {key: _joined(parts.pop(key)) for key in list(parts)}
 
 

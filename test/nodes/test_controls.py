@@ -23,6 +23,7 @@ from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.live.processes import Graph
 from socket_testbed.nodes import controls as module
 from socket_testbed.nodes.controls import ServiceControls, StatusListener
+from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import MocapSettings
 from socket_testbed.settings.testbed import RecorderSettings
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
@@ -93,12 +94,14 @@ def test_complete_samples_are_counted_and_go_on_when_time_jumps_back() -> None:
     capacitance, pose = messages.capacitance_packer(("p", "q")), messages.pose_packer()
     trigger, wrench = messages.trigger_packer(), messages.wrench_packer()
     sent: list[tuple[topics.Topic, bytes]] = []
-    for k in range(40):  # of five one is complete: a saturated input lacks nothing
+    for k in range(40):  # of five one is complete
         stamp, lacking = k * PERIOD, [np.nan if k % 5 == n else 0.0 for n in range(3)]
-        status = np.array([[0, 1, 2 * (k % 5 == 0), 0], [0] * 4], np.uint8)
+        absent = (Status.MISSING, Status.SATURATED)[k % 2] * (k % 5 == 0)
+        status = np.array([[0, 0, absent, 0], [0] * 4], np.uint8)
         sent += [
             (topics.TRIGGER, trigger(stamp, k)),
             (topics.CAPACITANCE, capacitance(stamp, np.ones((2, 4)), status)),
+            (topics.WRENCH, b"of another layout"),
             (topics.WRENCH, wrench(stamp, np.append(WRENCHES[:5], 5.0 + lacking[1]))),
             (topics.SOCKET_POSE, pose(stamp, np.eye(7)[6] + lacking[2])),
         ]

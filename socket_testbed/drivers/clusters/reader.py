@@ -23,6 +23,7 @@ _POLL_INTERVAL = 0.05  # while chips still convert
 _MAX_AGE = 2.0  # of a conversion at the trigger
 _REUSE_AGE = 0.5  # a value read this shortly before a trigger is closer than the next conversion
 _CONVERSION_TIMEOUT = 2.5
+_MIN_CYCLES = 1.25  # between a trigger and the `latest` reading
 _SETTLING = 0.5  # two conversions: the one in progress still has the old range
 
 
@@ -349,6 +350,12 @@ def check_settings(settings: ClusterSettings, chip: type[i2c.CapacitiveChip]) ->
         raise ConfigurationError(
             f"sample_rate is {settings.sample_rate}",
             f"the {chip.name} supports {', '.join(map(str, chip.sample_rates))}",
+        )
+    least = _MIN_CYCLES * i2c.INPUTS / settings.sample_rate
+    if settings.latest < least:
+        raise ConfigurationError(
+            f"latest is {settings.latest:g} s, shorter than a cycle of {i2c.INPUTS} conversions",
+            f"set it to {least:g} s or more, or raise sample_rate",
         )
     at: dict[str, str] = {}
     alone = {bus for bus, address, _ in settings.places if not address}

@@ -124,6 +124,7 @@ class ConverterReader:
         self._emptied = self._corrupted = self._failed = -np.inf  # [s]
         # times of the last conversion, and of the last one with a known time [s]
         self._arrived = self._stored = clocks.monotonic()
+        self._polled = self._arrived  # begin of the last poll [s]
         self._fault: DeviceError | None = None
         self._counts = {"conversions": 0, "checksum_errors": 0, "restarts": 0}
         if open_line is not None:
@@ -146,6 +147,7 @@ class ConverterReader:
         It never raises; `fault_at` reports failures. After a pause of two or more periods, the
         conversions in between are lost, as their times are unknown.
         """
+        self._polled = clocks.monotonic()
         try:
             if self._converter is None:
                 if self._backoff.due(clocks.monotonic()):
@@ -214,7 +216,7 @@ class ConverterReader:
         with self._lock:
             if (fault := self._fault) is not None and self._failed >= self._stored:
                 found = ERROR, fault
-            elif now - self._arrived > self._silence:
+            elif now - self._arrived > self._silence > 2.0 * (now - self._polled):
                 found = ERROR, self._error("no longer converts", _CHECK_CLOCK)
             elif now - self._stored > self._silence:
                 hint = "relieve the computer, or raise load_cell_node's oversampling"
