@@ -139,6 +139,7 @@ def doctor(*, press: bool = False, **options: Any) -> None:
     """
     simulation, faults = simulated(**options)
     testbed = configured(simulation, **options)
+    _check_faults(faults, testbed)
     world = None
     with ExitStack() as stack:
         if simulation is not None:
@@ -146,7 +147,8 @@ def doctor(*, press: bool = False, **options: Any) -> None:
             simulation = dataclasses.replace(simulation, time_scale=clocks.time_scale())
             graph = stack.enter_context(Graph())
             testbed, world = bringup.simulate_hardware(graph, testbed, simulation)
-            _switch(world, faults, testbed)
+            for name, value in faults.items():
+                world.faults.switch(name, value)
         if press:
             clusters = testbed.settings.cluster_node.names
             findings = list(press_test(testbed, partial(_ask, world, clusters)))
@@ -159,14 +161,13 @@ def doctor(*, press: bool = False, **options: Any) -> None:
         raise DeviceError(f"{failing} of {len(findings)} checks failed", "see the table's hints")
 
 
-def _switch(world: World, faults: Mapping[str, float], testbed: bringup.Testbed) -> None:
-    """Switch faults of a simulated world on."""
+def _check_faults(faults: Mapping[str, float], testbed: bringup.Testbed) -> None:
+    """Refuse a fault of a cluster that there is not."""
     count = len(testbed.settings.cluster_node.names)
     for name, value in faults.items():
         if value > count and (name == "limb.out" or "number of the cluster" in FAULTS[name]):
             hint = f"give 1 to {count}: {name} takes {FAULTS[name]}"
             raise ConfigurationError(f"--fault {name}={value:g}: there is no such cluster", hint)
-        world.faults.switch(name, value)
 
 
 def _ask(world: World | None, clusters: Sequence[str], request: str) -> None:
@@ -220,6 +221,7 @@ def run(
     elif time_scale != 1.0:
         raise ConfigurationError("--time-scale is for simulated hardware", "add --simulated")
     testbed = _testbed(simulation, record, model, rate, options)
+    _check_faults(faults, testbed)
     testbed = dataclasses.replace(testbed, one_process=one_process)
     record, trials = testbed.record, Path(testbed.settings.recorder_node.directory)
     if record is not None:
@@ -236,8 +238,9 @@ def run(
         world = bringup.start(graph, testbed)
         if page is not None:
             graph.start_nodes([page])
-        if world is not None:
-            _switch(world, faults, testbed)
+        for name, value in faults.items():
+            assert world is not None
+            world.faults.switch(name, value)
         status.say("the testbed starts; Ctrl-C ends it")
         begin = time.monotonic() + _START_TIMEOUT
 

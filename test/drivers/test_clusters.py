@@ -201,6 +201,7 @@ def test_settings_that_do_not_fit_together_are_refused() -> None:
     changes = {
         "3 buses": {"buses": (1, 1, 1)},
         "sample_rate is 300": {"sample_rate": 300},
+        "latest is 0.04 s, shorter": {"sample_rate": 100, "latest": 0.04},
         "'mid_anterior' and 'distal' share": {"channels": (0, 1, 2, 1)},
         "without a multiplexer beside 'mid_anterior'": {"multiplexers": (0, 0x70, 0x70, 0x70)},
         "cluster_node: chip is 'fdc1005'": {"chip": "fdc1005"},

@@ -40,6 +40,8 @@ def test_whatever_means_a_number_is_one_and_a_wrong_value_is_refused_by_its_name
     ):
         with refused(ConfigurationError, error):
             IdentificationSettings(**{name: value})
+    with refused(ConfigurationError, "a pulse of 0.1 s is too long for 20 Hz", "0.025 s or less"):
+        TriggerSettings(rate=20.0, pulse=0.1)
     with refused(ConfigurationError, "here: identification.theta is 7: give a number from 0 to 1"):
         testbed.EstimatorSettings.from_flat({"identification.theta": 7}, "here")
 
