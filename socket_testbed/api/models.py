@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from socket_testbed.api.pressure import TrialPressure
 from socket_testbed.api.pressure import pressure as pressure_of
 from socket_testbed.api.result import Result, origin
-from socket_testbed.api.trials import PathLike, as_path, as_trial, note_implausible, select
+from socket_testbed.api.trials import PathLike, as_path, as_trial, note_problems, select
 from socket_testbed.arrays import FloatArray
 from socket_testbed.files import TABLES
 from socket_testbed.identification import information, plausibility
@@ -302,7 +302,7 @@ def prepare_fit(
     samples, frames = trial.samples(), settings.identification.frames
     chosen = first_frames(select(trial, segment, settings), samples, frames)
     leave_out = settings.identification.leave_out
-    note_implausible(trial, chosen, leave_out)
+    note_problems(trial, leave_out)
     return trial, chosen, trial.sound(leave_out)[chosen.rows], settings.identification
 
 
@@ -405,7 +405,7 @@ def evaluate(
     settings = dataclasses.replace(trial.estimator, identification=stored.settings)
     chosen = select(trial, segment, settings)
     plausibility.require_position(samples[chosen.rows], trial.geometry)
-    note_implausible(trial, chosen, leave_out)
+    note_problems(trial, leave_out)
     rows = trial.sound(leave_out)[chosen.rows]
     if bool(trial.unloaded) != bool(stored.unloaded):
         fitted = "with" if stored.unloaded else "without"

@@ -112,7 +112,7 @@ def write_report(
             stored,
             trials.started(progress, "fitting, judging, mapping"),
         )
-    for text in (*results.bag_notes, *results.implausible):
+    for text in (*map(str, results.data), *results.bag_notes):
         trial.note(text)
     drawing = trials.started(progress, "drawing") if figures else None
     made, printed = datetime.now(UTC), style if figures else None

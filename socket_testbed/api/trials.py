@@ -21,7 +21,6 @@ from socket_testbed.files import (
     packaged,
 )
 from socket_testbed.geometry.socket import Side, read_socket
-from socket_testbed.identification import plausibility
 from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.samples import Samples
 from socket_testbed.settings.acquisition import TriggerSettings
@@ -55,12 +54,10 @@ def as_path(path: PathLike | None) -> Path | None:
     return None if path is None else Path(path)
 
 
-def note_implausible(trial: Trial, segment: Segment, leave_out: tuple[str, ...]) -> None:
-    """Report implausible channels of a segment."""
-    samples = trial.samples()
-    start, chosen = int(samples.stamps[0]), samples[segment.rows]
-    for text in plausibility.implausible_notes(chosen, trial.geometry, leave_out, start):
-        trial.note(text)
+def note_problems(trial: Trial, leave_out: tuple[str, ...]) -> None:
+    """Note the problems in a trial's data, except in left-out channels."""
+    for found in trial.problems(leave_out):
+        trial.note(str(found))
 
 
 def unique_names(trials: Sequence[Trial]) -> tuple[str, ...]:
@@ -94,7 +91,7 @@ def open_trial(
         calibration: A `calibration.yaml` to use instead of the trial's own.
         unloaded: Unloaded spans before and after the load, used to correct the drift of the
             clusters; seconds since the first sample.
-        notify: Called once with each note on the trial, such as implausible channels; None issues
+        notify: Called once with each note on the trial, such as problems in its data; None issues
             warnings.
         load_cell: A `testbed.yaml` whose load cell (matrix, signs, gains, ...) replaces the trial's
             own and is applied to the recorded bridge ratios.
@@ -210,7 +207,7 @@ def check_data(trial: Trial | PathLike) -> tuple[DataFinding, ...]:
     >>> st.check_data(st.open_trial("trials/hold"))
     ()
     """
-    return as_trial(trial).findings
+    return as_trial(trial).problems()
 
 
 def select_segment(samples: Samples, specification: str = "plateau") -> Segment:

@@ -70,17 +70,18 @@ def open_checked(trial: Path, **options: Any) -> Trial:
     """Open a trial with its options, and report whether its data is good."""
     check_settings(options)
     opened = open_given(trial, **options)
-    report_data(opened)
+    report_data(opened, leave_out=options.get("leave_out"))
     return opened
 
 
-def report_data(trial: Trial, good: bool = True) -> str:
+def report_data(trial: Trial, good: bool = True, leave_out: Sequence[str] | None = None) -> str:
     """Report whether a trial's data is good, or the findings; returns the first one.
 
     For an unreadable trial, the error is left to the verb.
     """
     try:
-        found = [*map(str, trial.findings)] or [GOOD]
+        left = None if leave_out is None else tuple(leave_out)
+        found = [*map(str, trial.problems(left))] or [GOOD]
     except TestbedError:
         return ""
     for line in found:
@@ -296,7 +297,7 @@ def on_trials(
 
 
 def _run_job(verb: TrialVerb[R], options: Mapping[str, Any], job: Job) -> Row:
-    data = report_data(job.trial, good=False)
+    data = report_data(job.trial, good=False, leave_out=options.get("leave_out"))
     return {"data": data} | verb.row(
         verb.work(job.trial, {**options, **job.files, "output": job.output})
     )

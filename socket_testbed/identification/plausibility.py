@@ -142,9 +142,8 @@ def _rises(values: FloatArray) -> BoolArray:
     return np.asarray(size > _RISE * median_filter(size, 5, mode="mirror"))
 
 
-def outlier_notes(samples: Samples, outliers: Outliers, start: int | None = None) -> list[str]:
-    """A note per channel with outliers: their values and times since `start` [ns]."""
-    time = (samples.stamps - (samples.stamps[0] if start is None else start)) * 1e-9
+def outlier_notes(samples: Samples, outliers: Outliers) -> list[str]:
+    """A note per channel with outliers: their values and times."""
     values = [np.linalg.norm(samples.position, axis=1), *samples.values.T]
     found = [outliers.position, *outliers.values.T]
     notes = []
@@ -153,7 +152,7 @@ def outlier_notes(samples: Samples, outliers: Outliers, start: int | None = None
     ):
         if len(rows):
             unit = channel_unit(name) if name in samples.channels else "m"
-            parts = [f"{column[i]:.3g} {unit} at {time[i]:.2f} s" for i in rows]
+            parts = [f"{column[i]:.3g} {unit} at {samples.time[i]:.2f} s" for i in rows]
             number = "an outlier" if len(rows) == 1 else f"{len(rows)} outliers"
             notes.append(f"{name} has {number} ({listed(parts, _MAX_NAMED)}): left out")
     return notes
@@ -238,31 +237,6 @@ def _too_large(
             f"the wall would pull at the limb with {pull:.3g} N in the median, more than"
             f" {limit:.3g} N under a load of {load:.3g} N"
         )
-
-
-def implausible_notes(
-    samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...], start: int | None = None
-) -> list[str]:
-    """Notes on outliers, a negated wrench, and implausible channels, even if already left out.
-
-    Times are since `start`, the timestamp of the trial's first sample [ns]; None: the segment's.
-    """
-    outliers = find_outliers(samples, geometry, leave_out)
-    notes = outlier_notes(samples, outliers, start)
-    sign = sign_note(samples, geometry)
-    return [*notes, *([sign] if sign else []), *proposals(samples, geometry, leave_out)]
-
-
-def proposals(
-    samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...]
-) -> tuple[str, ...]:
-    """Proposals to leave out implausible channels, even those that are left out already."""
-    notes = []
-    for found in find_implausible(samples, geometry):
-        name = found.channel
-        advice = "is left out" if name in leave_out else f"consider --leave-out {name}"
-        notes.append(f"{name} looks implausible: {found.reason}; {advice}")
-    return tuple(notes)
 
 
 def _usual_sizes(values: FloatArray) -> FloatArray:

@@ -25,7 +25,7 @@ class Player:
     def __init__(self, trial: Trial, predicted: FloatArray | None = None) -> None:
         self._samples = samples = trial.samples()
         self._mapped = mapped_trial(trial, trial.estimator)
-        self._data = document.check_card(trial.findings, trial.notes)
+        self._data = document.check_card(trial.problems(), trial.notes)
         nothing = np.full((len(samples), 6), np.nan)
         self._predicted = nothing if predicted is None else predicted[:, :6]
         found = self._mapped.course(_COURSE_SAMPLES)

@@ -137,7 +137,7 @@ def notes_section(results: Results) -> Section:
 def list_notes(results: Results) -> list[str]:
     """Notes on the trial to read before using the figures."""
     samples, geometry = results.samples, results.trial.geometry
-    notes = [*results.bag_notes, *results.implausible]
+    notes = [*results.bag_notes]
     if count := gaps(samples.time).sum():
         notes.append(f"Gaps between triggers: {count}, listed under Data quality.")
     inside = int(results.in_segment.sum())

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.errors import IdentificationError
-from socket_testbed.identification import information, plausibility
+from socket_testbed.identification import information
 from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.identification.fit import (
@@ -76,7 +76,6 @@ class Results:
     candidates: tuple[Candidate, ...]  # the variants, then the given model, if any
     fronts: dict[Variant, Front]  # may be empty
     no_fronts: str  # reason for empty `fronts`
-    implausible: tuple[str, ...]  # notes on channels proposed to be left out
     plateaus: tuple[Segment, ...]  # the longest first
     bag_notes: tuple[str, ...]
     motion: information.Motion  # of the pose over the segment, relative to its noise
@@ -136,10 +135,7 @@ def compute_results(
     leave_out = identification.leave_out
     whole = trial.select(specification, settings)
     segment = first_frames(whole, samples, identification.frames)
-    fitted = samples[segment.rows]
-    sign = plausibility.sign_note(fitted, trial.geometry)
-    outliers = plausibility.find_outliers(samples, trial.geometry, leave_out)
-    notes = [*plausibility.outlier_notes(samples, outliers), *([sign] if sign else [])]
+    notes: list[str] = []
     samples = trial.sound(leave_out)
     chosen = samples[segment.rows]
     progress(1, _STAGES)
@@ -183,10 +179,9 @@ def compute_results(
         candidates=tuple(candidates),
         fronts=fronts,
         no_fronts=no_fronts,
-        implausible=plausibility.proposals(fitted, trial.geometry, leave_out),
         plateaus=tuple(trial.plateaus(settings)),
         bag_notes=tuple(dict.fromkeys([*trial.notes, *notes])),
-        data=trial.findings,
+        data=trial.problems(leave_out),
         motion=information.measure_motion(chosen, trial.geometry, identification.pose_smoothing),
         validation=tuple(validation),
         no_validation=no_validation,

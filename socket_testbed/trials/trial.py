@@ -154,13 +154,22 @@ class Trial:
     def _sound(self) -> dict[tuple[str, ...], Samples]:
         return {}
 
-    @cached_property
-    def findings(self) -> tuple[DataFinding, ...]:
-        """Problems in the data, worst first; empty if it is good, see `check_data`."""
+    def problems(self, leave_out: tuple[str, ...] | None = None) -> tuple[DataFinding, ...]:
+        """Problems in the data, worst first; empty if it is good, see `check_data`; cached.
+
+        Left-out channels, by default those of the trial's settings, are not checked.
+        """
         from socket_testbed.identification.data_check import check_data  # not needed by a replay
 
-        leave_out = self.estimator.identification.leave_out
-        return check_data(self.samples(), self.geometry, self.metadata.mass, leave_out)
+        left = self.estimator.identification.leave_out if leave_out is None else leave_out
+        if left not in self._problems:
+            mass = self.metadata.mass
+            self._problems[left] = check_data(self.samples(), self.geometry, mass, left)
+        return self._problems[left]
+
+    @cached_property
+    def _problems(self) -> dict[tuple[str, ...], tuple[DataFinding, ...]]:
+        return {}
 
     def to_dataframe(self) -> pd.DataFrame:
         """The samples as a pandas table, see `Samples.to_dataframe`."""

@@ -177,12 +177,15 @@ def test_a_spoilt_trial_is_told_and_its_names_are_no_markup(spoilt, tmp_path):
     with redirect_stdout(out), redirect_stderr(err):
         words = ["report", str(spoilt), "-o", str(path), "--thetas", "3"]
         assert run([*words, "--leave-out", f"{NASTY}.Fy"]) == 0
-    assert f"note: {NASTY}.Fx looks implausible" in err.getvalue() and str(path) in out.getvalue()
+    assert (
+        f"note: data: look at {NASTY}: {NASTY}.Fx: the " in err.getvalue()
+        and str(path) in out.getvalue()
+    )
     text = path.read_text(encoding="utf-8")
     page = Page(text)
     assert page.said["h1"] == [NASTY] and page.said["b"] == ["left", NASTY]
     assert NASTY not in text
-    assert f"{NASTY}.Fx looks implausible" in page.text
+    assert f"data: look at {NASTY}: {NASTY}.Fx: the " in page.text
     assert "not in objective" not in page.rows("errors")[f"{NASTY}.Fx"]
     assert "not in objective" in page.rows("errors")[f"{NASTY}.Fy"]
     assert "gaps longer than 1.5 periods: 1, the longest 2.250 s" in page.text

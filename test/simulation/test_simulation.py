@@ -144,7 +144,7 @@ def test_the_mean_over_the_window_averages_the_cameras_noise_and_does_not_lag() 
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:.* looks implausible")
+@pytest.mark.filterwarnings("ignore:data. look at")
 def test_the_paper_s_variants_come_near_its_figures(tmp_path) -> None:
     """Published, RMSE without -> with offsets: moments 1.69 -> 0.44 N m, Mx 3.99 -> 0.95 N m,
     forces 5.94 -> 5.25 N, clusters 90 -> 3.8 N."""
