@@ -249,7 +249,7 @@ def _draw_maps(
         _draw_end(panels[1], paint, labels)
         panels[1].set_axis_off()
         has_end = not paint.tiles.on_wall.all()
-        panels[1].set_title("distal end,\nanterior up" if has_end else "", fontsize=SMALL, y=1.0)
+        panels[1].set_title("distal end" if has_end else "", fontsize=SMALL, y=1.0)
         if not common:
             figure.colorbar(paint.scale, ax=[*panels], aspect=20.0, **bar)
     for panel in axes[len(values) :].flat:
@@ -257,7 +257,8 @@ def _draw_maps(
     if common:
         figure.colorbar(paint.scale, ax=[*axes.flat], aspect=25.0 * rows, **bar)
     grey = "the greyer, the less certain" * any_grey
-    add_key(figure, style, *key, grey, "hatched: no value" * any_unknown)
+    end = "distal end: anterior up" * has_end
+    add_key(figure, style, *key, end, grey, "hatched: no value" * any_unknown)
 
 
 def draw_wall(
