@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache, partial
+from operator import attrgetter
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
@@ -112,14 +113,8 @@ class Settings:
 
     def to_flat(self, prefix: str = "") -> dict[str, Any]:
         """All values by dotted name; tuples become lists."""
-        values: dict[str, Any] = {}
-        for item in dataclasses.fields(self):
-            value = getattr(self, item.name)
-            if isinstance(value, Settings):
-                values |= value.to_flat(f"{prefix}{item.name}.")
-            else:
-                values[prefix + item.name] = list(value) if isinstance(value, tuple) else value
-        return values
+        values = {name: attrgetter(name)(self) for name in self.flat()}
+        return {prefix + n: list(v) if isinstance(v, tuple) else v for n, v in values.items()}
 
 
 def parameter_values(settings: Settings) -> dict[str, Any]:
