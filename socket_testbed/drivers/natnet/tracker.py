@@ -70,12 +70,8 @@ class BodyTracker:
         # The last frame cannot arrive before the end of the window.
         clocks.sleep(max(0.0, min(trigger + 0.5 * window, deadline) - clocks.monotonic()))
         with self._changed:
-            while not self.ready(trigger, window):
-                left = deadline - clocks.monotonic()
-                if left <= 0.0:
-                    return False
-                self._changed.wait(clocks.real(left))
-            return True
+            left = clocks.real(deadline - clocks.monotonic())
+            return self._changed.wait_for(lambda: self.ready(trigger, window), left)
 
     def sample(self, trigger: float, window: float = 0.0) -> tuple[SeenBody, SeenBody]:
         """Socket and pylon at a time of the steady clock [s], from the available frames.
