@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import IO
 
 from socket_testbed.calibration.model import read_calibration
+from socket_testbed.clocks import shared_environment
 from socket_testbed.drivers.clusters import reader as clusters
 from socket_testbed.drivers.load_cell import load_cell
 from socket_testbed.drivers.natnet.connection import server_address
@@ -206,7 +207,7 @@ def simulate_hardware(
     graph: Graph, testbed: Testbed, simulation: Simulation
 ) -> tuple[Testbed, World]:
     """Start a simulated world; returns the testbed with simulated hardware, and the world."""
-    graph.set_time_scale(simulation.time_scale)
+    graph.clock = shared_environment(simulation.time_scale)
     folder = graph.folder
     world = World(folder, create=True)
     recorded = testbed.record if testbed.at_once else None

@@ -165,7 +165,7 @@ class Graph:
         self._spare: list[str] = []  # arguments of the spare process; empty for none
         self._temporary = TemporaryFolder()
         self.folder = Path(self._temporary.name)  # exists as long as the graph
-        self.clock = shared_environment()  # environment of all its processes
+        self.clock = shared_environment()  # environment of all further processes
 
     def __enter__(self) -> Self:
         require_ros()
@@ -174,10 +174,6 @@ class Graph:
     def __exit__(self, *error: object) -> None:
         self.stop()
         self._temporary.cleanup()
-
-    def set_time_scale(self, scale: float) -> None:
-        """Start all further processes with this scale of the testbed clock, in (0, 1] [-]."""
-        self.clock = shared_environment(scale)
 
     def start(self, node: str, settings: Settings, namespace: str = "/") -> None:
         """Start a node, see `GraphNode`."""
