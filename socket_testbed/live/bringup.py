@@ -44,7 +44,7 @@ from socket_testbed.trials.metadata import (
     read_metadata,
     write_metadata,
 )
-from socket_testbed.trials.topics import full_namespace
+from socket_testbed.trials.topics import full_name, full_namespace
 from socket_testbed.trials.trial import Trial, recorded_namespace
 
 _START_TIMEOUT = 120.0  # [s]; for the simulation, on a busy machine
@@ -265,7 +265,7 @@ def replay_nodes(
         GraphNode("calibration_node", calibration, namespace, use_sim_time=True),
         GraphNode("estimator_node", estimator, namespace, use_sim_time=True),
     ]
-    wait_for = (*(node.full_name for node in estimating), *replay.wait_for)
+    wait_for = (*(full_name(node.name, namespace) for node in estimating), *replay.wait_for)
     load_cell = str(trial.load_cell_file.resolve()) if trial.load_cell_file else ""
     replay = replace(
         replay, measured_only=True, wait_for=wait_for, geometry=geometry, load_cell=load_cell,

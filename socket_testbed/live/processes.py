@@ -24,7 +24,6 @@ from socket_testbed.documents import dump_yaml
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.files import PARENT, TemporaryFolder, packaged
 from socket_testbed.settings.fields import Settings, parameter_values
-from socket_testbed.trials.topics import full_name
 
 # Each testbed has its own transforms, in the namespace of its other topics.
 REMAPPINGS = (("/tf", "tf"), ("/tf_static", "tf_static"))
@@ -55,11 +54,6 @@ class GraphNode:
     use_sim_time: bool = False  # take the time from /clock
     process: str = ""  # name of a process shared with other nodes; empty for its own process
     optional: bool = False  # whether the graph can start without it
-
-    @property
-    def full_name(self) -> str:
-        """Its name in the graph, such as /left/estimator_node."""
-        return full_name(self.name, self.namespace)
 
 
 def write_parameters(nodes: Iterable[GraphNode], path: Path) -> Path:
