@@ -22,7 +22,6 @@ from socket_testbed.identification.contact import ContactModel
 from socket_testbed.identification.data_check import LEAST_CHECKED, check_data
 from socket_testbed.identification.fit import Fit, fit_contact_model
 from socket_testbed.identification.problem import MIN_SAMPLES, group_sizes
-from socket_testbed.live.scheduling import schedule_ordinarily
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, PlateauSettings
 from socket_testbed.trials.segment import find_newest_plateaus
@@ -111,7 +110,8 @@ class FitWorker:
 
 def _lower_priority() -> None:
     """Yield the processor to the predictions, and end with the node even if that is killed."""
-    schedule_ordinarily()  # the node may share a process with a sensor node
+    # The node may share a process with a sensor node, and so have its real-time priority.
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     os.nice(_NICENESS)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent(signal.SIGKILL)

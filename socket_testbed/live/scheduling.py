@@ -71,11 +71,6 @@ def _right(limit: str, capability: str) -> str:
     return f"put 'USER - {limit}' into {_LIMITS_FILE} and log in again, or grant {capability}"
 
 
-def schedule_ordinarily() -> None:
-    """Give up an inherited real-time priority."""
-    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-
-
 def measure_lateness(priority: int = 0, duration: float = 1.0) -> FloatArray:
     """Measure the wake-up delays of a thread from short sleeps [s], over a duration [s].
 
