@@ -229,13 +229,9 @@ def simulate_hardware(
         given.mocap_node, server="127.0.0.1", command_port=world.port, multicast="",
         socket_body="socket", pylon_body="pylon",  # as the world names them
     )  # fmt: skip
-    settings = replace(
-        given,
-        trigger_node=replace(given.trigger_node, simulation=place),
-        cluster_node=replace(given.cluster_node, simulation=place),
-        load_cell_node=replace(given.load_cell_node, simulation=place),
-        mocap_node=streamed,
-    )
+    wired = ("trigger_node", "cluster_node", "load_cell_node")
+    simulated = {name: replace(getattr(given, name), simulation=place) for name in wired}
+    settings = replace(given, mocap_node=streamed, **simulated)
     return replace(testbed, settings=settings), world
 
 
