@@ -186,17 +186,14 @@ def check_motion_capture(testbed: Testbed) -> Iterator[Outcome]:
     settings = testbed.settings.mocap_node
     geometry = read_socket(testbed.geometry)
     tracker = BodyTracker(settings, *geometry.markers.values())
-    client = NatNetClient(settings, tracker.add)
-    client.start()
-    try:
+    with closing(NatNetClient(settings, tracker.add)) as client:
+        client.start()
         deadline = clocks.monotonic() + _SERVER_TIMEOUT
         while (health := client.health(clocks.monotonic()))[0] and clocks.monotonic() < deadline:
             clocks.sleep(_POLL_INTERVAL)
         clocks.sleep(settings.stale)
         seen = tracker.sample(clocks.monotonic() - 0.5 * settings.stale)
         server, link = client.server, client.figures()
-    finally:
-        client.close()
     level, message = health
     if level >= ERROR:
         yield _failure("motion capture", message)
