@@ -233,7 +233,7 @@ def press_test(testbed: Testbed, ask: Callable[[str], None]) -> Iterator[Outcome
     raised if a cluster gives no reading.
     """
     geometry = read_socket(testbed.geometry)
-    names = tuple(testbed.settings.cluster_node.names)
+    names = testbed.settings.cluster_node.names
     outward = [-geometry.rotations[geometry.clusters[name], :, 2] for name in names]
     with _readings(testbed) as read:
         ask("let go")
@@ -299,10 +299,7 @@ def _judge(
 def _readings(testbed: Testbed) -> Iterator[Callable[[], FloatArray]]:
     """A function that reads the clusters and the load cell together, with their own drivers."""
     settings = testbed.settings
-    names = tuple(settings.cluster_node.names)
-    calibration = read_calibration(testbed.calibration)
-    calibration.require(names, "the settings")
-    stacked = calibration.stacked(names)
+    stacked = read_calibration(testbed.calibration).stacked(settings.cluster_node.names)
     cell = make_load_cell(settings.load_cell_node)
     with (
         closing(make_clusters(settings.cluster_node)) as clusters,
