@@ -130,13 +130,9 @@ class _Bus:
         self._open_bus = open_bus
         self._bus: i2c.I2cBus | None = None
 
-    @property
-    def is_open(self) -> bool:
-        return self._bus is not None
-
     def unusable(self, now: float) -> str:
         """Why the bus cannot be used at a time [s]; empty if it is open or may be opened."""
-        waits = not self.is_open and not self.backoff.due(now)
+        waits = self._bus is None and not self.backoff.due(now)
         return self.given_up or (self._closed_by if waits else "")
 
     def handle_fault(self, error: DeviceError, chip: int, now: float) -> bool:
@@ -150,7 +146,7 @@ class _Bus:
             self.given_up = str(error)
         only_chip = not isinstance(error, i2c.BusError) or error.address == chip
         only_chip |= len(self.multiplexers) > 1  # the others' clusters go on
-        if self.is_open and only_chip and not isinstance(error, i2c.BusGoneError):
+        if self._bus is not None and only_chip and not isinstance(error, i2c.BusGoneError):
             return True
         self.given_up = self._closed_by = str(error)
         self.backoff.failed(now)
