@@ -7,7 +7,6 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable
 from functools import partial
-from itertools import chain
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -16,6 +15,7 @@ from socket_testbed.nodes.base import HEARS, LINKS, NEWEST_STAMP, WAITING_FOR, T
 from socket_testbed.trials.topics import DIAGNOSTICS, full_name
 
 _POLL_INTERVAL = 0.02  # [s]
+_SILENT = {WAITING_FOR: "", LINKS: "", HEARS: ""}  # another program's diagnostics lack these
 
 
 class Followers:
@@ -29,9 +29,9 @@ class Followers:
         self, node: TestbedNode[Any], names: tuple[str, ...], stopped: Callable[[], bool]
     ) -> None:
         namespace = node.get_namespace()
-        self._waiting = {full_name(name, namespace): "not seen" for name in names}
-        self._links: dict[str, dict[str, int]] = {}
-        self._hears: dict[str, list[str]] = {}
+        unseen = _SILENT | {WAITING_FOR: "not seen"}
+        # values of their newest diagnostics, by key
+        self._reports = {full_name(name, namespace): unseen for name in names}
         self._newest: dict[str, int] = {}
         self._sent: deque[int] = deque()
         self._stopped = stopped
@@ -40,7 +40,7 @@ class Followers:
         node.listen(DIAGNOSTICS, self._on_diagnostics, needed=False)
 
     def __len__(self) -> int:
-        return len(self._waiting)
+        return len(self._reports)
 
     def await_links(self, patience: float) -> str:
         """Wait until all publishers and subscribers have discovered each other.
@@ -50,19 +50,18 @@ class Followers:
         """
 
         def linked() -> bool:
-            heard = Counter(chain.from_iterable(self._hears.values()))
+            reports = self._reports.values()
+            heard = Counter(name for report in reports for name in report[HEARS].split())
             own = [(name, known, count) for name, (known, count) in self._node.links().items()]
-            theirs = [
-                (name, known, self._node.count_subscribers(name))
-                for links in self._links.values()
-                for name, known in links.items()
-            ]
+            links = [link.split("=") for report in reports for link in report[LINKS].split()]
+            theirs = [(name, int(n), self._node.count_subscribers(name)) for name, n in links]
             found = all(known >= max(heard[name], count) for name, known, count in own + theirs)
-            return found and not any(self._waiting.values())
+            return found and not any(report[WAITING_FOR] for report in reports)
 
         if self.wait(linked, patience) or self._stopped():
             return ""
-        waiting = [f"{name} ({what})" for name, what in self._waiting.items() if what]
+        lacking = {name: report[WAITING_FOR] for name, report in self._reports.items()}
+        waiting = [f"{name} ({what})" for name, what in lacking.items() if what]
         return ", ".join(waiting) or "subscribers"
 
     def sent(self, stamp: int) -> None:
@@ -106,14 +105,11 @@ class Followers:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            if status.name not in self._waiting:
+            if status.name not in self._reports:
                 continue
-            values = {entry.key: entry.value for entry in status.values}
-            links = (link.split("=") for link in values.get(LINKS, "").split())
+            values = _SILENT | {entry.key: entry.value for entry in status.values}
             with self._news:
-                self._waiting[status.name] = values.get(WAITING_FOR, "")
-                self._hears[status.name] = values.get(HEARS, "").split()
-                self._links[status.name] = {topic: int(count) for topic, count in links}
+                self._reports[status.name] = values
                 if NEWEST_STAMP in values:
                     self._newest[status.name] = int(values[NEWEST_STAMP])
                 self._news.notify_all()
