@@ -6,7 +6,7 @@ import argparse
 import os
 import signal
 import sys
-from importlib import import_module
+from pkgutil import resolve_name
 
 from socket_testbed.commands.arguments import Parser, add_options, read_function, release_paths
 from socket_testbed.errors import TestbedError, likely
@@ -130,8 +130,7 @@ def run(arguments: list[str] | None = None) -> int:
 
         # Any machine that reaches a graph can read and stop it, so it stays local by default.
         os.environ |= local_graph()
-        module = import_module(f"socket_testbed.commands.{VERBS[verb]}")
-        getattr(module, verb)(**options)
+        resolve_name(f"socket_testbed.commands.{VERBS[verb]}:{verb}")(**options)
         sys.stdout.flush()
     except TestbedError as error:
         print(f"socket-testbed {verb}: error: {error}", file=sys.stderr)

@@ -17,8 +17,8 @@ import signal
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from importlib import import_module
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 try:
@@ -64,9 +64,7 @@ def _node_class(name: str) -> Callable[[], TestbedNode[Any]]:
     if name not in known:
         raise ConfigurationError(f"there is no node '{name}'", closest(name, known))
     kind = "".join(part.capitalize() for part in name.split("_"))
-    found: Callable[[], TestbedNode[Any]] = getattr(
-        import_module(f"socket_testbed.nodes.{name}"), kind
-    )
+    found: Callable[[], TestbedNode[Any]] = resolve_name(f"socket_testbed.nodes.{name}:{kind}")
     return found
 
 
