@@ -86,7 +86,7 @@ def patches(geometry: SocketGeometry, step: float = STEP) -> list[Patch]:
         size = np.median(radii)
         x = np.linspace(-np.pi, np.pi, 2 * max(8, round(np.pi * size / edge / step)))
         y = np.linspace(low, high, max(4, round((high - low) / edge / step)))
-        angle, height = _grid(x, y)
+        angle, height = np.reshape(np.meshgrid(x, y), (2, -1))  # row by row
         apart = np.subtract.outer(angle, around.angles(geometry.anchors[on_wall]))
         across = np.angle(np.exp(1j * apart)) * size
         r = _smooth(np.hypot(across, np.subtract.outer(height, wall)) / edge, radii)
@@ -96,7 +96,7 @@ def patches(geometry: SocketGeometry, step: float = STEP) -> list[Patch]:
         radius = float(r[: len(x)].mean())
     if not on_wall.all():
         line = np.linspace(-radius, radius, 2 * max(12, round(radius / edge / step)) + 1)
-        right, up = _grid(line, line)
+        right, up = np.reshape(np.meshgrid(line, line), (2, -1))
         offset = geometry.anchors[(heights < edge) | ~on_wall] - around.end
         flat = np.column_stack([-offset @ around.left, offset @ around.anterior])
         z = _smooth(cdist(np.column_stack([right, up]), flat) / edge, offset @ around.proximal)
@@ -105,12 +105,6 @@ def patches(geometry: SocketGeometry, step: float = STEP) -> list[Patch]:
         points[np.hypot(right, up) > radius * (1.0 + 1e-9)] = np.nan
         found.append(_patch("end", geometry, 1e3 * line, 1e3 * line, points, edge))
     return found
-
-
-def _grid(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Coordinates of all points, row by row, of shape (h w,)."""
-    across, up = np.meshgrid(x, y)
-    return across.ravel(), up.ravel()
 
 
 def _smooth(apart: FloatArray, values: FloatArray) -> FloatArray:
