@@ -60,10 +60,10 @@ class TrialFit(Result):
     fit: Fit
 
     def __repr__(self) -> str:
-        model = self.fit.model
+        fit = self.fit
         return (
-            f"TrialFit({model.variant} on {self.trial.name}, {self.segment}, theta"
-            f" {self.fit.settings.theta:g}; {_means(self.fit.errors)})"
+            f"TrialFit({fit.model.variant} on {self.trial.name}, {self.segment}, theta"
+            f" {fit.settings.theta:g}; {summarise_errors(fit.errors).in_words()})"
         )
 
     def save(self, path: PathLike) -> None:
@@ -165,7 +165,7 @@ class Evaluation(Result):
     def __repr__(self) -> str:
         return (
             f"Evaluation({self.model.model.variant} of {self.model.trial} on {self.trial.name},"
-            f" {self.segment}; {_means(self.errors)})"
+            f" {self.segment}; {summarise_errors(self.errors).in_words()})"
         )
 
     @property
@@ -223,10 +223,6 @@ def _errors_document(
         "channels": [record(error) for error in errors],
         "in_objective": quoted_figures(errors),
     }
-
-
-def _means(errors: Sequence[ChannelErrors]) -> str:
-    return summarise_errors(errors).in_words()
 
 
 def fit(
@@ -319,18 +315,14 @@ def read_model(path: PathLike) -> StoredModel:
     return _read_model(Path(path))
 
 
-def stored_model(model: Model) -> StoredModel:
-    """Convert a fit, a stored model or a path to a stored model."""
-    if isinstance(model, StoredModel):
-        return model
-    return model.stored() if isinstance(model, TrialFit) else read_model(model)
-
-
 def model_for(trial: Trial, model: Model) -> StoredModel:
-    """A stored model for a trial; raises an error if it is of another socket."""
-    stored = stored_model(model)
-    stored.require_socket(trial.geometry)
-    return stored
+    """A fit, a stored model or one at a path, for a trial; refuses one of another socket."""
+    if isinstance(model, TrialFit):
+        model = model.stored()
+    elif not isinstance(model, StoredModel):
+        model = read_model(model)
+    model.require_socket(trial.geometry)
+    return model
 
 
 def _predictions(samples: Samples, stored: StoredModel) -> FloatArray:
