@@ -68,14 +68,12 @@ class BagReader:
 
     def __enter__(self) -> Self:
         metadata = _read_metadata(self.path)
-        try:
+        with self._stack:  # closes the files after an error
             for file in self._storage_files(metadata):
                 self._readers.append((file, self._open(file)))
             if metadata is not None:
                 self._compare(metadata[1])
-        except BaseException:
-            self._stack.close()
-            raise
+            self._stack = self._stack.pop_all()
         return self
 
     def __exit__(self, *error: object) -> None:
