@@ -190,11 +190,8 @@ def _markers_text(table: pd.DataFrame, labels: list[str], name: str) -> str:
         "\t".join(["", "", *axes]),
         "",
     ]
-    rows = zip(table.index, table.to_numpy(), strict=True)
-    for frame, (time, row) in enumerate(rows, start=1):
-        cells = [f"{value:.4f}" if np.isfinite(value) else "" for value in row]
-        lines.append("\t".join([str(frame), f"{time:.6f}", *cells]))
-    return "\n".join(lines) + "\n"
+    rows = table.set_index([pd.RangeIndex(1, count + 1), table.index.map("{:.6f}".format)])
+    return "\n".join([*lines, rows.to_csv(sep="\t", float_format="%.4f", header=False)])
 
 
 def _write_c3d(path: Path, table: pd.DataFrame, labels: list[str]) -> None:
