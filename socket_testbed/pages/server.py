@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import socket
 import threading
@@ -17,7 +16,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from plotly.offline import get_plotlyjs
 
-from socket_testbed.documents import check_number
+from socket_testbed.documents import check_number, decimal
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.pages.document import Document
 
@@ -113,9 +112,7 @@ class _Handler(BaseHTTPRequestHandler):
             return
         asked = parse_qs(address.query).get("t")
         try:
-            time = float(asked[0]) if asked else None
-            if time is not None and not math.isfinite(time):
-                raise ValueError
+            time = decimal(asked[0]) if asked else None
         except ValueError:
             self._answer(HTTPStatus.BAD_REQUEST, b"the time is not a number\n")
             return
