@@ -277,4 +277,4 @@ def test_spans_under_load_are_refused(hold: Path, measured: synchronise.Measurem
     assert len(notes) == 2 and "distal is not corrected: give a second span" in notes[1]
     for wrong in (["8:2"], ["nan:1"], ["0:1", "2:3", "4:5"], ["0:5", "3:8"]):
         with refused(ConfigurationError, "--unloaded"):
-            reprocess.parse_unloaded(wrong)
+            Trial(hold, unloaded=reprocess.parse_unloaded(wrong))
