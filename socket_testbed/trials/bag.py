@@ -157,7 +157,7 @@ class BagReader:
     def _open(self, file: Path) -> Reader | McapFile:
         path = self._unpack(file) if file.suffix == _COMPRESSED_SUFFIX else file
         if path.suffix == ".mcap":
-            recording = self._stack.enter_context(McapFile(path, file))
+            recording = McapFile(self._stack.enter_context(path.open("rb")), file)
             self.notes += recording.notes
             return recording
         journal = file.with_name(file.name + "-wal")  # of SQLite

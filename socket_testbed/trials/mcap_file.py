@@ -20,7 +20,7 @@ from datetime import datetime
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
-from typing import BinaryIO, NamedTuple, Self
+from typing import BinaryIO, NamedTuple
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -91,64 +91,22 @@ class _Chunk:
 
 
 class McapFile:
-    """The readable part of a recording; used like a reader of rosbags.
+    """The readable part of a recording in an open file; used like a reader of rosbags.
 
     A TrialError, which calls the file by `name`, is raised if a truncated or damaged file holds no
     complete chunk of messages, or its topics are lost. `notes` report all else that was not read or
     cannot be checked, one line each; `lacks` tells whether messages may be missing.
     """
 
-    def __init__(self, path: Path, name: Path) -> None:
-        self.path = path
-        self._file = path.open("rb")
-        try:
-            self._read(name)
-        except BaseException:
-            self._file.close()
-            raise
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._file.close()
-
-    def messages(
-        self, connections: Collection[Connection]
-    ) -> Iterator[tuple[Connection, int, bytes]]:
-        """The messages of some connections in the order of their times [ns]."""
-        wanted = {connection.id: connection for connection in connections}
-        chunks = [chunk for chunk in self._chunks if wanted.keys() & chunk.counts.keys()]
-        chunks.sort(key=lambda chunk: chunk.first_time)
-        next_times = (*(chunk.first_time for chunk in chunks[1:]), math.inf)
-        waiting: list[tuple[int, int, Connection, bytes]] = []  # chunks may overlap in time
-        for chunk, next_time in zip(chunks, next_times, strict=False):
-            waiting += self._messages_of(chunk.place, wanted)
-            waiting.sort(key=itemgetter(0, 1))
-            ready = bisect_left(waiting, next_time, key=itemgetter(0))
-            for time, _, connection, data in waiting[:ready]:
-                yield connection, time, data
-            del waiting[:ready]
-
-    def _messages_of(
-        self, place: _Place, wanted: Mapping[int, Connection]
-    ) -> Iterator[tuple[int, int, Connection, bytes]]:
-        """The messages of a chunk: time [ns], start of the chunk, connection and content."""
-        content, _ = _unpack(self._file, place)
-        for opcode, start, end in _records(content):
-            if opcode == _MESSAGE_OPCODE:
-                channel, _, time, _ = _MESSAGE.unpack_from(content, start)
-                if channel in wanted:
-                    yield time, place.start, wanted[channel], content[start + _MESSAGE.size : end]
-
-    def _read(self, name: Path) -> None:
-        size = self._file.seek(0, io.SEEK_END)
-        index = _Index(self._file)
-        places, complete = _walk(self._file, size)
-        found = [_Chunk(self._file, place) for place in places]
+    def __init__(self, file: BinaryIO, name: Path) -> None:
+        self.path, self._file = Path(file.name), file
+        size = file.seek(0, io.SEEK_END)
+        index = _Index(file)
+        places, complete = _walk(file, size)
+        found = [_Chunk(file, place) for place in places]
         walked = [place for place in places if place.packed]
         if index.places != walked:
-            listed = [_Chunk(self._file, place) for place in index.places]
+            listed = [_Chunk(file, place) for place in index.places]
             found = max(found, listed, key=lambda each: sum(c.counts.total() for c in each))
         if not index.ended:
             # An unflushed chunk at the end may hold zeros or old disk blocks. Chunks before the
@@ -181,6 +139,34 @@ class McapFile:
         elif self.lacks:
             torn = size - self._chunks[-1].place.index_end
             self.notes.append(self._describe_cut(torn, complete))
+
+    def messages(
+        self, connections: Collection[Connection]
+    ) -> Iterator[tuple[Connection, int, bytes]]:
+        """The messages of some connections in the order of their times [ns]."""
+        wanted = {connection.id: connection for connection in connections}
+        chunks = [chunk for chunk in self._chunks if wanted.keys() & chunk.counts.keys()]
+        chunks.sort(key=lambda chunk: chunk.first_time)
+        next_times = (*(chunk.first_time for chunk in chunks[1:]), math.inf)
+        waiting: list[tuple[int, int, Connection, bytes]] = []  # chunks may overlap in time
+        for chunk, next_time in zip(chunks, next_times, strict=False):
+            waiting += self._messages_of(chunk.place, wanted)
+            waiting.sort(key=itemgetter(0, 1))
+            ready = bisect_left(waiting, next_time, key=itemgetter(0))
+            for time, _, connection, data in waiting[:ready]:
+                yield connection, time, data
+            del waiting[:ready]
+
+    def _messages_of(
+        self, place: _Place, wanted: Mapping[int, Connection]
+    ) -> Iterator[tuple[int, int, Connection, bytes]]:
+        """The messages of a chunk: time [ns], start of the chunk, connection and content."""
+        content, _ = _unpack(self._file, place)
+        for opcode, start, end in _records(content):
+            if opcode == _MESSAGE_OPCODE:
+                channel, _, time, _ = _MESSAGE.unpack_from(content, start)
+                if channel in wanted:
+                    yield time, place.start, wanted[channel], content[start + _MESSAGE.size : end]
 
     def _unreadable(self, name: Path, ended: bool) -> TrialError:
         """The error for a file without a complete chunk of messages."""
