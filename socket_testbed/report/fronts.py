@@ -25,7 +25,6 @@ from socket_testbed.pages.document import numbers
 from socket_testbed.report.page import ReportFigure, Section
 from socket_testbed.report.results import Results
 from socket_testbed.report.style import (
-    DEFAULT_STYLE,
     LINE_STYLES,
     PAGE_LINES,
     FigureStyle,
@@ -108,9 +107,7 @@ def marks_table(fronts: Iterable[Front]) -> Table:
 
 
 @in_style
-def pareto_figure(
-    fronts: Iterable[Front], title: str, style: FigureStyle = DEFAULT_STYLE
-) -> Figure:
+def pareto_figure(fronts: Iterable[Front], title: str, style: FigureStyle) -> Figure:
     """Draw both normalised errors of at most two fronts on logarithmic axes.
 
     Dominated solutions are faint; flawed ones are not shown.

@@ -14,14 +14,7 @@ from socket_testbed.identification import validation
 from socket_testbed.identification.information import MIN_RATIO
 from socket_testbed.report.page import Heading, ReportFigure, Section
 from socket_testbed.report.results import Results
-from socket_testbed.report.style import (
-    DEFAULT_STYLE,
-    LINE_STYLES,
-    FigureStyle,
-    in_style,
-    lay_out,
-    style_axes,
-)
+from socket_testbed.report.style import LINE_STYLES, FigureStyle, in_style, lay_out, style_axes
 from socket_testbed.tables import Table
 
 _COLOURS = {
@@ -133,7 +126,7 @@ def _shares(results: Results) -> Table:
 
 @in_style
 def validation_figure(
-    judgements: Sequence[validation.Judgement], title: str, style: FigureStyle = DEFAULT_STYLE
+    judgements: Sequence[validation.Judgement], title: str, style: FigureStyle
 ) -> Figure:
     """Draw force errors by left-out cluster, and the coverage of the map's intervals.
 
