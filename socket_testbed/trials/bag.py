@@ -12,10 +12,9 @@ import zlib
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 from backports import zstd
 from rosbags import interfaces
@@ -41,8 +40,7 @@ _INDEX_CHECKSUM_OFFSET = 4 + 8  # [bytes] from the end of the file
 _CHUNK_CHECKSUM_OFFSET = 9 + 3 * 8  # [bytes] from the start of a chunk's record
 
 
-@dataclass(frozen=True)
-class RawMessage:
+class RawMessage(NamedTuple):
     """A recorded message."""
 
     topic: str
@@ -103,20 +101,6 @@ class BagReader:
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """The messages of some topics, or of all, in recording order."""
-        for connection, time, data in self._entries(topics):
-            yield RawMessage(connection.topic, connection.msgtype, time, data)
-
-    def blocks(self, topics: Collection[str]) -> Iterator[tuple[str, list[bytes]]]:
-        """The messages of some topics in blocks of a few thousand, in order within each topic."""
-        blocks: dict[str, list[bytes]] = defaultdict(list)
-        for connection, _, data in self._entries(topics):
-            blocks[connection.topic].append(data)
-            if len(blocks[connection.topic]) == _BLOCK_SIZE:
-                yield connection.topic, blocks.pop(connection.topic)
-        yield from blocks.items()
-
-    def _entries(self, topics: Collection[str] | None) -> Iterator[tuple[Any, int, bytes]]:
-        """The messages of some topics, or of all, with their connections and times."""
         for file, reader in self._readers:
             connections = [c for c in reader.connections if topics is None or c.topic in topics]
             if not connections:
@@ -128,7 +112,7 @@ class BagReader:
                     content = bytes(data)
                     if content.startswith(_ZSTD_MAGIC):
                         content = zstd.decompress(content)
-                    yield connection, time, content
+                    yield RawMessage(connection.topic, connection.msgtype, time, content)
             except Exception as error:  # the library may raise any exception
                 raise _damaged(file, error) from None
             if lacking := sum(left.values()):
@@ -136,6 +120,15 @@ class BagReader:
                     f"{file}: is damaged: its index lists {lacking} more messages than can be read",
                     COPY_AGAIN,
                 )
+
+    def blocks(self, topics: Collection[str]) -> Iterator[tuple[str, list[bytes]]]:
+        """The messages of some topics in blocks of a few thousand, in order within each topic."""
+        blocks: dict[str, list[bytes]] = defaultdict(list)
+        for topic, _, _, data in self.messages(topics):
+            blocks[topic].append(data)
+            if len(blocks[topic]) == _BLOCK_SIZE:
+                yield topic, blocks.pop(topic)
+        yield from blocks.items()
 
     def _storage_files(self, metadata: tuple[list[str], Any] | None) -> list[Path]:
         if self.path.is_file():

@@ -4,7 +4,6 @@ import re
 import shutil
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -213,12 +212,12 @@ def mixed(messages: Iterable[RawMessage]) -> Iterator[RawMessage]:
         if rng.random() < 0.3:
             decoded.header.frame_id += "_" * int(rng.integers(3))
         if rng.random() < 0.9:
-            yield replace(raw, data=encode(decoded, raw.type, little=rng.random() < 0.5))
+            yield raw._replace(data=encode(decoded, raw.type, little=rng.random() < 0.5))
         if rng.random() < 0.1:
             if raw.topic.endswith(topics.WRENCH.name):
                 decoded.wrench.force.x += 1.0
             data = encode(decoded, raw.type, little=True)
-            yield replace(raw, time=raw.time + 1, data=data)
+            yield raw._replace(time=raw.time + 1, data=data)
 
 
 def test_measurements_of_mixed_messages(hold: Path, tmp_path: Path) -> None:
