@@ -16,7 +16,7 @@ from socket_testbed.api.pressure import pressure as pressure_of
 from socket_testbed.api.result import Result, origin
 from socket_testbed.api.trials import PathLike, as_path, as_trial, note_problems, select
 from socket_testbed.arrays import FloatArray
-from socket_testbed.files import TABLES
+from socket_testbed.files import TABLES, write_text
 from socket_testbed.identification import information, plausibility
 from socket_testbed.identification.fit import (
     ChannelErrors,
@@ -200,7 +200,7 @@ class Evaluation(Result):
         if path.suffix.lower() in TABLES:
             super().save(path)
         else:
-            self._write_json(path)
+            write_text(path, self.to_json())
 
     def _figure(self, style: FigureStyle) -> Figure:
         from socket_testbed.report.models import wrench_figure

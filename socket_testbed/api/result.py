@@ -48,7 +48,7 @@ class Result:
         """
         path = Path(path)
         if path.suffix.lower() == ".json":
-            self._write_json(path)
+            write_text(path, self.to_json())
         else:
             write_table(self._saved_table(), path)
 
@@ -92,9 +92,6 @@ class Result:
 
     def _saved_table(self) -> pd.DataFrame:
         return self.to_dataframe()
-
-    def _write_json(self, path: Path) -> None:
-        write_text(path, self.to_json())
 
     def _figure(self, style: FigureStyle) -> Figure:
         fact = f"{type(self).__name__} has no figure"
