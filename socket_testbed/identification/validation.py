@@ -254,7 +254,6 @@ def judge_tiles(
     geometry: SocketGeometry,
     truth: FloatArray,
     estimators: Mapping[str, FieldEstimator],
-    test: Test,
     tested_on: str = "",
 ) -> list[Judgement]:
     """Judge the forces on tiles without a sensor against the truth, (N, n, 3) in {S} [N]."""
@@ -266,7 +265,7 @@ def judge_tiles(
     for name, estimate in estimators.items():
         forces, deviations = (values[:, bare] for values in estimate(samples))
         figures = _figures([(truth, forces, deviations)], rms(truth))
-        found.append(Judgement("tiles", name, test, "", tested_on, **figures))
+        found.append(Judgement("tiles", name, "second half", "", tested_on, **figures))
     return found
 
 
@@ -365,7 +364,7 @@ def judge_samples(
         estimators = field_estimators(geometry, settings.force_map) | {
             variant: partial(_forces_of, model) for variant, model in models.items()
         }
-        found += judge_tiles(samples[rows], geometry, truth[rows], estimators, "second half", name)
+        found += judge_tiles(samples[rows], geometry, truth[rows], estimators, name)
     return found
 
 

@@ -141,7 +141,7 @@ def test_intervals_hold_what_they_say_and_tiles_with_a_sensor_do_not_count(rng):
         forces = truth + spread * rng.normal(size=truth.shape)
         return forces, np.full(truth.shape, spread)
 
-    tiles = validation.judge_tiles(samples, geometry, truth, {"map": estimate}, "second half")[0]
+    tiles = validation.judge_tiles(samples, geometry, truth, {"map": estimate})[0]
     assert tiles.coverage == pytest.approx((0.5, 0.8, 0.95), abs=0.01)
     assert tiles.error == pytest.approx(spread, rel=0.05)
     stated = np.full((3, 3), noise)
@@ -152,7 +152,7 @@ def test_intervals_hold_what_they_say_and_tiles_with_a_sensor_do_not_count(rng):
 
     closed = rivals(geometry)[validation.CLOSED]
     own = {validation.CLOSED: closed}
-    (judged,) = validation.judge_tiles(samples, geometry, truth, own, "second half")
+    (judged,) = validation.judge_tiles(samples, geometry, truth, own)
     bare = np.setdiff1d(np.arange(len(geometry)), [*geometry.clusters.values()])
     missed = (closed(samples)[0] - truth)[:, bare]
     expected = np.sqrt(np.mean(missed**2) / np.mean(truth[:, bare] ** 2))
