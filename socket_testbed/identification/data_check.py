@@ -314,11 +314,9 @@ def _explained(course: FloatArray, by: FloatArray) -> float:
     known = np.isfinite(course) & np.isfinite(by).all(axis=1)
     if known.sum() < LEAST_CHECKED or not np.ptp(course[known]) > 0.0:
         return 0.0
-    columns = np.column_stack([by[known], np.ones(int(known.sum()))])
-    spread = np.maximum(columns.std(axis=0), 1e-12)
-    spread[-1] = 1.0
-    fit = np.linalg.lstsq(columns / spread, course[known], rcond=None)[0]
-    left = course[known] - columns / spread @ fit
+    scaled = by[known] / np.maximum(by[known].std(axis=0), 1e-12)
+    columns = np.column_stack([scaled, np.ones(len(scaled))])
+    left = course[known] - columns @ np.linalg.lstsq(columns, course[known], rcond=None)[0]
     return float(1.0 - left.var() / course[known].var())
 
 
