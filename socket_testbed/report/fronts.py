@@ -42,6 +42,7 @@ _MARKS: dict[str, dict[str, Any]] = {
 _THETA = "\N{GREEK SMALL LETTER THETA}"
 _MEANINGS = {SENSOR_ONLY: f" ({_THETA} = 0)", KNEE: "", WRENCH_ONLY: f" ({_THETA} = 1)"}
 _HOLLOW: dict[str, Any] = {"linestyle": "none", "markerfacecolor": "white", "markeredgewidth": 1.0}
+_DOTS: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 3}
 _FAINT = 0.3  # opacity
 _MARGIN = 0.08  # [-]; around the solutions
 _MIN_ERROR = 1e-8  # [-]; for the logarithmic axes, below the precision of errors
@@ -126,13 +127,12 @@ def pareto_figure(fronts: Iterable[Front], title: str, style: FigureStyle) -> Fi
         axis.set_major_formatter("{x:g}")
         axis.set_minor_locator(NullLocator())
     style_axes(axes)
-    dot: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 3, "color": "0.3"}
     marks = [
         Line2D([], [], color="0.3", label=name + _MEANINGS[name], **_HOLLOW, **shape)
         for name, shape in _MARKS.items()
     ]
-    handles = [*axes.get_legend_handles_labels()[0], *marks]
-    handles.append(Line2D([], [], alpha=_FAINT, label="dominated", **dot))
+    faint = Line2D([], [], color="0.3", alpha=_FAINT, label="dominated", **_DOTS)
+    handles = [*axes.get_legend_handles_labels()[0], *marks, faint]
     figure.legend(handles=handles, loc="outside lower center", ncols=columns)
     return lay_out(figure)
 
@@ -140,10 +140,9 @@ def pareto_figure(fronts: Iterable[Front], title: str, style: FigureStyle) -> Fi
 def _draw_front(axes: Axes, front: Front, style: dict[str, Any]) -> None:
     kept, errors = _kept(front)
     dominated, colour = front.sound & ~front.non_dominated, style["color"]
-    dots: dict[str, Any] = {"color": colour, "linestyle": "none", "marker": "o", "markersize": 3}
     axes.plot(*errors[:, kept], label=_describe(front), **style)
-    axes.plot(*errors[:, kept], **dots)
-    axes.plot(*errors[:, dominated], alpha=_FAINT, markeredgewidth=0.0, **dots)
+    axes.plot(*errors[:, kept], color=colour, **_DOTS)
+    axes.plot(*errors[:, dominated], color=colour, alpha=_FAINT, markeredgewidth=0.0, **_DOTS)
     for name, index in front.marks.items():
         axes.plot(*errors[:, [index]], color=colour, **_HOLLOW, **_MARKS[name])
 
