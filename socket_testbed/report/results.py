@@ -131,12 +131,11 @@ def compute_results(
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Results:
     """Fit the variants on a segment of a trial, trace the fronts over theta, and judge both."""
-    samples, identification = trial.samples(), settings.identification
-    leave_out = identification.leave_out
+    identification, leave_out = settings.identification, settings.identification.leave_out
+    samples = trial.sound(leave_out)
     whole = trial.select(specification, settings)
     segment = first_frames(whole, samples, identification.frames)
     notes: list[str] = []
-    samples = trial.sound(leave_out)
     chosen = samples[segment.rows]
     progress(1, _STAGES)
     candidates = []
