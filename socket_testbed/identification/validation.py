@@ -148,13 +148,12 @@ def judge_wrench(
     test: Test,
     fitted_on: str = "",
     tested_on: str = "",
-) -> list[Judgement]:
+) -> Iterator[Judgement]:
     """Judge predictions of the wrench from the pose alone, on samples `under_load`.
 
     Means leave out wrench channels without a value.
     """
     constant = np.array([fit.deviation(channel) for channel in samples.wrench.T])
-    found = []
     for name, predict in predictors.items():
         rmse = np.sqrt(np.mean((predict(samples.pose) - samples.wrench) ** 2, axis=0))
         figures: dict[str, Any] = {"samples": len(samples)}
@@ -162,8 +161,7 @@ def judge_wrench(
             error = finite_mean(rmse[part])
             skill = fit.skill_of(error, finite_mean(constant[part]))
             figures |= {f"{kind}_rmse": error, f"{kind}_skill": skill}
-        found.append(Judgement("wrench", name, test, fitted_on, tested_on, **figures))
-    return found
+        yield Judgement("wrench", name, test, fitted_on, tested_on, **figures)
 
 
 def left_out_pressures(
@@ -219,7 +217,7 @@ def judge_clusters(
     estimators: Mapping[str, FieldEstimator],
     noise: FloatArray,
     tested_on: str = "",
-) -> list[Judgement]:
+) -> Iterator[Judgement]:
     """Judge the forces on each cluster, estimated from the others and the wrench; then on all.
 
     The intervals are those of a measurement: they include the errors of the cluster's own channels,
@@ -227,7 +225,6 @@ def judge_clusters(
     """
     size = rms(samples.trusted_forces)
     together: dict[str, list[_Compared]] = {}
-    found = []
     for column, cluster in enumerate(samples.clusters):
         tile = geometry.clusters[cluster]
         rotation = geometry.rotations[tile]
@@ -242,11 +239,10 @@ def judge_clusters(
             compared = truth, forces, np.sqrt(deviations**2 + variance)
             together.setdefault(name, []).append(compared)
             figures = _figures([compared], size)
-            found.append(Judgement("cluster", name, "left out", "", tested_on, cluster, **figures))
+            yield Judgement("cluster", name, "left out", "", tested_on, cluster, **figures)
     for name, all_compared in together.items():
         figures = _figures(all_compared, size)
-        found.append(Judgement("cluster", name, "left out", "", tested_on, **figures))
-    return found
+        yield Judgement("cluster", name, "left out", "", tested_on, **figures)
 
 
 def judge_tiles(
@@ -255,18 +251,16 @@ def judge_tiles(
     truth: FloatArray,
     estimators: Mapping[str, FieldEstimator],
     tested_on: str = "",
-) -> list[Judgement]:
+) -> Iterator[Judgement]:
     """Judge the forces on tiles without a sensor against the truth, (N, n, 3) in {S} [N]."""
     bare = np.flatnonzero(~geometry.covered)
     if not len(bare):
-        return []
+        return
     truth = truth[:, bare]
-    found = []
     for name, estimate in estimators.items():
         forces, deviations = (values[:, bare] for values in estimate(samples))
         figures = _figures([(truth, forces, deviations)], rms(truth))
-        found.append(Judgement("tiles", name, "second half", "", tested_on, **figures))
-    return found
+        yield Judgement("tiles", name, "second half", "", tested_on, **figures)
 
 
 _Compared = tuple[FloatArray, FloatArray, FloatArray]
@@ -376,7 +370,7 @@ def judge_map(
     samples = loaded[evenly(len(loaded), MAX_SAMPLES)]
     noise = measurement_errors(samples, channel_noise(samples).local_forces, settings.force_map)
     estimators = field_estimators(geometry, settings.force_map)
-    return judge_clusters(samples, geometry, estimators, noise, name)
+    return [*judge_clusters(samples, geometry, estimators, noise, name)]
 
 
 def measurement_errors(

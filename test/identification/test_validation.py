@@ -108,7 +108,7 @@ def test_a_left_out_cluster_is_judged_on_what_the_others_say(rng):
     uniform = np.tile(geometry.rotations @ [1.0, -2.0, -10.0], (6, 1, 1))
     samples = samples_of_forces(geometry, uniform)
     noise = np.zeros((3, 3))
-    found = validation.judge_clusters(samples, geometry, rivals(geometry), noise, "here")
+    found = [*validation.judge_clusters(samples, geometry, rivals(geometry), noise, "here")]
     assert len(found) == 2 * (3 + 1)
     assert all(j.error < 1e-9 and np.isnan(j.coverage).all() for j in found)
 
@@ -119,7 +119,7 @@ def test_a_left_out_cluster_is_judged_on_what_the_others_say(rng):
     # One cluster has nothing in common with the others: by hand, its error and that of all.
     samples.local_forces[:, 0] = [5.0, 5.0, 5.0]
     samples.status[2:4, 1] = 3  # neither used nor judged
-    first, found = found, validation.judge_clusters(samples, geometry, rivals(geometry), noise)
+    first, found = found, [*validation.judge_clusters(samples, geometry, rivals(geometry), noise)]
     chosen = {j.cluster: j for j in found if j.predictor == validation.INVERSE_DISTANCE}
     size = np.sqrt(np.nanmean(samples.trusted_forces**2))
     wrong = np.sqrt(np.mean((np.array([1.0, -2.0, -10.0]) - 5.0) ** 2))
@@ -141,13 +141,13 @@ def test_intervals_hold_what_they_say_and_tiles_with_a_sensor_do_not_count(rng):
         forces = truth + spread * rng.normal(size=truth.shape)
         return forces, np.full(truth.shape, spread)
 
-    tiles = validation.judge_tiles(samples, geometry, truth, {"map": estimate})[0]
+    (tiles,) = validation.judge_tiles(samples, geometry, truth, {"map": estimate})
     assert tiles.coverage == pytest.approx((0.5, 0.8, 0.95), abs=0.01)
     assert tiles.error == pytest.approx(spread, rel=0.05)
     stated = np.full((3, 3), noise)
-    clusters = validation.judge_clusters(samples, geometry, {"map": estimate}, stated)[-1]
+    *_, clusters = validation.judge_clusters(samples, geometry, {"map": estimate}, stated)
     assert clusters.coverage == pytest.approx((0.5, 0.8, 0.95), abs=0.01)
-    too_sure = validation.judge_clusters(samples, geometry, {"map": estimate}, 0.0 * stated)[-1]
+    *_, too_sure = validation.judge_clusters(samples, geometry, {"map": estimate}, 0.0 * stated)
     assert too_sure.coverage[2] < 0.93
 
     closed = rivals(geometry)[validation.CLOSED]
