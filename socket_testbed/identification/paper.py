@@ -6,7 +6,7 @@ names in the column `figure` of the verb `paper` as keys.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -56,7 +56,7 @@ def beside_published(
     if unknown, and a remark: why the two are not comparable, or that the printed number is unknown.
     """
     both = [_figures(errors[variant], fronts.get(variant)) for variant in PAPER_VARIANTS]
-    conditions = differing_conditions(samples, settings)
+    conditions = [*differing_conditions(samples, settings)]
     local = [error.in_objective for error in errors["stiffness"][6:]]
     left_out = {
         f"RMSE of {name}": "not comparable: left out of the objective"
@@ -93,20 +93,18 @@ def _figures(errors: Sequence[ChannelErrors], front: Front | None) -> dict[str, 
     return figures
 
 
-def differing_conditions(samples: Samples, settings: IdentificationSettings) -> list[str]:
+def differing_conditions(samples: Samples, settings: IdentificationSettings) -> Iterator[str]:
     """Differences from the published experiment and fit: this trial's value, then the paper's."""
     force = force_magnitude(samples.wrench[samples.has_pose_and_wrench])
     load, rate = float(np.median(force)), 1.0 / usual_period(samples.time)
-    found = []
     if abs(load - PUBLISHED_LOAD) > _LOAD_TOLERANCE * PUBLISHED_LOAD:
-        found.append(f"load of {load:.0f} N, about {PUBLISHED_LOAD:.0f} N")
+        yield f"load of {load:.0f} N, about {PUBLISHED_LOAD:.0f} N"
     if float(np.std(force)) > _MAX_HOLD_DEVIATION:
-        found.append(f"load that varies by {np.std(force):.0f} N, a hold")
+        yield f"load that varies by {np.std(force):.0f} N, a hold"
     if len(samples) != PUBLISHED_FRAMES:
-        found.append(f"{len(samples)} samples, {PUBLISHED_FRAMES}")
+        yield f"{len(samples)} samples, {PUBLISHED_FRAMES}"
     if abs(rate - PUBLISHED_RATE) > _RATE_TOLERANCE * PUBLISHED_RATE:
-        found.append(f"{rate:.3g} Hz, {PUBLISHED_RATE:g} Hz")
+        yield f"{rate:.3g} Hz, {PUBLISHED_RATE:g} Hz"
     for name, theirs in PUBLISHED_SETTINGS.items():
         if getattr(settings, name) != theirs:
-            found.append(f"{name} {getattr(settings, name)}, {theirs}")
-    return found
+            yield f"{name} {getattr(settings, name)}, {theirs}"

@@ -142,11 +142,10 @@ def _rises(values: FloatArray) -> BoolArray:
     return np.asarray(size > _RISE * median_filter(size, 5, mode="mirror"))
 
 
-def outlier_notes(samples: Samples, outliers: Outliers) -> list[str]:
+def outlier_notes(samples: Samples, outliers: Outliers) -> Iterator[str]:
     """A note per channel with outliers: their values and times."""
     values = [np.linalg.norm(samples.position, axis=1), *samples.values.T]
     found = [outliers.position, *outliers.values.T]
-    notes = []
     for name, column, rows in zip(
         ("limb position", *samples.channels), values, map(np.flatnonzero, found), strict=True
     ):
@@ -154,8 +153,7 @@ def outlier_notes(samples: Samples, outliers: Outliers) -> list[str]:
             unit = channel_unit(name) if name in samples.channels else "m"
             parts = [f"{column[i]:.3g} {unit} at {samples.time[i]:.2f} s" for i in rows]
             number = "an outlier" if len(rows) == 1 else f"{len(rows)} outliers"
-            notes.append(f"{name} has {number} ({listed(parts, _MAX_NAMED)}): left out")
-    return notes
+            yield f"{name} has {number} ({listed(parts, _MAX_NAMED)}): left out"
 
 
 def sign_note(samples: Samples, geometry: SocketGeometry) -> str | None:

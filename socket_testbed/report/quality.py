@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -134,32 +134,31 @@ def notes_section(results: Results) -> Section:
     return Section("notes", "Notes", [lines])
 
 
-def list_notes(results: Results) -> list[str]:
+def list_notes(results: Results) -> Iterator[str]:
     """Notes on the trial to read before using the figures."""
     samples, geometry = results.samples, results.trial.geometry
-    notes = [*results.bag_notes]
+    yield from results.bag_notes
     if count := gaps(samples.time).sum():
-        notes.append(f"Gaps between triggers: {count}, listed under Data quality.")
+        yield f"Gaps between triggers: {count}, listed under Data quality."
     inside = int(results.in_segment.sum())
     unfitted = inside - max(c.fit.samples for c in results.candidates if c.fit is not None)
     if unfitted:
-        notes.append(
+        yield (
             f"{unfitted} of the segment's {inside} samples are not fitted: they lack the limb"
             " position or a wrench channel of the objective."
         )
     warnings = {c.label: share_warning(c.shares) for c in results.candidates}
-    notes += [f"{label}: {warning}." for label, warning in warnings.items() if warning]
+    yield from (f"{label}: {warning}." for label, warning in warnings.items() if warning)
     if results.trial.metadata.side is None:
-        notes.append(f"{results.trial.name}: {NO_SIDE}.")
+        yield f"{results.trial.name}: {NO_SIDE}."
     if not geometry.registration:
-        notes.append(f"{results.trial.name}: {geometry.bodies}.")
+        yield f"{results.trial.name}: {geometry.bodies}."
     bare = [name for name in geometry.clusters if name not in samples.clusters]
     if bare:
-        notes.append(f"This trial has no readings of the clusters {', '.join(bare)}.")
+        yield f"This trial has no readings of the clusters {', '.join(bare)}."
     dead = summarise_errors(results.candidates[0].errors).without_value
     if dead:
-        notes.append(f"Never measured over the segment: {', '.join(dead)}.")
-    return notes
+        yield f"Never measured over the segment: {', '.join(dead)}."
 
 
 def origin_section(results: Results, command: str, made: datetime) -> Section:

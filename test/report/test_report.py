@@ -61,7 +61,7 @@ def test_what_is_left_out_is_marked_and_costs_no_sample(spoilt, monkeypatch):
     assert len(results.samples[results.segment.rows]) == 60 < len(pressure.time)
     integrals = (found.outputs.regions.integral.value for found in (results.pressure, pressure))
     np.testing.assert_array_equal(*integrals)
-    notes = list_notes(results)
+    notes = [*list_notes(results)]
     assert "Never measured over the segment: Mz." in notes
     assert not any(channel in str(finding) for finding in results.data)
     for candidate in results.candidates:
