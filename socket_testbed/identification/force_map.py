@@ -471,7 +471,7 @@ _LOG_NORMAL = {
 _NORMAL = {"drag": "drag_spread", "share": "share_spread"}
 
 
-def hypotheses(settings: ForceMapSettings) -> list[SimpleNamespace]:
+def hypotheses(settings: ForceMapSettings) -> Iterator[SimpleNamespace]:
     """The prior's hyperparameters, spread evenly over their distributions; one has the medians.
 
     The points are the low-discrepancy additive recurrence of the generalised golden ratio
@@ -483,15 +483,13 @@ def hypotheses(settings: ForceMapSettings) -> list[SimpleNamespace]:
         ratio = (1.0 + ratio) ** (1.0 / (len(spreads) + 1.0))
     steps = ratio ** -np.arange(1.0, len(spreads) + 1.0)
     points = ndtri((0.5 + np.arange(settings.draws)[:, None] * steps) % 1.0)
-    found = []
     for point in points.tolist():
         sizes = {}
         for (name, spread), value in zip(spreads.items(), point, strict=True):
             median, change = getattr(settings, name), getattr(settings, spread) * value
             sizes[name] = median + change if name in _NORMAL else median * np.exp(change)
         sizes["share"] = min(max(sizes["share"], MIN_SHARE), 1.0)
-        found.append(SimpleNamespace(**(vars(settings) | sizes)))  # may exceed the settings' bounds
-    return found
+        yield SimpleNamespace(**(vars(settings) | sizes))  # may exceed the settings' bounds
 
 
 def _probabilities(log_evidence: FloatArray) -> FloatArray:

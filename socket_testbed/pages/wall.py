@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,7 +71,7 @@ class Patch:
     weights: FloatArray  # (h, w, n) [-]; of the tiles' values at a point
 
 
-def patches(geometry: SocketGeometry, step: float = STEP) -> list[Patch]:
+def patches(geometry: SocketGeometry, step: float = STEP) -> Iterator[Patch]:
     """Grids of the wall and the distal end, where they have tiles; `step` is relative to the edge.
 
     The value at a point is its expected value given those of the tiles, under a Gaussian process
@@ -78,7 +79,7 @@ def patches(geometry: SocketGeometry, step: float = STEP) -> list[Patch]:
     """
     around, edge = socket_axis(geometry), float(np.median(np.sqrt(geometry.areas)))
     on_wall, heights = wall_tiles(geometry, around), around.heights(geometry.anchors)
-    radii, found = around.radii(geometry.anchors), []
+    radii = around.radii(geometry.anchors)
     radius = float(radii.max())
     if on_wall.any():
         wall, radii = heights[on_wall], radii[on_wall]
@@ -92,7 +93,7 @@ def patches(geometry: SocketGeometry, step: float = STEP) -> list[Patch]:
         r = _smooth(np.hypot(across, np.subtract.outer(height, wall)) / edge, radii)
         outwards = np.cos(angle)[:, None] * around.anterior + np.sin(angle)[:, None] * around.left
         points = around.end + height[:, None] * around.proximal + r[:, None] * outwards
-        found.append(_patch("wall", geometry, np.degrees(x), 1e3 * y, points, edge))
+        yield _patch("wall", geometry, np.degrees(x), 1e3 * y, points, edge)
         radius = float(r[: len(x)].mean())
     if not on_wall.all():
         line = np.linspace(-radius, radius, 2 * max(12, round(radius / edge / step)) + 1)
@@ -103,8 +104,7 @@ def patches(geometry: SocketGeometry, step: float = STEP) -> list[Patch]:
         directions = np.stack([-around.left, around.anterior, around.proximal])
         points = around.end + np.column_stack([right, up, z]) @ directions
         points[np.hypot(right, up) > radius * (1.0 + 1e-9)] = np.nan
-        found.append(_patch("end", geometry, 1e3 * line, 1e3 * line, points, edge))
-    return found
+        yield _patch("end", geometry, 1e3 * line, 1e3 * line, points, edge)
 
 
 def _smooth(apart: FloatArray, values: FloatArray) -> FloatArray:

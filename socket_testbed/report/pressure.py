@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import pandas as pd
@@ -110,21 +110,18 @@ def section(results: Results) -> Section:
     )
 
 
-def _tables(found: SegmentPressure) -> list[Table]:
+def _tables(found: SegmentPressure) -> Iterator[Table]:
     """Outputs of the regions, the last one the socket, and of the limb in the socket."""
     shown = cells([place.name for place in found.places], found.outputs.regions, "{}\n{}")
     shown = shown.rename(columns=_printed).rename_axis("region")
     below = "by region, the 95 % interval below each value"
     shear = TITLES.index("shear [kPa]")
     first, second = shown.iloc[:, :shear], shown.iloc[:, shear:]
-    tables = [
-        Table("pressure-regions", f"Pressure and load {below}", first),
-        Table("pressure-shear", f"Shear and centre of pressure {below}", second),
-    ]
+    yield Table("pressure-regions", f"Pressure and load {below}", first)
+    yield Table("pressure-shear", f"Shear and centre of pressure {below}", second)
     if found.suspension is not None:
         column = pd.DataFrame({"over the segment": limb_cells(found.suspension)})
-        tables.append(Table("limb", "Limb in the socket, about the centre of the tiles", column))
-    return tables
+        yield Table("limb", "Limb in the socket, about the centre of the tiles", column)
 
 
 def describe_pressure(found: SegmentPressure) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -83,7 +83,7 @@ def section(results: Results) -> Section:
     )
 
 
-def judged_tables(judgements: Sequence[validation.Judgement]) -> list[Table]:
+def judged_tables(judgements: Sequence[validation.Judgement]) -> Iterator[Table]:
     """A table per question and test, a row per predictor: means over the trials.
 
     With several trials, skills are medians, because a single trial may spoil a mean.
@@ -98,7 +98,6 @@ def judged_tables(judgements: Sequence[validation.Judgement]) -> list[Table]:
         title = f"in {100 * level:g} % [%]"
         summary[title] = 100.0 * summary[f"within {100 * level:g} % [-]"]
         for_forces[title] = ".0f"
-    tables = []
     rows = dict([*summary.groupby(level=["question", "test"])])
     for (question, test), caption in _CAPTIONS.items():
         if (question, test) in rows:
@@ -106,8 +105,7 @@ def judged_tables(judgements: Sequence[validation.Judgement]) -> list[Table]:
             if counts.nunique() > 1:  # a variant could not be fitted everywhere
                 formats = formats | {"judged [1]": ".0f"}
             frame = rows[question, test].droplevel([0, 1])[[*formats]]
-            tables.append(Table(f"{question}-{test}".replace(" ", "-"), caption, frame, formats))
-    return tables
+            yield Table(f"{question}-{test}".replace(" ", "-"), caption, frame, formats)
 
 
 def _shares(results: Results) -> Table:

@@ -1,6 +1,7 @@
 """The force map against an independent conditioning, and the pressures read from it."""
 
 from dataclasses import replace
+from itertools import islice
 from types import SimpleNamespace
 
 import numpy as np
@@ -51,7 +52,7 @@ def whole_prior(sizes: SimpleNamespace) -> np.ndarray:
 
 def test_the_prior_s_parts_are_its_equation_s() -> None:
     tiles = len(GEOMETRY)
-    for sizes in hypotheses(ForceMapSettings())[:3]:
+    for sizes in islice(hypotheses(ForceMapSettings()), 3):
         whole, prior = whole_prior(sizes), Prior(GEOMETRY, CLUSTERS, sizes)
         root = prior.draw(np.eye(9 * tiles + 7))  # a draw is linear in its numbers
         for found in (prior.covariance(), root.T @ root):
