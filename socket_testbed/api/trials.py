@@ -291,10 +291,9 @@ def simulate(
     from socket_testbed.simulation.trial import write_simulated_trial
 
     folder, socket_file, calibration_file = Path(path), as_path(geometry), as_path(calibration)
-    if scenario not in SCENARIOS:
-        raise ConfigurationError(f"unknown scenario '{scenario}'", closest(scenario, SCENARIOS))
-    if tissue not in TISSUES:
-        raise ConfigurationError(f"unknown tissue '{tissue}'", closest(tissue, TISSUES))
+    for kind, name, known in (("scenario", scenario, SCENARIOS), ("tissue", tissue, TISSUES)):
+        if name not in known:
+            raise ConfigurationError(f"unknown {kind} '{name}'", closest(name, known))
     check_number(duration, "--duration", 1.0, 36000.0)
     check_number(rate, "--rate", 0.1, 1000.0)
     check_number(seed, "--seed", 0)

@@ -64,7 +64,6 @@ def channel_noise(samples: Samples) -> ChannelNoise:
     Forces whose status is not OK are ignored. The noise is NaN for a constant channel or one with
     fewer than `MIN_DIFFERENCES` usable differences.
     """
-    clusters = len(samples.clusters)
     usual = ~gaps(samples.stamps)
     regular = np.asarray(usual[:-2] & usual[1:-1] & usual[2:])  # (max(N - 3, 0),), no gap inside
     sensors = np.array([_deviation(y, regular) for y in samples.trusted_values.T])
@@ -72,7 +71,7 @@ def channel_noise(samples: Samples) -> ChannelNoise:
     pose = np.array([_deviation(y, regular) for y in motion.T])
     return ChannelNoise(
         wrench=sensors[:6],
-        local_forces=sensors[6:].reshape(clusters, 3),
+        local_forces=sensors[6:].reshape(-1, 3),
         pose=pose,
         pose_correlation=_correlation(motion, regular, pose),
     )
