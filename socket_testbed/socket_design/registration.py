@@ -369,21 +369,17 @@ class RegisteredBody:
     markers: FloatArray  # the body's own in its frame; (k, 3) [m]
     in_frame: Pose  # pose of the body in the frame of the landmarks
     landmarks: LandmarkFit  # of the landmarks, to `world`
-    reference: PoseUncertainty  # uncertainty of later poses of the body due to `markers`
-    single: PoseUncertainty  # uncertainty of a later pose due to the noise of a single frame
+    # Uncertainties of later poses of the body, in axes of the landmarks' frame
+    reference: PoseUncertainty  # due to `markers`
+    single: PoseUncertainty  # due to the noise of a single frame
 
     def covariance_at(self, point: FloatArray) -> FloatArray:
         """Covariance of a point between body and frame, in the frame's axes, (3, 3) [m^2]."""
-        return self.landmarks.uncertainty.at(point) + self.in_axes(self.reference, point)
+        return self.landmarks.uncertainty.at(point) + self.reference.at(point)
 
     def rotation_covariance(self) -> FloatArray:
         """Covariance of the rotation between body and frame, in the frame's axes [rad^2]."""
-        own = _rotated(self.reference.rotation, self.in_frame.rotation)
-        return self.landmarks.uncertainty.rotation + own
-
-    def in_axes(self, body: PoseUncertainty, point: FloatArray) -> FloatArray:
-        """Covariance of a point of the frame due to the body's uncertainty, (3, 3) [m^2]."""
-        return _rotated(body.at(self.in_frame.inverse().apply(point)), self.in_frame.rotation)
+        return self.landmarks.uncertainty.rotation + self.reference.rotation
 
 
 @dataclass(frozen=True)
@@ -454,8 +450,7 @@ def register_take(
         pylon=pylon,
         limb_position=q,
         covariance=socket.covariance_at(q) + _rotated(pylon.covariance_at(origin), turn),
-        single=socket.in_axes(socket.single, q)
-        + _rotated(pylon.in_axes(pylon.single, origin), turn),
+        single=socket.single.at(q) + _rotated(pylon.single.at(origin), turn),
         notes=(*take.notes, *notes),
     )
 
@@ -476,7 +471,6 @@ def _register_body(take: MotiveTake, side: LandmarkSide, force: bool) -> Registe
         in_world = tracked_frame(observed[used], pose, where)
     else:
         in_world = own_frame(own)
-    markers = in_world.inverse().apply(own)
     with naming(side.where):
         landmarks = register_landmarks(side.known, measured, side.names, still.noise)
     worst = int(landmarks.residual.argmax())
@@ -487,13 +481,14 @@ def _register_body(take: MotiveTake, side: LandmarkSide, force: bool) -> Registe
             f" rms {1e3 * landmarks.rms:.1f} mm)",
             "check the landmarks' coordinates and names, or accept it with --force",
         )
+    in_landmarks = landmarks.pose.inverse().apply(own)
     return RegisteredBody(
         still=still,
-        markers=markers,
+        markers=in_world.inverse().apply(own),
         in_frame=landmarks.pose.inverse() @ in_world,
         landmarks=landmarks,
-        reference=pose_uncertainty(markers, still.noise),
-        single=pose_uncertainty(markers, fit.noise),
+        reference=pose_uncertainty(in_landmarks, still.noise),
+        single=pose_uncertainty(in_landmarks, fit.noise),
     )
 
 
