@@ -243,15 +243,6 @@ class Scene:
         return markers, hidden
 
 
-# By fault: the bytes to send for a message, and the number of copies.
-_EFFECTS: dict[str, Callable[[Message, bytes, np.random.Generator], tuple[bytes, int]]] = {
-    "corrupt": lambda message, data, rng: (message.corrupted(rng), 1),
-    "truncate": lambda message, data, rng: (data[: int(rng.integers(len(data)))], 1),
-    "duplicate": lambda message, data, rng: (data, 2),
-    "drop": lambda message, data, rng: (data, 0),
-}
-
-
 class FaultyNetwork:
     """Sends datagrams on a socket, with the active faults."""
 
@@ -269,9 +260,14 @@ class FaultyNetwork:
             self._held.clear()
             return
         data, copies = message.data, 1
-        for fault, effect in _EFFECTS.items():
-            if self._happens(fault):
-                data, copies = effect(message, data, self._rng)
+        if self._happens("corrupt"):
+            data = message.corrupted(self._rng)
+        if self._happens("truncate"):
+            data = data[: int(self._rng.integers(len(data)))]
+        if self._happens("duplicate"):
+            copies = 2
+        if self._happens("drop"):
+            copies = 0
         if copies and not self._held and self._happens("reorder"):
             self._held.append((data, address))
             return
