@@ -81,8 +81,8 @@ class ClusterCalibration:
         terms = shear_terms(along_x, along_y)
         stress[..., 1:] = np.einsum("...ij,...j->...i", self.shear, terms)
 
-        low, high = self._limits
-        outside = ((features < low) | (features > high)).any(axis=-1)
+        limits = np.stack([self.mean_range, self.difference_range, self.difference_range], axis=-2)
+        outside = ((features < limits[..., 0]) | (features > limits[..., 1])).any(axis=-1)
         worst = status.max(axis=-1)
         # A saturated input is also NaN, but must be reported as saturated.
         causes = [worst >= _MISSING, worst == _SATURATED, np.isnan(mean), outside]
@@ -95,13 +95,6 @@ class ClusterCalibration:
         """Matrix of `channel_features` from the inputs, shape (3, 4)."""
         by_channel = np.array(channel_features(np.eye(4)))
         return np.moveaxis(by_channel[:, np.argsort(self.wiring)], 0, -2)
-
-    @cached_property
-    def _limits(self) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper limits of the features, shape (3,) each [pF]."""
-        ranges = (self.mean_range, self.difference_range, self.difference_range)
-        limits = np.stack(ranges, axis=-1)
-        return limits[..., 0, :], limits[..., 1, :]
 
     def to_document(self) -> dict[str, Any]:
         """The cluster's section of `calibration.yaml`."""
