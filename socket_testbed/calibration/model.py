@@ -44,10 +44,8 @@ SHEAR_SIGNS = np.sign(np.stack(channel_features(np.eye(4))[1:]))  # (2, 4); of t
 
 def shear_terms(along_x: FloatArray, along_y: FloatArray) -> FloatArray:
     """Monomials `SHEAR_TERMS` of the pair differences, shape (..., 6) [pF^0..pF^2]."""
-    terms = np.ones((*along_x.shape, len(SHEAR_TERMS)))
-    terms[..., 1], terms[..., 2] = along_x, along_y
-    terms[..., 3], terms[..., 4], terms[..., 5] = along_x**2, along_x * along_y, along_y**2
-    return terms
+    second = (along_x**2, along_x * along_y, along_y**2)
+    return np.stack([np.ones_like(along_x), along_x, along_y, *second], axis=-1)
 
 
 @dataclass(frozen=True)
