@@ -225,8 +225,8 @@ class Footprints:
         near = np.append(small, self._large)
         near = near[self._normals[near] @ frame[:, 2] > FACING_WALL]
         seen = (self._triangles[near] - anchor) @ frame
-        low, high = _ends(seen[:, :, 2])
-        return seen[(low < flatness) & (high > -flatness)]
+        height = seen[:, :, 2]
+        return seen[(height.min(axis=1) < flatness) & (height.max(axis=1) > -flatness)]
 
     def shared_area(self, tile: int, other: int) -> float:
         """Area of the surface under both of two squares [m^2]."""
@@ -239,15 +239,9 @@ class Footprints:
         return 0.5 * float(np.linalg.norm(trimesh.triangles.cross(seen), axis=1).sum())
 
 
-def _ends(corners: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Minima and maxima over the three corners of triangles, shape (f, 3, ...)."""
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
-
-
 def _cut_to_square(triangles: FloatArray, edge: float) -> FloatArray:
     """Triangles clipped to the column over a square, triangulated again."""
-    low, high = _ends(triangles[:, :, :2])
+    low, high = triangles[:, :, :2].min(axis=1), triangles[:, :, :2].max(axis=1)
     triangles = triangles[((low < 0.5 * edge) & (high > -0.5 * edge)).all(axis=1)]
     inside = (np.abs(triangles[:, :, :2]) <= 0.5 * edge).all(axis=(1, 2))
     vertices = triangles[~inside].reshape(-1, 3)
