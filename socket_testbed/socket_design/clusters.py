@@ -126,24 +126,25 @@ _MAX_SHIFT = 0.5  # [edges]; of a tile that does not fit at its cluster's place
 def lay_clusters(
     mesh: trimesh.Trimesh,
     places: Sequence[ClusterPlace],
-    centres: SurfacePoints,
+    others: Squares,
     surroundings: Surroundings,
-    edge: float,
     flatness: float,
 ) -> tuple[Squares, list[LaidCluster]]:
     """Lay each cluster's square at the point of the interior nearest to its place.
 
-    If its footprint is incomplete there, it is laid at the nearest of the other centres where it is
-    complete. The mesh is the interior, its normals inwards [m]; places are in {S}; the flatness is
-    the largest distance of the surface from a tile's plane [m]. The squares' edges [m] are along
-    the clusters' own axes.
+    If its footprint is incomplete there, it is laid at the nearest of the other squares' centres
+    where it is complete. The mesh is the interior, its normals inwards [m]; places are in {S}; the
+    flatness is the largest distance of the surface from a tile's plane [m]. The squares' edges are
+    along the clusters' own axes.
     """
-    squares, laid = Squares(np.zeros((0, 3)), np.zeros((0, 3, 3)), edge), list[LaidCluster]()
+    edge = others.edge
+    squares, laid = others.take(np.arange(0)), list[LaidCluster]()
     for place in places:
-        spot = _on_surface(mesh, place)
-        turned = _turn_angle(place, squares_at(spot, surroundings, edge))
-        tried = _nearest_first(spot, centres, _MAX_SHIFT * edge)
-        candidates = squares_at(tried, surroundings, edge)
+        own = squares_at(_on_surface(mesh, place), surroundings, edge)
+        turned = _turn_angle(place, own)
+        distance = np.linalg.norm(others.anchors - own.anchors, axis=1)
+        order = np.argsort(distance)
+        candidates = own.join(others.take(order[distance[order] < _MAX_SHIFT * edge]))
         candidates = replace(candidates, rotations=candidates.rotations @ about_z(turned))
         likely = roughly_fit(candidates, surroundings, flatness)
         likely[0] = True  # at the cluster's own place the exact footprint decides
@@ -158,8 +159,8 @@ def lay_clusters(
                 "check its place, or give a smaller --size or a larger --flatness",
             )
         squares = squares.join(candidates.take(np.array([fits])))
-        anchor, surface = candidates.anchors[fits], spot.positions[0]
-        laid.append(LaidCluster(place.name, place.centre, surface, anchor, turned))
+        anchor = candidates.anchors[fits]
+        laid.append(LaidCluster(place.name, place.centre, own.anchors[0], anchor, turned))
     for a, b in Footprints(mesh, squares, flatness).overlapping(np.arange(len(squares))):
         apart = 1e3 * float(np.linalg.norm(squares.anchors[a] - squares.anchors[b]))
         raise ConfigurationError(
@@ -200,17 +201,6 @@ def _turn_angle(place: ClusterPlace, square: Squares) -> float:
         )
     turned = float(np.arctan2(x[1], x[0]))
     return 0.0 if abs(turned) < _MIN_TURN else turned
-
-
-def _nearest_first(spot: SurfacePoints, centres: SurfacePoints, farthest: float) -> SurfacePoints:
-    """A point and the centres within a distance of it, the nearest first."""
-    distance = np.linalg.norm(centres.positions - spot.positions, axis=1)
-    order = np.argsort(distance)
-    near = order[distance[order] < farthest]
-    parts = ("positions", "normals", "areas")
-    return SurfacePoints(
-        *(np.concatenate([getattr(spot, part), getattr(centres, part)[near]]) for part in parts)
-    )
 
 
 _HYPOTHESES = 16

@@ -282,11 +282,9 @@ def tile_interior(
     points = spread_points(mesh, _POINT_SPACING * settings.edge, rng)
     surroundings = Surroundings(points, rim_points(mesh, _RIM * settings.edge), proximal, anterior)
     places = spread_points(mesh, _PLACE_SPACING * settings.edge, rng)
-    fitting = squares_at(places, surroundings, settings.edge)
-    fitting = fitting.take(roughly_fit(fitting, surroundings, settings.flatness))
-    glued, laid = lay_clusters(
-        mesh, clusters, places, surroundings, settings.edge, settings.flatness
-    )
+    every = squares_at(places, surroundings, settings.edge)
+    fitting = every.take(roughly_fit(every, surroundings, settings.flatness))
+    glued, laid = lay_clusters(mesh, clusters, every, surroundings, settings.flatness)
     fitting = glued.join(fitting)
     footprints = Footprints(mesh, fitting, settings.flatness)
     search = Search(fitting, points, footprints, len(laid)) if len(fitting) else None

@@ -16,7 +16,13 @@ from socket_testbed.errors import ConfigurationError, RegistrationError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.socket_design import clusters
 from socket_testbed.socket_design.design import place_by_landmarks, place_by_points
-from socket_testbed.socket_design.squares import Squares, Surroundings, rim_points, spread_points
+from socket_testbed.socket_design.squares import (
+    Squares,
+    Surroundings,
+    rim_points,
+    spread_points,
+    squares_at,
+)
 from socket_testbed.socket_design.tiling import Tiling, TilingSettings, tile_interior
 
 Z = np.array([0.0, 0.0, 1.0])
@@ -45,7 +51,8 @@ def lay(*places: clusters.ClusterPlace) -> tuple[Squares, list[clusters.LaidClus
     rng = np.random.default_rng(2)
     centres, points = spread_points(WALL, 0.001, rng), spread_points(WALL, 0.0025, rng)
     surroundings = Surroundings(points, rim_points(WALL, 0.0005), Z, X)
-    return clusters.lay_clusters(WALL, places, centres, surroundings, 0.03, 0.008)
+    others = squares_at(centres, surroundings, 0.03)
+    return clusters.lay_clusters(WALL, places, others, surroundings, 0.008)
 
 
 def test_a_cluster_stays_where_it_is_glued_and_as_it_is_turned() -> None:
