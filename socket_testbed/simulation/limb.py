@@ -15,7 +15,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 from scipy.optimize import root
 
-from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import TestbedError
 from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import GRAVITY
@@ -124,10 +124,9 @@ def _sway(time: FloatArray, rng: np.random.Generator) -> FloatArray:
 class Tissue:
     """Mechanical properties of the surface points."""
 
-    points: FloatArray  # positions in {S}, shape (p, 3) [m]
+    points: FloatArray  # in {S}, `_GRID`^2 of each tile, then those between tiles, (p, 3) [m]
     normals: FloatArray  # inward normals, shape (p, 3) [-]
     areas: FloatArray  # areas, shape (p,) [m^2]
-    tile: IntArray  # index of each point's tile, -1 between the tiles, shape (p,)
     modulus: FloatArray  # pressure per compression at first contact, shape (p,) [Pa/m]
     stiffening: float  # compression over which the modulus grows by a factor e [m]
     shear_modulus: FloatArray  # shear stress per displacement while sticking, shape (p,) [Pa/m]
@@ -189,7 +188,6 @@ def make_tissue(
     gap_area = _GAP_AREA * geometry.areas.sum() / max(len(a), 1)
 
     points = np.vstack([on_tiles.reshape(-1, 3), between])
-    on_tile = np.repeat(np.arange(len(geometry)), _GRID**2)
     variation = np.exp(spread * _smooth_field(points, rng))
     return Tissue(
         points=points,
@@ -197,7 +195,6 @@ def make_tissue(
         areas=np.concatenate(
             [np.repeat(geometry.areas / _GRID**2, _GRID**2), np.full(len(a), gap_area)]
         ),
-        tile=np.concatenate([on_tile, np.full(len(a), -1)]),
         modulus=modulus * variation,
         stiffening=stiffening,
         shear_modulus=shear_modulus * variation,
@@ -276,10 +273,8 @@ class LoadedLimb:
         self.rotation = self._displacement[3:].copy()
         # force on the socket at every surface point, shape (p, 3) [N]
         self.forces = np.einsum("ap,api->pi", forces, self._axes)
-        on_tiles = np.zeros((self._tiles, 3))
-        covered = self.tissue.tile >= 0
-        np.add.at(on_tiles, self.tissue.tile[covered], self.forces[covered])
-        return on_tiles
+        on_tiles = self.forces[: self._tiles * _GRID**2]
+        return on_tiles.reshape(self._tiles, -1, 3).sum(axis=1)
 
     def _solve(self, imbalance: Callable[[FloatArray], FloatArray], start: FloatArray) -> Any:
         """Solve by Powell's hybrid method, starting with the tangent of the previous step."""
