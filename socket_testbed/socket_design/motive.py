@@ -122,21 +122,15 @@ def _parse(text: str, path: Path) -> MotiveTake:
     table = _read_numbers(rows, columns)
     scale = _METRES[values["Length Units"].lower()]
 
-    def take(kind: str, parts: list[_Part]) -> dict[str, FloatArray]:
-        return {
-            name: table[:, [places[part] for part in parts]]
-            for (other, name), places in columns.items()
-            if other == kind
-        }
-
-    def positions(kind: str) -> dict[str, FloatArray]:
-        return {name: scale * values for name, values in take(kind, _POSITION).items()}
-
-    bodies, places = {}, positions(_BODY)
-    for name, quaternion in take(_BODY, _ROTATION).items():
+    found: dict[str, dict[str, FloatArray]] = {kind: {} for kind in _REQUIRED}
+    for (kind, name), places in columns.items():
+        found[kind][name] = scale * table[:, [places[part] for part in _POSITION]]
+    bodies = {}
+    for name, position in found[_BODY].items():
+        quaternion = table[:, [columns[_BODY, name][part] for part in _ROTATION]]
         off = np.abs(np.linalg.norm(quaternion, axis=1) - 1.0) > _NORM_TOLERANCE
         _refuse_rows(off, rows, f"the quaternion of '{name}' is not of length 1")
-        bodies[name] = Pose.from_quaternion(places[name], quaternion)
+        bodies[name] = Pose.from_quaternion(position, quaternion)
     return MotiveTake(
         path=path,
         version=values["Format Version"],
@@ -145,8 +139,8 @@ def _parse(text: str, path: Path) -> MotiveTake:
         frames=table[:, 0].astype(np.int64),
         times=table[:, 1],
         bodies=bodies,
-        markers=positions(_MARKER),
-        solved=positions(_SOLVED),
+        markers=found[_MARKER],
+        solved=found[_SOLVED],
         doubled=doubled,
         notes=tuple(f"{path}: {note}" for note in notes),
     )
