@@ -86,9 +86,7 @@ def wind_alike(faces: IntArray) -> tuple[IntArray, int]:
 
 def boundary_loops(faces: IntArray) -> list[IntArray]:
     """Ordered vertices of each boundary loop of a mesh from `separate`."""
-    boundary = boundary_half_edges(faces)
-    start, stop = faces.ravel()[boundary], faces.ravel()[_next_half_edge(boundary)]
-    follows = dict(zip(start.tolist(), stop.tolist(), strict=True))
+    follows = dict(faces_to_edges(faces)[boundary_half_edges(faces)].tolist())
     loops = []
     while follows:
         vertex, after = follows.popitem()
@@ -304,7 +302,7 @@ def _clean(
 ) -> tuple[trimesh.Trimesh, list[str]]:
     """The welded surface of the sound faces, and the name of each face's part."""
     counts = [len(part.faces) for part in parts.values()]
-    part_of = np.repeat(np.arange(len(counts)), counts)
+    names = np.repeat(np.array([*parts], dtype=object), counts)
     corners = np.concatenate([part.triangles for part in parts.values()]).reshape(-1, 3)
     faces = np.arange(len(corners)).reshape(-1, 3)
     finite = (np.abs(corners) < _MAX_COORDINATE).all(axis=1).reshape(-1, 3).all(axis=1)
@@ -321,8 +319,7 @@ def _clean(
     mesh = plain_mesh(vertices, faces[kept])
     if not mesh.area > _MIN_AREA * np.ptp(vertices, axis=0).max() ** 2:
         raise ScanError(f"{path}: no face has an area", f"{_AGAIN}, as a surface")
-    names = [*parts]
-    return mesh, [names[part] for part in part_of[finite][kept]]
+    return mesh, names[finite][kept].tolist()
 
 
 _MIN_AREA = 1e-6  # [-]; of a surface, over its squared extent
@@ -340,8 +337,7 @@ def _choose_body(
     areas = np.bincount(pieces, mesh.area_faces)
     specks = areas < _MIN_BODY_AREA * areas.max()
     _note(notes, specks[pieces].sum(), "dropped {} faces of pieces too small to be a body")
-    members = np.split(np.argsort(pieces, kind="stable"), np.cumsum(np.bincount(pieces))[:-1])
-    bodies = [faces for faces, speck in zip(members, specks, strict=True) if not speck]
+    bodies = [np.flatnonzero(pieces == piece) for piece in np.flatnonzero(~specks)]
     named = [names[faces[0]] for faces in bodies]
     fits = [i for i, name in enumerate(named) if wanted in {None, name or None}]
     fits = fits or [i for i in range(len(bodies)) if wanted == str(i)]
