@@ -198,7 +198,7 @@ class MarkerBodies:
         position: FloatArray,
         rotation: FloatArray,
         load: FloatArray,
-        swayed: FloatArray | None = None,
+        swayed: FloatArray | float = 0.0,
     ) -> tuple[Pose, Pose]:
         """N true poses each of the bodies of socket and pylon in the world.
 
@@ -207,11 +207,8 @@ class MarkerBodies:
         """
         count = len(position)
         shift = self._rng.normal(0.0, _STAND_TREMOR, (count, 3)) - _STAND_COMPLIANCE * load[:, 3:]
-        if swayed is not None:
-            shift += swayed
-        world = Pose(
-            np.tile(_SOCKET_IN_WORLD.rotation, (count, 1, 1)), _SOCKET_IN_WORLD.translation + shift
-        )
+        origin = _SOCKET_IN_WORLD.translation + (shift + swayed)
+        world = Pose(np.tile(_SOCKET_IN_WORLD.rotation, (count, 1, 1)), origin)
         limb = Pose(Rotation.from_rotvec(rotation).as_matrix(), position)
         # socket_body maps the body to {S}; world maps {S} to the world.
         return world @ self._socket_body, world @ limb @ self._limb_in_body.inverse()
