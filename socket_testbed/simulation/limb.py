@@ -71,9 +71,8 @@ def load_history(scenario: Scenario, time: FloatArray, rng: np.random.Generator)
         share = _trapezoid(time, 0.05 * duration, 0.95 * duration)
         around, up, slow = 2.0 * np.pi * time / _HAND_PERIODS[[0, 3, 1], None]
         push = _MAX_PUSH * share * (0.6 + 0.4 * np.sin(slow))
-        added[:, 0] = push * np.cos(around)
-        added[:, 1] = push * np.sin(around)
-        added[:, 2] = 60.0 * share * np.sin(up)
+        lift = 60.0 * share * np.sin(up)
+        added = np.column_stack([push * np.cos(around), push * np.sin(around), lift])
     added[:, 2] -= share * _ADDED_MASS * GRAVITY
     added[:, :2] += _sway(time, rng) * (0.3 + share[:, None])
 

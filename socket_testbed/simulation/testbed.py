@@ -69,8 +69,7 @@ class LiveTestbed:
         remembers: bool = True,
     ) -> None:
         calibration.require(geometry.clusters, "the socket")
-        streams = random_streams(simulation.seed)
-        tissue_rng, load_rng, cell_rng, cluster_rng, marker_rng, _ = streams
+        tissue_rng, load_rng, cell_rng, cluster_rng, marker_rng, _ = random_streams(simulation.seed)
         self._world = world
         world.capacitance_noise[:] = errors.capacitance_noise
         world.wrench_noise[:] = simulation.noise * errors.wrench_noise(1.0)
@@ -86,8 +85,7 @@ class LiveTestbed:
             for name in geometry.clusters
         }
         self._bodies = sensors.MarkerBodies(geometry, errors, marker_rng)
-        self._start = clocks.monotonic()
-        self._last = self._start
+        self._start = self._last = clocks.monotonic()
         self._history: list[dict[str, Any]] = []
 
     def advance(self, moment: float) -> None:

@@ -57,12 +57,11 @@ class SimulatedChip:
         self._speed = speed
         self._stuck = False
         self._browned_out = -math.inf
-        self._shift = 0  # of the inputs
         self.power_up()
 
     def power_up(self) -> None:
         """Enter the reset state, as after a reset command."""
-        self._shift = 0
+        self._shift = 0  # of the inputs
 
     def stop(self) -> None:
         """Stop converting until reset; finished conversions stay."""
