@@ -88,7 +88,7 @@ def simulate(
     rate: float,
     seed: int,
     errors: sensors.SensorErrors | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
     tissue: TissueKind = "soft",
     mocap_window: float = MocapSettings.window,
 ) -> SimulatedTrial:
@@ -111,8 +111,7 @@ def simulate(
     for k, wrench in enumerate(load):
         forces[k] = limb.step(wrench, 1.0 / rate)
         position[k], rotation[k] = limb.position, limb.rotation
-        if progress is not None:
-            progress(k + 1, count)
+        progress(k + 1, count)
     truth = GroundTruth(geometry.names, forces, load, position, rotation)
 
     capacitance = {}

@@ -194,7 +194,7 @@ def design_socket(
     clusters: list[ClusterPlace] | None,
     bodies: SocketGeometry,
     settings: TilingSettings,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None],
 ) -> SocketDesign:
     """Lay out tiles on the interior of a scan, for a socket with the marker bodies of `bodies`.
 

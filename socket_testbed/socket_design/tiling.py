@@ -134,7 +134,7 @@ class Search:
         tiles: IntArray,
         rounds: int,
         rng: np.random.Generator,
-        progress: Callable[[int, int], None] | None = None,
+        progress: Callable[[int, int], None],
     ) -> IntArray:
         """Remove and refill round by round, without ever losing a tile.
 
@@ -158,8 +158,7 @@ class Search:
             found = self._place(kept, np.flatnonzero(free), chance[free])
             if len(found) >= len(tiles) and not self._find_invalid(found, len(kept)):
                 tiles = found
-            if progress is not None:
-                progress(done + 1, rounds)
+            progress(done + 1, rounds)
         return tiles
 
     def _place(self, tiles: IntArray, free: IntArray, chance: FloatArray) -> IntArray:
@@ -269,7 +268,7 @@ def tile_interior(
     proximal: FloatArray,
     anterior: FloatArray,
     settings: TilingSettings,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
     clusters: Sequence[ClusterPlace] = (),
 ) -> Tiling:
     """Tile the interior of a socket around clusters glued in at places in {S}.

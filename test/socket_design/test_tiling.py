@@ -211,7 +211,7 @@ def test_tiles_are_laid_around_the_clusters() -> None:
         asked = np.column_stack([radius * np.cos(angles), radius * np.sin(angles), heights])
         nearest = trimesh.proximity.closest_point(mesh, asked)[0]
         places = [clusters.ClusterPlace(f"c{i}", p, None, f"c{i}") for i, p in enumerate(asked)]
-        tiling = tile_interior(mesh, Z, X, FEW, None, places)
+        tiling = tile_interior(mesh, Z, X, FEW, clusters=places)
         assert [laid.name for laid in tiling.clusters] == ["c0", "c1", "c2"]
         assert np.linalg.norm(tiling.squares.anchors[:3] - nearest, axis=1).max() < 1e-4
         check_tiles(mesh, tiling)
