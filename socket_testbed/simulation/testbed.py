@@ -141,8 +141,7 @@ class LiveTestbed:
             name: np.array([state[name] for state in self._history], dtype=float)
             for name in self._history[0]
         }
-        moments = columns.pop("moment").tolist()
-        stamps = np.array([clock.to_epoch(moment) for moment in moments], dtype=np.int64)
+        stamps = np.array([*map(clock.to_epoch, columns.pop("moment").tolist())])
         true = [columns.pop(name) for name in ("forces", "wrench", "position", "rotation")]
         save_truth(path, stamps, GroundTruth(self._geometry.names, *true), **columns)
 
