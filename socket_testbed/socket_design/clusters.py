@@ -246,8 +246,7 @@ class _ExpectedError:
 
     def best(self, tiles: Sequence[int], free: IntArray) -> int:
         """The free tile on which another cluster lowers the error most."""
-        left = zip(self._posterior(tiles), self._noise, strict=True)
-        gains = np.sum([_gains(covariance, noise) for covariance, noise in left], axis=0)
+        gains = np.sum([*map(_gains, self._posterior(tiles), self._noise)], axis=0)
         return int(free[gains[free].argmax()])
 
     def _posterior(self, tiles: Sequence[int]) -> list[FloatArray]:
