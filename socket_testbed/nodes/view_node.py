@@ -208,7 +208,7 @@ class LiveSource:
             self._shown_at = now
             self._shown = {
                 "cards": document.cards(
-                    geometry, places, outputs, mapped.normal_pressure[0], self._measured
+                    geometry, places, outputs, mapped.normal_pressure[0], self._measured, " now"
                 ),
                 "bars": document.bars(places, outputs),
                 "course": document.course(time, load, Quantity(value, low, high, value), []),

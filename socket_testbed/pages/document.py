@@ -183,8 +183,9 @@ def cards(
     outputs: RegionOutputs,
     pressure: FloatArray,
     measured: FloatArray,
+    when: str = "",
 ) -> list[Document]:
-    """Cards of the peak, and of the highest pressure away from sensors.
+    """Cards of the peak, and of the highest pressure away from sensors, with `when` in the title.
 
     `outputs` holds R regions; `pressure` is that on the tiles at the peak, shape (n,) [Pa], and
     `measured` that of the clusters, shape (c,) [Pa].
@@ -202,7 +203,7 @@ def cards(
     found = []
     for title, name, words in shown:
         peak = outputs.peak.part(names.index(name), 1e-3)
-        found.append(pressure_card(title, peak.value, peak.low, peak.high, words))
+        found.append(pressure_card(title + when, peak.value, peak.low, peak.high, words))
     return found
 
 

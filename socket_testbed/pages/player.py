@@ -52,7 +52,9 @@ class Player:
         found = mapped.outputs(one)
         pressure = found.estimate.normal_pressure[0]
         measured = document.measured_pressure(found.samples, mapped.geometry)[0]
-        shown = document.cards(mapped.geometry, mapped.places, found.regions, pressure, measured)
+        shown = document.cards(
+            mapped.geometry, mapped.places, found.regions, pressure, measured, " at this moment"
+        )
         return {
             "moment": document.moments(samples.time[one], found, mapped.geometry)[0],
             "cards": [*shown, self._data],
