@@ -1,6 +1,5 @@
 import math
 
-import numpy as np
 import pytest
 
 from socket_testbed.clocks import BEGINNING, SteadyClock, TriggerPeriod, TriggerTime
@@ -69,9 +68,8 @@ def periods_of(triggers: list[tuple[float, int]]) -> list[float]:
     return [period.add(1_700_000_000_000_000_000 + round(t * 1e9), n) for t, n in triggers]
 
 
-def test_jitter_missed_pulses_and_pauses_leave_the_period_and_another_rate_is_followed() -> None:
+def test_jitter_missed_pulses_and_pauses_leave_the_period_and_another_rate_is_followed(rng) -> None:
     assert periods_of([(0.25 * k, k) for k in range(5)]) == pytest.approx([0.0] * 3 + [0.25] * 2)
-    rng = np.random.default_rng(3)
     seen = [k for k in range(200) if rng.random() > 0.4]
     jittery = [(0.05 * k + rng.uniform(0.0, 2e-3), k) for k in seen]
     assert periods_of(jittery)[6:] == pytest.approx([0.05] * (len(seen) - 6), abs=2.5e-3)

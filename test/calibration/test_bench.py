@@ -17,8 +17,7 @@ WIRING = nominal().wiring
 ALL = np.ones(len(exact_bench()), dtype=bool)
 
 
-def test_the_coefficients_of_exact_data_are_recovered():
-    rng = np.random.default_rng(2)
+def test_the_coefficients_of_exact_data_are_recovered(rng):
     near = rng.uniform(5.0, 9.0, (200, 4))
     # Differences of 5 +- 0.1 pF make the columns nearly parallel.
     far = rng.uniform(-0.1, 0.1, (500, 4)) + np.array([5.0, 10.0, 5.0, 10.0])

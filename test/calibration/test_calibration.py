@@ -46,8 +46,7 @@ def test_stresses_are_the_line_over_the_mean_and_the_surfaces_over_the_differenc
             assert found == pytest.approx(surface, rel=1e-12)
 
 
-def test_stacked_clusters_give_the_results_of_single_readings():
-    rng = np.random.default_rng(5)
+def test_stacked_clusters_give_the_results_of_single_readings(rng):
     clusters = {
         name: make_cluster(
             normal=np.array([rng.normal(), rng.uniform(1e3, 5e3)]),

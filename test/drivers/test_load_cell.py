@@ -406,8 +406,7 @@ def test_another_configuration_follows_an_earlier_one() -> None:
     assert again.read().new
 
 
-def test_conversions_are_timed_closer_than_they_are_read() -> None:
-    rng = np.random.default_rng(4)
+def test_conversions_are_timed_closer_than_they_are_read(rng) -> None:
     times, worst, taken = ConversionClock(CONVERSION), 0.0, 0
     ends = 5.0 + 1.0003 * CONVERSION * np.arange(3000)  # the chip's clock is a bit slow
     now, waiting = 4.99, 0

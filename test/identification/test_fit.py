@@ -186,10 +186,9 @@ def rigid_case(seed: int, variant="rigid", count: int = 80, **changes):
 
 
 @pytest.mark.parametrize("variant", [v for v in VARIANTS if LAWS[v].REFINED])
-def test_derivatives_agree_with_differences_and_stage_two_with_the_objective(variant):
+def test_derivatives_agree_with_differences_and_stage_two_with_the_objective(variant, rng):
     geometry, _, samples, settings = rigid_case(4, variant)
     problem = Problem(build_objective(samples, geometry, settings))
-    rng = np.random.default_rng(0)
     x = problem.start + 0.3 * rng.normal(size=problem.start.shape)
     way = rng.normal(size=x.shape)
     step, terms = 1e-5 * way, problem.evaluate(x)

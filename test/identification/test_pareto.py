@@ -81,8 +81,7 @@ def test_an_uncertified_solution_is_flagged_and_the_walk_goes_on(monkeypatch):
             np.testing.assert_allclose(found, other, rtol=1e-7)
 
 
-def test_what_is_kept_is_what_the_definition_keeps():
-    rng = np.random.default_rng(0)
+def test_what_is_kept_is_what_the_definition_keeps(rng):
     for count in (0, 1, 5, 60, 60, 60, 60):
         wrench, local = rng.integers(0, 12, (2, count)).astype(float)  # with ties of all kinds
         sound = rng.random(count) < 0.8

@@ -109,8 +109,7 @@ def test_a_page_that_cannot_be_written_leaves_nothing(results, tmp_path, monkeyp
     assert not [*tmp_path.iterdir()]
 
 
-def test_gaps_and_drop_outs_are_counted():
-    rng = np.random.default_rng(8)
+def test_gaps_and_drop_outs_are_counted(rng):
     position, force, wrench = (rng.normal(size=(200, n)) for n in (3, 3, 6))
     samples = make_samples(position, wrench, {"a": force})  # at 4 Hz
 

@@ -51,8 +51,7 @@ WRITERS = {
 }
 
 
-def test_every_kind_of_file_gives_the_same_surface_and_is_refused_when_cut_off(cone, tmp_path):
-    rng = np.random.default_rng(4)
+def test_every_kind_of_file_gives_the_same_surface_and_is_refused_when_cut_off(cone, tmp_path, rng):
     for name, write in WRITERS.items():
         path = write(cone, tmp_path / name)
         scan = read_scan(path)

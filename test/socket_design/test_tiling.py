@@ -55,8 +55,7 @@ def lay(*places: clusters.ClusterPlace) -> tuple[Squares, list[clusters.LaidClus
     return clusters.lay_clusters(WALL, places, others, surroundings, 0.008)
 
 
-def test_a_cluster_stays_where_it_is_glued_and_as_it_is_turned() -> None:
-    rng = np.random.default_rng(0)
+def test_a_cluster_stays_where_it_is_glued_and_as_it_is_turned(rng) -> None:
     for angle, turned in rng.uniform(-math.pi, math.pi, (3, 2)):
         asked = wall(angle, rng.uniform(0.03, 0.09), off=rng.uniform(-0.003, 0.003))
         nearest = trimesh.proximity.closest_point(WALL, asked[None])[0][0]

@@ -43,8 +43,7 @@ def history(*corners: tuple[float, float]) -> Samples:
     return under(np.interp(np.arange(0.0, times[-1], 1 / RATE), times, loads))
 
 
-def test_the_longest_range_within_limits_is_that_of_all_ranges() -> None:
-    rng = np.random.default_rng(0)
+def test_the_longest_range_within_limits_is_that_of_all_ranges(rng) -> None:
     for count in (1, 2, 7, 40) * 20:
         values = np.cumsum(rng.integers(-2, 3, size=(count, 3)), axis=0).astype(float)
         limits = rng.integers(0, 6, size=3).astype(float)
