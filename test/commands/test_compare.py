@@ -17,18 +17,12 @@ SEGMENT = ("--segment", "15:17")
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two short trials, and a copy of one in another socket."""
+def trials(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Two short trials."""
     path = tmp_path_factory.mktemp("compared")
     for seed, name in enumerate(("gel", "sock")):
-        st.simulate(path / "trials" / name, duration=30, seed=seed)
-    of_another_socket(path / "trials" / "gel", path / "wider")
-    return path
-
-
-@pytest.fixture(scope="module")
-def trials(folder: Path) -> tuple[Path, Path]:
-    return folder / "trials" / "gel", folder / "trials" / "sock"
+        st.simulate(path / name, duration=30, seed=seed)
+    return path / "gel", path / "sock"
 
 
 def test_the_values_are_those_of_each_trial_s_own_pressure(trials, capsys) -> None:
@@ -44,10 +38,10 @@ def test_the_values_are_those_of_each_trial_s_own_pressure(trials, capsys) -> No
         np.testing.assert_array_equal(row[ends].astype(float), [value[end] for end in ends])
 
 
-def test_repeated_donnings_give_their_spread_and_what_can_be_seen(folder, trials, capsys) -> None:
-    again = st.simulate(folder / "again" / "sock2", duration=30, seed=2)
+def test_repeated_donnings_give_their_spread_and_what_can_be_seen(trials, tmp_path, capsys) -> None:
+    again = st.simulate(tmp_path / "sock2", duration=30, seed=2)
     words = ["--condition", f"gel={trials[0]}", "--condition", f"sock={trials[1]}"]
-    words += ["--condition", f"sock={folder / 'again'}", *SEGMENT]  # a folder of trials
+    words += ["--condition", f"sock={tmp_path}", *SEGMENT]  # a folder of trials
     code, out, _ = call(capsys, "compare", *words)
     found = st.compare(conditions={"gel": trials[:1], "sock": [trials[1], again]}, segment="15:17")
     assert code == 0 and out.startswith(f"conditions gel, sock: {found.title}\n")
@@ -63,7 +57,7 @@ def test_repeated_donnings_give_their_spread_and_what_can_be_seen(folder, trials
     np.testing.assert_allclose(shown["spread"], values.std(axis=0, ddof=1))
 
 
-def test_different_sockets_are_compared_where_alike(folder, trials, tmp_path, capsys) -> None:
+def test_different_sockets_are_compared_where_alike(trials, tmp_path, capsys) -> None:
     def add_regions(document) -> None:
         number, tiles = len([*tmp_path.iterdir()]) - 1, [*document["tiles"]]
         document["regions"] = {"same": tiles[:3], "other": tiles[number : number + 3]}
@@ -75,10 +69,9 @@ def test_different_sockets_are_compared_where_alike(folder, trials, tmp_path, ca
     assert "same" in names and not names & {"other", "alone"}
     assert "these regions differ between trials: alone, other" in found.notes[0]
 
-    named = ["wider is of another socket", "--by-region", "sock"]
-    refused(capsys, "compare", trials[1], folder / "wider", *SEGMENT, named=named)
-    words = (trials[1], folder / "wider", *SEGMENT)
-    document = json.loads(call(capsys, "compare", *words, "--by-region", "--json")[1])
+    words = ("compare", trials[1], of_another_socket(trials[0], tmp_path / "wider"), *SEGMENT)
+    refused(capsys, *words, named=["wider is of another socket", "--by-region", "sock"])
+    document = json.loads(call(capsys, *words, "--by-region", "--json")[1])
     assert {row["part"] for row in document["rows"]} >= {"regions", "wrench"}
 
 
