@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from support.problems import make_samples, moving_limb, random_bed, random_socket, samples_of_bed
+from support import problems
+from support.problems import GEOMETRY, make_samples, random_socket
 
-from socket_testbed.files import packaged
-from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification import information, noise
 from socket_testbed.identification.suspension import find_suspension
 from socket_testbed.samples import Samples, Status, turned
@@ -23,8 +22,8 @@ def moving(rng, geometry, motion, sd, count=400):
 
 
 def test_the_shares_of_a_bed_are_its_own(rng):
-    bed = random_bed(rng, random_socket(rng), "stiffness_bias")
-    samples = samples_of_bed(rng, bed, moving_limb(rng, 30))
+    bed = problems.random_bed(rng, random_socket(rng), "stiffness_bias")
+    samples = problems.samples_of_bed(rng, bed, problems.moving_limb(rng, 30))
     shares = {share.name: share for share in information.load_shares(samples, bed)}
     assert set(shares) == {"Fz", "force", "moment"}
     for name, part in (("Fz", [5]), ("force", [3, 4, 5]), ("moment", [0, 1, 2])):
@@ -64,7 +63,7 @@ def test_springs_are_engaged_in_compression_within_the_spread_of_drawn_poses(rng
     monkeypatch.setattr(information, "_BLOCK", 700)
     count, centre = 3000, np.array([0.01, -0.02, 0.13])
     bed = replace(
-        random_bed(rng, random_socket(rng, 4, 8), "rigid_bias", untouched=0.2),
+        problems.random_bed(rng, random_socket(rng, 4, 8), "rigid_bias", untouched=0.2),
         reference_pose=np.array([*centre, 1.6, -0.9, 1.2]),
         rest_positions=rng.uniform(-4e-4, 4e-4, (32, 3)),
     )
@@ -91,7 +90,6 @@ def test_springs_are_engaged_in_compression_within_the_spread_of_drawn_poses(rng
 
 # --- How the limb sits: a suspension that is known, a linear one
 
-GEOMETRY = read_socket(packaged("config", "socket.yaml"))
 SIZES = np.array([4e4, 4e4, 9e4, 150.0, 150.0, 60.0])  # [N/m, N m/rad]
 
 
