@@ -12,7 +12,6 @@ import yaml
 from matplotlib.image import imread
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
 from support.bags import edited
 from support.verbs import call
 
@@ -29,7 +28,11 @@ def found(hold: Path) -> Any:
 
 def test_under_a_cluster_it_is_what_the_raw_messages_say(hold: Path, found) -> None:
     """Read by the bag library alone, and calibrated by hand."""
-    store, coefficients = raw_types(), yaml.safe_load((hold / "calibration.yaml").read_text())
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for name in ("ClusterCapacitance", "ClusterCapacitanceArray"):
+        text = packaged("msg", f"{name}.msg").read_text()
+        store.register(get_types_from_msg(text, f"socket_testbed_msgs/msg/{name}"))
+    coefficients = yaml.safe_load((hold / "calibration.yaml").read_text())
     times, pressures = [], []
     with Reader(hold) as bag:
         for connection, _, data in bag.messages():
@@ -46,14 +49,6 @@ def test_under_a_cluster_it_is_what_the_raw_messages_say(hold: Path, found) -> N
         row = tiles.loc[name]
         assert row["mean pressure low [kPa]"] < measured < row["mean pressure high [kPa]"]
         assert row["mean pressure [kPa]"] == pytest.approx(measured, rel=0.06)
-
-
-def raw_types() -> Typestore:
-    store = get_typestore(Stores.ROS2_JAZZY)
-    for name in ("ClusterCapacitance", "ClusterCapacitanceArray"):
-        text = packaged("msg", f"{name}.msg").read_text()
-        store.register(get_types_from_msg(text, f"socket_testbed_msgs/msg/{name}"))
-    return store
 
 
 def test_the_verb_prints_writes_and_draws_what_the_api_gives(hold, found, tmp_path, capsys) -> None:
