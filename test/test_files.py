@@ -3,11 +3,10 @@
 import os
 from pathlib import Path
 
-import pytest
 from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import TemporaryFolder, atomic_output, check_new_folder, check_outputs
+from socket_testbed.files import TemporaryFolder, atomic_output, check_outputs
 
 
 def test_two_writers_of_one_output_do_not_meet_and_an_error_leaves_the_older_file(tmp_path) -> None:
@@ -49,29 +48,18 @@ def test_a_temporary_folder_removes_only_what_a_killed_process_left(tmp_path, mo
         assert trials.exists() and not left.exists()
 
 
-def test_outputs_replace_nothing_unasked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    taken = tmp_path / "bench.csv"
-    taken.write_text("data")
+def test_an_output_is_refused_where_it_cannot_be(tmp_path, monkeypatch) -> None:
+    """What replaces a file, and what does not: commands/test_commands.py."""
     check_outputs(tmp_path / "new.json", None, replace=False)
-    check_outputs(taken, replace=True)
     (tmp_path / "new.json").write_text("another's")
     with refused(ConfigurationError, "meanwhile"), atomic_output(tmp_path / "new.json") as own:
         own.write_text("ours")
     assert (tmp_path / "new.json").read_text() == "another's"
-    check_outputs(tmp_path / "new.json", replace=True)  # now on request
-    with atomic_output(tmp_path / "new.json") as own:
-        own.write_text("ours")
-    assert (tmp_path / "new.json").read_text() == "ours"
     (tmp_path / "new.json").unlink()
-    check_new_folder(tmp_path / "trials" / "s01")
-    for name, replace, fact in (
-        ("bench.csv", False, "--replace"),
-        (".", True, "as a folder"),
-        ("modles/m.json", True, "no such folder"),
-    ):
+    for name, fact in ((".", "as a folder"), ("modles/m.json", "no such folder")):
         with refused(ConfigurationError, fact):
-            check_outputs(None, tmp_path / name, replace=replace)
+            check_outputs(tmp_path / name, replace=True)
     monkeypatch.setattr("os.access", lambda path, mode: False)
     with refused(ConfigurationError, "no permission"), atomic_output(tmp_path / "other.json"):
         pass
-    assert list(tmp_path.iterdir()) == [taken]
+    assert not [*tmp_path.iterdir()]
