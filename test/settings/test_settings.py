@@ -33,7 +33,6 @@ def test_whatever_means_a_number_is_one_and_a_wrong_value_is_refused_by_its_name
     assert IdentificationSettings(initial_stiffness="auto").initial_stiffness == 0.0
     assert IdentificationSettings(reference_position=np.ones(3)).reference_position == (1.0,) * 3
     for name, value, error in (
-        ("theta", 1.01, "theta is 1.01: give a number from 0 to 1: weight"),
         ("variant", "stifness", "did you mean 'stiffness'"),
         ("leave_out", "Mz", "leave_out is 'Mz': give a list"),
         ("reference_position", [1.0], "give x, y and z in m"),
@@ -42,8 +41,6 @@ def test_whatever_means_a_number_is_one_and_a_wrong_value_is_refused_by_its_name
             IdentificationSettings(**{name: value})
     with refused(ConfigurationError, "a pulse of 0.1 s is too long for 20 Hz", "0.025 s or less"):
         TriggerSettings(rate=20.0, pulse=0.1)
-    with refused(ConfigurationError, "here: identification.theta is 7: give a number from 0 to 1"):
-        testbed.EstimatorSettings.from_flat({"identification.theta": 7}, "here")
 
 
 # --- testbed.yaml
