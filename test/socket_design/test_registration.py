@@ -147,8 +147,8 @@ def normalised(fit, pose: Pose) -> float:
     return float(error @ np.linalg.solve(fit.uncertainty.at(TARGET), error))
 
 
-def test_landmarks_give_the_pose_of_least_squares_within_its_stated_uncertainty(rng):
-    """With a noise from the residuals it is an F of 3, 3k - 6."""
+def test_landmarks_give_the_pose_within_its_stated_uncertainty(rng):
+    """With a noise from the residuals it is an F of 3, 3k - 6; the fit: test_marker_bodies.py."""
     for count in (3, 5):
         known, names, found = takes.CELL[:count], NAMES[:count], []
         for _ in range(400):
@@ -156,10 +156,6 @@ def test_landmarks_give_the_pose_of_least_squares_within_its_stated_uncertainty(
             measured = pose.apply(known) + rng.normal(0.0, NOISE, known.shape)
             fit = register_landmarks(known, measured, names)
             found.append(normalised(fit, pose) / 3.0)
-            arms = known - known.mean(axis=0)
-            turn, rssd = Rotation.align_vectors(measured - measured.mean(axis=0), arms)
-            np.testing.assert_allclose(fit.pose.rotation, turn.as_matrix(), atol=1e-7)
-            assert np.sqrt((fit.residual**2).sum()) == pytest.approx(rssd, rel=1e-6)
         assert kstest(found, f(3, 3 * count - 6).cdf).pvalue > 1e-3
 
 
