@@ -36,12 +36,15 @@ def test_one_trial_is_judged_on_its_other_half(folder: Path, capsys) -> None:
 
 
 @pytest.mark.usefixtures("few_variants")
-def test_what_is_left_out_is_left_out_of_the_map_that_is_judged(folder: Path) -> None:
+def test_what_is_left_out_is_left_out_of_the_map_that_is_judged_or_read(folder: Path) -> None:
     sound, spoilt = (st.open_trial(folder / "s0") for _ in range(2))
     names = [f"{spoilt.samples().clusters[0]}.{axis}" for axis in ("Fx", "Fy", "Fz")]
     spoilt.samples().local_forces[:, 0] = 40.0
     spoilt.samples().wrench[:, 0] = np.nan
-    found = [st.validate(t, leave_out=["Mx", *names]).to_dataframe() for t in (sound, spoilt)]
+    left_out = ["Mx", *names]
+    found = [st.validate(t, leave_out=left_out).to_dataframe() for t in (sound, spoilt)]
+    pd.testing.assert_frame_equal(*found)
+    found = [st.pressure(t, "all", leave_out=left_out).regions for t in (sound, spoilt)]
     pd.testing.assert_frame_equal(*found)
 
 

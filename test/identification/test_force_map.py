@@ -14,7 +14,6 @@ from socket_testbed.geometry.regions import all_regions, proximal_direction
 from socket_testbed.identification import force_map as maps
 from socket_testbed.identification import pressure
 from socket_testbed.identification.force_map import ForceMap, Prior, hypotheses, wall_correlation
-from socket_testbed.identification.plausibility import find_outliers
 from socket_testbed.identification.validation import CLOSED, field_estimators
 from socket_testbed.samples import Samples, Status
 from socket_testbed.settings.identification import ForceMapSettings
@@ -99,18 +98,6 @@ def test_a_dropped_channel_is_as_if_it_never_was_and_leaves_less_known() -> None
     samples.wrench[:] = np.nan
     nothing = force_map.estimate(samples)
     assert (nothing.forces == 0.0).all() and (nothing.standard_deviations > 0.0).all()
-
-
-def test_outliers_and_channels_left_out_do_not_count() -> None:
-    samples = some_samples(40)
-    samples.local_forces[7, 2, 0] = 1e9
-    samples.wrench[:, 2] += 40.0
-    trusted = find_outliers(samples, GEOMETRY, ("Mz",)).taken_from(samples).without(("Mz",))
-    found = ForceMap(GEOMETRY, CLUSTERS, ForceMapSettings(), trusted).estimate(trusted)
-    samples.local_forces[7, 2, 0] = np.nan
-    samples.wrench[:, 2] = np.nan
-    expected = ForceMap(GEOMETRY, CLUSTERS).estimate(samples)
-    np.testing.assert_allclose(found.forces, expected.forces)
 
 
 def test_joint_draws_have_the_posterior_of_a_plain_conditioning() -> None:
