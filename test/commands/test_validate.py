@@ -79,7 +79,7 @@ def test_what_cannot_be_judged_is_refused_or_passed_over(folder: Path, tmp_path,
     trials = folder / "s0", tmp_path / "broken", recorded, short, bare
     code, out, err = call(capsys, "validate", *trials)
     assert code == 0 and "note: short: passed over: only 20 of 20 samples" in err
-    assert "note: broken: passed over: " in err
+    assert "note: broken: passed over: " in err and "to fit and to test need 24" in err
     assert "note: bare: passed over: the cluster 'distal' of the trial" in err
     assert out.startswith("3 trials, means over them; models fitted on 2: s0, s1")
 

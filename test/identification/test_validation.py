@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.problems import make_samples, random_socket
-from support.wording import refused
 
 from socket_testbed.arrays import evenly
-from socket_testbed.errors import IdentificationError
 from socket_testbed.identification import fit, validation
 from socket_testbed.identification.contact import wrench_map
 from socket_testbed.samples import turned
@@ -170,5 +168,3 @@ def test_loaded_samples_are_complete_and_pressed_and_come_in_halves(rng):
     first, second = validation.split(samples, 20.0)
     assert first.tolist() == [*range(10, 35)] and second.tolist() == [*range(35, 60)]
     assert np.arange(10, 60)[evenly(50, 3)].tolist() == [10, 34, 59]
-    with refused(IdentificationError, "only 20 of 30 samples", "need 24"):
-        validation.split(samples[:30], 20.0)
