@@ -27,8 +27,6 @@ def test_the_verb_writes_the_registered_socket(files, tmp_path, capsys):
     assert code == 0 and (tmp_path / "socket.yaml").read_bytes() == old
     new = read_socket(tmp_path / "new.yaml")
     assert new.same_tiles(bench.geometry) and new.clusters == bench.geometry.clusters
-    assert between(new.socket_body, bench.socket_body)[0] < 0.002
-    assert between(new.limb, bench.limb)[0] < 0.002
     x, y, z = (f"{1e3 * value:.2f}" for value in new.limb.translation)
     assert "53 frames used, 7 left out (7 occluded" in out and f"at ({x}, {y}, {z}) mm" in out
 
@@ -40,7 +38,8 @@ def test_without_an_output_the_socket_is_replaced_or_left_as_it_was(files, tmp_p
     bad = copy.deepcopy(bench.document)
     bad["limb"]["Limb:2"][0] += 0.05
     write_landmarks(bad, landmarks)
-    verbs.refused(capsys, *words, named=["--force"])
+    named = ["limb: landmark Limb:2 is", "at most 10 mm", "--force"]
+    verbs.refused(capsys, *words, named=named)
     assert socket.read_bytes() == old
     assert verbs.call(capsys, *words, "--force")[0] == 0
     forced = read_socket(socket)
