@@ -10,7 +10,6 @@ import sys
 import termios
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -61,22 +60,16 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Terminal]:
     for name in ("NO_COLOR", "RCUTILS_COLORIZED_OUTPUT"):
         monkeypatch.setenv(name, "")
         monkeypatch.delenv(name)
-    yield found
+    with open(found.slave, "w", closefd=False) as found.stream:
+        yield found
     os.close(found.master)
     os.close(found.slave)
 
 
-@contextmanager
-def status_on(terminal: Terminal) -> Iterator[StatusLine]:
-    with pytest.MonkeyPatch.context() as patch, open(terminal.slave, "w", closefd=False) as stream:
-        patch.setattr(sys, "stderr", stream)
-        with StatusLine() as status:
-            yield status
-
-
 def test_lines_of_nodes_stand_above_the_status_though_they_were_killed(terminal, monkeypatch):
     monkeypatch.setattr(module, "_CHUNK", 31)
-    with status_on(terminal) as status:
+    monkeypatch.setattr(sys, "stderr", terminal.stream)
+    with StatusLine() as status:
         assert os.environ["RCUTILS_COLORIZED_OUTPUT"] == "1" and status.output is not None
         for count in (1, 300):
             status._status.triggers = count
