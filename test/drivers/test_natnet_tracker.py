@@ -169,21 +169,16 @@ def test_ready_means_that_no_later_frame_makes_it_better():
     assert tracker.wait(10.2 * PERIOD, clocks.monotonic(), 20.0 * PERIOD)
 
 
-def fitted(markers) -> tuple[np.ndarray, list[Rotation]]:
-    """Positions [m] and orientations of the socket in some frames, by another method."""
-    arms = TRIADS[0] - TRIADS[0].mean(axis=0)
-    rotations = [Rotation.align_vectors(m - m.mean(axis=0), arms)[0] for m in markers]
-    centres = [rotation.apply(TRIADS[0].mean(axis=0)) for rotation in rotations]
-    return markers.mean(axis=1) - centres, rotations
-
-
 def test_the_pose_is_the_mean_of_the_frames_in_the_window_and_markers_are_at_the_trigger():
     noise = np.random.default_rng(0).normal(0.0, 1e-4, (81, 3, 3))
     moments, still = 0.005 * np.arange(-40, 41), lambda body, _: steady(body, 0.0)
     tracker = tracker_of(moments, pose=still, wrong=noise.__getitem__)
     socket, pylon = tracker.sample(0.0, 0.251)
     assert (socket.frames, pylon.frames, socket.fault, pylon.fault) == (51, 51, "", "")
-    positions, rotations = fitted((markers_at(0, 0.0, pose=steady) + noise)[15:66])
+    markers, middle = (markers_at(0, 0.0, pose=steady) + noise)[15:66], TRIADS[0].mean(axis=0)
+    arms = TRIADS[0] - middle
+    rotations = [Rotation.align_vectors(m - m.mean(axis=0), arms)[0] for m in markers]
+    positions = markers.mean(axis=1) - [rotation.apply(middle) for rotation in rotations]
     np.testing.assert_allclose(socket.pose[:3], positions.mean(axis=0), atol=1e-9)
     # Markley et al. 2007, doi:10.2514/1.28949: largest eigenvector of the sum of q q^T.
     quaternions = np.array([rotation.as_quat() for rotation in rotations])
