@@ -145,7 +145,6 @@ LOAD = 200.0  # [N]
 
 def test_a_wrench_without_a_load_and_another_unit_are_refused():
     for array, column, names in (
-        ("position", np.s_[:], ("limb position", "likely in millimetres")),
         ("wrench", np.s_[:, 3:], ("F", "likely in millinewtons")),
         ("wrench", np.s_[:], ("M", "likely in newton millimetres")),
         ("local_forces", np.s_[:], ("cluster_", "likely in millinewtons")),
