@@ -115,6 +115,6 @@ def test_a_paused_replay_says_how_to_go_on_and_the_space_bar_does(hold: Path) ->
     os.write(terminal.master, b"x ")
     terminal.wait(lambda: os.waitpid(pid, os.WNOHANG) == (pid, 0), "the end")
     *said, last, end = terminal.screen()
-    assert len(said) == 2 and end == ""
+    assert len(said) == 3 and end == ""  # the data, replaying, paused
     assert re.match(r"0:00:\d\d of 0:00:59 \| \d+ triggers, \d+ complete \| F ", last), last
     assert termios.tcgetattr(terminal.slave) == before
