@@ -60,9 +60,13 @@ def encode(message: Any, message_type: str) -> bytes:
 
 
 def stamp_of(message: Any) -> int:
-    """Stamp of a message's header, from rosbags or ROS, since the epoch [ns]."""
-    stamp = message.header.stamp
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+    """Stamp of a message's header since the epoch [ns]."""
+    return nanoseconds(message.header.stamp)
+
+
+def nanoseconds(time: Any) -> int:
+    """A builtin_interfaces/Time, from rosbags or ROS, since the epoch [ns]."""
+    return int(time.sec) * 1_000_000_000 + int(time.nanosec)
 
 
 class Field(NamedTuple):
