@@ -26,10 +26,10 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 from socket_testbed.clocks import Backoff
 from socket_testbed.errors import ConfigurationError
-from socket_testbed.files import check_new_folder
 from socket_testbed.live.bringup import (
     Simulation,
     Testbed,
+    check_new_trial,
     new_trial,
     simulate_hardware,
     testbed_files,
@@ -78,7 +78,7 @@ def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler | SetEn
     )
     testbed.check_devices()
     if testbed.record is not None:
-        check_new_folder(testbed.record)
+        check_new_trial(testbed.record)
     if simulation is not None:
         testbed, _ = simulate_hardware(GRAPH, testbed, simulation)
     end = OnShutdown(on_shutdown=lambda event, context: GRAPH.stop())

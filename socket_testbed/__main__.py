@@ -116,9 +116,6 @@ def _complete(parser: argparse.ArgumentParser) -> None:
 def run(arguments: list[str] | None = None) -> int:
     """Run a verb; returns the exit code."""
     words = sys.argv[1:] if arguments is None else arguments
-    # The problems are small: a second thread of linear algebra waits for busy cores much longer
-    # than it helps. numpy reads this when the verb below first imports it.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     options = vars(_parse(words))
     verb = options.pop("verb")
     # A verb must stop its nodes even when it is terminated by another process, or runs in the
@@ -126,10 +123,9 @@ def run(arguments: list[str] | None = None) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
     try:
-        from socket_testbed.live.processes import local_graph  # not for --help
+        from socket_testbed.live.processes import graph_environment  # not for --help
 
-        # Any machine that reaches a graph can read and stop it, so it stays local by default.
-        os.environ |= local_graph()
+        os.environ |= graph_environment()
         resolve_name(f"socket_testbed.commands.{VERBS[verb]}:{verb}")(**options)
         sys.stdout.flush()
     except TestbedError as error:

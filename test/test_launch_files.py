@@ -51,7 +51,8 @@ def launch(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[Stub]]:
         program = runpy.run_path(str(CHECKOUT / "launch" / f"{name}.launch.py"))
         kept.append(program)
         (actions,) = program["generate_launch_description"]().positional
-        assert ("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST") in [a.positional for a in actions]
+        shared = {("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"), ("OPENBLAS_NUM_THREADS", "1")}
+        assert shared <= {a.positional for a in actions}
         arguments_of = [a for a in actions if len(a.positional) == 1]
         assert all(action.given["description"] for action in arguments_of)
         declared = {a.positional[0]: a.given.get("default_value") for a in arguments_of}

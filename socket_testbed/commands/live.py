@@ -26,12 +26,7 @@ from socket_testbed.commands.options import (
 from socket_testbed.commands.terminal import StatusLine, say, table
 from socket_testbed.documents import check_number
 from socket_testbed.errors import ConfigurationError, DeviceError, TrialError, closest
-from socket_testbed.files import (
-    check_new_folder,
-    check_outputs,
-    is_held,
-    make_folder,
-)
+from socket_testbed.files import check_new_folder, is_held
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.live import bringup
 from socket_testbed.live.doctor import examine, press_test
@@ -42,7 +37,6 @@ from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import (
     RecorderSettings,
     ReplaySettings,
-    check_take_name,
     estimator_settings,
 )
 from socket_testbed.simulation.limb import Scenario, TissueKind
@@ -225,7 +219,7 @@ def run(
     testbed = dataclasses.replace(testbed, one_process=one_process)
     record, trials = testbed.record, Path(testbed.settings.recorder_node.directory)
     if record is not None:
-        _check_writable(record)
+        bringup.check_new_trial(record)
     place = (trials, "") if record is None else (record.parent, record.resolve().name)
     older = _trials(*place)
     if record is None and view:  # the page's button records
@@ -288,14 +282,6 @@ def _require_end(trial: Path) -> None:
             f"{trial}: the recording stopped early; the trial keeps the data so far",
             "free disk space, and read the recorder's messages",
         )
-
-
-def _check_writable(path: Path) -> None:
-    """Raise an error if a folder cannot be made, before any node starts."""
-    check_new_folder(path)
-    check_take_name(path.resolve().name)
-    make_folder(path.parent)
-    check_outputs(path, replace=False)
 
 
 def _time_scale(wanted: float | Literal["auto"]) -> float:

@@ -17,7 +17,15 @@ from socket_testbed.drivers.clusters import reader as clusters
 from socket_testbed.drivers.load_cell import load_cell
 from socket_testbed.drivers.natnet.connection import server_address
 from socket_testbed.errors import ConfigurationError, TestbedError
-from socket_testbed.files import CALIBRATION_FILE, SOCKET_FILE, file_or_packaged, packaged
+from socket_testbed.files import (
+    CALIBRATION_FILE,
+    SOCKET_FILE,
+    check_new_folder,
+    check_outputs,
+    file_or_packaged,
+    make_folder,
+    packaged,
+)
 from socket_testbed.geometry.socket import read_socket
 from socket_testbed.identification.fit import check_names
 from socket_testbed.identification.model_file import read_model
@@ -31,6 +39,7 @@ from socket_testbed.settings.testbed import (
     RecorderSettings,
     ReplaySettings,
     TestbedSettings,
+    check_take_name,
     read_testbed,
     write_testbed,
 )
@@ -169,6 +178,14 @@ def new_trial(settings: TestbedSettings, record: Path | None) -> Path | None:
     """Folder of the new trial: as given, else as the settings say; None to record nothing."""
     recorder = settings.recorder_node
     return record or (Path(recorder.directory) if recorder.record else None)
+
+
+def check_new_trial(path: Path) -> None:
+    """Raise an error if the folder of a new trial cannot be made, before any node starts."""
+    check_new_folder(path)
+    check_take_name(path.resolve().name)
+    make_folder(path.parent)
+    check_outputs(path, replace=False)
 
 
 def simulated_testbed(

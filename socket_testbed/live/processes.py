@@ -31,6 +31,7 @@ REMAPPINGS = (("/tf", "tf"), ("/tf_static", "tf_static"))
 # Environment variables of the processes:
 RESTARTED = "SOCKET_TESTBED_RESTARTED"  # set if this process replaces another
 RANGE, _LOCAL = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
+_THREADS = "OPENBLAS_NUM_THREADS"  # numpy reads it when it is first imported
 # Fast DDS; newer versions read the second name.
 _PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 
@@ -91,19 +92,23 @@ def require_ros() -> None:
             )
 
 
-def local_graph() -> dict[str, str]:
-    """Variables that keep a ROS graph on this machine; empty if the user's environment opens it."""
-    if os.environ.get(RANGE, _LOCAL) != _LOCAL:
-        return {}
-    found = {RANGE: _LOCAL}
-    if not any(name in os.environ for name in _PROFILE_VARIABLES):
-        found |= dict.fromkeys(_PROFILE_VARIABLES, str(packaged("config", "loopback.xml")))
+def graph_environment() -> dict[str, str]:
+    """Variables of a graph's processes; the user's environment may replace each.
+
+    Any machine that reaches a graph can read and stop it, so it stays on this one. The problems are
+    small: a second thread of linear algebra waits for busy cores much longer than it helps.
+    """
+    found = {_THREADS: os.environ.get(_THREADS, "1")}
+    if os.environ.get(RANGE, _LOCAL) == _LOCAL:
+        found[RANGE] = _LOCAL
+        if not any(name in os.environ for name in _PROFILE_VARIABLES):
+            found |= dict.fromkeys(_PROFILE_VARIABLES, str(packaged("config", "loopback.xml")))
     return found
 
 
 def launch_environment() -> dict[str, str]:
-    """Variables of a launch file's processes: a local graph that ends with the launch."""
-    return {**local_graph(), PARENT: str(os.getpid())}
+    """Variables of a launch file's processes, which end with the launch."""
+    return {**graph_environment(), PARENT: str(os.getpid())}
 
 
 def is_wrong_input(code: int, began: float) -> bool:

@@ -96,10 +96,10 @@ def section(results: Results) -> Section:
             *_tables(found),
             Heading("Estimation"),
             "From the measurements of clusters and load cell, without a fitted model: a Gaussian"
-            f" process over the socket's surface ({found.outputs.source}). On simulated limbs 91 to"
-            " 100 % of the true values lay within the intervals, but 81 to 97 % of areas and time"
-            " integrals over a whole hold (docs/pressure.md). The mean over the segment is as"
-            " uncertain as a single sample: the sensors leave the same uncertainty in each.",
+            f" process over the socket's surface ({found.outputs.source}). How many"
+            " true values of simulated limbs lie within the intervals is in docs/pressure.md; over"
+            " a whole hold they are fewer for areas and time integrals. The mean over the segment"
+            " is as uncertain as a single sample: the sensors leave the same uncertainty in each.",
             _overview(results),
         ],
         {

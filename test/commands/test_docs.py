@@ -12,8 +12,10 @@ from support.verbs import program
 
 from socket_testbed import __version__, clocks
 from socket_testbed.__main__ import VERBS
-from socket_testbed.identification import data_check, plausibility, problem
+from socket_testbed.identification import data_check, plausibility, pressure, problem
 from socket_testbed.nodes import estimator_node, recorder_node
+from socket_testbed.settings.identification import ForceMapSettings
+from socket_testbed.trials import events
 from socket_testbed.trials.topics import PUBLISHER_DEPTH, TOPICS
 
 DOCS = CHECKOUT / "docs"
@@ -103,6 +105,19 @@ def test_numbers_of_the_pages_are_those_of_the_code() -> None:
             f"refused above {plausibility.MAX_OUTLIERS:.0%}",
             f"wrench above {plausibility.HANGING_WEIGHT:g} N towards proximal",
         ),
+        "view": (f"greyest at {pressure._GREYEST:g} times",),
+        "pressure": (
+            f"above {1e-3 * pressure.THRESHOLD:g} kPa (`--threshold`)",
+            f"from {pressure._DRAWS} joint draws",
+            f"widened by {pressure._PEAK_WIDENING:g}",
+            f"carry {ForceMapSettings.share:.0%} +- {ForceMapSettings.share_spread:.0%} of the",
+        ),
+        "segments": (
+            f"rises above {events._RISE_SHARE:.0%} of the way",
+            f"falls below {events._FALL_SHARE:.0%}.",
+            f"above {events._STANCE_SHARE:.0%} of the way",
+        ),
+        "force_map": (f"draws {ForceMapSettings.draws} hypotheses",),
     }
     for page, numbers in shown.items():
         text = re.sub(r"(?<=\d) %", "%", " ".join((DOCS / f"{page}.md").read_text().split()))
