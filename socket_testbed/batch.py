@@ -175,8 +175,8 @@ def _run_job(task: Task, job: Job) -> tuple[str, Row]:
             row |= {"status": "skipped", **old[2]}
             notes += old[3]
         else:
-            # The record of an interrupted run is empty.
-            ours = record.exists() and (not old or old[1] == _stamp(job.output))
+            # The record of an interrupted run is empty; a copied result has another date.
+            ours = record.exists() and (not old or old[1][:1] == _stamp(job.output)[:1])
             _remove_older(job.output, record, task.replace or ours)
             start = time.perf_counter()
             with threadpool_limits(1):  # trials run in parallel, one per core

@@ -171,7 +171,7 @@ class Evaluation(Result):
     @property
     def in_sample(self) -> bool:
         """Whether the model was fitted on some of these samples."""
-        used = self.model.used(self.trial.fingerprint, self.trial.samples())
+        used = self.model.used(self.trial.name, self.trial.fingerprint, self.trial.samples())
         return bool(used[self.segment.rows].any())
 
     def to_dataframe(self) -> pd.DataFrame:

@@ -185,7 +185,7 @@ def validate(trial: list[Path], **options: Any) -> None:
     check_files(options["output"], options["figure"], replace=options["replace"])
     trials = open_all(trial, options)
     for each in trials:
-        report_data(each)
+        report_data(each, leave_out=options.get("leave_out"))
     found = api.validate(*trials, **given(options, api.validate, api.fit), progress=Progress)
     deliver(found, _show_validation, **options)
 

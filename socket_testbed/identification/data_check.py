@@ -4,9 +4,8 @@ A loaded limb presses the wall: over a trial every cluster's normal force and th
 the force along the socket. This reveals a reversed sign, a late or dead source and a wrong unit.
 If all of that is good, each cluster is compared with the force map of the others and the wrench.
 The thresholds leave a margin to sound simulated trials of 30 to 120 s (four scenarios, soft and
-stiff, 4 and 25 Hz, also with the errors of the published experiment). A single trial cannot reveal
-a gain or offset that is consistent with the wrench, a rotated load cell, or two exchanged clusters
-under similar load.
+stiff, 4 and 25 Hz). A single trial cannot reveal a gain or offset that is consistent with the
+wrench, a rotated load cell, or two exchanged clusters under similar load.
 """
 
 from __future__ import annotations
@@ -89,7 +88,7 @@ def check_data(
         return (DataFinding("the trial", fact, f"record {LEAST_CHECKED} or more"),)
     outliers = plausibility.find_outliers(samples, geometry, leave_out)
     counted = outliers.taken_from(samples).without(leave_out).centred()
-    found = [*_units(counted, geometry, mass)]
+    found = [*_units(counted, geometry, mass, leave_out)]
     if whole:
         found += [*_time_series(counted, geometry)] or [*_disagreements(counted, geometry)]
     found += _channels(samples, leave_out)
@@ -98,19 +97,23 @@ def check_data(
     return tuple(found)
 
 
-def _units(samples: Samples, geometry: SocketGeometry, mass: float | None) -> Iterator[DataFinding]:
+def _units(
+    samples: Samples, geometry: SocketGeometry, mass: float | None, leave_out: tuple[str, ...]
+) -> Iterator[DataFinding]:
     """Units and frames."""
     try:
         plausibility.require_units(samples, geometry)
     except IdentificationError as error:
         yield DataFinding("the units", error.fact, error.hint)
         return
-    implausible = plausibility.find_implausible(samples, geometry)
+    proposed = plausibility.find_implausible(samples, geometry)
+    implausible = [each for each in proposed if each.channel not in leave_out]
     for source, group in groupby(implausible, lambda each: each.channel.rpartition(".")[0]):
-        found = next(group)  # of the wrench, then of each cluster
+        found, *others = group  # of the wrench, then of each cluster
+        channels = dict.fromkeys([found.channel, *(other.channel for other in others)])
         hint = "check that moments are in N m and forces in N, and the load cell's channels"
         if source:
-            hint = f"check its calibration, or leave it out (--leave-out {found.channel})"
+            hint = f"check its calibration, or leave it out (--leave-out {' '.join(channels)})"
         yield DataFinding(source or "the wrench", f"{found.channel}: {found.reason}", hint)
     size = finite_quantile(force_magnitude(samples.wrench), 0.95)
     weights = size / (GRAVITY * mass) if mass else 1.0

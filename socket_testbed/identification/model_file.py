@@ -58,10 +58,11 @@ class StoredModel:
         """Predictions of all channels, (N, 6 + 3c), with poses averaged as in the fit."""
         return predictions(samples, self.model, self.settings.pose_smoothing)
 
-    def used(self, fingerprint: str, samples: Samples) -> BoolArray:
-        """Which samples of the trial of this fingerprint are in the span of the fit, shape (N,)."""
-        own = self.fingerprint in ("", fingerprint) and self.last_stamp in samples.stamps
+    def used(self, trial: str, fingerprint: str, samples: Samples) -> BoolArray:
+        """Which samples of a trial are in the span of the fit, (N,); by its name in older models."""
         stamps = samples.stamps
+        same = fingerprint == self.fingerprint if self.fingerprint else trial == self.trial
+        own = same and self.last_stamp in stamps
         return own & (stamps >= self.first_stamp) & (stamps <= self.last_stamp)
 
     def __repr__(self) -> str:

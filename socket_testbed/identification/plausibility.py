@@ -12,7 +12,7 @@
   prosthesis hanging on the limb, while the clusters are in compression, the wrench is negated.
 
 The paper leaves out channels whose reconstructed magnitudes are far above the applied load.
-`find_implausible` proposes channels to leave out, over the samples of a segment. With the load L
+`find_implausible` proposes channels to leave out, over the samples of a trial. With the load L
 as the median magnitude of the measured force, it proposes
 
 - a moment whose median magnitude exceeds L at twice the distance of the farthest tile from

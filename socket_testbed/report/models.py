@@ -199,7 +199,7 @@ def _channels(results: Results, name: str, title: str, channels: Sequence[int]) 
     heading = results.title(title)
     return ReportFigure(
         name,
-        f"{title}; {results.segment} is shaded. Figures for print add the errors over it"
+        f"{title}; {results.segment} is shaded. Figures for print of a page's width add the errors"
         f" ({results.judged_on}). {THINNED}",
         lambda style: wrench_figure(samples, results.segment, models, heading, style, channels),
         results.series(columns),

@@ -197,7 +197,9 @@ def _judge(trial: Trial, segment: Segment, label: str, source: Fit | StoredModel
     chosen = samples[segment.rows]
     predicted = predictions(samples, model, window)
     inside = _rows_of(segment, samples)
-    used = inside if isinstance(source, Fit) else source.used(trial.fingerprint, samples)
+    used = (
+        inside if isinstance(source, Fit) else source.used(trial.name, trial.fingerprint, samples)
+    )
     rest = ~(inside | used)
     held_out = evaluate(samples[rest], predicted[rest], leave_out)
     enough = max(error.samples for error in held_out) >= _MIN_HELD_OUT

@@ -55,7 +55,8 @@ class TriggerSettings(Settings):
         super().__post_init__()
         if self.pulse * self.rate > MAX_PULSE:
             fact = f"a pulse of {self.pulse:g} s is too long for {self.rate:g} Hz"
-            raise ConfigurationError(fact, f"set pulse to {MAX_PULSE / self.rate:.2g} s or less")
+            hint = f"set pulse to {1e-6 * int(1e6 * MAX_PULSE / self.rate):g} s or less"
+            raise ConfigurationError(fact, hint)
 
 
 @dataclass(frozen=True)

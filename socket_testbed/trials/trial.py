@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
     from socket_testbed.identification.data_check import DataFinding
 
+_FINGERPRINT_SPAN = 30.0  # [s]; a copy that was cut later has the same fingerprint
+
 
 @dataclass(frozen=True)
 class Trial:
@@ -108,6 +110,8 @@ class Trial:
         """
         with self.open() as bag:
             measured = synchronise.read_measurements(bag, self._notify, self.remade)
+        early = measured.capacitance[measured.time <= _FINGERPRINT_SPAN]
+        self.__dict__["_fingerprint"] = sha256(early.tobytes()).hexdigest()[:16]
         where = str(self.path)
         if topics.LOAD_CELL_RAW in self.remade:
             given = reprocess.read_load_cell(self.load_cell_file) if self.load_cell_file else None
@@ -187,22 +191,18 @@ class Trial:
 
         Raises the errors of `samples`; returns the names of the trial's clusters.
         """
-        reader = Reader(topics.CAPACITANCE, self.path)
-        clusters: tuple[str, ...] = reader.read(self._first_message)[1].names
+        with self.open() as bag:
+            name = required_topics(bag)[topics.CAPACITANCE]
+            first = next(bag.messages([name]))
+        clusters: tuple[str, ...] = Reader(topics.CAPACITANCE, self.path).read(first.data)[1].names
         self._require_clusters(clusters)
         return clusters
 
     @property
     def fingerprint(self) -> str:
-        """Identifies the recording, whatever its folder is called."""
-        return sha256(self._first_message).hexdigest()[:16]
-
-    @cached_property
-    def _first_message(self) -> bytes:
-        """The first message of the clusters: its noise is unique."""
-        with self.open() as bag:
-            name = required_topics(bag)[topics.CAPACITANCE]
-            return next(bag.messages([name])).data
+        """Identifies the recording by its first readings, whatever its folder is called."""
+        self.samples()
+        return str(self.__dict__["_fingerprint"])
 
     def _require_clusters(self, clusters: Collection[str]) -> None:
         self.calibration.require(clusters, f"the trial {self.path}")

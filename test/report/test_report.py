@@ -79,7 +79,7 @@ def test_a_given_model_is_judged_on_what_its_fit_has_not_used(hold, hold_model, 
         given = dataclasses.replace(model, fingerprint=fingerprint)
         found = compute_results(trial, "20:40", trial.estimator, THETAS, given)
         assert any(line.startswith(f"given: {words}: ") for line in summarise(found))
-        rest = outside & ~given.used(own, trial.samples())
+        rest = outside & ~given.used("hold", own, trial.samples())
         assert max(e.samples for e in found.candidates[-1].held_out) == rest.sum()
 
 
