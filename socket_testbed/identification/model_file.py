@@ -59,7 +59,7 @@ class StoredModel:
         return predictions(samples, self.model, self.settings.pose_smoothing)
 
     def used(self, trial: str, fingerprint: str, samples: Samples) -> BoolArray:
-        """Which samples of a trial are in the span of the fit, (N,); by its name in older models."""
+        """Which samples of a trial are in the span of the fit, (N,); older models know its name."""
         stamps = samples.stamps
         same = fingerprint == self.fingerprint if self.fingerprint else trial == self.trial
         own = same and self.last_stamp in stamps
