@@ -116,7 +116,7 @@ def _units(
             hint = f"check its calibration, or leave it out (--leave-out {' '.join(channels)})"
         yield DataFinding(source or "the wrench", f"{found.channel}: {found.reason}", hint)
     size = finite_quantile(force_magnitude(samples.wrench), 0.95)
-    weights = size / (GRAVITY * mass) if mass else 1.0
+    weights = size / (GRAVITY * mass) if mass and samples.has_wrench.any() else 1.0
     if not LOAD_RANGE[0] <= weights <= LOAD_RANGE[1]:
         yield DataFinding(
             "the wrench",
