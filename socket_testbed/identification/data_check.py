@@ -109,12 +109,12 @@ def _units(
     proposed = plausibility.find_implausible(samples, geometry)
     implausible = [each for each in proposed if each.channel not in leave_out]
     for source, group in groupby(implausible, lambda each: each.channel.rpartition(".")[0]):
-        found, *others = group  # of the wrench, then of each cluster
-        channels = dict.fromkeys([found.channel, *(other.channel for other in others)])
+        own = [*group]  # of the wrench, then of each cluster
+        channels = dict.fromkeys(each.channel for each in own)
         hint = "check that moments are in N m and forces in N, and the load cell's channels"
         if source:
             hint = f"check its calibration, or leave it out (--leave-out {' '.join(channels)})"
-        yield DataFinding(source or "the wrench", f"{found.channel}: {found.reason}", hint)
+        yield DataFinding(source or "the wrench", f"{own[0].channel}: {own[0].reason}", hint)
     size = finite_quantile(force_magnitude(samples.wrench), 0.95)
     weights = size / (GRAVITY * mass) if mass and samples.has_wrench.any() else 1.0
     if not LOAD_RANGE[0] <= weights <= LOAD_RANGE[1]:

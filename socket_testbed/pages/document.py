@@ -220,8 +220,8 @@ def check_card(findings: Sequence[DataFinding], notes: Sequence[str]) -> Documen
     """Card of the data check, with the notes on a good recording."""
     problems = [f"{found.fact}; {found.hint}" for found in findings]
     value = f"look at {findings[0].source}" if findings else ""
-    good = "; ".join(["nothing implausible in any source", *([first_of(notes)] if notes else [])])
-    return data_card(problems, good, value)
+    good = "nothing implausible in any source"
+    return data_card(problems, f"{good}; {first_of(notes)}" if notes else good, value)
 
 
 def data_card(problems: Sequence[str], good: str, value: str = "look") -> Document:

@@ -176,7 +176,8 @@ def _steadiness(
     samples: Samples, settings: PlateauSettings, leave_out: tuple[str, ...]
 ) -> _Steadiness:
     local = samples.trusted_forces.reshape(len(samples), 3 * len(samples.clusters))
-    counts = samples.counted(leave_out)[6:]
+    counted = samples.counted(leave_out)
+    counts = counted[6:]
     names = (*samples.channels[:6], *compress(samples.channels[6:], counts))
     limits = np.repeat(
         [settings.moment_drift, settings.force_drift, settings.cluster_drift], [3, 3, counts.sum()]
@@ -196,7 +197,7 @@ def _steadiness(
     steady &= (np.linalg.norm(change, axis=2) <= settings.cluster_change).all(axis=1)
     # Without motion capture no position is missing.
     position = samples.position[:, : 3 * samples.has_pose.any()]
-    channels = np.hstack([position, samples.values[:, samples.counted(leave_out)]])
+    channels = np.hstack([position, samples.values[:, counted]])
     missing = np.isnan(channels).mean(axis=1, keepdims=True)
     steady &= moving_mean(missing, width)[:, 0] <= settings.missing_fraction
     steady &= np.linalg.norm(wrench[:, 3:], axis=1) >= settings.least_force
