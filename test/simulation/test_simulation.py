@@ -108,7 +108,7 @@ def test_a_running_testbed_is_as_noisy_as_a_simulated_trial(tmp_path: Path, monk
         for group in (slice(3), slice(3, 6)):
             assert np.mean(live[group]) == pytest.approx(np.mean(offline[group]), rel=0.25)
     clusters = make_clusters(dataclasses.replace(nodes.cluster_node, simulation=str(tmp_path)))
-    read = np.array([clusters.read(clock.now).capacitance for _ in range(40)])
+    read = np.array([clusters.read(clock.now).capacitance for _ in range(200)])
     assert np.mean(read.std(axis=0)) == pytest.approx(usual.capacitance_noise, rel=0.1)
 
 
