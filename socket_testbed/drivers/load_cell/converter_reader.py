@@ -105,7 +105,7 @@ class ConverterReader:
 
     Attributes:
         period: Time between conversions [s].
-        open_line: The argument; doctor removes it to check the converter without its line.
+        open_line: The argument of this name; a new value takes effect at the next connection.
     """
 
     def __init__(
