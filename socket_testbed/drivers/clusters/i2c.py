@@ -34,6 +34,11 @@ class I2cBus(Protocol):
 class BusError(DeviceError):
     """A transfer failed.
 
+    Args:
+        fact: What is wrong, with the place of the chip.
+        hint: What to do about it.
+        address: Address of the chip that was accessed, 7 bits.
+
     Attributes:
         address: Address of the chip that was accessed, a cluster's chip or a multiplexer.
     """
@@ -52,12 +57,15 @@ class BusGoneError(BusError):
 
 
 def open_i2c(number: int, timeout: float) -> I2cBus:
-    """Open `/dev/i2c-N`; raises a `DeviceError` with a hint if that fails.
+    """Open `/dev/i2c-N`.
 
     Args:
         number: N of the bus.
         timeout: Time after which a hanging transfer ends [s]; rounded to steps of 10 ms, at least
             one.
+
+    Raises:
+        DeviceError: The bus is not there, not permitted or not usable.
     """
     bus = SMBus()
     try:

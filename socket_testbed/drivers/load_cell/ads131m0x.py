@@ -165,7 +165,7 @@ def volts(codes: IntArray, gain: int) -> FloatArray:
 
 
 def at_rail(codes: IntArray) -> BoolArray:
-    """Whether signed codes of 24 bits are clipped at either end of their range; shaped as they."""
+    """Whether each signed 24-bit code is clipped at an end of its range; shape of the codes."""
     return (codes == 0x7FFFFF) | (codes == -0x800000)
 
 

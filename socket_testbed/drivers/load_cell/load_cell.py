@@ -153,7 +153,9 @@ def unrest(wrenches: FloatArray, settings: LoadCellSettings) -> str:
 def check_settings(settings: LoadCellSettings) -> None:
     """Check that the settings fit together, beyond the range of each.
 
-    It raises a `ConfigurationError` that names the setting.
+    Raises:
+        ConfigurationError: A list has the wrong length or holds a wrong value, the matrix cannot be
+            inverted, or the window is shorter than a conversion.
     """
     ads131m0x.check_device(settings.device)
     if settings.channels not in (6, 8):
@@ -281,6 +283,9 @@ class WrenchReading:
 
 class LoadCell:
     """A load cell on an ADS131M06 or ADS131M08; all methods are thread-safe.
+
+    The constructor takes the attributes. Settings that do not fit together, or a file of the tare
+    that does not fit them, raise a `ConfigurationError`.
 
     Attributes:
         settings: Its settings. They may be reassigned: changes of the window and of the tare's

@@ -108,7 +108,7 @@ class LinkStatistics:
 class NatNetClient:
     """Receives the frames of a server on its own thread.
 
-    Wrong settings raise a `ConfigurationError`.
+    The constructor raises a `ConfigurationError` for wrong settings.
 
     Args:
         settings: Address of the server, its ports, and the stream to ask for.

@@ -104,7 +104,11 @@ class Reader:
         )
 
     def skip(self, size: int) -> int:
-        """Skip a number of bytes; returns the offset before them."""
+        """Skip a number of bytes; returns the offset before them.
+
+        Raises:
+            MalformedDatagram: Fewer bytes are left, or the number is negative.
+        """
         begin = self.offset
         if size < 0 or size > self.end - begin:
             raise self.bad(f"{size} bytes wanted, {self.end - begin} left")
@@ -120,7 +124,11 @@ class Reader:
         return int(_I32.unpack_from(self.payload, self.skip(4))[0])
 
     def count(self, smallest: int) -> int:
-        """The next i32 as a number of elements of at least `smallest` bytes each."""
+        """The next i32 as a number of elements of at least `smallest` bytes each.
+
+        Raises:
+            MalformedDatagram: The number is negative, or so many elements do not fit into the rest.
+        """
         number = self.integer()
         if number < 0 or number * smallest > self.end - self.offset:
             raise self.bad(f"a count of {number} before")
@@ -138,7 +146,11 @@ class Reader:
                     self.pass_over(*part)
 
     def text(self) -> str:
-        """The next text, up to its NUL."""
+        """The next text in UTF-8, up to its NUL.
+
+        Raises:
+            MalformedDatagram: There is no NUL.
+        """
         stop = self.payload.find(0, self.offset)
         if stop < 0:
             raise self.bad("a text without an end")
@@ -210,7 +222,8 @@ def encode_echo(stamp: int) -> bytes:
 def split_datagram(datagram: bytes) -> tuple[int, bytes]:
     """Id and payload of a datagram; bytes after the payload are ignored.
 
-    A datagram shorter than its header says raises `MalformedDatagram`.
+    Raises:
+        MalformedDatagram: The datagram is shorter than its header says.
     """
     reader = Reader(datagram, "datagram")
     message, size = reader.unpack(_HEADER)
@@ -221,7 +234,8 @@ def split_datagram(datagram: bytes) -> tuple[int, bytes]:
 def parse_server_info(payload: bytes) -> ServerInfo:
     """Parse SERVERINFO; before NatNet 3.0 it ends after the versions, without a clock.
 
-    Raises `MalformedDatagram` if the payload is too short or its clock is implausible.
+    Raises:
+        MalformedDatagram: The payload is too short, or its clock is not 1 Hz to 100 GHz.
     """
     reader = Reader(payload, "server info")
     begin = reader.skip(_NAME_SIZE)
@@ -266,11 +280,13 @@ BodiesByName: TypeAlias = dict[str, RigidBodyDefinition]
 def parse_model_definitions(payload: bytes, version: Version) -> BodiesByName:
     """Parse MODELDEF; returns only the rigid bodies, by name.
 
-    Raises `MalformedDatagram` if its counts contradict its size, and before 4.1 at an unknown type.
-
     Args:
         payload: Payload of the message.
         version: Version of the stream, which determines the layout: as negotiated with the server.
+
+    Raises:
+        MalformedDatagram: Its counts contradict its size, or a stream before 4.1 has an unknown
+            type of model.
     """
     reader = Reader(bytes(payload), "model definitions")
     bodies: BodiesByName = {}
@@ -349,11 +365,12 @@ class MocapFrame:
 def parse_frame(payload: bytes | memoryview, version: Version) -> MocapFrame:
     """Parse the payload of a frame, of NatNet 3.0 or later.
 
-    Raises `MalformedDatagram` if its counts contradict its size, or if the version is older.
-
     Args:
         payload: Payload of the message.
         version: Version of the stream, which determines the layout: as negotiated with the server.
+
+    Raises:
+        MalformedDatagram: Its counts contradict its size, or the version is older than 3.0.
     """
     sized = version >= (4, 1)
     reader = Reader(bytes(payload), "frame")

@@ -27,7 +27,7 @@ _READ = 0x0001  # flag of linux/i2c.h
 
 
 def no_answer() -> OSError:
-    """The error for a transfer without acknowledgement."""
+    """The error for a transfer without acknowledgement, EREMOTEIO."""
     return OSError(errno.EREMOTEIO, "no acknowledgement (simulated)")
 
 
@@ -260,7 +260,8 @@ class SimulatedClusterHardware:
     def open_bus(self, number: int) -> I2cBus:
         """Open a bus by its number; unplugged chips come back reset.
 
-        A bus that is unplugged or without chips raises the `DeviceError` of a missing bus.
+        Raises:
+            DeviceError: The bus is unplugged, or has no chips: it is missing.
         """
         parts = self._buses.get(number, [])
         if unplugged := self._faults.get("clusters.unplugged", 0.0):
