@@ -26,9 +26,14 @@ RECENT = 0.8  # [s]; how long a fault is reported after it has ended
 def opening_failed(
     path: str, error: OSError, group: str, missing: str, otherwise: str
 ) -> DeviceError:
-    """The error for a device file that could not be opened; `group` has access to it.
+    """The error for a device file that could not be opened, with the hint that suits its cause.
 
-    The hint is `missing` if the file does not exist.
+    Args:
+        path: The device file, such as /dev/i2c-1.
+        error: What opening it raised; its `errno` tells the cause.
+        group: Group of users with access to the file; the hint after a refused permission.
+        missing: Hint if there is no such file or device.
+        otherwise: Hint for any other cause.
     """
     if error.errno in {errno.EACCES, errno.EPERM}:
         return DeviceError(

@@ -18,7 +18,10 @@ class EdgeLine(Protocol):
     """A line whose edges are timestamped by the kernel."""
 
     def edges(self, within: float) -> list[float]:
-        """Times of edges on the steady clock [s]; waits up to `within` [s] for the first."""
+        """Times of edges since the last call, on the steady clock [s].
+
+        Without an edge it waits up to `within` [s] for the first, and may return an empty list.
+        """
 
     def close(self) -> None:
         """Release the line."""
@@ -28,13 +31,27 @@ class Lines(EdgeLine, Protocol):
     """Input lines with timestamped edges, and output lines."""
 
     def set(self, line: int, active: bool) -> None:
-        """Set an output line."""
+        """Set an output line.
+
+        Args:
+            line: Number of the line on its chip.
+            active: Whether to drive it active (high), otherwise inactive (low).
+        """
 
 
 class GpiodLines:
-    """Lines of the chip with a label, by number and use, held until `close`.
+    """Lines of a GPIO chip, held until `close`.
 
-    Hints name the node, its `setting` for the chip, and the setting to work `without` it.
+    The constructor raises a `DeviceError` if gpiod, the chip or a line cannot be used.
+
+    Args:
+        label: Label of the chip, such as pinctrl-rp1; unlike its number it does not depend on the
+            kernel.
+        uses: Use of each line by its number: `output`, or an input with timestamped `rising` or
+            `falling` edges.
+        node: Name of the node, for hints.
+        setting: The node's setting for the chip's label, for hints.
+        without: The node's setting, with its value, to work without the chip, for hints.
     """
 
     def __init__(
@@ -70,11 +87,19 @@ class GpiodLines:
             raise DeviceError(fact, "check that no other program or overlay uses them") from None
 
     def set(self, line: int, active: bool) -> None:
-        """Set an output line."""
+        """Set an output line.
+
+        Args:
+            line: Number of the line, one of those with the use `output`.
+            active: Whether to drive it active (high), otherwise inactive (low).
+        """
         self._request.set_value(line, self._values[active])
 
     def edges(self, within: float) -> list[float]:
-        """Times of edges on all lines on the steady clock [s]; waits up to `within` [s]."""
+        """Times of edges on all input lines since the last call, on the steady clock [s].
+
+        The kernel stamps them. Without an edge it waits up to `within` [s] for the first.
+        """
         if not self._request.wait_edge_events(timedelta(seconds=clocks.real(max(within, 0.0)))):
             return []
         # CLOCK_MONOTONIC is the testbed's steady clock: on hardware its scale is 1.
@@ -113,7 +138,13 @@ def _not_permitted(path: str) -> DeviceError:
 
 
 class TimerTrigger:
-    """A trigger without a pulse; its time is that of the call."""
+    """A trigger without a pulse; its time is that of the call.
+
+    Attributes:
+        fire: Function without arguments that returns the trigger's time, that of the call, on the
+            steady clock [s].
+        stray: Number of edges without a pulse; always 0.
+    """
 
     def __init__(self) -> None:
         self.fire = clocks.monotonic
@@ -127,16 +158,30 @@ class TimerTrigger:
 
 
 class GpioTrigger:
-    """A pulse on one line; the kernel timestamps its edge on another line wired to it."""
+    """A pulse on one line; the kernel timestamps its edge on another line wired to it.
+
+    Args:
+        lines: The lines, with the settings' `output_line` as an output and their `input_line` as an
+            input with rising edges.
+        settings: Numbers of the lines, length of the pulse and longest delay of its edge.
+
+    Attributes:
+        stray: Number of edges without a pulse since the start.
+    """
 
     def __init__(self, lines: Lines, settings: TriggerSettings) -> None:
         self._lines = lines
         self._settings = settings
         self._started = 0.0
-        self.stray = 0  # number of edges without a pulse
+        self.stray = 0
 
     def fire(self) -> float:
-        """Start a pulse; returns the time of its edge on the steady clock [s]."""
+        """Start a pulse; returns the time of its edge on the steady clock [s].
+
+        Raises:
+            DeviceError: The lines cannot be used, or no edge followed within the settings'
+                `edge_within`: check the wire between the lines.
+        """
         settings = self._settings
         try:
             self.stray += len(self._lines.edges(0.0))
@@ -166,7 +211,7 @@ class GpioTrigger:
         )
 
     def end_pulse(self) -> None:
-        """End the pulse once it has lasted long enough."""
+        """End the pulse once it has lasted as long as the settings' `pulse` [s]."""
         clocks.sleep(max(0.0, self._started + self._settings.pulse - clocks.monotonic()))
         try:
             self._lines.set(self._settings.output_line, False)

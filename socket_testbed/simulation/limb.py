@@ -46,7 +46,7 @@ _MAX_IMBALANCE = 0.05  # [N]; above it the socket does not hold the limb
 
 
 def load_history(scenario: Scenario, time: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Wrench of the load on the limb about the origin of {S}, [M; F], shape (N, 6) [N m, N].
+    """Wrench of the load on the limb about the origin of {S}, in {S}, [M; F], (N, 6) [N m, N].
 
     - `static_hold`: the pylon alone, then the mass placed, held and removed, as published;
     - `ramp`: the mass is put on and taken off slowly and repeatedly;
@@ -54,8 +54,13 @@ def load_history(scenario: Scenario, time: FloatArray, rng: np.random.Generator)
     - `protocol`: pushes, leaning and twists for the first half, then the hold, then the pylon
       alone, as `docs/protocol.md` recommends.
 
-    The times are since the start, shape (N,) [s]. The sway of pylon and mass and the motion of the
-    hands are random.
+    The sway of pylon and mass and the motion of the hands are random. In equilibrium it is the
+    wrench of the limb on the socket. Gravity acts along -z of {S}.
+
+    Args:
+        scenario: One of those named here.
+        time: Times since the start, ascending, shape (N,) [s]; the last one is the duration.
+        rng: Random numbers of the sway and the hands.
     """
     duration = float(time[-1]) if len(time) else 0.0
     added = np.zeros((len(time), 3))
@@ -121,18 +126,32 @@ def _sway(time: FloatArray, rng: np.random.Generator) -> FloatArray:
 
 @dataclass(frozen=True)
 class Tissue:
-    """Mechanical properties of the surface points."""
+    """Mechanical properties of the p surface points.
 
-    points: FloatArray  # in {S}, `_GRID`^2 of each tile, then those between tiles, (p, 3) [m]
-    normals: FloatArray  # inward normals, shape (p, 3) [-]
-    areas: FloatArray  # areas, shape (p,) [m^2]
-    modulus: FloatArray  # pressure per compression at first contact, shape (p,) [Pa/m]
-    stiffening: float  # compression over which the modulus grows by a factor e [m]
-    shear_modulus: FloatArray  # shear stress per displacement while sticking, shape (p,) [Pa/m]
-    friction: float  # coefficient of friction [-]
-    fit: FloatArray  # compression by donning, negative for a gap, shape (p,) [m]
-    creep: float  # fraction of the compression that relaxes [-]
-    creep_time: float  # time constant of the relaxation [s]
+    Attributes:
+        points: Positions in {S}: nine of each tile, tile after tile, then one between each pair of
+            neighbours, shape (p, 3) [m].
+        normals: Inward normals in {S}, shape (p, 3) [-].
+        areas: Area that each point stands for, shape (p,) [m^2].
+        modulus: Normal pressure per compression at first contact, shape (p,) [Pa/m].
+        stiffening: Compression over which the modulus grows by a factor e [m].
+        shear_modulus: Shear stress per tangential displacement while sticking, shape (p,) [Pa/m].
+        friction: Coefficient of friction: shear slips at this fraction of the normal pressure [-].
+        fit: Compression by donning, negative for a gap, shape (p,) [m].
+        creep: Fraction of the compression that relaxes [-].
+        creep_time: Time constant of the relaxation [s].
+    """
+
+    points: FloatArray
+    normals: FloatArray
+    areas: FloatArray
+    modulus: FloatArray
+    stiffening: float
+    shear_modulus: FloatArray
+    friction: float
+    fit: FloatArray
+    creep: float
+    creep_time: float
 
 
 # By kind: modulus and shear modulus [Pa/m], their variation over the surface [-], stiffening, and
@@ -171,6 +190,11 @@ def make_tissue(
     Under the published load the limb settles 7 mm (5 to 10 mm, by seed); about 8 mm was measured.
 
     The `stiff` tissue is thin and firm, with 4 times the normal and 10 times the shear modulus.
+
+    Args:
+        geometry: The socket, with n tiles and e pairs of neighbours: 9 n + e surface points.
+        rng: Random numbers of the variation over the surface.
+        kind: `soft` or `stiff`.
     """
     modulus, shear_modulus, spread, stiffening, fit, fit_spread = _KINDS[kind]
     edges = np.sqrt(geometry.areas)
@@ -214,7 +238,20 @@ def _smooth_field(points: FloatArray, rng: np.random.Generator) -> FloatArray:
 class LoadedLimb:
     """A limb, a rigid bone in tissue, donned under a first load.
 
-    It moves quasi-statically between equilibria. Loads are [M; F], shape (6,) [N m, N].
+    It moves quasi-statically between equilibria.
+
+    Args:
+        geometry: The socket.
+        load: The first load [M; F] about the origin of {S}, in {S}, shape (6,) [N m, N]; three
+            quarters of it are applied in steps.
+        rng: Random numbers of the tissue.
+        kind: Kind of the tissue, see `make_tissue`.
+
+    Attributes:
+        tissue: The tissue.
+        position: Limb position q in {S}, shape (3,) [m].
+        rotation: Rotation vector of the limb since donning, in {S}, shape (3,) [rad].
+        forces: Force of the limb on the socket at every surface point, in {S}, shape (p, 3) [N].
     """
 
     def __init__(
@@ -240,9 +277,20 @@ class LoadedLimb:
             self.step(share * load, 1.0)
 
     def step(self, load: FloatArray, duration: float) -> FloatArray:
-        """Move to the equilibrium under a load about the origin of {S}, after a duration [s].
+        """Move to the equilibrium under a load.
 
-        Returns the force of the limb on the socket at each tile, shape (n, 3) [N].
+        Args:
+            load: Wrench of the load on the limb [M; F] about the origin of {S}, in {S}, shape (6,)
+                [N m, N].
+            duration: Time since the step before, in which the tissue creeps [s].
+
+        Returns:
+            The force of the limb on the socket at each of the n tiles, in {S}, shape (n, 3) [N];
+            that between the tiles is only in `forces`.
+
+        Raises:
+            TestbedError: There is no equilibrium: the load is too large, or the socket does not
+                hold the limb.
         """
         scale = 1e-3 * np.repeat([1.0, 1.0 / _LENGTH], 3)
         balance = np.concatenate([load[3:], load[:3] - np.cross(self._centre, load[3:])])
@@ -267,10 +315,8 @@ class LoadedLimb:
         forces, self._crept, self._traction, self._tangential = self._respond(
             self._displacement, duration
         )
-        # limb position q in {S}, shape (3,) [m], and rotation vector since donning, (3,) [rad]
         self.position = self._centre + self._displacement[:3]
         self.rotation = self._displacement[3:].copy()
-        # force on the socket at every surface point, shape (p, 3) [N]
         self.forces = np.einsum("ap,api->pi", forces, self._axes)
         on_tiles = self.forces[: self._tiles * _GRID**2]
         return on_tiles.reshape(self._tiles, -1, 3).sum(axis=1)

@@ -30,37 +30,62 @@ _STAND_TREMOR = 2e-5  # [m]
 
 @dataclass(frozen=True)
 class SensorErrors:
-    """Error sizes of all sensors.
+    """Error sizes of all sensors; spreads and noises are standard deviations.
 
     A running testbed has no creep and no vibration; its markers are occluded or swapped by faults.
+
+    Attributes:
+        gain_mismatch: Spread of the gains of a cluster's inputs about 1 [-].
+        offset: Spread of the offsets of a cluster's inputs [pF].
+        cross_talk: Fraction of an input's change that is replaced by the mean change of all four
+            [-].
+        capacitance_drift: Spread of the constant drifts of a cluster's inputs [pF/s].
+        capacitance_noise: White noise of an input's reading [pF].
+        stress_offset: Largest offset of each of a cluster's three stresses, as caused by building a
+            calibrated cluster into a socket; the smallest is a fifth, the sign random [Pa].
+        placement: Spread of a cluster's rotation about its normal from the nominal one [rad].
+        force_noise: White noise of the load cell's forces in a mean over 0.25 s, see
+            `wrench_noise` [N].
+        moment_noise: White noise of the load cell's moments in a mean over 0.25 s, see
+            `wrench_noise` [N m].
+        force_offset: Spread of the offsets that taring leaves in the forces [N].
+        moment_offset: Spread of the offsets that taring leaves in the moments [N m].
+        force_creep: Largest creep of each force in a trial, see `wrench_creep` [N].
+        moment_creep: Largest creep of each moment in a trial, see `wrench_creep` [N m].
+        force_vibration: Amplitude of each force by the stand's vibration, at 13.5 Hz; the moments
+            follow from `VIBRATION_SHAPE` [N].
+        stress_vibration: Mean amplitude of a cluster's stresses, caused by its vibrating cable, at
+            13.5 Hz; each has 0.5 to 1.5 times as much [Pa].
+        marker_noise: White noise of each coordinate of a marker [m], measured on the resting body
+            in `sample_optitrack_take.csv` (120 Hz, a triad of 0.2 m; cmuphyscomp/hmv-s16 on
+            GitHub). It is higher with long lenses and in large rooms.
+        drop_out: Probability that a marker is occluded in a frame [-].
+        label_swap: Probability that two labels of a body are swapped in a frame [-].
+        registration: Spread of the error of each coordinate of a body's registered position [m].
+        registration_angle: Spread of the error of a body's registered rotation about each axis
+            [rad].
     """
 
-    gain_mismatch: float = 0.02  # spread of the gains of a cluster's channels [-]
-    offset: float = 0.03  # spread of the offsets of a cluster's channels [pF]
-    cross_talk: float = 0.03  # fraction of neighbouring channels' changes in a channel [-]
-    capacitance_drift: float = 1.0e-4  # spread of the drift of a channel [pF/s]
-    capacitance_noise: float = 0.002  # noise of a channel [pF]
-    # maximum offset of a cluster's stresses, as caused by building a calibrated cluster into a
-    # socket; the minimum is a fifth [Pa]
+    gain_mismatch: float = 0.02
+    offset: float = 0.03
+    cross_talk: float = 0.03
+    capacitance_drift: float = 1.0e-4
+    capacitance_noise: float = 0.002
     stress_offset: float = 0.0
-    placement: float = 0.05  # spread of a cluster's rotation about its normal [rad]
-    force_noise: float = 0.15  # white noise of the load cell's forces, see `wrench_noise` [N]
-    moment_noise: float = 0.01  # white noise of the load cell's moments, likewise [N m]
-    force_offset: float = 0.8  # spread of the forces' offsets after taring [N]
-    moment_offset: float = 0.05  # spread of the moments' offsets after taring [N m]
-    force_creep: float = 0.0  # creep of each force under the largest load [N]
-    moment_creep: float = 0.0  # creep of each moment under the largest load [N m]
-    force_vibration: float = 0.0  # amplitude of forces by the stand's vibration [N]
-    # mean amplitude of a cluster's stresses, caused by its vibrating cable [Pa]
+    placement: float = 0.05
+    force_noise: float = 0.15
+    moment_noise: float = 0.01
+    force_offset: float = 0.8
+    moment_offset: float = 0.05
+    force_creep: float = 0.0
+    moment_creep: float = 0.0
+    force_vibration: float = 0.0
     stress_vibration: float = 0.0
-    # noise of a marker's coordinate [m]; white, measured on the resting body in
-    # `sample_optitrack_take.csv` (120 Hz, a triad of 0.2 m; cmuphyscomp/hmv-s16 on GitHub). It is
-    # higher with long lenses and in large rooms
     marker_noise: float = 8.0e-6
-    drop_out: float = 0.002  # probability that a marker is occluded in a frame [-]
-    label_swap: float = 0.002  # probability of two swapped labels of a body in a frame [-]
-    registration: float = 5.0e-4  # spread of the error of a body's registration [m]
-    registration_angle: float = 0.003  # the same for its rotation [rad]
+    drop_out: float = 0.002
+    label_swap: float = 0.002
+    registration: float = 5.0e-4
+    registration_angle: float = 0.003
 
     def wrench_noise(self, span: float) -> FloatArray:
         """Noise of the load cell's mean over a span [s], [M; F], shape (6,) [N m, N].
@@ -83,9 +108,12 @@ LIKE_PAPER = SensorErrors(
 
 
 def invert_calibration(calibration: ClusterCalibration, stress: FloatArray) -> FloatArray:
-    """Capacitances by input, shape (N, 4) [pF], for which a calibration gives the stresses.
+    """Capacitances by the converter's input, (N, 4) [pF], for which a calibration gives stresses.
 
-    Stresses are normal, shear x, shear y, shape (N, 3) [Pa].
+    Args:
+        calibration: Calibration of the cluster.
+        stress: Normal stress (positive in compression), shear x and shear y in the cluster's frame
+            {L}, shape (N, 3) [Pa].
     """
     mean = (stress[:, 0] - calibration.normal[0]) / calibration.normal[1]
     x, y = np.zeros((2, len(stress)))
@@ -107,7 +135,13 @@ def invert_calibration(calibration: ClusterCalibration, stress: FloatArray) -> F
 
 
 class ClusterSensor:
-    """One cluster as built and placed, with its errors relative to the calibration."""
+    """One cluster as built and placed, with its errors relative to the calibration.
+
+    Args:
+        calibration: Its calibration.
+        errors: Sizes of the errors.
+        rng: Random numbers of its gains, offsets, drifts and placement.
+    """
 
     def __init__(
         self, calibration: ClusterCalibration, errors: SensorErrors, rng: np.random.Generator
@@ -126,9 +160,12 @@ class ClusterSensor:
             self._offsets += (invert_calibration(calibration, stress[None]) - self._rest)[0]
 
     def respond(self, stress: FloatArray, time: FloatArray) -> FloatArray:
-        """Capacitances by input under stresses at N times [s], shape (N, 4) [pF].
+        """Capacitances by the converter's input, without noise, shape (N, 4) [pF].
 
-        Stresses are normal, shear x, shear y in the cluster's nominal frame, shape (N, 3) [Pa].
+        Args:
+            stress: Normal stress (positive in compression), shear x and shear y in the cluster's
+                nominal frame {L}, shape (N, 3) [Pa].
+            time: Times since the start, over which the inputs drift, shape (N,) [s].
         """
         turned = stress.copy()
         turned[:, 1:] = stress[:, 1:] @ self._turn
@@ -137,29 +174,52 @@ class ClusterSensor:
         return self._rest + change @ self._mixing.T * self._gains + self._offsets + drift
 
     def read(self, stress: FloatArray, time: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """`respond` with the converter's noise and quantisation, shape (N, 4) [pF]."""
+        """`respond` with the converter's noise and quantisation, shape (N, 4) [pF].
+
+        Args:
+            stress: Normal stress (positive in compression), shear x and shear y in the cluster's
+                nominal frame {L}, shape (N, 3) [Pa].
+            time: Times since the start, over which the inputs drift, shape (N,) [s].
+            rng: Random numbers of the noise.
+        """
         ideal = self.respond(stress, time)
         read = ideal + rng.normal(0.0, self._noise, ideal.shape)
         return np.round(read / _CONVERTER_STEP) * _CONVERTER_STEP
 
 
 def cluster_stress(geometry: SocketGeometry, cluster: str, forces: FloatArray) -> FloatArray:
-    """Normal stress, shear x, shear y on a cluster along its own axes, shape (N, 3) [Pa].
+    """Normal stress (positive in compression), shear x, shear y on a cluster, (N, 3) [Pa].
 
-    The forces on the socket at all tiles are in {S}, shape (N, n, 3) [N].
+    They are along the cluster's own axes, turned from those of its tile as the geometry says.
+
+    Args:
+        geometry: The socket.
+        cluster: Name of the cluster.
+        forces: Forces of the limb on the socket at all n tiles, in {S}, shape (N, n, 3) [N].
     """
     tile = geometry.clusters[cluster]
     return geometry.cluster_stress(cluster, forces[:, tile] @ geometry.rotations[tile])
 
 
 def vibration(amplitudes: FloatArray, time: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Vibrations of m channels with random phases at N times [s], shape (N, m)."""
+    """Vibrations of m channels at 13.5 Hz with random phases, shape (N, m).
+
+    Args:
+        amplitudes: Amplitude of each channel, in the unit of the result, shape (m,).
+        time: Times, shape (N,) [s].
+        rng: Random numbers of the phases.
+    """
     phases = rng.uniform(0.0, 2.0 * np.pi, len(amplitudes))
     return np.asarray(amplitudes * np.sin(2.0 * np.pi * _SHAKING_RATE * time[:, None] + phases))
 
 
 def wrench_offset(errors: SensorErrors, rng: np.random.Generator) -> FloatArray:
-    """Residual offset of the load cell after taring, [M; F], shape (6,) [N m, N]."""
+    """Residual offset of the load cell after taring, [M; F] in {S}, shape (6,) [N m, N].
+
+    Args:
+        errors: Spreads of the offsets.
+        rng: Random numbers of the offsets.
+    """
     return rng.normal(0.0, 1.0, 6) * np.repeat([errors.moment_offset, errors.force_offset], 3)
 
 
@@ -168,8 +228,14 @@ def wrench_creep(
 ) -> FloatArray:
     """Creep of the load cell under a load, [M; F], shape (N, 6) [N m, N].
 
-    Each channel follows the vertical force with a lag, with either sign, up to its full creep.
-    The load has the same shape; times have shape (N,) [s].
+    Each channel follows the magnitude of the vertical force Fz with a lag of 40 s, with either
+    sign; it reaches its full size once in the N samples.
+
+    Args:
+        errors: Full size of the creep of forces and moments.
+        load: Load on the load cell [M; F] in {S}, shape (N, 6) [N m, N].
+        time: Times of the samples, shape (N,) [s].
+        rng: Random numbers of the signs.
     """
     size = np.abs(load[:, 5])
     share = (size - size.min()) / max(float(np.ptp(size)), 1e-9)
@@ -183,7 +249,13 @@ def wrench_creep(
 
 
 class MarkerBodies:
-    """The true marker bodies of socket and pylon, on a slightly compliant stand."""
+    """The true marker bodies of socket and pylon, on a slightly compliant stand.
+
+    Args:
+        geometry: The socket, with the registered poses of both bodies.
+        errors: Spreads of the errors of these registrations.
+        rng: Random numbers of these errors, and of the stand's tremor.
+    """
 
     def __init__(
         self, geometry: SocketGeometry, errors: SensorErrors, rng: np.random.Generator
@@ -200,10 +272,14 @@ class MarkerBodies:
         load: FloatArray,
         swayed: FloatArray | float = 0.0,
     ) -> tuple[Pose, Pose]:
-        """N true poses each of the bodies of socket and pylon in the world.
+        """N true poses each of the marker bodies of socket and pylon in the world.
 
-        The limb's positions [m] and rotation vectors [rad] in {S} have shape (N, 3), the loads
-        [M; F] shape (N, 6) [N m, N]; `swayed` displaces the stand in the world, (3,) [m].
+        Args:
+            position: Limb positions q in {S}, shape (N, 3) [m].
+            rotation: Rotation vectors of the limb in {S}, shape (N, 3) [rad].
+            load: Loads on the load cell [M; F] in {S}, under which the stand yields, shape (N, 6)
+                [N m, N].
+            swayed: Displacement of the stand in the world, shape (3,) [m]; 0 for none.
         """
         count = len(position)
         shift = self._rng.normal(0.0, _STAND_TREMOR, (count, 3)) - _STAND_COMPLIANCE * load[:, 3:]
@@ -223,9 +299,16 @@ class MarkerBodies:
 def observe_markers(
     pose: Pose, markers: FloatArray, errors: SensorErrors, rng: np.random.Generator
 ) -> FloatArray:
-    """Observe a body's k markers, (k, 3) [m], at N poses of the body.
+    """Observe the markers of a body at N poses.
 
-    Returns labelled positions in the world, shape (N, k, 3) [m]; NaN if occluded.
+    Args:
+        pose: N poses of the body in the world.
+        markers: Its k markers in the body's frame, shape (k, 3) [m].
+        errors: Noise of the coordinates, and probabilities of occlusions and swapped labels.
+        rng: Random numbers of these errors.
+
+    Returns:
+        Positions in the world by label, shape (N, k, 3) [m]; NaN if occluded.
     """
     seen = pose.place(markers)
     seen += rng.normal(0.0, errors.marker_noise, seen.shape)

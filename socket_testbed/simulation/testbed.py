@@ -38,25 +38,44 @@ _THUMB_PRESSURE = 15e3  # [Pa]; on a cluster
 
 @dataclass(frozen=True)
 class Simulation:
-    """The simulated load and tissue."""
+    """The simulated load and tissue.
 
-    scenario: Scenario = "static_hold"  # the load history
-    period: float = 120.0  # of the load history, which then repeats [s]
-    seed: int = 0  # for all random numbers
-    pace: float = 1.0  # speed of the load relative to the scenario [-]
-    sway: float = 0.0  # amplitude of the stand's sway in the world [m]
-    time_scale: float = 1.0  # testbed seconds per real second, 0.01 to 1 [-]
-    tissue: TissueKind = "soft"  # kind of the limb's tissue
-    noise: float = 1.0  # of the load cell, relative to the default [-]
+    Attributes:
+        scenario: The load history, see `load_history`.
+        period: Duration of the load history, which then repeats [s].
+        seed: Seed of the random numbers: of the limb, its load and all errors.
+        pace: Speed at which the scenario's times pass: with 2 the mass is placed and the hands move
+            twice as fast, within an unchanged period [-].
+        sway: Amplitude of the stand's sway along each axis of the world [m].
+        time_scale: Testbed seconds per real second, 0.01 to 1 [-].
+        tissue: Kind of the limb's tissue, see `make_tissue`.
+        noise: Noise of the load cell, relative to that of `SensorErrors` [-].
+    """
+
+    scenario: Scenario = "static_hold"
+    period: float = 120.0
+    seed: int = 0
+    pace: float = 1.0
+    sway: float = 0.0
+    time_scale: float = 1.0
+    tissue: TissueKind = "soft"
+    noise: float = 1.0
 
     def __post_init__(self) -> None:
         check_number(self.time_scale, "the time scale", 0.01, 1.0)
 
 
 class LiveTestbed:
-    """The physics of a testbed, advanced state by state; keeps all states for `save`.
+    """The physics of a testbed, advanced state by state.
 
-    Geometry and calibration are the nominal ones of the lab.
+    Args:
+        world: The world to advance; the noises of its converters are set.
+        geometry: The nominal geometry of the lab, with the wired clusters only.
+        calibration: The nominal calibration of the lab; one without a cluster of the geometry
+            raises a `CalibrationError`.
+        simulation: The load and the tissue.
+        errors: Sizes of the sensors' errors.
+        remembers: Whether to keep all states for `save`.
     """
 
     def __init__(
@@ -89,7 +108,7 @@ class LiveTestbed:
         self._history: list[dict[str, Any]] = []
 
     def advance(self, moment: float) -> None:
-        """Advance the world to a time of the steady clock [s]."""
+        """Advance the world to a time of the steady clock [s], later than that of the last call."""
         elapsed = moment - self._start
         load = self._loads[int(elapsed / _PERIOD) % len(self._loads)]
         if out := int(self._world.faults["limb.out"]):
@@ -136,7 +155,17 @@ class LiveTestbed:
         return forces, np.concatenate([moments.sum(axis=0), forces.sum(axis=0)])
 
     def save(self, path: Path, clock: SteadyClock) -> None:
-        """Write the true states and the noise-free sensor values."""
+        """Write the true states and the noise-free sensor values, see `save_truth`.
+
+        Further arrays, one row per state: `felt_capacitance` by cluster and input, (N, c, 4) [pF];
+        `felt_wrench` [M; F] in {S} with the tare's offset, (N, 6) [N m, N]; `felt_markers` of
+        socket and pylon in the world, (N, 2, k, 3) [m], the smaller body padded with NaN; and
+        `lateness` of the state after its time, (N,) [s].
+
+        Args:
+            path: The file to write, a .npz.
+            clock: Converts times of the steady clock to stamps.
+        """
         columns = {
             name: np.array([state[name] for state in self._history], dtype=float)
             for name in self._history[0]
@@ -149,7 +178,10 @@ class LiveTestbed:
 def markers_at(geometry: SocketGeometry, poses: FloatArray) -> dict[str, FloatArray]:
     """Markers of socket and pylon in the world by body, shape (k, 3) each [m].
 
-    Poses hold positions [m] and unit quaternions (x, y, z, w) of the two bodies, shape (2, 7).
+    Args:
+        geometry: The socket, with the markers of both bodies in their own frames.
+        poses: Poses of the marker bodies of socket and pylon, in this order, in the world: position
+            [m], then unit quaternion (x, y, z, w), shape (2, 7).
     """
     bodies = zip(geometry.markers.items(), poses, strict=True)
     return {name: Pose.from_vector(pose).apply(markers) for (name, markers), pose in bodies}

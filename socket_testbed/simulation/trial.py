@@ -48,26 +48,45 @@ _START = 1_767_258_000_000_000_000  # [ns]; 2026-01-01 09:00 UTC
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """True motion and forces in {S}."""
+    """True motion and forces in {S}, one row per time.
 
-    tiles: tuple[str, ...]  # names of the n tiles
-    forces: FloatArray  # of the limb on the socket at each tile, shape (N, n, 3) [N]
-    wrench: FloatArray  # wrench on the socket [M; F], shape (N, 6) [N m, N]
-    position: FloatArray  # limb position q, shape (N, 3) [m]
-    rotation: FloatArray  # rotation vector since donning, shape (N, 3) [rad]
+    Attributes:
+        tiles: Names of the n tiles.
+        forces: Force of the limb on the socket at each tile, in {S}, shape (N, n, 3) [N]; the
+            surface between the tiles bears a part of the load, too.
+        wrench: Wrench of the limb on the socket [M; F] about the origin of {S}, in {S}, shape
+            (N, 6) [N m, N].
+        position: Limb position q in {S}, shape (N, 3) [m].
+        rotation: Rotation vector of the limb since donning, in {S}, shape (N, 3) [rad].
+    """
+
+    tiles: tuple[str, ...]
+    forces: FloatArray
+    wrench: FloatArray
+    position: FloatArray
+    rotation: FloatArray
 
 
 @dataclass(frozen=True)
 class SimulatedTrial:
-    """The measurements and the truth, one row per trigger."""
+    """The measurements and the truth, one row per trigger.
 
-    stamps: IntArray  # trigger times since the epoch, shape (N,) [ns]
-    capacitance: dict[str, FloatArray]  # capacitances by cluster and input, shape (N, 4) each [pF]
-    wrench: FloatArray  # measured wrench [M; F], shape (N, 6) [N m, N]
-    # observed markers of socket and pylon in the world at the trigger, by the body's name, shape
-    # (N, k, 3) [m]
+    Attributes:
+        stamps: Times of the triggers since the epoch, shape (N,) [ns].
+        capacitance: Capacitances by the cluster's name and the converter's input, shape (N, 4) each
+            [pF].
+        wrench: Measured wrench [M; F] in {S}, tared, shape (N, 6) [N m, N].
+        markers: Observed markers in the world at the trigger, by the body's name (`socket`,
+            `pylon`) and the label, shape (N, k, 3) each [m]; NaN if occluded.
+        poses: Mean poses of each body in the world in the frames around the trigger, by the body's
+            name, N each; NaN if no frame shows it.
+        truth: The truth at the triggers.
+    """
+
+    stamps: IntArray
+    capacitance: dict[str, FloatArray]
+    wrench: FloatArray
     markers: dict[str, FloatArray]
-    # mean pose of each body in the frames around the trigger; NaN if none shows it
     poses: dict[str, Pose]
     truth: GroundTruth
 
@@ -94,10 +113,19 @@ def simulate(
 ) -> SimulatedTrial:
     """Simulate a trial with the lab's geometry and calibration.
 
-    Its duration is in s, the rate of the trigger in Hz; the seed is that of all random numbers.
-    See `load_history` for the scenarios, `make_tissue` for the tissues. `progress` is called with
-    the steps done and the total. `mocap_window` is the span of the frames averaged around a
-    trigger, see `averaging_span`; 0 for a single frame [s].
+    Args:
+        geometry: The nominal geometry; the sensors differ from it by `errors`.
+        calibration: The nominal calibration; one without a cluster of the geometry raises a
+            `CalibrationError`.
+        scenario: The load history, see `load_history`.
+        duration: Duration [s]; there are duration times rate triggers, at least two.
+        rate: Rate of the trigger [Hz].
+        seed: Seed of the random numbers: of the limb, its load and all errors.
+        errors: Sizes of the sensors' errors; None for the default ones.
+        progress: Called after each trigger with the number of those simulated and the total.
+        tissue: Kind of the limb's tissue, see `make_tissue`.
+        mocap_window: Span of the frames averaged around a trigger [s]; negative for the trigger's
+            period, 0.25 s at most; 0 for a single frame.
     """
     calibration.require(geometry.clusters, "the socket")
     errors = errors or sensors.SensorErrors()
@@ -186,7 +214,13 @@ def write_simulated_trial(
 ) -> None:
     """Write a simulated trial as a new rosbag2 folder with its ground truth.
 
-    It includes `socket.yaml` and `calibration.yaml`; None selects the package's own.
+    Args:
+        trial: The simulated trial.
+        path: The new folder; one that exists raises a `ConfigurationError`.
+        geometry_file: The `socket.yaml` to store with it, that of the simulation; None for the
+            package's own.
+        calibration_file: The `calibration.yaml` to store with it, that of the simulation; None for
+            the package's own.
     """
     check_new_folder(path)
     parameters = packaged("config", "simulated.yaml")
@@ -204,15 +238,28 @@ def write_simulated_trial(
 
 
 def save_truth(path: Path, stamps: IntArray, truth: GroundTruth, **more: FloatArray) -> None:
-    """Write a ground truth with its times [ns], shape (N,), and further arrays."""
+    """Write a ground truth as a .npz file.
+
+    Args:
+        path: The file to write.
+        stamps: Times of its rows since the epoch, shape (N,) [ns].
+        truth: The ground truth.
+        **more: Further arrays to store, by name.
+    """
     arrays: dict[str, Any] = {**vars(truth), **more}
     np.savez_compressed(path, names=np.array(arrays.pop("tiles")), stamps=stamps, **arrays)
 
 
 def read_truth(path: Path, stamps: IntArray | None = None) -> GroundTruth:
-    """Read the ground truth in a simulated trial's folder at stamps, shape (N,) [ns].
+    """Read the ground truth in a simulated trial's folder.
 
-    It is interpolated linearly; None selects the times of the simulation.
+    Args:
+        path: Folder of the trial.
+        stamps: Times since the epoch, shape (N,) [ns], to which it is interpolated linearly; held
+            before the first and after the last simulated time. None: the times of the simulation.
+
+    Raises:
+        TrialError: The file is missing or damaged.
     """
     try:
         with np.load(path / TRUTH_FILE) as data:
@@ -232,9 +279,14 @@ def read_truth(path: Path, stamps: IntArray | None = None) -> GroundTruth:
 
 
 def read_true_forces(path: Path, stamps: IntArray, tiles: Sequence[str]) -> FloatArray | None:
-    """True force of the limb on n tiles in {S} at stamps [ns], shape (N, n, 3) [N].
+    """True force of the limb on the socket at n tiles, in {S}, shape (N, n, 3) [N].
 
     None if the trial in the folder was not simulated, or simulated with other tiles.
+
+    Args:
+        path: Folder of the trial.
+        stamps: Times since the epoch, shape (N,) [ns].
+        tiles: Names of the n tiles, in the order of the result.
     """
     if not (path / TRUTH_FILE).is_file():
         return None

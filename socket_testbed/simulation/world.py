@@ -67,7 +67,11 @@ _LAYOUT = np.dtype(
 
 
 class FaultSwitches(Mapping[str, float]):
-    """The faults of a world by name; 0 is off."""
+    """The faults of a world by name, see `FAULTS` for their values; 0 is off.
+
+    The constructor takes the values in the order of `FAULTS`, shape (f,); `switch` changes them in
+    place.
+    """
 
     def __init__(self, values: FloatArray) -> None:
         self._values = values
@@ -83,7 +87,12 @@ class FaultSwitches(Mapping[str, float]):
         return len(FAULTS)
 
     def switch(self, name: str, value: float) -> None:
-        """Set a fault; 0 switches it off."""
+        """Set a fault, at once in all processes.
+
+        Args:
+            name: Name of the fault, a key of `FAULTS`.
+            value: Its value, as `FAULTS` describes it; 1 for a fault without a number, 0 for off.
+        """
         self._values[self._index[name]] = value
 
 
@@ -97,7 +106,23 @@ class _Segment(NamedTuple):
 
 
 class World:
-    """A simulated world in a folder, accessible from any process."""
+    """A simulated world in a folder, accessible from any process.
+
+    Between the states that were pushed it is interpolated linearly; before the oldest of the last
+    32 and after the newest it is constant. Times are those of the steady clock [s]. The constructor
+    raises a `ConfigurationError` if the folder has no world.
+
+    Args:
+        folder: The folder of its file.
+        create: Whether to make a new world in it, with all values zero.
+
+    Attributes:
+        faults: The active faults.
+        capacitance_noise: Standard deviation of a cluster's conversion, to be set in place, shape
+            (1,) [pF].
+        wrench_noise: Standard deviation of a wrench [M; F] averaged over one second, white, to be
+            set in place, shape (6,) [N m, N].
+    """
 
     def __init__(self, folder: Path, create: bool = False) -> None:
         path = folder / _FILE
@@ -115,8 +140,6 @@ class World:
         self._clock = SteadyClock()
         self._segment = _Segment(0.0, 0.0, np.zeros(_STATE_SIZE), np.zeros(_STATE_SIZE))
         self.faults = FaultSwitches(shared["faults"][0])
-        # white noise of the converters, to be set in place: per conversion, shape (1,) [pF]; of a
-        # wrench [M; F] averaged over one second, shape (6,) [N m, N]
         self.capacitance_noise = shared["capacitance_noise"]
         self.wrench_noise = shared["wrench_noise"][0]
 
@@ -132,10 +155,16 @@ class World:
     def push(
         self, moment: float, capacitance: FloatArray, wrench: FloatArray, poses: FloatArray
     ) -> None:
-        """Add the state at a time of the steady clock [s], later than all before.
+        """Add the state at a time.
 
-        Arguments as returned by the methods below; the capacitances of c <= `MAX_CLUSTERS`
-        clusters by input have shape (c, 4) [pF].
+        Args:
+            moment: Time on the steady clock, later than those of all states before [s].
+            capacitance: Capacitances of c <= `MAX_CLUSTERS` clusters by the converter's input,
+                without noise, shape (c, 4) [pF].
+            wrench: Load on the load cell [M; F] in {S}, with the offset that its tare leaves and
+                without noise, shape (6,) [N m, N].
+            poses: Poses of the marker bodies of socket and pylon, in this order, in the world:
+                position [m], then unit quaternion (x, y, z, w), shape (2, 7).
         """
         state = np.zeros(_STATE_SIZE)
         state[: capacitance.size] = capacitance.ravel()
@@ -152,15 +181,24 @@ class World:
         self._changes[0] += 1
 
     def capacitance(self, cluster: int, channel: int, moment: float) -> float:
-        """Capacitance at an input of a cluster [pF]."""
+        """Capacitance at an input of a cluster, without noise [pF].
+
+        Args:
+            cluster: Index of the cluster, from 0, in the order in which they were pushed.
+            channel: Its converter's input, 0..3.
+            moment: Time on the steady clock [s].
+        """
         return float(self._at(moment)[4 * cluster + channel])
 
     def wrench(self, moment: float) -> FloatArray:
-        """Load on the load cell [M; F], shape (6,) [N m, N]."""
+        """Load on the load cell [M; F] in {S} at a time [s], without noise, shape (6,) [N m, N]."""
         return self._at(moment)[_CAPACITANCES : _CAPACITANCES + 6]
 
     def poses(self, moment: float) -> FloatArray:
-        """Positions [m] and quaternions (x, y, z, w) of the two bodies, shape (2, 7)."""
+        """Poses of the marker bodies of socket and pylon in the world at a time [s], shape (2, 7).
+
+        Each row is a position [m], then a unit quaternion (x, y, z, w).
+        """
         poses = self._at(moment)[_CAPACITANCES + 6 :].reshape(2, 7)
         poses[:, 3:] /= np.linalg.norm(poses[:, 3:], axis=1, keepdims=True)
         return poses

@@ -22,21 +22,38 @@ _RESET_POLL_INTERVAL = 1e-3  # [s]
 
 
 class Fdc1004:
-    """The converter in repeat mode: a `CapacitiveChip` with four single-ended inputs."""
+    """The converter in repeat mode: a `CapacitiveChip` with four single-ended inputs.
+
+    Args:
+        port: Access to the chip's registers.
+        sample_rate: Conversions of the chip in a second, shared by its four inputs; one of
+            `sample_rates` [1/s].
+
+    Attributes:
+        name: Type of the chip, for messages.
+        address: Its fixed address on the bus, 0x50.
+        sample_rates: Possible values of `sample_rate` [1/s].
+        where: Where it is wired, for messages, such as "0x50 behind channel 2 of 0x70 on i2c-1".
+        capdac: Offset of each input in steps of 3.125 pF, 0 to 31, by input, shape (4,) [1]; it is
+            kept across resets.
+    """
 
     name = "FDC1004"
-    address = 0x50  # fixed
+    address = 0x50
     sample_rates: tuple[int, ...] = (100, 200, 400)
 
     def __init__(self, port: I2cPort, sample_rate: int) -> None:
         self._port = port
         self._conf = self.sample_rates.index(sample_rate) + 1 << 10 | _REPEAT_ALL
-        self.where = port.where  # where it is wired, for messages
-        # offset of each input in steps of 3.125 pF, 0..31 [1]; kept across resets
+        self.where = port.where
         self.capdac = [0] * INPUTS
 
     def check_identity(self) -> None:
-        """Check that this is an FDC1004."""
+        """Check that this is an FDC1004, by its registers of maker and device.
+
+        Raises:
+            DeviceError: Another chip answers at its address.
+        """
         for register, (what, expected) in _IDENTITY.items():
             value = self._port.read(register)
             if value != expected:
@@ -46,7 +63,12 @@ class Fdc1004:
                 )
 
     def reset_and_configure(self) -> None:
-        """Reset the chip, check its identity, and start converting all inputs in turn."""
+        """Reset the chip, check its identity, and start converting all inputs in turn.
+
+        Raises:
+            DeviceError: The chip does not leave its reset within about 10 ms, or a register does
+                not hold what was written to it.
+        """
         self._port.write(_FDC_CONF, _RESET)
         for _ in range(_MAX_RESET_POLLS):
             clocks.sleep(_RESET_POLL_INTERVAL)
@@ -69,7 +91,12 @@ class Fdc1004:
                 )
 
     def done(self) -> tuple[bool, ...]:
-        """Whether each input has a conversion that was not read, shape (4,)."""
+        """Whether each input has a conversion that was not read, shape (4,).
+
+        Raises:
+            DeviceError: The chip has lost its settings, as after a failed supply: configure it
+                again.
+        """
         value = self._port.read(_FDC_CONF)
         if value & ~_DONE != self._conf:
             raise DeviceError(
@@ -80,14 +107,19 @@ class Fdc1004:
         return tuple(bool(value & 8 >> n) for n in range(INPUTS))
 
     def read(self, channel: int) -> int:
-        """Last conversion of an input, a signed code of 24 bits [1]; clears its DONE."""
+        """Last conversion of an input, 0..3, a signed code of 24 bits [1]; clears its DONE."""
         high = self._port.read(2 * channel + _MSB)  # first: this latches the LSB register
         low = self._port.read(2 * channel + _LSB)
         code = high << 8 | low >> 8
         return code - (1 << 24) if code & 0x800000 else code
 
     def convert(self, channel: int, code: int) -> Conversion:
-        """C = code / 2^19 + 3.125 CAPDAC [pF]; a code at a rail shifts CAPDAC towards it."""
+        """C = code / 2^19 + 3.125 CAPDAC [pF]; a code at a rail shifts CAPDAC towards it.
+
+        Args:
+            channel: The input, 0..3.
+            code: What `read` returned for it, a signed code of 24 bits [1].
+        """
         previous = self.capdac[channel]
         if code not in _RAILS:
             return Conversion(code / PER_PICOFARAD + _CAPDAC_UNIT * previous)

@@ -22,18 +22,30 @@ class I2cBus(Protocol):
     """The part of `smbus2.SMBus` in use; simulated buses implement it."""
 
     def i2c_rdwr(self, *messages: i2c_msg) -> None:
-        """Transfer messages with repeated starts between them."""
+        """Transfer messages with repeated starts between them; fills the buffers of reads.
+
+        A failed transfer raises OSError.
+        """
 
     def close(self) -> None:
         """Close the bus."""
 
 
 class BusError(DeviceError):
-    """A transfer failed."""
+    """A transfer failed.
+
+    Args:
+        fact: What is wrong, with the place of the chip.
+        hint: What to do about it.
+        address: Address of the chip that was accessed, 7 bits.
+
+    Attributes:
+        address: Address of the chip that was accessed, a cluster's chip or a multiplexer.
+    """
 
     def __init__(self, fact: str, hint: str, address: int) -> None:
         super().__init__(fact, hint)
-        self.address = address  # address of the chip [1]
+        self.address = address
 
 
 class BusTimeoutError(BusError):
@@ -45,7 +57,16 @@ class BusGoneError(BusError):
 
 
 def open_i2c(number: int, timeout: float) -> I2cBus:
-    """Open `/dev/i2c-N`; hanging transfers end after a timeout [s], in steps of 10 ms."""
+    """Open `/dev/i2c-N`.
+
+    Args:
+        number: N of the bus.
+        timeout: Time after which a hanging transfer ends [s]; rounded to steps of 10 ms, at least
+            one.
+
+    Raises:
+        DeviceError: The bus is not there, not permitted or not usable.
+    """
     bus = SMBus()
     try:
         bus.open(number)
@@ -58,7 +79,12 @@ def open_i2c(number: int, timeout: float) -> I2cBus:
 
 
 def bus_opening_failed(number: int, error: OSError) -> DeviceError:
-    """The error for a bus that could not be opened."""
+    """The error for a bus that could not be opened.
+
+    Args:
+        number: N of the bus `/dev/i2c-N`.
+        error: What opening it raised.
+    """
     return drivers.opening_failed(
         f"/dev/i2c-{number}",
         error,
@@ -71,8 +97,19 @@ def bus_opening_failed(number: int, error: OSError) -> DeviceError:
 class I2cPort:
     """One chip on a bus, with big-endian registers.
 
-    A failed transfer raises a `BusError` that names the bus, such as i2c-1, the place on it, such
-    as "behind channel 2 of 0x70", and the part to check.
+    A failed transfer raises a `BusError` that names the bus, the place on it and the part to check.
+
+    Args:
+        bus: The bus.
+        bus_name: Its name for messages, such as i2c-1.
+        address: Address of the chip on the bus, 7 bits.
+        place: Where the chip is on the bus, for messages, such as "behind channel 2 of 0x70"; empty
+            if it is on the bus itself.
+        part: What to check after a failure, for hints, such as "cluster" or "multiplexer".
+
+    Attributes:
+        where: Where the chip is wired, for messages, such as "0x50 behind channel 2 of 0x70 on
+            i2c-1".
     """
 
     def __init__(
@@ -82,21 +119,25 @@ class I2cPort:
         self._bus_name = bus_name
         self._address = address
         self._part = part
-        # where it is wired, such as "0x50 behind channel 2 of 0x70 on i2c-1"
         self.where = " ".join(f"0x{address:02X} {place} on {bus_name}".split())
 
     def read(self, register: int) -> int:
-        """Read a register, 0..0xFFFF [1]: its pointer, then a repeated start."""
+        """Read a register of 16 bits: its pointer, then a repeated start; returns 0..0xFFFF [1]."""
         answer = i2c_msg.read(self._address, 2)
         self._transfer(i2c_msg.write(self._address, [register]), answer)
         return int.from_bytes(answer.buf[:2], "big")
 
     def write(self, register: int, value: int) -> None:
-        """Write a register, 0..0xFFFF [1]."""
+        """Write a register of 16 bits.
+
+        Args:
+            register: Its number, 0..0xFF.
+            value: Its new content, 0..0xFFFF [1].
+        """
         self._transfer(i2c_msg.write(self._address, [register, value >> 8, value & 0xFF]))
 
     def write_byte(self, value: int) -> None:
-        """Write one byte to a chip without registers."""
+        """Write one byte, 0..0xFF [1], to a chip without registers."""
         self._transfer(i2c_msg.write(self._address, [value]))
 
     def _transfer(self, *messages: i2c_msg) -> None:
@@ -123,24 +164,38 @@ class I2cPort:
 
 @dataclass(frozen=True)
 class Conversion:
-    """A converted code."""
+    """A converted code.
 
-    picofarads: float  # capacitance [pF]; NaN if out of range
-    # whether the input's range was shifted, starting with the next conversion
+    Attributes:
+        picofarads: Capacitance of the input [pF]; NaN if it is out of range.
+        shifted: Whether the input's range was shifted towards the capacitance; conversions that
+            begin later have the new range.
+        fault: Fact and hint in one line if the range cannot be shifted further; empty for none.
+    """
+
+    picofarads: float
     shifted: bool = False
-    fault: str = ""  # fact and hint if the range cannot be shifted further
+    fault: str = ""
 
 
 class CapacitiveChip(Protocol):
     """A chip that converts its four inputs continuously, in turn.
 
-    Every method raises a `DeviceError` if the chip or its bus fails.
+    Every method raises a `DeviceError` if the chip or its bus fails. The constructor takes the port
+    to its registers and the rate, one of `sample_rates`.
+
+    Attributes:
+        name: Type of the chip, for messages.
+        address: Its address on the bus, 7 bits; all chips of one type have the same.
+        sample_rates: Possible rates of the chip in conversions per second, shared by its four
+            inputs [1/s].
+        where: Where it is wired, for messages.
     """
 
-    name: str  # for messages
-    address: int  # on the bus [1]
-    sample_rates: tuple[int, ...]  # possible rates, shared by the inputs [1/s]
-    where: str  # where it is wired, for messages
+    name: str
+    address: int
+    sample_rates: tuple[int, ...]
+    where: str
 
     def __init__(self, port: I2cPort, sample_rate: int, /) -> None: ...
 
@@ -157,7 +212,12 @@ class CapacitiveChip(Protocol):
         """
 
     def read(self, channel: int) -> int:
-        """Code of the last conversion of an input [1]; clears its `done`."""
+        """Code of the last conversion of an input, 0..3 [1]; clears its `done`."""
 
     def convert(self, channel: int, code: int) -> Conversion:
-        """Convert an input's code to capacitance; shifts the range if it is out of range."""
+        """Convert an input's code to capacitance [pF]; shifts the range if it is out of range.
+
+        Args:
+            channel: The input, 0..3.
+            code: What `read` returned for it [1].
+        """

@@ -29,17 +29,32 @@ _SETTLING = 0.5  # two conversions: the one in progress still has the old range
 
 @dataclass(frozen=True)
 class ClusterReading:
-    """The clusters' values for one trigger."""
+    """The clusters' values for one trigger, in the order of the settings' `names`.
 
-    capacitance: FloatArray  # of c clusters by input, shape (c, 4) [pF]; NaN if missing
-    status: StatusArray  # OK, SATURATED or MISSING (`Status`) of each input, shape (c, 4)
-    faults: dict[str, tuple[str, ...]]  # each with its hint in one line, by the cluster's name
+    Attributes:
+        capacitance: Capacitance of each cluster's inputs, by the converter's input (not by the
+            cluster's channel), shape (c, 4) [pF]; NaN if saturated or missing.
+        status: `Status` of each input, shape (c, 4): OK, SATURATED or MISSING.
+        faults: Faults by the cluster's name, each in one line with its hint; clusters without a
+            fault have no entry.
+    """
+
+    capacitance: FloatArray
+    status: StatusArray
+    faults: dict[str, tuple[str, ...]]
 
 
 class ClusterReader:
     """Reads all clusters and never raises for a hardware fault.
 
-    The first reading opens the buses by number; `open_bus` may raise a `DeviceError`.
+    The first reading opens the buses. Settings that do not fit together raise a
+    `ConfigurationError`.
+
+    Args:
+        settings: Names and places of the clusters, and their rate.
+        chip: Driver of the clusters' chips.
+        open_bus: Opens the bus /dev/i2c-N from N; may raise a `DeviceError`, and is then called
+            again later.
     """
 
     def __init__(
@@ -62,7 +77,11 @@ class ClusterReader:
             self._clusters[name] = _Cluster(bus, (address, channel), made, cycle)
 
     def read(self, trigger: float) -> ClusterReading:
-        """Read the clusters for a trigger at a time of the steady clock [s]."""
+        """Read the clusters for a trigger at a time of the steady clock [s].
+
+        It returns when each cluster was read or has failed. Values read later than the settings'
+        `latest` after the trigger count as missing.
+        """
         for bus in self._buses.values():
             bus.given_up = ""
         clusters = self._clusters.values()
@@ -93,7 +112,7 @@ class ClusterReader:
         return ClusterReading(capacitance, status, faults)
 
     def identify(self) -> dict[str, str | DeviceError]:
-        """Find the chip of each cluster, or the error, by the cluster's name."""
+        """Type and place of each cluster's chip, or the error, by the cluster's name."""
         found: dict[str, str | DeviceError] = {}
         for name, cluster in self._clusters.items():
             try:
@@ -116,7 +135,7 @@ class _Bus:
     """A bus with its multiplexers (TI TCA9548A), if any, and its known state.
 
     It is opened when needed, and can be closed and reopened while chips refer to it. All chips have
-    the same address, so only one channel may be connected at a time.
+    one address, so only one channel may be connected at a time.
     """
 
     def __init__(self, number: int, open_bus: Callable[[int], i2c.I2cBus], chip: int) -> None:
@@ -333,7 +352,18 @@ class _Cluster:
 
 
 def check_settings(settings: ClusterSettings, chip: type[i2c.CapacitiveChip]) -> None:
-    """Check that the settings fit together, beyond the range of each."""
+    """Check that the settings fit together, beyond the range of each.
+
+    Args:
+        settings: Names and places of the clusters, their rate and the time to read them.
+        chip: Driver of the clusters' chips, with their possible rates.
+
+    Raises:
+        ConfigurationError: The lists differ in length, the chip lacks the rate, `latest` is shorter
+            than 1.25 cycles of the four inputs, a multiplexer's address is below 0x70, a cluster
+            without a multiplexer shares a bus with one behind a multiplexer, or two clusters share
+            a name or a place.
+    """
     names, buses, channels = settings.names, settings.buses, settings.channels
     multiplexers = settings.each_multiplexer
     if not names or not len(names) == len(buses) == len(channels) == len(multiplexers):

@@ -37,14 +37,18 @@ class SpiDevice(Protocol):
     """The part of `spidev.SpiDev` in use."""
 
     def xfer2(self, data: list[int], /) -> list[int]:
-        """Exchange bytes; the chip stays selected throughout."""
+        """Send bytes, 0..255 each, and return as many; the chip stays selected throughout."""
 
     def close(self) -> None:
         """Release the bus."""
 
 
 def check_device(device: str) -> tuple[int, int]:
-    """Bus and chip select from a device name 'N.M'."""
+    """Bus N and chip select M from a device name 'N.M'.
+
+    Raises:
+        ConfigurationError: The name has another form.
+    """
     match = re.fullmatch(r"(\d+)\.(\d+)", device)
     if match is None:
         raise ConfigurationError(
@@ -54,7 +58,15 @@ def check_device(device: str) -> tuple[int, int]:
 
 
 def open_spi(device: str, clock: float) -> SpiDevice:
-    """Open /dev/spidevN.M, named 'N.M', in SPI mode 1 at a clock [Hz]."""
+    """Open /dev/spidevN.M in SPI mode 1.
+
+    Args:
+        device: Bus and chip select as 'N.M'.
+        clock: Clock of the bus, 25 MHz at most for this converter [Hz].
+
+    Raises:
+        DeviceError: The module spidev is not installed, or the device cannot be opened.
+    """
     bus, select = check_device(device)
     path = f"/dev/spidev{bus}.{select}"
     try:
@@ -83,7 +95,12 @@ def open_spi(device: str, clock: float) -> SpiDevice:
 
 
 def checksum(data: bytes, crc: str) -> int:
-    """CRC-16 from 0xFFFF, not reflected: 'ccitt' (0x1021) or 'ansi' (0x8005)."""
+    """CRC-16 from 0xFFFF, not reflected, without a final XOR; returns 0..0xFFFF [1].
+
+    Args:
+        data: All bytes of a frame before its checksum.
+        crc: The polynomial: 'ccitt' (0x1021) or 'ansi' (0x8005).
+    """
     if crc == "ccitt":
         return binascii.crc_hqx(data, 0xFFFF)
     remainder = 0xFFFF
@@ -100,48 +117,75 @@ class ChecksumError(DeviceError):
 
 @dataclass(frozen=True)
 class ConverterFrame:
-    """The content of a frame."""
+    """The content of a frame.
 
-    codes: IntArray  # by channel, shape (channels,); repeated unless the frame is new
-    new: bool  # whether all channels hold an unread conversion
+    Attributes:
+        codes: Signed codes of 24 bits by channel, shape (channels,) [1]; those of an earlier frame
+            unless this one is new.
+        new: Whether all channels hold a conversion that was not read before.
+    """
+
+    codes: IntArray
+    new: bool
 
 
 def conversion_period(clock_in: float, oversampling: int) -> float:
-    """Time between conversions [s], for a clock [Hz]."""
+    """Time between conversions [s], 2 oversampling / clock_in.
+
+    Args:
+        clock_in: The converter's clock [Hz].
+        oversampling: Modulator clocks per conversion, at half of that clock [1].
+    """
     return 2.0 * oversampling / clock_in
 
 
 def group_delay(clock_in: float, oversampling: int) -> float:
-    """Time from the middle of a conversion's filter to its end [s], for a clock [Hz].
+    """Time from the middle of a conversion's filter to its end [s].
 
     A sinc3 filter spans three periods, so its middle is 1.5 periods back. Above an oversampling
     of 1024, the filter keeps 1024 and oversampling / 1024 of its outputs are averaged, which adds
     half the span of that mean (datasheet SBAS950B, table 8-3).
+
+    Args:
+        clock_in: The converter's clock [Hz].
+        oversampling: Modulator clocks per conversion, at half of that clock [1].
     """
     inner = min(oversampling, _MAX_SINC3)
     return (1.5 * inner + 0.5 * (oversampling - inner)) * 2.0 / clock_in
 
 
 def volts(codes: IntArray, gain: int) -> FloatArray:
-    """Voltages at the converter's inputs [V], before its internal amplifier."""
+    """Voltages at the converter's inputs [V], before its internal amplifier; shaped as the codes.
+
+    Args:
+        codes: Signed codes of 24 bits, of any shape [1].
+        gain: Gain of the internal amplifier, 1 to 128 [1]; full scale is 1.2 V / gain.
+    """
     return codes.astype(np.float64) * (_REFERENCE / (gain * 2.0**23))
 
 
 def at_rail(codes: IntArray) -> BoolArray:
-    """Whether codes are clipped."""
+    """Whether each signed 24-bit code is clipped at an end of its range; shape of the codes."""
     return (codes == 0x7FFFFF) | (codes == -0x800000)
 
 
 class Ads131m0x:
-    """One converter of 6 (M06) or 8 (M08) channels, on a bus in SPI mode 1.
+    """One converter of 6 (M06) or 8 (M08) channels.
 
-    `crc` is its checksum, 'ccitt' or 'ansi'; errors contain its name.
+    Args:
+        spi: The bus, in SPI mode 1.
+        channels: Number of channels, 6 or 8.
+        crc: Checksum to configure, 'ccitt' or 'ansi' (see `checksum`).
+        name: Name of the device, for errors.
+
+    Attributes:
+        identity: Content of its ID register, 0x26xx or 0x28xx; 0 until configured.
     """
 
     def __init__(
         self, spi: SpiDevice, channels: int, crc: str = "ccitt", name: str = "spidev0.0"
     ) -> None:
-        self.identity = 0  # ID register; 0 until configured
+        self.identity = 0
         self._spi = spi
         self._channels = channels
         self._wanted_crc = crc
@@ -156,8 +200,14 @@ class Ads131m0x:
     def reset_and_configure(self, oversampling: int, gain: int, clock_in: float) -> None:
         """Reset the chip, write its registers, read them back and drop unsettled conversions.
 
-        The oversampling ratio, 128 to 16384, and the gain of all channels, 1 to 128, are powers of
-        two. The clock is in Hz.
+        Args:
+            oversampling: Modulator clocks per conversion, a power of two from 128 to 16384 [1].
+            gain: Gain of the internal amplifier of all channels, a power of two from 1 to 128 [1].
+            clock_in: The converter's clock [Hz].
+
+        Raises:
+            DeviceError: Another converter answers, it does not reset, a register does not hold what
+                was written to it, or the bus fails; a `ChecksumError` for a corrupted frame.
         """
         self._crc = "ccitt"
         # Before the reset, either checksum may be in use.
@@ -188,7 +238,12 @@ class Ads131m0x:
             self._transfer(_NULL)
 
     def read(self) -> ConverterFrame:
-        """Read a frame."""
+        """Read a frame.
+
+        Raises:
+            DeviceError: The converter has lost its settings (configure it again), or the bus fails;
+                a `ChecksumError` for a corrupted frame, after which reading may go on.
+        """
         answer = self._exchange(_NULL)
         status = _response(answer)
         if status & _RESET_BIT:

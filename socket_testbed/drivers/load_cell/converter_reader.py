@@ -36,8 +36,9 @@ class ConversionClock:
     """Infers the end times of conversions from the times when frames were read.
 
     A frame without new data means that no conversion was waiting. The next conversion then ends
-    within one period, and before the frame that returns it. Conversions are equally spaced by a
-    period [s], so their combined bounds are much tighter than the polling interval.
+    within one period, and before the frame that returns it. Conversions are equally spaced by the
+    `period` [s], so their combined bounds are much tighter than the polling interval. All times are
+    on the steady clock.
     """
 
     def __init__(self, period: float) -> None:
@@ -53,7 +54,13 @@ class ConversionClock:
         self._continuous = False
 
     def nothing_waits(self, begin: float, read: float) -> None:
-        """Note that a frame, read between these times [s], held no new data."""
+        """Note that a frame held no new data.
+
+        Args:
+            begin: Time before the frame was read [s].
+            read: Time after it was read [s]; if it took a quarter of a period or longer, track is
+                lost.
+        """
         if read - begin >= _MAX_READ_TIME * self._period:  # delayed: too uncertain
             self.lose()
         else:
@@ -61,7 +68,7 @@ class ConversionClock:
             self._waiting = 0
 
     def conversion_end(self, read: float) -> float | None:
-        """End time of the conversion in a frame that was read at a time [s].
+        """End time [s] of the conversion in a new frame, from the time after it was read [s].
 
         None if the conversion cannot be identified.
         """
@@ -89,7 +96,16 @@ class ConverterReader:
     """The converter of a load cell and its recent conversions.
 
     One thread polls and finally closes it; the other methods are thread-safe. After a failure the
-    bus is reopened, and the DRDY line if it is wired.
+    bus is reopened, and the DRDY line if it is wired. All times are on the steady clock [s].
+
+    Args:
+        settings: The converter's channels, clock, oversampling, gain and checksum.
+        open_device: Opens its bus; may raise a `DeviceError`, and is then called again later.
+        open_line: Opens the line of its DRDY, with an edge per conversion; None if not wired.
+
+    Attributes:
+        period: Time between conversions [s].
+        open_line: The argument of this name; a new value takes effect at the next connection.
     """
 
     def __init__(
@@ -98,7 +114,6 @@ class ConverterReader:
         open_device: Callable[[], ads131m0x.SpiDevice],
         open_line: Callable[[], EdgeLine] | None = None,
     ) -> None:
-        # time between conversions [s]
         self.period = ads131m0x.conversion_period(settings.clock_in, settings.oversampling)
         self.open_line = open_line
         self._silence = max(_SILENCE_TIMEOUT, 5.0 * self.period)  # error without a conversion [s]
@@ -133,7 +148,12 @@ class ConverterReader:
     def poll_until(
         self, stopped: Callable[[], bool], polled: Callable[[], None] = lambda: None
     ) -> None:
-        """Poll at the converter's own rate until stopped, and call `polled` after each time."""
+        """Poll at the converter's own rate until stopped.
+
+        Args:
+            stopped: Whether to stop; asked before each poll.
+            polled: Called after each poll, such as to wake a thread that waits for conversions.
+        """
         due = clocks.monotonic()
         while not stopped():
             self.poll()
@@ -183,13 +203,20 @@ class ConverterReader:
         self._spi = self._line = None
 
     def between(self, start: float, end: float) -> tuple[FloatArray, IntArray]:
-        """Times, shape (n,) [s], and codes, shape (n, channels), measured in (start, end] [s]."""
+        """The n conversions of a span: times, shape (n,) [s], and codes, shape (n, channels) [1].
+
+        The time of a conversion is the middle of its filter; the codes have 24 bits and a sign.
+
+        Args:
+            start: Begin of the span, not included [s].
+            end: End of the span, included [s].
+        """
         with self._lock:
             rows = slice(bisect_right(self._times, start), bisect_right(self._times, end))
             return np.array(self._times[rows]), self._stacked(self._codes[rows])
 
     def newest(self, count: int) -> IntArray:
-        """Codes of the last `count` conversions, shape (n, channels); fewer at the start."""
+        """Codes of the last `count` conversions, shape (n, channels) [1]; n is smaller at first."""
         with self._lock:
             return self._stacked(self._codes[-count:])
 
@@ -197,7 +224,10 @@ class ConverterReader:
         return np.array(codes, dtype=np.int64).reshape(-1, self._settings.channels)
 
     def end_time(self, until: float) -> float:
-        """When the conversions measured until a time will have ended [s]."""
+        """When the conversions measured until a time [s] will have ended [s].
+
+        It is later by the filter's `group_delay`.
+        """
         return until + self._delay
 
     def has_all(self, until: float) -> bool:
@@ -206,12 +236,15 @@ class ConverterReader:
             return self._emptied >= self.end_time(until)
 
     def counts(self) -> dict[str, int]:
-        """Numbers of conversions, corrupted frames and restarts."""
+        """Numbers since the start: `conversions`, `checksum_errors` and `restarts`.
+
+        With a DRDY line also `status_disagrees`: conversions with an edge that STATUS did not show.
+        """
         with self._lock:
             return dict(self._counts)
 
     def fault_at(self, now: float) -> tuple[int, DeviceError | None]:
-        """The converter's fault at a time [s], with its level: OK, WARN or ERROR."""
+        """The converter's level at a time [s], OK, WARN or ERROR, and its fault; None if OK."""
         found: tuple[int, DeviceError | None] = OK, None
         with self._lock:
             if (fault := self._fault) is not None and self._failed >= self._stored:

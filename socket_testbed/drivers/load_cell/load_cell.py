@@ -47,17 +47,21 @@ class Bridges:
     """The bridges according to the settings, which are checked.
 
     `ratio = sign * mV / (excitation * amplifier_gain)`, `wrench = C @ ratio`. The voltage is that
-    at the converter's input, so the converter's own gain is already removed.
+    at the converter's input, so the converter's own gain is already removed. The wrench is in the
+    load cell's frame {S}, not tared.
+
+    Attributes:
+        inputs: Converter input of each bridge, shape (6,).
+        matrix: C, the wrench [M; F] from the bridges' ratios, rows Mx My Mz Fx Fy Fz, shape (6, 6)
+            [N m per mV/V, N per mV/V].
+        full_scale: Full scale of [M; F], shape (6,) [N m, N].
     """
 
     def __init__(self, settings: LoadCellSettings) -> None:
         check_settings(settings)
         order = [3, 4, 5, 0, 1, 2]  # from the maker's Fx Fy Fz Mx My Mz to moments first
-        # converter input of each bridge, shape (6,)
         self.inputs: IntArray = np.array(settings.inputs, dtype=np.int64)
-        # wrench [M; F] from the bridges' ratios, shape (6, 6) [N m, N per mV/V]
         self.matrix: FloatArray = np.array(settings.matrix).reshape(6, 6)[order]
-        # full scale of [M; F], shape (6,) [N m, N]
         self.full_scale: FloatArray = np.array(settings.full_scale)[order]
         self._gain = settings.gain
         self._scale: FloatArray = (
@@ -66,25 +70,35 @@ class Bridges:
 
     @property
     def description(self) -> str:
-        """The settings on which the ratios depend."""
+        """The settings on which the ratios depend, as text: inputs, gain and scale."""
         return f"inputs {self.inputs.tolist()}, gain {self._gain}, scale {self._scale.tolist()}"
 
     def ratios(self, codes: IntArray) -> FloatArray:
-        """Ratios of the bridges, shape (n, 6) [mV/V], of codes by input, shape (n, channels)."""
+        """Ratios of the bridges, (n, 6) [mV/V], of signed 24-bit codes by input, (n, channels)."""
         return self._scale * ads131m0x.volts(codes[:, self.inputs], self._gain)
 
     def wrenches(self, ratios: FloatArray) -> FloatArray:
-        """Wrenches [M; F], shape (..., 6) [N m, N], of ratios, shape (..., 6) [mV/V]."""
+        """Wrenches [M; F] in {S}, shape (..., 6) [N m, N], of ratios, shape (..., 6) [mV/V]."""
         return ratios @ self.matrix.T
 
     def ratios_at(self, wrenches: FloatArray) -> FloatArray:
-        """Ratios, shape (..., 6) [mV/V], of wrenches [M; F], shape (..., 6): undoes `wrenches`."""
+        """Ratios, shape (..., 6) [mV/V], of wrenches [M; F], shape (..., 6) [N m, N].
+
+        It is the inverse of `wrenches`.
+        """
         return np.asarray(wrenches @ np.linalg.inv(self.matrix).T)
 
     def ratios_from(self, other: Bridges, ratios: FloatArray) -> FloatArray:
-        """Ratios, shape (..., 6) [mV/V], from those that other settings gave for the same voltages.
+        """Ratios, shape (..., 6) [mV/V], of voltages whose ratios were computed by other settings.
 
         The converter's own gain was applied in hardware, so it is that of the other settings.
+
+        Args:
+            other: The bridges by the other settings.
+            ratios: The ratios that they gave, shape (..., 6) [mV/V].
+
+        Raises:
+            ConfigurationError: These bridges use an input that the other settings did not record.
         """
         if lacking := sorted(set(self.inputs.tolist()) - set(other.inputs.tolist())):
             raise _wrong(
@@ -95,9 +109,11 @@ class Bridges:
         return np.asarray((ratios / other._scale)[..., bridges] * self._scale)
 
     def overload(self, peak: FloatArray) -> tuple[int, str]:
-        """Check absolute values of [M; F], shape (6,), for overload: level, and fact with hint.
+        """Check absolute values of [M; F], shape (6,) [N m, N], for overload.
 
-        The level is WARN above 80 % of a full scale, ERROR above the full scale, otherwise OK.
+        Returns:
+            The level: WARN above 80 % of an axis's full scale, ERROR above the full scale,
+            otherwise OK; and fact with hint in one line, empty if OK.
         """
         share = peak / self.full_scale
         worst = int(share.argmax())
@@ -118,7 +134,12 @@ def in_words(wrench: FloatArray) -> str:
 
 
 def unrest(wrenches: FloatArray, settings: LoadCellSettings) -> str:
-    """The channel of wrenches (n, 6) that moves too much for a tare; empty if all are at rest."""
+    """The channel that moves too much for a tare, in words; empty if all are at rest.
+
+    Args:
+        wrenches: n wrenches [M; F], shape (n, 6) [N m, N].
+        settings: The largest standard deviations, `tare_moment` [N m] and `tare_force` [N].
+    """
     spread = wrenches.std(axis=0)
     limits = np.repeat([settings.tare_moment, settings.tare_force], 3)
     worst = int((spread / limits).argmax())
@@ -130,7 +151,12 @@ def unrest(wrenches: FloatArray, settings: LoadCellSettings) -> str:
 
 
 def check_settings(settings: LoadCellSettings) -> None:
-    """Check that the settings fit together, beyond the range of each."""
+    """Check that the settings fit together, beyond the range of each.
+
+    Raises:
+        ConfigurationError: A list has the wrong length or holds a wrong value, the matrix cannot be
+            inverted, or the window is shorter than a conversion.
+    """
     ads131m0x.check_device(settings.device)
     if settings.channels not in (6, 8):
         raise _wrong(f"channels is {settings.channels}", "give 6 (ADS131M06) or 8 (ADS131M08)")
@@ -169,15 +195,22 @@ def _wrong(fact: str, hint: str) -> ConfigurationError:
 class Tare:
     """The bridges' ratios at no load, stored in a file if a path is given.
 
-    The settings `taken_with` are those of the ratios: with others, a stored tare is wrong.
+    The constructor raises a `ConfigurationError` if the file is damaged or of other settings.
+
+    Args:
+        path: The file; empty for none.
+        taken_with: Description of the settings on which the ratios depend, see
+            `Bridges.description`: with others, a stored tare is wrong.
+
+    Attributes:
+        no_load: Ratios at no load, shape (6,) [mV/V], and their time since the epoch [ns], rounded
+            down to a microsecond; zeros and 0 if never taken.
     """
 
     def __init__(self, path: str, taken_with: str) -> None:
         self._path = Path(path).expanduser() if path else None
         self._taken_with = taken_with
         self._writing = threading.Lock()
-        # ratios at no load, shape (6,) [mV/V], and their time since the epoch [ns], rounded down
-        # to a microsecond; 0 if never taken
         self.no_load: tuple[FloatArray, int] = np.zeros(6), 0
         if self._path is not None and self._path.exists():
             try:
@@ -191,7 +224,12 @@ class Tare:
             self.no_load = np.array(document.offsets_mV_per_V), 1000 * microseconds
 
     def set(self, offsets: FloatArray, time: int) -> None:
-        """Set new ratios, taken at a time since the epoch [ns], and write them to the file."""
+        """Set new ratios and write them to the file.
+
+        Args:
+            offsets: Ratios of the bridges at no load, shape (6,) [mV/V].
+            time: When they were taken, since the epoch [ns].
+        """
         with self._writing:
             if self._path is not None:
                 content = {
@@ -220,21 +258,39 @@ class _TareDocument(Document):
 
 @dataclass(frozen=True)
 class WrenchReading:
-    """The wrench at a time."""
+    """The wrench at a time.
 
-    wrench: FloatArray  # wrench [M; F], shape (6,) [N m, N]; all NaN if not measured
-    ratios: FloatArray  # ratios of the bridges, shape (6,) [mV/V]; NaN likewise
-    tare: FloatArray  # subtracted, [M; F], shape (6,) [N m, N]
-    tared: int  # time of the tare since the epoch [ns]; 0 if never
-    status: Status  # OK, SATURATED or MISSING
-    conversions: int  # number of conversions around the time
-    fault: str  # empty for none; an overload does not invalidate the wrench
+    Attributes:
+        wrench: Wrench [M; F] in {S}, tared, shape (6,) [N m, N]; all NaN unless the status is OK.
+        ratios: Ratios of the bridges before the tare, shape (6,) [mV/V]; all NaN unless the status
+            is OK.
+        tare: Wrench [M; F] that was subtracted, shape (6,) [N m, N]; zeros if never tared.
+        tared: Time of the tare since the epoch [ns]; 0 if never tared.
+        status: OK, SATURATED (a bridge is at its rail) or MISSING (too few conversions).
+        conversions: Number of conversions around the time.
+        fault: Why there is no wrench, or which axis is overloaded, in one line; empty for none. An
+            overload does not invalidate the wrench.
+    """
+
+    wrench: FloatArray
+    ratios: FloatArray
+    tare: FloatArray
+    tared: int
+    status: Status
+    conversions: int
+    fault: str
 
 
 class LoadCell:
     """A load cell on an ADS131M06 or ADS131M08; all methods are thread-safe.
 
-    `settings` may be reassigned; changes of the window and the tare settings take effect.
+    The constructor takes the attributes. Settings that do not fit together, or a file of the tare
+    that does not fit them, raise a `ConfigurationError`.
+
+    Attributes:
+        settings: Its settings. They may be reassigned: changes of the window and of the tare's
+            duration and limits take effect.
+        converter: Its converter; a thread must poll it.
     """
 
     def __init__(self, settings: LoadCellSettings, converter: ConverterReader) -> None:
@@ -244,23 +300,33 @@ class LoadCell:
         self._tare = Tare(settings.tare_file, self._bridges.description)
 
     def figures(self) -> dict[str, object]:
-        """Numbers of conversions, corrupted frames and restarts, and the tare."""
+        """Figures by name: the converter's `counts`, the tare [M; F] with units, and its time.
+
+        The time is in ISO 8601 format, or "never".
+        """
         offsets, time = self._tare.no_load
         tare = in_words(self._bridges.wrenches(offsets))
         tared = _iso_time(time) if time else "never"
         return {**self.converter.counts(), "tare": tare, "tared": tared}
 
     def end_time(self, moment: float, span: float = 0.0) -> float:
-        """When the last conversion for the wrench at a time of the steady clock ends [s].
+        """When the last conversion for the wrench at a time ends, on the steady clock [s].
 
-        If the window is shorter than the span [s], the span centred on the time is averaged.
+        Args:
+            moment: Time of the wrench on the steady clock [s].
+            span: Averaging time centred on the moment [s]; where it reaches further than the
+                settings' `window`, on either side, it widens the window. 0: the window alone.
         """
         return self.converter.end_time(moment + self._reach(span)[1])
 
     def ready(self, moment: float, span: float = 0.0) -> bool:
-        """Whether the wrench at a time needs no further waiting; arguments as in `end_time`.
+        """Whether the wrench at a time needs no further waiting.
 
         Either all its conversions were read, or they have ended and the converter has failed.
+
+        Args:
+            moment: Time of the wrench on the steady clock [s].
+            span: Averaging time centred on the moment, see `end_time` [s].
         """
         if self.converter.has_all(moment + self._reach(span)[1]):
             return True
@@ -268,7 +334,7 @@ class LoadCell:
         return now >= self.end_time(moment, span) and self.converter.fault_at(now)[0] >= ERROR
 
     def wrench_at(self, moment: float, span: float = 0.0) -> WrenchReading:
-        """The wrench at a time; arguments as in `end_time`.
+        """The wrench at a time, from the conversions around it.
 
         It is the value at that time of a line fitted to the conversions in the window, three
         quarters of which lie before it. Its delay is that of a mean over half a window centred on
@@ -277,6 +343,10 @@ class LoadCell:
 
         A longer span widens the window if nearly all its conversions are there. If it is centred
         on the time, the line's value is their mean.
+
+        Args:
+            moment: Time of the wrench on the steady clock [s].
+            span: Averaging time centred on the moment, see `end_time` [s].
         """
         before, after = self._reach(span)
         times, ratios, rails = self._between(moment - before, moment + after)
@@ -302,7 +372,7 @@ class LoadCell:
         return WrenchReading(wrench, value, tare, tared, status, count, fault)
 
     def health(self, now: float) -> tuple[int, str]:
-        """State at a time [s]: OK, WARN or ERROR, with fact and hint."""
+        """State at a time of the steady clock [s]: OK, WARN or ERROR, with fact and hint."""
         level, fault = self.converter.fault_at(now)
         found = [(level, str(fault))]
         _, ratios, rails = self._between(now - RECENT, now)
@@ -323,8 +393,16 @@ class LoadCell:
     def tare(self, stamp: int, forced: bool = False) -> FloatArray:
         """Tare: take the mean over the last `tare_duration` as zero load.
 
-        `stamp` is the present time since the epoch [ns]. A load above `tare_load` is removed only
-        if forced. Returns the removed load [M; F], shape (6,) [N m, N].
+        Args:
+            stamp: The present time since the epoch [ns].
+            forced: Whether to remove even a force above the settings' `tare_load`.
+
+        Returns:
+            The removed load, what the tared wrench [M; F] in {S} was before, shape (6,) [N m, N].
+
+        Raises:
+            DeviceError: The converter fails, conversions are missing, a bridge is at its rail, the
+                load moves, or its force is above `tare_load` and not forced.
         """
         settings = self.settings
         now = clocks.monotonic()

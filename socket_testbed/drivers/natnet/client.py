@@ -57,7 +57,14 @@ class LinkStatistics:
         self._last_error = ""
 
     def count(self, kind: str, now: float, number: int = 1, error: str = "") -> None:
-        """Count delivered frames or a fault."""
+        """Count delivered frames or a fault.
+
+        Args:
+            kind: What to count, a key of `totals`, such as "frames" or "lost_frames".
+            now: When it happened, on the steady clock [s].
+            number: How many to count.
+            error: Fact of the error behind it, for `warning`; empty for none.
+        """
         with self._lock:
             self._totals[kind] += number
             self._events.append((now, kind, number))
@@ -67,17 +74,23 @@ class LinkStatistics:
                 self._last_frame = now
 
     def silence(self, now: float) -> float:
-        """Time since the last delivered frame [s]."""
+        """Time since the last delivered frame at a time of the steady clock [s].
+
+        It is infinite until two frames were delivered.
+        """
         return now - self._last_frame
 
     def rate(self, now: float) -> float:
-        """Rate of delivered frames over the last second [Hz]."""
+        """Rate of delivered frames in the second before a time of the steady clock [s], in Hz."""
         with self._lock:
             times = [at for at, kind, _ in self._events if kind == _FRAMES and at > now - _SPAN]
         return (len(times) - 1) / max(times[-1] - times[0], 1e-6) if len(times) > 1 else 0.0
 
     def warning(self, now: float) -> str:
-        """Recent faults in one line; empty for none."""
+        """Faults in the 0.8 s before a time of the steady clock [s], in one line.
+
+        It is empty without any.
+        """
         counts: Counter[str] = Counter()
         with self._lock:
             for at, kind, number in self._events:
@@ -87,7 +100,7 @@ class LinkStatistics:
         return ", ".join(found) + last
 
     def totals(self) -> dict[str, int]:
-        """All counts since the start, by name."""
+        """Numbers of delivered frames and of each fault since the start, by name."""
         with self._lock:
             return dict(self._totals)
 
@@ -95,8 +108,12 @@ class LinkStatistics:
 class NatNetClient:
     """Receives the frames of a server on its own thread.
 
-    That thread calls `on_frame` with each frame, its mid-exposure on the steady clock [s], and the
-    server's rigid bodies (None: not known yet).
+    The constructor raises a `ConfigurationError` for wrong settings.
+
+    Args:
+        settings: Address of the server, its ports, and the stream to ask for.
+        on_frame: Called on that thread with each frame, its mid-exposure on the steady clock [s],
+            and the server's rigid bodies by name (None: not known yet).
     """
 
     def __init__(self, settings: MocapSettings, on_frame: OnFrame) -> None:
@@ -146,7 +163,10 @@ class NatNetClient:
         self._sockets.close()
 
     def set_recording(self, name: str | None) -> None:
-        """Request a take of this name, or none; retried until the server complies."""
+        """Request a take of this name, or none (None); retried until the server complies.
+
+        A name that Motive cannot take raises a `ConfigurationError`.
+        """
         self._takes.request(name)
 
     @property
@@ -172,7 +192,11 @@ class NatNetClient:
         return str(self._server or "")
 
     def figures(self) -> dict[str, float]:
-        """Counts since the start, clock uncertainty and frame rate, by name."""
+        """Figures by name: counts since the start, and the state of the stream.
+
+        The `rate` of delivered frames is in Hz; `clock_uncertainty` bounds the error of the
+        server's clock [s].
+        """
         return {
             **self._statistics.totals(),
             "sessions": self._sessions,

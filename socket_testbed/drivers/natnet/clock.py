@@ -16,7 +16,7 @@ _Region: TypeAlias = list[tuple[float, float]]  # corners: offset [s], drift [-]
 
 
 class EchoClock:
-    """Maps ticks of a server to the steady clock.
+    """Maps ticks of a server's clock to the testbed's steady clock.
 
     The server reads its clock between an echo's request and its arrival, so each echo bounds the
     offset from both sides, whatever the delay in each direction (Marzullo and Owicki 1983,
@@ -24,10 +24,16 @@ class EchoClock:
     each relaxed by the possible change of the drift since then. The middle of the region maps the
     times. Half its width bounds the error for any network asymmetry, as long as the drift changes
     by at most 1e-5 in 40 s.
+
+    The constructor takes the frequency of the server's clock [Hz]; 0 for a server without a clock,
+    whose times are never mapped. `len` is the number of echoes in use.
+
+    Attributes:
+        uncertainty: Error bound of mapped times at the newest echo [s]; 0 before the first.
     """
 
     def __init__(self, frequency: int) -> None:
-        self.uncertainty = 0.0  # error bound at the newest echo [s]
+        self.uncertainty = 0.0
         self._frequency = frequency  # of the server's clock [Hz]; 0: none
         # Both clocks at the first echo: the server's, and its request.
         self._origin = 0, 0.0  # [ticks], [s]
@@ -40,9 +46,14 @@ class EchoClock:
         return len(self._echoes)
 
     def add(self, request: float, ticks: int, arrival: float) -> bool:
-        """Add an echo: the server's clock [ticks], read between request and arrival [s].
+        """Add an echo: the server read its clock between the request and the arrival of the reply.
 
         False if it contradicts the map: the clock has changed, and the map is restarted.
+
+        Args:
+            request: When the request was sent, on the steady clock [s].
+            ticks: The server's clock in its reply [ticks].
+            arrival: When the reply arrived, on the steady clock [s].
         """
         if self._frequency <= 0 or arrival < request:
             return True
@@ -64,7 +75,10 @@ class EchoClock:
         return consistent
 
     def to_steady(self, ticks: int) -> tuple[float, float] | None:
-        """Steady time at the server's ticks and its error bound [s]; None without a map."""
+        """Time on the steady clock at the server's ticks, and its error bound, both [s].
+
+        None with fewer than three echoes.
+        """
         if len(self._echoes) < _MIN_ECHOES:
             return None
         low, high = self._bounds(ticks)

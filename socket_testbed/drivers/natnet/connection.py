@@ -32,7 +32,12 @@ _IDLE_TIMEOUT = 1.0  # [s]
 
 
 def server_address(settings: MocapSettings) -> tuple[str, int]:
-    """Address of the server's command port."""
+    """Address of the server's command port: its IPv4 address and the port.
+
+    Raises:
+        ConfigurationError: `server` is empty or not known, or `multicast` or `interface` is not the
+            address that it should be.
+    """
     if not settings.server.strip():
         raise ConfigurationError(
             "mocap_node: server is empty", "give the address of the computer that runs Motive"
@@ -61,7 +66,11 @@ def server_address(settings: MocapSettings) -> tuple[str, int]:
 
 
 def bitstream_version(settings: MocapSettings) -> Version:
-    """The version of the stream to ask for."""
+    """The version of the stream to ask for, major and minor, from the setting `bitstream`.
+
+    Raises:
+        ConfigurationError: The setting is not of the form 4.1, or older than 3.0.
+    """
     fact = f"mocap_node: bitstream is '{settings.bitstream}'"
     parts = re.fullmatch(r"([0-9]{1,2})\.([0-9]{1,2})", settings.bitstream)
     if parts is None:
@@ -73,7 +82,12 @@ def bitstream_version(settings: MocapSettings) -> Version:
 
 
 class NatNetSockets:
-    """One socket for commands and unicast data, another for multicast data."""
+    """One socket for commands and unicast data, another for multicast data.
+
+    Args:
+        settings: Own address, multicast group (empty for unicast) and its data port.
+        server: IPv4 address and command port of the server, see `server_address`.
+    """
 
     def __init__(self, settings: MocapSettings, server: tuple[str, int]) -> None:
         self._settings = settings
@@ -81,7 +95,11 @@ class NatNetSockets:
         self._sockets: list[socket.socket] = []  # the command socket first
 
     def open(self) -> None:
-        """Open the sockets if they are closed."""
+        """Open the sockets if they are closed; OSError if there is no network yet.
+
+        Raises:
+            DeviceError: Another program has the data port.
+        """
         if self._sockets:
             return
         interface, group = self._settings.interface, self._settings.multicast
@@ -111,14 +129,21 @@ class NatNetSockets:
         return udp
 
     def send(self, datagram: bytes) -> None:
-        """Send a datagram to the server."""
+        """Send a datagram to the server.
+
+        Raises:
+            OSError: The sockets are closed, or there is no network.
+        """
         if not self._sockets:
             raise OSError(errno.ENOTCONN, "no socket")
         with suppress(BlockingIOError):
             self._sockets[0].sendto(datagram, self._server)
 
     def receive(self, timeout: float) -> Iterator[tuple[bytes, str]]:
-        """Received datagrams and their hosts; waits up to a timeout [s] for the first."""
+        """Received datagrams and the IPv4 addresses that sent them.
+
+        It waits up to a timeout [s] of the testbed's clock for the first.
+        """
         for udp in select.select(self._sockets, [], [], clocks.real(timeout))[0]:
             for _ in range(_MAX_DATAGRAMS):
                 try:
@@ -138,21 +163,26 @@ class NatNetSockets:
 
 @dataclass(frozen=True)
 class Answer:
-    """The reply to a command: a four-byte number (0: accepted) or a text."""
+    """The reply to a command.
 
-    raw: bytes | None  # None: no reply
-    recognized: bool = True  # whether the server knows the command
+    Attributes:
+        raw: Its payload: a little-endian i32 or f32 (0: accepted), or a text; None for no reply.
+        recognized: Whether the server knows the command.
+    """
+
+    raw: bytes | None
+    recognized: bool = True
 
     @property
     def text(self) -> str:
-        """The reply as text."""
+        """The reply as text: a number of four bytes in decimal; empty for no reply."""
         raw = self.raw or b""
         if len(raw) == 4:
             return str(int.from_bytes(raw, "little", signed=True))
         return raw.partition(b"\0")[0].decode("utf-8", "replace")
 
     def fault(self, command: str) -> str:
-        """Reason of a failure; empty for none."""
+        """Why the command, such as "SetRecordTakeName,walk", failed; empty if it did not."""
         name = command.partition(",")[0]
         if self.raw is None:
             return f"no answer to {name}"
@@ -178,11 +208,22 @@ class CommandQueue:
         self._next = 0.0  # [s]
 
     def submit(self, text: str, done: Done) -> None:
-        """Queue a command; `done` is called with its answer."""
+        """Queue a command.
+
+        Args:
+            text: The command with its arguments, separated by commas.
+            done: Called once with the answer, on the thread of the other methods; after ten
+                attempts without a reply, with an `Answer` whose `raw` is None.
+        """
         self._waiting.append((text, done))
 
     def step(self, now: float, send: Callable[[bytes], None]) -> None:
-        """Send the command due at a time of the steady clock [s], if any."""
+        """Send the command that is due, if any.
+
+        Args:
+            now: The present time of the steady clock [s].
+            send: Sends a datagram to the server.
+        """
         if now < self._next or not self._waiting:
             return
         if self._sent == _MAX_ATTEMPTS:
@@ -193,7 +234,12 @@ class CommandQueue:
         send(encode_command(self._waiting[0][0]))
 
     def answer(self, answer: Answer, now: float) -> None:
-        """Handle a reply."""
+        """Handle a reply; it is ignored if no command waits for one.
+
+        Args:
+            answer: The reply.
+            now: The present time of the steady clock [s].
+        """
         if self._sent:
             self._finish(answer, now)
 
@@ -211,7 +257,11 @@ class TakeKeeper:
     Recording: an answer or a frame has confirmed that. Stopping: a started take is not wanted any
     more. A restart of the server leads from recording back to naming, unless a frame confirms it.
 
-    `request` is thread-safe; the other methods are for one thread.
+    `request` is thread-safe; the other methods are for one thread. The constructor takes the
+    function that queues commands, `CommandQueue.submit`.
+
+    Attributes:
+        fault: Why the server does not record as requested, in one line; empty if it does.
     """
 
     def __init__(self, submit: Callable[[str, Done], None]) -> None:
@@ -233,13 +283,19 @@ class TakeKeeper:
         return not self._busy and self._started == wanted and (wanted is None or self._confirmed)
 
     def request(self, name: str | None) -> None:
-        """Request a take, or none."""
+        """Request a take of this name, or none.
+
+        A name that Motive cannot take raises a `ConfigurationError`, and none is requested.
+        """
         if name != self._wanted:  # else another thread would see none for a moment
             self._wanted = None
             self._wanted = None if name is None else check_take_name(name)
 
     def restarted(self, now: float) -> None:
-        """Note a new session: the server may have forgotten the take."""
+        """Note a new session at a time of the steady clock [s].
+
+        The server may have forgotten the take.
+        """
         self._session += 1
         self._confirmed = False
         self._moment = now
@@ -247,7 +303,12 @@ class TakeKeeper:
         self._idle_since = None
 
     def observe(self, recording: bool, now: float) -> None:
-        """Note whether a frame shows that the server records."""
+        """Note whether a frame shows that the server records.
+
+        Args:
+            recording: The frame's flag.
+            now: When the frame arrived, on the steady clock [s].
+        """
         if recording:
             self._idle_since = None
             if self._started is not None and now > self._moment:
@@ -256,7 +317,12 @@ class TakeKeeper:
             self._idle_since = now
 
     def step(self, now: float, connected: bool) -> None:
-        """Submit the command due at a time of the steady clock [s], if any."""
+        """Submit the command that is due, if any.
+
+        Args:
+            now: The present time of the steady clock [s].
+            connected: Whether the server is connected and its stream's version known.
+        """
         if self.settled:
             idle = self._idle_since is not None and now - self._idle_since > _IDLE_TIMEOUT
             self._note("the frames say that the server does not record" if idle else "")

@@ -76,7 +76,19 @@ class MalformedDatagram(DeviceError):  # noqa: N818  (the datagram's name, not t
 
 
 class Reader:
-    """Reads a payload from its start, never past its end."""
+    """Reads a payload from its start, never past its end.
+
+    Methods that read or skip raise `MalformedDatagram` where the payload is too short.
+
+    Args:
+        payload: The payload, little-endian and packed.
+        kind: What it is, for errors, such as "frame".
+
+    Attributes:
+        payload: The payload.
+        end: Its size [bytes].
+        offset: Offset of the next value from its start [bytes].
+    """
 
     def __init__(self, payload: bytes, kind: str) -> None:
         self.payload = payload
@@ -85,14 +97,18 @@ class Reader:
         self._kind = kind
 
     def bad(self, fact: str) -> MalformedDatagram:
-        """An error for this payload."""
+        """An error for this payload, with a fact about the present offset."""
         return MalformedDatagram(
             f"{self._kind} of {self.end} bytes: {fact} at byte {self.offset}",
             "it was dropped; if this continues, check the Wi-Fi and the version",
         )
 
     def skip(self, size: int) -> int:
-        """Skip some bytes; returns the offset before them."""
+        """Skip a number of bytes; returns the offset before them.
+
+        Raises:
+            MalformedDatagram: Fewer bytes are left, or the number is negative.
+        """
         begin = self.offset
         if size < 0 or size > self.end - begin:
             raise self.bad(f"{size} bytes wanted, {self.end - begin} left")
@@ -100,7 +116,7 @@ class Reader:
         return begin
 
     def unpack(self, layout: Struct) -> tuple[Any, ...]:
-        """The next values of a layout."""
+        """The next values, as many as the layout has."""
         return layout.unpack_from(self.payload, self.skip(layout.size))
 
     def integer(self) -> int:
@@ -108,14 +124,18 @@ class Reader:
         return int(_I32.unpack_from(self.payload, self.skip(4))[0])
 
     def count(self, smallest: int) -> int:
-        """The next i32 as a number of elements of at least `smallest` bytes each."""
+        """The next i32 as a number of elements of at least `smallest` bytes each.
+
+        Raises:
+            MalformedDatagram: The number is negative, or so many elements do not fit into the rest.
+        """
         number = self.integer()
         if number < 0 or number * smallest > self.end - self.offset:
             raise self.bad(f"a count of {number} before")
         return number
 
     def pass_over(self, *layout: Any) -> None:
-        """Skip a layout."""
+        """Skip the parts of a layout: texts, numbers of bytes, and counted elements (tuples)."""
         for part in layout:
             if part is _TEXT:
                 self.text()
@@ -126,7 +146,11 @@ class Reader:
                     self.pass_over(*part)
 
     def text(self) -> str:
-        """The next text, up to its NUL."""
+        """The next text in UTF-8, up to its NUL.
+
+        Raises:
+            MalformedDatagram: There is no NUL.
+        """
         stop = self.payload.find(0, self.offset)
         if stop < 0:
             raise self.bad("a text without an end")
@@ -136,12 +160,24 @@ class Reader:
 
 @dataclass(frozen=True)
 class ServerInfo:
-    """A server's description of itself."""
+    """A server's description of itself.
+
+    Attributes:
+        name: Name of the program, such as Motive.
+        app_version: Version of the program, four numbers 0..255.
+        version: Its NatNet version, major and minor.
+        clock: Frequency of its clock [Hz]; 0 for a server before NatNet 3.0, which gives no
+            exposure times.
+        data_port: Port to which it sends multicast frames; 0 before NatNet 3.0.
+        multicast: Whether it streams to a multicast group, otherwise to each client.
+        group: IPv4 address of the multicast group, 0.0.0.0 if the server gives none; empty before
+            NatNet 3.0.
+    """
 
     name: str
     app_version: tuple[int, ...]
-    version: Version  # its NatNet version
-    clock: int = 0  # frequency of its clock [Hz]; 0: no exposure times
+    version: Version
+    clock: int = 0
     data_port: int = 0
     multicast: bool = False
     group: str = ""
@@ -152,29 +188,43 @@ class ServerInfo:
 
 
 def encode_message(message: int, payload: bytes = b"") -> bytes:
-    """A datagram with an id and a payload."""
+    """A datagram: header (id and size of the payload, u16 each), then the payload.
+
+    Args:
+        message: Id of the message, such as `CONNECT`.
+        payload: Its content, 65535 bytes at most.
+    """
     return _HEADER.pack(message, len(payload)) + payload
 
 
 def encode_connect(name: str, bitstream: Version) -> bytes:
-    """CONNECT for all data, in a version if the server supports it."""
+    """CONNECT for all data.
+
+    Args:
+        name: Name of the client; 255 bytes of it are sent.
+        bitstream: Version of the stream to ask for, which the server may not support.
+    """
     sender = name.encode()[: _NAME_SIZE - 1].ljust(_NAME_SIZE, b"\0")
     sender += bytes((0, 0, 0, 0, *bitstream, 0, 0))
     return encode_message(CONNECT, sender + bytes((0, *bitstream, 0, 0)))
 
 
 def encode_command(text: str) -> bytes:
-    """REQUEST with a command."""
+    """REQUEST with the text of a command, such as "StartRecording"."""
     return encode_message(REQUEST, text.encode() + b"\0")
 
 
 def encode_echo(stamp: int) -> bytes:
-    """ECHOREQUEST with a stamp chosen by the client, such as a time [ns]."""
+    """ECHOREQUEST with a stamp chosen by the client, 0 to 2^64 - 1, such as a time [ns]."""
     return encode_message(ECHOREQUEST, stamp.to_bytes(8, "little"))
 
 
 def split_datagram(datagram: bytes) -> tuple[int, bytes]:
-    """Id and payload of a datagram."""
+    """Id and payload of a datagram; bytes after the payload are ignored.
+
+    Raises:
+        MalformedDatagram: The datagram is shorter than its header says.
+    """
     reader = Reader(datagram, "datagram")
     message, size = reader.unpack(_HEADER)
     begin = reader.skip(size)
@@ -182,7 +232,11 @@ def split_datagram(datagram: bytes) -> tuple[int, bytes]:
 
 
 def parse_server_info(payload: bytes) -> ServerInfo:
-    """Parse SERVERINFO; before NatNet 3.0 it ends after the versions, without a clock."""
+    """Parse SERVERINFO; before NatNet 3.0 it ends after the versions, without a clock.
+
+    Raises:
+        MalformedDatagram: The payload is too short, or its clock is not 1 Hz to 100 GHz.
+    """
     reader = Reader(payload, "server info")
     begin = reader.skip(_NAME_SIZE)
     name = payload[begin : begin + _NAME_SIZE].partition(b"\0")[0].decode("utf-8", "replace")
@@ -199,25 +253,41 @@ def parse_server_info(payload: bytes) -> ServerInfo:
 
 
 def parse_echo(payload: bytes) -> tuple[int, int]:
-    """Parse ECHORESPONSE: the request's stamp, and the server's clock [ticks]."""
+    """Parse ECHORESPONSE: the request's stamp, and the server's clock [ticks]; two u64."""
     stamp, ticks = Reader(payload, "echo").unpack(_ECHO)
     return stamp, ticks
 
 
 @dataclass(frozen=True)
 class RigidBodyDefinition:
-    """A rigid body as the server defines it."""
+    """A rigid body as the server defines it.
+
+    Attributes:
+        name: Its name in Motive.
+        id: Its streaming id, which is the `model` of its labelled markers.
+        markers: Positions (x, y, z) of its k markers in its own frame, in the server's order, shape
+            (k, 3) [m].
+    """
 
     name: str
-    id: int  # streaming id, the `model` of labelled markers
-    markers: tuple[Position, ...]  # in its own frame [m]
+    id: int
+    markers: tuple[Position, ...]
 
 
 BodiesByName: TypeAlias = dict[str, RigidBodyDefinition]
 
 
 def parse_model_definitions(payload: bytes, version: Version) -> BodiesByName:
-    """Parse MODELDEF; keeps only the rigid bodies, by name."""
+    """Parse MODELDEF; returns only the rigid bodies, by name.
+
+    Args:
+        payload: Payload of the message.
+        version: Version of the stream, which determines the layout: as negotiated with the server.
+
+    Raises:
+        MalformedDatagram: Its counts contradict its size, or a stream before 4.1 has an unknown
+            type of model.
+    """
     reader = Reader(bytes(payload), "model definitions")
     bodies: BodiesByName = {}
     for _ in range(reader.count(8)):
@@ -255,28 +325,53 @@ def _rigid_body(reader: Reader, version: Version) -> RigidBodyDefinition:
 
 
 class LabelledMarker(NamedTuple):
-    """A labelled marker in a frame."""
+    """A labelled marker in a frame.
 
-    model: int  # streaming id of its body; 0: none
-    member: int  # number in the body, from 1
-    position: Position  # [m]; the last or an assumed one if not seen
-    seen: bool  # whether cameras measured the position; otherwise it is occluded or model-filled
+    Attributes:
+        model: Streaming id of its body; 0 for none.
+        member: Its number in the body, from 1.
+        position: Position (x, y, z) in the world of the motion capture [m]; if the marker is not
+            seen, its last or an assumed one.
+        seen: Whether cameras measured the position; otherwise it is occluded or model-filled.
+    """
+
+    model: int
+    member: int
+    position: Position
+    seen: bool
 
 
 @dataclass(frozen=True, slots=True)
 class MocapFrame:
-    """A frame of the cameras."""
+    """A frame of the cameras.
 
-    number: int  # increases within a session
-    bodies: tuple[int, ...]  # streaming ids of the rigid bodies
+    Attributes:
+        number: Number of the frame; it increases within a session of the server.
+        bodies: Streaming ids of the rigid bodies in the frame, tracked or not.
+        markers: All labelled markers of the frame.
+        mid_exposure: Middle of the exposure on the server's clock [ticks], see `EchoClock`.
+        recording: Whether the server records a take.
+        models_changed: Whether the server's rigid bodies have changed: ask for them again.
+    """
+
+    number: int
+    bodies: tuple[int, ...]
     markers: tuple[LabelledMarker, ...]
-    mid_exposure: int  # on the server's clock [ticks]
+    mid_exposure: int
     recording: bool
-    models_changed: bool  # whether the rigid bodies have changed
+    models_changed: bool
 
 
 def parse_frame(payload: bytes | memoryview, version: Version) -> MocapFrame:
-    """Parse the payload of a frame, of NatNet 3.0 or later."""
+    """Parse the payload of a frame, of NatNet 3.0 or later.
+
+    Args:
+        payload: Payload of the message.
+        version: Version of the stream, which determines the layout: as negotiated with the server.
+
+    Raises:
+        MalformedDatagram: Its counts contradict its size, or the version is older than 3.0.
+    """
     sized = version >= (4, 1)
     reader = Reader(bytes(payload), "frame")
     if version < OLDEST:

@@ -26,22 +26,32 @@ _MAX_STEP = 0.01  # [m]; of a marker between two frames, if its body was not fit
 
 
 class SeenBody(NamedTuple):
-    """A body at the time of a trigger."""
+    """A body at the time of a trigger.
 
-    # its k markers in the body's order, or as labelled if they do not fit, shape (k, 3) [m]; NaN
-    # if not seen
+    Attributes:
+        markers: Its k markers in the world, in the order of the geometry file, or as labelled if
+            they do not fit that geometry, shape (k, 3) [m]; NaN if not seen.
+        pose: Its pose in the world as `Pose.vector`: position of the body's origin [m], then
+            quaternion (x, y, z, w) [-], shape (7,); all NaN if unknown.
+        frames: Number of frames used for the pose; 0 without a pose.
+        fault: Why there is no pose, in one line; empty if there is one.
+    """
+
     markers: FloatArray
-    pose: FloatArray  # in the world, as `Pose.vector`, shape (7,); NaN if unknown
-    frames: int = 0  # number of frames used for the pose [1]
-    fault: str = ""  # why there is no pose; empty if there is one
+    pose: FloatArray
+    frames: int = 0
+    fault: str = ""
 
 
 class BodyTracker:
     """Keeps the frames of the last second, and interpolates or averages them.
 
-    The window [s] is the span around a trigger whose frames are averaged; with 0 poses are
-    interpolated between two frames. All methods are thread-safe. Each body has 3 to 8 markers in
-    its own frame, shape (k, 3) [m].
+    All methods are thread-safe.
+
+    Args:
+        settings: Names of the two bodies in Motive, and the largest gap between frames.
+        socket_markers: The socket's 3 to 8 markers in its body's frame, shape (k, 3) [m].
+        pylon_markers: The pylon's 3 to 8 markers in its body's frame, shape (k, 3) [m].
     """
 
     def __init__(
@@ -54,19 +64,37 @@ class BodyTracker:
         self._changed = threading.Condition()  # its lock is reentrant
 
     def add(self, frame: MocapFrame, time: float, models: BodiesByName | None) -> None:
-        """Add a frame, later than all before, with its time [s] and the bodies of its ids."""
+        """Add a frame; one that is not later than all before is ignored.
+
+        Args:
+            frame: The frame.
+            time: Middle of its exposure on the steady clock [s].
+            models: The server's rigid bodies by name, which tell whose the markers are; None if not
+                known yet.
+        """
         with self._changed:
             for body in self._bodies:
                 body.add(frame, time, models)
             self._changed.notify_all()
 
     def ready(self, trigger: float, window: float = 0.0) -> bool:
-        """Whether later frames cannot improve the sample at a trigger [s]."""
+        """Whether later frames cannot improve the sample at a trigger.
+
+        Args:
+            trigger: Time of the trigger on the steady clock [s].
+            window: Span centred on the trigger whose frames are averaged [s]; 0 to interpolate.
+        """
         with self._changed:
             return all(body.ready(trigger, window) for body in self._bodies)
 
     def wait(self, trigger: float, deadline: float, window: float = 0.0) -> bool:
-        """Wait until `ready` or a deadline on the steady clock [s]; returns whether ready."""
+        """Wait until `ready` or a deadline; returns whether ready.
+
+        Args:
+            trigger: Time of the trigger on the steady clock [s].
+            deadline: When to give up, on the steady clock [s].
+            window: Span centred on the trigger whose frames are averaged [s]; 0 to interpolate.
+        """
         # The last frame cannot arrive before the end of the window.
         clocks.sleep(max(0.0, min(trigger + 0.5 * window, deadline) - clocks.monotonic()))
         with self._changed:
@@ -74,13 +102,18 @@ class BodyTracker:
             return self._changed.wait_for(lambda: self.ready(trigger, window), left)
 
     def sample(self, trigger: float, window: float = 0.0) -> tuple[SeenBody, SeenBody]:
-        """Socket and pylon at a time of the steady clock [s], from the available frames.
+        """Socket and pylon at a trigger, in this order, from the available frames.
 
         A pose is the mean on SE(3) of the frames in the window: the mean of the positions and the
         chordal mean of the rotations. Frames are not symmetric about the trigger, especially if
         some are missing, so the mean velocity in the window carries the mean to the trigger's
         time without lag. A body has a pose whenever it can be interpolated; the interpolated pose
         is kept if the mean would be noisier. Markers are always interpolated.
+
+        Args:
+            trigger: Time of the trigger on the steady clock [s].
+            window: Span centred on the trigger whose frames are averaged [s]; 0 to interpolate
+                between the two frames around it.
         """
         with self._changed:
             socket, pylon = (body.at(trigger, window) for body in self._bodies)
@@ -88,7 +121,7 @@ class BodyTracker:
 
 
 class _Frame(NamedTuple):
-    time: float  # [s]
+    time: float  # mid-exposure on the steady clock [s]
     markers: FloatArray  # of the body by label, shape (k, 3) [m]; NaN if not seen
     unknown: str  # why the body is not among the server's; empty if it is
 

@@ -28,8 +28,18 @@ _FIFO_SIZE = 2  # conversions
 class SimulatedAds131m0x:
     """One converter: an `SpiDevice`, and an `EdgeLine` if its DRDY is wired.
 
-    It has 6 (M06) or 8 (M08) channels. `volts` gives their voltages, shape (channels,) [V], at a
-    time of the steady clock [s], `noise` the noise of one conversion. Its clock is in Hz.
+    Args:
+        volts: Gives the voltages at its inputs, shape (channels,) [V], at a time of the steady
+            clock [s].
+        channels: Number of channels: 6 (M06) or 8 (M08).
+        faults: Faults of `simulation.world`, read at each frame; None for none.
+        clock_in: Its clock [Hz].
+        seed: Seed of the flipped bits; None for a random one.
+        noise: Gives the noise of one conversion, added to `volts`, a number or shape (channels,)
+            [V].
+
+    Attributes:
+        is_wired: Whether DRDY is connected; without it there are no edges.
     """
 
     def __init__(
@@ -49,7 +59,7 @@ class SimulatedAds131m0x:
         self._rng = np.random.default_rng(seed)
         self._unplugged = False
         self._edges_until = self._supplied_since = now = clocks.monotonic()
-        self.is_wired = True  # whether DRDY is connected
+        self.is_wired = True
         self._power_on(now)
 
     def _power_on(self, now: float) -> None:
@@ -82,7 +92,10 @@ class SimulatedAds131m0x:
         """Do nothing: the chip keeps running."""
 
     def edges(self, within: float) -> list[float]:
-        """Falling edges of DRDY since the last call [s], without waiting."""
+        """Falling edges of DRDY since the last call on the steady clock [s].
+
+        Unlike a real line it never waits, whatever `within` [s] is.
+        """
         until = clocks.monotonic()
         silent = self._fault("unplugged") or self._fault("frozen") or not self.is_wired
         ended = 0 if silent else self._finished(until)
@@ -91,7 +104,11 @@ class SimulatedAds131m0x:
         return [edge for edge in found if since < edge <= until]
 
     def xfer2(self, data: list[int], /) -> list[int]:
-        """Exchange one frame: command word, one word per channel, checksum."""
+        """Exchange the bytes, 0..255 each, of one frame.
+
+        It sends the response to the command before, a word per channel and the checksum, and
+        receives a command. Words have three bytes.
+        """
         now = clocks.monotonic()
         if self._fault("unplugged"):
             self._unplugged = True
@@ -222,10 +239,16 @@ def simulated_load_cell(
     seed: int | None = None,
     noise: Callable[[], FloatArray] = lambda: np.zeros(6),
 ) -> SimulatedAds131m0x:
-    """The converter of a load cell under a load [M; F], shape (6,) [N m, N].
+    """The converter of a load cell under a load.
 
-    `wrench` gives the load at a time of the steady clock [s], `noise` its noise per conversion.
-    Faults are those of `simulation.world`, read at each frame.
+    Wrong settings raise a `ConfigurationError`.
+
+    Args:
+        wrench: Gives the load [M; F] in {S} at a time of the steady clock [s], shape (6,) [N m, N].
+        settings: The load cell's matrix, signs and excitation, its amplifiers and its converter.
+        faults: Faults of `simulation.world`, read at each frame; None for none.
+        seed: Seed of the flipped bits; None for a random one.
+        noise: Gives the noise of the load [M; F] in one conversion, shape (6,) [N m, N].
     """
     check_settings(settings)
     # Apart from the driver's `Bridges`, whose inverse would hide its errors of sign and order.

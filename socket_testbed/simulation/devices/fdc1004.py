@@ -19,7 +19,8 @@ _MAX_CODE, _MIN_CODE = 0x7FFFFF, -0x800000
 class SimulatedFdc1004(SimulatedChip):
     """The chip in repeat mode; it converts continuously, whether or not it is read.
 
-    Offset and gain registers and other modes are not simulated.
+    Offset and gain registers and other modes are not simulated. See `SimulatedChip` for the
+    arguments.
     """
 
     address = 0x50
@@ -44,7 +45,7 @@ class SimulatedFdc1004(SimulatedChip):
         self._end = math.inf
 
     def write(self, data: bytes) -> None:
-        """Handle a write."""
+        """Handle a write: the number of a register, then its two bytes unless it is to be read."""
         self._convert(clocks.monotonic())
         register = data[0]
         known = register <= _FDC_CONF or register in _IDENTITY
@@ -62,7 +63,7 @@ class SimulatedFdc1004(SimulatedChip):
             raise no_answer()  # read-only
 
     def read(self, length: int) -> bytes:
-        """Answer with the register at the pointer, repeated."""
+        """Answer with some bytes: those of the register at the pointer, repeated."""
         self._convert(clocks.monotonic())
         value = self._value(self._pointer).to_bytes(2, "big")
         return (value * length)[:length]

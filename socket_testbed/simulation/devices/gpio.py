@@ -10,7 +10,10 @@ _DELAY = 2e-6  # [s]; from the trigger's output to the timestamped edge
 
 
 class SimulatedLines:
-    """The `Lines` of `drivers.gpio.GpioTrigger`, with a wire that carries the edge."""
+    """The `Lines` of `drivers.gpio.GpioTrigger`, with a wire that carries the edge.
+
+    The constructor takes the faults of `simulation.world`, read at each pulse.
+    """
 
     def __init__(self, faults: Mapping[str, float]) -> None:
         self._faults = faults
@@ -18,13 +21,21 @@ class SimulatedLines:
         self._edges: list[float] = []
 
     def set(self, line: int, active: bool) -> None:
-        """Set the output line."""
+        """Set the output line; an edge follows when it becomes active.
+
+        Args:
+            line: Number of the line; any, as there is one output.
+            active: Whether to drive it active (high), otherwise inactive (low).
+        """
         rising, self._active = active and not self._active, active
         if rising and not self._faults["trigger.missing"]:
             self._edges.append(clocks.monotonic() + _DELAY + self._faults["trigger.late"])
 
     def edges(self, within: float) -> list[float]:
-        """Rising edges so far; waits up to `within` [s] for the first."""
+        """Times of rising edges since the last call, on the steady clock [s].
+
+        Without an edge it waits up to `within` [s] for the first, and may return an empty list.
+        """
         deadline = clocks.monotonic() + within
         if self._edges and (due := min(self._edges)) <= deadline:
             clocks.sleep(max(0.0, due - clocks.monotonic()))

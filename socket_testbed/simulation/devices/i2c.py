@@ -27,7 +27,7 @@ _READ = 0x0001  # flag of linux/i2c.h
 
 
 def no_answer() -> OSError:
-    """The error for a transfer without acknowledgement."""
+    """The error for a transfer without acknowledgement, EREMOTEIO."""
     return OSError(errno.EREMOTEIO, "no acknowledgement (simulated)")
 
 
@@ -37,9 +37,15 @@ class SimulatedChip:
     Subclasses simulate a chip without faults: they define `address`, `write` and `read`, which
     raise `no_answer` if the chip does not acknowledge, `power_up` and `stop`.
 
-    Arguments are the capacitance [pF] of an input, 0..3, at a time, the faults of
-    `simulation.world`, the number of the cluster in them, from 1, and the speed of the oscillator
-    relative to the nominal one.
+    Args:
+        capacitance: Gives the capacitance [pF] of an input, 0..3, at a time of the steady clock
+            [s].
+        faults: Faults of `simulation.world`, read at each transfer.
+        number: Number of the cluster in these faults, from 1.
+        speed: Speed of the chip's oscillator relative to the nominal one [-].
+
+    Attributes:
+        address: Its address on the bus, 7 bits.
     """
 
     address = 0
@@ -67,14 +73,19 @@ class SimulatedChip:
         """Stop converting until reset; finished conversions stay."""
 
     def write(self, data: bytes) -> None:
-        """Handle a write."""
+        """Handle the bytes of a write."""
 
     def read(self, length: int) -> bytes:
-        """Answer a read of some bytes."""
+        """Answer a read with a number of bytes."""
         return bytes(length)
 
     def input(self, n: int, moment: float) -> float:
-        """Capacitance at an input at a time [pF]."""
+        """Capacitance at an input [pF]; 1000 pF, out of every range, if it is at a rail.
+
+        Args:
+            n: The input, 0..3.
+            moment: Time on the steady clock [s].
+        """
         return _BEYOND if self._has("rail") else self._capacitance((n + self._shift) % 4, moment)
 
     def host_restarted(self) -> None:
@@ -83,7 +94,7 @@ class SimulatedChip:
             self._shift = 1
 
     def parts_at(self, address: int) -> list[Part]:
-        """The chip itself if the address matches; applies the active faults."""
+        """The chip itself if the address matches, otherwise nothing; applies the active faults."""
         if address != self.address:
             return []
         was_stuck, self._stuck = self._stuck, self._has("stuck_done")
@@ -102,12 +113,18 @@ class SimulatedChip:
 
 
 class SimulatedTca9548a:
-    """A multiplexer: a mask of the channels that are connected."""
+    """A multiplexer: a mask of the channels that are connected.
+
+    Attributes:
+        address: Its address on the bus, 0x70 to 0x77.
+        mask: Connected channels: bit n for channel n.
+        chips: The chip behind each channel, by the channel, 0..7.
+    """
 
     def __init__(self, address: int = 0x70) -> None:
         self.address = address
-        self.mask = 0  # bit n connects channel n [1]
-        self.chips: dict[int, SimulatedChip] = {}  # by channel
+        self.mask = 0
+        self.chips: dict[int, SimulatedChip] = {}
 
     def power_up(self) -> None:
         """Disconnect all channels; the chips lose power as well."""
@@ -131,7 +148,7 @@ class SimulatedTca9548a:
         self.mask = data[-1]
 
     def read(self, length: int) -> bytes:
-        """Answer with the mask."""
+        """Answer a read with a number of bytes, the mask each."""
         return bytes([self.mask]) * length
 
 
@@ -141,7 +158,11 @@ Part: TypeAlias = SimulatedTca9548a | SimulatedChip
 class SimulatedI2cBus:
     """An open bus with its multiplexers and chips.
 
-    Opening it looks like a restart of the host to the chips. Faults are read at each transfer.
+    Opening it looks like a restart of the host to the chips.
+
+    Args:
+        parts: What is on the bus itself: multiplexers, and chips without one.
+        faults: Faults of `simulation.world`, read at each transfer.
     """
 
     def __init__(
@@ -155,7 +176,12 @@ class SimulatedI2cBus:
             part.host_restarted()
 
     def i2c_rdwr(self, *messages: i2c_msg) -> None:
-        """Transfer messages with repeated starts between them."""
+        """Transfer messages with repeated starts between them; fills the buffers of reads.
+
+        Raises:
+            OSError: No chip acknowledges (EREMOTEIO), the bus hangs (ETIMEDOUT) or is gone
+                (ENODEV).
+        """
         if self._faults.get("clusters.unplugged", 0.0):
             self._is_gone = True
             for part in self._parts:
@@ -196,8 +222,17 @@ class SimulatedI2cBus:
 class SimulatedClusterHardware:
     """The chips of all clusters in the places given by the settings.
 
-    `capacitance` [pF] depends on the cluster's index in the settings, its input, 0..3, and a time
-    of the steady clock [s]. `speeds` has one entry per cluster; empty for nominal speed.
+    Args:
+        settings: Bus, multiplexer and channel of each cluster.
+        chip: The simulated chip.
+        capacitance: Gives a capacitance [pF] from the cluster's index in the settings, from 0, its
+            input, 0..3, and a time of the steady clock [s].
+        faults: Faults of `simulation.world`, read at each transfer.
+        speeds: Speed of each chip's oscillator relative to the nominal one [-]; empty for nominal
+            speed.
+
+    Attributes:
+        multiplexers: The multiplexers by number of the bus and address.
     """
 
     def __init__(
@@ -208,7 +243,7 @@ class SimulatedClusterHardware:
         faults: Mapping[str, float],
         speeds: Sequence[float] = (),
     ) -> None:
-        self.multiplexers: dict[tuple[int, int], SimulatedTca9548a] = {}  # by bus and address
+        self.multiplexers: dict[tuple[int, int], SimulatedTca9548a] = {}
         self._buses: dict[int, list[Part]] = defaultdict(list)
         for n, (bus, address, channel) in enumerate(settings.places):
             speed = speeds[n] if speeds else 1.0
@@ -223,7 +258,11 @@ class SimulatedClusterHardware:
         self._faults = faults
 
     def open_bus(self, number: int) -> I2cBus:
-        """Open a bus by its number [1]; unplugged chips come back reset."""
+        """Open a bus by its number; unplugged chips come back reset.
+
+        Raises:
+            DeviceError: The bus is unplugged, or has no chips: it is missing.
+        """
         parts = self._buses.get(number, [])
         if unplugged := self._faults.get("clusters.unplugged", 0.0):
             for part in parts:

@@ -40,7 +40,13 @@ _VERSIONS = {  # of the stream on request
 
 @dataclass(frozen=True)
 class Body:
-    """A rigid body in a frame: id, position [m], quaternion (x, y, z, w)."""
+    """A rigid body in a frame.
+
+    Attributes:
+        id: Its streaming id.
+        position: Position of its origin in the world, shape (3,) [m].
+        quaternion: Its rotation to the world, a unit quaternion (x, y, z, w), shape (4,) [-].
+    """
 
     id: int
     position: FloatArray
@@ -49,7 +55,14 @@ class Body:
 
 @dataclass(frozen=True)
 class Marker:
-    """A labelled marker in a frame: model, member, position [m], flags."""
+    """A labelled marker in a frame.
+
+    Attributes:
+        model: Streaming id of its body; 0 for none.
+        member: Its number in the body, from 1.
+        position: Its position in the world, shape (3,) [m].
+        flags: Sum of the flags `OCCLUDED`, `SOLVED`, `MODEL_FILLED` and `HAS_MODEL`.
+    """
 
     model: int
     member: int
@@ -59,10 +72,19 @@ class Marker:
 
 @dataclass(frozen=True)
 class Content:
-    """A frame; all sections except rigid bodies and labelled markers are empty."""
+    """A frame; all sections except rigid bodies and labelled markers are empty.
+
+    Attributes:
+        number: Number of the frame; it increases within a session of the server.
+        ticks: The server's clock at mid-exposure, at data received and at transmission [ticks of
+            100 ns].
+        bodies: The rigid bodies.
+        markers: The labelled markers of all bodies.
+        recording: Whether the server records a take.
+        models_changed: Whether the rigid bodies have changed.
+    """
 
     number: int
-    # server's clock at mid-exposure, at data received and at transmission [ticks]
     ticks: tuple[int, int, int] = (0, 0, 0)
     bodies: Sequence[Body] = ()
     markers: Sequence[Marker] = ()
@@ -72,14 +94,24 @@ class Content:
 
 @dataclass(frozen=True)
 class Message:
-    """A message, and the offsets of the counts in it."""
+    """A message, and the offsets of the counts in it.
+
+    Attributes:
+        data: The datagram: header (id and size of the payload, u16 each), then the payload.
+        counts: Offsets of its counts and sizes, i32 each, from the start of the datagram [bytes].
+    """
 
     data: bytes
     counts: Sequence[int]
 
     @classmethod
     def of(cls, kind: int, *parts: bytes | int) -> Message:
-        """Build a message from its parts, see `Parts`."""
+        """Build a message from its parts.
+
+        Args:
+            kind: Id of the message, such as `messages.FRAME`.
+            *parts: Its payload, in order: bytes, and counts or sizes as numbers.
+        """
         payload, counts = _join(parts)
         return cls(pack("<HH", kind, len(payload)) + payload, [4 + at for at in counts])
 
@@ -107,7 +139,12 @@ def encode_server_info(info: ServerInfo) -> Message:
 
 
 def encode_frame(content: Content, version: Version) -> Message:
-    """FRAME with all its sections."""
+    """FRAME with all its sections.
+
+    Args:
+        content: The frame.
+        version: Version of the stream, 3.0 to 4.4, which determines the layout.
+    """
     sized = version >= (4, 1)
     bodies: Parts = [
         pack("<i8fh", body.id, *body.position, *body.quaternion, 1e-4, True)
@@ -138,7 +175,12 @@ def encode_frame(content: Content, version: Version) -> Message:
 def encode_model_definitions(
     definitions: Iterable[RigidBodyDefinition], version: Version
 ) -> Message:
-    """MODELDEF of rigid bodies, each with its marker set as in Motive."""
+    """MODELDEF of rigid bodies, each with its marker set as in Motive.
+
+    Args:
+        definitions: The rigid bodies.
+        version: Version of the stream, 3.0 to 4.4, which determines the layout.
+    """
     parts: Parts = []
     number = 0
     for definition in definitions:
@@ -175,7 +217,16 @@ def _text(text: str) -> bytes:
 
 
 class Scene:
-    """Generates frames with noise [m] and the faults `mocap.occlude` and `mocap.swap`."""
+    """Generates frames with noise and the faults `mocap.occlude` and `mocap.swap`.
+
+    Args:
+        bodies: Gives the bodies at a time of the steady clock [s]: the name of each, its m true
+            markers in the world, shape (m, 3) [m], the position of its origin in the world, shape
+            (3,) [m], and its quaternion (x, y, z, w), shape (4,) [-].
+        faults: Faults of `simulation.world`, read at each frame.
+        noise: Standard deviation of each coordinate of a marker [m].
+        rng: Random numbers of the noise and the swaps.
+    """
 
     def __init__(
         self, bodies: Bodies, faults: Mapping[str, float], noise: float, rng: np.random.Generator
@@ -195,7 +246,10 @@ class Scene:
         self._names = ()
 
     def definitions(self, moment: float) -> list[RigidBodyDefinition]:
-        """Definitions of the rigid bodies at a time of the steady clock [s]."""
+        """Definitions of the rigid bodies at a time of the steady clock [s].
+
+        Their markers are in the body's frame [m].
+        """
         found = []
         for name, markers, position, quaternion in self._bodies(moment):
             in_body = Rotation.from_quat(quaternion).inv().apply(markers - position)
@@ -206,7 +260,14 @@ class Scene:
     def content(
         self, moment: float, number: int, ticks: tuple[int, int, int], recording: bool
     ) -> Content:
-        """The frame exposed at a time of the steady clock [s]."""
+        """The frame exposed at a time.
+
+        Args:
+            moment: Middle of the exposure on the steady clock [s].
+            number: Number of the frame.
+            ticks: The server's clock at mid-exposure, at data received and at transmission [ticks].
+            recording: Whether the server records a take.
+        """
         bodies: list[Body] = []
         labelled: list[Marker] = []
         scene = self._bodies(moment)
@@ -244,7 +305,13 @@ class Scene:
 
 
 class FaultyNetwork:
-    """Sends datagrams on a socket, with the active faults."""
+    """Sends datagrams on a socket, with the active faults.
+
+    Args:
+        udp: The socket.
+        faults: Faults of `simulation.world`, read at each datagram.
+        rng: Random numbers of the faults.
+    """
 
     def __init__(
         self, udp: socket.socket, faults: Mapping[str, float], rng: np.random.Generator
@@ -255,7 +322,12 @@ class FaultyNetwork:
         self._held: list[tuple[bytes, Address]] = []
 
     def send(self, message: Message, address: Address) -> None:
-        """Send a message, subject to the faults."""
+        """Send a message, subject to the faults.
+
+        Args:
+            message: The message.
+            address: IPv4 address and port of the receiver.
+        """
         if self._faults.get("mocap.unplugged", 0.0):
             self._held.clear()
             return
@@ -290,9 +362,20 @@ class _Client:
 class NatNetServer:
     """Streams bodies to its clients, from its construction until it is closed.
 
-    `bodies` gives them at a time of the steady clock [s]; frames have a rate [Hz] and a noise of
-    each marker coordinate [m], and are sent by unicast or to a group and its data port. Faults are
-    those of `simulation.world`, read live. Port 0 selects a free one.
+    Args:
+        bodies: Gives the bodies at a time of the steady clock [s], see `Scene`.
+        rate: Rate of the frames [Hz].
+        version: NatNet version of the server, major and minor; its frames can be 3.0 to 4.4.
+        address: IPv4 address and command port; port 0 selects a free one.
+        multicast: Multicast group and its data port; None to stream to each client.
+        faults: Faults of `simulation.world`, read live; None for none.
+        noise: Standard deviation of each coordinate of a marker [m].
+        seed: Seed of the random numbers.
+
+    Attributes:
+        takes: Names of the recorded takes in order, including the current one.
+        recording: Whether a take is being recorded.
+        commands: Texts of all received commands, in order.
     """
 
     def __init__(
@@ -306,9 +389,9 @@ class NatNetServer:
         noise: float = 0.0,
         seed: int = 0,
     ) -> None:
-        self.takes: list[str] = []  # names of recorded takes, including the current one
+        self.takes: list[str] = []
         self.recording = False
-        self.commands: list[str] = []  # all received commands, in order
+        self.commands: list[str] = []
         self._take = ""
         self._rate = rate
         self._version = version
