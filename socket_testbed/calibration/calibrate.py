@@ -81,15 +81,23 @@ def quality_figures(
         on_branch = [*STRESSES, "branch"]
         by_branch = cells.groupby(on_branch)["fitted"].agg(["mean", "size"]).unstack("branch")
         both = by_branch.reindex(columns=_UP_AND_DOWN).dropna()
+        # A cell counts by its rows on the branch that has fewer.
         weight = both["size"].min(axis=1)
-        gap = (both["mean", RISING] - both["mean", FALLING]) * weight
-        gaps = (values.groupby(STRESSES[axis]).sum() for values in (gap, weight))
+        difference = both["mean", RISING] - both["mean", FALLING]
+        level = STRESSES[axis]
+        weighted_sum = (difference * weight).groupby(level).sum()
+        mean_difference = weighted_sum / weight.groupby(level).sum()
+        hysteresis = mean_difference.abs().max()
+
         means = cells.groupby([*on_branch, "cycle"])["fitted"].mean()
         by_cell = means.groupby(on_branch)
         freedom = (by_cell.size() - 1).sum() or np.nan
-        spread = np.sqrt(((means - by_cell.transform("mean")) ** 2).sum() / freedom)
+        deviation = means - by_cell.transform("mean")
+        repeatability = np.sqrt((deviation**2).sum() / freedom)
+
         apparent = cells[pure].groupby([*STRESSES])["unseen"].mean()
-        rows.append((np.divide(*gaps).abs().max(), spread, apparent.abs().max()))
+        cross_talk = apparent.abs().max()
+        rows.append((hysteresis, repeatability, cross_talk))
     figures = 100.0 * np.array(rows) / bench.full_scale[:, None]
     return pd.DataFrame(figures, STRESSES, ["hysteresis", "repeatability", "cross_talk"])
 
