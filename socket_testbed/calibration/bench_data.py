@@ -36,15 +36,27 @@ _SCALE_PERCENTILE = 99.0  # [%]; ignores a few wrong stresses
 
 @dataclass(frozen=True)
 class BenchData:
-    """Bench data of one cluster, one row per reading."""
+    """Bench data of one cluster, one row per reading.
+
+    Attributes:
+        files: Names of the files, without their folders.
+        file: Index into `files` of each reading's file, shape (N,).
+        line: Line of each reading in its file, from 1, shape (N,).
+        time: Time of each reading as in its file, shape (N,) [s]; NaN if the file has no time.
+        cycle: Load cycle of each reading, numbered within its file, shape (N,); `UNNAMED` if the
+            file names no cycles.
+        capacitance: Capacitances by input of the converter (c0 to c3), shape (N, 4) [pF].
+        stress: Known normal stress (positive in compression), shear x and shear y along the
+            cluster's axes, shape (N, 3) [Pa].
+    """
 
     files: tuple[str, ...]
-    file: IntArray  # (N,); index into `files`
-    line: IntArray  # (N,); in its file
-    time: FloatArray  # (N,) [s]; within its file; NaN if the file has no time
-    cycle: IntArray  # (N,); within its file; `UNNAMED` if the file names none
-    capacitance: FloatArray  # (N, 4) [pF]; by input of the converter
-    stress: FloatArray  # (N, 3) [Pa]; normal (positive in compression), shear x, shear y
+    file: IntArray
+    line: IntArray
+    time: FloatArray
+    cycle: IntArray
+    capacitance: FloatArray
+    stress: FloatArray
 
     def __len__(self) -> int:
         return len(self.file)
@@ -69,14 +81,15 @@ _ARRAYS = ("file", "line", "time", "cycle", "capacitance", "stress")  # of a Ben
 def scaled_stress(stress: FloatArray) -> FloatArray:
     """Scale stresses (N, 3) [Pa] by their 99th percentiles and clip them to [-1, 1].
 
-    Up to one row in a hundred may be wrong. A stress that is hardly ever applied gives zero.
+    Returns them in the order given, shape (N, 3) [-]. Up to one row in a hundred may be wrong. A
+    stress that is hardly ever applied gives zero.
     """
     scale = np.percentile(np.abs(stress), _SCALE_PERCENTILE, axis=0, method="lower")
     return np.clip(stress / np.where(scale > 0.0, scale, np.inf), -1.0, 1.0)
 
 
 def join_benches(parts: Sequence[BenchData]) -> BenchData:
-    """Concatenate the data of several files, in order."""
+    """Concatenate the data of several files, in order; `file` then indexes all their `files`."""
     arrays = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS}
     offsets = np.cumsum([0, *(len(part.files) for part in parts[:-1])])
     arrays["file"] += np.repeat(offsets, [len(part) for part in parts])
@@ -102,9 +115,17 @@ def read_bench(
     The file has a header and one row per reading, with the columns `normal`, `shear_x`, `shear_y`
     and `c0` to `c3` (the converter's inputs), and optionally `time` and `cycle`. Units are given in
     the header, such as `normal [kPa]`, or in a separate row below it. Columns are separated by
-    commas, semicolons or tabs; other columns are ignored. `columns` maps quantities to other
-    column titles, `units` (see `UNITS`) overrides the header, and a stress in N acts on an
-    area [m^2].
+    commas, semicolons or tabs; other columns are ignored.
+
+    Args:
+        path: The file.
+        columns: Other titles of the columns, keyed by quantity; empty if all have their usual one.
+        units: Units that override the header's, such as `kPa`, keyed by quantity; see `UNITS`.
+        area: Area on which a stress given as a force in N or kN acts [m^2]; None if no stress is.
+
+    Raises:
+        CalibrationError: If a column, a unit or the area is missing, a value is not a number or
+            implausible in its unit, times do not increase, or an input has one value in every row.
     """
     required, optional = (*STRESSES, *INPUTS), ("time", "cycle")
     found = _find_columns(path, required, optional, columns, units, area)
@@ -131,7 +152,17 @@ def read_bench(
 
 
 def read_unloaded(path: Path, columns: Mapping[str, str], units: Mapping[str, str]) -> FloatArray:
-    """Read `c0` to `c3` of the unloaded cluster, shape (N, 4) [pF]; format as in `read_bench`."""
+    """Read `c0` to `c3` of the unloaded cluster, shape (N, 4) [pF]; format as in `read_bench`.
+
+    Args:
+        path: The file; columns other than these four are ignored.
+        columns: Other titles of the columns, keyed by quantity; empty if all have their usual one.
+        units: Units that override the header's, such as `fF`, keyed by quantity; see `UNITS`.
+
+    Raises:
+        CalibrationError: If a column or a unit is missing, or a value is not a number or
+            implausible in its unit.
+    """
     found = _find_columns(path, INPUTS, (), columns, units)
     return np.column_stack([found[name].values() for name in INPUTS])
 

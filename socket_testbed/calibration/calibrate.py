@@ -38,7 +38,13 @@ _UP_AND_DOWN = pd.MultiIndex.from_product([("mean", "size"), (RISING, FALLING)])
 def stress_errors(known: FloatArray, predicted: FloatArray, full_scale: FloatArray) -> pd.DataFrame:
     """Errors by stress: `rmse` and `mae` [Pa], `r2` [-], and the RMSE in `percent` of full scale.
 
-    R^2 is the explained fraction of the known stress's variance.
+    R^2 is the explained fraction of the known stress's variance. The table has a row per stress:
+    `normal`, `shear_x` and `shear_y`.
+
+    Args:
+        known: Known stresses: normal, shear x and shear y, shape (N, 3) [Pa].
+        predicted: Stresses by a calibration in these rows, shape (N, 3) [Pa].
+        full_scale: Full scale of each stress, shape (3,) [Pa], see `BenchData.full_scale`.
     """
     residual = predicted - known
     rmse = np.sqrt(np.mean(residual**2, axis=0))
@@ -67,6 +73,17 @@ def quality_figures(
       stress: the largest mean held-out residual of a cell. A row is pure if its loading stress is
       at least 10 % of full scale and the others are at most 2 %; pure shear may combine x and y.
       NaN without a pure row.
+
+    Args:
+        bench: The N readings that are judged.
+        fitted: Residuals of the fit, calibrated minus known stress, shape (N, 3) [Pa].
+        unseen: Residuals of the fits without a row's own group, shape (N, 3) [Pa].
+        branches: `RISING`, `FALLING` or `NEITHER` for each row and stress, shape (N, 3); see
+            `find_branches`.
+        cycles: Load cycle of each row, shape (N,); see `cycle_ids`.
+
+    Returns:
+        A row per stress: `normal`, `shear_x` and `shear_y`; a column per figure.
     """
     levels = np.round(bench.stress / (_LEVEL * bench.full_scale)).astype(np.int64)
     share = np.abs(bench.stress) / bench.full_scale
@@ -81,23 +98,35 @@ def quality_figures(
         on_branch = [*STRESSES, "branch"]
         by_branch = cells.groupby(on_branch)["fitted"].agg(["mean", "size"]).unstack("branch")
         both = by_branch.reindex(columns=_UP_AND_DOWN).dropna()
+        # A cell counts by its rows on the branch that has fewer.
         weight = both["size"].min(axis=1)
-        gap = (both["mean", RISING] - both["mean", FALLING]) * weight
-        gaps = (values.groupby(STRESSES[axis]).sum() for values in (gap, weight))
+        difference = both["mean", RISING] - both["mean", FALLING]
+        level = STRESSES[axis]
+        weighted_sum = (difference * weight).groupby(level).sum()
+        mean_difference = weighted_sum / weight.groupby(level).sum()
+        hysteresis = mean_difference.abs().max()
+
         means = cells.groupby([*on_branch, "cycle"])["fitted"].mean()
         by_cell = means.groupby(on_branch)
         freedom = (by_cell.size() - 1).sum() or np.nan
-        spread = np.sqrt(((means - by_cell.transform("mean")) ** 2).sum() / freedom)
+        deviation = means - by_cell.transform("mean")
+        repeatability = np.sqrt((deviation**2).sum() / freedom)
+
         apparent = cells[pure].groupby([*STRESSES])["unseen"].mean()
-        rows.append((np.divide(*gaps).abs().max(), spread, apparent.abs().max()))
+        cross_talk = apparent.abs().max()
+        rows.append((hysteresis, repeatability, cross_talk))
     figures = 100.0 * np.array(rows) / bench.full_scale[:, None]
     return pd.DataFrame(figures, STRESSES, ["hysteresis", "repeatability", "cross_talk"])
 
 
 def find_extremes(values: FloatArray, threshold: float) -> IntArray:
-    """Indices of alternating minima and maxima that differ by at least a threshold.
+    """Indices of alternating minima and maxima that differ by at least a threshold, ascending.
 
     A single index if the signal never moves that far.
+
+    Args:
+        values: The signal in any unit, shape (N,), without NaN.
+        threshold: Smallest difference between an extreme and the next, in the signal's unit.
     """
     extremes: list[int] = []
     lowest = highest = direction = 0
@@ -115,9 +144,9 @@ def find_extremes(values: FloatArray, threshold: float) -> IntArray:
 
 
 def _find_cycles(stress: FloatArray) -> IntArray:
-    """Load cycles of one file, from one minimum of the load to the next.
+    """Load cycles of one file, numbered from 0, from one minimum of the load to the next, (N,).
 
-    The load is the norm of the stress vector, each component scaled by its full scale.
+    The load is the norm of the `scaled_stress` of the file's readings, shape (N, 3) [Pa].
     """
     load = median_filter(np.linalg.norm(scaled_stress(stress), axis=1), 3)  # removes spikes
     extremes = find_extremes(load, _MIN_CYCLE * float(np.ptp(load)))
@@ -129,7 +158,7 @@ def _find_cycles(stress: FloatArray) -> IntArray:
 def cycle_ids(bench: BenchData) -> IntArray:
     """Cycle of each row over all files, shape (N,): named in the file, or found from the load.
 
-    A single name for all rows of a file is ignored.
+    Cycles are numbered from 0 through all files. A single name for all rows of a file is ignored.
     """
     cycles = pd.DataFrame({"file": bench.file, "cycle": bench.cycle})
     for file in np.unique(bench.file):
@@ -140,7 +169,11 @@ def cycle_ids(bench: BenchData) -> IntArray:
 
 
 def find_branches(bench: BenchData) -> IntArray:
-    """Whether each stress is rising, falling or neither in each row, shape (N, 3)."""
+    """Whether each stress is rising, falling or neither in each row, shape (N, 3).
+
+    The values are `RISING`, `FALLING` and `NEITHER`, the last also where the stress turns or
+    dwells.
+    """
     branches = np.full(bench.stress.shape, NEITHER)
     for file in range(len(bench.files)):
         rows = np.flatnonzero(bench.file == file)
@@ -160,17 +193,22 @@ _BLOCK_COUNT = 10
 
 @dataclass(frozen=True)
 class Groups:
-    """Readings to hold out together, because neighbours are correlated."""
+    """Readings to hold out together, because neighbours are correlated.
 
-    unit: str  # kind of group: file, cycle or block
-    ids: IntArray  # group of each row, 0 to G - 1; (N,)
+    Attributes:
+        unit: Kind of group: `file`, `cycle` or `block`.
+        ids: Group of each reading, 0 to G - 1, shape (N,).
+    """
+
+    unit: str
+    ids: IntArray
 
     def __len__(self) -> int:
         return int(self.ids.max()) + 1
 
     @cached_property
     def rows(self) -> list[IntArray]:
-        """Rows of each group, in order."""
+        """Indices of the readings in each of the G groups, ascending."""
         order = np.argsort(self.ids, kind="stable")
         return np.split(order, np.cumsum(np.bincount(self.ids))[:-1])
 
@@ -180,12 +218,21 @@ class Groups:
 
 @dataclass(frozen=True)
 class CrossValidation:
-    """Leave-one-group-out fits."""
+    """Leave-one-group-out fits.
+
+    Attributes:
+        groups: The G groups of readings that were left out in turn.
+        predicted: Stress of each reading by the fit without its group, shape (N, 3) [Pa].
+        normal: Coefficients of the normal stress by the fit without each group, shape (G, 2)
+            [Pa, Pa/pF]; columns as in `ClusterCalibration.normal`.
+        shear: Coefficients of shear x and shear y by the fit without each group, shape (G, 2, 6)
+            [Pa, Pa/pF, Pa/pF^2]; last axes as in `ClusterCalibration.shear`.
+    """
 
     groups: Groups
-    predicted: FloatArray  # stress of each row by the fit without its group; (N, 3) [Pa]
-    normal: FloatArray  # coefficients `normal` of each fit; (G, 2) [Pa, Pa/pF]
-    shear: FloatArray  # coefficients `shear` of each fit; (G, 2, 6) [Pa, Pa/pF, Pa/pF^2]
+    predicted: FloatArray
+    normal: FloatArray
+    shear: FloatArray
 
 
 def choose_groups(bench: BenchData) -> Groups:
@@ -217,7 +264,14 @@ def choose_groups(bench: BenchData) -> Groups:
 
 
 def cross_validate(capacitance: FloatArray, stress: FloatArray, groups: Groups) -> CrossValidation:
-    """Fit without each group in turn, and predict that group."""
+    """Fit without each group in turn, and predict that group.
+
+    Args:
+        capacitance: Capacitances by channel, not by input, shape (N, 4) [pF].
+        stress: Known normal stress (positive in compression), shear x and shear y, shape (N, 3)
+            [Pa].
+        groups: The group of each of the N readings.
+    """
     normal_design, shear_design = fit.design_matrices(capacitance)
     predicted, fits = np.empty_like(stress), []
     for rows in groups.rows:
@@ -238,8 +292,15 @@ def half_widths(full: FloatArray, without: FloatArray) -> FloatArray:
     Nielsen and Webb (2023), "Fast and reliable jackknife and bootstrap methods for
     cluster-robust inference", arXiv:2301.04527. Residuals may be correlated in any way within a
     group; groups are assumed independent. The intervals state how well this bench determines the
-    coefficients, not whether the polynomial describes the sensor. The coefficients b of the fit to
-    all data have any shape, those without each group (G, ...).
+    coefficients, not whether the polynomial describes the sensor.
+
+    Args:
+        full: Coefficients b of the fit to all data, in any shape and unit.
+        without: Coefficients b_g of the fits without each group, shape (G, *full.shape), in the
+            unit of b.
+
+    Returns:
+        The half widths in the shape and unit of b.
     """
     count = len(without)
     variance = (count - 1) / count * ((without - full) ** 2).sum(axis=0)
@@ -251,20 +312,38 @@ _MAX_DROPPED = 0.05  # [-]; beyond this they are not outliers but a different la
 
 @dataclass(frozen=True)
 class BenchCalibration:
-    """A cluster's calibration with its quality."""
+    """A cluster's calibration with its quality.
+
+    Attributes:
+        cluster: The coefficients.
+        bench: The N readings of the fit.
+        sound: Which readings of `bench` are no outliers, shape (N,); all if outliers were dropped.
+        outliers: Readings far from the rest; their rows count all readings, dropped ones included.
+        dropped: Whether the outliers were left out of the fit and of `bench`.
+        fitted: Stress of each reading by the calibration: normal, shear x and shear y, shape (N, 3)
+            [Pa].
+        cross_validation: The fits without each group, and their predictions of the group.
+        training: `stress_errors` of `fitted` over all readings of the fit.
+        held_out: `stress_errors` of the predictions in `cross_validation`, over all readings.
+        normal_half_width: Half widths of the 95 % intervals of `cluster.normal`, shape (2,)
+            [Pa, Pa/pF].
+        shear_half_width: Half widths of the 95 % intervals of `cluster.shear`, shape (2, 6)
+            [Pa, Pa/pF, Pa/pF^2].
+        figures: `quality_figures` over the sound readings [% of full scale].
+    """
 
     cluster: ClusterCalibration
-    bench: BenchData  # the data of the fit
-    sound: BoolArray  # rows of it without the outliers; (N,)
-    outliers: tuple[fit.Outlier, ...]  # readings far from the rest
-    dropped: bool  # whether they were removed from the fit and from `bench`
-    fitted: FloatArray  # stress by the calibration; (N, 3) [Pa]
+    bench: BenchData
+    sound: BoolArray
+    outliers: tuple[fit.Outlier, ...]
+    dropped: bool
+    fitted: FloatArray
     cross_validation: CrossValidation
-    training: pd.DataFrame  # `stress_errors` on the data of the fit
-    held_out: pd.DataFrame  # the same on held-out data
-    normal_half_width: FloatArray  # half widths of the 95 % intervals of `normal`; (2,)
-    shear_half_width: FloatArray  # the same of `shear`; (2, 6)
-    figures: pd.DataFrame  # `quality_figures`
+    training: pd.DataFrame
+    held_out: pd.DataFrame
+    normal_half_width: FloatArray
+    shear_half_width: FloatArray
+    figures: pd.DataFrame
 
     @property
     def full_scale(self) -> FloatArray:
@@ -278,7 +357,12 @@ class BenchCalibration:
         return np.column_stack([stress.min(axis=0), stress.max(axis=0)])
 
     def require_gain(self) -> None:
-        """Refuse a normal stress that does not grow with the capacitance."""
+        """Refuse a normal stress that does not grow with the capacitance.
+
+        Raises:
+            CalibrationError: If its gain is less than `MIN_GAIN` [Pa/pF]; check the sign of the
+                known stress, its unit, and outliers.
+        """
         gain = self.cluster.normal[1]
         if gain < MIN_GAIN:
             raise CalibrationError(
@@ -288,11 +372,15 @@ class BenchCalibration:
             )
 
     def above(self, limit: float) -> tuple[str, ...]:
-        """Stresses whose held-out RMSE exceeds a limit [% of full scale]."""
+        """Names of the stresses whose held-out RMSE exceeds a limit [% of full scale]."""
         return tuple(self.held_out.index[self.held_out["percent"] > limit])
 
     def require_accuracy(self, limit: float) -> None:
-        """Refuse a calibration that predicts unseen data poorly."""
+        """Refuse a calibration whose held-out RMSE exceeds a limit [% of full scale].
+
+        Raises:
+            CalibrationError: If one of the three stresses exceeds it.
+        """
         errors = self.held_out.loc[[*self.above(limit)]]
         bad = [f"{e.Index} {e.percent:.1f} % ({e.rmse:.0f} Pa)" for e in errors.itertuples()]
         if bad:
@@ -305,10 +393,19 @@ class BenchCalibration:
 def calibrate_bench(
     bench: BenchData, wiring: IntArray, wiring_stated: bool, drop_outliers: bool
 ) -> BenchCalibration:
-    """Fit a cluster and assess the fit; outliers are left out only with `drop_outliers`.
+    """Fit a cluster and assess the fit.
 
-    The wiring is the converter input of each channel, shape (4,). A stated wiring is kept even if
-    the data contradicts it.
+    Args:
+        bench: The readings, already corrected for drift if it was measured.
+        wiring: Converter input, 0 to 3, of each channel (-x,+y), (+x,+y), (-x,-y), (+x,-y), shape
+            (4,).
+        wiring_stated: Whether the user stated the wiring, so that it is kept even if the data
+            contradicts it.
+        drop_outliers: Whether to leave outliers out of the fit; otherwise they are only reported.
+
+    Raises:
+        CalibrationError: If the readings do not determine the coefficients, contradict a wiring
+            that is not stated, or more than 5 % of them would be dropped.
     """
     fit.check_excitation(bench.stress, ", ".join(bench.files))
     if not wiring_stated:
@@ -354,7 +451,15 @@ _DIGITS = 4  # significant digits; a bench does not support more
 def bench_record(
     calibrated: BenchCalibration, date: str, limit: float, forced: bool, found: Drift | None
 ) -> dict[str, Any]:
-    """The `bench` entry in a cluster's section of `calibration.yaml`."""
+    """The `bench` entry in a cluster's section of `calibration.yaml`.
+
+    Args:
+        calibrated: The calibration with its quality.
+        date: Date of the fit, such as 2026-01-31.
+        limit: Largest accepted held-out RMSE [% of full scale].
+        forced: Whether the cluster was accepted above the limit.
+        found: Drift of the unloaded cluster over the bench run; None if it was not measured.
+    """
     record: dict[str, Any] = {
         "date": date,
         "source": ", ".join(calibrated.bench.files),

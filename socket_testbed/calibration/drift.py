@@ -23,18 +23,30 @@ DRIFT_LIMIT = 1000.0  # [Pa]; a larger drift during a run is flagged
 
 @dataclass(frozen=True)
 class Baseline:
-    """Capacitances of an unloaded cluster."""
+    """Capacitances of an unloaded cluster.
 
-    time: float  # when they were read, on the clock of the readings to correct [s]
-    capacitance: FloatArray  # capacitances by input; (4,) [pF]
+    Attributes:
+        time: When they were read, on the clock of the readings to correct [s]; may be NaN if no
+            drift between two baselines is corrected.
+        capacitance: Capacitances by input of the converter, shape (4,) [pF].
+    """
+
+    time: float
+    capacitance: FloatArray
 
 
 @dataclass(frozen=True)
 class Drift:
-    """Change between two baselines."""
+    """Change between two baselines, the later minus the earlier.
 
-    capacitance: FloatArray  # change by input; (4,) [pF]
-    stress: FloatArray  # change of the calibrated stress of the unloaded cluster; (3,) [Pa]
+    Attributes:
+        capacitance: Change of the capacitances by input of the converter, shape (4,) [pF].
+        stress: Change of the unloaded cluster's calibrated stress: normal (positive in
+            compression), shear x and shear y, shape (3,) [Pa].
+    """
+
+    capacitance: FloatArray
+    stress: FloatArray
 
     @property
     def flagged(self) -> bool:
@@ -43,7 +55,17 @@ class Drift:
 
 
 def average_baseline(time: float, capacitance: FloatArray, where: str) -> Baseline:
-    """Median of unloaded readings, robust to single spikes."""
+    """Median of unloaded readings, robust to single spikes.
+
+    Args:
+        time: When they were read, on the clock of the readings to correct [s].
+        capacitance: The readings by input of the converter, shape (N, 4) [pF]; rows with NaN do not
+            count.
+        where: Start of the error, such as the file.
+
+    Raises:
+        CalibrationError: If fewer than three readings are complete.
+    """
     complete = capacitance[np.isfinite(capacitance).all(axis=1)]
     if len(complete) < _MIN_READINGS:
         raise CalibrationError(
@@ -54,7 +76,13 @@ def average_baseline(time: float, capacitance: FloatArray, where: str) -> Baseli
 
 
 def measure_drift(cluster: ClusterCalibration, before: Baseline, after: Baseline) -> Drift:
-    """Change between two baselines, in pF and, through the calibration, in Pa."""
+    """Change between two baselines, in pF and, through the calibration, in Pa.
+
+    Args:
+        cluster: The cluster's calibration.
+        before: The earlier baseline.
+        after: The later baseline.
+    """
     pair = predict_stress(cluster, np.stack([before.capacitance, after.capacitance]))
     return Drift(after.capacitance - before.capacitance, pair[1] - pair[0])
 
@@ -66,12 +94,24 @@ def correct_drift(
     after: Baseline | None = None,
     reference: FloatArray | None = None,
 ) -> FloatArray:
-    """Correct readings by input, shape (N, 4) [pF], to the baseline of a calibration.
+    """Correct readings to the baseline of a calibration.
 
-    ``c(t) - (b(t) - reference)``: the baseline b is linear in time (N,) [s] between `before` and
-    `after` and constant outside; without `after` it equals `before`. The reference is the
-    calibration's baseline by input, shape (4,) [pF]; it defaults to `before`, which removes only
-    the drift since then.
+    ``c(t) - (b(t) - reference)``: the baseline b is linear in time between `before` and `after` and
+    constant outside; without `after` it equals `before`.
+
+    Args:
+        capacitance: The readings c by input of the converter, shape (N, 4) [pF].
+        time: Times t of the readings, shape (N,) [s].
+        before: The earlier baseline, on the clock of the readings.
+        after: The later baseline, on the clock of the readings; None if there is only one.
+        reference: The calibration's baseline by input, shape (4,) [pF]; None stands for `before`,
+            which removes only the drift since then.
+
+    Returns:
+        The corrected readings by input, shape (N, 4) [pF].
+
+    Raises:
+        CalibrationError: If `after` is not later than `before`.
     """
     if reference is None:
         reference = before.capacitance
@@ -89,7 +129,17 @@ def correct_drift(
 
 
 def correct_bench(bench: BenchData, before: Baseline, after: Baseline) -> BenchData:
-    """Correct the drift of a bench run back to the baseline before it."""
+    """Correct the drift of a bench run back to the baseline before it.
+
+    Args:
+        bench: The readings of one file with times.
+        before: Baseline at the start of the run, on the file's clock.
+        after: Baseline at the end of the run, on the file's clock.
+
+    Raises:
+        CalibrationError: If the readings are from several files, have no times, or `after` is not
+            later than `before`.
+    """
     if len(bench.files) > 1:
         raise CalibrationError(
             f"{len(bench.files)} bench files cannot share the drift between two baselines",

@@ -27,13 +27,30 @@ _ZERO = 1e-12  # [pF], [pF^2]
 
 
 def design_matrices(capacitance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Terms of the normal stress, shape (N, 2), and of each shear stress, shape (N, 6)."""
+    """Terms of the normal stress, shape (N, 2), and of each shear stress, shape (N, 6).
+
+    Those of the normal stress are 1 and the mean [pF] of the capacitances by channel, shape (N, 4)
+    [pF]; those of a shear stress are its `SHEAR_TERMS` [pF^0..pF^2].
+    """
     mean, along_x, along_y = channel_features(capacitance)
     return np.stack([np.ones_like(mean), mean], axis=-1), shear_terms(along_x, along_y)
 
 
 def fit_polynomials(capacitance: FloatArray, stress: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Coefficients `normal`, shape (2,), and `shear`, shape (2, 6), of a `ClusterCalibration`."""
+    """Coefficients `normal` and `shear` of a `ClusterCalibration` by least squares.
+
+    Args:
+        capacitance: Capacitances by channel, not by input, shape (N, 4) [pF].
+        stress: Known normal stress (positive in compression), shear x and shear y, shape (N, 3)
+            [Pa].
+
+    Returns:
+        Offset and gain of the normal stress, shape (2,) [Pa, Pa/pF], and the coefficients of
+        `SHEAR_TERMS` for shear x and shear y, shape (2, 6) [Pa, Pa/pF, Pa/pF^2].
+
+    Raises:
+        CalibrationError: If the capacitances do not determine them.
+    """
     normal_design, shear_design = design_matrices(capacitance)
     normal = _solve(normal_design, stress[:, :1])[:, 0]
     return normal, _solve(shear_design, stress[:, 1:]).T
@@ -58,7 +75,18 @@ def fit_cluster(
 ) -> ClusterCalibration:
     """Fit a cluster's calibration, with the range of capacitances that it covers.
 
-    The range of the pair differences is the intersection of both.
+    The range of the pair differences is the intersection of those along x and along y.
+
+    Args:
+        capacitance: Capacitances by input of the converter, shape (N, 4) [pF].
+        stress: Known normal stress (positive in compression), shear x and shear y, shape (N, 3)
+            [Pa].
+        wiring: Converter input of each channel, shape (4,).
+        in_range: Rows that count for the range, shape (N,); all rows count for the coefficients.
+
+    Raises:
+        CalibrationError: If the capacitances do not determine the coefficients, or the differences
+            along x and y have no range in common.
     """
     channels = capacitance[:, wiring]
     normal, shear = fit_polynomials(channels, stress)
@@ -75,7 +103,15 @@ def fit_cluster(
 
 
 def predict_stress(cluster: ClusterCalibration, capacitance: FloatArray) -> FloatArray:
-    """Calibrated stress, including extrapolation out of range, shape (N, 3) [Pa]."""
+    """Calibrated stress, including extrapolation out of range, shape (N, 3) [Pa].
+
+    Its columns are normal (positive in compression), shear x and shear y.
+
+    Args:
+        cluster: The cluster's calibration.
+        capacitance: Capacitances by input of the converter, shape (N, 4) [pF]; a row with NaN gives
+            NaN.
+    """
     return cluster.apply(capacitance, np.full(capacitance.shape, Status.OK, dtype=np.uint8))[0]
 
 
@@ -96,7 +132,16 @@ _SECOND_DEGREE = (
 
 
 def check_excitation(stress: FloatArray, where: str) -> None:
-    """Refuse bench data that does not determine the coefficients."""
+    """Refuse bench data that does not determine the coefficients.
+
+    Args:
+        stress: Known normal stress, shear x and shear y, shape (N, 3) [Pa].
+        where: Start of every error, such as the files.
+
+    Raises:
+        CalibrationError: If there are fewer than 30 readings, a stress spans too little, or
+            stresses are never applied independently; the hint says what to apply.
+    """
     if len(stress) < _MIN_ROWS:
         raise CalibrationError(
             f"{where}: {len(stress)} readings are too few for 14 coefficients",
@@ -117,7 +162,8 @@ def check_excitation(stress: FloatArray, where: str) -> None:
 def excitation_terms(stress: FloatArray) -> FloatArray:
     """Terms of scaled stresses that the bench data must separate, shape (N, 7) [-].
 
-    They are 1, n, x, y (the three stresses) and x^2, xy, y^2.
+    They are 1, n, x, y (the three stresses, each scaled by `scaled_stress`) and x^2, xy, y^2. The
+    stresses are normal, shear x and shear y, shape (N, 3) [Pa].
     """
     n, x, y = scaled_stress(stress).T
     return np.column_stack([np.ones_like(n), n, x, y, x**2, x * y, y**2])
@@ -128,8 +174,11 @@ def find_lack(products: FloatArray, rows: int) -> tuple[str, str] | None:
 
     A term is determined unless the others explain it. This covers the linear terms of all three
     stresses, since stresses that always come together cannot be separated, and the second-degree
-    terms of the shear. `products` are those of the `excitation_terms`, summed over the rows, shape
-    (7, 7) [-].
+    terms of the shear.
+
+    Args:
+        products: Products of every two `excitation_terms`, summed over the rows, shape (7, 7) [-].
+        rows: Number of rows summed.
     """
     moments = products / max(rows, 1)
     independent = _independent_parts(moments[:4, :4])
@@ -159,7 +208,15 @@ _CLIP_PERCENTILES = (1.0, 99.0)  # [%]; limits the effect of spikes
 
 
 def find_wiring(capacitance: FloatArray, stress: FloatArray) -> IntArray:
-    """Find the wiring with which a shear stress raises the channels on its own side."""
+    """Find the wiring with which a shear stress raises the channels on its own side.
+
+    Args:
+        capacitance: Capacitances by input of the converter, shape (N, 4) [pF].
+        stress: Known normal stress, shear x and shear y, shape (N, 3) [Pa].
+
+    Returns:
+        Converter input, 0 to 3, of each channel (-x,+y), (+x,+y), (-x,-y), (+x,-y), shape (4,).
+    """
     slopes = np.linalg.lstsq(*_response(capacitance, stress), rcond=None)[0][2:]
     slopes = slopes - slopes.mean(axis=1, keepdims=True)
     slopes = slopes / np.maximum(np.linalg.norm(slopes, axis=1, keepdims=True), 1e-12)
@@ -173,7 +230,16 @@ def _response(capacitance: FloatArray, stress: FloatArray) -> tuple[FloatArray, 
 
 
 def require_wiring(bench: BenchData, wiring: IntArray) -> None:
-    """Refuse a default wiring that the bench data contradicts."""
+    """Refuse a default wiring that the bench data contradicts.
+
+    Args:
+        bench: The readings.
+        wiring: Converter input of each channel, shape (4,).
+
+    Raises:
+        CalibrationError: If `find_wiring` finds another one (the hint states it), or no input
+            responds to a shear stress.
+    """
     files = ", ".join(bench.files)
     design, inputs = _response(bench.capacitance, bench.stress)
     differences = inputs - inputs.mean(axis=1, keepdims=True)
@@ -209,13 +275,21 @@ _STARTS, _START_ROWS, _STEPS, _MAX_ROWS = 30, 24, 22, 3000
 
 @dataclass(frozen=True)
 class Outlier:
-    """A reading far from the robust fit."""
+    """A reading far from the robust fit.
 
-    row: int  # of the bench data
-    place: str  # file and line
-    axis: int  # the stress with the largest scaled residual: 0, 1 or 2
-    known: float  # [Pa]
-    fitted: float  # [Pa]; by the robust fit
+    Attributes:
+        row: Index of the reading in the bench data that was searched.
+        place: File and line of the reading, in words.
+        axis: Stress whose residual exceeds its limit most: 0 normal, 1 shear x, 2 shear y.
+        known: Known value of this stress [Pa].
+        fitted: Value of this stress by the robust fit [Pa].
+    """
+
+    row: int
+    place: str
+    axis: int
+    known: float
+    fitted: float
 
 
 def find_outliers(bench: BenchData, wiring: IntArray) -> tuple[Outlier, ...]:
@@ -225,6 +299,13 @@ def find_outliers(bench: BenchData, wiring: IntArray) -> tuple[Outlier, ...]:
     squares over 90 % of the rows (Rousseeuw and Van Driessen 2006,
     doi:10.1007/s10618-005-0024-4), so neither wrong stresses nor wrong capacitances pull the fit.
     The deviation is computed over the loaded rows; residuals below 5 % of full scale never count.
+
+    Args:
+        bench: The readings.
+        wiring: Converter input of each channel, shape (4,).
+
+    Returns:
+        The outliers in the order of their rows, one per reading.
     """
     basis = _rich_basis(bench.capacitance[:, wiring])
     fitted = basis @ np.column_stack([_fit_least_trimmed(basis, y) for y in bench.stress.T])

@@ -32,7 +32,8 @@ SHEAR_TERMS = ("1", "dx", "dy", "dx^2", "dx dy", "dy^2")
 def channel_features(capacitance: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Mean and pair differences of the channels (-x,+y), (+x,+y), (-x,-y), (+x,-y), (..., 4) [pF].
 
-    The differences are along x (+x minus -x) and y (+y minus -y), shape (...) each [pF].
+    The differences are along x (mean of +x minus mean of -x) and along y (mean of +y minus mean of
+    -y). Mean and differences have shape (...) each [pF].
     """
     c0, c1, c2, c3 = np.moveaxis(capacitance, -1, 0)
     mean = 0.25 * (c0 + c1 + c2 + c3)
@@ -43,33 +44,58 @@ SHEAR_SIGNS = np.sign(np.stack(channel_features(np.eye(4))[1:]))  # (2, 4); of t
 
 
 def shear_terms(along_x: FloatArray, along_y: FloatArray) -> FloatArray:
-    """Monomials `SHEAR_TERMS` of the pair differences, shape (..., 6) [pF^0..pF^2]."""
+    """Monomials `SHEAR_TERMS` of the pair differences, shape (..., 6) [pF^0..pF^2].
+
+    Args:
+        along_x: Difference dx of the channels at +x and -x, shape (...) [pF].
+        along_y: Difference dy of the channels at +y and -y, shape (...) [pF].
+    """
     second = (along_x**2, along_x * along_y, along_y**2)
     return np.stack([np.ones_like(along_x), along_x, along_y, *second], axis=-1)
 
 
 @dataclass(frozen=True)
 class ClusterCalibration:
-    """Coefficients of one cluster."""
+    """Coefficients of one cluster, or of several stacked along a leading axis.
 
-    # Offset [Pa] and gain [Pa/pF] of the normal stress over the mean, shape (2,)
+    Attributes:
+        normal: Offset and gain of the normal stress (positive in compression) over the mean of the
+            channels, shape (2,) [Pa, Pa/pF].
+        shear: Coefficients of `SHEAR_TERMS`, a row for shear x and one for shear y, shape (2, 6)
+            [Pa, Pa/pF, Pa/pF^2].
+        mean_range: Lower and upper end of the calibrated range of the mean, shape (2,) [pF].
+        difference_range: Lower and upper end of the calibrated range of both pair differences,
+            shape (2,) [pF].
+        wiring: Converter input, 0 to 3, of each channel (-x,+y), (+x,+y), (-x,-y), (+x,-y), shape
+            (4,).
+        baseline: Capacitances by input of the converter of the unloaded cluster on the bench, shape
+            (4,) [pF]; None if not recorded.
+        bench: Bench record of these coefficients (date, source, errors) as in `calibration.yaml`,
+            for information only; may be empty.
+    """
+
     normal: FloatArray
-    # Coefficients of `SHEAR_TERMS` for shear x and shear y; (2, 6) [Pa, Pa/pF, Pa/pF^2]
     shear: FloatArray
-    mean_range: FloatArray  # calibrated range of the mean; (2,) [pF]
-    difference_range: FloatArray  # calibrated range of both pair differences; (2,) [pF]
-    wiring: IntArray  # converter input of each channel; (4,)
-    # Capacitances by input of the unloaded cluster on the bench; (4,) [pF]; None if not recorded
+    mean_range: FloatArray
+    difference_range: FloatArray
+    wiring: IntArray
     baseline: FloatArray | None = None
-    # Bench record of these coefficients (date, source, errors), for information only; may be empty
     bench: Mapping[str, Any] = field(default_factory=dict)
 
     def apply(self, capacitance: FloatArray, status: StatusArray) -> tuple[FloatArray, StatusArray]:
-        """Stress on the cluster from the converter's four inputs [pF] and their `Status`, (..., 4).
+        """Stress on the cluster from the converter's four inputs and their status.
 
-        The stress is normal (positive in compression), shear x and shear y, shape (..., 3) [Pa],
-        with one `Status`, shape (...). It is NaN unless all four channels were read. Outside the
-        calibrated range it is extrapolated.
+        Outside the calibrated range the stress is extrapolated.
+
+        Args:
+            capacitance: Capacitances by input of the converter, shape (..., 4) [pF]; NaN if not
+                read. Stacked coefficients of c clusters take shape (..., c, 4).
+            status: `Status` of each input, shape (..., 4): ok, saturated or missing.
+
+        Returns:
+            The stress, normal (positive in compression), shear x and shear y along the cluster's
+            axes, shape (..., 3) [Pa], NaN unless all four channels were read; and its `Status`,
+            shape (...).
         """
         capacitance = np.where(np.isfinite(capacitance), capacitance, np.nan)
         features = np.einsum("...ij,...j->...i", self._features, capacitance)
@@ -90,12 +116,12 @@ class ClusterCalibration:
 
     @cached_property
     def _features(self) -> FloatArray:
-        """Matrix of `channel_features` from the inputs, shape (3, 4)."""
+        """Matrix of `channel_features` from the inputs, shape (3, 4) [-]; stacked, (c, 3, 4)."""
         by_channel = np.array(channel_features(np.eye(4)))
         return np.moveaxis(by_channel[:, np.argsort(self.wiring)], 0, -2)
 
     def to_document(self) -> dict[str, Any]:
-        """The cluster's section of `calibration.yaml`."""
+        """The cluster's section of `calibration.yaml`, in the units of the attributes."""
         document = {
             "normal": self.normal.tolist(),
             "shear_x": self.shear[0].tolist(),
@@ -113,11 +139,18 @@ class ClusterCalibration:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Calibration of all clusters."""
+    """Calibration of all clusters.
 
-    clusters: dict[str, ClusterCalibration]  # by the cluster's name
-    date: str  # of the coefficients; the `bench` record of a cluster has its own
-    source: str  # of the coefficients; likewise
+    Attributes:
+        clusters: Coefficients keyed by the cluster's name.
+        date: Date of the coefficients as text; the `bench` record of a cluster has its own.
+        source: Where the coefficients come from, in words; the `bench` record of a cluster has its
+            own.
+    """
+
+    clusters: dict[str, ClusterCalibration]
+    date: str
+    source: str
 
     @property
     def origin(self) -> str:
@@ -125,7 +158,15 @@ class Calibration:
         return f"{self.source} ({self.date})"
 
     def require(self, clusters: Collection[str], of: str) -> None:
-        """Refuse a calibration that lacks one of the clusters."""
+        """Refuse a calibration that lacks one of the clusters.
+
+        Args:
+            clusters: Names of the clusters.
+            of: What these clusters belong to, for the error, such as `the socket`.
+
+        Raises:
+            CalibrationError: If a cluster is not in the calibration.
+        """
         lacking = [name for name in clusters if name not in self.clusters]
         if lacking:
             raise CalibrationError(
@@ -135,7 +176,11 @@ class Calibration:
             )
 
     def stacked(self, clusters: Collection[str]) -> ClusterCalibration:
-        """Coefficients of c >= 1 known clusters, to `apply` to shape (..., c, 4)."""
+        """Coefficients of c >= 1 known clusters by name, to `apply` to shape (..., c, 4) [pF].
+
+        Each attribute has a leading axis of length c in the order of the names; baselines and bench
+        records are left out.
+        """
         chosen = [self.clusters[name] for name in clusters]
         names = ("normal", "shear", "mean_range", "difference_range", "wiring")
         arrays: dict[str, Any] = {n: np.stack([getattr(c, n) for c in chosen]) for n in names}
@@ -163,7 +208,12 @@ _HEADER = """\
 
 
 def write_calibration(calibration: Calibration, path: Path) -> None:
-    """Write `calibration.yaml`, complete or not at all."""
+    """Write `calibration.yaml`, complete or not at all.
+
+    Args:
+        calibration: The calibration.
+        path: The file, which is replaced if it exists.
+    """
     text = dump_yaml(calibration.to_document(), default_flow_style=None)
     write_text(path, _HEADER + text)
 
@@ -205,7 +255,7 @@ class _Calibration(Document):
 
 
 def read_calibration(path: Path) -> Calibration:
-    """Read `calibration.yaml`."""
+    """Read `calibration.yaml`: coefficients [Pa, Pa/pF, Pa/pF^2] and ranges [pF] by cluster."""
     document = read_document(path, _Calibration)
     clusters = {
         name: ClusterCalibration(

@@ -18,14 +18,22 @@ class PoseUncertainty:
 
     The fitted pose misplaces a point p of the body by ``d + w x (p - c)``, with an independent
     shift d and small rotation w, all in the axes of the body.
+
+    Attributes:
+        centroid: Centroid c of the fitted points in the body's frame, shape (3,) [m].
+        shift: Covariance of d, shape (3, 3) [m^2].
+        rotation: Covariance of w, shape (3, 3) [rad^2].
     """
 
-    centroid: FloatArray  # centroid c of the points; (3,) [m]
-    shift: FloatArray  # covariance of d; (3, 3) [m^2]
-    rotation: FloatArray  # covariance of w; (3, 3) [rad^2]
+    centroid: FloatArray
+    shift: FloatArray
+    rotation: FloatArray
 
     def at(self, point: FloatArray) -> FloatArray:
-        """Covariance of a point fixed to the body, shape (3, 3) [m^2]."""
+        """Covariance of a point fixed to the body, shape (3, 3) [m^2], in the body's axes.
+
+        The point is in the body's frame, shape (3,) [m].
+        """
         lever = np.cross(np.eye(3), point - self.centroid).T  # lever @ w = w x r
         return self.shift + lever @ self.rotation @ lever.T
 
@@ -36,9 +44,12 @@ def pose_uncertainty(points: FloatArray, noise: float) -> PoseUncertainty:
     With r the points relative to their centroid, the covariances are ``sigma^2 / k I`` of the shift
     and ``sigma^2 (sum(|r|^2 I - r r^T))^-1`` of the rotation. Their sum at a point is the target
     registration error of Fitzpatrick, West and Maurer 1998, doi:10.1109/42.736021, whose squared
-    localisation error is ``3 sigma^2``. The k points, not collinear, are in the body's frame, shape
-    (k, 3) [m]; sigma is the noise of a coordinate [m], divided by sqrt(N) for the mean of N
-    independent frames.
+    localisation error is ``3 sigma^2``.
+
+    Args:
+        points: The k points in the body's frame, not collinear, shape (k, 3) [m].
+        noise: 1-sigma noise of a coordinate [m]; for the mean of N independent frames, that of one
+            frame over sqrt(N).
     """
     centroid = points.mean(axis=0)
     arms = points - centroid
@@ -50,8 +61,13 @@ def pose_uncertainty(points: FloatArray, noise: float) -> PoseUncertainty:
 def fit_rigid(points: FloatArray, observed: FloatArray) -> Pose:
     """Least-squares poses of a body from its points (Kabsch 1976, doi:10.1107/S0567739476001873).
 
-    The points are in the body's frame, shape (k, 3) [m]. The observations, one of shape (k, 3) or M
-    of shape (M, k, 3) [m], and their poses are in another frame.
+    Args:
+        points: The points in the body's frame, shape (k, 3) [m].
+        observed: The same points in another frame, such as `world`, once, shape (k, 3) [m], or M
+            times, shape (M, k, 3) [m].
+
+    Returns:
+        The pose of the body in the frame of the observations, or M of them.
     """
     centre_points = points.mean(axis=0)
     centre_observed = observed.mean(axis=-2)
@@ -70,7 +86,13 @@ def nearest_rotations(matrices: FloatArray) -> FloatArray:
 
 
 def misfit(points: FloatArray, observed: FloatArray, pose: Pose) -> FloatArray:
-    """Distances of observed points from those placed by the poses, shape (..., k) [m]."""
+    """Distances of observed points from those placed by the poses, shape (..., k) [m].
+
+    Args:
+        points: The points in the body's frame, shape (k, 3) [m].
+        observed: The points as observed, once or M times, shape ([M,] k, 3) [m].
+        pose: The pose of the body in the frame of the observations, or M of them.
+    """
     return np.linalg.norm(observed - pose.place(points), axis=-1)
 
 
@@ -84,13 +106,18 @@ MAX_MARKERS = 8
 
 @dataclass(frozen=True)
 class BodyFit:
-    """Rigid fits of a body's k markers to N frames."""
+    """Rigid fits of a body's k markers to N frames.
 
-    pose: Pose  # of the body in the frame of the observations; NaN if not found
-    # RMS distance of the markers from the fit; (N,) [m]; NaN without a pose
+    Attributes:
+        pose: N poses of the body in the frame of the observations; NaN where none was found.
+        residual: RMS distance of the markers from the fit in each frame, shape (N,) [m]; NaN
+            without a pose.
+        order: Index of the observed marker for each marker of the body, shape (N, k); -1 without a
+            pose, and for markers not used in the fit.
+    """
+
+    pose: Pose
     residual: FloatArray
-    # Index of the observed marker for each marker of the body, shape (N, k); -1 without a pose, and
-    # for markers not used in the fit
     order: IntArray
 
     @property
@@ -114,12 +141,16 @@ class BodyFit:
 
 
 def distances(markers: FloatArray) -> FloatArray:
-    """Distances between k markers, shape (..., k, k) [m]; NaN if one is occluded."""
+    """Distances between k markers, shape (..., k, k) of (..., k, 3) [m]; NaN if one is occluded."""
     return np.linalg.norm(markers[..., :, None, :] - markers[..., None, :, :], axis=-1)
 
 
 def body_fault(markers: FloatArray) -> tuple[str, str] | None:
-    """Why a body's markers are unusable, and the hint; None if they are usable."""
+    """Why a body's markers, shape (k, 3) [m], are unusable, and the hint; None if they are usable.
+
+    They may be in any frame. The reason is that two are too close to each other, that all are on
+    one line, or that exchanged labels could not be detected.
+    """
     between = distances(markers)
     a, b = np.unravel_index((between + np.diag([np.inf] * len(markers))).argmin(), between.shape)
     if between[a, b] < _MIN_DISTANCE:
@@ -153,10 +184,12 @@ def fit_body(reference: FloatArray, observed: FloatArray) -> BodyFit:
     Otherwise the distances identify the markers: the largest agreeing set is used if it is unique
     and holds most of the markers seen; relabelled sets need all markers of a triad, or at least
     four. A subset has no pose if it is collinear or could be another part of the body. The rotation
-    is the least-squares one (`fit_rigid`).
+    is the least-squares one (`fit_rigid`). Distances agree within `EDGE_TOLERANCE`.
 
-    `reference` holds the markers in the body's frame, shape (k, 3) [m]; `observed` is in another
-    frame, shape (N, k, 3) [m], NaN if occluded. Distances agree within `EDGE_TOLERANCE`.
+    Args:
+        reference: The markers in the body's frame, shape (k, 3) [m].
+        observed: The markers in N recorded frames, in coordinates of `world`, shape (N, k, 3) [m];
+            NaN if occluded.
     """
     own = distances(reference)
     count, size = observed.shape[:2]

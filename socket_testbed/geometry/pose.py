@@ -16,16 +16,26 @@ from socket_testbed.documents import Document, FieldError
 
 @dataclass(frozen=True)
 class Pose:
-    """Pose of a body in a frame, or of N bodies at once: ``p_frame = R p_body + t``."""
+    """Pose of a body in a frame, or of N bodies at once: ``p_frame = R p_body + t``.
 
-    rotation: FloatArray  # rotation matrices, shape (3, 3) or (N, 3, 3) [-]
-    translation: FloatArray  # positions of the body's origin, shape (3,) or (N, 3) [m]
+    Attributes:
+        rotation: Rotation matrix R, which maps vectors from the body to the frame, shape (3, 3) or
+            (N, 3, 3) [-]; its columns are the body's axes in the frame. NaN if unknown.
+        translation: Position t of the body's origin in the frame, shape (3,) or (N, 3) [m]; NaN if
+            unknown.
+    """
+
+    rotation: FloatArray
+    translation: FloatArray
 
     @classmethod
     def from_quaternion(cls, translation: FloatArray, quaternion: FloatArray) -> Pose:
-        """Poses from positions (N, 3) [m] and quaternions (x, y, z, w) of any length, (N, 4) [-].
+        """One pose or N poses from positions and quaternions.
 
-        A NaN or zero quaternion gives NaN.
+        Args:
+            translation: Positions of the body's origin in the frame, shape (3,) or (N, 3) [m].
+            quaternion: Quaternions (x, y, z, w) from the body to the frame, of any length, shape
+                (4,) or (N, 4) [-]; a NaN or zero one gives a NaN rotation.
         """
         usable = np.isfinite(quaternion).all(axis=-1) & (quaternion != 0.0).any(axis=-1)
         rotation = np.full((*quaternion.shape[:-1], 3, 3), np.nan)
@@ -35,12 +45,15 @@ class Pose:
 
     @classmethod
     def from_vector(cls, vector: FloatArray) -> Pose:
-        """Poses from their vectors, see `vector`; the quaternions may have any length."""
+        """Poses from their vectors, shape (7,) or (N, 7) [m, -], as `vector` returns them.
+
+        The quaternions may have any length.
+        """
         return cls.from_quaternion(vector[..., :3], vector[..., 3:])
 
     @property
     def vector(self) -> FloatArray:
-        """Positions [m] and quaternions (x, y, z, w), shape (7,) or (N, 7)."""
+        """Positions [m], then quaternions (x, y, z, w) [-], shape (7,) or (N, 7)."""
         return np.concatenate([self.translation, self.quaternion()], axis=-1)
 
     def quaternion(self) -> FloatArray:
@@ -69,11 +82,17 @@ class Pose:
         return Pose(self.rotation @ other.rotation, self.apply(other.translation))
 
     def apply(self, points: FloatArray) -> FloatArray:
-        """Points of the body in the frame, shape (3,) or (N, 3) [m]."""
+        """Coordinates in the frame of points given in the body, shape (3,) or (N, 3) each [m].
+
+        N poses place one point each, or all of them the same point.
+        """
         return _rotate(self.rotation, points) + self.translation
 
     def place(self, points: FloatArray) -> FloatArray:
-        """The same k points of N bodies, (k, 3) [m], in the frame, shape ([N,] k, 3) [m]."""
+        """Coordinates in the frame of k points of each body, shape ([N,] k, 3) [m].
+
+        The points are in the body, shape (k, 3) [m], and each of N poses places them all.
+        """
         return points @ np.swapaxes(self.rotation, -1, -2) + self.translation[..., None, :]
 
 
@@ -98,7 +117,12 @@ ScanPoint = tuple[_Scanned, _Scanned, _Scanned]
 
 
 class PoseDocument(Document):
-    """A pose in a document: rows of R = [x y z], and the translation [m]."""
+    """A pose in a document.
+
+    Attributes:
+        rotation: The three rows of R = [x y z], which maps vectors from the body to the frame [-].
+        translation: Position of the body's origin in the frame, three numbers in +-2 m [m].
+    """
 
     rotation: RotationRows
     translation: Point
@@ -107,12 +131,20 @@ class PoseDocument(Document):
         check_rotation(self.rotation, "rotation")
 
     def pose(self) -> Pose:
-        """The pose."""
+        """The pose as arrays: rotation (3, 3) [-] and translation (3,) [m]."""
         return Pose(np.array(self.rotation), np.array(self.translation))
 
 
 def check_rotation(rows: RotationRows, field: str) -> None:
-    """Refuse rows of R = [x y z] that are not a right-handed orthonormal frame."""
+    """Refuse rows of R = [x y z] that are not a right-handed orthonormal frame.
+
+    Args:
+        rows: Three rows of three numbers [-]; the columns are the axes x, y, z.
+        field: The field's name in the error.
+
+    Raises:
+        FieldError: If an entry of R^T R is more than 1e-6 off the identity, or R is left-handed.
+    """
     rotation = np.array(rows)
     error = np.abs(rotation.T @ rotation - np.eye(3)).max()
     if error > _TOLERANCE or np.linalg.det(rotation) < 0.0:
@@ -123,10 +155,10 @@ def check_rotation(rows: RotationRows, field: str) -> None:
 
 
 def pose_document(pose: Pose) -> dict[str, Any]:
-    """The document of a pose."""
+    """The document of a single pose: `rotation`, rows of R [-], and `translation` [m]."""
     return {"rotation": rounded(pose.rotation), "translation": rounded(pose.translation)}
 
 
 def rounded(array: FloatArray) -> Any:
-    """Nested lists, rounded to nine digits: nm and nrad."""
+    """An array of any shape as nested lists, rounded to nine decimals: nm for m, nrad for rad."""
     return (np.round(array, 9) + 0.0).tolist()

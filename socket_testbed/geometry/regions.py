@@ -29,11 +29,19 @@ _X, _Z = np.eye(3)[[0, 2]]
 
 @dataclass(frozen=True)
 class SocketAxis:
-    """The axis of a socket, with the zero direction of angles about it."""
+    """The axis of a socket, with the zero direction of angles about it.
 
-    end: FloatArray  # intersection with the distal end in {S}; (3,) [m]
-    proximal: FloatArray  # unit vector along it towards the proximal end; (3,) [-]
-    anterior: FloatArray  # unit vector across it, at angle zero; (3,) [-]
+    Its vectors are in the frame of the points it was laid through: {S} for a `SocketGeometry`.
+
+    Attributes:
+        end: Intersection of the axis with the distal end, where heights are zero, shape (3,) [m].
+        proximal: Unit vector along the axis towards the proximal end, shape (3,) [-].
+        anterior: Unit vector across the axis, where angles are zero, shape (3,) [-].
+    """
+
+    end: FloatArray
+    proximal: FloatArray
+    anterior: FloatArray
 
     @property
     def left(self) -> FloatArray:
@@ -42,29 +50,45 @@ class SocketAxis:
 
     @property
     def frame(self) -> FloatArray:
-        """Rotation from the points' frame to anterior, left and proximal, shape (3, 3) [-]."""
+        """Rotation from the points' frame to anterior, left and proximal, shape (3, 3) [-].
+
+        Its rows are the three unit vectors.
+        """
         return np.stack([self.anterior, self.left, self.proximal])
 
     def heights(self, points: FloatArray) -> FloatArray:
-        """Heights of points in {S} above the distal end, shape (...) of (..., 3) [m]."""
+        """Heights of points above the distal end, shape (...) of (..., 3) [m].
+
+        The points are in the frame of the axis.
+        """
         return np.asarray((points - self.end) @ self.proximal)
 
     def angles(self, points: FloatArray) -> FloatArray:
-        """Angles of points in {S} from anterior towards left, in +-pi, (...) of (..., 3) [rad]."""
+        """Angles of points from anterior towards left, in +-pi, shape (...) [rad].
+
+        The points are in the frame of the axis, shape (..., 3) [m].
+        """
         offset = points - self.end
         return np.asarray(np.arctan2(offset @ self.left, offset @ self.anterior))
 
     def radii(self, points: FloatArray) -> FloatArray:
-        """Distances of points in {S} from the axis, shape (...) of (..., 3) [m]."""
+        """Distances of points from the axis, shape (...) of (..., 3) [m].
+
+        The points are in the frame of the axis.
+        """
         offset = points - self.end
         return np.hypot(offset @ self.left, offset @ self.anterior)
 
 
 def axis_between(points: FloatArray, proximal: FloatArray, anterior: FloatArray = _X) -> SocketAxis:
-    """The axis in a proximal direction (3,), centred between points (N, 3) [m], from the lowest up.
+    """The axis in a proximal direction, centred between points, from the lowest one up.
 
-    `anterior`, by default x of {S} (REP 103), is projected across the axis. If it is parallel to
-    the axis, -z of {S} is anterior.
+    Args:
+        points: Points of the wall, or the tiles' anchors, shape (N, 3) [m], in {S} or another frame
+            such as a scan's; the axis and both directions are in this frame.
+        proximal: Direction of the axis towards the proximal end, of any length, shape (3,) [-].
+        anterior: Direction towards anterior, shape (3,) [-], by default x (REP 103). It is
+            projected across the axis; if it is parallel to the axis, -z is anterior.
     """
     along = proximal / np.linalg.norm(proximal)
     across = anterior - (anterior @ along) * along
@@ -94,7 +118,13 @@ def proximal_direction(geometry: SocketGeometry) -> FloatArray:
 
 
 def axial_force(geometry: SocketGeometry, wrench: FloatArray) -> FloatArray:
-    """Force of wrenches (..., 6) along the socket, positive under load, (...) [N]."""
+    """Force of wrenches along the socket, positive under load, shape (...) [N].
+
+    Args:
+        geometry: The socket, whose `proximal_direction` is that of the force.
+        wrench: Wrenches [M; F] on the socket in {S}, shape (..., 6) [N m, N]; the force of a limb
+            that presses towards the distal end is positive.
+    """
     return np.asarray(-wrench[..., 3:] @ proximal_direction(geometry))
 
 
@@ -107,17 +137,27 @@ def socket_axis(geometry: SocketGeometry) -> SocketAxis:
 
 
 def wall_tiles(geometry: SocketGeometry, around: SocketAxis) -> BoolArray:
-    """Which tiles are on the wall, not on the distal end or at the axis, shape (n,)."""
+    """Which tiles are on the wall, not on the distal end or at the axis, shape (n,).
+
+    Args:
+        geometry: The socket with its n tiles.
+        around: Its axis in {S}, as `socket_axis` returns it.
+    """
     steep = geometry.rotations[:, :, 2] @ around.proximal < _FACES_UP
     return np.asarray(steep & (around.radii(geometry.anchors) >= np.sqrt(geometry.areas)))
 
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """A part of a socket."""
+    """A part of a socket.
+
+    Attributes:
+        name: Such as `anterior`, `anterior proximal`, or the user's own name.
+        tiles: Indices of its tiles in the geometry, ascending, shape (k,).
+    """
 
     name: str
-    tiles: IntArray  # indices of its tiles, ascending; (k,)
+    tiles: IntArray
 
 
 # Borders of the sectors, quarter turns in `anatomical_regions`, from anterior towards left [deg]
@@ -130,13 +170,24 @@ def main_regions(places: Iterable[Region]) -> list[Region]:
 
 
 def part_of(places: Iterable[Region], tile: int) -> str:
-    """The smallest anatomical region of a tile, in words."""
+    """Name of the smallest region that holds a tile, such as `anterior proximal`.
+
+    Args:
+        places: Regions of the socket; the whole socket and its unmeasured wall do not count.
+        tile: Index of the tile.
+
+    Returns:
+        The region's name; `socket` if the tile is in none.
+    """
     inside = [p for p in places if tile in p.tiles and p.name not in (SOCKET, UNMEASURED)]
     return min(inside, key=lambda place: len(place.tiles)).name if inside else SOCKET
 
 
 def third_edges(geometry: SocketGeometry) -> FloatArray:
-    """Heights of the edges of the thirds, from distal to proximal, (4,) [m]."""
+    """Heights of the edges of the thirds above the distal end, from distal to proximal, (4,) [m].
+
+    The thirds divide the span of the tiles' anchors along the socket's axis.
+    """
     heights = socket_axis(geometry).heights(geometry.anchors)
     return np.linspace(heights.min(), heights.max(), 4)
 
@@ -148,7 +199,12 @@ def anatomical_regions(geometry: SocketGeometry, side: Side | None = None) -> tu
     left, posterior and right. The heights are thirds of the span of the tiles' centres along the
     axis. Every tile is in exactly one sector, one height and one intersection, such as `anterior
     proximal`; empty regions are left out. Medial is left of the axis on a right leg, right of it on
-    a left leg; without a side the sectors are called `left` and `right`.
+    a left leg.
+
+    Args:
+        geometry: The socket.
+        side: The leg, `left` or `right`; None if unknown: the sectors are then called `left` and
+            `right`, not `medial` and `lateral`.
     """
     axis = socket_axis(geometry)
     turns = np.round(axis.angles(geometry.anchors) / (0.5 * np.pi)) % 4
@@ -169,6 +225,10 @@ def all_regions(geometry: SocketGeometry, side: Side | None = None) -> tuple[Reg
     """Anatomical regions, those of `socket.yaml`, tiles without a cluster, and the whole socket.
 
     In this order; the unmeasured region is left out if every tile has a cluster.
+
+    Args:
+        geometry: The socket.
+        side: The leg, `left` or `right`; None if unknown, see `anatomical_regions`.
     """
     own = [Region(name, np.array(tiles)) for name, tiles in geometry.regions.items()]
     bare = np.flatnonzero(~geometry.covered)

@@ -53,40 +53,64 @@ _InBody = Annotated[float, Meta(ge=-1.0, le=1.0)]  # [m]; larger values have ano
 
 @dataclass(frozen=True)
 class ScanFrame:
-    """Unit and pose of the scan from which the tiles were made."""
+    """Unit and pose of the scan from which the tiles were made.
 
-    unit: float  # length of the scan's unit [m]
-    in_load_cell: Pose  # of the scan's frame (in metres) in {S}
+    Attributes:
+        unit: Length of the scan's unit [m], such as 0.001 for mm.
+        in_load_cell: Pose of the scan's frame in {S}, for coordinates of the scan in metres.
+    """
+
+    unit: float
+    in_load_cell: Pose
 
     def points(self, picked: FloatArray) -> FloatArray:
-        """Map points from the scan's coordinates and unit to {S} [m], (3,) or (N, 3)."""
+        """Points in {S}, shape (3,) or (N, 3) [m], from the scan's coordinates in its unit."""
         return self.in_load_cell.apply(self.unit * picked)
 
 
 @dataclass(frozen=True)
 class SocketGeometry:
-    """Geometry of a socket in the frame of the load cell, {S}."""
+    """Geometry of a socket in the frame of the load cell, {S}.
 
-    names: tuple[str, ...]  # names of the n points of interest (tiles)
-    anchors: FloatArray  # centres of the tiles a_i; (n, 3) [m]
-    # Frames of the tiles, columns x (towards the proximal end), y, z (inward normal); R_i maps
-    # {L_i} to {S}; (n, 3, 3) [-]
+    Attributes:
+        names: Names of the n points of interest (tiles).
+        anchors: Centres a_i of the tiles in {S}, shape (n, 3) [m].
+        rotations: Frames of the tiles, shape (n, 3, 3) [-]: R_i maps {L_i} to {S}; its columns are
+            x (tangent towards the proximal end), y = z x x, and z (inward normal).
+        areas: Areas of the tiles, shape (n,) [m^2].
+        neighbours: Indices of neighbouring tiles, a pair per row, shape (e, 2), the smaller first.
+        clusters: Index of the tile under each cluster, keyed by the cluster's name.
+        socket_markers: The 3 to 8 markers of the socket in the frame of its marker body, shape
+            (k, 3) [m].
+        pylon_markers: The 3 to 8 markers of the pylon in the frame of its marker body, shape
+            (k, 3) [m].
+        socket_body: Pose of the socket's marker body in {S}.
+        limb: Pose of the limb in the pylon's marker body; its origin is the lumped mass.
+        source: Where the tiles come from, in words; empty if unknown.
+        registration: What the marker bodies were registered with, in words, such as the take and
+            the residuals of its landmarks; empty if they are nominal.
+        regions: Indices of the tiles in each of the user's own regions, ascending, keyed by the
+            region's name.
+        turned: Angle from the tile's x axis to the cluster's x axis about the inward normal
+            [rad], keyed by the cluster's name; zero for a cluster that is not a key.
+        scan: Unit and pose of the scan from which the tiles were made; None if unknown.
+    """
+
+    names: tuple[str, ...]
+    anchors: FloatArray
     rotations: FloatArray
-    areas: FloatArray  # areas of the tiles; (n,) [m^2]
-    neighbours: IntArray  # pairs of neighbouring tiles; (e, 2)
-    clusters: dict[str, int]  # index of the tile under each cluster, by the cluster's name
-    socket_markers: FloatArray  # markers of the socket in its body frame, 3 to 8; (k, 3) [m]
-    pylon_markers: FloatArray  # markers of the pylon in its body frame, likewise
-    socket_body: Pose  # pose of the socket's marker body in {S}
-    limb: Pose  # pose of the limb in the pylon's marker body; its origin is the lumped mass
-    source: str = ""  # origin of the tiles
-    registration: str = ""  # origin of the bodies' registration; empty if they are nominal
-    # Ascending tile indices of the user's own regions, by name
+    areas: FloatArray
+    neighbours: IntArray
+    clusters: dict[str, int]
+    socket_markers: FloatArray
+    pylon_markers: FloatArray
+    socket_body: Pose
+    limb: Pose
+    source: str = ""
+    registration: str = ""
     regions: dict[str, tuple[int, ...]] = field(default_factory=dict)
-    # Angle from the tile's x axis to the cluster's about the inward normal, by the cluster's name
-    # [rad]; zero for other clusters
     turned: dict[str, float] = field(default_factory=dict)
-    scan: ScanFrame | None = None  # None if unknown
+    scan: ScanFrame | None = None
 
     def __len__(self) -> int:
         return len(self.names)
@@ -100,11 +124,14 @@ class SocketGeometry:
 
     @property
     def markers(self) -> dict[str, FloatArray]:
-        """Markers in their body's frame by body, `socket` before `pylon`, shape (k, 3) [m]."""
+        """Markers in their body's frame, shape (k, 3) each [m], by body: `socket`, then `pylon`."""
         return {"socket": self.socket_markers, "pylon": self.pylon_markers}
 
     def same_tiles(self, other: SocketGeometry) -> bool:
-        """Whether another geometry has the same tiles in the same places."""
+        """Whether another geometry has the same tiles in the same places.
+
+        Names must be equal, anchors within 0.1 mm per coordinate, frames within 1e-3 per entry.
+        """
         return (
             self.names == other.names
             and np.allclose(self.anchors, other.anchors, rtol=0.0, atol=_SAME_PLACE)
@@ -112,7 +139,15 @@ class SocketGeometry:
         )
 
     def require(self, clusters: Iterable[str], of: str) -> None:
-        """Refuse a socket that lacks one of the clusters."""
+        """Refuse a socket that lacks one of the clusters.
+
+        Args:
+            clusters: Names of the clusters.
+            of: What these clusters belong to, for the error, such as `the samples`.
+
+        Raises:
+            ConfigurationError: If a cluster is on no tile.
+        """
         for name in clusters:
             if name not in self.clusters:
                 raise ConfigurationError(
@@ -125,6 +160,10 @@ class SocketGeometry:
         """N poses of the limb in {S} from those of both marker bodies; NaN if either is NaN.
 
         The origin of the limb is q.
+
+        Args:
+            socket_in_world: N poses of the socket's marker body in `world`, or one.
+            pylon_in_world: Poses of the pylon's marker body in `world`, as many.
         """
         return self.socket_body @ socket_in_world.inverse() @ pylon_in_world @ self.limb
 
@@ -140,25 +179,54 @@ class SocketGeometry:
         return np.array([bool(name) for name in self.cluster_names])
 
     def limb_of(self, socket: FloatArray, pylon: FloatArray) -> Pose:
-        """`limb_pose` of the bodies' vectors (see `Pose.vector`), shape (7,) or (N, 7) each."""
+        """`limb_pose` from the vectors of the bodies' poses (see `Pose.vector`).
+
+        Args:
+            socket: Poses of the socket's marker body in `world`, positions [m] and quaternions
+                (x, y, z, w) [-], shape (7,) or (N, 7).
+            pylon: Poses of the pylon's marker body in `world`, positions [m] and quaternions
+                (x, y, z, w) [-], shape (7,) or (N, 7).
+
+        Returns:
+            The pose of the limb in {S}, or N of them; NaN if either body's pose is NaN.
+        """
         return self.limb_pose(Pose.from_vector(socket), Pose.from_vector(pylon))
 
     def cluster_force(self, cluster: str, stress: FloatArray) -> FloatArray:
         """Force on a cluster in its tile's frame {L}, ``A Rz(turned) [tau_x, tau_y, -sigma]`` [N].
 
-        The stress is normal (positive in compression), shear x and shear y along the cluster's own
-        axes, shape (..., 3) [Pa].
+        Args:
+            cluster: Name of the cluster.
+            stress: Normal stress (positive in compression), shear x and shear y along the cluster's
+                own axes, shape (..., 3) [Pa].
+
+        Returns:
+            The force of the limb on the socket, components x, y, z in {L}, shape (..., 3) [N].
         """
         x, y = _turn(stress[..., 1], stress[..., 2], self.turned.get(cluster, 0.0))
         return np.stack([x, y, -stress[..., 0]], axis=-1) * self.areas[self.clusters[cluster]]
 
     def cluster_stress(self, cluster: str, force: FloatArray) -> FloatArray:
-        """Inverse of `cluster_force`: stresses [Pa] from forces [N], shape (..., 3)."""
+        """Stress of a cluster from the force on it, the inverse of `cluster_force`.
+
+        Args:
+            cluster: Name of the cluster.
+            force: Force of the limb on the socket in the frame {L} of the cluster's tile, shape
+                (..., 3) [N].
+
+        Returns:
+            Normal stress (positive in compression), shear x and shear y along the cluster's own
+            axes, shape (..., 3) [Pa].
+        """
         x, y = _turn(force[..., 0], force[..., 1], -self.turned.get(cluster, 0.0))
         return np.stack([-force[..., 2], x, y], axis=-1) / self.areas[self.clusters[cluster]]
 
     def square_frames(self) -> FloatArray:
-        """Frames, (n, 3, 3), with x and y along the tiles' edges, turned with their clusters."""
+        """Frames in {S} with x and y along the tiles' edges, turned with their clusters.
+
+        Rotation matrices like `rotations`, shape (n, 3, 3) [-], from which they differ by the
+        angles in `turned`.
+        """
         frames = self.rotations.copy()
         for cluster, angle in self.turned.items():
             frames[self.clusters[cluster]] @= about_z(angle)
@@ -274,7 +342,15 @@ class _Socket(Document):
 
 
 def write_socket(geometry: SocketGeometry, path: Path) -> None:
-    """Write `socket.yaml` atomically."""
+    """Write `socket.yaml` atomically.
+
+    Args:
+        geometry: The socket.
+        path: The file, which is replaced if it exists.
+
+    Raises:
+        ConfigurationError: If two tiles have the same name, or `read_socket` would refuse the file.
+    """
     document = geometry.to_document()
     if twins := [name for name, times in Counter(geometry.names).items() if times > 1]:
         hint = "give the cluster another name"
@@ -285,12 +361,21 @@ def write_socket(geometry: SocketGeometry, path: Path) -> None:
 
 
 def read_socket(path: Path) -> SocketGeometry:
-    """Read `socket.yaml`."""
+    """Read `socket.yaml`: tiles in {S} [m], neighbours, clusters, marker bodies and regions."""
     return socket_from_document(load_yaml(path), str(path))
 
 
 def socket_from_document(data: Any, where: str) -> SocketGeometry:
-    """Build and check the geometry from the content of `socket.yaml`; errors start with `where`."""
+    """Build and check the geometry from the content of `socket.yaml`.
+
+    Args:
+        data: The parsed content; None for an empty file.
+        where: Start of every error, such as the path of the file.
+
+    Raises:
+        ConfigurationError: If a field is missing, unknown or out of its range, a tile is not
+            found, two clusters are on one tile, or a tile is at another one or far off the wall.
+    """
     document: _Socket = convert({} if data is None else data, _Socket, where)
     tiles, bodies = document.tiles, document.bodies
     names = tuple(tiles)
@@ -327,7 +412,7 @@ def socket_from_document(data: Any, where: str) -> SocketGeometry:
 
 
 def _index(tile: Text, names: tuple[str, ...], where: str) -> int:
-    """Index of a tile."""
+    """Index of a tile by its name; errors start with `where`."""
     if str(tile) not in names:
         raise ConfigurationError(f"{where}: no tile '{tile}'", closest(str(tile), names))
     return names.index(str(tile))
@@ -363,7 +448,14 @@ def find_regions(
 ) -> dict[str, tuple[int, ...]]:
     """Ascending tile indices of the user's own regions, by name.
 
-    The regions list tiles of the socket by name; errors start with `where`.
+    Args:
+        regions: Names of the tiles in each region, keyed by the region's name.
+        names: Names of the socket's n tiles; an index is the place in them.
+        where: Start of every error, such as the file and its field.
+
+    Raises:
+        ConfigurationError: If a region has the name of a standard one, is empty, or holds an
+            unknown tile or a tile twice.
     """
     found = {}
     for name, tiles in regions.items():

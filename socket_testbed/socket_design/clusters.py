@@ -39,16 +39,26 @@ from socket_testbed.socket_design.squares import (
 
 @dataclass(frozen=True)
 class ClusterPlace:
-    """Where a cluster is in the socket."""
+    """Where a cluster is in the socket.
+
+    Attributes:
+        name: Name of the cluster.
+        centre: Centre of the cluster, shape (3,), in {S} [m], or in the scan's coordinates and unit
+            if `in_scan`.
+        frame: Frame of the cluster in {S}, shape (3, 3) [-], with columns x, y, z (inward normal);
+            None for that of its tile.
+        where: Start of errors about this place: the file and its field.
+        in_scan: Whether `centre` is in the scan's coordinates and unit.
+    """
 
     name: str
-    centre: FloatArray  # its centre in {S} [m], or in the scan's coordinates and unit; (3,)
-    frame: FloatArray | None  # its own frame in {S}; (3, 3) [-]; None for that of its tile
-    where: str  # its name in errors
-    in_scan: bool = False  # whether its centre is in the scan's coordinates
+    centre: FloatArray
+    frame: FloatArray | None
+    where: str
+    in_scan: bool = False
 
     def in_load_cell(self, scan: ScanFrame) -> ClusterPlace:
-        """The same place in {S}."""
+        """The same place with its centre in {S} [m]; unchanged if it is there already."""
         centre = scan.points(self.centre) if self.in_scan else self.centre
         return replace(self, centre=centre, in_scan=False)
 
@@ -94,13 +104,21 @@ class _Places(Document):
 
 @dataclass(frozen=True)
 class LaidCluster:
-    """A cluster on the interior."""
+    """A cluster on the interior.
+
+    Attributes:
+        name: Name of the cluster.
+        asked: Its specified place in {S}, shape (3,) [m].
+        surface: The point of the interior nearest to its specified place, in {S}, shape (3,) [m].
+        anchor: Centre of its tile in {S}, shape (3,) [m].
+        turned: Angle from its tile's x axis to its own about the inward normal [rad].
+    """
 
     name: str
-    asked: FloatArray  # its specified place in {S}; (3,) [m]
-    surface: FloatArray  # the nearest point of the interior in {S}; (3,) [m]
-    anchor: FloatArray  # centre of its tile in {S}; (3,) [m]
-    turned: float  # angle of its x axis from that of its tile about the inward normal [rad]
+    asked: FloatArray
+    surface: FloatArray
+    anchor: FloatArray
+    turned: float
 
     @property
     def moved(self) -> float:
@@ -133,9 +151,22 @@ def lay_clusters(
     """Lay each cluster's square at the point of the interior nearest to its place.
 
     If its footprint is incomplete there, it is laid at the nearest of the other squares' centres
-    where it is complete. The mesh is the interior, its normals inwards [m]; places are in {S}; the
-    flatness is the largest distance of the surface from a tile's plane [m]. The squares' edges are
-    along the clusters' own axes.
+    where it is complete.
+
+    Args:
+        mesh: The interior in {S} [m], with normals into the cavity.
+        places: Places of the clusters in {S}.
+        others: Squares whose centres in {S} may replace a cluster's place; all have their edge.
+        surroundings: The interior as points in {S}, with the directions of the tiles' x axes.
+        flatness: Largest distance of the surface from a tile's plane [m].
+
+    Returns:
+        A square for each place, in order, in {S}, its edges along the cluster's own axes; and the
+        cluster on it.
+
+    Raises:
+        ConfigurationError: If a place is far from the interior, its frame's z axis is more than 30
+            degrees off the inward normal, no tile fits near it, or it overlaps another.
     """
     edge = others.edge
     squares, laid = others.take(np.arange(0)), list[LaidCluster]()
@@ -189,7 +220,7 @@ def _on_surface(mesh: trimesh.Trimesh, place: ClusterPlace) -> SurfacePoints:
 
 
 def _turn_angle(place: ClusterPlace, square: Squares) -> float:
-    """Angle of a cluster's x from its tile's x, about the tile's normal [rad]."""
+    """Angle from the x axis of a cluster's tile to its own, about the inward normal [rad]."""
     if place.frame is None:
         return 0.0
     x, _, z = (square.rotations[0].T @ place.frame).T
@@ -209,22 +240,32 @@ _RANDOM_PLACEMENTS = 20  # placements for comparison
 
 @dataclass(frozen=True)
 class ClusterPlacement:
-    """Proposed places of clusters."""
+    """Proposed places of clusters.
 
-    tiles: IntArray  # of the clusters, in the order of their choice, fixed ones first
-    # expected error of the force map on tiles without a cluster, over their RMS, by the number of
-    # clusters [-]
+    Attributes:
+        tiles: Indices of the clusters' tiles in the order of their choice, fixed ones first, shape
+            (count,).
+        errors: Expected error of the force map on the tiles without a cluster, over the RMS of
+            their forces [-], keyed by the number of clusters: the first tiles of `tiles`.
+        at_random: Smallest and largest expected error of random placements of as many clusters,
+            over the RMS of the forces [-].
+    """
+
+    tiles: IntArray
     errors: dict[int, float]
-    at_random: tuple[float, float]  # smallest and largest error of random placements [-]
+    at_random: tuple[float, float]
 
 
 class _ExpectedError:
     """Expected error of the map under its prior, given the wrench and clusters on some tiles."""
 
     def __init__(self, geometry: SocketGeometry) -> None:
-        self._prior: list[FloatArray] = []  # K under each hypothesis
-        self._with_wrench: list[FloatArray] = []  # likewise, given the wrench
-        self._noise: list[FloatArray] = []  # error variances of a cluster on each tile, (3n,)
+        # Covariance K of the tiles' forces under each hypothesis, (3n, 3n) [N^2]
+        self._prior: list[FloatArray] = []
+        # Covariance of the tiles' forces given the wrench, under each hypothesis, (3n, 3n) [N^2]
+        self._with_wrench: list[FloatArray] = []
+        # Error variances of a cluster on each tile, under each hypothesis, (3n,) [N^2]
+        self._noise: list[FloatArray] = []
         names = geometry.names
         everywhere = replace(geometry, clusters={name: tile for tile, name in enumerate(names)})
         for sizes in hypotheses(ForceMapSettings(draws=_HYPOTHESES)):
@@ -273,8 +314,17 @@ def place_clusters(
 ) -> ClusterPlacement:
     """Propose tiles for `count` clusters, including those that `stay` on their tiles.
 
-    The socket's own clusters are ignored. `allowed` are the tiles that may take another cluster,
-    shape (n,).
+    The socket's own clusters are ignored.
+
+    Args:
+        geometry: The socket with its n tiles.
+        count: Number of clusters in all.
+        stay: Indices of the tiles whose clusters stay.
+        allowed: Which tiles may take another cluster, shape (n,).
+
+    Raises:
+        ConfigurationError: If `count` is less than the clusters that stay, or more than fit on the
+            free tiles.
     """
     expectation = _ExpectedError(geometry)
     free = np.setdiff1d(np.flatnonzero(allowed), stay)

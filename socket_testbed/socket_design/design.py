@@ -33,14 +33,27 @@ _MIN_SINE = 0.1  # [-]; about 6 degrees between directions that span a plane
 
 @dataclass(frozen=True)
 class Placement:
-    """Pose of the scan in {S}."""
+    """Pose of the scan in {S}.
 
-    scan_in_load_cell: Pose  # pose of the scan's frame (in metres) in {S}
-    source: str  # how it was found
+    Attributes:
+        scan_in_load_cell: Pose of the scan's frame in {S}, for coordinates of the scan in metres.
+        source: How the pose was found, in words.
+    """
+
+    scan_in_load_cell: Pose
+    source: str
 
 
 def parse_direction(text: str, where: str) -> FloatArray:
-    """A direction (3,) [-] given as an axis, such as +z, or three numbers, such as "0 0.1 1"."""
+    """A unit vector, shape (3,) [-], in the frame that the text refers to, such as the scan's.
+
+    Args:
+        text: An axis, such as `+z`, or three numbers, such as `0 0.1 1`, of any length.
+        where: Start of the error, such as the option.
+
+    Raises:
+        ConfigurationError: If the text is neither, or the vector has no length.
+    """
     axis = re.fullmatch(r"([+-]?)([xyz])", text.strip().lower())
     if axis:
         direction = np.eye(3)["xyz".index(axis[2])]
@@ -56,7 +69,15 @@ def parse_direction(text: str, where: str) -> FloatArray:
 
 
 def parse_point(text: str, where: str) -> FloatArray:
-    """Three numbers, with spaces or commas between them, shape (3,)."""
+    """Three numbers, shape (3,), in the unit of the text.
+
+    Args:
+        text: Three numbers with spaces or commas between them.
+        where: Start of the error, such as the option.
+
+    Raises:
+        ConfigurationError: If the text does not hold three finite numbers.
+    """
     try:
         point = np.array([float(word) for word in re.split(r"[\s,]+", text.strip())])
     except ValueError:
@@ -69,10 +90,19 @@ def parse_point(text: str, where: str) -> FloatArray:
 def place_by_directions(
     vertices: FloatArray, proximal: FloatArray, anterior: FloatArray | None, height: float
 ) -> Placement:
-    """Place {S} a height [m] below the distal end, z proximal and x anterior.
+    """Place {S} below the distal end, z proximal and x anterior.
 
-    The interior's vertices (v, 3) [m] and the directions (3,) [-] are in the scan's frame. Without
-    anterior, +x of the scan is used, or +y if +x is along the socket.
+    Args:
+        vertices: Vertices of the interior in the scan's frame, shape (v, 3) [m].
+        proximal: Unit vector from the distal end to the opening in the scan's frame, shape (3,)
+            [-].
+        anterior: Unit vector towards anterior in the scan's frame, shape (3,) [-]; None for +x of
+            the scan, or +y if +x is along the socket.
+        height: Height of the distal end's lowest point above the origin of {S} [m].
+
+    Raises:
+        ConfigurationError: If anterior is within about 6 degrees of the proximal or distal
+            direction.
     """
     how = "given as"
     if anterior is None:
@@ -90,7 +120,13 @@ def place_by_directions(
 
 
 def place_by_points(points: FloatArray) -> Placement:
-    """Place {S} by three points in the scan, (3, 3) [m]: its origin, one on +x, one towards +y."""
+    """Place {S} by three points in the scan, (3, 3) [m]: its origin, one on +x, one towards +y.
+
+    Each row is a point in the scan's frame.
+
+    Raises:
+        RegistrationError: If two points are at one place or all are on one line.
+    """
     along, aside = points[1] - points[0], points[2] - points[0]
     normal = np.cross(along, aside)
     size = float(np.linalg.norm(along) * np.linalg.norm(aside))
@@ -112,9 +148,16 @@ class _PickedLandmarks(Document):
 
 
 def place_by_landmarks(path: Path, scale: float) -> Placement:
-    """Place {S} by landmarks with coordinates in {S} and in the scan, whose unit is a scale [m].
+    """Place {S} by landmarks with coordinates in {S} and in the scan.
 
-    The file's key `landmarks` holds for each name `scan` (in the scan's unit) and `load_cell` [m].
+    Args:
+        path: YAML file whose key `landmarks` holds for each name the coordinates `scan`, in the
+            scan's frame and unit, and `load_cell`, in {S} [m].
+        scale: Length of the scan's unit [m].
+
+    Raises:
+        RegistrationError: If fewer than three landmarks are given, they are too close to each other
+            or on one line, or their RMS residual exceeds `MAX_RESIDUAL`.
     """
     landmarks = read_document(path, _PickedLandmarks).landmarks
     scan, load_cell = (
@@ -138,16 +181,28 @@ _ANTERIOR = np.array([1.0, 0.0, 0.0])  # in {S}
 
 @dataclass(frozen=True)
 class SocketDesign:
-    """A scan with the tiles laid out on it."""
+    """A scan with the tiles laid out on it.
+
+    Attributes:
+        name: Name of the scan's file.
+        scan: The body of the scan, in its own axes [m].
+        mesh: Its interior in {S} [m], with normals into the cavity.
+        placement: Pose of the scan in {S}.
+        tiling: The tiles as found, in {S}, and how well they cover the interior; its indices are
+            not those of `geometry`.
+        geometry: The socket in {S}, its tiles sorted by the names of their places.
+        settings: Settings of the tiling.
+        notes: Remarks for the user, one per finding.
+    """
 
     name: str
     scan: Scan
-    mesh: trimesh.Trimesh  # its interior in {S} [m]
-    placement: Placement  # where {S} is in the scan
+    mesh: trimesh.Trimesh
+    placement: Placement
     tiling: Tiling
     geometry: SocketGeometry
     settings: TilingSettings
-    notes: tuple[str, ...]  # remarks for the user
+    notes: tuple[str, ...]
 
     def __repr__(self) -> str:
         covered = self.tiling.footprint_areas.sum() / self.tiling.interior_area
@@ -157,7 +212,7 @@ class SocketDesign:
         )
 
     def facts(self) -> list[tuple[str, str]]:
-        """Key figures for the user, as rows of a table."""
+        """Key figures for the user: names and values in words, with their units."""
         scan, tiling, edge = self.scan, self.tiling, 1e3 * self.settings.edge
         tiles, area = len(self.geometry), 1e4 * tiling.interior_area
         covered = 1e4 * float(tiling.footprint_areas.sum())
@@ -198,10 +253,18 @@ def design_socket(
 ) -> SocketDesign:
     """Lay out tiles on the interior of a scan, for a socket with the marker bodies of `bodies`.
 
-    `place` returns the placement of {S}, given the interior's vertices, shape (v, 3) [m], the
-    proximal direction, shape (3,) [-], both in the scan's axes, and the scan's unit [m]. If not
-    given, the proximal direction is inferred and clusters are at their usual places. `progress` is
-    called with the steps done and their number.
+    Args:
+        name: Name of the scan's file, for errors and the geometry's source.
+        scan: The scan.
+        place: Returns the placement of {S}, given the interior's vertices, shape (v, 3) [m], the
+            proximal unit vector, shape (3,) [-], both in the scan's axes, and the length of the
+            scan's unit [m].
+        proximal: Direction from the distal end to the opening in the scan's axes, of any length,
+            shape (3,) [-]; None to infer it.
+        clusters: Places of glued clusters, in {S} or in the scan; None for the usual places.
+        bodies: The socket whose marker bodies, limb and registration are kept.
+        settings: Settings of the tiling.
+        progress: Called after each round of the tiling with the rounds done and their number.
     """
     interior = find_interior(scan.mesh, proximal)
     refuse_implausible(name, interior.length, interior.girth, scan.unit)
@@ -239,6 +302,13 @@ def tile_names(anchors: FloatArray, axis: SocketAxis) -> tuple[str, ...]:
 
     The angle is about the axis, counterclockwise seen from above. A letter distinguishes tiles with
     the same rounded height and angle.
+
+    Args:
+        anchors: Centres of the n tiles in {S}, shape (n, 3) [m].
+        axis: Axis of the socket in {S}.
+
+    Returns:
+        The n names in the order of the tiles.
     """
     heights = np.maximum(np.round(1e3 * axis.heights(anchors)), 0).astype(int)
     angles = np.degrees(axis.angles(anchors))
@@ -253,7 +323,13 @@ def tile_names(anchors: FloatArray, axis: SocketAxis) -> tuple[str, ...]:
 def with_proposed_clusters(
     design: SocketDesign, number: int, keep_out: Sequence[str]
 ) -> SocketDesign:
-    """The design with clusters at the most informative tiles, and a note on their benefit."""
+    """The design with clusters at the most informative tiles, and a note on their benefit.
+
+    Args:
+        design: The design, whose own clusters stay.
+        number: Number of clusters in all.
+        keep_out: Names of regions and tiles that get no proposed cluster.
+    """
     geometry = design.geometry
     tiles = {tile: np.array([number]) for number, tile in enumerate(geometry.names)}
     tiles |= {region.name: region.tiles for region in all_regions(geometry)}
@@ -277,7 +353,15 @@ def with_proposed_clusters(
 
 
 def tiles_named(name: str, tiles: Mapping[str, IntArray]) -> IntArray:
-    """The tiles of a region, or the one of that name."""
+    """Indices of the tiles of a region, or of the tile of that name, shape (k,).
+
+    Args:
+        name: Name of the region or tile.
+        tiles: Indices of the tiles keyed by the names of regions and tiles.
+
+    Raises:
+        ConfigurationError: If there is no region or tile of this name.
+    """
     if name not in tiles:
         fact = f"--keep-out: there is no region or tile '{name}'"
         raise ConfigurationError(fact, closest(name, tiles))
@@ -286,15 +370,23 @@ def tiles_named(name: str, tiles: Mapping[str, IntArray]) -> IntArray:
 
 # Usual places of three of the testbed's clusters: angle from anterior [deg], relative height [-].
 _USUAL = {"brim_lateral": (90.0, 1.0), "mid_anterior": (0.0, 0.6), "posterior_distal": (180.0, 0.2)}
-_MAX_TURN = 45.0  # [deg]; from the usual place
-_MAX_RAISE = 1.5  # [edges]; likewise
+_MAX_TURN = 45.0  # [deg]; about the axis, of a tile from its usual place
+_MAX_RAISE = 1.5  # [edges]; along the axis, of a tile from its usual place
 _GIVE_PLACES = "give the places of yours with --clusters FILE"
 
 
 def nominal_places(squares: Squares, axis: SocketAxis) -> dict[str, int]:
     """Tiles at the usual places of the testbed's four clusters, for a socket without a file.
 
-    Refuses a socket that lacks one of these places.
+    Args:
+        squares: The tiles.
+        axis: Axis of the socket in the frame of the tiles.
+
+    Returns:
+        Index of the square under each cluster, keyed by the cluster's name.
+
+    Raises:
+        ConfigurationError: If the socket has too few tiles or lacks one of these places.
     """
     if len(squares) <= len(_USUAL):
         fact = f"{len(squares)} tiles do not hold the usual {len(_USUAL) + 1} clusters"

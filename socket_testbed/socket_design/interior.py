@@ -30,13 +30,22 @@ _MAX_ALIKE_RATIO = 1.3  # [-]; between misfits of equivalent axes and all axes b
 
 @dataclass(frozen=True)
 class Axis:
-    """A line."""
+    """A line in the frame of the surface.
 
-    origin: FloatArray  # a point on it; (3,) [m]
-    direction: FloatArray  # unit vector along it; (3,)
+    Attributes:
+        origin: A point on the line, shape (3,) [m].
+        direction: Unit vector along the line, shape (3,) [-].
+    """
+
+    origin: FloatArray
+    direction: FloatArray
 
     def cylindrical(self, mesh: trimesh.Trimesh) -> tuple[FloatArray, FloatArray]:
-        """Positions of the faces along the axis and distances from it, shape (F,) each [m]."""
+        """Positions of the faces along the axis and distances from it, shape (F,) each [m].
+
+        They are those of the centres of the mesh's F faces; positions count from the origin along
+        the direction.
+        """
         offset = mesh.triangles_center - self.origin
         along = offset @ self.direction
         return along, np.linalg.norm(offset - along[:, None] * self.direction, axis=1)
@@ -44,12 +53,21 @@ class Axis:
 
 @dataclass(frozen=True)
 class AxisFit:
-    """How well a surface is one of revolution about axes of any direction."""
+    """How well a surface is one of revolution about axes of any direction.
 
-    middle: FloatArray  # middle of the surface; (3,) [m]
-    moment: FloatArray  # from an axis's direction to its best moment about the middle; (3, 3) [m]
-    misfits: FloatArray  # mean square misfits of the principal directions, ascending; (3,) [-]
-    directions: FloatArray  # the principal directions, one per row; (3, 3)
+    Attributes:
+        middle: Centroid of the surface, shape (3,) [m].
+        moment: Matrix that maps an axis's direction to its best moment about the middle, shape
+            (3, 3) [m].
+        misfits: Mean square misfits of the principal directions, ascending, shape (3,) [-]; 0 for a
+            surface of revolution.
+        directions: The principal directions, a unit vector per row, shape (3, 3) [-].
+    """
+
+    middle: FloatArray
+    moment: FloatArray
+    misfits: FloatArray
+    directions: FloatArray
 
     def likely(self) -> list[Axis]:
         """The best axis, and those at right angles to it that cannot be ruled out."""
@@ -57,7 +75,10 @@ class AxisFit:
         return [self._along(direction) for direction in self.directions[self.misfits <= limit]]
 
     def near(self, direction: FloatArray) -> Axis:
-        """The principal axis near a direction, or that direction if many fit equally well."""
+        """The principal axis near a direction, or that direction if many fit equally well.
+
+        The direction, shape (3,) [-], may have any length; the axis points to its side.
+        """
         best = int(np.abs(self.directions @ direction).argmax())
         ratio = np.fmax(self.misfits, _MIN_MISFIT) / max(float(self.misfits[best]), _MIN_MISFIT)
         equivalent = self.directions[np.abs(np.log(ratio)) < np.log(_MAX_ALIKE_RATIO)]
@@ -99,15 +120,23 @@ _MIN_WALL_DISTANCE = 0.5  # [-]; of the radius; nearer faces belong to a bore
 
 @dataclass(frozen=True)
 class Spine:
-    """A segment along the cavity: interior points look sideways at the wall, its ends beyond."""
+    """A segment along the cavity: interior points look sideways at the wall, its ends beyond.
+
+    Attributes:
+        axis: The line of the segment.
+        low: Position of its start, from the axis's origin along its direction [m].
+        high: Position of its end, from the axis's origin along its direction [m]; infinite if it
+            has none.
+        radius: Typical distance of the walls from it [m].
+    """
 
     axis: Axis
-    low: float  # start of the segment, from the origin along the direction [m]
-    high: float  # its end [m]
-    radius: float  # typical distance of the walls [m]
+    low: float
+    high: float
+    radius: float
 
     def feet(self, points: FloatArray) -> FloatArray:
-        """The viewpoints on the segment for the given points, shape (N, 3) [m]."""
+        """The nearest points of the segment, from which points are seen, shape (N, 3) each [m]."""
         along = np.clip((points - self.axis.origin) @ self.axis.direction, self.low, self.high)
         return self.axis.origin + along[:, None] * self.axis.direction
 
@@ -140,14 +169,20 @@ _GRAZING = 0.2  # [-]; cosine below which a face is seen from neither side
 
 @dataclass(frozen=True)
 class SurfaceSamples:
-    """Points on the faces of a surface."""
+    """Points on the faces of a surface; every face has one or more.
 
-    owners: IntArray  # face of each point; (P,)
-    points: FloatArray  # shape (P, 3) [m]
-    spacing: float  # approximate largest distance between neighbours [m]
+    Attributes:
+        owners: Index of the face of each point, shape (P,).
+        points: The points in the frame of the surface, shape (P, 3) [m].
+        spacing: Approximate largest distance between neighbours [m].
+    """
+
+    owners: IntArray
+    points: FloatArray
+    spacing: float
 
     def majority(self, votes: BoolArray) -> BoolArray:
-        """Faces with votes from more than half of their points, shape (F,)."""
+        """Faces, shape (F,), with votes, shape (P,), from more than half of their points."""
         return 2 * np.bincount(self.owners, votes) > np.bincount(self.owners)
 
 
@@ -158,15 +193,26 @@ _MIN_OPENING = 0.1  # [-]; net opening over a cross-section of the cavity
 
 @dataclass(frozen=True)
 class Cavity:
-    """A surface with normals into the cavity, and the visibility of its faces from the spine."""
+    """A surface with normals into the cavity, and the visibility of its faces from the spine.
+
+    Attributes:
+        mesh: The surface with F faces, in the scan's frame [m].
+        samples: Points on all of its faces.
+        spine: The segment in the cavity from which faces are seen.
+        facing: Cosine between each face's normal and the direction from its centre to the spine,
+            shape (F,) [-].
+        seen: Which faces are seen from the front, with nothing before them, shape (F,).
+        hidden: Which faces are seen from the back, behind the front of another, shape (F,).
+        front_share: Share of the non-empty directions that first hit a front [-].
+    """
 
     mesh: trimesh.Trimesh
-    samples: SurfaceSamples  # points on all of its faces
+    samples: SurfaceSamples
     spine: Spine
-    facing: FloatArray  # (F,); cosine between a face's normal and the direction to the spine
-    seen: BoolArray  # faces seen from the front, with nothing before them; (F,)
-    hidden: BoolArray  # faces seen from the back, behind the front of another; (F,)
-    front_share: float  # share of the non-empty directions that first hit a front [-]
+    facing: FloatArray
+    seen: BoolArray
+    hidden: BoolArray
+    front_share: float
 
     @cached_property
     def wall(self) -> trimesh.Trimesh:
@@ -196,7 +242,14 @@ class Cavity:
         return abs(self.net_opening) > _MIN_OPENING * np.pi * self.spine.radius**2
 
     def along(self, axis: Axis, open_above: bool = False) -> Cavity:
-        """The same cavity seen from another axis; see `_spine_along`."""
+        """The same cavity seen from a segment of another axis.
+
+        Args:
+            axis: The axis in the frame of the mesh; the segment ends one radius before either end
+                of the wall.
+            open_above: Whether the segment has no end in the axis's direction, so that a face near
+                the opening is seen sideways.
+        """
         return _view(self.mesh, self.samples, _spine_along(axis, self.wall, open_above))
 
 
@@ -331,14 +384,21 @@ _NOTED_ANGLE = 30.0  # [deg]; between a given direction and the axis
 
 @dataclass(frozen=True)
 class Interior:
-    """The interior of a socket, in the scan's axes."""
+    """The interior of a socket, in the scan's axes.
 
-    # The inner wall including the distal end; its normals point into the cavity
+    Attributes:
+        mesh: The inner wall including the distal end [m]; its normals point into the cavity.
+        proximal: Unit vector from the distal end to the opening, shape (3,) [-].
+        length: Extent of the interior along `proximal` [m].
+        girth: Circumference at the median distance of the wall from the axis [m].
+        notes: Remarks for the user, one line per finding.
+    """
+
     mesh: trimesh.Trimesh
-    proximal: FloatArray  # unit vector from the distal end to the opening; (3,)
-    length: float  # extent along it [m]
-    girth: float  # circumference at the median distance of the wall from the axis [m]
-    notes: tuple[str, ...]  # one line per finding
+    proximal: FloatArray
+    length: float
+    girth: float
+    notes: tuple[str, ...]
 
 
 def find_interior(mesh: trimesh.Trimesh, proximal: FloatArray | None = None) -> Interior:
@@ -348,9 +408,14 @@ def find_interior(mesh: trimesh.Trimesh, proximal: FloatArray | None = None) -> 
     wall, are the outside. If there is an outside, the faces behind it tell the wall from rims and
     cuts.
 
-    The mesh is one body in metres with consistent winding, as `read_scan` returns it. Without a
-    direction from the distal end to the brim, in the scan's axes, shape (3,), the more open end of
-    the cavity is proximal.
+    Args:
+        mesh: One body in metres with consistent winding, as `read_scan` returns it.
+        proximal: Direction from the distal end to the brim in the scan's axes, of any length, shape
+            (3,) [-]; None: the more open end of the cavity is proximal.
+
+    Raises:
+        ScanError: If there is no cavity, it has no brim, or both ends are equally open and no
+            direction is given.
     """
     name = str(mesh.metadata.get("file_name", "the scan"))
     given = None if proximal is None else proximal / np.linalg.norm(proximal)
@@ -427,7 +492,17 @@ _GIRTH = (0.12, 0.85)  # [m]; of its wall
 
 
 def refuse_implausible(name: str, length: float, girth: float, unit: str) -> None:
-    """Refuse a cavity whose length and girth [m], in the file's unit, do not fit a socket."""
+    """Refuse a cavity that is too small or too large for a socket.
+
+    Args:
+        name: Start of the error, such as the file.
+        length: Extent of the cavity along its axis [m].
+        girth: Circumference of its wall [m].
+        unit: Unit of the file with which these were found, a key of `METRES`.
+
+    Raises:
+        ScanError: If the sizes fit no socket; the hint names a unit with which they would.
+    """
 
     def plausible(scale: float) -> bool:
         sizes = ((length, _LENGTH), (girth, _GIRTH))

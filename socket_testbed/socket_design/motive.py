@@ -31,41 +31,62 @@ _UNNAMED = ("Unlabeled", "Unlabelled")
 
 @dataclass(frozen=True)
 class MotiveTake:
-    """A take exported by Motive, with N frames."""
+    """A take exported by Motive, with N frames.
+
+    Attributes:
+        path: The file.
+        version: Version of the format, such as 1.23.
+        frame_rate: Frame rate of the export [Hz].
+        units: Unit of length in the file, as written there, such as `Millimeters`; poses and
+            markers of this class are in metres.
+        frames: Numbers of the frames as in the file, ascending, shape (N,).
+        times: Time of each frame since the start of the take, shape (N,) [s].
+        bodies: N poses of each of Motive's rigid bodies in `world`, keyed by its name; NaN in
+            frames in which it is not tracked.
+        markers: Positions of each measured marker in `world`, shape (N, 3) [m], keyed by its name;
+            NaN if occluded.
+        solved: Positions at which Motive's rigid bodies expect their markers, in `world`, shape
+            (N, 3) [m], keyed by the marker's name; NaN without a pose of the body.
+        doubled: Duplicate names among the bodies, markers or solved markers, which are not read.
+        notes: Remarks for the user.
+    """
 
     path: Path
-    version: str  # version of the format
-    frame_rate: float  # of the export [Hz]
-    units: str  # unit of length in the file, as written there; all below is in metres
-    frames: IntArray  # frame numbers; (N,)
-    times: FloatArray  # since the start of the take; (N,) [s]
-    # Poses of Motive's rigid bodies in `world` by name; NaN if not tracked
+    version: str
+    frame_rate: float
+    units: str
+    frames: IntArray
+    times: FloatArray
     bodies: dict[str, Pose]
-    # Measured markers by name, in `world`; (N, 3) [m]; NaN if occluded
     markers: dict[str, FloatArray]
-    solved: dict[str, FloatArray]  # markers as expected by Motive's rigid bodies, likewise
-    # Duplicate names among the bodies, markers or solved markers, which are not read
+    solved: dict[str, FloatArray]
     doubled: frozenset[str]
-    notes: tuple[str, ...]  # remarks for the user
+    notes: tuple[str, ...]
 
     def __len__(self) -> int:
         return len(self.frames)
 
     def body(self, name: str) -> Pose:
-        """Poses of a rigid body."""
+        """N poses of a rigid body in `world`, by its name in Motive; NaN if not tracked.
+
+        An unknown name raises a `RegistrationError`.
+        """
         if name not in self.bodies:
             raise self._missing("rigid body", name, self.bodies)
         return self.bodies[name]
 
     def stack(self, names: Collection[str]) -> FloatArray:
-        """Measured markers in `world`, shape (N, k, 3) [m]; NaN if occluded."""
+        """Measured markers in `world`, shape (N, k, 3) [m], by k names; NaN if occluded.
+
+        An unknown name raises a `RegistrationError`.
+        """
         for name in names:
             if name not in self.markers:
                 raise self._missing("marker", name, self.markers)
         return np.stack([self.markers[name] for name in names], axis=1)
 
     def markers_of(self, body: str) -> tuple[str, ...]:
-        """Names of the measured markers of a rigid body."""
+        """Names of the measured markers of a rigid body, those that begin with `BODY:`."""
         self.body(body)
         return tuple(name for name in self.markers if name.startswith(f"{body}:"))
 
@@ -99,7 +120,12 @@ _Columns = dict[tuple[str, str], dict[_Part, int]]  # by type and name
 
 
 def read_motive_csv(path: Path) -> MotiveTake:
-    """Read a take; a truncated last line is skipped with a note."""
+    """Read a take; a truncated last line is skipped with a note.
+
+    Raises:
+        RegistrationError: If the path is a folder, or the file is not a complete Motive export with
+            rigid bodies or markers, global coordinates and quaternions.
+    """
     if path.is_dir():
         raise RegistrationError(
             f"{path}: is a folder; a trial holds the two triads but no landmarks",

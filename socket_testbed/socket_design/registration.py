@@ -93,19 +93,32 @@ class _LandmarkFile(Document):
 
 @dataclass(frozen=True)
 class LandmarkSide:
-    """A marker body and the landmarks that are rigid to it."""
+    """A marker body and the landmarks that are rigid to it.
 
-    body: str  # the body, `socket` or `pylon`
-    # Names of its three to eight markers, or the name of a rigid body of Motive
+    Attributes:
+        body: The body, `socket` or `pylon`.
+        markers: Names of its three to eight markers, or the name of a rigid body of Motive.
+        frame: Frame of the landmarks' coordinates: `load_cell`, which is {S}, or `limb`.
+        where: Start of errors about the landmarks: file and frame.
+        names: Names of the k landmarks in the take.
+        known: Coordinates of the landmarks in `frame`, shape (k, 3) [m].
+    """
+
+    body: str
     markers: str | tuple[str, ...]
-    frame: str  # frame of the landmarks' coordinates: `load_cell` or `limb`
-    where: str  # the landmarks' name in errors: file and frame
-    names: tuple[str, ...]  # of the landmarks
-    known: FloatArray  # their coordinates; (k, 3) [m]
+    frame: str
+    where: str
+    names: tuple[str, ...]
+    known: FloatArray
 
 
 def read_landmarks(path: Path) -> tuple[LandmarkSide, LandmarkSide]:
-    """Read LANDMARKS.yaml: the sides of the socket and the limb."""
+    """Read LANDMARKS.yaml: the sides of the socket and the limb.
+
+    Raises:
+        ConfigurationError: If a marker or landmark is on both sides, or the file is not as in
+            `LANDMARK_FILE_HELP`.
+    """
     document = read_document(path, _LandmarkFile)
     sides, named = [], list[set[str]]()
     for body, frame in (("socket", "load_cell"), ("pylon", "limb")):
@@ -131,15 +144,25 @@ _MIN_SPREAD = 0.005  # [m]; between landmarks, and of landmarks from a line, for
 
 @dataclass(frozen=True)
 class LandmarkFit:
-    """A frame registered by k landmarks."""
+    """A frame registered by k landmarks.
+
+    Attributes:
+        names: Names of the landmarks.
+        pose: Pose of the registered frame in the frame of the measurement, such as `world`.
+        residual: Distance of each measured landmark from the fitted one, shape (k,) [m].
+        noise: 1-sigma error of a landmark's coordinate [m].
+        degrees: Degrees of freedom of the residual, 3k - 6.
+        uncertainty: 1-sigma uncertainty of the pose, in axes of the registered frame.
+        flat: Whether the landmarks are coplanar, so that a coordinate's wrong sign has no residual.
+    """
 
     names: tuple[str, ...]
-    pose: Pose  # of the registered frame, in the frame of the measurement
-    residual: FloatArray  # distances of measured from fitted landmarks; (k,) [m]
-    noise: float  # 1-sigma error of a landmark's coordinate [m]
-    degrees: int  # degrees of freedom of the residual, 3k - 6
-    uncertainty: PoseUncertainty  # 1-sigma uncertainty of the pose, in axes of the registered frame
-    flat: bool  # whether the landmarks are coplanar: a coordinate's wrong sign has no residual
+    pose: Pose
+    residual: FloatArray
+    noise: float
+    degrees: int
+    uncertainty: PoseUncertainty
+    flat: bool
 
     @property
     def rms(self) -> float:
@@ -150,13 +173,22 @@ class LandmarkFit:
 def register_landmarks(
     known: FloatArray, measured: FloatArray, names: Sequence[str], noise: float = 0.0
 ) -> LandmarkFit:
-    """Least-squares pose of a frame from known landmarks, measured in another, (k, 3) [m] each.
+    """Least-squares pose of a frame from known landmarks, measured in another frame.
 
     The uncertainty is of first order (`pose_uncertainty`). Sigma comes from the residuals,
-    ``sigma^2 = sum(residual^2) / (3k - 6)``, but is at least the noise, the smallest 1-sigma error
-    of a coordinate [m]: few landmarks may fit better than their accuracy by chance (three leave 3
-    degrees of freedom). Residuals cannot show an error common to all landmarks, such as a wrong
-    origin of the registered frame.
+    ``sigma^2 = sum(residual^2) / (3k - 6)``, but is at least the noise: few landmarks may fit
+    better than their accuracy by chance (three leave 3 degrees of freedom). Residuals cannot show
+    an error common to all landmarks, such as a wrong origin of the registered frame.
+
+    Args:
+        known: Coordinates of the k landmarks in the frame to register, shape (k, 3) [m].
+        measured: Coordinates of the landmarks in the frame of the measurement, shape (k, 3) [m].
+        names: Names of the landmarks.
+        noise: Smallest 1-sigma error of a coordinate [m].
+
+    Raises:
+        RegistrationError: If there are fewer than three landmarks, two of them are too close to
+            each other, or all are on one line.
     """
     if len(names) < _MIN_LANDMARKS:
         named = ", ".join(names) or "none"
@@ -212,20 +244,33 @@ _BLOCKS = 10
 
 @dataclass(frozen=True)
 class StillMarkers:
-    """Markers of a static take, averaged over the frames that show all of them."""
+    """Markers of a static take, averaged over the frames that show all of them.
+
+    Attributes:
+        names: Names of the k markers.
+        mean: Mean positions in `world`, shape (k, 3) [m].
+        spread: Root-mean-square distance of each marker from its mean, shape (k,) [m].
+        drift: Distance between each marker's means over the first and the last third of the
+            averaged frames, shape (k,) [m].
+        noise: 1-sigma error of a mean's coordinate, pooled over the markers [m]; from means over
+            blocks of frames, to include slow motion and correlated noise.
+        used: Which of the N frames were averaged, shape (N,).
+        occluded: Number of frames in which each marker is occluded, shape (k,).
+        mislabelled: Number of frames left out because no order of the labels fits.
+        jumped: Number of frames left out because a marker is far from its usual place.
+        notes: Markers that moved beyond noise but within the limit, in words.
+    """
 
     names: tuple[str, ...]
-    mean: FloatArray  # mean positions; (k, 3) [m]
-    spread: FloatArray  # root-mean-square distances from the means; (k,) [m]
-    drift: FloatArray  # distances between the means of the first and the last third; (k,) [m]
-    # 1-sigma error of a mean's coordinate, pooled over the markers [m]; from means over blocks of
-    # frames, to include slow motion and correlated noise
+    mean: FloatArray
+    spread: FloatArray
+    drift: FloatArray
     noise: float
-    used: BoolArray  # the averaged frames; (N,)
-    occluded: IntArray  # number of occluded frames per marker; (k,)
-    mislabelled: int  # number of frames left out because no order of the labels fits
-    jumped: int  # number of frames left out because a marker is far from its usual place
-    notes: tuple[str, ...]  # markers that moved beyond noise but within the limit
+    used: BoolArray
+    occluded: IntArray
+    mislabelled: int
+    jumped: int
+    notes: tuple[str, ...]
 
 
 def average_still(
@@ -233,8 +278,15 @@ def average_still(
 ) -> StillMarkers:
     """Average k stationary markers over a take of N frames.
 
-    Their positions, shape (N, k, 3) [m], are NaN if occluded; `fits` are the frames whose markers
-    fit in some order of their labels, shape (N,). `where` names the body in errors.
+    Args:
+        names: Names of the markers.
+        positions: Their positions in `world`, shape (N, k, 3) [m]; NaN if occluded.
+        fits: Frames in which the body's markers fit in some order of their labels, shape (N,).
+        where: Start of every error, such as the file and the body.
+
+    Raises:
+        RegistrationError: If too few frames show all markers, a marker jumps in many of them, or it
+            moves by more than `MAX_MOTION`.
     """
     occluded = np.isnan(positions).any(axis=2).sum(axis=0)
     seen = np.isfinite(positions).all(axis=(1, 2))
@@ -295,7 +347,10 @@ def average_still(
 
 
 def own_frame(markers: FloatArray) -> Pose:
-    """Pose of a body's default frame (see the module) in the frame of its markers."""
+    """Pose of a body's default frame (see the module) in the frame of its markers.
+
+    The k >= 3 markers have the shape (k, 3) [m]: the first is the origin, the second is on +x.
+    """
     x = (markers[1] - markers[0]) / np.linalg.norm(markers[1] - markers[0])
     normals = np.cross(x, markers - markers[0])
     lengths = np.linalg.norm(normals, axis=1)
@@ -307,6 +362,18 @@ def fit_labels(observed: FloatArray, where: str) -> BodyFit:
     """Identify the observed markers by the distances that most frames agree on.
 
     Labels swapped in fewer than half of the frames are corrected: `BodyFit.order`.
+
+    Args:
+        observed: The body's k markers in `world` in N frames, shape (N, k, 3) [m]; NaN if occluded.
+        where: Start of every error, such as the file and the body.
+
+    Returns:
+        The fit to the markers' own mean shape. Its poses are of an arbitrary frame of the body; its
+        order, residual and noise do not depend on that frame.
+
+    Raises:
+        RegistrationError: If no frame shows all markers, or they are too close to each other, on
+            one line or look alike with labels exchanged.
     """
     between = distances(observed)
     seen = np.isfinite(between).all(axis=(1, 2))
@@ -329,7 +396,12 @@ def fit_labels(observed: FloatArray, where: str) -> BodyFit:
 
 
 def relabel(observed: FloatArray, order: IntArray) -> FloatArray:
-    """Markers in the order found by a fit, shape (N, k, 3) [m]; unchanged if it found none."""
+    """Markers in the order found by a fit, shape (N, k, 3) [m].
+
+    Args:
+        observed: Markers in the order of their labels, shape (N, k, 3) [m]; NaN if occluded.
+        order: `BodyFit.order`, shape (N, k); frames in which it lacks a marker (-1) stay unchanged.
+    """
     known = np.where((order < 0).any(axis=1, keepdims=True), np.arange(order.shape[1]), order)
     return np.take_along_axis(observed, known[:, :, None], axis=1)
 
@@ -339,6 +411,17 @@ def tracked_frame(markers: FloatArray, body: Pose, where: str) -> Pose:
 
     The median of the markers in the tracked frame is robust to frames with wrong tracking; it is
     fitted to the mean of the markers.
+
+    Args:
+        markers: The body's markers in `world`, none occluded, shape (N, k, 3) [m].
+        body: N poses of the rigid body in `world` as tracked by Motive; NaN if not tracked.
+        where: Start of the error, such as the file and the body.
+
+    Returns:
+        One pose of the body in `world`.
+
+    Raises:
+        RegistrationError: If Motive tracked the body in fewer than half of the frames.
     """
     tracked = np.isfinite(body.rotation).all(axis=(1, 2)) & np.isfinite(body.translation).all(1)
     if 2 * tracked.sum() < len(markers):
@@ -357,45 +440,73 @@ MAX_RESIDUAL = 0.010  # [m]
 
 
 def _rotated(covariance: FloatArray, rotation: FloatArray) -> FloatArray:
-    """A covariance, shape (3, 3), transformed by a rotation."""
+    """A covariance in the axes to which a rotation maps, shape (3, 3) each."""
     return rotation @ covariance @ rotation.T
 
 
 @dataclass(frozen=True)
 class RegisteredBody:
-    """A marker body and the frame given by the landmarks rigid to it."""
+    """A marker body and the frame given by the landmarks rigid to it.
 
-    still: StillMarkers  # markers in the take: the body's own, then the landmarks
-    markers: FloatArray  # the body's own in its frame; (k, 3) [m]
-    in_frame: Pose  # pose of the body in the frame of the landmarks
-    landmarks: LandmarkFit  # of the landmarks, to `world`
-    # Uncertainties of later poses of the body, in axes of the landmarks' frame
-    reference: PoseUncertainty  # due to `markers`
-    single: PoseUncertainty  # due to the noise of a single frame
+    Attributes:
+        still: Markers in the take: the body's own, then the landmarks.
+        markers: The body's own markers in the body's frame, shape (k, 3) [m].
+        in_frame: Pose of the body in the landmarks' frame: {S} for the socket, the limb's frame for
+            the pylon.
+        landmarks: Fit of the landmarks: pose of their frame in `world`.
+        reference: Uncertainty of later poses of the body due to errors of `markers`, in axes of the
+            landmarks' frame.
+        single: Uncertainty of later poses of the body due to the markers' noise in a single frame,
+            in axes of the landmarks' frame.
+    """
+
+    still: StillMarkers
+    markers: FloatArray
+    in_frame: Pose
+    landmarks: LandmarkFit
+    reference: PoseUncertainty
+    single: PoseUncertainty
 
     def covariance_at(self, point: FloatArray) -> FloatArray:
-        """Covariance of a point between body and frame, in the frame's axes, (3, 3) [m^2]."""
+        """Covariance of a point between body and landmarks' frame, shape (3, 3) [m^2].
+
+        The point, shape (3,) [m], and its covariance are in the landmarks' frame.
+        """
         return self.landmarks.uncertainty.at(point) + self.reference.at(point)
 
     def rotation_covariance(self) -> FloatArray:
-        """Covariance of the rotation between body and frame, in the frame's axes [rad^2]."""
+        """Covariance of the rotation between body and landmarks' frame, shape (3, 3) [rad^2].
+
+        It is in the axes of the landmarks' frame.
+        """
         return self.landmarks.uncertainty.rotation + self.reference.rotation
 
 
 @dataclass(frozen=True)
 class Registration:
-    """A socket registered with a static take."""
+    """A socket registered with a static take.
+
+    Attributes:
+        take: The take.
+        geometry: The socket with its new marker bodies, `socket_body` and `limb`.
+        socket: The socket's marker body and {S}.
+        pylon: The pylon's marker body and the limb's frame.
+        limb_position: Limb position q in {S} during the take, shape (3,) [m].
+        covariance: Covariance of a limb position due to the registration, in {S}, shape (3, 3)
+            [m^2]; this error is common to all frames of a trial.
+        single: Additional covariance of the limb position in each single frame due to the markers'
+            noise, in {S}, shape (3, 3) [m^2].
+        notes: Remarks for the user.
+    """
 
     take: MotiveTake
-    geometry: SocketGeometry  # the socket with its new marker bodies, `socket_body` and `limb`
-    socket: RegisteredBody  # the socket's body and {S}
-    pylon: RegisteredBody  # the pylon's body and the limb's frame
-    limb_position: FloatArray  # limb position q in {S} during the take; (3,) [m]
-    # Covariance of a limb position due to the registration, in {S}; (3, 3) [m^2]; the error is
-    # common to all frames of a trial
+    geometry: SocketGeometry
+    socket: RegisteredBody
+    pylon: RegisteredBody
+    limb_position: FloatArray
     covariance: FloatArray
-    single: FloatArray  # additional covariance due to the markers' noise in each frame, likewise
-    notes: tuple[str, ...]  # remarks for the user
+    single: FloatArray
+    notes: tuple[str, ...]
 
     def __repr__(self) -> str:
         fits = (self.socket.landmarks, self.pylon.landmarks)
@@ -403,12 +514,20 @@ class Registration:
         return f"Registration({self.take.path}: {len(self.take)} frames; {residuals} mm rms)"
 
     def socket_body_covariances(self) -> tuple[FloatArray, FloatArray]:
-        """Covariances of `socket_body`: position [m^2] and rotation [rad^2], in {S}."""
+        """Covariances of the pose `geometry.socket_body`, in {S}.
+
+        Returns:
+            That of its position, shape (3, 3) [m^2], and of its rotation, shape (3, 3) [rad^2].
+        """
         position = self.socket.covariance_at(self.geometry.socket_body.translation)
         return position, self.socket.rotation_covariance()
 
     def limb_covariances(self) -> tuple[FloatArray, FloatArray]:
-        """Covariances of `limb`: position [m^2] and rotation [rad^2], in the pylon's body."""
+        """Covariances of the pose `geometry.limb`, in the pylon's marker body.
+
+        Returns:
+            That of its position, shape (3, 3) [m^2], and of its rotation, shape (3, 3) [rad^2].
+        """
         to_body = self.geometry.limb.rotation
         position = self.pylon.covariance_at(np.zeros(3))
         return _rotated(position, to_body), _rotated(self.pylon.rotation_covariance(), to_body)
@@ -422,8 +541,19 @@ def register_take(
 ) -> Registration:
     """Register a socket's marker bodies and its limb with a static take that shows all landmarks.
 
-    The socket's tiles are kept. `force` accepts landmarks with a residual above `MAX_RESIDUAL`, or
-    with the limb outside the socket.
+    The socket's tiles are kept.
+
+    Args:
+        take: The take.
+        sides: Markers and landmarks of the socket and of the limb, as `read_landmarks` returns
+            them.
+        geometry: The socket in {S}.
+        force: Whether to accept a landmark with a residual above `MAX_RESIDUAL`, and landmarks that
+            place the limb outside the socket.
+
+    Raises:
+        RegistrationError: If a marker is missing, moves or cannot be identified, or the landmarks
+            do not fit.
     """
     socket, pylon = (_register_body(take, side, force) for side in sides)
     limb_in_cell = socket.landmarks.pose.inverse() @ pylon.landmarks.pose

@@ -1,8 +1,8 @@
 """Read a scan file (STL, PLY, OBJ) as one sound body in metres, with notes on all repairs.
 
 A half-edge ``h = 3 f + i`` of face f runs from its corner i to its corner i + 1; it starts at
-corner ``h`` and is row h of `trimesh.Trimesh.edges`. Throughout, vertices have the shape (V, 3)
-[m], faces (F, 3).
+corner ``h`` and is row h of `trimesh.Trimesh.edges`. Throughout, vertices have the shape (V, 3);
+faces, shape (F, 3), hold the indices of their three vertices.
 """
 
 from __future__ import annotations
@@ -27,17 +27,22 @@ from socket_testbed.errors import ScanError, closest
 
 
 def plain_mesh(vertices: FloatArray, faces: IntArray) -> trimesh.Trimesh:
-    """A mesh of exactly these vertices, shape (V, 3), and faces, shape (F, 3)."""
+    """A mesh of exactly these vertices and faces: trimesh neither merges nor drops any.
+
+    Args:
+        vertices: Vertices in any unit and frame, shape (V, 3).
+        faces: Indices of the three vertices of each face, shape (F, 3).
+    """
     return trimesh.Trimesh(vertices, faces, process=False)
 
 
 def twin_half_edges(faces: IntArray) -> IntArray:
-    """Pairs of half-edges on edges shared by exactly two faces, shape (A, 2)."""
+    """Pairs of half-edges on edges shared by exactly two faces, shape (A, 2), of faces (F, 3)."""
     return group_rows(np.sort(faces_to_edges(faces), axis=1), require_count=2)
 
 
 def boundary_half_edges(faces: IntArray) -> IntArray:
-    """Half-edges on edges of a single face, shape (B,)."""
+    """Half-edges on edges of a single face, ascending, shape (B,), of faces (F, 3)."""
     return np.sort(group_rows(np.sort(faces_to_edges(faces), axis=1), require_count=1))
 
 
@@ -47,6 +52,13 @@ def separate(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArra
     Faces stay joined across edges shared by exactly two of them. Where more faces meet at an edge,
     or two fans of faces meet only at a vertex, each gets its own vertices, so that every boundary
     vertex occurs once, on one boundary loop. The order of the faces stays.
+
+    Args:
+        vertices: Vertices in any unit and frame, shape (V, 3).
+        faces: Indices of the three vertices of each face, shape (F, 3).
+
+    Returns:
+        The vertices, shape (V', 3), in the unit and frame given, and the faces, shape (F, 3).
     """
     start = faces.ravel()
     one, other = twin_half_edges(faces).T
@@ -64,7 +76,7 @@ def separate(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArra
 
 
 def wind_alike(faces: IntArray) -> tuple[IntArray, int]:
-    """Reverse faces for consistent winding; return the faces and how many were reversed.
+    """Reverse faces (F, 3) for consistent winding; return them and how many were reversed.
 
     Each face is two nodes of a graph, original and reversed; matching neighbours are joined. In an
     orientable piece this gives two components; the one with more original faces is kept.
@@ -85,7 +97,10 @@ def wind_alike(faces: IntArray) -> tuple[IntArray, int]:
 
 
 def boundary_loops(faces: IntArray) -> list[IntArray]:
-    """Ordered vertices of each boundary loop of a mesh from `separate`."""
+    """Indices of the vertices along each boundary loop, in order, of faces (F, 3) from `separate`.
+
+    A loop runs in the direction of the half-edges of its faces; its last vertex joins the first.
+    """
     follows = dict(faces_to_edges(faces)[boundary_half_edges(faces)].tolist())
     loops = []
     while follows:
@@ -99,7 +114,12 @@ def boundary_loops(faces: IntArray) -> list[IntArray]:
 
 
 def loop_length(vertices: FloatArray, loop: IntArray) -> float:
-    """Length of a closed loop of vertices [m]."""
+    """Length of a closed loop of vertices, in their unit.
+
+    Args:
+        vertices: Vertices of the mesh, shape (V, 3), usually in metres.
+        loop: Indices of the vertices along the loop, in order; the last joins the first.
+    """
     steps = vertices[np.roll(loop, -1)] - vertices[loop]
     return float(np.linalg.norm(steps, axis=1).sum())
 
@@ -110,7 +130,14 @@ def _next_half_edge(half_edges: IntArray) -> IntArray:
 
 
 def number_cells(points: FloatArray, size: float) -> IntArray:
-    """Index of each point's cell in a cubic grid, by x, then y, then z, shape (P,)."""
+    """Index of each point's cell in a cubic grid, by x, then y, then z, shape (P,).
+
+    Only cells with points are numbered, from 0.
+
+    Args:
+        points: Points in any unit and frame, shape (P, 3).
+        size: Edge of a cell in the unit of the points.
+    """
     cell = np.floor(points / size).astype(np.int64)
     x, y, z = (cell - cell.min(axis=0)).T
     return np.unique((x * (y.max() + 1) + y) * (z.max() + 1) + z, return_inverse=True)[1]
@@ -120,7 +147,16 @@ _WELD_TOLERANCE = 1e-6  # [-]; relative to the extent of the mesh
 
 
 def weld(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
-    """Merge coincident vertices, to a millionth of the extent of the mesh."""
+    """Merge coincident vertices, to a millionth of the extent of the mesh; drop unused ones.
+
+    Args:
+        vertices: Vertices in any unit and frame, shape (V, 3).
+        faces: Indices of the three vertices of each face, shape (F, 3).
+
+    Returns:
+        The vertices, shape (V', 3), in the unit and frame given, and the faces, shape (F, 3), of
+        which merging may leave some without area.
+    """
     used, corners = np.unique(faces, return_inverse=True)
     places = vertices[used] - vertices[used].min(axis=0)
     cell = max(_WELD_TOLERANCE * float(places.max()), np.finfo(float).tiny)
@@ -136,9 +172,16 @@ def weld(vertices: FloatArray, faces: IntArray) -> tuple[FloatArray, IntArray]:
 def fill_holes(
     vertices: FloatArray, faces: IntArray, longest: float
 ) -> tuple[FloatArray, IntArray, list[float], list[float]]:
-    """Close holes with a circumference below a limit [m] by a fan around their middle.
+    """Close holes with a circumference below a limit by a fan around their middle.
 
-    Also returns the circumferences of the closed holes and of the open ones [m].
+    Args:
+        vertices: Vertices, shape (V, 3) [m].
+        faces: Indices of the three vertices of each face of a mesh from `separate`, shape (F, 3).
+        longest: Circumference from which holes stay open [m].
+
+    Returns:
+        Vertices and faces with those of the fans appended, then the circumferences of the closed
+        holes and of the open ones [m].
     """
     new_vertices, new_faces = [vertices], [faces]
     closed, left = list[float](), list[float]()
@@ -157,22 +200,38 @@ METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 
 @dataclass(frozen=True)
 class Scan:
-    """One body of a scan file."""
+    """One body of a scan file.
 
-    # The body in metres and in the scan's own axes: welded, with consistent winding and one or two
-    # faces per edge
+    Attributes:
+        mesh: The body in the scan's own axes [m]: welded, with consistent winding and one or two
+            faces per edge.
+        body: Name or number of the body in the file.
+        unit: Unit of length of the file, a key of `METRES`.
+        unit_source: How the unit was found: `given`, `stated` by the file, or `inferred` from the
+            size.
+        notes: Remarks for the user, one line per repair and finding.
+    """
+
     mesh: trimesh.Trimesh
-    body: str  # its name or number in the file
-    unit: str  # the file's unit of length
-    unit_source: str  # `given`, `stated` by the file, or `inferred` from the size
-    notes: tuple[str, ...]  # one line per repair and finding
+    body: str
+    unit: str
+    unit_source: str
+    notes: tuple[str, ...]
 
 
 def read_scan(path: Path, unit: str | None = None, body: str | None = None) -> Scan:
     """Read one body of an STL, PLY or OBJ file, and repair it as far as possible.
 
-    Its unit of length, one of m, cm, mm, in, is by default as stated or inferred. The body's name
-    (of an object or, without objects, a group of an OBJ) or number is required if there are more.
+    Args:
+        path: The file.
+        unit: Unit of length of the file, a key of `METRES`; None for the one that the file states
+            or, failing that, the one inferred from the size.
+        body: Name (of an object or, without objects, a group of an OBJ) or number of the body; None
+            if there is only one.
+
+    Raises:
+        ScanError: If the unit is unknown or cannot be inferred, the file is damaged or no surface,
+            or it has several bodies and none is chosen.
     """
     if unit not in {None, *METRES}:
         raise ScanError(f"the unit '{unit}' is unknown", closest(str(unit), METRES))
@@ -368,7 +427,10 @@ _STATED = re.compile(
 
 
 def stated_unit(comment: str) -> str | None:
-    """The unit stated in a file's header or comments, as in 'units: mm', if any."""
+    """The unit stated in a file's header or comments, as in 'units: mm', or None.
+
+    It is a key of `METRES`.
+    """
     found = _STATED.search(comment.lower())
     word = found and (found[1] or found[2])
     return _UNIT_WORDS.get(word, word) if word else None
@@ -421,10 +483,11 @@ _GROWTH = 1.1  # [-]; of the cells for merging vertices, per attempt
 
 
 def simplify(surface: trimesh.Trimesh) -> trimesh.Trimesh:
-    """Merge the vertices in each cell of a cubic grid, growing the cells until few faces remain.
+    """Merge the vertices in each cell of a cubic grid until at most 20,000 faces remain.
 
     Vertex clustering (Rossignac and Borrel 1993, doi:10.1007/978-3-642-78114-8_29) needs no
-    manifold, so it accepts any scan.
+    manifold, so it accepts any scan. The cells grow with every attempt. The surface and the result
+    are in the same unit and frame; a surface with few faces is returned unchanged.
     """
     cell = np.sqrt(2.0 * surface.area / _MAX_FACES)
     simplified = surface

@@ -23,21 +23,28 @@ OTHER_WALL = -0.2  # [-]; cosine between normals below which squares are on diff
 
 @dataclass(frozen=True)
 class Squares:
-    """Squares of one size on a surface, each with the frame of its tile."""
+    """Squares of one size on a surface, each with the frame of its tile.
 
-    anchors: FloatArray  # centres; (m, 3) [m]
-    rotations: FloatArray  # (m, 3, 3) [-]; columns x, y along the edges, z the inward normal
-    edge: float  # length of the edges [m]
+    Attributes:
+        anchors: Centres of the m squares in the frame of the surface, shape (m, 3) [m].
+        rotations: Frames of the squares, which map to the frame of the surface, shape (m, 3, 3)
+            [-]; columns x and y along the edges, z the inward normal.
+        edge: Length of their edges [m].
+    """
+
+    anchors: FloatArray
+    rotations: FloatArray
+    edge: float
 
     def __len__(self) -> int:
         return len(self.anchors)
 
     def take(self, index: IntArray | BoolArray) -> Squares:
-        """Some of the squares."""
+        """Some of the squares, by their indices, shape (k,), or a mask, shape (m,)."""
         return Squares(self.anchors[index], self.rotations[index], self.edge)
 
     def join(self, other: Squares) -> Squares:
-        """These squares, then others of the same size."""
+        """These squares, then others with equal edges."""
         anchors = np.concatenate([self.anchors, other.anchors])
         return Squares(anchors, np.concatenate([self.rotations, other.rotations]), self.edge)
 
@@ -49,6 +56,14 @@ def gaps(squares: Squares, some: IntArray, others: IntArray) -> FloatArray:
     two squares is exact: on a circular wall two squares touch when the chord between their centres
     is one edge, like their footprints on the wall. The gap is the largest distance along any of
     the four axes; it is infinite between different walls.
+
+    Args:
+        squares: All squares.
+        some: Indices of p squares, shape (p,).
+        others: Indices of q squares, shape (q,).
+
+    Returns:
+        The gap of each of `some` (rows) from each of `others` (columns), shape (p, q) [m].
     """
     one, other = squares.take(some), squares.take(others)
     x, z = one.rotations[:, :, 0], one.rotations[:, :, 2]
@@ -78,7 +93,16 @@ def gaps(squares: Squares, some: IntArray, others: IntArray) -> FloatArray:
 
 
 def overlapping(squares: Squares, some: IntArray, clearance: float) -> list[IntArray]:
-    """For each of some squares, those within a clearance [m] of it, including itself."""
+    """For each of some squares, those closer to it than a clearance, including itself.
+
+    Args:
+        squares: All squares.
+        some: Indices of p squares, shape (p,).
+        clearance: Smallest gap of squares that do not overlap [m].
+
+    Returns:
+        For each of the p squares an array of indices of squares.
+    """
     found = [np.zeros(0, dtype=np.int64)] * len(some)
     for rows, near in _blocks_of(squares.anchors[some], squares.anchors, REACH * squares.edge):
         for row, overlap in zip(rows, gaps(squares, some[rows], near) < clearance, strict=True):
@@ -87,13 +111,33 @@ def overlapping(squares: Squares, some: IntArray, clearance: float) -> list[IntA
 
 
 def seen_from(squares: Squares, points: FloatArray) -> FloatArray:
-    """Coordinates of p points in the frames of m squares, shape (3, m, p) [m]."""
+    """Coordinates of p points in the frames of m squares, shape (3, m, p) [m].
+
+    Args:
+        squares: The m squares.
+        points: The points in the frame of the surface, shape (p, 3) [m].
+
+    Returns:
+        The coordinates x, y and z (height over the square's plane, positive inwards), with a row
+        per square and a column per point each.
+    """
     axes = np.moveaxis(squares.rotations, 2, 0)
     return axes @ points.T - (axes * squares.anchors).sum(axis=2)[:, :, None]
 
 
 def points_over(squares: Squares, points: FloatArray, reach: float) -> tuple[BoolArray, FloatArray]:
-    """Which points are over which squares within a reach [m], and their heights, (m, p) each."""
+    """Which points are over which squares, and how high.
+
+    Args:
+        squares: The m squares.
+        points: The p points in the frame of the surface, shape (p, 3) [m].
+        reach: Largest distance of a point from a square's centre [m].
+
+    Returns:
+        Whether each point (column) is within the reach in the column over or under each square
+        (row), shape (m, p), and its height over the square's plane, positive inwards, shape (m, p)
+        [m].
+    """
     x, y, height = seen_from(squares, points)
     over = np.maximum(np.abs(x), np.abs(y)) < 0.5 * squares.edge
     return over & (cdist(squares.anchors, points) <= reach), height
@@ -123,15 +167,27 @@ _MIN_DISTANCE = 0.6  # [-]; smallest distance of two points, in spacings
 
 @dataclass(frozen=True)
 class SurfacePoints:
-    """Points of a surface that represent the area around them."""
+    """Points of a surface that represent the area around them.
 
-    positions: FloatArray  # (p, 3) [m]
-    normals: FloatArray  # normals of their faces; (p, 3) [-]
-    areas: FloatArray  # area represented by each; (p,) [m^2]
+    Attributes:
+        positions: The p points in the frame of the surface, shape (p, 3) [m].
+        normals: Unit normals of their faces, shape (p, 3) [-].
+        areas: Area that each point represents, shape (p,) [m^2].
+    """
+
+    positions: FloatArray
+    normals: FloatArray
+    areas: FloatArray
 
 
 def spread_points(mesh: trimesh.Trimesh, spacing: float, rng: np.random.Generator) -> SurfacePoints:
-    """Spread points over a surface at random: about one per square of a spacing [m]."""
+    """Spread points over a surface at random: about one per square of a spacing.
+
+    Args:
+        mesh: The surface [m].
+        spacing: Approximate distance between neighbouring points [m].
+        rng: Source of the random numbers.
+    """
     count = int(np.ceil(_DRAWS_PER_POINT * mesh.area / spacing**2))
     drawn, face = trimesh.sample.sample_surface(mesh, count, seed=rng)
     # In each cell of a cubic grid, keep the point closest to the cell's centre.
@@ -159,17 +215,31 @@ _MAX_SHARED_AREA = 1e-8  # [m^2]; rounding for two adjacent footprints
 
 @dataclass(frozen=True)
 class Footprint:
-    """The piece of the surface that projects onto a square along its normal."""
+    """The piece of the surface that projects onto a square along its normal.
 
-    triangles: FloatArray  # corners of its triangles; (f, 3, 3) [m]
-    area: float  # area of the surface [m^2]
-    cover: float  # covered share of the square [-]; more than 1 if the surface is double
-    fold: float  # area folded away from the square, in areas of the square [-]
-    flatness: float  # largest distance from the square's plane [m]
+    Attributes:
+        triangles: Corners of its f triangles in the frame of the surface, shape (f, 3, 3) [m]; a
+            corner per row of each.
+        area: Area of the piece of the surface [m^2].
+        cover: Share of the square that it covers [-]; more than 1 if the surface is double.
+        fold: Area folded away from the square, in areas of the square [-].
+        flatness: Largest distance of the piece from the square's plane [m].
+    """
+
+    triangles: FloatArray
+    area: float
+    cover: float
+    fold: float
+    flatness: float
 
 
 class Footprints:
-    """The footprints of squares on a surface, each cut out of its triangles once."""
+    """The footprints of squares on a surface, each cut out of its triangles once.
+
+    The mesh [m], with normals inwards, and the squares are in one frame; the flatness is the
+    largest distance of the surface from a tile's plane [m]. `footprint(i)` is the `Footprint` of
+    square i.
+    """
 
     def __init__(self, mesh: trimesh.Trimesh, squares: Squares, flatness: float) -> None:
         self._triangles = np.asarray(mesh.triangles)
@@ -185,7 +255,7 @@ class Footprints:
         self.footprint = lru_cache(_MAX_FOOTPRINTS)(self._find_footprint)
 
     def unfit(self, tiles: IntArray | Sequence[int]) -> list[int]:
-        """Tiles that are cut, folded, double or too far from flat."""
+        """Those of some tiles, indices of squares, that are cut, folded, double or too curved."""
         unfit = []
         for tile in map(int, tiles):
             footprint = self.footprint(tile)
@@ -195,7 +265,15 @@ class Footprints:
         return unfit
 
     def overlapping(self, tiles: IntArray, known: int = 0) -> list[tuple[int, int]]:
-        """Pairs of tiles with overlapping footprints; the first `known` do not overlap."""
+        """Pairs of tiles with overlapping footprints.
+
+        Args:
+            tiles: Indices of the squares that are tiles, shape (t,).
+            known: Number of first tiles that are known not to overlap each other.
+
+        Returns:
+            Pairs of indices of squares, the tile that is earlier in `tiles` first.
+        """
         gap = gaps(self._squares, tiles[known:], tiles)
         earlier = np.arange(len(tiles)) < np.arange(known, len(tiles))[:, None]
         later, other = np.nonzero(earlier & (gap < _MAX_GAP * self._squares.edge))
@@ -229,7 +307,12 @@ class Footprints:
         return seen[(height.min(axis=1) < flatness) & (height.max(axis=1) > -flatness)]
 
     def shared_area(self, tile: int, other: int) -> float:
-        """Area of the surface under both of two squares [m^2]."""
+        """Area of the surface under both of two squares [m^2].
+
+        Args:
+            tile: Index of the square whose footprint is cut.
+            other: Index of the square that cuts it.
+        """
         squares = self._squares
         frame, anchor = squares.rotations[other], squares.anchors[other]
         seen = self.footprint(tile).triangles @ frame - anchor @ frame
@@ -260,16 +343,28 @@ _FLATNESS_MARGIN = 0.95  # [-]; as points miss the farthest corners
 
 @dataclass(frozen=True)
 class Surroundings:
-    """The surface around tiles, as points, with reference directions."""
+    """The surface around tiles, as points, with reference directions in the surface's frame.
 
-    points: SurfacePoints  # spread over the surface
-    rim: FloatArray  # points along the edges of the surface (brim, holes, cuts); (b, 3) [m]
-    proximal: FloatArray  # direction towards the proximal end; (3,) [-]
-    anterior: FloatArray  # direction of x where no tangent is proximal; (3,) [-]
+    Attributes:
+        points: Points spread over the surface.
+        rim: Points along the edges of the surface (brim, holes, cuts), shape (b, 3) [m].
+        proximal: Unit vector towards the proximal end, shape (3,) [-].
+        anterior: Direction of a tile's x axis where no tangent is proximal, shape (3,) [-].
+    """
+
+    points: SurfacePoints
+    rim: FloatArray
+    proximal: FloatArray
+    anterior: FloatArray
 
 
 def rim_points(mesh: trimesh.Trimesh, spacing: float) -> FloatArray:
-    """Points along every edge that does not have exactly two faces, shape (b, 3) [m]."""
+    """Points along every edge that does not have exactly two faces, shape (b, 3) [m].
+
+    Args:
+        mesh: The surface [m].
+        spacing: Largest distance between neighbouring points of an edge [m].
+    """
     faces_of_edge = np.bincount(mesh.edges_unique_inverse)
     start, end = np.asarray(mesh.vertices)[mesh.edges_unique[faces_of_edge != 2]].swapaxes(0, 1)
     count = np.ceil(np.linalg.norm(end - start, axis=1) / spacing).astype(int).clip(min=1)
@@ -284,6 +379,12 @@ def squares_at(places: SurfacePoints, surroundings: Surroundings, edge: float) -
     In their frames z is the normal, x the tangent towards the proximal end, y = z x x. Where the
     normal is within 10 degrees of the proximal direction, as on the distal end, x is the tangent
     towards anterior instead.
+
+    Args:
+        places: Centres of the m squares, with normals of the surface there.
+        surroundings: The surface, whose mean normal around a centre is that of its square, and the
+            directions towards proximal and anterior.
+        edge: Length of the squares' edges [m].
     """
     normals = _mean_normals(places, surroundings.points, edge / np.sqrt(np.pi))
     on_end = np.abs(normals @ surroundings.proximal) > np.cos(np.radians(_END_ANGLE))
@@ -308,8 +409,13 @@ def _mean_normals(places: SurfacePoints, points: SurfacePoints, radius: float) -
 def roughly_fit(squares: Squares, surroundings: Surroundings, flatness: float) -> BoolArray:
     """Which squares fit the surface, judged by its points, shape (m,).
 
-    A square fits if all of it lies on the surface, without a rim inside, and the surface is within
-    the flatness [m] of its plane and not folded away from it.
+    A square fits if all of it lies on the surface, without a rim inside, and the surface is close
+    to its plane and not folded away from it.
+
+    Args:
+        squares: The m squares.
+        surroundings: The surface around them.
+        flatness: Largest distance of the surface from a square's plane [m].
     """
     points = surroundings.points
     reach = float(np.hypot(squares.edge / np.sqrt(2.0), flatness))

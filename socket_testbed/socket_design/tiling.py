@@ -92,7 +92,7 @@ class Search:
 
     The search treats squares as plane, but checks each set of tiles that it keeps on the surface
     itself and never tries squares that fail there again. The first `fixed` squares, which do not
-    overlap, are always tiles.
+    overlap, are always tiles. A set of tiles is given by the indices of its squares.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class Search:
         self._overlapping_witness = overlapping(squares, witnesses, _CLEARANCE)
 
     def fill(self) -> IntArray:
-        """An initial set of tiles, the fixed ones first, with no space for another."""
+        """An initial set of tiles, the fixed ones first, with no space for another, shape (t,)."""
         tiles = np.arange(self._fixed)
         while True:
             free = self._alive.copy()
@@ -139,6 +139,15 @@ class Search:
         """Remove and refill round by round, without ever losing a tile.
 
         The fixed tiles remain the first.
+
+        Args:
+            tiles: Indices of the tiles to begin with, the fixed ones first, shape (t,).
+            rounds: Number of rounds.
+            rng: Source of the random numbers.
+            progress: Called after each round with the rounds done and their number.
+
+        Returns:
+            Indices of as many tiles or more.
         """
         anchors = self._squares.anchors
         for done in range(rounds):
@@ -234,32 +243,50 @@ _RIM = 1 / 60  # [edges]
 
 @dataclass(frozen=True)
 class TilingSettings:
-    """How a surface is tiled."""
+    """How a surface is tiled.
 
-    edge: float = 0.030  # length of a tile's edges [m]
-    flatness: float = 0.008  # largest distance of the surface from a tile's plane [m]
-    rounds: int = 300  # rounds of improvement; more may find another tile
-    seed: int = 0  # of candidate places and improvement
+    Attributes:
+        edge: Length of a tile's edges [m].
+        flatness: Largest distance of the surface from a tile's plane [m].
+        rounds: Rounds of improvement; more may find another tile.
+        seed: Seed of the random numbers for candidate places and improvement.
+    """
+
+    edge: float = 0.030
+    flatness: float = 0.008
+    rounds: int = 300
+    seed: int = 0
 
 
 @dataclass(frozen=True)
 class Tiling:
-    """Tiles on the interior of a socket and how well they cover it."""
+    """Tiles on the interior of a socket and how well they cover it.
+
+    Attributes:
+        squares: The n tiles in the frame of the interior, those under clusters first; the frames of
+            these are turned with their clusters.
+        footprint_areas: Area of the surface under each tile, shape (n,) [m^2].
+        flatness: Largest distance of the surface from each tile's plane, shape (n,) [m].
+        neighbours: Indices of neighbouring tiles, a pair per row, shape (e, 2), the smaller first.
+        interior_area: Area of the interior [m^2].
+        cover_inside: Covered share of the interior farther than half a tile from the rim (brim,
+            holes, cuts) [-].
+        largest_gap: Largest distance of a point of the interior from the nearest tile [m].
+        clusters: The clusters under the first tiles, in their order.
+    """
 
     squares: Squares
-    footprint_areas: FloatArray  # surface areas under the tiles; (n,) [m^2]
-    flatness: FloatArray  # largest distances of the surface from the tiles' planes; (n,) [m]
-    neighbours: IntArray  # pairs of neighbouring tiles; (e, 2)
-    interior_area: float  # area of the interior [m^2]
-    # Covered share of the interior farther than half a tile from the rim (brim, holes, cuts) [-]
+    footprint_areas: FloatArray
+    flatness: FloatArray
+    neighbours: IntArray
+    interior_area: float
     cover_inside: float
-    largest_gap: float  # largest distance of a point of the interior from the nearest tile [m]
-    # The clusters under the first tiles; the frames of these squares are turned with them
+    largest_gap: float
     clusters: tuple[LaidCluster, ...] = ()
 
     @property
     def upper_bound(self) -> float:
-        """Interior area over tile area: no tiling has more tiles."""
+        """Interior area over tile area [-]: no tiling has more tiles."""
         return self.interior_area / self.squares.edge**2
 
 
@@ -273,9 +300,18 @@ def tile_interior(
 ) -> Tiling:
     """Tile the interior of a socket around clusters glued in at places in {S}.
 
-    The mesh has its normals towards the limb [m]. Tiles have x towards proximal, (3,) [-], or
-    towards anterior where the normal is nearly proximal. `progress` is called with the rounds done
-    and their number.
+    Tiles have x towards proximal, or towards anterior where the normal is nearly proximal.
+
+    Args:
+        mesh: The interior in {S} [m], with normals towards the limb.
+        proximal: Unit vector towards the proximal end in {S}, shape (3,) [-].
+        anterior: Unit vector towards anterior in {S}, shape (3,) [-].
+        settings: Size and flatness of the tiles, and the effort of the search.
+        progress: Called after each round with the rounds done and their number.
+        clusters: Places of the glued clusters in {S}; their tiles are the first.
+
+    Raises:
+        ScanError: If no tile fits the interior.
     """
     rng = np.random.default_rng(settings.seed)
     points = spread_points(mesh, _POINT_SPACING * settings.edge, rng)
