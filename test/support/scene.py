@@ -18,6 +18,7 @@ that all tiles share: 95 % of the draws lie within 1.96 standard deviations, `PR
 leaves to the product is everything between a tile's force in SI and a number that somebody reads.
 """
 
+import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -337,3 +338,36 @@ LIMB = {
     "stiffness My [N m/deg]": 3.0,
     "stiffness Mz [N m/deg]": 1.0,
 }
+
+
+def model(path: Path, name: str = "another") -> Path:
+    """Write a model without springs, whose offsets alone predict; of a trial of that name.
+
+    It predicts the mean wrench, but 1 N m too much about y and 40 N too much load along z, the mean
+    force on `mid_anterior`, and none on the other clusters.
+    """
+    document = {
+        "format": "socket_testbed model 1",
+        "trial": {"name": name},
+        "segment": "all 0.00 s to 23.75 s",
+        "settings": {"variant": "stiffness_bias", "leave_out": ["distal.Fx"]},
+        "geometry": geometry().to_document(),
+        "parameters": {
+            "variant": "stiffness_bias",
+            "sharpness": 2000.0,
+            "stiffness": [[0.0] * 3] * len(TILES),
+            "rest_positions": [[0.0] * 3] * len(TILES),
+            "wrench_bias": [0.55, 1.1, 0.5, 14.0, 3.0, -100.0],
+            "force_bias": {"mid_anterior": [-2.7, 3.6, -36.0]},
+            "clusters": [*CLUSTERS],
+        },
+        "quality": {
+            "samples": len(TIME),
+            "first_stamp": int(STAMPS[0]),
+            "last_stamp": int(STAMPS[-1]),
+            "wrench_rmse": [0.1, 0.2, 0.3, 1.0, 2.0, 3.0],
+            "status": "made by hand",
+        },
+    }
+    path.write_text(json.dumps(document))
+    return path
