@@ -239,7 +239,8 @@ class LiveSource:
             rate = self._rates.get(name, (0.0, 0.0, math.nan))[2]
             shown = f"{rate:.3g} Hz" if math.isfinite(rate) else ""
             rows.append([_SIGNS[min(level, 2)], title, words, shown])
-            bad += [(level, f"{title}: {words}")] * (level > 0)
+            if level > 0:
+                bad.append((level, f"{title}: {words}"))
         if self._foreign:
             bad.append((3, "the force map is of another socket: give 'view' its --geometry"))
         if not rows and not bad:
