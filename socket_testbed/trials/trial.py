@@ -38,6 +38,17 @@ if TYPE_CHECKING:
 _FINGERPRINT_SPAN = 30.0  # [s]; a copy that was cut later has the same fingerprint
 
 
+@dataclass
+class _Kept:
+    """What a trial keeps of its readings, so that later calls need no other one."""
+
+    samples: Samples | None = None
+    fingerprint: str = ""
+    sound: dict[tuple[str, ...], Samples] = field(default_factory=dict)  # by left-out channels
+    problems: dict[tuple[str, ...], tuple[DataFinding, ...]] = field(default_factory=dict)
+    notes: dict[str, None] = field(default_factory=dict)  # a set that keeps its order
+
+
 @dataclass(frozen=True)
 class Trial:
     """A recorded trial.
@@ -56,7 +67,7 @@ class Trial:
     unloaded: tuple[tuple[float, float], ...] = ()
     load_cell_file: Path | None = None  # a `testbed.yaml` with load-cell settings to use instead
     tare: str = reprocess.RECORDED  # or `none`, or `T0:T1`, an unloaded span [s]
-    _noted: dict[str, None] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _kept: _Kept = field(default_factory=_Kept, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         reprocess.check_unloaded(self.unloaded)
@@ -110,8 +121,7 @@ class Trial:
         """
         with self.open() as bag:
             measured = synchronise.read_measurements(bag, self._notify, self.remade)
-        early = measured.capacitance[measured.time <= _FINGERPRINT_SPAN]
-        self.__dict__["_fingerprint"] = sha256(early.tobytes()).hexdigest()[:16]
+        self._kept.fingerprint = _fingerprint(measured)
         where = str(self.path)
         if topics.LOAD_CELL_RAW in self.remade:
             given = reprocess.read_load_cell(self.load_cell_file) if self.load_cell_file else None
@@ -140,23 +150,18 @@ class Trial:
         Raises:
             TestbedError: As in `measurements`, or if a cluster of the trial is on no tile.
         """
-        return self._samples
-
-    @cached_property
-    def _samples(self) -> Samples:
-        return self.measurements_and_samples()[1]
+        if self._kept.samples is None:
+            return self.measurements_and_samples()[1]
+        return self._kept.samples
 
     def sound(self, leave_out: tuple[str, ...] = ()) -> Samples:
         """The samples without outliers, found in channels that are not left out; cached."""
-        if leave_out not in self._sound:
+        kept = self._kept.sound
+        if leave_out not in kept:
             samples = self.samples()
             outliers = find_outliers(samples, self.geometry, leave_out)
-            self._sound[leave_out] = outliers.taken_from(samples)
-        return self._sound[leave_out]
-
-    @cached_property
-    def _sound(self) -> dict[tuple[str, ...], Samples]:
-        return {}
+            kept[leave_out] = outliers.taken_from(samples)
+        return kept[leave_out]
 
     def problems(self, leave_out: tuple[str, ...] | None = None) -> tuple[DataFinding, ...]:
         """Problems in the data, worst first; empty if it is good, see `check_data`; cached.
@@ -166,14 +171,11 @@ class Trial:
         from socket_testbed.identification.data_check import check_data  # not needed by a replay
 
         left = self.estimator.identification.leave_out if leave_out is None else leave_out
-        if left not in self._problems:
+        kept = self._kept.problems
+        if left not in kept:
             mass = self.metadata.mass
-            self._problems[left] = check_data(self.samples(), self.geometry, mass, left)
-        return self._problems[left]
-
-    @cached_property
-    def _problems(self) -> dict[tuple[str, ...], tuple[DataFinding, ...]]:
-        return {}
+            kept[left] = check_data(self.samples(), self.geometry, mass, left)
+        return kept[left]
 
     def to_dataframe(self) -> pd.DataFrame:
         """The samples as a pandas table, see `Samples.to_dataframe`."""
@@ -184,7 +186,9 @@ class Trial:
         measured = self.measurements()
         self._require_clusters(measured.clusters)
         samples = synchronise.make_samples(measured, self.calibration, self.geometry)
-        return measured, self.__dict__.setdefault("_samples", samples)
+        if self._kept.samples is None:
+            self._kept.samples = samples
+        return measured, self._kept.samples
 
     def check(self) -> tuple[str, ...]:
         """Refuse an unusable trial before long work or the start of a graph.
@@ -201,8 +205,8 @@ class Trial:
     @property
     def fingerprint(self) -> str:
         """Identifies the recording by its first readings, whatever its folder is called."""
-        self.samples()
-        return str(self.__dict__["_fingerprint"])
+        self.samples()  # keeps it
+        return self._kept.fingerprint
 
     def _require_clusters(self, clusters: Collection[str]) -> None:
         self.calibration.require(clusters, f"the trial {self.path}")
@@ -215,7 +219,7 @@ class Trial:
     @property
     def notes(self) -> list[str]:
         """The notes on the trial so far, without duplicates."""
-        return [*self._noted]
+        return [*self._kept.notes]
 
     def note(self, text: str) -> None:
         """Send a note on the trial to `notify`, if any."""
@@ -223,7 +227,7 @@ class Trial:
             self.notify(text)
 
     def _notify(self, note: str) -> None:
-        self._noted[note] = None
+        self._kept.notes[note] = None
         self.note(note)
 
     @property
@@ -314,6 +318,12 @@ class Trial:
     def _parameters(self) -> TestbedSettings:
         stored = self.path / PARAMETERS_FILE
         return read_testbed(stored) if stored.is_file() else TestbedSettings()
+
+
+def _fingerprint(measured: synchronise.Measurements) -> str:
+    """The fingerprint of a recording: a hash of its first capacitances, as recorded."""
+    early = measured.capacitance[measured.time <= _FINGERPRINT_SPAN]
+    return sha256(early.tobytes()).hexdigest()[:16]
 
 
 def recorded_namespace(trial: Trial) -> str:
