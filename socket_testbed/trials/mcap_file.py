@@ -45,16 +45,30 @@ GIVE_BAG = "give an MCAP or SQLite bag of ROS 2"
 
 
 class _Place(NamedTuple):
-    """Location of a chunk in its file, or of messages that some recorders write outside chunks."""
+    """Location of a chunk in its file, or of messages that some recorders write outside chunks.
 
-    start: int  # [bytes]; of its content
+    Attributes:
+        start: Where its content begins, from the start of the file [bytes].
+        end: Where its content ends, from the start of the file [bytes].
+        index_end: Where the message indexes that follow it end, from the start of the file [bytes].
+        packed: Whether it is a chunk; false for messages outside chunks.
+    """
+
+    start: int
     end: int
-    index_end: int  # end of the message indexes that follow it
+    index_end: int
     packed: bool = True
 
 
 class Connection(NamedTuple):
-    """A topic of a recording, with the field names of rosbags."""
+    """A topic of a recording, with the field names of rosbags.
+
+    Attributes:
+        id: Number of its channel in the file.
+        topic: Its full name in the recorded graph, such as `/trigger`.
+        msgtype: Its message type, as `package/msg/Type`; `none` if the file states no type.
+        msgcount: Number of its messages in readable chunks.
+    """
 
     id: int
     topic: str
@@ -63,12 +77,22 @@ class Connection(NamedTuple):
 
 
 class _Chunk:
-    """The content of a chunk."""
+    """The content of a chunk.
+
+    Attributes:
+        place: Its location in the file.
+        definitions: The message types and topics that it defines.
+        sound: Whether it can be read completely; otherwise it counts as empty.
+        checked: Whether a checksum confirms its content.
+        counts: Number of its messages by channel.
+        first_time: Earliest recording time of its messages since the epoch [ns]; 0 without any.
+        last_time: Latest recording time of its messages since the epoch [ns]; 0 without any.
+    """
 
     def __init__(self, file: BinaryIO, place: _Place) -> None:
         self.place = place
         self.definitions: list[Schema | Channel] = []
-        self.sound, self.checked = True, True  # fully readable; verified by a checksum
+        self.sound, self.checked = True, True
         channels, times = [], []
         try:
             content, self.checked = _unpack(file, place)
@@ -86,16 +110,30 @@ class _Chunk:
         except Exception:  # the libraries may raise any exception
             self.sound, self.definitions, channels, times = False, [], [], []
         self.counts = Counter(channels)
-        self.first_time = min(times, default=0)  # [ns]
-        self.last_time = max(times, default=0)  # [ns]
+        self.first_time = min(times, default=0)
+        self.last_time = max(times, default=0)
 
 
 class McapFile:
     """The readable part of a recording in an open file; used like a reader of rosbags.
 
-    A TrialError, which calls the file by `name`, is raised if a truncated or damaged file holds no
-    complete chunk of messages, or its topics are lost. `notes` report all else that was not read or
-    cannot be checked, one line each; `lacks` tells whether messages may be missing.
+    Args:
+        file: The open file, which stays open while messages are read.
+        name: Path by which errors call the file, such as that of the compressed file it came from.
+
+    Attributes:
+        path: The open file's own path.
+        lacks: Whether messages may be missing.
+        start_time: Recording time of the first message since the epoch [ns]; 0 without any.
+        end_time: Recording time of the last message, and 1 ns more, since the epoch [ns]; 0 without
+            any.
+        message_count: Number of readable messages.
+        connections: The topics.
+        notes: What was not read or cannot be checked, one line each.
+
+    Raises:
+        TrialError: If a truncated or damaged file holds no complete chunk of messages, or its
+            topics are lost.
     """
 
     def __init__(self, file: BinaryIO, name: Path) -> None:
@@ -127,7 +165,11 @@ class McapFile:
     def messages(
         self, connections: Collection[Connection]
     ) -> Iterator[tuple[Connection, int, bytes]]:
-        """The messages of some connections in the order of their times [ns]."""
+        """The messages of some of the file's topics, in the order of their times.
+
+        Yields:
+            The topic, the recording time since the epoch [ns], and the serialised message.
+        """
         wanted = {connection.id: connection for connection in connections}
         chunks = [chunk for chunk in self._chunks if wanted.keys() & chunk.counts.keys()]
         chunks.sort(key=lambda chunk: chunk.first_time)
@@ -144,7 +186,12 @@ class McapFile:
     def _messages_of(
         self, place: _Place, wanted: Mapping[int, Connection]
     ) -> Iterator[tuple[int, int, Connection, bytes]]:
-        """The messages of a chunk: time [ns], start of the chunk, connection and content."""
+        """The messages of a chunk.
+
+        Yields:
+            Recording time since the epoch [ns], start of the chunk in the file [bytes], topic, and
+            serialised message.
+        """
         content, _ = _unpack(self._file, place)
         for opcode, start, end in _records(content):
             if opcode == _MESSAGE_OPCODE:
@@ -199,13 +246,22 @@ class McapFile:
 
 
 class _Found(NamedTuple):
-    """What a file holds, readable or not."""
+    """What a file holds, readable or not.
 
-    size: int  # [bytes] of the file
-    chunks: list[_Chunk]  # with messages or damage, in the order of the file
-    definitions: list[Schema | Channel]  # of the topics, from the index and all chunks
-    complete: bool  # whether no data follow the last chunk
-    whole: bool  # whether nothing shows that a chunk was lost: complete, and index and file agree
+    Attributes:
+        size: Size of the file [bytes].
+        chunks: The chunks with messages or damage, in the order of the file or of its index.
+        definitions: The message types and topics, from the index and all chunks.
+        complete: Whether the search for chunks reached the end of the data.
+        whole: Whether nothing shows that a chunk was lost: the search was complete, the end of the
+            file can be read, and its index, unless empty, lists the chunks that were found.
+    """
+
+    size: int
+    chunks: list[_Chunk]
+    definitions: list[Schema | Channel]
+    complete: bool
+    whole: bool
 
     def gaps(self, start: float) -> list[str]:
         """The times that runs of unreadable chunks covered, in words, since `start` [ns]."""
@@ -224,17 +280,26 @@ def _seconds_since(start: float, time: int) -> str:
 
 
 class _Index:
-    """The index of chunks and topics at the end of a file; empty if it cannot be read."""
+    """The index of chunks and topics at the end of a file; empty if it cannot be read.
+
+    Attributes:
+        places: Locations of the chunks.
+        start_time: Recording time of the first message since the epoch [ns]; infinite if unknown.
+        definitions: The message types and topics.
+        ended: Whether the file has an end, as a closed recording has.
+        sound: Whether the file has an end, and the index can be read and matches its checksum, if
+            any.
+    """
 
     def __init__(self, file: BinaryIO) -> None:
-        self.places: list[_Place] = []  # of the chunks
-        self.start_time = math.inf  # of the first message [ns]; infinite if unknown
+        self.places: list[_Place] = []
+        self.start_time = math.inf
         self.definitions: list[Schema | Channel] = []
         footer_start = max(0, file.seek(0, io.SEEK_END) - _END_SIZE)
         file.seek(footer_start)
         end = file.read()
         self.ended = end.startswith(_FOOTER) and end.endswith(_MAGIC)
-        self.sound = self.ended  # and its checksum, if any, is correct
+        self.sound = self.ended
         if self.ended:
             try:
                 self._read(file, footer_start, *struct.unpack_from("<QQI", end, _RECORD.size))
