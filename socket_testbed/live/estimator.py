@@ -125,7 +125,9 @@ class OnlineMap:
         return self._map.update(self._newest)
 
     def outputs(self) -> pressure.PressureOutputs | None:
-        """The outputs of `places` at the last mapped sample, from joint draws; None if it is empty.
+        """The outputs of `places` at the last mapped sample, from joint draws.
+
+        None if no channel of the sample has a value.
         """
         if not pressure.measured_rows(self._newest)[0]:
             return None
