@@ -445,3 +445,4 @@ VALUES: dict[str, Values] = {
     topics.REGIONS.type: _regions,
     topics.EVENT.type: lambda records, sample: str(sample.label),
 }
+"""Reads the values of a message type; `Reader` lists them with shapes, units and frames."""
