@@ -36,33 +36,48 @@ _RECORDS_FOLDER = ".done"
 _DASK_TIMEOUT = "15s"  # for the scheduler to answer and a worker to appear
 
 Row: TypeAlias = dict[str, str | int | float | None]
+"""Values by column name; names of numbers end in their unit, such as `Fx_rmse [N]`."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """Work on one trial."""
+    """Work on one trial.
 
-    name: str  # its path below the folder of trials, such as `s01/hold`
+    Attributes:
+        name: The trial's path below the folder of trials, such as `s01/hold`.
+        trial: The trial.
+        output: The file to write.
+        files: Further input files that the result depends on, by option, such as `model`.
+    """
+
+    name: str
     trial: Trial
     output: Path
-    files: Mapping[str, Path] = field(default_factory=dict)  # further inputs, such as `model`
+    files: Mapping[str, Path] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Task:
     """The work to do on every trial. It is sent to the workers, so it must be picklable.
 
-    The work writes a job's output and returns its summary row: values by column names that end in
-    a unit, such as `Fx_rmse [N]`; None for a missing value.
+    Attributes:
+        verb: Name of the command, such as `fit`.
+        folder: Folder of the outputs, of the summary, and of records of finished jobs.
+        work: Writes a job's output and returns its summary row: values by column names that end in
+            a unit, such as `Fx_rmse [N]`; None for a missing value.
+        settings: Settings that affect the results, by name, as JSON can hold them.
+        metadata: Fields of the trials' metadata that affect the results.
+        again: Whether to repeat finished trials.
+        replace: Whether to replace files that an earlier run did not write.
     """
 
-    verb: str  # the command
-    folder: Path  # of the outputs
+    verb: str
+    folder: Path
     work: Callable[[Job], Row]
-    settings: Mapping[str, Any] = field(default_factory=dict)  # that affect the results
-    metadata: Sequence[str] = ()  # fields that affect the results
-    again: bool = False  # repeat finished trials
-    replace: bool = False  # replace files that an earlier run did not write
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    metadata: Sequence[str] = ()
+    again: bool = False
+    replace: bool = False
 
 
 def plan_jobs(
@@ -70,9 +85,12 @@ def plan_jobs(
 ) -> list[Job]:
     """The jobs of a folder of trials; remote workers require absolute paths.
 
-    Outputs mirror the folder of the trials, with a suffix such as `.json`. All results depend on
-    `files`, by option; a folder stands for the file in it with the trial's name, such as
-    `models/s01/hold.json`.
+    Args:
+        trials: Trials by name, their path below the folder of trials, such as `s01/hold`.
+        output: Folder of the outputs, which mirrors that of the trials.
+        suffix: Suffix of the outputs, such as `.json`.
+        files: Further input files by option, such as `model`; a folder stands for the file in it
+            with the trial's name, such as `models/s01/hold.json`.
     """
     return [
         Job(
@@ -96,7 +114,7 @@ def run_batch(
     """Run a task on every trial, and write `summary.csv` and `.parquet` into the task's folder.
 
     Finished results are kept, even on interruption; the summary then lists the trials that were
-    not reached. If any trial failed, a TrialError is raised at the end.
+    not reached.
 
     Args:
         task: The work to do on each trial.
@@ -105,6 +123,11 @@ def run_batch(
         warn: Called with each note on a trial and, at the end, each failed trial.
         processes: Number of processes on this machine; None for one per core, 1 for this process.
         dask: Address of a Dask scheduler, such as `tcp://host:8786`, whose workers run the jobs.
+
+    Raises:
+        ConfigurationError: If the folder or its summary may not be written, Dask is not installed,
+            or no scheduler with a worker answers.
+        TrialError: At the end, if any trial failed.
     """
     task = replace(task, folder=task.folder.absolute())  # workers may be remote
     records = task.folder / _RECORDS_FOLDER / task.verb

@@ -62,20 +62,37 @@ _DRAIN_TIME = 1.0  # [s] of the testbed; for the last sample to pass through
 
 @dataclass(frozen=True)
 class Testbed:
-    """A testbed to bring up: settings of its nodes, files, simulation."""
+    """A testbed to bring up: settings of its nodes, files, simulation.
+
+    Attributes:
+        settings: Settings of its nodes.
+        geometry: The socket's `socket.yaml`; it must know all clusters of the settings.
+        calibration: The clusters' `calibration.yaml`; it must know all clusters of the settings.
+        simulation: The simulated load and tissue; None on hardware.
+        record: Folder of the new trial; None to record nothing.
+        at_once: Whether to record from the start; otherwise trials are recorded on request, into
+            the folder `record`.
+        one_process: Whether all nodes except trigger_node and recorder_node share one process.
+        metadata: Metadata of the new trial; they override those of the recorder's settings.
+        namespace: Namespace of its nodes and topics.
+
+    Raises:
+        ConfigurationError: If there are too many clusters to simulate, a name or file is wrong, or
+            a cluster is on no tile of the socket.
+        CalibrationError: If the calibration lacks a cluster.
+    """
 
     __test__ = False
 
-    settings: TestbedSettings = field(default_factory=TestbedSettings)  # settings of its nodes
+    settings: TestbedSettings = field(default_factory=TestbedSettings)
     geometry: Path = field(default_factory=lambda: packaged("config", SOCKET_FILE))
     calibration: Path = field(default_factory=lambda: packaged("config", CALIBRATION_FILE))
-    simulation: Simulation | None = None  # None on hardware
-    record: Path | None = None  # folder of the new trial; None to record nothing
-    at_once: bool = True  # record from the start; otherwise `record` holds trials made on request
-    one_process: bool = False  # for all nodes except trigger_node and recorder_node
-    # Metadata of the new trial; they override those of the recorder's settings
+    simulation: Simulation | None = None
+    record: Path | None = None
+    at_once: bool = True
+    one_process: bool = False
     metadata: TrialMetadata = field(default_factory=TrialMetadata)
-    namespace: str = "/"  # namespace of its nodes and topics
+    namespace: str = "/"
 
     def __post_init__(self) -> None:
         names = self.settings.cluster_node.names
@@ -93,7 +110,11 @@ class Testbed:
         return self.simulation.time_scale if self.simulation else 1.0
 
     def check_devices(self) -> None:
-        """Check the device settings before anything starts."""
+        """Check the device settings before anything starts.
+
+        Raises:
+            ConfigurationError: If they do not fit together, or name an unknown chip or server.
+        """
         cluster_node = self.settings.cluster_node
         clusters.check_settings(cluster_node, capacitive_chip(cluster_node)[0])
         load_cell.check_settings(self.settings.load_cell_node)
@@ -154,9 +175,14 @@ class Testbed:
 
 
 def testbed_settings(params: Path | None, simulation: Simulation | None) -> TestbedSettings:
-    """Settings of the nodes from a testbed.yaml; None for the defaults.
+    """Settings of the nodes.
 
     The package describes a simulated load cell; a real one needs its owner's description.
+
+    Args:
+        params: A `testbed.yaml`, which replaces defaults; None for the defaults alone.
+        simulation: The simulated load and tissue, whose load cell the defaults then describe; None
+            on hardware.
     """
     settings = TestbedSettings()
     if simulation is not None:
@@ -167,7 +193,18 @@ def testbed_settings(params: Path | None, simulation: Simulation | None) -> Test
 def testbed_files(
     settings: TestbedSettings, geometry: Path | str | None, calibration: Path | str | None
 ) -> tuple[Path, Path]:
-    """Geometry and calibration of a `Testbed`: those given, else of the settings, else our own."""
+    """Absolute paths of the geometry and calibration of a `Testbed`.
+
+    Args:
+        settings: Settings of the nodes, which may name the files.
+        geometry: A `socket.yaml`; None for that of mocap_node or estimator_node in the settings,
+            or the package's own.
+        calibration: A `calibration.yaml`; None for that of calibration_node in the settings, or the
+            package's own.
+
+    Returns:
+        The `socket.yaml` and the `calibration.yaml`.
+    """
     geometry = geometry or settings.mocap_node.geometry or settings.estimator_node.geometry
     calibration = calibration or settings.calibration_node.calibration
     socket = file_or_packaged(geometry, SOCKET_FILE).resolve()
@@ -175,13 +212,22 @@ def testbed_files(
 
 
 def new_trial(settings: TestbedSettings, record: Path | None) -> Path | None:
-    """Folder of the new trial: as given, else as the settings say; None to record nothing."""
+    """Folder of the new trial; None to record nothing.
+
+    Args:
+        settings: Settings of the nodes; those of the recorder may name a folder.
+        record: The folder; None for that of the settings, if they record from the start.
+    """
     recorder = settings.recorder_node
     return record or (Path(recorder.directory) if recorder.record else None)
 
 
 def check_new_trial(path: Path) -> None:
-    """Raise an error if the folder of a new trial cannot be made, before any node starts."""
+    """Check that the folder of a new trial can be made, before any node starts.
+
+    Raises:
+        ConfigurationError: If it exists, cannot be made, or its name cannot be that of a trial.
+    """
     check_new_folder(path)
     check_take_name(path.resolve().name)
     make_folder(path.parent)
@@ -193,7 +239,13 @@ def simulated_testbed(
     rate: float = TriggerSettings.rate,
     simulation: Simulation | None = None,
 ) -> Testbed:
-    """The package's own simulated testbed."""
+    """The package's own simulated testbed.
+
+    Args:
+        record: Folder of the new trial; None to record nothing.
+        rate: Triggers per second of the testbed [Hz].
+        simulation: The simulated load and tissue; None for the defaults.
+    """
     simulation = simulation or Simulation()
     settings = testbed_settings(None, simulation)
     settings = replace(settings, trigger_node=replace(settings.trigger_node, rate=rate))
@@ -201,7 +253,15 @@ def simulated_testbed(
 
 
 def start(graph: Graph, testbed: Testbed) -> World | None:
-    """Bring a testbed up; returns the simulated world, None on hardware."""
+    """Bring a testbed up.
+
+    Args:
+        graph: An entered graph, which runs the processes.
+        testbed: The testbed.
+
+    Returns:
+        The simulated world; None on hardware.
+    """
     testbed.check_devices()
     world = None
     if testbed.simulation is not None:
@@ -212,7 +272,12 @@ def start(graph: Graph, testbed: Testbed) -> World | None:
 
 
 def end(graph: Graph, testbed: Testbed) -> None:
-    """End a testbed after completing the last sample and closing the trial."""
+    """End a testbed after completing the last sample and closing the trial.
+
+    Args:
+        graph: The graph that runs its processes.
+        testbed: The testbed that `start` brought up.
+    """
     graph.stop("trigger_node")
     graph.pause(_DRAIN_TIME / testbed.time_scale)
     if testbed.record is not None:
@@ -223,7 +288,19 @@ def end(graph: Graph, testbed: Testbed) -> None:
 def simulate_hardware(
     graph: Graph, testbed: Testbed, simulation: Simulation
 ) -> tuple[Testbed, World]:
-    """Start a simulated world; returns the testbed with simulated hardware, and the world."""
+    """Start a simulated world, before the nodes of its testbed.
+
+    Args:
+        graph: An entered graph; all its further processes follow the simulation's clock.
+        testbed: The testbed.
+        simulation: The load and tissue to simulate.
+
+    Returns:
+        The testbed with simulated hardware, and the world.
+
+    Raises:
+        TestbedError: If the simulation fails or is not up after two minutes.
+    """
     graph.clock = shared_environment(simulation.time_scale)
     folder = graph.folder
     world = World(folder, create=True)
@@ -255,7 +332,13 @@ def simulate_hardware(
 def predict_with(
     model: Path | None, estimator: EstimatorSettings, geometry: Path
 ) -> EstimatorSettings:
-    """Estimator settings to predict with a stored model, if one is given, without fitting."""
+    """Estimator settings to predict with a stored model, without fitting.
+
+    Args:
+        model: The model file; None to return the settings as they are.
+        estimator: The estimator's settings.
+        geometry: The `socket.yaml` of the socket that it runs on, which the model must fit.
+    """
     if model is None:
         return estimator
     read_model(model, read_socket(geometry))
@@ -268,6 +351,11 @@ def replay_nodes(
     """The nodes that replay a trial through calibration and estimator, in start order.
 
     They use the trial's geometry, calibration, load cell and tare.
+
+    Args:
+        trial: The trial, which is checked first.
+        replay: Settings of replay_node; without a namespace, all nodes are in the recorded one.
+        estimator: Settings of estimator_node.
     """
     check_names(estimator.identification, trial.check())
     namespace = full_namespace(replay.namespace or recorded_namespace(trial))
@@ -294,7 +382,15 @@ def record_estimates(
     record: Path,
     output: IO[str] | None = None,
 ) -> None:
-    """Replay a trial through the nodes of `replay_nodes`, and record everything they publish."""
+    """Replay a trial through the nodes of `replay_nodes`, and record everything they publish.
+
+    Args:
+        trial: The trial.
+        replay: Settings of replay_node.
+        estimator: Settings of estimator_node.
+        record: Folder of the new trial, with the estimates.
+        output: An open file to which the nodes print; None for that of this process.
+    """
     replay = replace(replay, wait_for=("recorder_node", *replay.wait_for))
     nodes = replay_nodes(trial, replay, estimator)
     recorder = RecorderSettings(directory=str(record.resolve()), record=True, everything=True)

@@ -54,15 +54,21 @@ _UNFELT = "press in its middle with the thumb; if it stays silent: its cable, it
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of a check."""
+    """The outcome of a check.
 
-    what: str  # the device or sensor
+    Attributes:
+        what: The device or sensor.
+        found: What was found, in words with units.
+        hint: What to do about it; empty if all is well.
+    """
+
+    what: str
     found: str
-    hint: str = ""  # empty if all is well
+    hint: str = ""
 
 
 def examine(testbed: Testbed) -> list[Outcome]:
-    """Check all configured devices, one after the other."""
+    """Check all configured devices, one after the other; a failed check is an outcome too."""
     outcomes: list[Outcome] = []
     for check in CHECKS:
         try:
@@ -86,7 +92,12 @@ def check_kernel(testbed: Testbed) -> Iterator[Outcome]:
 
 
 def kernel_finding(model: str, release: str) -> Outcome:
-    """Check a kernel against known bus faults on its Raspberry Pi."""
+    """Check a kernel against known bus faults on its Raspberry Pi.
+
+    Args:
+        model: The computer, as its device tree names it, such as `Raspberry Pi 5 Model B Rev 1.0`.
+        release: The kernel's release, such as `6.6.20-v8`.
+    """
     found, version = f"{release} on {model}", re.findall(r"\d+", release)[:3]
     if "Raspberry Pi 5" in model and [*map(int, version)] < _SOUND_I2C:
         return Outcome(
@@ -229,8 +240,15 @@ CHECKS: tuple[Callable[[Testbed], Iterator[Outcome]], ...] = (
 def press_test(testbed: Testbed, ask: Callable[[str], None]) -> Iterator[Outcome]:
     """Ask for a press on each cluster in turn and report the response; no node may run meanwhile.
 
-    `ask` is called with an instruction to the user: `press on NAME` or `let go`. A DeviceError is
-    raised if a cluster gives no reading.
+    Args:
+        testbed: The testbed; its limb is out of the socket.
+        ask: Called with an instruction to the user: `press on NAME` or `let go`.
+
+    Yields:
+        The outcome of each press, as soon as it is known.
+
+    Raises:
+        DeviceError: If a cluster gives no reading without load.
     """
     geometry = read_socket(testbed.geometry)
     names = testbed.settings.cluster_node.names
@@ -272,7 +290,8 @@ def _judge(
 ) -> Outcome:
     """Judge the wiring from a press on a cluster and the number of the cluster that answered.
 
-    `change` is that of the reading, `outward` the outward normal of the wall at the press.
+    `change` is that of the reading, shape (c + 3,) [Pa, N], `outward` the outward normal of the
+    wall at the press in {S}, shape (3,) [-].
     """
     name, felt, what = names[number], names[answered], f"press on {names[number]}"
     found = f"{felt} felt {1e-3 * change[answered]:+.1f} kPa"

@@ -42,7 +42,11 @@ _CHECK_PERIOD = 2_000_000_000  # [ns]; between checks of the data
 
 
 class SampleWindow:
-    """The newest samples, up to a duration [s]."""
+    """The newest samples.
+
+    Args:
+        duration: Samples older than this before the newest one are dropped [s].
+    """
 
     def __init__(self, duration: float) -> None:
         self._duration = round(duration * 1e9)
@@ -53,7 +57,7 @@ class SampleWindow:
         return self._count
 
     def add(self, sample: Samples) -> None:
-        """Add the newest sample."""
+        """Add one sample, usually the newest; it may be a little older than those before."""
         self._parts.append(sample)
         self._count += 1
         while self._parts[0].stamps[-1] < sample.stamps[0] - self._duration:
@@ -64,7 +68,11 @@ class SampleWindow:
         self._parts, self._count = deque(), 0
 
     def samples(self) -> Samples:
-        """The samples of the window in the order of their stamps."""
+        """The samples of the window in the order of their stamps.
+
+        Raises:
+            IdentificationError: If there is none yet.
+        """
         if not self._parts:
             hint = "see in the diagnostics which node sends no measurements"
             raise IdentificationError("there is no complete sample to fit", hint)
@@ -80,8 +88,15 @@ class SampleWindow:
 class OnlineMap:
     """Maps the forces on all tiles, sample by sample, from the clusters and the wrench.
 
-    Channels left out of the objective and physically impossible values are ignored. The settings
-    may change at any time.
+    Channels left out of the objective and physically impossible values are ignored.
+
+    Args:
+        geometry: The socket, with n tiles.
+        settings: Returns the current settings, which may change at any time.
+
+    Attributes:
+        count: Number of maps so far.
+        places: The R regions of the outputs; the last one is the whole socket.
     """
 
     def __init__(self, geometry: SocketGeometry, settings: Callable[[], EstimatorSettings]) -> None:
@@ -91,8 +106,8 @@ class OnlineMap:
         self._prior = settings().force_map
         self._map = ForceMap(geometry, tuple(geometry.clusters), self._prior)
         self._newest: Samples
-        self.count = 0  # of maps
-        self.places = all_regions(geometry)  # of the outputs; the last is the whole socket
+        self.count = 0
+        self.places = all_regions(geometry)
 
     def update(self, sample: Samples) -> MapEstimate:
         """The map of one sample, with N = 1; needs no pose.
@@ -110,7 +125,10 @@ class OnlineMap:
         return self._map.update(self._newest)
 
     def outputs(self) -> pressure.PressureOutputs | None:
-        """The outputs of the last mapped sample, from joint draws; None if it is empty."""
+        """The outputs of `places` at the last mapped sample, from joint draws.
+
+        None if no channel of the sample has a value.
+        """
         if not pressure.measured_rows(self._newest)[0]:
             return None
         return pressure.pressure_outputs(
@@ -119,20 +137,38 @@ class OnlineMap:
 
 
 class Estimates(NamedTuple):
-    """The estimates that a measurement completes, if any."""
+    """The estimates that a measurement completes, if any.
 
-    force_map: MapEstimate | None = None  # with N = 1
-    wrench: FloatArray | None = None  # predicted [M; F] in {S}, shape (6,) [N m, N]
-    forces: FloatArray | None = None  # predicted at each of the n points in {S}, shape (n, 3) [N]
+    Attributes:
+        force_map: Forces on all tiles, with N = 1; None unless clusters and wrench are complete.
+        wrench: Predicted wrench of the limb on the socket, [M; F] in {S}, shape (6,) [N m, N]; None
+            unless the sample is complete and a model exists.
+        forces: Predicted force of the limb on each of the n tiles in {S}, shape (n, 3) [N]; None
+            unless the sample is complete and a model exists.
+    """
+
+    force_map: MapEstimate | None = None
+    wrench: FloatArray | None = None
+    forces: FloatArray | None = None
 
 
 class OnlineEstimator:
     """Maps and predicts every sample, and starts fits.
 
     Measurements are matched by equal stamps, never by nearest ones. The clusters and the wrench
-    give a map; both poses are needed to predict with the newest model. `settings` returns the
-    current settings. `notify` is called with each new model: a `Fit`, in a thread of the fitter, or
-    a loaded `StoredModel`.
+    give a map; both poses are needed to predict with the newest model.
+
+    Args:
+        geometry: The socket, with n tiles and c clusters.
+        settings: Returns the current settings, which may change at any time.
+        fitter: The process that fits.
+        notify: Called with each new model: a `Fit`, in a thread of the fitter, or a loaded
+            `StoredModel`.
+
+    Attributes:
+        map: Maps the forces on all tiles.
+        newest: Newest stamp of a complete sample since the epoch [ns]; 0 before the first one, and
+            after a jump back in time.
     """
 
     def __init__(
@@ -166,7 +202,7 @@ class OnlineEstimator:
         waiting = "waiting for steady data or " * settings().auto_fit
         self._state = (OK, f"no model yet: {waiting}estimator/fit")
         self.map = OnlineMap(geometry, settings)
-        self.newest = 0  # newest stamp of a complete sample [ns]; 0 after a jump back in time
+        self.newest = 0
 
     @property
     def state(self) -> tuple[int, str]:
@@ -181,7 +217,11 @@ class OnlineEstimator:
         return {**self._counts, "window": len(self._window), "maps": self.map.count}
 
     def load(self, path: Path) -> None:
-        """Predict with a stored model."""
+        """Predict with a stored model, read from its file.
+
+        Raises:
+            ConfigurationError: If the file is wrong, or its model was fitted on another socket.
+        """
         stored = read_model(path, self._geometry)
         self._model, self._last_stamp = stored.model, 0
         self._origin = f"predicting with the model of {stored.trial}"
@@ -189,7 +229,10 @@ class OnlineEstimator:
         self._notify(stored)
 
     def trigger(self, stamp: int) -> None:
-        """Count a trigger; after a jump back in time [ns], drop all measurements."""
+        """Count a trigger, given its stamp since the epoch [ns].
+
+        After a jump back in time, all measurements are dropped.
+        """
         if stamp < self._last_trigger:
             self._open.clear()
             with self._lock:
@@ -206,9 +249,10 @@ class OnlineEstimator:
         Args:
             topic: One of `MEASURED`.
             stamp: Stamp of its trigger since the epoch [ns].
-            value: Of STRESS the normal stress, shear x, shear y, shape (3,) [Pa], and the status
-                by cluster; of WRENCH [M; F], shape (6,) [N m, N]; of a pose the position [m] and
-                quaternion (x, y, z, w), shape (7,).
+            value: Of STRESS the normal stress (positive in compression) and shears along x and y
+                of the cluster's own frame, shape (3,) [Pa], and the status, by cluster; of WRENCH
+                [M; F] in {S}, shape (6,) [N m, N]; of a pose the position [m] and quaternion
+                (x, y, z, w) of the marker body in the world, shape (7,).
 
         Returns:
             The map if this completes the clusters and the wrench; the prediction if it completes
@@ -232,7 +276,12 @@ class OnlineEstimator:
         return Estimates(force_map)
 
     def fit(self) -> Fit:
-        """Fit on all samples of the window, and wait for the model."""
+        """Fit on all samples of the window, and wait for the model.
+
+        Raises:
+            IdentificationError: If a fit is running already or was aborted, there is no sample, or
+                the samples cannot be fitted.
+        """
         started = self._start_fit(steady=False)
         if started is None:
             raise IdentificationError("a fit is running already", "ask again when it is done")
@@ -370,9 +419,16 @@ class OnlineEstimator:
 def cluster_forces(
     geometry: SocketGeometry, stresses: Mapping[str, tuple[FloatArray, int]]
 ) -> tuple[FloatArray, StatusArray]:
-    """Forces on a socket's c clusters in their tile frames {L}, shape (c, 3) [N], and statuses.
+    """Forces on the clusters of a socket, in its order; an absent cluster is missing.
 
-    An absent cluster has the status missing and NaN forces.
+    Args:
+        geometry: The socket, with c clusters.
+        stresses: By cluster the normal stress (positive in compression) and shears along x and y of
+            its own frame, shape (3,) [Pa], and the `Status`.
+
+    Returns:
+        Forces of the limb on the clusters in their tiles' frames {L}, shape (c, 3) [N], NaN where
+        missing, and the statuses, shape (c,).
     """
     found, status = in_order(stresses, geometry.clusters)
     pairs = zip(geometry.clusters, found, strict=True)

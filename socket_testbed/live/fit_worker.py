@@ -36,23 +36,37 @@ Ts = TypeVarTuple("Ts")
 
 @dataclass(frozen=True)
 class Steady:
-    """Conditions of an automatic fit, on steady data."""
+    """Conditions of an automatic fit, on steady data.
 
-    plateau: PlateauSettings  # how steady the data must be
-    least_samples: int  # minimum number of samples to fit on
-    after: int = 0  # the newest of these samples must have a later stamp [ns]
-    rival: ContactModel | None = None  # model to be replaced, if the two are to be compared
+    Attributes:
+        plateau: How steady the data must be.
+        least_samples: Smallest number of samples to fit on, without those held out.
+        after: The newest sample to fit on must have a later stamp since the epoch [ns].
+        rival: Model to be replaced, if the two are to be compared; None otherwise.
+    """
+
+    plateau: PlateauSettings
+    least_samples: int
+    after: int = 0
+    rival: ContactModel | None = None
 
 
 @dataclass(frozen=True)
 class Contest:
-    """Comparison of two models on the newest samples, held out from the fit of the new one."""
+    """Comparison of two models on the newest samples, held out from the fit of the new one.
 
-    samples: int  # number of these samples
-    # Error of the model to be replaced [-]: RMS over the channels of the objective, relative to the
-    # size of their group, with wrench and clusters weighted by theta
+    The error of a model is the RMS over the channels of the objective, relative to the size of
+    their group (moments, forces, clusters), with wrench and clusters weighted by theta.
+
+    Attributes:
+        samples: Number of these samples.
+        old: Error of the model to be replaced [-].
+        new: Error of the new model [-].
+    """
+
+    samples: int
     old: float
-    new: float  # likewise of the new model [-]
+    new: float
 
     def __str__(self) -> str:
         return (
@@ -63,11 +77,18 @@ class Contest:
 
 @dataclass(frozen=True)
 class Refit:
-    """A fit on a plateau or on all samples."""
+    """A fit on a plateau or on all samples.
+
+    Attributes:
+        fit: The fit.
+        contest: Comparison with the model to be replaced; None without one.
+        cause: Why earlier samples were excluded, in words, if a channel slipped or drifted;
+            otherwise empty.
+    """
 
     fit: Fit
-    contest: Contest | None = None  # against the model to be replaced
-    cause: str = ""  # why earlier samples were excluded, if a channel slipped or drifted
+    contest: Contest | None = None
+    cause: str = ""
 
     @property
     def is_worse(self) -> bool:
@@ -93,7 +114,15 @@ class FitWorker:
         return self._loaded.done()
 
     def run(self, work: Callable[[*Ts], T], *arguments: *Ts) -> Future[T]:
-        """Call a module-level function in the process."""
+        """Call a function in the process, after those called before.
+
+        Args:
+            work: A module-level function.
+            arguments: Its arguments, which are pickled.
+
+        Returns:
+            The future result, or the error that the function raised.
+        """
         try:
             return self._pool.submit(work, *arguments)
         except BrokenProcessPool:  # it was killed: start a new one
@@ -123,9 +152,19 @@ def fit_samples(
     settings: IdentificationSettings,
     steady: Steady | None,
 ) -> Refit | None:
-    """Fit on the newest plateau of some samples; on all of them if `steady` is None.
+    """Fit on the newest plateau of some samples, or on all of them.
 
-    Returns None if there is no plateau that is long and new enough.
+    Args:
+        samples: The samples, in the order of their stamps.
+        geometry: The socket that they were measured in.
+        settings: Settings of the fit; the smoothing of the poses is switched off.
+        steady: Conditions of a fit on a plateau; None to fit on all samples.
+
+    Returns:
+        The fit; None if there is no plateau that is long and new enough.
+
+    Raises:
+        IdentificationError: If the samples cannot be fitted, or the wrench is negated.
     """
     # In live use, a centred window would lag, and the wrench is measured anyway.
     settings = replace(settings, pose_smoothing=0.0, wrench_sharpness=())
@@ -185,7 +224,13 @@ def _judge(
 def check_samples(
     samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Problems in some samples, worst first, except in channels left out."""
+    """Problems in some samples, in words, worst first; empty if they are good or too few.
+
+    Args:
+        samples: The samples, in the order of their stamps.
+        geometry: The socket that they were measured in.
+        leave_out: Channels that are not checked, such as `distal.Fz`.
+    """
     if len(samples) < LEAST_CHECKED:
         return ()
     found = check_data(samples, geometry, leave_out=leave_out, whole=False)

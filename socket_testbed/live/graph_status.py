@@ -17,15 +17,24 @@ _ERROR_WINDOW = 10.0  # [s]; averaging window of the prediction errors
 
 
 class GraphStatus:
-    """Counts the samples of a graph, and compares predictions with measurements."""
+    """Counts the samples of a graph, and compares predictions with measurements.
+
+    Attributes:
+        triggers: Number of triggers.
+        complete: Number of triggers with all measurements present and valid.
+        wrench: The newest measured wrench [M; F] in {S}, shape (6,) [N m, N]; None before any.
+        variant: Variant of the predicting model; empty before the first.
+        trial: Name of the trial being recorded; empty if none.
+        heard: Arrival of the newest trigger on the monotonic clock [s]; None before any.
+    """
 
     def __init__(self) -> None:
         self.triggers = 0
-        self.complete = 0  # triggers with all measurements present and valid
-        self.wrench: FloatArray | None = None  # the newest [M; F], shape (6,) [N m, N]
-        self.variant = ""  # of the predicting model; empty before the first
-        self.trial = ""  # being recorded; empty if none
-        self.heard: float | None = None  # arrival of the newest trigger [s], monotonic clock
+        self.complete = 0
+        self.wrench: FloatArray | None = None
+        self.variant = ""
+        self.trial = ""
+        self.heard: float | None = None
         self._first = self._last = 0  # stamps of triggers [ns]
         self._pending: dict[int, set[topics.Topic]] = {}
         self._measured: dict[int, FloatArray] = {}
@@ -37,10 +46,11 @@ class GraphStatus:
         return 1e-9 * (self._last - self._first)
 
     def errors(self) -> tuple[float, float] | None:
-        """RMSE of the predicted forces [N] and moments [N m] over the last seconds; None: unknown.
+        """RMSE of the predicted forces [N] and moments [N m] over the last 10 s; None: unknown.
 
-        The model has not seen these samples, unless a replay repeats them: each is predicted before
-        it is used in a fit.
+        Each is the root of the mean square over the samples and over x, y and z. The model has not
+        seen these samples, unless a replay repeats them: each is predicted before it is used in a
+        fit.
         """
         if not self._errors:
             return None
@@ -49,7 +59,13 @@ class GraphStatus:
         return float(force), float(moment)
 
     def add(self, topic: topics.Topic, stamp: int, values: Any) -> None:
-        """Process the values of a message with a stamp [ns], see `Reader`."""
+        """Process a message.
+
+        Args:
+            topic: A topic that samples require, or ESTIMATED_WRENCH.
+            stamp: Stamp of the message since the epoch [ns].
+            values: Its values, as a `Reader` gives them.
+        """
         if topic is topics.ESTIMATED_WRENCH:
             error = values - self._measured.get(stamp, np.nan)
             if np.isfinite(error).all():

@@ -44,7 +44,7 @@ def _require_real_time() -> None:
 
 
 def make_trigger(settings: TriggerSettings) -> gpio.Trigger:
-    """Create the trigger."""
+    """Create the trigger: a timer, or wired lines of the machine or of a simulated world."""
     if settings.source == "timer":
         return gpio.TimerTrigger()
     if settings.simulation:
@@ -64,7 +64,11 @@ def wall_clock(settings: TriggerSettings) -> Callable[[], int]:
 
 
 def capacitive_chip(settings: ClusterSettings) -> tuple[type[CapacitiveChip], type[SimulatedChip]]:
-    """The clusters' chip and its simulated counterpart."""
+    """Driver class of the clusters' chip, and class of its simulated counterpart.
+
+    Raises:
+        ConfigurationError: If the settings name an unknown chip.
+    """
     if settings.chip not in CAPACITIVE_CHIPS:
         raise ConfigurationError(
             f"cluster_node: chip is '{settings.chip}'", closest(settings.chip, CAPACITIVE_CHIPS)
@@ -73,12 +77,16 @@ def capacitive_chip(settings: ClusterSettings) -> tuple[type[CapacitiveChip], ty
 
 
 def make_clusters(settings: ClusterSettings) -> ClusterReader:
-    """Create the reader of the clusters."""
+    """Create the reader of the clusters, on the machine's buses or in a simulated world."""
     return ClusterReader(settings, capacitive_chip(settings)[0], i2c_opener(settings))
 
 
 def i2c_opener(settings: ClusterSettings) -> Callable[[int], I2cBus]:
-    """A function that opens an I2C bus by number."""
+    """A function that opens an I2C bus by number.
+
+    Raises:
+        ConfigurationError: If a time scale is set for hardware, or there is no simulated world.
+    """
     if not settings.simulation:
         _require_real_time()
         return lambda number: open_i2c(number, settings.bus_timeout)
@@ -109,7 +117,11 @@ def make_load_cell(settings: LoadCellSettings) -> LoadCell:
 
 
 def spi_opener(settings: LoadCellSettings) -> Callable[[], Any]:
-    """A function that opens the converter as an `SpiDevice`; if simulated, also as its line."""
+    """A function that opens the converter as an `SpiDevice`; if simulated, also as its line.
+
+    Raises:
+        ConfigurationError: If a time scale is set for hardware, or there is no simulated world.
+    """
     if not settings.simulation:
         _require_real_time()
         return lambda: open_spi(settings.device, settings.spi_clock)

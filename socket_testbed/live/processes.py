@@ -47,18 +47,32 @@ _CALM_AFTER = 3.0  # [s]; all processes have run this long before a spare one is
 
 @dataclass(frozen=True)
 class GraphNode:
-    """A node and its start options."""
+    """A node and its start options.
 
-    name: str  # of the node and its module, such as estimator_node
+    Attributes:
+        name: Name of the node and of its module, such as `estimator_node`.
+        settings: Its settings, which become its parameters.
+        namespace: Its absolute namespace.
+        use_sim_time: Whether it takes the time from /clock.
+        process: Name of a process shared with other nodes; empty for a process of its own.
+        optional: Whether the graph can start without it.
+    """
+
+    name: str
     settings: Settings
     namespace: str = "/"
-    use_sim_time: bool = False  # take the time from /clock
-    process: str = ""  # name of a process shared with other nodes; empty for its own process
-    optional: bool = False  # whether the graph can start without it
+    use_sim_time: bool = False
+    process: str = ""
+    optional: bool = False
 
 
 def write_parameters(nodes: Iterable[GraphNode], path: Path) -> Path:
-    """Write the ROS parameter file of some nodes, for any namespace; returns its path."""
+    """Write the ROS parameter file of some nodes, for any namespace; returns its path.
+
+    Args:
+        nodes: The nodes, whose settings become parameters.
+        path: The file, which is replaced if it exists.
+    """
     document = {}
     for node in nodes:
         values = {"use_sim_time": node.use_sim_time, **parameter_values(node.settings)}
@@ -68,7 +82,13 @@ def write_parameters(nodes: Iterable[GraphNode], path: Path) -> Path:
 
 
 def launched(node: GraphNode, folder: Path, again: bool = False) -> dict[str, Any]:
-    """Keywords of the launch action of a node; its parameters are written to `folder`."""
+    """Keywords of the launch action of a node.
+
+    Args:
+        node: The node.
+        folder: Existing folder into which its parameter file is written, as long as it runs.
+        again: Whether it replaces a node that has ended.
+    """
     return {
         "package": "socket_testbed",
         "executable": node.name,
@@ -83,7 +103,11 @@ def launched(node: GraphNode, folder: Path, again: bool = False) -> dict[str, An
 
 
 def require_ros() -> None:
-    """Refuse to continue without ROS 2 and the messages."""
+    """Refuse to continue without ROS 2 and the messages.
+
+    Raises:
+        ConfigurationError: If rclpy or the testbed's messages cannot be imported.
+    """
     for package in ("rclpy", "socket_testbed_msgs"):
         if importlib.util.find_spec(package) is None:
             raise ConfigurationError(
@@ -112,12 +136,22 @@ def launch_environment() -> dict[str, str]:
 
 
 def is_wrong_input(code: int, began: float) -> bool:
-    """Whether a process failed so soon after the graph began [s] that its input must be wrong."""
+    """Whether a process failed so soon after the start of the graph that its input must be wrong.
+
+    Args:
+        code: Its exit code; negative: the signal that ended it.
+        began: Start of the graph on the monotonic clock [s].
+    """
     return code > 0 and time.monotonic() - began < _EARLY_FAILURE
 
 
 def wait_again(backoff: Backoff, started: float) -> float:
-    """Wait before the next restart of a process that has run since `started` [s]."""
+    """Wait before the next restart of a process that has ended [s].
+
+    Args:
+        backoff: The waits of this process, which grow with each early end.
+        started: Its last start on the monotonic clock [s].
+    """
     now = time.monotonic()
     if now - started > _EARLY_FAILURE:
         backoff.succeeded()
@@ -126,7 +160,15 @@ def wait_again(backoff: Backoff, started: float) -> float:
 
 @dataclass
 class _Member:
-    """A process of the graph, and its start time [s]."""
+    """A process of the graph.
+
+    Attributes:
+        command: Its command line.
+        process: The process.
+        started: Its last start on the monotonic clock [s].
+        optional: Whether the graph can start without it.
+        backoff: The waits between its restarts.
+    """
 
     command: list[str]
     process: subprocess.Popen[bytes]
@@ -151,8 +193,17 @@ class _Member:
 class Graph:
     """Node processes that live and end together; a context manager.
 
-    The nodes print to `output`, by default that of this process. `meanwhile` is called repeatedly
-    while the graph waits.
+    Args:
+        output: An open file to which the nodes print; None for that of this process.
+        meanwhile: Called repeatedly while the graph waits.
+
+    Attributes:
+        folder: A temporary folder that exists as long as the graph.
+        clock: Environment variables of all further processes, with the testbed's time scale and
+            clock origin.
+
+    Raises:
+        ConfigurationError: On entry, if ROS 2 or the messages cannot be imported.
     """
 
     def __init__(
@@ -163,8 +214,8 @@ class Graph:
         self._members: dict[str, _Member] = {}
         self._spare: list[str] = []  # arguments of the spare process; empty for none
         self._temporary = TemporaryFolder()
-        self.folder = Path(self._temporary.name)  # exists as long as the graph
-        self.clock = shared_environment()  # environment of all further processes
+        self.folder = Path(self._temporary.name)
+        self.clock = shared_environment()
 
     def __enter__(self) -> Self:
         require_ros()
@@ -175,7 +226,13 @@ class Graph:
         self._temporary.cleanup()
 
     def start(self, node: str, settings: Settings, namespace: str = "/") -> None:
-        """Start a node, see `GraphNode`."""
+        """Start a node in a process of its own, without which the graph cannot run.
+
+        Args:
+            node: Its name, such as `estimator_node`.
+            settings: Its settings, which become its parameters.
+            namespace: Its absolute namespace.
+        """
         self.start_nodes([GraphNode(node, settings, namespace)])
 
     def start_nodes(self, nodes: Iterable[GraphNode]) -> None:
@@ -202,7 +259,14 @@ class Graph:
     def start_program(
         self, name: str, module: str, arguments: list[str], optional: bool = False
     ) -> None:
-        """Start a module of this package as a process; `watch` tolerates failures if optional."""
+        """Start a module as a process.
+
+        Args:
+            name: What messages call it; also the name for `stop` and `wait`.
+            module: The module, such as `socket_testbed.nodes`.
+            arguments: Its command-line arguments.
+            optional: Whether `watch` also restarts it after an early failure.
+        """
         command = [sys.executable, "-m", module, *arguments]
         self._members[name] = _Member(command, self._spawn(command), time.monotonic(), optional)
 
@@ -231,7 +295,11 @@ class Graph:
         return self._spawn(ended.command, again=True)
 
     def wait(self, node: str) -> None:
-        """Wait until a node has finished; raises an error if any process fails."""
+        """Wait until a node, given by the name of its process, has finished.
+
+        Raises:
+            TestbedError: If it fails, or another process ends before it.
+        """
         while (code := self._members[node].exit_code()) is None:
             self.check(but=node)
             self.pause()
@@ -248,15 +316,24 @@ class Graph:
                 return
 
     def check(self, but: str = "") -> None:
-        """Raise an error if a process has ended, except `but`."""
+        """Check that all processes run, except the one named by `but`.
+
+        Raises:
+            TestbedError: If another one has ended.
+        """
         for name, member in self._members.items():
             if name != but and (code := member.exit_code()) is not None:
                 raise _failure(name, code)
 
     def watch(self, done: Callable[[], bool], notify: Callable[[str], None]) -> None:
-        """Keep the processes running until `done()`; `notify` gets a line per restart.
+        """Keep the processes running: ended ones are restarted.
 
-        Ended processes are restarted; one that fails soon after the start raises an error.
+        Args:
+            done: Called repeatedly; true ends the watch.
+            notify: Called with one line per restart.
+
+        Raises:
+            TestbedError: If a process that is not optional fails within 10 s of this call.
         """
         began = time.monotonic()
         while not done():
@@ -278,7 +355,7 @@ class Graph:
             self.pause()
 
     def stop(self, *names: str) -> None:
-        """End some processes, or all of them: first SIGTERM, then SIGKILL."""
+        """End some processes by name, or all of them: first SIGTERM, after 60 s SIGKILL."""
         members = [self._members[name] for name in names] or self._members.values()
         # SIGTERM ends a node cleanly once ROS handles signals, and at once before that.
         for number in (signal.SIGTERM, signal.SIGKILL):

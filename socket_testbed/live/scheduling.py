@@ -72,9 +72,15 @@ def _right(limit: str, capability: str) -> str:
 
 
 def measure_lateness(priority: int = 0, duration: float = 1.0) -> FloatArray:
-    """Measure the wake-up delays of a thread from short sleeps [s], over a duration [s].
+    """Measure how late a thread wakes up from short sleeps.
 
-    Priority 0 is an ordinary thread; without permission for a real-time priority, returns none.
+    Args:
+        priority: Real-time priority of the thread (SCHED_FIFO); 0 for an ordinary thread.
+        duration: Length of the measurement [s].
+
+    Returns:
+        The delay of each of the k wake-ups, shape (k,) [s]; empty without permission for the
+        priority.
     """
     late: list[float] = []
 
@@ -99,13 +105,18 @@ def measure_lateness(priority: int = 0, duration: float = 1.0) -> FloatArray:
 
 @dataclass(frozen=True)
 class MachineSpeed:
-    """The share of this machine currently available to one more process."""
+    """The share of this machine currently available to one more process.
 
-    lateness: float  # of threads waking up from a short sleep, 90th percentile [s]
-    speed: float  # of a thread, relative to an idle core of the reference machine [-]
+    Attributes:
+        lateness: Delay of threads that wake up from a short sleep, 90th percentile [s].
+        speed: Speed of a thread, relative to an idle core of the reference machine [-].
+    """
+
+    lateness: float
+    speed: float
 
     def time_scale(self) -> float:
-        """The fastest scale at which a simulated testbed should keep up [-]."""
+        """The fastest time scale of `SCALES` at which a simulated testbed should keep up [-]."""
         fastest = min(self.speed / _MIN_SPEED, LATEST / max(self.lateness, 1e-9))
         return next((scale for scale in SCALES if scale <= fastest), SLOWEST)
 
@@ -125,12 +136,12 @@ def measure_speed() -> MachineSpeed:
 
 
 def speed_text(scale: float) -> str:
-    """Speed of a simulated testbed as a text, such as 'a quarter of real time'."""
+    """Speed of a simulated testbed from its time scale [-], such as 'a quarter of real time'."""
     return SCALES.get(scale, f"{scale:g} of real time")
 
 
 def busy_note(scale: float) -> str:
-    """A note on the chosen scale; empty for real time."""
+    """A note on the chosen time scale [-]; empty for real time."""
     if scale == 1.0:
         return ""
     return f"this machine is busy: the simulated testbed runs at {speed_text(scale)}"

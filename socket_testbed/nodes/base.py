@@ -81,13 +81,18 @@ def message_type(topic: Topic) -> Any:
 
 
 def stamp_to_ros(stamp: int) -> Time:
-    """A time since the epoch [ns] as a ROS message."""
+    """A time since the epoch [ns] as a builtin_interfaces/Time."""
     seconds, nanoseconds = divmod(stamp, 1_000_000_000)
     return Time(sec=seconds, nanosec=nanoseconds)
 
 
 def header_to_ros(stamp: int, frame: str = LOAD_CELL_FRAME) -> Header:
-    """A header with a stamp since the epoch [ns]."""
+    """A std_msgs/Header.
+
+    Args:
+        stamp: Its stamp since the epoch [ns].
+        frame: Its frame, by default that of the load cell, {S}.
+    """
     return Header(stamp=stamp_to_ros(stamp), frame_id=frame)
 
 
@@ -103,6 +108,14 @@ class Inbox:
     """A hidden node without an executor: the middleware queues messages until they are taken.
 
     At 100 Hz this needs 2 % of a core; an executor needs 4 %.
+
+    Args:
+        name: The node's name, to which an underscore is prefixed.
+        namespace: Its absolute namespace.
+        topics: The topics to queue, with the quality of service of each subscription.
+
+    Attributes:
+        node: The hidden node.
     """
 
     def __init__(self, name: str, namespace: str, topics: Mapping[Topic, QoSProfile]) -> None:
@@ -134,7 +147,13 @@ class Inbox:
 
 
 def recorded_trial(node: Node, announced: str) -> str:
-    """The trial being recorded, as announced; empty if its recorder has ended since."""
+    """Name of the trial being recorded; empty if none is.
+
+    Args:
+        node: A node in the recorder's namespace.
+        announced: The last message on recorder/trial, which does not count if its recorder has
+            ended since; empty if none.
+    """
     return announced if node.count_publishers(RECORDED_TRIAL.name) else ""
 
 
@@ -149,7 +168,7 @@ class RecentFault:
         self._last = (text, clocks.monotonic())
 
     def text(self, at_least: float = 0.0) -> str:
-        """The fault; empty if it is older than `drivers.RECENT` and than `at_least` [s]."""
+        """The fault; empty if it is older than both `drivers.RECENT` and a duration [s]."""
         text, when = self._last
         return text if clocks.monotonic() - when < max(drivers.RECENT, at_least) else ""
 
@@ -157,23 +176,33 @@ class RecentFault:
 class TestbedNode(Node, Generic[S]):
     """A node with settings, topics, services and diagnostics.
 
-    Nodes override `figures`, `check`, `ready` and `close` as needed. The parameters are the
-    settings of `kind`, which also validate changes. For `settle` [s], a node that has not reported
-    OK counts as starting.
+    Nodes override `figures`, `check`, `ready` and `close` as needed. Publishes /diagnostics
+    (DiagnosticArray), at 1 Hz and at once on a change of level.
+
+    Args:
+        name: Name of the node.
+        kind: Class of its settings, which are its parameters and validate changes.
+        settle: Duration for which a node that has not reported OK counts as starting [s].
+
+    Attributes:
+        arguments: ROS arguments in addition to those of the process, of all nodes of the process.
+        device: The attached device, such as `i2c-1`; empty if none.
+        finished: A future that is done when the node's work is.
+        settings: The current settings.
     """
 
     __test__ = False
-    arguments: ClassVar[list[str]] = []  # ROS arguments in addition to those of the process
+    arguments: ClassVar[list[str]] = []
 
     def __init__(self, name: str, kind: type[S], settle: float = 0.0) -> None:
         super().__init__(name, cli_args=self.arguments)
-        self.device = ""  # attached device, if any
-        self.finished = Future()  # set when the work is done
+        self.device = ""
+        self.finished = Future()
         self._kind = kind
         fields = kind.flat()
         for parameter, value in parameter_values(kind()).items():
             self.declare_parameter(parameter, value, _descriptor(parameter, fields[parameter]))
-        self.settings = self._read_settings({})  # kept current
+        self.settings = self._read_settings({})
         self.add_on_set_parameters_callback(self._check_settings)
         self.add_post_set_parameters_callback(self._change_settings)
 
@@ -221,11 +250,22 @@ class TestbedNode(Node, Generic[S]):
                 raise
 
     def repeat(self, period: float, callback: Callable[[], None]) -> None:
-        """Call back periodically [s], even if the system clock jumps or a replay pauses."""
+        """Call back periodically, even if the system clock jumps or a replay pauses.
+
+        Args:
+            period: Time between two calls, on the steady clock of the machine [s].
+            callback: Called without arguments.
+        """
         self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def advertise(self, topic: Topic, name: str = "", needed: bool = False) -> Publisher:
-        """A publisher, optionally under another name; if `needed`, it must have a subscriber."""
+        """A publisher of a topic, with the quality of service of `publisher_qos`.
+
+        Args:
+            topic: The topic, which gives the message type.
+            name: Another name in the graph; empty for the topic's own.
+            needed: Whether the node waits until it has a subscriber.
+        """
         publisher = self.create_publisher(
             message_type(topic), name or topic.name, publisher_qos(topic)
         )
@@ -233,7 +273,13 @@ class TestbedNode(Node, Generic[S]):
         return publisher
 
     def sender(self, topic: Topic, pack: Callable[..., bytes]) -> Callable[..., None]:
-        """A function that publishes the message packed from its arguments."""
+        """A function that publishes on a topic the message packed from its arguments.
+
+        Args:
+            topic: The topic, which gives the message type.
+            pack: Packs a serialised message, such as `wrench_packer()`: its arguments, with their
+                units and shapes, are those of the returned function.
+        """
         publisher = self.advertise(topic)
         return lambda *values: publisher.publish(pack(*values))
 
@@ -245,9 +291,14 @@ class TestbedNode(Node, Generic[S]):
         needed: bool = True,
         raw: bool = False,
     ) -> None:
-        """Subscribe, optionally under another name; if `needed`, there must be a publisher.
+        """Subscribe to a topic, with a deep queue.
 
-        The callback gets each message, serialised if `raw`.
+        Args:
+            topic: The topic, which gives the message type.
+            callback: Called with each message, in order.
+            name: Another name in the graph; empty for the topic's own.
+            needed: Whether the node waits until it has a publisher.
+            raw: Whether the callback gets serialised messages (bytes, CDR).
         """
 
         def receive(message: Any) -> None:
@@ -263,9 +314,15 @@ class TestbedNode(Node, Generic[S]):
     def follow(
         self, topic: Topic, callback: Callable[[int, Any], None], needed: bool = True
     ) -> None:
-        """Subscribe; the callback gets the stamp [ns] and values of each message, see `Reader`.
+        """Subscribe to a topic with a header, and decode its messages.
 
         A message that cannot be decoded, of another program, is reported and dropped.
+
+        Args:
+            topic: The topic, which gives the message type.
+            callback: Called with the stamp of each message since the epoch [ns] and its values,
+                whose shapes, units and frames `Reader` lists.
+            needed: Whether the node waits until it has a publisher.
         """
         reader = Reader(topic)
 
@@ -280,10 +337,15 @@ class TestbedNode(Node, Generic[S]):
         self.listen(topic, receive, needed=needed, raw=True)
 
     def serve(self, kind: Any, name: str, answer: Callable[..., str], slow: bool = False) -> None:
-        """Offer a SetBool or Trigger service; a slow one runs in its own thread.
+        """Offer a SetBool or Trigger service.
 
-        `answer` is called with the request's data, if any, and returns the response's message. A
-        TestbedError makes the response a failure with that message.
+        Args:
+            kind: Class of the service.
+            name: Its name, relative to the node's namespace.
+            answer: Called with the request's data (SetBool) or nothing (Trigger); returns the
+                response's message. A TestbedError that it raises makes the response a failure with
+                that message.
+            slow: Whether it answers from a thread of its own.
         """
 
         def respond(request: Any, response: Any) -> Any:
@@ -301,7 +363,12 @@ class TestbedNode(Node, Generic[S]):
             self.create_service(kind, name, respond)
 
     def report(self, level: int, message: str) -> None:
-        """Report the node's state, fact and hint in one line; a new level is published at once."""
+        """Report the node's state; a new level is published at once.
+
+        Args:
+            level: OK, WARN or ERROR.
+            message: Fact and hint in one line. A change in its numbers alone is not logged.
+        """
         if level != OK and clocks.monotonic() < self._settled_at:
             level, message = WARN, f"starting: {message}"
         before = self._level, self._message
@@ -403,6 +470,16 @@ class SlowService:
 
     The events executor does not support coroutines. It passes the callback's result to
     `send_response`; here both only forward the request to the thread, which answers.
+
+    Args:
+        node: The node that offers it.
+        kind: Class of the service.
+        name: Its name, relative to the node's namespace.
+        respond: Called in the thread with the request and a blank response, which it fills in and
+            returns.
+
+    Attributes:
+        thread: Runs the answers, one after the other.
     """
 
     def __init__(

@@ -17,7 +17,12 @@ from socket_testbed.trials.topics import CAPACITANCE, STRESS
 
 
 class CalibrationNode(TestbedNode[CalibrationNodeSettings]):
-    """Applies the calibration to every capacitance message."""
+    """Applies the calibration to every capacitance message.
+
+    Subscribes: clusters/capacitance, by cluster the capacitances by converter input [pF] and their
+    statuses. Publishes: clusters/stress, with the same stamp and clusters, frame load_cell: normal
+    stress (positive in compression) and shears along x and y of the cluster's own frame [Pa].
+    """
 
     def __init__(self) -> None:
         super().__init__("calibration_node", CalibrationNodeSettings)
@@ -31,10 +36,11 @@ class CalibrationNode(TestbedNode[CalibrationNodeSettings]):
         self.follow(CAPACITANCE, self._on_capacitance)
 
     def figures(self) -> dict[str, object]:
-        """Number of messages, and the newest stamp."""
+        """Number of messages, and the newest stamp since the epoch [ns]."""
         return {MESSAGES: self._messages, NEWEST_STAMP: self._newest}
 
     def _on_capacitance(self, stamp: int, read: Capacitances) -> None:
+        """Publish the stresses [Pa] of the capacitances [pF] at a stamp [ns]; c clusters each."""
         news = read.names != self._names
         if news:
             self._prepare(read.names)

@@ -19,7 +19,11 @@ _READ_TIMEOUT = 0.5  # [s]; a longer reading means a hanging bus
 
 
 class ClusterNode(SensorNode[ClusterSettings]):
-    """Reads the clusters at each trigger; a failed cluster is missing, the others continue."""
+    """Reads the clusters at each trigger; a failed cluster is missing, the others continue.
+
+    Publishes: clusters/capacitance, with the stamp of the trigger, frame load_cell: by cluster the
+    capacitances by converter input [pF], NaN where missing or saturated, and their statuses.
+    """
 
     def __init__(self) -> None:
         super().__init__("cluster_node", ClusterSettings)
@@ -39,7 +43,14 @@ class ClusterNode(SensorNode[ClusterSettings]):
         return {SAMPLES: self.samples, "missing_channels": self.missing}
 
     def measure(self, stamp: int, moment: float) -> None:
-        """Read all clusters; `missing` counts channels without a value."""
+        """Read all clusters and publish clusters/capacitance [pF].
+
+        `missing` counts channels without a value.
+
+        Args:
+            stamp: Stamp of the trigger since the epoch [ns].
+            moment: The trigger on the testbed's steady clock [s].
+        """
         reading = self._read(moment)
         self.missing += int((reading.status != Status.OK).sum())
         self._send(stamp, reading.capacitance, reading.status)

@@ -82,11 +82,17 @@ _CALLS = {
 
 @dataclass(frozen=True)
 class Marked:
-    """An event that was published and acknowledged."""
+    """An event that was published and acknowledged.
 
-    subscribers: int  # programs that acknowledged it
-    trial: str  # the trial being recorded; empty if none
-    triggered: bool  # whether its stamp follows the triggers; otherwise the system clock
+    Attributes:
+        subscribers: Number of programs that acknowledged it.
+        trial: Name of the trial being recorded; empty if none.
+        triggered: Whether its stamp follows the triggers; otherwise it is the system clock's.
+    """
+
+    subscribers: int
+    trial: str
+    triggered: bool
 
     def notes(self) -> list[str]:
         """Remarks for the user."""
@@ -101,9 +107,18 @@ class Marked:
 def publish_event(label: str, called: float, namespace: str = "/") -> Marked:
     """Publish an event and wait until all subscribers have acknowledged it.
 
-    Its stamp is the time of the call, on this machine's monotonic clock [s], converted to trigger
-    time: a testbed may run on another computer, slower than real time, or as a replay, and its
-    clock does not follow changes of the system clock.
+    Its stamp is the time of the call, converted to trigger time: a testbed may run on another
+    computer, slower than real time, or as a replay, and its clock does not follow changes of the
+    system clock.
+
+    Args:
+        label: The event's label, see `check_label`.
+        called: When it happened, on this machine's monotonic clock [s].
+        namespace: Namespace of the testbed.
+
+    Raises:
+        TestbedError: If nobody subscribes, or does not acknowledge it.
+        ConfigurationError: If ROS does not accept the namespace.
     """
     namespace = full_namespace(namespace)
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # the verb handles Ctrl-C
@@ -133,8 +148,12 @@ def _wait(
 class EventMarker:
     """Publishes events, one after the other, for the life of a node.
 
-    `wait` waits until a condition holds, at most a duration [s], while the node is spun; it returns
-    whether it does.
+    Publishes: event. Subscribes: recorder/trial; trigger while an event is marked.
+
+    Args:
+        node: The node, in the namespace of the testbed.
+        wait: Waits until a condition holds, at most a duration [s], while the node is spun; returns
+            whether it does.
     """
 
     def __init__(self, node: Node, wait: Callable[[Callable[[], bool], float], bool]) -> None:
@@ -148,7 +167,16 @@ class EventMarker:
         )
 
     def mark(self, label: str, called: float) -> Marked:
-        """Publish an event, see `publish_event`; subscribes to triggers only meanwhile."""
+        """Publish an event, and wait until all subscribers have acknowledged it.
+
+        Args:
+            label: The event's label.
+            called: When it happened, on this machine's monotonic clock [s]; becomes a stamp in
+                trigger time.
+
+        Raises:
+            TestbedError: If nobody subscribes, or does not acknowledge it.
+        """
         self._triggers.clear()
         subscription = self._node.create_subscription(
             base.message_type(TRIGGER), TRIGGER.name, self._on_trigger, base.subscriber_qos(TRIGGER)
@@ -172,7 +200,7 @@ class EventMarker:
         return Marked(count, trial, bool(self._triggers))
 
     def _stamp_of(self, called: float) -> int:
-        """Stamp [ns] of a time on the monotonic clock [s], from the triggers that arrive now."""
+        """Stamp since the epoch [ns] of a monotonic time [s], from the triggers that arrive now."""
         # The older the call, the longer the span of triggers to extrapolate from.
         since = time.monotonic() - called
         self._wait(lambda: self._has_triggers(max(_MIN_SPAN, 0.5 * since)), _TRIGGER_TIMEOUT)
@@ -184,6 +212,7 @@ class EventMarker:
         return events.stamp_by_triggers(called, self._triggers)
 
     def _has_triggers(self, span: float) -> bool:
+        """Whether enough triggers have arrived, the last so long [s] after the first."""
         triggers = self._triggers
         return len(triggers) > 2 and triggers[-1][0] - triggers[0][0] >= span
 
@@ -207,16 +236,22 @@ class EventMarker:
         )
 
     def _on_trigger(self, message: Any) -> None:
+        """Note the arrival on the monotonic clock [s] and the stamp [ns] of a trigger."""
         self._triggers.append((time.monotonic(), stamp_of(message)))
 
     def _on_trial(self, message: String) -> None:
+        """Note the name of the trial being recorded; empty if none."""
         self._trial = message.data
 
 
 class ServiceControls:
     """Controls the testbed in a node's namespace, from any thread except the node's.
 
-    The node is spun elsewhere.
+    Calls: load_cell/tare, estimator/fit, trigger/enable, recorder/record, and the setting of
+    recorder_node's parameters `next.*`. Publishes: event.
+
+    Args:
+        node: A node in the namespace of the testbed, which is spun elsewhere.
     """
 
     def __init__(self, node: Node) -> None:
@@ -227,11 +262,18 @@ class ServiceControls:
         self._marking, self._recording = threading.Lock(), threading.Lock()
 
     def act(self, what: str, given: Mapping[str, str]) -> str:
-        """Perform a button's action, with its arguments as text; returns the outcome in one line.
+        """Perform a button's action; returns the outcome in one line.
 
-        `mark` takes a `label` and uses the time of this call; `record` takes a `trial` (by default
-        named by date and time) and metadata. Raises a TestbedError if a service refuses, does not
-        answer, or is not offered.
+        Args:
+            what: `mark`, `record`, `stop recording`, `tare`, `fit`, `trigger-on` or `trigger-off`.
+            given: Arguments by name, as text. `mark` takes a `label` and uses the time of this
+                call; `record` takes a `trial` (by default named by date and time) and fields of the
+                metadata, such as `mass` [kg].
+
+        Raises:
+            ConfigurationError: If there is no such action, or an argument is invalid.
+            TestbedError: If a service refuses, does not answer, or is not offered, or an event is
+                not acknowledged.
         """
         if what in _CALLS:
             return self._ask(*_CALLS[what])
@@ -306,9 +348,15 @@ def _refusal(words: str) -> TestbedError:
 
 
 class StatusListener:
-    """Feeds a graph's status with serialised messages; `pause` names a replay's service, if any.
+    """Feeds a graph's status with serialised messages.
 
-    The program that draws the status line calls `take` twenty times a second.
+    The program that draws the status line calls `take` twenty times a second. Subscribes: the
+    topics that samples require, estimate/wrench, estimate/parameters, recorder/trial.
+
+    Args:
+        status: The status to feed.
+        namespace: Absolute namespace of the testbed.
+        pause: Full name of a replay's service; empty if there is none.
     """
 
     def __init__(self, status: GraphStatus, namespace: str = "/", pause: str = "") -> None:
@@ -329,7 +377,15 @@ class StatusListener:
         self._status.trial = base.recorded_trial(self._inbox.node, self._announced)
 
     def add(self, topic: Topic, data: bytes) -> None:
-        """Process a serialised message of a topic."""
+        """Process a message.
+
+        Args:
+            topic: One of the topics that this listener subscribes to.
+            data: The message, serialised (CDR).
+
+        Raises:
+            TrialError: If a measurement or a predicted wrench cannot be decoded.
+        """
         if topic is PARAMETERS:
             self._status.variant = deserialize_message(data, ContactModel).variant
         elif topic is RECORDED_TRIAL:

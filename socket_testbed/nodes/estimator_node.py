@@ -47,7 +47,24 @@ _CORNERS = ((-1, -1), (-1, 1), (1, 1), (-1, -1), (1, 1), (1, -1))
 
 
 class EstimatorNode(TestbedNode[EstimatorSettings]):
-    """Passes measurements to the online estimator and publishes its results."""
+    """Passes measurements to the online estimator and publishes its results.
+
+    Subscribes: trigger; clusters/stress, normal stress and shears along the cluster's own axes
+    [Pa]; load_cell/wrench in {S} [N, N m]; mocap/socket/pose and mocap/pylon/pose of the marker
+    bodies in the world [m].
+
+    Publishes, with the stamp of the trigger and in the frame load_cell, {S}:
+
+    - estimate/force_map: forces of the limb on all tiles and their standard deviations [N], normal
+      pressure and shear [Pa];
+    - estimate/wrench: the predicted wrench of the limb on the socket [N, N m];
+    - estimate/local_forces: the predicted forces of the limb on all tiles [N];
+    - estimate/regions, twice a second: mean and peak pressure, shear [Pa] and share of load [-];
+    - estimate/pressure_map, ten times a second: markers for RViz.
+
+    Publishes each new model on estimate/parameters, latched, with the stamp of its newest sample:
+    stiffnesses [N/m] and rest positions [m] in {S}. Service: estimator/fit.
+    """
 
     _geometry: SocketGeometry | None = None
 
@@ -93,7 +110,7 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         super().close()
 
     def figures(self) -> dict[str, object]:
-        """The estimator's counts, and the newest stamp."""
+        """The estimator's counts [1], and the newest stamp of a complete sample [ns]."""
         return {**self._estimator.figures(), NEWEST_STAMP: self._estimator.newest}
 
     def check(self) -> None:
@@ -105,6 +122,7 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
         return self._worker.ready
 
     def _on_measured(self, topic: topics.Topic, stamp: int, value: Any) -> None:
+        """Publish what a measurement completes; its units are those of `OnlineEstimator.add`."""
         force_map, wrench, forces = self._estimator.add(topic, stamp, value)
         if force_map is not None:
             self._publish_map(stamp, force_map)
@@ -113,6 +131,7 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
             self._send_forces(stamp, forces)
 
     def _publish_map(self, stamp: int, estimate: MapEstimate) -> None:
+        """Publish a map with N = 1 at a stamp [ns], and, when due, its picture and its regions."""
         self._send_map(stamp, estimate)
         due = abs(stamp - self._last_picture) >= _PICTURE_PERIOD
         if due and self._pressure_map.get_subscription_count() > 0:
@@ -132,7 +151,11 @@ class EstimatorNode(TestbedNode[EstimatorSettings]):
 
 
 class PressureMap:
-    """The markers of a force map: two triangles per tile, in its own frame, and a force arrow."""
+    """The markers of a force map in the frame load_cell, {S}: a square and an arrow per tile.
+
+    The squares, of two triangles, have the areas of the tiles. An arrow of 2 mm per newton shows
+    the force of the limb.
+    """
 
     def __init__(self, geometry: SocketGeometry) -> None:
         self._anchors = geometry.anchors
@@ -160,10 +183,14 @@ class PressureMap:
         self._tips = [arrow["points"][1] for arrow in records[1::2]]
 
     def serialised(self, stamp: int, estimate: MapEstimate) -> bytes:
-        """The MarkerArray of a map with N = 1: a tile and an arrow for each force.
+        """The serialised MarkerArray of a map: a tile and an arrow for each force.
 
         Colour shows the normal pressure, from pale to dark red at 30 kPa. Uncertain tiles fade
         where they turn grey on pages.
+
+        Args:
+            stamp: Stamp of the map since the epoch [ns].
+            estimate: The map of one sample, N = 1: forces [N] and normal pressures [Pa].
         """
         tips = self._anchors + _ARROW_SCALE * estimate.forces[0]
         pressure = estimate.normal_pressure[0]

@@ -21,8 +21,12 @@ _SILENT = {WAITING_FOR: "", LINKS: "", HEARS: ""}  # another program's diagnosti
 class Followers:
     """Nodes that a trigger or a replay waits for: linked at the start, never left far behind.
 
-    Their state comes from their diagnostics. Their names are relative to the waiting node's
-    namespace or absolute; waiting ends once `stopped` returns true.
+    Their state comes from their diagnostics. Subscribes: /diagnostics.
+
+    Args:
+        node: The node that waits.
+        names: Names of the nodes, relative to the waiting node's namespace or absolute.
+        stopped: Called repeatedly; waiting ends once it returns true.
     """
 
     def __init__(
@@ -43,10 +47,13 @@ class Followers:
         return len(self._reports)
 
     def await_links(self, patience: float) -> str:
-        """Wait until all publishers and subscribers have discovered each other.
+        """Wait for some time [s] until all publishers and subscribers have discovered each other.
 
         A publisher may not have discovered a subscriber that other nodes, or the subscriber itself,
-        know of; its messages would be lost. Returns what is not linked in time, or "".
+        know of; its messages would be lost.
+
+        Returns:
+            What is not linked in time, in words; empty if all is linked or the wait was stopped.
         """
 
         def linked() -> bool:
@@ -65,7 +72,7 @@ class Followers:
         return ", ".join(waiting) or "subscribers"
 
     def sent(self, stamp: int) -> None:
-        """Note that a sample with this stamp [ns] was sent to them."""
+        """Note that a sample with this stamp since the epoch [ns] was sent to them."""
         self._sent.append(stamp)
 
     def start_over(self) -> None:
@@ -75,7 +82,12 @@ class Followers:
             self._sent.clear()
 
     def wait(self, condition: Callable[[], bool], duration: float) -> bool:
-        """Wait until a condition holds, at most a duration [s]; returns whether it does."""
+        """Wait until a condition holds; returns whether it does.
+
+        Args:
+            condition: Called repeatedly, and on every news of a follower.
+            duration: Longest wait, in real time [s].
+        """
         deadline = time.monotonic() + duration
         with self._news:
             while not condition():
@@ -86,9 +98,15 @@ class Followers:
         return True
 
     def catch_up(self, behind: int, patience: float) -> int:
-        """Wait until they are at most `behind` samples behind; `patience` limits a standstill [s].
+        """Wait until the slowest follower has nearly caught up.
 
-        Returns the number of samples they are still behind, 0 if they caught up.
+        Args:
+            behind: Number of samples that it may be behind.
+            patience: Longest standstill, in real time [s].
+
+        Returns:
+            The number of samples that it is still behind after a standstill; 0 if it caught up or
+            the wait was stopped.
         """
         while self._newest and len(self._sent) > behind:
             before = len(self._sent)
@@ -104,6 +122,7 @@ class Followers:
         return len(self._sent) < count
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        """Note the links and the newest stamp [ns] that the followers report."""
         for status in message.status:
             if status.name not in self._reports:
                 continue

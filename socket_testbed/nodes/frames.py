@@ -26,7 +26,14 @@ LIMB_FRAME = "limb"  # origin at the lumped mass
 
 
 class FrameBroadcaster:
-    """Publishes the transforms; without an own namespace, topics follow the node's remappings."""
+    """Publishes the transforms, on /tf and once on /tf_static.
+
+    Args:
+        node: The node that publishes.
+        geometry: The socket: poses of its marker body and clusters in {S}, and of the limb in the
+            pylon's marker body.
+        namespace: Absolute namespace of both topics; empty: they follow the node's remappings.
+    """
 
     def __init__(
         self, node: base.TestbedNode[Any], geometry: SocketGeometry, namespace: str = ""
@@ -49,10 +56,12 @@ class FrameBroadcaster:
         return bool(self._publisher.get_subscription_count())
 
     def move(self, stamp: int, poses: Mapping[topics.Topic, FloatArray]) -> None:
-        """Publish the poses of socket and limb; unseen bodies are left out.
+        """Publish the frames `socket` and `limb` in the world; unseen bodies are left out.
 
-        The poses at a stamp [ns], for SOCKET_POSE, PYLON_POSE or both, are position [m] and
-        quaternion (x, y, z, w), shape (7,).
+        Args:
+            stamp: Stamp of the poses since the epoch [ns].
+            poses: Of SOCKET_POSE, PYLON_POSE or both: position [m] and quaternion (x, y, z, w) of
+                the marker body in the world, shape (7,).
         """
         if not self.wanted:
             return
@@ -67,7 +76,10 @@ class FrameBroadcaster:
 
 
 def fixed_frames(geometry: SocketGeometry) -> list[tuple[str, str, Pose]]:
-    """The fixed frames: parent, name, and pose in the parent."""
+    """The fixed frames of a socket: parent, name, and pose in the parent [m].
+
+    `load_cell`, which is {S}, in `socket`, and each cluster's own frame in `load_cell`.
+    """
     rotations = geometry.square_frames()
     clusters = [
         (messages.LOAD_CELL_FRAME, name, Pose(rotations[tile], geometry.anchors[tile]))

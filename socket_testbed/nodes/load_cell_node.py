@@ -36,7 +36,16 @@ _CONVERSION_TIMEOUT = 0.05  # [s]; for the conversions after a trigger
 
 
 class LoadCellNode(SensorNode[LoadCellSettings]):
-    """Reads the converter continuously and averages around each trigger."""
+    """Reads the converter continuously and averages around each trigger.
+
+    Publishes, with the stamp of the trigger and in the frame load_cell, {S}: load_cell/wrench, the
+    wrench of the limb on the socket, tared [N, N m]; load_cell/raw, the ratios of the bridges
+    [V/V], the tare that was subtracted [N, N m] and when it was taken [ns], and a status. Both are
+    NaN where nothing was measured. Publishes on event that the load cell was tared.
+
+    Services: load_cell/tare tares at rest, unless the load exceeds the setting `tare_load` [N] or a
+    trial is being recorded; load_cell/force_tare tares at rest even then.
+    """
 
     def __init__(self) -> None:
         super().__init__("load_cell_node", LoadCellSettings)
@@ -73,7 +82,7 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         self._cell.converter.close()
 
     def figures(self) -> dict[str, object]:
-        """Figures of the measurements and the converter, and conversions in the last wrench."""
+        """Counts of the measurements and the converter, and conversions in the last wrench [1]."""
         own = {"averaged_conversions": self._averaged}
         return {**super().figures(), **own, **self._cell.figures()}
 
@@ -83,7 +92,12 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
             self._polled.notify_all()
 
     def measure(self, stamp: int, moment: float) -> None:
-        """Wait for the conversions around the trigger and average them."""
+        """Average the conversions around the trigger; publish load_cell/wrench and load_cell/raw.
+
+        Args:
+            stamp: Stamp of the trigger since the epoch [ns].
+            moment: The trigger on the testbed's steady clock [s].
+        """
         span = averaging_span(self.settings.average_over, self.period)
         over = self._cell.end_time(moment, span)
         clocks.sleep(max(0.0, over - clocks.monotonic()))
@@ -99,7 +113,12 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         self._send_raw(stamp, reading.ratios, reading.tare, reading.tared, reading.status)
 
     def _tare(self, forced: bool = False) -> str:
-        """Tare, and publish it as an event for the recorder."""
+        """Tare, and publish it as an event for the recorder, with the removed wrench [N, N m].
+
+        Raises:
+            DeviceError: If a trial is being recorded and the tare is not forced, or the load cell
+                cannot be tared now.
+        """
         trial = recorded_trial(self, self._trial)
         if trial and not forced:
             raise DeviceError(
@@ -112,6 +131,7 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         return f"tared: {removed}"
 
     def _on_recorded(self, message: String) -> None:
+        """Note the name of the trial being recorded; empty if none."""
         self._trial = message.data
 
     def health(self) -> tuple[int, str]:

@@ -27,7 +27,13 @@ _GONE_AFTER = 5  # checks in a row without a recorder; discovery may pause
 
 
 class MocapNode(SensorNode[MocapSettings]):
-    """Averages the bodies' poses around each trigger; an unseen body is missing."""
+    """Averages the bodies' poses around each trigger; an unseen body is missing (NaN).
+
+    Publishes, with the stamp of the trigger and in the frame world of the motion capture:
+    mocap/socket/pose and mocap/pylon/pose, positions [m] and quaternions of the marker bodies;
+    mocap/markers, their markers [m]; on /tf the socket and the limb, see `frames`. Subscribes to
+    recorder/trial, whose trials Motive can record as takes.
+    """
 
     def __init__(self) -> None:
         super().__init__("mocap_node", MocapSettings)
@@ -65,7 +71,12 @@ class MocapNode(SensorNode[MocapSettings]):
         return {**super().figures(), **last, **self._client.figures()}
 
     def measure(self, stamp: int, moment: float) -> None:
-        """Wait for the frames around the trigger and average them."""
+        """Average the frames around the trigger; publish poses and markers in the world [m].
+
+        Args:
+            stamp: Stamp of the trigger since the epoch [ns].
+            moment: The trigger on the testbed's steady clock [s].
+        """
         window = averaging_span(self.settings.window, self.period)
         self._tracker.wait(moment, moment + 0.5 * window + self._stale, window)
         sample = self._sample(moment, window)
@@ -83,6 +94,7 @@ class MocapNode(SensorNode[MocapSettings]):
         self._sample(clocks.monotonic() - self._stale)
 
     def _sample(self, moment: float, window: float = 0.0) -> tuple[SeenBody, ...]:
+        """The bodies at a steady time [s], averaged over a window [s]; notes why one is missing."""
         sample = self._tracker.sample(moment, window)
         faults = dict.fromkeys(body.fault for body in sample if body.fault)
         if faults:
@@ -90,6 +102,7 @@ class MocapNode(SensorNode[MocapSettings]):
         return sample
 
     def _on_recorded(self, message: String) -> None:
+        """Have Motive record a take with the name of the trial; empty: end the take."""
         if not self.settings.record_takes:
             return
         self._trial, self._refused = message.data, ""

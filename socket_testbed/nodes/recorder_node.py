@@ -45,7 +45,11 @@ _SILENCE_TIMEOUT = 10.0  # [s]; for a graph to start
 
 
 class RecorderNode(TestbedNode[RecorderSettings]):
-    """Records on request, one trial per recording."""
+    """Records on request, one trial per recording.
+
+    Messages are stored as they arrive, with the time of their arrival since the epoch [ns]; their
+    headers keep the stamps of the triggers. Service: recorder/record starts and ends a trial.
+    """
 
     def __init__(self) -> None:
         super().__init__("recorder_node", RecorderSettings)
@@ -103,7 +107,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         return [name for name in self._required if not self._counts[name]]
 
     def figures(self) -> dict[str, object]:
-        """The trial, its recorded duration [s], the free space, and message counts by topic."""
+        """The trial, its recorded duration [s], free space [bytes], and message counts by topic."""
         elapsed = clocks.monotonic() - self._began if self._bag is not None else 0.0
         place = self._path or self._directory
         made = next(path for path in (place, *place.parents) if path.exists())
@@ -111,6 +115,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
         return {"trial": self._path or "", ELAPSED: round(elapsed, 1), FREE: free, **self._counts}
 
     def _on_record(self, wanted: bool) -> str:
+        """Start a trial with the name and metadata of the parameters `next.*`, or end it."""
         given = self.settings.next
         if wanted and self._bag is None:
             stated = metadata.change_metadata(self._stated, _metadata_of(given).stated())
@@ -155,6 +160,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             self.report(WARN, f"recording {path}: {directory} holds a trial and stays as it is")
 
     def _start(self, path: Path, stated: metadata.TrialMetadata) -> None:
+        """Start recording into a new folder, with the configuration and the stated metadata."""
         check_take_name(path.name)
         refuse_existing(path)
         contents = dict(self._configuration)
@@ -197,6 +203,7 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             self.report(WARN if silent else OK, text)
 
     def _on_message(self, name: str, data: bytes) -> None:
+        """Record a serialised message of a topic, given by its full name, as arrived now."""
         if self._bag is None:
             return
         with self._until_full(self._bag):

@@ -39,10 +39,16 @@ _TICK_PERIOD = 0.02  # [s]; of /clock between messages
 
 
 class Pacer:
-    """Waits until each message of a recording is due, at a rate relative to the recording [-].
+    """Waits until each message of a recording is due.
 
-    `tick` is called with the time of the recording [ns] as it passes. `stopped` returns whether the
-    pacer is stopped; `sleep` waits for a duration [s], or until it is.
+    Args:
+        rate: Speed relative to the recording [-].
+        tick: Called with the time of the recording since the epoch [ns] as it passes.
+        paused: Whether to begin paused.
+
+    Attributes:
+        stopped: Returns whether the pacer is stopped.
+        sleep: Waits for a duration in real time [s], or until the pacer is stopped.
     """
 
     def __init__(self, rate: float, tick: Callable[[int], None], paused: bool = False) -> None:
@@ -68,11 +74,14 @@ class Pacer:
         self._going.set()
 
     def begin(self, first: int) -> None:
-        """Begin a pass over the recording, whose first message has the time `first` [ns]."""
+        """Begin a pass over the recording, given its first message's time since the epoch [ns]."""
         self._first, self._start = first, time.monotonic()
 
     def wait_for(self, stamp: int) -> bool:
-        """Wait until the message at a time [ns] is due, while /clock ticks; False if stopped."""
+        """Wait until the message recorded at a time [ns] is due; false if stopped.
+
+        Meanwhile `tick` is called every 20 ms.
+        """
         while True:
             if not self._going.is_set():  # a pause shifts all later messages
                 before = time.monotonic()
@@ -89,7 +98,12 @@ class Pacer:
 
 
 class ReplayNode(base.TestbedNode[ReplaySettings]):
-    """Publishes a trial from a separate thread, so that services stay responsive."""
+    """Publishes a trial from a separate thread, so that services stay responsive.
+
+    Messages keep the units, frames and stamps of the recording. Recomputed wrenches are in the
+    frame load_cell [N, N m], recomputed poses in the world [m]. /clock carries the recording time.
+    Service: replay/pause.
+    """
 
     def __init__(self) -> None:
         super().__init__("replay_node", ReplaySettings)
@@ -133,7 +147,7 @@ class ReplayNode(base.TestbedNode[ReplaySettings]):
         self._thread.start()
 
     def figures(self) -> dict[str, object]:
-        """Number of published messages, and position in the trial [s]."""
+        """Number of published messages [1], position in the trial and its duration [s]."""
         return {
             "published": self._published,
             "position": f"{self._position:.1f}",
@@ -166,7 +180,11 @@ class ReplayNode(base.TestbedNode[ReplaySettings]):
         return found
 
     def _remake(self) -> dict[topics.Topic, tuple[VectorPacker, dict[int, FloatArray]]]:
-        """Packers and rows by stamp that replace recorded measurements; empty if none do."""
+        """Packers, and rows by stamp [ns], that replace recorded measurements, by topic.
+
+        Wrenches [M; F] in {S}, shape (6,) [N m, N], and poses in the world, shape (7,) [m, -];
+        empty if nothing is recomputed.
+        """
         if not self._trial.remade:
             return {}
         found = self._trial.measurements()
@@ -186,6 +204,7 @@ class ReplayNode(base.TestbedNode[ReplaySettings]):
         return FrameBroadcaster(self, geometry, "" if self.settings.namespace else recorded)
 
     def _on_pause(self, paused: bool) -> str:
+        """Pause or resume."""
         self._pacer.pause(paused)
         return "paused" if paused else "resumed"
 
@@ -219,6 +238,7 @@ class ReplayNode(base.TestbedNode[ReplaySettings]):
             self._position = (raw.time - first) * 1e-9
 
     def _publish(self, raw: RawMessage) -> None:
+        """Publish a message, recomputed if its measurement is, and the transforms of a pose."""
         topic, data = self._topics[raw.topic], raw.data
         if topic in self._remade:
             pack, rows = self._remade[topic]
@@ -240,6 +260,7 @@ class ReplayNode(base.TestbedNode[ReplaySettings]):
             self._pacer.sleep(_BURST_PAUSE)
 
     def _tick(self, stamp: int) -> None:
+        """Publish a time since the epoch [ns] on /clock."""
         self._clock_publisher.publish(Clock(clock=base.stamp_to_ros(max(stamp, 0))))
 
     def _await_ready(self) -> None:

@@ -18,27 +18,49 @@ _SETTLING_TIME = 5.0  # [s]; for a device to answer; then the testbed starts wit
 class SensorNode(TestbedNode[S]):
     """Measures at each trigger, one after the other, in order.
 
-    Subclasses override `measure` and `health`, and `idle` as needed.
+    Subclasses override `measure` and `health`, and `idle` as needed. Subscribes: trigger.
+
+    Args:
+        name: Name of the node.
+        kind: Class of its settings.
+
+    Attributes:
+        fault: The last fault of a measurement.
+        samples: Number of measurements so far.
+        missing: Number of measurements, or of their channels, without a value so far.
+        busy_since: Start of the current measurement on the testbed's steady clock [s]; None between
+            measurements.
+        period: Period of the triggers up to the current one [s]; 0 while unknown.
+        trigger_time: Converts stamps of triggers to the testbed's steady clock and back.
     """
 
     def __init__(self, name: str, kind: type[S]) -> None:
         super().__init__(name, kind, settle=_SETTLING_TIME)
-        self.fault = RecentFault()  # of a measurement
-        self.samples = 0  # measurements
-        self.missing = 0  # measurements or channels
-        self.busy_since: float | None = None  # start of the current one on the steady clock [s]
-        self.period = 0.0  # of the triggers up to the current one [s]; 0: not known yet
+        self.fault = RecentFault()
+        self.samples = 0
+        self.missing = 0
+        self.busy_since: float | None = None
+        self.period = 0.0
         self.trigger_time = TriggerTime(SteadyClock())
         self._trigger_period = TriggerPeriod()
         self._due: queue.SimpleQueue[tuple[int, float, float] | None] = queue.SimpleQueue()
         self._measuring = threading.Thread(target=self._run, name="measure")
 
     def measure(self, stamp: int, moment: float) -> None:
-        """Measure and publish, in the thread; `moment` is the stamp [ns] in steady time [s]."""
+        """Measure and publish; called in the thread.
+
+        Args:
+            stamp: Stamp of the trigger since the epoch [ns], which the messages carry.
+            moment: The trigger on the testbed's steady clock [s]; minus infinity while unknown.
+        """
         raise NotImplementedError
 
     def health(self) -> tuple[int, str] | None:
-        """Level and message of the device and its measurements; None before anything is known."""
+        """Health of the device and its measurements; None before anything is known.
+
+        Returns:
+            The level (OK, WARN or ERROR), and fact and hint in one line.
+        """
         raise NotImplementedError
 
     def idle(self) -> None:
@@ -77,10 +99,12 @@ class SensorNode(TestbedNode[S]):
         self.report(level, message)
 
     def _on_trigger(self, stamp: int, sequence: Any) -> None:
+        """Queue a measurement for a trigger, given its stamp since the epoch [ns] and number."""
         moment = self.trigger_time.steady(stamp, clocks.monotonic())
         self._due.put((stamp, moment, self._trigger_period.add(stamp, int(sequence))))
 
     def _run(self) -> None:
+        """Measure at each queued trigger, in the order of their arrival."""
         with self.until_ros_ends():
             while True:
                 try:

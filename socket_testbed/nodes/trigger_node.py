@@ -31,7 +31,12 @@ _STEP_THRESHOLD = 0.01  # [s]; smallest reported step of the system clock
 
 
 class TriggerNode(TestbedNode[TriggerSettings]):
-    """Triggers from a thread of its own, at a constant rate on the steady clock."""
+    """Triggers from a thread of its own, at a constant rate [Hz] on the steady clock.
+
+    Publishes: trigger, with the time of the edge (or timer) as its stamp since the epoch [ns], and
+    a sequence number that counts pulses. Subscribes: trigger, to detect another testbed. Service:
+    trigger/enable starts and stops the pulses.
+    """
 
     def __init__(self) -> None:
         super().__init__("trigger_node", TriggerSettings)
@@ -66,7 +71,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         clocks.sleep(_LINGER)
 
     def figures(self) -> dict[str, object]:
-        """Numbers of pulses and of faults."""
+        """Numbers of pulses, and of those unseen or skipped, and of stray edges [1]."""
         return {
             TRIGGERS: self._sequence,
             "unseen": self._unseen,
@@ -75,11 +80,12 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         }
 
     def _on_trigger(self, stamp: int, sequence: int) -> None:
-        """Detect another testbed that triggers the same nodes."""
+        """Detect another testbed that triggers the same nodes, by a stamp [ns] not our own."""
         if stamp not in self._own:
             self._foreign = clocks.monotonic()
 
     def _on_enable(self, enabled: bool) -> str:
+        """Start or stop the pulses."""
         if enabled:
             self._enabled.set()
             return "triggering"
@@ -87,6 +93,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         return "not triggering"
 
     def _run(self) -> None:
+        """Wait for the followers, then fire at the rate of the settings until the node closes."""
         with self.until_ros_ends():
             # The first trigger must reach all nodes that measure.
             if lacking := self._followers.await_links(READY_TIMEOUT):
@@ -110,6 +117,7 @@ class TriggerNode(TestbedNode[TriggerSettings]):
                 self._trigger.close()
 
     def _fire(self) -> None:
+        """Fire one pulse and publish its trigger; a fault is noted instead."""
         try:
             if self._trigger is None:
                 self._trigger = make_trigger(self.settings)

@@ -57,7 +57,12 @@ _SIGNS = ("\N{BLACK CIRCLE}", "\N{BLACK UP-POINTING TRIANGLE}", "\N{BLACK SQUARE
 
 
 class ViewNode(base.TestbedNode[ViewSettings]):
-    """Shows the running testbed in browsers."""
+    """Shows the running testbed in browsers.
+
+    While a browser asks, the page shows the newest estimate/force_map (pressure and shear [Pa] on
+    the tiles), estimate/regions [Pa], the wrenches of load_cell/wrench and estimate/wrench in
+    {S} [N, N m], and clusters/stress [Pa]; and from /diagnostics the state of every node.
+    """
 
     def __init__(self) -> None:
         super().__init__("view_node", ViewSettings)
@@ -80,7 +85,13 @@ class ViewNode(base.TestbedNode[ViewSettings]):
 
 
 class LiveSource:
-    """The running testbed, a `Source` of the page; without controls its buttons are off."""
+    """The running testbed, a `Source` of the page.
+
+    Args:
+        node: The node in whose namespace the testbed is, and which is spun elsewhere.
+        geometry: The socket that is shown; maps of another one are not.
+        controls: Performs the actions of the buttons; None: the buttons are off.
+    """
 
     def __init__(
         self,
@@ -122,7 +133,7 @@ class LiveSource:
         }
 
     def now(self, time: float | None) -> document.Document:
-        """The newest sample; cards, bars and course are updated with the regions."""
+        """The newest sample, whatever the time; cards, bars and course follow the regions."""
         del time
         self._asked_at = clocks.monotonic()
         if self._inbox is None:
@@ -137,7 +148,17 @@ class LiveSource:
         return found | {"wrench": document.wrench_rows(*pair)}
 
     def act(self, what: str, given: dict[str, Any]) -> str:
-        """Call the service of a button."""
+        """Perform a button's action; returns the outcome in one line.
+
+        Args:
+            what: The action, see `ServiceControls.act`.
+            given: Its arguments by name; empty ones are left out.
+
+        Raises:
+            ConfigurationError: If the buttons are off, there is no such action, or an argument is
+                invalid.
+            TestbedError: If a service refuses, does not answer, or is not offered.
+        """
         if self._controls is None:
             raise ConfigurationError("the buttons are off", "start 'view' with --buttons")
         return self._controls.act(
@@ -158,7 +179,7 @@ class LiveSource:
         return base.Inbox(f"{self._node.get_name()}_inbox", self._node.get_namespace(), qos)
 
     def _read(self, inbox: base.Inbox, topic: topics.Topic) -> list[tuple[int, Any]]:
-        """Stamps and values of the queued messages of a topic, in order."""
+        """Stamps [ns] and values (see `Reader`) of the queued messages of a topic, in order."""
         found = []
         for data in inbox.take(topic):
             with suppress(TrialError):  # another program's layout
@@ -166,7 +187,7 @@ class LiveSource:
         return found
 
     def _take(self, inbox: base.Inbox) -> None:
-        """Take maps and wrenches."""
+        """Take maps [N, Pa] and wrenches [M; F] in {S} [N m, N]."""
         now = clocks.monotonic()
         for topic in (topics.FORCE_MAP, topics.WRENCH, topics.ESTIMATED_WRENCH):
             for stamp, values in self._read(inbox, topic):
@@ -215,7 +236,7 @@ class LiveSource:
             }
 
     def _moment(self) -> document.Document:
-        """The newest map."""
+        """The newest map, N = 1: pressure, its 95 % reach and shear [Pa], with its time [s]."""
         found = self._recent(topics.FORCE_MAP)
         if found is None:
             return {"time": 0.0, "words": "no force map"}
@@ -239,7 +260,8 @@ class LiveSource:
             rate = self._rates.get(name, (0.0, 0.0, math.nan))[2]
             shown = f"{rate:.3g} Hz" if math.isfinite(rate) else ""
             rows.append([_SIGNS[min(level, 2)], title, words, shown])
-            bad += [(level, f"{title}: {words}")] * (level > 0)
+            if level > 0:
+                bad.append((level, f"{title}: {words}"))
         if self._foreign:
             bad.append((3, "the force map is of another socket: give 'view' its --geometry"))
         if not rows and not bad:
@@ -263,6 +285,7 @@ class LiveSource:
         return {"on": bool(trial), "words": words}
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        """Note the state of each node of this testbed, and the rate of its count [Hz]."""
         now = clocks.monotonic()
         for status in message.status:
             # Another testbed may run in another namespace.
@@ -278,4 +301,5 @@ class LiveSource:
                 self._rates[status.name] = count, now, (count - before) / (now - since)
 
     def _on_trial(self, message: String) -> None:
+        """Note the name of the trial being recorded (empty if none) and when it came [s]."""
         self._trial = message.data, clocks.monotonic()

@@ -41,21 +41,33 @@ _CHUNK_CHECKSUM_OFFSET = 9 + 3 * 8  # [bytes] from the start of a chunk's record
 
 
 class RawMessage(NamedTuple):
-    """A recorded message."""
+    """A recorded message.
+
+    Attributes:
+        topic: Its topic's full name in the recorded graph, such as `/trigger`.
+        type: Its type, as `package/msg/Type`.
+        time: When the recorder received it, since the epoch [ns]; not the stamp in its header.
+        data: Its content, serialised (CDR) and uncompressed.
+    """
 
     topic: str
-    type: str  # as `package/msg/Type`
-    time: int  # of the recording, since the epoch [ns]
-    data: bytes  # serialised (CDR)
+    type: str
+    time: int
+    data: bytes
 
 
 class BagReader:
     """A bag (folder or one storage file), read in recording order; a context manager.
 
-    Every intact chunk of a truncated or damaged recording is read. After entry, `notes` report such
-    damage and other remarks for the user, one line each. Entry raises a TrialError if the bag is
-    missing, unreadable, truncated before its first complete chunk, or its message counts differ
-    from its metadata.
+    Every intact chunk of a truncated or damaged recording is read.
+
+    Attributes:
+        path: The folder or storage file.
+        notes: Damage and other remarks for the user, one line each; complete after entry.
+
+    Raises:
+        TrialError: On entry, if the bag is missing, unreadable, truncated before its first complete
+            chunk, or its message counts differ from its metadata.
     """
 
     def __init__(self, path: Path) -> None:
@@ -79,7 +91,7 @@ class BagReader:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Number of messages by topic, from the storage files."""
+        """Number of readable messages by the topic's full name, from the storage files."""
         counts: dict[str, int] = defaultdict(int)
         for _, reader in self._readers:
             for connection in reader.connections:
@@ -88,7 +100,7 @@ class BagReader:
 
     @property
     def types(self) -> dict[str, str]:
-        """Message type by topic."""
+        """Message type, as `package/msg/Type`, by the topic's full name."""
         return {c.topic: c.msgtype for _, reader in self._readers for c in reader.connections}
 
     @property
@@ -100,7 +112,12 @@ class BagReader:
         return (max(end for _, end in spans) - min(start for start, _ in spans) - 1) * 1e-9
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
-        """The messages of some topics, or of all, in recording order."""
+        """The messages of some topics, given by full name, or of all (None), in recording order.
+
+        Raises:
+            TrialError: If a storage file is damaged where it is read, or holds fewer messages than
+                its index lists.
+        """
         for file, reader in self._readers:
             connections = [c for c in reader.connections if topics is None or c.topic in topics]
             if not connections:
@@ -122,7 +139,12 @@ class BagReader:
                 )
 
     def blocks(self, topics: Collection[str]) -> Iterator[tuple[str, list[bytes]]]:
-        """The messages of some topics in blocks of a few thousand, in order within each topic."""
+        """The messages of some topics, given by full name, in blocks that bound the memory.
+
+        Yields:
+            A topic's full name, and the contents (CDR) of up to 4096 of its messages, in recording
+            order within the topic.
+        """
         blocks: dict[str, list[bytes]] = defaultdict(list)
         for topic, _, _, data in self.messages(topics):
             blocks[topic].append(data)
@@ -203,9 +225,13 @@ class BagReader:
 
 
 def required_topics(bag: BagReader) -> dict[Topic, str]:
-    """The bag's names of the testbed's topics; a TrialError if a required topic is missing.
+    """The bag's full name of each of the testbed's topics that it holds.
 
     A trial without motion capture has no poses: clusters and load cell give a force map alone.
+
+    Raises:
+        TrialError: If the bag holds no message, or a required topic other than a pose is missing,
+            empty or of another type.
     """
     topics, counts, types = match_topics(bag.types, str(bag.path)), bag.counts, bag.types
     if not any(counts.values()):
@@ -285,9 +311,17 @@ def find_trials(folder: Path, notify: Callable[[str], None] = lambda note: None)
     Hidden folders and folders inside a trial are skipped; links are followed. Empty recordings,
     whose recorder was killed during its start, are left out with a note.
 
+    Args:
+        folder: Where to look; it may itself be a trial, a file, or missing.
+        notify: Called with one line for each empty recording; by default they are left out
+            silently.
+
     Returns:
         The trials' folders by name, which is the path below the folder, such as `s01/hold`. Empty
         if the folder is itself a trial or is not a folder.
+
+    Raises:
+        TrialError: If a folder cannot be read.
     """
     try:
         if not folder.is_dir() or is_bag(folder):
@@ -327,7 +361,11 @@ def _damaged(file: Path, error: Exception) -> TrialError:
 
 
 class BagWriter:
-    """Writes a new MCAP bag into a folder that must not exist; a context manager."""
+    """Writes a new MCAP bag into a folder that must not exist; a context manager.
+
+    Attributes:
+        path: The folder, which entry creates.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -370,7 +408,12 @@ class BagWriter:
                 end()
 
     def add_topic(self, name: str, topic: Topic) -> None:
-        """Declare a topic under its name in the graph."""
+        """Declare a topic; messages are written to it afterwards.
+
+        Args:
+            name: Its full name in the graph, such as `/left/trigger`.
+            topic: The testbed's topic, which gives the type and the quality of service.
+        """
         keep, alive = interfaces.QosHistory.KEEP_LAST, interfaces.QosLiveliness.AUTOMATIC
         reliable, lasting = interfaces.QosReliability.RELIABLE, interfaces.QosDurability
         durability = lasting.TRANSIENT_LOCAL if topic.latched else lasting.VOLATILE
@@ -381,7 +424,13 @@ class BagWriter:
         )
 
     def write(self, name: str, time: int, data: bytes) -> None:
-        """Append a serialised message, recorded at a time since the epoch [ns]."""
+        """Append a message to a declared topic.
+
+        Args:
+            name: The topic's full name, as given to `add_topic`.
+            time: When the message was received, since the epoch [ns].
+            data: The message, serialised (CDR).
+        """
         since = time if self._chunk_time is None else self._chunk_time
         full = self._storage.chunk.bio.tell() + len(data) > _CHUNK_SIZE
         if full or abs(time - since) >= _CHUNK_SPAN:

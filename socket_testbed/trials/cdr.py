@@ -27,6 +27,7 @@ from socket_testbed.arrays import BoolArray, IntArray
 from socket_testbed.files import packaged
 
 Record: TypeAlias = NDArray[np.void]
+"""Numbers of messages of one layout by field name, with the dtype of their `Layout`."""
 
 _HEADER_SIZE = 4  # [bytes]; encapsulation header: two for the kind, two for options
 _MAX_PADDING = 3  # [bytes] after a message
@@ -50,17 +51,33 @@ def typestore() -> Typestore:
 
 
 def decode(raw: bytes | memoryview, message_type: str) -> Any:
-    """Deserialise a message."""
+    """Deserialise a message.
+
+    Args:
+        raw: The message, serialised (CDR).
+        message_type: Its type, as `package/msg/Type`.
+
+    Returns:
+        The message as an object of rosbags, with the fields of its type as attributes.
+    """
     return typestore().deserialize_cdr(raw, message_type)
 
 
 def encode(message: Any, message_type: str) -> bytes:
-    """Serialise a message."""
+    """Serialise a message.
+
+    Args:
+        message: The message as an object of rosbags, see `make_message`.
+        message_type: Its type, as `package/msg/Type`.
+
+    Returns:
+        The message in little-endian CDR, with its encapsulation header.
+    """
     return bytes(typestore().serialize_cdr(message, message_type))
 
 
 def stamp_of(message: Any) -> int:
-    """Stamp of a message's header since the epoch [ns]."""
+    """Stamp in the header of a message, from rosbags or ROS, since the epoch [ns]."""
     return nanoseconds(message.header.stamp)
 
 
@@ -70,11 +87,18 @@ def nanoseconds(time: Any) -> int:
 
 
 class Field(NamedTuple):
-    """A field of a message type."""
+    """A field of a message type.
+
+    Attributes:
+        name: Its name in the message.
+        type: Type of the field or of its elements: a number such as `float64`, `string`, or a
+            message type as `package/msg/Type`.
+        number: Length of an array; 0 for a sequence of any length; None for a single value.
+    """
 
     name: str
-    type: str  # a number such as `float64`, `string`, or a message type
-    number: int | None = None  # array length; 0 for a sequence of any length; None for a scalar
+    type: str
+    number: int | None = None
 
 
 @cache
@@ -93,9 +117,16 @@ def _field(name: str, described: Any, number: int | None = None) -> Field:
 
 
 def make_message(message_type: str, **given: Any) -> Any:
-    """A message with some fields given; nested messages are given as dictionaries.
+    """A message with some fields given; all others are zero or empty.
 
-    All other fields are zero or empty. `[None] * n` stands for n blank elements of a sequence.
+    Args:
+        message_type: Its type, as `package/msg/Type`.
+        given: Values by field name, in the units of the message definition. A nested message is a
+            dictionary of its own fields; an array or sequence is a list, in which None stands for
+            a blank element: `[None] * n` gives n of them.
+
+    Returns:
+        The message as an object of rosbags, with the fields of its type as attributes.
     """
     content = {}
     for name, kind, number in fields_of(message_type):
@@ -120,7 +151,16 @@ class Layout:
     structured field; one whose fields are numbers of one type, such as a vector, a point or a
     quaternion, is an array. So are arrays and sequences of numbers or of such messages, shape (n,)
     or (n, k); other sequences have a field for each element: "0", "1", ... Strings are left out.
-    A ValueError is raised if the bytes are not such a message.
+
+    Args:
+        sample: A message, serialised (CDR), from which the layout is derived.
+        message_type: Its type, as `package/msg/Type`.
+
+    Attributes:
+        dtype: The numbers by field name; its item size is the length of the message [bytes].
+
+    Raises:
+        ValueError: If the bytes are not such a message.
     """
 
     def __init__(self, sample: bytes | bytearray, message_type: str) -> None:
@@ -141,11 +181,11 @@ class Layout:
         return np.ndarray((), self.dtype, message)
 
     def records(self, messages: Sequence[bytes]) -> tuple[Record, BoolArray]:
-        """The numbers of many messages.
+        """The numbers of many serialised messages.
 
         Returns:
-            The numbers of the messages with this layout, in order, shape (k,), and a mask of these
-            messages.
+            The numbers of the k messages with this layout, in order, shape (k,), and a mask of
+            these among all N messages, shape (N,).
         """
         fits = np.fromiter(map(len, messages), np.int64, len(messages)) == self._size
         joined = b"".join(messages if fits.all() else compress(messages, fits))
@@ -157,13 +197,30 @@ class Layout:
 
 
 def blank(message_type: str, **content: Any) -> tuple[bytearray, Record]:
-    """A serialised message to fill in, and its numbers as a view of it; see `make_message`."""
+    """A serialised message to fill in.
+
+    Args:
+        message_type: Its type, as `package/msg/Type`.
+        content: Its strings, lengths of its sequences and other values, as in `make_message`.
+
+    Returns:
+        The message (CDR), and its numbers, shape (), as a view that writes into it.
+    """
     serialised = bytearray(encode(make_message(message_type, **content), message_type))
     return serialised, np.ndarray((), Layout(serialised, message_type).dtype, serialised)
 
 
 def elements(records: Record, field: str) -> list[Record]:
-    """The numbers of each message in a sequence; empty for an empty sequence."""
+    """The numbers of each message in a sequence of messages.
+
+    Args:
+        records: Numbers of messages of one layout, of any shape.
+        field: Name of the sequence.
+
+    Returns:
+        For each element of the sequence its numbers, with the shape of the records; empty for an
+        empty sequence.
+    """
     if field not in (records.dtype.names or ()):
         return []
     sequence = records[field]

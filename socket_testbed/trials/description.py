@@ -19,7 +19,10 @@ _MAX_GAPS = 5  # listed, the longest
 
 
 def summary(path: Path) -> str:
-    """The numbers of triggers and of measurements without a value, in one line."""
+    """The numbers of triggers and of measurements without a value, in one line.
+
+    The trial's folder is given; reading it raises the errors of `Trial.samples`.
+    """
     samples = Trial(path).samples()
     lacking = [
         f"{name} {without.name.lower()} {count}"
@@ -58,9 +61,17 @@ def states_by_channel(samples: Samples) -> dict[str, StatusArray]:
 
 
 def drop_outs(samples: Samples, segment: slice | None = None) -> Table:
-    """Drop-outs of wrench channels, limb position and clusters, also those in a segment's rows.
+    """Drop-outs of wrench channels, limb position and clusters.
 
-    Saturated and out-of-range readings are counted for clusters, NaN for other measurements.
+    Args:
+        samples: All samples of the trial.
+        segment: Rows in which missing values are counted once more, in a column of their own; None
+            for no such column.
+
+    Returns:
+        A table with a row per measurement: missing samples as a count [1] and share [%], the
+        longest time between two values across missing ones [s], and saturated and out-of-range
+        samples [1], which are counted for clusters and NaN for other measurements.
     """
     found = {}
     for name, state in states_by_channel(samples).items():
@@ -82,7 +93,16 @@ def drop_outs(samples: Samples, segment: slice | None = None) -> Table:
 
 
 def loads_table(samples: Samples, parts: Iterable[Segment]) -> Table:
-    """Duration and mean load of some parts of a trial, such as its plateaus."""
+    """Duration and mean load of some parts of a trial, such as its plateaus.
+
+    Args:
+        samples: All samples of the trial.
+        parts: The parts, one row each.
+
+    Returns:
+        A table with the duration [s], the magnitude of the mean force [N] and of the mean moment in
+        {S} [N m], and the standard deviation of the magnitude of each within the part.
+    """
     formats = {
         "duration [s]": ".2f",
         "mean force [N]": ".1f",

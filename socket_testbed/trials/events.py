@@ -47,11 +47,17 @@ _STAMP_MARGIN = 10.0  # [s]; maximum distance of an event's stamp from the sampl
 
 @dataclass(frozen=True)
 class Event:
-    """A labelled moment in a trial."""
+    """A labelled moment in a trial.
+
+    Attributes:
+        label: What happened, such as `placed`; several events may share a label.
+        time: When, since the trial's first sample [s]; negative before it.
+        source: `recorded` with the trial, or `found` in its load.
+    """
 
     label: str
-    time: float  # since the first sample [s]
-    source: Source  # recorded with the trial, or detected in its load
+    time: float
+    source: Source
 
     def __str__(self) -> str:
         return f"{self.label} at {self.time:.2f} s ({self.source})"
@@ -61,6 +67,10 @@ def check_label(label: str) -> str:
     """Refuse a label that a segment specification could not name; returns it.
 
     It begins with a letter. Letters, digits, blanks, `_`, `.`, and hyphens before a letter follow.
+
+    Raises:
+        ConfigurationError: If it does not have this form, ends with a blank, or is longer than 99
+            characters.
     """
     if len(label) > _MAX_LABEL or not _LABEL.fullmatch(label) or label != label.strip():
         raise ConfigurationError(
@@ -74,7 +84,12 @@ def check_label(label: str) -> str:
 def join_events(recorded: Sequence[Event], found: Sequence[Event]) -> list[Event]:
     """Recorded events, and detected ones with other labels, in the order of their times.
 
-    The load also jumps at a tare, so detected events near a tare are dropped.
+    The load also jumps at a tare, so detected events within 1 s of a recorded tare are dropped.
+
+    Args:
+        recorded: Events marked during the recording; all are kept.
+        found: Events detected in the load, see `find_events`; those whose label was also recorded
+            are dropped.
     """
     known = {event.label for event in recorded}
     tared = [event.time for event in recorded if event.label.partition(" ")[0] == TARE]
@@ -87,10 +102,14 @@ def join_events(recorded: Sequence[Event], found: Sequence[Event]) -> list[Event
 
 
 def read_events(bag: BagReader, samples: Samples) -> list[Event]:
-    """Read the events recorded with a trial; times count from its first sample.
+    """Read the events recorded with a trial, in recording order; empty if none was recorded.
 
-    If a stamp is far outside the samples' times, such as zero, the time when the event was recorded
-    between the triggers is used.
+    If a stamp is more than 10 s outside the samples' times, such as zero, the time when the event
+    was recorded between the triggers is used.
+
+    Args:
+        bag: The trial's open bag.
+        samples: All samples of the trial; times count from the first one.
     """
     topics = match_topics(bag.types, str(bag.path))
     name = topics.get(EVENT)
@@ -125,6 +144,14 @@ def find_events(samples: Samples, settings: PlateauSettings) -> list[Event]:
     Events `placed` and `removed` alternate, at threshold crossings interpolated between samples,
     or at the first sample after a pause; none if the levels differ by less than `least_force`.
     Walking also gives `stance` and `swing`.
+
+    Args:
+        samples: All samples of the trial, of which the forces on the load cell are read; those
+            without a force are skipped.
+        settings: Limits, of which only `least_force` [N] is read.
+
+    Returns:
+        The events in the order of their times.
     """
     time, load = _load(samples)
     if len(load) < 2:
@@ -162,7 +189,14 @@ def _crossings(
 
 
 def is_loaded(events: Sequence[Event], time: float) -> bool:
-    """Whether the load is placed at a time [s], by the events of a trial."""
+    """Whether the load is placed at some time of a trial.
+
+    Args:
+        events: The trial's events in the order of their times; only `placed` and `removed` are
+            read. Without any, the load counts as placed; before the first one, as the opposite of
+            what that event brings.
+        time: Since the trial's first sample [s].
+    """
     changes = [event for event in events if event.label in (PLACED, REMOVED)]
     before = [event for event in changes if event.time <= time]
     if before:
@@ -173,8 +207,13 @@ def is_loaded(events: Sequence[Event], time: float) -> bool:
 def loaded_span(samples: Samples, settings: PlateauSettings) -> tuple[float, float] | None:
     """Start and end of the part under load, since the first sample [s]; None without load.
 
-    A sample is under load if its load exceeds a tenth of the range from the minimum to the maximum,
+    A sample is under load if its load reaches a tenth of the range from the minimum to the maximum,
     and `least_force`.
+
+    Args:
+        samples: All samples of the trial, of which the forces on the load cell are read; those
+            without a force are skipped.
+        settings: Limits, of which only `least_force` [N] is read.
     """
     time, load = _load(samples)
     if len(load) == 0:
@@ -204,13 +243,22 @@ def _levels(load: FloatArray) -> tuple[float, float]:
 
 
 def event_span(specification: str, events: Sequence[Event]) -> tuple[float, float]:
-    """Start and end [s] of a segment `event:A:B` between events in the order of their times.
+    """Start and end of a segment `event:A:B` between events of a trial.
 
     Each end is a label, optionally with an occurrence, `label#2`, and an offset in seconds,
     `label-2` or `label+5`; or seconds since the first sample. Without a number, the start is the
-    first occurrence, and the end the first occurrence after the start. Raises a ConfigurationError
-    if the specification cannot be parsed, a TrialError if there is no such event or the end is not
-    after the start.
+    first occurrence, and the end the first occurrence after the start.
+
+    Args:
+        specification: The segment, such as `event:placed+5:removed-2`.
+        events: The trial's events in the order of their times.
+
+    Returns:
+        Start and end since the trial's first sample [s].
+
+    Raises:
+        ConfigurationError: If the specification does not have two ends.
+        TrialError: If there is no such event or the end is not after the start.
     """
     ends = [end.strip() for end in specification.split(":")[1:]]
     if len(ends) != 2 or not all(ends):
@@ -265,10 +313,12 @@ def _times(count: int) -> str:
 
 
 def cycle_spans(events: Sequence[Event], by: str = PLACED) -> list[tuple[float, float]]:
-    """Starts and ends of cycles between events, since the first sample [s].
+    """Starts and ends of cycles between events, since the trial's first sample [s].
 
-    With one label, cycles run from each such event to the next; with two, `A:B`, from each A to the
-    next B, unless another A lies between.
+    Args:
+        events: The trial's events in the order of their times.
+        by: One label, for cycles that run from each such event to the next; or two, `A:B`, for
+            cycles from each A to the next B, unless another A lies between.
     """
     start, _, end = (part.strip() for part in by.partition(":"))
     end = end or start
@@ -293,11 +343,15 @@ _NEAR = 0.02  # [s]; triggers nearer to each other give no speed
 
 
 def stamp_by_triggers(called: float, triggers: Sequence[tuple[float, int]]) -> int:
-    """Convert a time on the monotonic clock [s] to a stamp in trigger time [ns].
+    """Convert a time on the monotonic clock [s] to a stamp in trigger time since the epoch [ns].
 
-    Takes arrival [s] and stamp [ns] of at least one trigger. The triggers' clock may run at another
-    speed. A busy machine delays triggers and none arrives early, so the least delayed trigger
-    gives the offset between the clocks.
+    The triggers' clock may run at another speed. A busy machine delays triggers and none arrives
+    early, so the least delayed trigger gives the offset between the clocks.
+
+    Args:
+        called: The time on the monotonic clock [s].
+        triggers: Arrival on the monotonic clock [s] and stamp since the epoch [ns] of each trigger,
+            at least one.
     """
     arrivals, stamps = (np.array(values) for values in zip(*triggers, strict=True))
     ahead = np.round(trigger_speed(triggers) * (called - arrivals)).astype(np.int64)
@@ -305,7 +359,10 @@ def stamp_by_triggers(called: float, triggers: Sequence[tuple[float, int]]) -> i
 
 
 def trigger_speed(triggers: Sequence[tuple[float, int]]) -> float:
-    """Speed of the triggers' clock [ns/s]; exactly real time if close to it.
+    """Speed of the triggers' clock [ns/s]; exactly real time (1e9) if within a tenth of it.
+
+    Takes arrival on the monotonic clock [s] and stamp since the epoch [ns] of each trigger, at
+    least one.
 
     The slope of the upper hull of stamps over arrivals at the mean arrival: of all lines that no
     trigger is early on, that of the least total delay (Moon, Skelly and Towsley, 1999).

@@ -52,12 +52,19 @@ def sample_table(
 ) -> pd.DataFrame:
     """The samples of a segment as a table, with the readings behind the clusters' forces.
 
-    Takes all drift-corrected measurements of a trial, all its samples, and a model's predictions
-    for them, shape (N, 6 + 3c), which become `predicted.*`. One row per sample, with units in the
-    titles: stamp [ns], time since the trial's first sample [s], wrench and limb pose in {S}; for
-    each cluster its capacitances by converter input [pF], its status (0 ok, 1 saturated, 2 missing,
-    3 out of the calibrated range), its stress along its own axes [Pa] and force in {L} [N].
-    Missing values are NaN.
+    Args:
+        measured: All measurements of the trial, corrected for drift.
+        samples: All N samples of the trial; their moments may refer to any point.
+        calibration: Gives the stresses; it must know all clusters of the samples.
+        segment: The part of the trial that becomes the table.
+        predicted: A model's predictions of all channels, shape (N, 6 + 3c) [N m, N], in the order
+            of `Samples.channels`, which become columns `predicted.*`; None for none.
+
+    Returns:
+        A row per sample, with units in the titles: stamp [ns], time since the trial's first sample
+        [s], wrench and limb pose in {S} [N m, N, m, rad]; for each cluster its capacitances by
+        converter input [pF], its status (0 ok, 1 saturated, 2 missing, 3 out of the calibrated
+        range), its stress along its own axes [Pa] and force in {L} [N]. Missing values are NaN.
     """
     table = samples.to_dataframe().iloc[segment.rows].reset_index()
     stamps = samples.stamps[segment.rows]
@@ -81,11 +88,24 @@ def sample_table(
 def write_gait_file(
     trial: Trial, rows: slice, path: Path, about: Sequence[float] | None = None
 ) -> pd.DataFrame:
-    """Write some samples of a trial, with moments about a point [m], in the suffix's format.
+    """Write some samples of a trial for motion analysis, see the module for the formats.
+
+    Args:
+        trial: The trial.
+        rows: Rows of its samples to write.
+        path: The file; its suffix, one of `GAIT_FORMATS`, gives the format.
+        about: Point in {S} that the moments refer to, shape (3,) [m]; None for the origin.
 
     Returns:
-        The written table, a row per sample, indexed by `time [s]`: loads [N, m, N m], markers [mm],
-        or both, with the wrench as six channels [N m, N].
+        The written table, a row per sample, indexed by `time [s]` since the trial's first sample.
+        `.mot` and `.sto`: the force of the limb on the socket [N], its point [m] and moment [N m],
+        in {S}. `.trc`: the markers in the motion-capture frame [mm]. `.c3d`: the markers, then the
+        wrench as six channels [N m, N]. Missing values are NaN.
+
+    Raises:
+        TrialError: For `.trc` and `.c3d`, if the trial has no markers; for `.c3d` also if the rate
+            changes within the rows or they are too many frames for the format.
+        ConfigurationError: For `.c3d`, if the library ezc3d is not installed.
     """
     samples = trial.samples()
     time = pd.Index(samples.time[rows], name="time [s]")
@@ -113,7 +133,12 @@ def write_standard_bag(
 ) -> None:
     """Write some samples as one MCAP file of standard messages, without missing values.
 
-    Writes the given rows of all measurements; the table has one row for each of them.
+    Args:
+        measured: All measurements of the trial; wrenches [N m, N] and poses [m] are written.
+        rows: Rows of the measurements to write.
+        table: One row for each of them; every column of floats becomes a std_msgs/Float64 in the
+            unit of its title.
+        path: The file.
     """
     stamps = measured.stamps[rows].tolist()
     standard = [(topic, pack, vectors[rows]) for topic, pack, vectors in measured.packed()]

@@ -45,16 +45,30 @@ GIVE_BAG = "give an MCAP or SQLite bag of ROS 2"
 
 
 class _Place(NamedTuple):
-    """Location of a chunk in its file, or of messages that some recorders write outside chunks."""
+    """Location of a chunk in its file, or of messages that some recorders write outside chunks.
 
-    start: int  # [bytes]; of its content
+    Attributes:
+        start: Where its content begins, from the start of the file [bytes].
+        end: Where its content ends, from the start of the file [bytes].
+        index_end: Where the message indexes that follow it end, from the start of the file [bytes].
+        packed: Whether it is a chunk; false for messages outside chunks.
+    """
+
+    start: int
     end: int
-    index_end: int  # end of the message indexes that follow it
+    index_end: int
     packed: bool = True
 
 
 class Connection(NamedTuple):
-    """A topic of a recording, with the field names of rosbags."""
+    """A topic of a recording, with the field names of rosbags.
+
+    Attributes:
+        id: Number of its channel in the file.
+        topic: Its full name in the recorded graph, such as `/trigger`.
+        msgtype: Its message type, as `package/msg/Type`; `none` if the file states no type.
+        msgcount: Number of its messages in readable chunks.
+    """
 
     id: int
     topic: str
@@ -63,12 +77,22 @@ class Connection(NamedTuple):
 
 
 class _Chunk:
-    """The content of a chunk."""
+    """The content of a chunk.
+
+    Attributes:
+        place: Its location in the file.
+        definitions: The message types and topics that it defines.
+        sound: Whether it can be read completely; otherwise it counts as empty.
+        checked: Whether a checksum confirms its content.
+        counts: Number of its messages by channel.
+        first_time: Earliest recording time of its messages since the epoch [ns]; 0 without any.
+        last_time: Latest recording time of its messages since the epoch [ns]; 0 without any.
+    """
 
     def __init__(self, file: BinaryIO, place: _Place) -> None:
         self.place = place
         self.definitions: list[Schema | Channel] = []
-        self.sound, self.checked = True, True  # fully readable; verified by a checksum
+        self.sound, self.checked = True, True
         channels, times = [], []
         try:
             content, self.checked = _unpack(file, place)
@@ -86,64 +110,66 @@ class _Chunk:
         except Exception:  # the libraries may raise any exception
             self.sound, self.definitions, channels, times = False, [], [], []
         self.counts = Counter(channels)
-        self.first_time = min(times, default=0)  # [ns]
-        self.last_time = max(times, default=0)  # [ns]
+        self.first_time = min(times, default=0)
+        self.last_time = max(times, default=0)
 
 
 class McapFile:
     """The readable part of a recording in an open file; used like a reader of rosbags.
 
-    A TrialError, which calls the file by `name`, is raised if a truncated or damaged file holds no
-    complete chunk of messages, or its topics are lost. `notes` report all else that was not read or
-    cannot be checked, one line each; `lacks` tells whether messages may be missing.
+    Args:
+        file: The open file, which stays open while messages are read.
+        name: Path by which errors call the file, such as that of the compressed file it came from.
+
+    Attributes:
+        path: The open file's own path.
+        lacks: Whether messages may be missing.
+        start_time: Recording time of the first message since the epoch [ns]; 0 without any.
+        end_time: Recording time of the last message, and 1 ns more, since the epoch [ns]; 0 without
+            any.
+        message_count: Number of readable messages.
+        connections: The topics.
+        notes: What was not read or cannot be checked, one line each.
+
+    Raises:
+        TrialError: If a truncated or damaged file holds no complete chunk of messages, or its
+            topics are lost.
     """
 
     def __init__(self, file: BinaryIO, name: Path) -> None:
         self.path, self._file = Path(file.name), file
-        size = file.seek(0, io.SEEK_END)
         index = _Index(file)
-        places, complete = _walk(file, size)
-        found = [_Chunk(file, place) for place in places]
-        walked = [place for place in places if place.packed]
-        if index.places != walked:
-            listed = [_Chunk(file, place) for place in index.places]
-            found = max(found, listed, key=lambda each: sum(c.counts.total() for c in each))
-        if not index.ended:
-            # An unflushed chunk at the end may hold zeros or old disk blocks. Chunks before the
-            # last intact one were flushed.
-            while found and not found[-1].sound:
-                found.pop()
-                complete = False
-        definitions = [*index.definitions, *(d for chunk in found for d in chunk.definitions)]
-        found = [chunk for chunk in found if chunk.counts or not chunk.sound]
-        self._chunks = [chunk for chunk in found if chunk.sound]
-        whole = index.sound and complete and index.places in ([], walked)
-        self.lacks = not whole or len(self._chunks) < len(found)
+        found = _find_chunks(file, index)
+        self._chunks = [chunk for chunk in found.chunks if chunk.sound]
+        damaged = len(self._chunks) < len(found.chunks)
+        self.lacks = damaged or not found.whole
         if self.lacks and not self._chunks:
             raise self._unreadable(name, index.ended)
+
         # As in rosbags, the end is one nanosecond after the last message.
         self.start_time = min((chunk.first_time for chunk in self._chunks), default=0)
         self.end_time = max((chunk.last_time for chunk in self._chunks), default=-1) + 1
+
         counts = sum((chunk.counts for chunk in self._chunks), Counter[int]())
         self.message_count = counts.total()
-        self.connections = _connections(definitions, counts)
+        self.connections = _connections(found.definitions, counts)
         if sum(connection.msgcount for connection in self.connections) < self.message_count:
             raise TrialError(f"{name}: is damaged, its topics are lost", COPY_AGAIN)
-        self.notes: list[str] = []
-        if not all(chunk.checked for chunk in self._chunks):
-            self.notes.append(f"{self.path.name} has no checksums: damage cannot be detected")
-        if self.lacks and (index.ended or len(self._chunks) < len(found)):
-            known = complete or bool(index.sound and index.places)
-            start = min(self.start_time, index.start_time)
-            self.notes.append(self._describe_damage(found, start, known))
+
+        self.notes = self._describe_checksums()
+        if self.lacks and (index.ended or damaged):
+            self.notes.append(self._describe_damage(found, index))
         elif self.lacks:
-            torn = size - self._chunks[-1].place.index_end
-            self.notes.append(self._describe_cut(torn, complete))
+            self.notes.append(self._describe_cut(found))
 
     def messages(
         self, connections: Collection[Connection]
     ) -> Iterator[tuple[Connection, int, bytes]]:
-        """The messages of some connections in the order of their times [ns]."""
+        """The messages of some of the file's topics, in the order of their times.
+
+        Yields:
+            The topic, the recording time since the epoch [ns], and the serialised message.
+        """
         wanted = {connection.id: connection for connection in connections}
         chunks = [chunk for chunk in self._chunks if wanted.keys() & chunk.counts.keys()]
         chunks.sort(key=lambda chunk: chunk.first_time)
@@ -160,7 +186,12 @@ class McapFile:
     def _messages_of(
         self, place: _Place, wanted: Mapping[int, Connection]
     ) -> Iterator[tuple[int, int, Connection, bytes]]:
-        """The messages of a chunk: time [ns], start of the chunk, connection and content."""
+        """The messages of a chunk.
+
+        Yields:
+            Recording time since the epoch [ns], start of the chunk in the file [bytes], topic, and
+            serialised message.
+        """
         content, _ = _unpack(self._file, place)
         for opcode, start, end in _records(content):
             if opcode == _MESSAGE_OPCODE:
@@ -185,49 +216,90 @@ class McapFile:
             hint = "record the trial again; 'mcap recover' may still find a part of it"
         return TrialError(f"{name}: {fact}", hint)
 
-    def _describe_cut(self, torn: int, complete: bool) -> str:
-        """A note on saved and lost messages; `torn` is the size of the unread end [bytes]."""
+    def _describe_checksums(self) -> list[str]:
+        """A note if some chunks carry no checksum, else nothing."""
+        if all(chunk.checked for chunk in self._chunks):
+            return []
+        return [f"{self.path.name} has no checksums: damage cannot be detected"]
+
+    def _describe_cut(self, found: _Found) -> str:
+        """A note on the saved and the lost messages of a recording without an end."""
+        torn = found.size - self._chunks[-1].place.index_end  # [bytes] of the unread end
         until = datetime.fromtimestamp((self.end_time - 1) * 1e-9).strftime("%H:%M:%S")
         unread = f" ({torn} bytes cannot be read)" if torn else ""
         return (
             f"the recording {self.path.name} was cut short (no end): {self.message_count} messages"
             f" up to {until} ({(self.end_time - 1 - self.start_time) * 1e-9:.1f} s) were saved, "
-            + ("none is missing" if complete else f"the newest may be missing{unread}")
+            + ("none is missing" if found.complete else f"the newest may be missing{unread}")
         )
 
-    def _describe_damage(self, found: list[_Chunk], start: float, known: bool) -> str:
-        """A note on missing parts, with times from `start` [ns]; `known`: all chunks were found."""
-
-        def at(time: int) -> str:
-            return f"{1e-9 * (time - start):.2f} s"
-
-        runs = [list(run) for _, run in groupby(found, key=lambda chunk: chunk.sound)]
-        gaps = []
-        for before, run, after in zip([[], *runs], runs, [*runs[1:], []], strict=False):
-            if not run[0].sound:
-                begin = at(before[-1].last_time) if before else "the start"
-                end = at(after[0].first_time) if after else "the end"
-                gaps.append(f"from {begin} to {end}")
-        if not known and found[-1].sound:
-            gaps.append(f"anything after {at(found[-1].last_time)}")
-        lost = len(found) - len(self._chunks)
-        counted = f"{lost} of its {len(found)} chunks cannot be read, " if lost else ""
+    def _describe_damage(self, found: _Found, index: _Index) -> str:
+        """A note on the chunks that cannot be read, and on the times that they covered."""
+        start = min(self.start_time, index.start_time)
+        gaps = found.gaps(start)
+        if not found.complete and not (index.sound and index.places) and found.chunks[-1].sound:
+            gaps.append(f"anything after {_seconds_since(start, found.chunks[-1].last_time)}")
+        lost = len(found.chunks) - len(self._chunks)
+        counted = f"{lost} of its {len(found.chunks)} chunks cannot be read, " if lost else ""
         what = f"{counted}missing: {', '.join(gaps)}" if gaps else "no message is missing"
         return f"the recording {self.path.name} is damaged: {what} ({COPY_AGAIN})"
 
 
+class _Found(NamedTuple):
+    """What a file holds, readable or not.
+
+    Attributes:
+        size: Size of the file [bytes].
+        chunks: The chunks with messages or damage, in the order of the file or of its index.
+        definitions: The message types and topics, from the index and all chunks.
+        complete: Whether the search for chunks reached the end of the data.
+        whole: Whether nothing shows that a chunk was lost: the search was complete, the end of the
+            file can be read, and its index, unless empty, lists the chunks that were found.
+    """
+
+    size: int
+    chunks: list[_Chunk]
+    definitions: list[Schema | Channel]
+    complete: bool
+    whole: bool
+
+    def gaps(self, start: float) -> list[str]:
+        """The times that runs of unreadable chunks covered, in words, since `start` [ns]."""
+        runs = [list(run) for _, run in groupby(self.chunks, key=lambda chunk: chunk.sound)]
+        gaps = []
+        for before, run, after in zip([[], *runs], runs, [*runs[1:], []], strict=False):
+            if not run[0].sound:
+                begin = _seconds_since(start, before[-1].last_time) if before else "the start"
+                end = _seconds_since(start, after[0].first_time) if after else "the end"
+                gaps.append(f"from {begin} to {end}")
+        return gaps
+
+
+def _seconds_since(start: float, time: int) -> str:
+    return f"{1e-9 * (time - start):.2f} s"
+
+
 class _Index:
-    """The index of chunks and topics at the end of a file; empty if it cannot be read."""
+    """The index of chunks and topics at the end of a file; empty if it cannot be read.
+
+    Attributes:
+        places: Locations of the chunks.
+        start_time: Recording time of the first message since the epoch [ns]; infinite if unknown.
+        definitions: The message types and topics.
+        ended: Whether the file has an end, as a closed recording has.
+        sound: Whether the file has an end, and the index can be read and matches its checksum, if
+            any.
+    """
 
     def __init__(self, file: BinaryIO) -> None:
-        self.places: list[_Place] = []  # of the chunks
-        self.start_time = math.inf  # of the first message [ns]; infinite if unknown
+        self.places: list[_Place] = []
+        self.start_time = math.inf
         self.definitions: list[Schema | Channel] = []
         footer_start = max(0, file.seek(0, io.SEEK_END) - _END_SIZE)
         file.seek(footer_start)
         end = file.read()
         self.ended = end.startswith(_FOOTER) and end.endswith(_MAGIC)
-        self.sound = self.ended  # and its checksum, if any, is correct
+        self.sound = self.ended
         if self.ended:
             try:
                 self._read(file, footer_start, *struct.unpack_from("<QQI", end, _RECORD.size))
@@ -252,6 +324,42 @@ class _Index:
                 place = chunk.chunk_start_offset + _RECORD.size, chunk_end
                 self.places.append(_Place(*place, chunk_end + chunk.message_index_length))
                 self.start_time = min(self.start_time, chunk.message_start_time)
+
+
+def _find_chunks(file: BinaryIO, index: _Index) -> _Found:
+    """The chunks of a file, by their headers or by its index, whichever leads to more messages."""
+    size = file.seek(0, io.SEEK_END)
+    places, complete = _walk(file, size)
+    chunks = [_Chunk(file, place) for place in places]
+    walked = [place for place in places if place.packed]
+    if index.places != walked:
+        listed = [_Chunk(file, place) for place in index.places]
+        chunks = max(chunks, listed, key=_count_messages)
+    if not index.ended and _drop_unflushed(chunks):
+        complete = False
+    return _Found(
+        size=size,
+        chunks=[chunk for chunk in chunks if chunk.counts or not chunk.sound],
+        definitions=[*index.definitions, *(d for chunk in chunks for d in chunk.definitions)],
+        complete=complete,
+        whole=index.sound and complete and index.places in ([], walked),
+    )
+
+
+def _count_messages(chunks: list[_Chunk]) -> int:
+    return sum(chunk.counts.total() for chunk in chunks)
+
+
+def _drop_unflushed(chunks: list[_Chunk]) -> int:
+    """Drop the unreadable chunks at the end of a recording without an end; returns their number.
+
+    An unflushed chunk at the end may hold zeros or old disk blocks: it is no damage. Chunks before
+    the last intact one were flushed.
+    """
+    before = len(chunks)
+    while chunks and not chunks[-1].sound:
+        chunks.pop()
+    return before - len(chunks)
 
 
 def _walk(file: BinaryIO, size: int) -> tuple[list[_Place], bool]:

@@ -37,8 +37,27 @@ are equal in all. Shapes begin with that of the records."""
 class Reader:
     """Reads serialised messages of a topic, all of one layout at once.
 
-    A message that cannot be decoded raises a TrialError that names `where` it came from; of many
-    in parts, `refused` keeps these errors.
+    The values of one message, or with a leading axis of many, by the type of the topic:
+
+    - Trigger: the sequence number [-];
+    - WrenchStamped: [M; F], shape (..., 6) [N m, N];
+    - LoadCellRaw: ratios of the bridges [mV/V], then the tare [M; F] [N m, N], shape (..., 12);
+    - PoseStamped: position [m] and quaternion (x, y, z, w) of the body, shape (..., 7);
+    - ClusterCapacitanceArray: `Capacitances`;
+    - ClusterStressArray, one message only: by cluster the normal stress (positive in compression)
+      and shears along x and y of the cluster's own frame, shape (3,) [Pa], and the `Status`;
+    - RigidBodyMarkersArray: name and markers in the world, shape (..., m, 3) [m], of each body;
+    - LocalForceArray: forces on the socket in {S}, shape (..., n, 3) [N];
+    - ForceMap: names of the n tiles, and the fields of a `MapEstimate` by name;
+    - RegionPressures: names of the R regions, and `RegionOutputs`;
+    - Event, one message only: the label.
+
+    Args:
+        topic: The topic.
+        where: Where the messages come from, for errors, such as the path of the bag.
+
+    Attributes:
+        refused: Errors of messages that `parts` could not decode and left out.
     """
 
     def __init__(self, topic: topics.Topic, where: object = "this graph") -> None:
@@ -50,7 +69,11 @@ class Reader:
         self.refused: list[TrialError] = []
 
     def read(self, data: bytes) -> tuple[int, Any]:
-        """Stamp since the epoch [ns] and values of one message."""
+        """Stamp since the epoch [ns] and values of one message (CDR).
+
+        Raises:
+            TrialError: If the message cannot be decoded.
+        """
         for layout, sample in self._known:
             if (record := layout.record(data)) is not None:
                 stamp = record["header"]["stamp"]  # `stamps_of` takes 10 us
@@ -60,11 +83,11 @@ class Reader:
         return self.read(data)
 
     def parts(self, messages: Sequence[bytes]) -> Iterator[tuple[IntArray, IntArray, Any]]:
-        """Many messages in parts, each of one layout.
+        """Many serialised messages in parts, each of one layout.
 
         Yields:
-            Indices of the part's k messages, shape (k,), their stamps [ns], shape (k,), and their
-            values.
+            Indices of the part's k messages, shape (k,), their stamps since the epoch [ns], shape
+            (k,), and their values, with the leading axis k.
         """
         left, tried = np.arange(len(messages)), 0
         while len(left):
@@ -101,8 +124,14 @@ class Reader:
 class Template:
     """A serialised message with a header, in which only the numbers change.
 
-    The content sets its strings and the lengths of its sequences, see `make_message`. Callers fill
-    in its `numbers`, see `Layout`.
+    Args:
+        message_type: Its type, as `package/msg/Type`.
+        frame: Its header's frame.
+        content: Its strings and the lengths of its sequences, as in `make_message`.
+
+    Attributes:
+        numbers: A view of its numbers by field name, shape (), for callers to fill in, in the units
+            of the message definition; see `Layout`.
     """
 
     def __init__(self, message_type: str, frame: str = LOAD_CELL_FRAME, **content: Any) -> None:
@@ -110,7 +139,12 @@ class Template:
         self._stamp = self.numbers["header"]["stamp"]
 
     def serialised(self, stamp: int, **numbers: Any) -> bytes:
-        """The message with the given fields and a stamp since the epoch [ns]."""
+        """The message (CDR) with a stamp and some numbers; the others keep their last values.
+
+        Args:
+            stamp: Stamp of its header since the epoch [ns].
+            numbers: Values by field name, in the units of the message definition.
+        """
         self._stamp[()] = divmod(stamp, 1_000_000_000)
         for field, values in numbers.items():
             self.numbers[field] = values
@@ -118,7 +152,7 @@ class Template:
 
 
 def trigger_packer() -> Callable[[int, int], bytes]:
-    """Packs a Trigger from its stamp [ns] and sequence."""
+    """Packs a Trigger from its stamp since the epoch [ns] and sequence number [-]."""
     template = Template(topics.TRIGGER.type)
     return lambda stamp, sequence: template.serialised(stamp, sequence=sequence)
 
@@ -128,12 +162,12 @@ VectorPacker: TypeAlias = Callable[[int, FloatArray], bytes]
 
 
 def wrench_packer() -> VectorPacker:
-    """Packs a WrenchStamped from its stamp [ns] and [M; F], shape (6,) [N m, N]."""
+    """Packs a WrenchStamped in {S} from its stamp [ns] and [M; F], shape (6,) [N m, N]."""
     return _vector_packer(Template(topics.WRENCH.type), "wrench", "torque", "force")
 
 
 def pose_packer() -> VectorPacker:
-    """Packs a PoseStamped from its stamp [ns], and position [m] and quaternion, shape (7,)."""
+    """Packs a PoseStamped in the world: stamp [ns]; position [m], quaternion (x, y, z, w), (7,)."""
     return _vector_packer(
         Template(topics.SOCKET_POSE.type, WORLD_FRAME), "pose", "position", "orientation"
     )
@@ -177,11 +211,17 @@ def load_cell_raw_packer() -> Callable[[int, FloatArray, FloatArray, int, int], 
 
 
 class Capacitances(NamedTuple):
-    """Capacitances of c clusters."""
+    """Capacitances of c clusters, of one message or with a leading axis of many.
+
+    Attributes:
+        names: Names of the clusters, in the order of the message.
+        capacitance: By converter input, shape (..., c, 4) [pF]; NaN where it could not be read.
+        status: `Status` of each capacitance, shape (..., c, 4).
+    """
 
     names: tuple[str, ...]
-    capacitance: FloatArray  # by input, shape (..., c, 4) [pF]
-    status: StatusArray  # `Status` of each, of the same shape
+    capacitance: FloatArray
+    status: StatusArray
 
 
 def _capacitances(records: cdr.Record, sample: Any) -> Capacitances:
@@ -196,7 +236,11 @@ def _capacitances(records: cdr.Record, sample: Any) -> Capacitances:
 
 
 def capacitance_packer(names: Sequence[str]) -> Callable[[int, FloatArray, StatusArray], bytes]:
-    """Packs a ClusterCapacitanceArray: stamp [ns], capacitances [pF] and statuses, shape (c, 4)."""
+    """Packs a ClusterCapacitanceArray of c clusters, given by name.
+
+    From its stamp [ns], the capacitances by converter input, shape (c, 4) [pF], and the `Status` of
+    each, shape (c, 4).
+    """
     template = Template(topics.CAPACITANCE.type, clusters=[{"name": name} for name in names])
     clusters = cdr.elements(template.numbers, "clusters")
 
@@ -220,7 +264,16 @@ def _stress(records: cdr.Record, sample: Any) -> dict[str, tuple[FloatArray, int
 def in_order(
     stresses: Mapping[str, tuple[FloatArray, int]], names: Iterable[str]
 ) -> tuple[FloatArray, StatusArray]:
-    """Stresses (c, 3) [Pa] and statuses (c,) of the named clusters; an absent one is missing."""
+    """Stresses of the named clusters as arrays; an absent one is NaN and missing.
+
+    Args:
+        stresses: By cluster the normal stress (positive in compression) and shears along x and y of
+            its own frame, shape (3,) [Pa], and the `Status`, as a `Reader` gives them.
+        names: Names of the c clusters, which give the rows.
+
+    Returns:
+        The stresses, shape (c, 3) [Pa], and the statuses, shape (c,).
+    """
     missing = np.full(3, np.nan), Status.MISSING
     found = [stresses.get(name, missing) for name in names]
     stress = np.array([stress for stress, _ in found]).reshape(-1, 3)
@@ -228,7 +281,11 @@ def in_order(
 
 
 def stress_packer(names: Sequence[str]) -> Callable[[int, FloatArray, StatusArray], bytes]:
-    """Packs a ClusterStressArray: stamp [ns]; normal, shear x and y (c, 3) [Pa]; statuses (c,)."""
+    """Packs a ClusterStressArray of c clusters, given by name.
+
+    From its stamp [ns], the normal stress (positive in compression) and shears along x and y of the
+    cluster's own frame, shape (c, 3) [Pa], and the `Status` of each cluster, shape (c,).
+    """
     template = Template(topics.STRESS.type, clusters=[{"name": name} for name in names])
     clusters = cdr.elements(template.numbers, "clusters")
 
@@ -277,7 +334,7 @@ def _per_name(
 
 
 def local_forces_packer(names: Sequence[str]) -> VectorPacker:
-    """Packs a LocalForceArray from its stamp [ns] and forces in {S}, shape (n, 3) [N]."""
+    """Packs a LocalForceArray: stamp [ns]; forces on the socket in {S}, shape (n, 3) [N]."""
     template = _per_name(topics.LOCAL_FORCES, names, ["forces"])
     return lambda stamp, values: template.serialised(stamp, forces=values)
 
@@ -340,7 +397,7 @@ def regions_packer(names: Sequence[str]) -> Callable[[int, RegionOutputs], bytes
 
 
 def model_message(fitted: Fit | StoredModel) -> bytes:
-    """A serialised ContactModel of a fit or a stored model."""
+    """A serialised ContactModel of a fit or a stored model, stamped with its newest sample."""
     model = fitted.model
     seconds, nanoseconds = divmod(fitted.last_stamp, 1_000_000_000)
     stamp = {"sec": seconds, "nanosec": nanoseconds}
@@ -366,7 +423,7 @@ def _named_wrench(values: FloatArray) -> dict[str, Any]:
 
 
 def named(values: FloatArray) -> dict[str, float]:
-    """Components of a vector, point or quaternion, by name."""
+    """Components by name, x, y, z and w, of a vector or point, (3,), or quaternion, (4,)."""
     return dict(zip("xyzw", values.tolist(), strict=False))
 
 
@@ -388,3 +445,4 @@ VALUES: dict[str, Values] = {
     topics.REGIONS.type: _regions,
     topics.EVENT.type: lambda records, sample: str(sample.label),
 }
+"""Reads the values of a message type; `Reader` lists them with shapes, units and frames."""

@@ -38,17 +38,32 @@ _HEADER = "# Metadata of this trial; the mass in kg. 'socket-testbed annotate' c
 class TrialMetadata:
     """Metadata stated by a person; None for an unstated field.
 
-    Whitespace in a text is collapsed to single spaces.
+    Whitespace in a text is collapsed to single spaces. Texts have at most 80 characters, notes
+    2000.
+
+    Attributes:
+        subject: A code such as `S01`, without spaces; never a name.
+        side: Side of the residual limb, `left` or `right`.
+        socket: The socket, such as `PTB 3`.
+        liner: The liner or sock.
+        mass: Body mass of the subject, within `MASS_RANGE` [kg].
+        operator: Initials or a code of the person who ran the trial, without spaces.
+        protocol: The protocol that the trial follows.
+        notes: Further remarks.
+
+    Raises:
+        ConfigurationError: If a value has another type, is empty, too long or out of range, or
+            holds a control character.
     """
 
-    subject: str | None = None  # a code such as `S01`; never a name
-    side: Side | None = None  # of the residual limb
-    socket: str | None = None  # such as `PTB 3`
-    liner: str | None = None  # or sock
-    mass: float | None = None  # of the subject [kg]
-    operator: str | None = None  # initials or a code
-    protocol: str | None = None  # that the trial follows
-    notes: str | None = None  # further remarks
+    subject: str | None = None
+    side: Side | None = None
+    socket: str | None = None
+    liner: str | None = None
+    mass: float | None = None
+    operator: str | None = None
+    protocol: str | None = None
+    notes: str | None = None
 
     def __post_init__(self) -> None:
         for name, value in self.stated().items():
@@ -98,7 +113,11 @@ def _checked(name: str, value: Any) -> Any:
 
 
 def read_metadata(path: Path) -> TrialMetadata:
-    """Read the metadata of a trial from its `trial.yaml`."""
+    """Read the metadata of a trial from its `trial.yaml`.
+
+    Raises:
+        ConfigurationError: If the file is missing, holds an unknown field or an invalid value.
+    """
     given = read_document(path, dict[str, Any])
     refuse_unknown(given, FIELDS, str(path))
     with naming(path):
@@ -106,7 +125,12 @@ def read_metadata(path: Path) -> TrialMetadata:
 
 
 def write_metadata(metadata: TrialMetadata, path: Path) -> None:
-    """Write the metadata to a `trial.yaml`, atomically: on failure, the older file stays."""
+    """Write the metadata to a `trial.yaml`, atomically: on failure, the older file stays.
+
+    Args:
+        metadata: The metadata; unstated fields are left out of the file.
+        path: The file, `trial.yaml` in the trial's folder.
+    """
     write_text(path, metadata_text(metadata))
 
 
@@ -123,7 +147,16 @@ def metadata_text(metadata: TrialMetadata) -> str:
 def change_metadata(
     metadata: TrialMetadata, changes: Mapping[str, Any], remove: Iterable[str] = ()
 ) -> TrialMetadata:
-    """Metadata with some fields changed (None keeps a field) and others removed."""
+    """Metadata with some fields changed and others removed.
+
+    Args:
+        metadata: The metadata so far, which stay as they are.
+        changes: New values by field, as in `TrialMetadata`; None keeps a field.
+        remove: Fields that become unstated, unless also changed.
+
+    Raises:
+        ConfigurationError: If a field to remove does not exist, or a value is invalid.
+    """
     removed = dict.fromkeys(remove)
     for name in removed:
         if name not in FIELDS:

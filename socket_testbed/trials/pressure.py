@@ -31,21 +31,45 @@ CENTRE_TITLES = [title for title in pressure.TITLES if title.startswith("centre 
 
 @dataclass(frozen=True)
 class MappedTrial:
-    """The force map of a trial."""
+    """The force map of a trial.
+
+    Attributes:
+        trial: The trial.
+        geometry: The socket with the n tiles of the map, the trial's own or one with other regions.
+        places: The R regions that outputs are for; the last one is the whole socket.
+        force_map: Maps samples to forces on all tiles.
+        samples: The N samples of the trial; outliers and left-out channels are NaN.
+    """
 
     trial: Trial
     geometry: SocketGeometry
-    places: tuple[Region, ...]  # the last one is the socket
+    places: tuple[Region, ...]
     force_map: ForceMap
-    samples: Samples  # of the trial, with the channels in use
+    samples: Samples
 
     def outputs(self, rows: Any, threshold: float = pressure.THRESHOLD) -> pressure.PressureOutputs:
-        """Outputs over some rows of the samples, with a contact threshold [Pa]."""
+        """Outputs over some of the samples.
+
+        Args:
+            rows: Rows of `samples`: a slice, indices, or a mask.
+            threshold: Normal pressure above which a tile is in contact [Pa].
+
+        Raises:
+            TrialError: If none of these samples has a wrench or a trusted cluster.
+        """
         samples, places = self.samples[rows], self.places
         return pressure.pressure_outputs(self.force_map, samples, self.geometry, places, threshold)
 
     def over(self, segment: Segment, threshold: float = pressure.THRESHOLD) -> SegmentPressure:
-        """Outputs over a segment, with a contact threshold [Pa]."""
+        """Outputs over a segment of the trial.
+
+        Args:
+            segment: The segment.
+            threshold: Normal pressure above which a tile is in contact [Pa].
+
+        Raises:
+            TrialError: If no sample of the segment has a wrench or a trusted cluster.
+        """
         outputs = self.outputs(segment.rows, threshold)
         return SegmentPressure(self.trial, segment, self.places, outputs)
 
@@ -53,6 +77,13 @@ class MappedTrial:
         """Outputs of the socket at evenly spread samples, at the highest pressure, and at others.
 
         Without its regions, they take a fifth of the time.
+
+        Args:
+            most: Largest number of evenly spread samples, from the first to the last.
+            also: Rows of further samples.
+
+        Returns:
+            The outputs with the chosen samples in the order of time and one region, the socket.
         """
         count = len(self.samples)
         blocks = np.array_split(np.arange(count), count // _BLOCK + 1)  # to bound the memory
@@ -65,7 +96,16 @@ class MappedTrial:
 def mapped_trial(
     trial: Trial, settings: EstimatorSettings, geometry: SocketGeometry | None = None
 ) -> MappedTrial:
-    """The force map of a trial, on its own socket or on one with other regions."""
+    """The force map of a trial, on its own socket or on one with other regions.
+
+    Args:
+        trial: The trial, of which outliers are not used.
+        settings: The force map's prior, and the channels to leave out.
+        geometry: A socket with the same tiles and other regions; None for the trial's own.
+
+    Raises:
+        IdentificationError: If the samples are in another unit or frame.
+    """
     geometry = geometry or trial.geometry
     left_out = settings.identification.leave_out
     require_units(trial.samples(), geometry, left_out)
@@ -79,11 +119,18 @@ def mapped_trial(
 
 @dataclass(frozen=True, repr=False)
 class SegmentPressure:
-    """Pressure outputs over a segment of a trial, by region and tile, with 95 % intervals."""
+    """Pressure outputs over a segment of a trial, by region and tile, with 95 % intervals.
+
+    Attributes:
+        trial: The trial.
+        segment: The segment.
+        places: The R regions of the outputs; the last one is the whole socket.
+        outputs: The outputs in SI units, by region, by tile, and at every sample of the segment.
+    """
 
     trial: Trial
     segment: Segment
-    places: tuple[Region, ...]  # the last one is the socket
+    places: tuple[Region, ...]
     outputs: pressure.PressureOutputs
 
     @property
@@ -128,7 +175,15 @@ class SegmentPressure:
 
 
 def by_place(names: Iterable[str], found: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Columns such as `anterior.mean pressure [kPa]` of R places, from arrays (N, R) by title."""
+    """Columns such as `anterior.mean pressure [kPa]` of a table with one row per sample.
+
+    Args:
+        names: Names of the R places.
+        found: Arrays of shape (N, R) by title with unit, a row per sample, a column per place.
+
+    Returns:
+        Arrays of shape (N,) by title, place after place.
+    """
     return {
         f"{name}.{title}": values[:, column]
         for column, name in enumerate(names)
@@ -142,9 +197,18 @@ def cells(
     form: str = INLINE,
     share: float = pressure.SHARE,
 ) -> pd.DataFrame:
-    """Formatted outputs, a row per place: values and intervals in a form.
+    """Formatted outputs: values with their 95 % intervals as text.
 
-    An interval that reaches farther than a share of its value is marked uncertain.
+    Args:
+        names: Names of the R places, which give the rows.
+        found: Their outputs over a span, shape (R,), in SI units.
+        form: Text with two fields, for the value and for its interval.
+        share: An interval that reaches farther from its value than this share of it is marked
+            uncertain [-]; of a coordinate it is a share of the region's extent, of a direction one
+            of a right angle.
+
+    Returns:
+        A row per place, a column per title of `pressure.TITLES`, in the unit of the title.
     """
     columns = {
         title: _formatted(title, pressure.read_column(found, title), form, share)
@@ -154,7 +218,13 @@ def cells(
 
 
 def limb_cells(found: Suspension, share: float = pressure.SHARE) -> dict[str, str]:
-    """Formatted outputs of the limb in the socket, by title."""
+    """Formatted outputs of the limb in the socket, by title with unit.
+
+    Args:
+        found: Motion and stiffness of the limb in the socket.
+        share: An interval that reaches farther from its value than this share of it is marked
+            uncertain [-].
+    """
     outputs = found.outputs().items()
     unknown = f"{NOTHING} (the load does not change in every direction)"
     return {

@@ -31,13 +31,24 @@ _WRENCH_TOLERANCE = 1e-6  # [-]; relative to full scale
 
 
 def parse_tare(tare: str) -> tuple[float, float] | None:
-    """The span of a tare given as `T0:T1` [s]; None for `recorded` and `none`."""
+    """The span of a tare given as `T0:T1`, since the trial's first sample [s].
+
+    None for `recorded` and `none`.
+
+    Raises:
+        ConfigurationError: If it is none of the three.
+    """
     fixed = tare in (RECORDED, NO_TARE)
     return None if fixed else parse_span(tare, "--tare", ", or none, recorded")
 
 
 def read_load_cell(path: Path) -> LoadCellSettings:
-    """Read the load cell's settings from a `testbed.yaml`."""
+    """Read the load cell's settings from a `testbed.yaml`.
+
+    Raises:
+        ConfigurationError: If the file is wrong, or its load-cell settings do not fit together,
+            such as without a matrix.
+    """
     settings = read_testbed(path).load_cell_node
     with naming(path):
         load_cell.check_settings(settings)
@@ -55,8 +66,24 @@ def remake_wrenches(
     """Recompute wrenches with other load-cell settings or another tare.
 
     The given settings may assign other signs, gains, excitation or inputs to the measured voltages;
-    the converter's own gain was set in hardware and stays. The recorded settings lack a matrix if
-    the trial stores none. The tare is that of a `Trial`. `where` names the trial in errors.
+    the converter's own gain was set in hardware and stays.
+
+    Args:
+        measured: The measurements, with their ratios [mV/V] and tares [N m, N].
+        recorded: The settings stored with the trial; without a matrix if the trial stores none.
+        given: Other settings; None for a new tare only.
+        tare: What to subtract: `recorded`, `none`, or an unloaded span `T0:T1` since the trial's
+            first sample [s], as `Trial.tare`.
+        where: Names the trial in errors.
+        notify: Called with a note on the tare and on wrenches without a raw reading.
+
+    Returns:
+        The measurements with the new wrenches [M; F] in {S}, shape (N, 6) [N m, N].
+
+    Raises:
+        TrialError: If the recorded settings do not match the recorded wrenches, the recorded tare
+            cannot be expressed in the given settings because the trial stores no matrix, or the
+            tare's span holds no wrench or is not at rest.
     """
     offsets = measured.tares
     wrenches = measured.wrench + offsets
@@ -98,7 +125,7 @@ def _mean_load(
     limits: LoadCellSettings,
     where: str,
 ) -> FloatArray:
-    """Mean of the wrenches in a span [s], shape (6,) [N m, N]; the load must be at rest there."""
+    """Mean of wrenches (N, 6) in a span [s], shape (6,) [N m, N]; the load must be at rest."""
     start, end = span
     rows = within(time, start, end) & np.isfinite(wrenches).all(axis=1)
     if not rows.any():
@@ -113,7 +140,14 @@ def _mean_load(
 
 
 def other_markers(recorded: SocketGeometry, given: SocketGeometry) -> tuple[str, ...]:
-    """The bodies (`socket`, `pylon`) whose markers differ between two geometries."""
+    """The bodies (`socket`, `pylon`) whose markers differ between two geometries.
+
+    Markers differ if their number does, or a coordinate in the body's frame by more than 1e-6 m.
+
+    Args:
+        recorded: The geometry stored with the trial.
+        given: The geometry that replaces it.
+    """
 
     def differs(body: str) -> bool:
         old, new = (geometry.markers[body] for geometry in (recorded, given))
@@ -131,8 +165,21 @@ def refit_poses(
 ) -> Measurements:
     """Refit poses of bodies to their recorded markers, as mocap_node fits those of a frame.
 
-    A recorded pose is a mean over frames; a new one follows the markers at the trigger. `where`
-    names the trial in errors; `notify` reports how far the poses of each body moved.
+    A recorded pose is a mean over frames; a new one follows the markers at the trigger.
+
+    Args:
+        measured: The measurements, with the markers in the world [m].
+        geometry: Gives the coordinates of the markers in their bodies' frames [m].
+        bodies: The bodies to refit, of `socket` and `pylon`.
+        where: Names the trial in errors.
+        notify: Called once per body with how far its poses moved.
+
+    Returns:
+        The measurements with new poses of these bodies in the world, shape (N, 7); NaN where the
+        markers give none.
+
+    Raises:
+        TrialError: If more markers of a body were recorded than the geometry has.
     """
     for body in bodies:
         reference = geometry.markers[body]
@@ -174,7 +221,12 @@ def _describe_shift(recorded: Pose, fitted: Pose) -> str:
 
 
 def check_unloaded(spans: tuple[tuple[float, float], ...]) -> None:
-    """Refuse unloaded spans [s]: more than two, reversed, overlapping or unsorted ones."""
+    """Refuse unusable unloaded spans, given as start and end since the first sample [s].
+
+    Raises:
+        ConfigurationError: If there are more than two, or they are reversed, overlap or are not in
+            the order of time.
+    """
     if len(spans) > 2:
         raise ConfigurationError(
             f"--unloaded has {len(spans)} spans", "give one before, or one before and one after"
@@ -190,7 +242,11 @@ def check_unloaded(spans: tuple[tuple[float, float], ...]) -> None:
 
 
 def parse_unloaded(spans: list[str]) -> tuple[tuple[float, float], ...]:
-    """Unloaded spans given as `T0:T1`, in seconds since the trial's first sample."""
+    """Starts and ends of spans given as `T0:T1`, since the trial's first sample [s].
+
+    Raises:
+        ConfigurationError: If one does not have this form.
+    """
     return tuple(parse_span(span, "--unloaded") for span in spans)
 
 
@@ -204,11 +260,25 @@ def correct_measurements(
 ) -> Measurements:
     """Shift the clusters' readings to the baseline of their calibration.
 
-    The drift is taken as linear between two unloaded spans [s]. A calibration's baseline is that of
-    an unloaded cluster. If it stores none, or the load cell measured more than `least_force` [N] in
-    the first span (even a pylon alone has weight), only the drift since that span is corrected.
-    `notify` reports the drift between two spans, flags a large one, and lists uncorrected clusters;
-    `where` names the trial in errors.
+    The drift is taken as linear between two unloaded spans. A calibration's baseline is that of an
+    unloaded cluster. If it stores none, or the load cell measured more than `least_force` in the
+    first span (even a pylon alone has weight), only the drift since that span is corrected.
+
+    Args:
+        measured: The measurements, with the wrenches that show the load.
+        spans: Start and end of the unloaded spans since the trial's first sample [s], one or two.
+        calibration: Gives the baseline and, for the notes, the stress of each cluster.
+        least_force: Magnitude of the force on the load cell from which a span is loaded [N].
+        where: Names the trial in errors.
+        notify: Called with notes on loaded spans, on each cluster's drift between two spans, and on
+            uncorrected clusters.
+
+    Returns:
+        The measurements with corrected capacitances, shape (N, c, 4) [pF].
+
+    Raises:
+        TrialError: If a span is under load.
+        CalibrationError: If a span holds fewer than three complete readings of a cluster.
     """
     loads = _unloaded_forces(measured, spans, least_force, where)
     stored = any(calibration.clusters[name].baseline is not None for name in measured.clusters)

@@ -23,13 +23,22 @@ HINT = f"give {', '.join(NAMED)}, T0:T1 in seconds, or event:A:B"
 
 @dataclass(frozen=True)
 class Segment:
-    """A part of a trial."""
+    """A part of a trial.
 
-    kind: str  # plateau, hold, loaded, all, span, or the events that delimit it
-    start: float  # since the first sample [s]
-    end: float  # since the first sample [s]
-    rows: slice  # of the samples
-    cause: str = ""  # why earlier samples are excluded, if a channel slipped or drifted
+    Attributes:
+        kind: `plateau`, `hold`, `loaded`, `all`, `span`, or the specification `event:A:B`.
+        start: Time of its first sample, since the trial's first sample [s].
+        end: Time of its last sample, since the trial's first sample [s].
+        rows: Its rows among the trial's samples.
+        cause: Why earlier samples are excluded, in words, if a channel slipped or drifted in a
+            running trial; otherwise empty.
+    """
+
+    kind: str
+    start: float
+    end: float
+    rows: slice
+    cause: str = ""
 
     def __str__(self) -> str:
         return f"{self.kind} {self.start:.2f} s to {self.end:.2f} s"
@@ -47,8 +56,14 @@ def select_segment(
 ) -> Segment:
     """Select a part of a trial by a specification as in `st.select_segment`.
 
-    Plateaus ignore the clusters' channels in `leave_out`. `events` returns the events of the trial;
-    None stands for those detected in the load.
+    Args:
+        samples: All samples of the trial.
+        specification: `plateau`, `hold`, `auto`, `all`, `T0:T1` since the first sample [s], or
+            `event:A:B`.
+        settings: Criteria for plateaus and loads.
+        leave_out: Clusters' channels that plateaus ignore, such as `distal.Fz`.
+        events: Returns the events of the trial in the order of their times; not called for `all`
+            and `plateau`. None stands for those detected in the load.
 
     Raises:
         ConfigurationError: If the specification cannot be parsed.
@@ -79,7 +94,16 @@ def select_segment(
 
 
 def parse_span(span: str, option: str, others: str = "") -> tuple[float, float]:
-    """A span given as `T0:T1` [s]; errors name the option and its other accepted values."""
+    """Start and end of a span given as `T0:T1` [s].
+
+    Args:
+        span: The span, such as `12.5:60`.
+        option: What errors call it, such as `--tare`.
+        others: Ends the hint of errors, with other accepted values, such as `, or none, recorded`.
+
+    Raises:
+        ConfigurationError: If it does not have this form, or the start is not before the end.
+    """
     try:
         start, end = (float(part) for part in span.split(":"))
     except ValueError:
@@ -91,7 +115,13 @@ def parse_span(span: str, option: str, others: str = "") -> tuple[float, float]:
 
 
 def first_frames(segment: Segment, samples: Samples, frames: int) -> Segment:
-    """At most the given number of first samples of a segment; 0 for all."""
+    """The first samples of a segment, as a segment.
+
+    Args:
+        segment: The segment.
+        samples: All samples of the trial.
+        frames: Largest number of samples to keep; 0 for all.
+    """
     start, stop = segment.rows.start, segment.rows.stop
     if not 0 < frames < stop - start:
         return segment
@@ -128,7 +158,12 @@ def find_plateaus(
     after a sample agree), a steady mean wrench (small spread over the plateau) and few missing
     channels. Two are added: every cluster's force is steady too, because a constant offset no
     longer describes a cluster that slips or drifts; and the plateau is under load, because it tells
-    nothing about the contact otherwise. Channels in `leave_out`, such as distal.Fz, are ignored.
+    nothing about the contact otherwise.
+
+    Args:
+        samples: All samples of the trial.
+        settings: The limits of the criteria [N, N m, s].
+        leave_out: Clusters' channels to ignore, such as `distal.Fz`.
     """
     steady = _steadiness(samples, settings, leave_out)
     found = []
@@ -146,6 +181,11 @@ def find_newest_plateaus(
 
     If a plateau drifts, its newest part is kept rather than its longest. The cause names the
     channels that drift, or the cluster channels that slipped under a steady wrench.
+
+    Args:
+        samples: The samples of the trial so far, or its newest ones.
+        settings: The limits of the criteria [N, N m, s].
+        leave_out: Clusters' channels to ignore, such as `distal.Fz`.
     """
     steady = _steadiness(samples, settings, leave_out)
     found = []
@@ -163,13 +203,21 @@ def find_newest_plateaus(
 
 
 class _Steadiness(NamedTuple):
-    """Steady runs of samples, and the data behind them."""
+    """Steady runs of samples, and the data behind them.
 
-    runs: list[tuple[int, int]]  # half-open index ranges without a change of load
-    names: tuple[str, ...]  # the m channels that must not drift: the wrench's, then the clusters'
-    mean: FloatArray  # their moving means, shape (N, m) [N m, N]
-    limits: FloatArray  # maximum spread of each over a plateau, shape (m,) [N m, N]
-    width: int  # of the moving mean [samples]
+    Attributes:
+        runs: Half-open ranges of rows without a change of load.
+        names: The m channels that must not drift: the wrench's, then the clusters'.
+        mean: Moving means of these channels, shape (N, m) [N m, N].
+        limits: Largest spread of each channel over a plateau, shape (m,) [N m, N].
+        width: Window of the moving mean [samples].
+    """
+
+    runs: list[tuple[int, int]]
+    names: tuple[str, ...]
+    mean: FloatArray
+    limits: FloatArray
+    width: int
 
 
 def _steadiness(
@@ -232,7 +280,15 @@ def _slips(steady: _Steadiness, start: int, settings: PlateauSettings) -> str:
 
 
 def moving_mean(values: FloatArray, width: int) -> FloatArray:
-    """Centred moving mean of each column's finite values; the window is truncated at the ends."""
+    """Centred moving mean of each column's finite values; the window is truncated at the ends.
+
+    Args:
+        values: The values, shape (N, m), in any unit; NaN where unknown.
+        width: Window [samples].
+
+    Returns:
+        The means, shape (N, m), in the unit of the values; NaN where a window holds no value.
+    """
     finite = np.isfinite(values)
     mean = partial(uniform_filter1d, size=width, axis=0, mode="constant")
     share = mean(finite.astype(float))  # [-] of the window
@@ -251,17 +307,24 @@ def _fill_gaps(values: FloatArray) -> FloatArray:
 
 
 def _differences(mean: FloatArray, width: int) -> FloatArray:
-    """Mean after each sample minus the mean before it, of the same shape."""
+    """Mean after each sample minus the mean before it, shape (N, m), from moving means (N, m)."""
     before = mean[np.maximum(np.arange(len(mean)) - (width + 1) // 2, 0)]
     after = mean[np.minimum(np.arange(len(mean)) + (width + 1) // 2, len(mean) - 1)]
     return np.asarray(after - before)
 
 
 def longest_within(values: FloatArray, limits: FloatArray) -> tuple[int, int]:
-    """First of the longest half-open ranges in which no column's spread exceeds its limit.
+    """First of the longest half-open ranges of rows in which no column's spread exceeds its limit.
 
-    The values have no gaps, shape (N, m). A range within the limits contains only ranges within the
-    limits, so the length is found by bisection.
+    A range within the limits contains only ranges within the limits, so the length is found by
+    bisection.
+
+    Args:
+        values: The values without gaps, shape (N, m).
+        limits: Largest spread (maximum minus minimum) of each column, shape (m,), in its unit.
+
+    Returns:
+        The first row of the range and the row after its last.
     """
     found, fits, too_long = 0, 0, len(values) + 1
     length = len(values)

@@ -28,18 +28,34 @@ from socket_testbed.trials.messages import Reader, VectorPacker, pose_packer, wr
 
 @dataclass(frozen=True)
 class Measurements:
-    """Measurements as recorded, one row per trigger; missing values are NaN."""
+    """Measurements as recorded, one row per trigger; missing values are NaN.
 
-    stamps: IntArray  # times of the triggers since the epoch, shape (N,) [ns]
-    wrench: FloatArray  # [M; F], shape (N, 6) [N m, N]
-    socket: FloatArray  # position [m] and quaternion (x, y, z, w) of the body, shape (N, 7)
-    pylon: FloatArray  # likewise of the pylon
-    clusters: tuple[str, ...]  # names of the c clusters
-    capacitance: FloatArray  # by converter input, shape (N, c, 4) [pF]
-    status: StatusArray  # of each capacitance, shape (N, c, 4)
-    # Empty unless requested: ratios of the load cell's bridges, shape (N, 6) [mV/V], the subtracted
-    # tares [M; F], shape (N, 6) [N m, N], and the markers in the world by body, shape (N, k, 3)
-    # [m], with k the maximum number of any body.
+    Attributes:
+        stamps: Times of the triggers since the epoch, ascending, shape (N,) [ns].
+        wrench: Force and moment of the limb on the socket, tared, [M; F] in {S}, shape (N, 6)
+            [N m, N].
+        socket: Position [m] and quaternion (x, y, z, w) of the socket's marker body in the world,
+            shape (N, 7).
+        pylon: Position [m] and quaternion (x, y, z, w) of the pylon's marker body in the world,
+            shape (N, 7).
+        clusters: Names of the c clusters.
+        capacitance: By converter input, shape (N, c, 4) [pF].
+        status: `Status` of each capacitance, shape (N, c, 4).
+        ratios: Ratios of the load cell's bridges, shape (N, 6) [mV/V]; shape (0, 6) unless
+            requested.
+        tares: What was subtracted from the wrenches, [M; F] in {S}, shape (N, 6) [N m, N]; shape
+            (0, 6) unless requested.
+        markers: Markers in the world by body, shape (N, k, 3) [m], with k the largest number that
+            any body may have; rows beyond a body's own number are NaN. Empty unless requested.
+    """
+
+    stamps: IntArray
+    wrench: FloatArray
+    socket: FloatArray
+    pylon: FloatArray
+    clusters: tuple[str, ...]
+    capacitance: FloatArray
+    status: StatusArray
     ratios: FloatArray
     tares: FloatArray
     markers: dict[str, FloatArray]
@@ -50,7 +66,7 @@ class Measurements:
         return (self.stamps - self.stamps[0]) * 1e-9
 
     def packed(self) -> tuple[tuple[topics.Topic, VectorPacker, FloatArray], ...]:
-        """Topic, packer of a row, and rows of the wrenches and poses."""
+        """Topic, packer of a row, and rows of the wrenches (N, 6) and of the poses (N, 7)."""
         return (
             (topics.WRENCH, wrench_packer(), self.wrench),
             (topics.SOCKET_POSE, pose_packer(), self.socket),
@@ -78,11 +94,19 @@ _Columns: TypeAlias = list[NDArray[Any]]
 def read_measurements(
     bag: BagReader, notify: Callable[[str], None], more: Collection[topics.Topic] = ()
 ) -> Measurements:
-    """Read the measurements of a bag; a TrialError if it cannot be read or lacks a topic.
+    """Read the measurements of a bag; a row for each stamp on any required topic.
 
-    Samples are the stamps of the required topics. `more` selects LOAD_CELL_RAW and MARKERS in
-    addition. `notify` reports missing poses, and stamps that are far off, jump back or occur more
-    than once in a topic.
+    Args:
+        bag: The open bag.
+        notify: Called with one line on missing poses, on messages that cannot be decoded, on
+            impossible values, and on stamps that are far off, jump back or occur more than once in
+            a topic.
+        more: Topics to read in addition, of LOAD_CELL_RAW (fills `ratios` and `tares`) and MARKERS
+            (fills `markers`).
+
+    Raises:
+        TrialError: If the bag cannot be read, or lacks a required topic other than a pose or one of
+            `more`.
     """
     recorded = required_topics(bag)
     if not all(bag.counts.get(recorded.get(topic, "")) for topic in topics.POSES.values()):
@@ -141,7 +165,7 @@ def read_measurements(
 
 
 def marker_count(seen: FloatArray) -> int:
-    """Number of a body's markers: up to the last one ever seen in an array of shape (N, k, 3)."""
+    """Number of a body's markers: up to the last one ever seen, from an array (N, k, 3) [m]."""
     return int(np.flatnonzero(np.isfinite(seen).any(axis=(0, 2))).max(initial=-1)) + 1
 
 
@@ -250,7 +274,15 @@ def _times(parts: list[str]) -> str:
 def make_samples(
     measured: Measurements, calibration: Calibration, geometry: SocketGeometry
 ) -> Samples:
-    """Samples from corrected measurements; calibration and geometry must know all clusters."""
+    """Samples from corrected measurements: calibrated forces, and the limb's pose in {S}.
+
+    Args:
+        measured: The measurements, one row per trigger.
+        calibration: Gives the stress of each cluster from its capacitances; it must know all of
+            them.
+        geometry: Gives the area and frame of each cluster's tile, and the pose of the limb from
+            those of the marker bodies; it must know all clusters.
+    """
     position, rotation = np.empty((2, len(measured.stamps), 3))
     for start in range(0, len(position), _BLOCK_SIZE):
         rows = slice(start, start + _BLOCK_SIZE)

@@ -12,18 +12,27 @@ from socket_testbed.errors import ConfigurationError, TrialError
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic of the testbed."""
+    """A topic of the testbed.
 
-    name: str  # relative to the namespace of the testbed
-    type: str  # as `package/msg/Type`
-    required: bool = False  # needed for offline analysis of a trial
-    computed: bool = False  # a node computes it from measured topics
-    unrecorded: bool = False  # large, and can be recomputed from a trial
-    latched: bool = False  # late subscribers get the last message (transient local)
+    Attributes:
+        name: Its name, relative to the namespace of the testbed, or absolute (`/diagnostics`).
+        type: Its message type, as `package/msg/Type`.
+        required: Whether the offline analysis of a trial needs it.
+        computed: Whether a node computes it from measured topics.
+        unrecorded: Whether it is left out of trials: large, and can be recomputed from them.
+        latched: Whether late subscribers get the last message (transient local).
+    """
+
+    name: str
+    type: str
+    required: bool = False
+    computed: bool = False
+    unrecorded: bool = False
+    latched: bool = False
 
     @property
     def depth(self) -> int:
-        """Queue of a publisher, in messages."""
+        """Queue of a publisher [messages]."""
         return 1 if self.latched else PUBLISHER_DEPTH
 
 
@@ -88,10 +97,20 @@ RECORDED_TRIAL = Topic("recorder/trial", "std_msgs/msg/String", latched=True)
 
 
 def match_topics(types: Mapping[str, str], where: str) -> dict[Topic, str]:
-    """The bag's name of each topic of the testbed, in any namespace, from its types by name.
+    """The bag's full name of each topic of the testbed, in any namespace.
 
-    A topic in two namespaces raises a TrialError, in which `where` names the bag; another program's
-    topic of the same name and another type does not count beside the testbed's.
+    Another program's topic whose name ends like the testbed's, with another type, does not count
+    beside the testbed's.
+
+    Args:
+        types: Message types of the bag, as `package/msg/Type`, by full name of the topic.
+        where: Names the bag in errors.
+
+    Returns:
+        The full names by topic; topics that the bag lacks are left out.
+
+    Raises:
+        TrialError: If a topic is in two namespaces.
     """
     found: dict[Topic, str] = {}
     for name, kind in types.items():
@@ -111,17 +130,31 @@ def match_topics(types: Mapping[str, str], where: str) -> dict[Topic, str]:
 
 
 def namespace_of(name: str, topic: Topic) -> str:
-    """Namespace of a topic in a graph, such as /lab for /lab/trigger; empty for none."""
+    """Namespace of a topic in a graph, such as /lab for /lab/trigger; empty for none.
+
+    Args:
+        name: The topic's full name in the graph.
+        topic: The topic.
+    """
     return name.removesuffix(topic.name).rstrip("/")
 
 
 def full_name(name: str, namespace: str) -> str:
-    """An absolute name in the graph, such as /left/trigger for trigger in /left."""
+    """An absolute name in the graph, such as /left/trigger for trigger in /left.
+
+    Args:
+        name: Name relative to the namespace; one that begins with `/` is returned as it is.
+        namespace: The namespace, absolute; empty or `/` for none.
+    """
     return name if name.startswith("/") else f"{namespace.rstrip('/')}/{name}"
 
 
 def full_namespace(given: str) -> str:
-    """An absolute ROS namespace, such as /left for left."""
+    """An absolute ROS namespace, such as /left for left.
+
+    Raises:
+        ConfigurationError: If ROS does not accept it.
+    """
     namespace = "/" + given.strip("/")
     if not re.fullmatch(r"/|(/[A-Za-z_][A-Za-z0-9_]*)+", namespace):
         raise ConfigurationError(f"'{given}' is not a namespace", "give one such as /left, or /")

@@ -38,25 +38,55 @@ if TYPE_CHECKING:
 _FINGERPRINT_SPAN = 30.0  # [s]; a copy that was cut later has the same fingerprint
 
 
+@dataclass
+class _Kept:
+    """What a trial keeps of its readings, so that later calls need no other one.
+
+    Attributes:
+        samples: The samples; None before the first reading.
+        fingerprint: The fingerprint; empty before the first reading.
+        sound: The samples without outliers, by left-out channels.
+        problems: The problems in the data, by left-out channels.
+        notes: The notes as keys, in their order, without duplicates.
+    """
+
+    samples: Samples | None = None
+    fingerprint: str = ""
+    sound: dict[tuple[str, ...], Samples] = field(default_factory=dict)
+    problems: dict[tuple[str, ...], tuple[DataFinding, ...]] = field(default_factory=dict)
+    notes: dict[str, None] = field(default_factory=dict)
+
+
 @dataclass(frozen=True)
 class Trial:
     """A recorded trial.
+
+    Attributes:
+        path: Its folder, or one storage file.
+        socket_file: A `socket.yaml` instead of the trial's own. Poses of a body whose markers
+            differ are refitted to its recorded markers.
+        calibration_file: A `calibration.yaml` instead of the trial's own.
+        notify: Called with each note on the bag and on recomputed measurements, one line each; None
+            to keep them only in `notes`.
+        unloaded: Start and end of unloaded spans since the first sample [s]: none, one before the
+            load, or another one after it, from which the clusters' drift is corrected.
+        load_cell_file: A `testbed.yaml` with load-cell settings from which the wrenches are
+            recomputed; None for the recorded wrenches.
+        tare: The tare of the wrenches: `recorded`, `none`, or `T0:T1`, an unloaded span since the
+            first sample [s].
 
     Raises:
         ConfigurationError: If the spans or the tare are wrong, see `check_unloaded`, `parse_tare`.
     """
 
-    path: Path  # its folder
-    # A `socket.yaml` instead of the trial's own. Poses of a body whose markers differ are refitted
-    # to its recorded markers
+    path: Path
     socket_file: Path | None = None
-    calibration_file: Path | None = None  # a `calibration.yaml` instead of the trial's own
-    notify: Callable[[str], None] | None = None  # called with each note on the bag and on drift
-    # Unloaded spans, before and after, from which the clusters' drift is corrected [s]
+    calibration_file: Path | None = None
+    notify: Callable[[str], None] | None = None
     unloaded: tuple[tuple[float, float], ...] = ()
-    load_cell_file: Path | None = None  # a `testbed.yaml` with load-cell settings to use instead
-    tare: str = reprocess.RECORDED  # or `none`, or `T0:T1`, an unloaded span [s]
-    _noted: dict[str, None] = field(default_factory=dict, init=False, repr=False, compare=False)
+    load_cell_file: Path | None = None
+    tare: str = reprocess.RECORDED
+    _kept: _Kept = field(default_factory=_Kept, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         reprocess.check_unloaded(self.unloaded)
@@ -110,8 +140,7 @@ class Trial:
         """
         with self.open() as bag:
             measured = synchronise.read_measurements(bag, self._notify, self.remade)
-        early = measured.capacitance[measured.time <= _FINGERPRINT_SPAN]
-        self.__dict__["_fingerprint"] = sha256(early.tobytes()).hexdigest()[:16]
+        self._kept.fingerprint = _fingerprint(measured)
         where = str(self.path)
         if topics.LOAD_CELL_RAW in self.remade:
             given = reprocess.read_load_cell(self.load_cell_file) if self.load_cell_file else None
@@ -140,40 +169,36 @@ class Trial:
         Raises:
             TestbedError: As in `measurements`, or if a cluster of the trial is on no tile.
         """
-        return self._samples
-
-    @cached_property
-    def _samples(self) -> Samples:
-        return self.measurements_and_samples()[1]
+        if self._kept.samples is None:
+            return self.measurements_and_samples()[1]
+        return self._kept.samples
 
     def sound(self, leave_out: tuple[str, ...] = ()) -> Samples:
-        """The samples without outliers, found in channels that are not left out; cached."""
-        if leave_out not in self._sound:
+        """The samples with outliers as NaN, found in channels that are not left out; cached.
+
+        Left-out channels, such as `distal.Fz`, are searched for no outliers, and keep their values.
+        """
+        kept = self._kept.sound
+        if leave_out not in kept:
             samples = self.samples()
             outliers = find_outliers(samples, self.geometry, leave_out)
-            self._sound[leave_out] = outliers.taken_from(samples)
-        return self._sound[leave_out]
-
-    @cached_property
-    def _sound(self) -> dict[tuple[str, ...], Samples]:
-        return {}
+            kept[leave_out] = outliers.taken_from(samples)
+        return kept[leave_out]
 
     def problems(self, leave_out: tuple[str, ...] | None = None) -> tuple[DataFinding, ...]:
         """Problems in the data, worst first; empty if it is good, see `check_data`; cached.
 
-        Left-out channels, by default those of the trial's settings, are not checked.
+        Left-out channels, such as `distal.Fz`, are not checked; None stands for those of the
+        trial's settings.
         """
         from socket_testbed.identification.data_check import check_data  # not needed by a replay
 
         left = self.estimator.identification.leave_out if leave_out is None else leave_out
-        if left not in self._problems:
+        kept = self._kept.problems
+        if left not in kept:
             mass = self.metadata.mass
-            self._problems[left] = check_data(self.samples(), self.geometry, mass, left)
-        return self._problems[left]
-
-    @cached_property
-    def _problems(self) -> dict[tuple[str, ...], tuple[DataFinding, ...]]:
-        return {}
+            kept[left] = check_data(self.samples(), self.geometry, mass, left)
+        return kept[left]
 
     def to_dataframe(self) -> pd.DataFrame:
         """The samples as a pandas table, see `Samples.to_dataframe`."""
@@ -184,12 +209,20 @@ class Trial:
         measured = self.measurements()
         self._require_clusters(measured.clusters)
         samples = synchronise.make_samples(measured, self.calibration, self.geometry)
-        return measured, self.__dict__.setdefault("_samples", samples)
+        if self._kept.samples is None:
+            self._kept.samples = samples
+        return measured, self._kept.samples
 
     def check(self) -> tuple[str, ...]:
-        """Refuse an unusable trial before long work or the start of a graph.
+        """Refuse an unusable trial before long work or the start of a graph, by its first message.
 
-        Raises the errors of `samples`; returns the names of the trial's clusters.
+        Returns:
+            The names of the trial's clusters.
+
+        Raises:
+            TrialError: If the trial cannot be read, lacks a topic, or has a cluster on no tile.
+            ConfigurationError: If an input file is wrong.
+            CalibrationError: If the calibration lacks a cluster of the trial.
         """
         with self.open() as bag:
             name = required_topics(bag)[topics.CAPACITANCE]
@@ -201,8 +234,8 @@ class Trial:
     @property
     def fingerprint(self) -> str:
         """Identifies the recording by its first readings, whatever its folder is called."""
-        self.samples()
-        return str(self.__dict__["_fingerprint"])
+        self.samples()  # keeps it
+        return self._kept.fingerprint
 
     def _require_clusters(self, clusters: Collection[str]) -> None:
         self.calibration.require(clusters, f"the trial {self.path}")
@@ -215,7 +248,7 @@ class Trial:
     @property
     def notes(self) -> list[str]:
         """The notes on the trial so far, without duplicates."""
-        return [*self._noted]
+        return [*self._kept.notes]
 
     def note(self, text: str) -> None:
         """Send a note on the trial to `notify`, if any."""
@@ -223,7 +256,7 @@ class Trial:
             self.notify(text)
 
     def _notify(self, note: str) -> None:
-        self._noted[note] = None
+        self._kept.notes[note] = None
         self.note(note)
 
     @property
@@ -254,18 +287,28 @@ class Trial:
         return join_events(recorded, find_events(samples, self.estimator.plateau))
 
     def select(self, specification: str, settings: EstimatorSettings) -> Segment:
-        """The segment of a specification, see `select_segment`."""
+        """The segment of a specification, see `select_segment`.
+
+        Args:
+            specification: `plateau`, `hold`, `auto`, `all`, `T0:T1` since the first sample [s], or
+                `event:A:B`.
+            settings: Criteria for plateaus and loads, and the channels that they ignore.
+
+        Raises:
+            ConfigurationError: If the specification cannot be parsed.
+            TrialError: If there is no such segment.
+        """
         limits, leave_out = settings.plateau, settings.identification.leave_out
         return select_segment(self.sound(leave_out), specification, limits, leave_out, self.events)
 
     def plateaus(self, settings: EstimatorSettings) -> list[Segment]:
-        """The plateaus, longest first."""
+        """The plateaus by the criteria of some settings, longest first."""
         leave_out = settings.identification.leave_out
         return find_plateaus(self.sound(leave_out), settings.plateau, leave_out)
 
     @property
     def replaced(self) -> dict[str, Any]:
-        """What the measurements are corrected with: unloaded spans, tare and load cell."""
+        """What the measurements are corrected with: unloaded spans [s], tare and load cell."""
         return {
             "unloaded": [list(span) for span in self.unloaded],
             "tare": self.tare,
@@ -274,12 +317,20 @@ class Trial:
 
     @property
     def geometry_path(self) -> Path:
-        """Path of the `socket.yaml` in use; a TrialError if there is none."""
+        """Path of the `socket.yaml` in use.
+
+        Raises:
+            TrialError: If none is given, and none is stored in the trial.
+        """
         return self.socket_file or self._stored(SOCKET_FILE)
 
     @property
     def calibration_path(self) -> Path:
-        """Path of the `calibration.yaml` in use; a TrialError if there is none."""
+        """Path of the `calibration.yaml` in use.
+
+        Raises:
+            TrialError: If none is given, and none is stored in the trial.
+        """
         return self.calibration_file or self._stored(CALIBRATION_FILE)
 
     def _stored(self, name: str) -> Path:
@@ -297,12 +348,12 @@ class Trial:
 
     @cached_property
     def geometry(self) -> SocketGeometry:
-        """Geometry of the socket."""
+        """Geometry of the socket, from `geometry_path`."""
         return read_socket(self.geometry_path)
 
     @cached_property
     def calibration(self) -> Calibration:
-        """Calibration of the clusters."""
+        """Calibration of the clusters, from `calibration_path`."""
         return read_calibration(self.calibration_path)
 
     @cached_property
@@ -314,6 +365,12 @@ class Trial:
     def _parameters(self) -> TestbedSettings:
         stored = self.path / PARAMETERS_FILE
         return read_testbed(stored) if stored.is_file() else TestbedSettings()
+
+
+def _fingerprint(measured: synchronise.Measurements) -> str:
+    """The fingerprint of a recording: a hash of its first capacitances, as recorded."""
+    early = measured.capacitance[measured.time <= _FINGERPRINT_SPAN]
+    return sha256(early.tobytes()).hexdigest()[:16]
 
 
 def recorded_namespace(trial: Trial) -> str:
@@ -328,7 +385,13 @@ def read_configuration(
 ) -> dict[str, bytes]:
     """The configuration to store in new trials: contents of its files, by name.
 
-    The package's own `socket.yaml`, `calibration.yaml` or `testbed.yaml` replaces a missing one.
+    Args:
+        geometry: A `socket.yaml`; None for the package's own.
+        calibration: A `calibration.yaml`; None for the package's own.
+        parameters: A `testbed.yaml`; None for the package's own.
+
+    Raises:
+        ConfigurationError: If a file is missing or wrong.
     """
     files: tuple[tuple[str, Path | None, Callable[[Path], object]], ...] = (
         (SOCKET_FILE, geometry, read_socket),
@@ -344,7 +407,12 @@ def read_configuration(
 
 
 def store_configuration(folder: Path, contents: Mapping[str, bytes]) -> None:
-    """Store named files in a trial's folder, flushed to the disk."""
+    """Store files in a trial's folder, flushed to the disk.
+
+    Args:
+        folder: The trial's folder, which exists.
+        contents: Contents by file name, see `read_configuration`.
+    """
     for name, content in contents.items():
         (folder / name).write_bytes(content)
         sync(folder / name)
