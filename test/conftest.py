@@ -1,42 +1,10 @@
 import os
-import socket
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from support import SHARED_DATA
-
-_LAST = 101  # the ports of higher domains may be taken by any program
-_HAUNTED = 30.0  # [s]; others take a killed node for a silent one for 20 s
-
-_claims: list[tuple[socket.socket, float]] = []  # with when the next one was made [s]
-
-
-def claim_domain() -> str:
-    """A ROS domain that no other test on this machine has, and none had a moment ago.
-
-    It is kept until the process ends, or for a while after the next one is claimed. An abstract
-    address of Unix sockets exists once per network namespace, as a domain does, and is free again
-    however its process ends.
-    """
-    now = time.monotonic()
-    while len(_claims) > 1 and _claims[0][1] < now - _HAUNTED:
-        _claims.pop(0)[0].close()
-    if _claims:
-        _claims[-1] = _claims[-1][0], now
-    for k in range(_LAST):
-        domain = 1 + (os.getpid() + k) % _LAST
-        claim = socket.socket(socket.AF_UNIX)
-        try:
-            claim.bind(f"\0socket_testbed tests in ROS domain {domain}")
-        except OSError:
-            claim.close()
-            continue
-        _claims.append((claim, now))
-        return str(domain)
-    raise RuntimeError("all ROS domains are taken: wait until other runs of the tests have ended")
-
+from support.domains import claim_domain
 
 # No graph leaves this machine, nor meets another's. This must stand before rclpy is imported
 # anywhere; child processes inherit it.
@@ -44,7 +12,7 @@ os.environ["ROS_DOMAIN_ID"] = claim_domain()
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-from socket_testbed.__main__ import run  # noqa: E402
+from socket_testbed.__main__ import run
 
 _SLOW_WITHIN = 400.0  # [s]; with a module's fixtures, on a machine that others use
 
