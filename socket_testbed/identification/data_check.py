@@ -12,7 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import compress, groupby
+from functools import cached_property
+from itertools import chain, compress, groupby
 
 import numpy as np
 
@@ -132,70 +133,194 @@ def _units(
         )
 
 
-def _time_series(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFinding]:
-    """Signs, lags, and whether each source follows the load."""
-    proximal = proximal_direction(geometry)
-    load = axial_force(geometry, samples.wrench)
-    pressing = -samples.trusted_forces[:, :, 2]
-    period = usual_period(samples.time)
-    together = np.sum([_filled(column, samples.time) for column in pressing.T], axis=0)
-    if not np.isfinite(load).any():
-        return
-    changes = [float(np.nanstd(course)) for course in (together, load)]
-    if changes[0] > max(LOCAL_SHARE[1] * changes[1], MIN_LOAD_CHANGE / 5):
+@dataclass(frozen=True)
+class _Courses:
+    """The courses of load, clusters and limb over a trial's N samples, in which rules find defects.
+
+    The load is the force along the socket, positive under load. A cluster's force is its normal
+    force, positive in compression.
+
+    Attributes:
+        samples: The samples, without outliers and left-out channels, with rotations since the mean
+            attitude.
+        geometry: The socket.
+    """
+
+    samples: Samples
+    geometry: SocketGeometry
+
+    @cached_property
+    def load(self) -> FloatArray:
+        """The load as measured, shape (N,) [N]; NaN where a force of the load cell is missing."""
+        return axial_force(self.geometry, self.samples.wrench)
+
+    @cached_property
+    def pressing(self) -> FloatArray:
+        """The force on each of the c clusters, shape (N, c) [N]; NaN unless its status is OK."""
+        return np.asarray(-self.samples.trusted_forces[:, :, 2])
+
+    @cached_property
+    def together(self) -> FloatArray:
+        """The force on all clusters, missing values interpolated, shape (N,) [N]."""
+        filled = [_filled(column, self.samples.time) for column in self.pressing.T]
+        return np.asarray(np.sum(filled, axis=0))
+
+    @cached_property
+    def down(self) -> FloatArray:
+        """The limb's position towards the distal end, shape (N,) [m]; NaN where it is missing."""
+        return np.asarray(-self.samples.position @ self.proximal)
+
+    @cached_property
+    def proximal(self) -> FloatArray:
+        """Unit vector along the socket towards its proximal end in {S}, shape (3,) [-]."""
+        return proximal_direction(self.geometry)
+
+    @cached_property
+    def period(self) -> float:
+        """Usual time between samples [s]."""
+        return usual_period(self.samples.time)
+
+    @cached_property
+    def load_change(self) -> float:
+        """Standard deviation of the load [N]; 0 for an unknown load."""
+        return float(np.nanstd(self.load)) if np.isfinite(self.load).any() else 0.0
+
+    @cached_property
+    def clusters_change(self) -> float:
+        """Standard deviation of the force on all clusters [N]."""
+        return float(np.nanstd(self.together))
+
+    @cached_property
+    def load_is_too_small(self) -> bool:
+        """Whether the load changes far less than the force on the clusters."""
+        limit = max(LOCAL_SHARE[1] * self.load_change, MIN_LOAD_CHANGE / 5)
+        return bool(np.isfinite(self.load).any()) and self.clusters_change > limit
+
+    @cached_property
+    def load_shows_others(self) -> bool:
+        """Whether the load changes enough to judge others by it, and is not itself in doubt."""
+        return self.load_change > MIN_LOAD_CHANGE and not self.load_is_too_small
+
+    @cached_property
+    def follows(self) -> FloatArray:
+        """Correlation of each cluster with the load as measured, shape (c,) [-]."""
+        return np.array([_correlation(column, self.load) for column in self.pressing.T])
+
+    @cached_property
+    def sign_note(self) -> str | None:
+        """Why the wrench looks negated, in words; None if it does not."""
+        note = plausibility.sign_note(self.samples, self.geometry)
+        opposite = int((self.follows < REVERSED).sum()) if self.load_shows_others else 0
+        if note is None and opposite > 1 and 2 * opposite > len(self.follows):
+            return "the force on the clusters falls as the load rises"
+        return note
+
+    @cached_property
+    def sense(self) -> float:
+        """Factor that turns a negated load the right way: -1, otherwise 1 [-]."""
+        return -1.0 if self.sign_note and np.nansum(self.follows) < 0.0 else 1.0
+
+    @cached_property
+    def lags(self) -> dict[str, float]:
+        """Delays behind the load by source, of those that are too late or too early [s]."""
+        if not self.load_shows_others:
+            return {}
+        reference = self.sense * self.load
+        courses = {"the clusters": self.together, "the limb pose": self.down}
+        found = {name: _lag(reference, course, self.period) for name, course in courses.items()}
+        limit = max(MAX_LAG, 2.5 * self.period)
+        return {name: lag for name, lag in found.items() if abs(lag) > limit}
+
+    @cached_property
+    def are_simultaneous(self) -> bool:
+        """Whether sources can be compared with the load sample by sample."""
+        return self.load_shows_others and not self.lags
+
+    @cached_property
+    def causes(self) -> FloatArray:
+        """Wrench and pose, or the wrench alone without any pose, shape (N, 12) or (N, 6)."""
+        samples = self.samples
+        posed = samples.has_pose.any()
+        return np.hstack([samples.wrench, samples.pose]) if posed else samples.wrench
+
+
+def _small_load(courses: _Courses) -> Iterator[DataFinding]:
+    """A wrench that changes far less than the forces on the clusters."""
+    if courses.load_is_too_small:
         yield DataFinding(
             "the wrench",
-            f"its force along the socket changes by {changes[1]:.2g} N while those of the clusters"
-            f" change by {changes[0]:.2g} N",
+            f"its force along the socket changes by {courses.load_change:.2g} N while those of the"
+            f" clusters change by {courses.clusters_change:.2g} N",
             "check that forces are in N and stresses in Pa, the load cell's channels, and the"
             " calibration",
         )
+
+
+def _negated_wrench(courses: _Courses) -> Iterator[DataFinding]:
+    """A wrench that pulls at a pressed socket, or that falls as the clusters are pressed."""
+    if courses.sign_note:
+        hint = "check the sign of the load cell's channels"
+        yield DataFinding("the wrench", courses.sign_note, hint)
+
+
+def _small_clusters(courses: _Courses) -> Iterator[DataFinding]:
+    """Clusters that are loaded, but far less than the load."""
+    if not courses.load_shows_others:
         return
-    if not changes[1] > MIN_LOAD_CHANGE:
-        return
-    note = plausibility.sign_note(samples, geometry)
-    follows = [_correlation(column, load) for column in pressing.T]
-    opposite = sum(value < REVERSED for value in follows)
-    if note or (opposite > 1 and 2 * opposite > len(follows)):
-        fact = "the force on the clusters falls as the load rises"
-        yield DataFinding("the wrench", note or fact, "check the sign of the load cell's channels")
-        return
-    if 0.0 < changes[0] < LOCAL_SHARE[0] * changes[1]:
+    if 0.0 < courses.clusters_change < LOCAL_SHARE[0] * courses.load_change:
         yield DataFinding(
             "the clusters",
-            f"their forces change by {changes[0]:.2g} N while the load does by {changes[1]:.2g} N",
+            f"their forces change by {courses.clusters_change:.2g} N while the load does by"
+            f" {courses.load_change:.2g} N",
             "check that stresses are in Pa and forces in N, and the calibration",
         )
-    down = -samples.position @ proximal
-    for name, course in (("the clusters", together), ("the limb pose", down)):
-        lag = _lag(load, course, period)
-        if abs(lag) > max(MAX_LAG, 2.5 * period):
-            how = f"{'late' if lag > 0.0 else 'early'} by {abs(lag):.1f} s against the load cell"
-            yield DataFinding(name, how, "check the clocks and the delays of the sources")
-            return
-    noises = channel_noise(samples).local_forces[:, 2]
-    posed = samples.has_pose.any()
-    causes = np.hstack([samples.wrench, samples.pose]) if posed else samples.wrench
-    for name, value, column, noise in zip(
-        samples.clusters, follows, pressing.T, noises, strict=True
-    ):
+
+
+def _late_sources(courses: _Courses) -> Iterator[DataFinding]:
+    """Sources that follow the load too late or too early."""
+    for name, lag in courses.lags.items():
+        how = f"{'late' if lag > 0.0 else 'early'} by {abs(lag):.1f} s against the load cell"
+        yield DataFinding(name, how, "check the clocks and the delays of the sources")
+
+
+def _reversed_clusters(courses: _Courses) -> Iterator[DataFinding]:
+    """Clusters that are pressed less while the limb is loaded more."""
+    if not courses.are_simultaneous:
+        return
+    for name, value in zip(courses.samples.clusters, courses.sense * courses.follows, strict=True):
         if value < REVERSED:
             yield DataFinding(
                 name,
                 f"it is pressed less the more the limb is loaded (correlation {value:.2f})",
                 "check the sign of its normal channel, or whether clusters are exchanged",
             )
-        elif (
-            value < MIN_CORRELATION
-            and _explained(column, causes) < MIN_EXPLAINED
-            and np.nanstd(column) > MIN_SIGNAL * noise  # else it is hardly loaded
+
+
+def _idle_clusters(courses: _Courses) -> Iterator[DataFinding]:
+    """Clusters whose force follows neither the load nor any other motion or load of the limb."""
+    if not courses.are_simultaneous:
+        return
+    follows = courses.sense * courses.follows
+    noises = channel_noise(courses.samples).local_forces[:, 2]
+    sources = zip(courses.samples.clusters, follows, courses.pressing.T, noises, strict=True)
+    for name, value, force, noise in sources:
+        if (
+            REVERSED <= value < MIN_CORRELATION
+            and _explained(force, courses.causes) < MIN_EXPLAINED
+            and np.nanstd(force) > MIN_SIGNAL * noise  # else it is hardly loaded
         ):
             yield DataFinding(
                 name,
                 f"it does not follow the load (correlation {value:.2f})",
                 "check its place, its cable and its calibration",
             )
-    along = _along(samples.position, load, proximal)
+
+
+def _motion_across(courses: _Courses) -> Iterator[DataFinding]:
+    """A limb that does not sink along the socket as it is loaded."""
+    if not courses.are_simultaneous:
+        return
+    along = _along(courses.samples.position, courses.sense * courses.load, courses.proximal)
     if along < MIN_SINKING:
         yield DataFinding(
             "the limb pose",
@@ -203,6 +328,23 @@ def _time_series(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFin
             f" {np.degrees(np.arccos(along)):.0f} deg to the socket's axis",
             "check the axes and the registration of the marker bodies",
         )
+
+
+_RULES_OF_COURSES = (
+    _small_load,
+    _negated_wrench,
+    _small_clusters,
+    _late_sources,
+    _reversed_clusters,
+    _idle_clusters,
+    _motion_across,
+)
+
+
+def _time_series(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFinding]:
+    """Sizes, signs and lags, and whether each source follows the load."""
+    courses = _Courses(samples, geometry)
+    return chain.from_iterable(rule(courses) for rule in _RULES_OF_COURSES)
 
 
 def _disagreements(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFinding]:
