@@ -162,8 +162,10 @@ class _Courses:
     @cached_property
     def together(self) -> FloatArray:
         """The force on all clusters, missing values interpolated, shape (N,) [N]."""
-        filled = [_filled(column, self.samples.time) for column in self.pressing.T]
-        return np.asarray(np.sum(filled, axis=0))
+        total = np.zeros(len(self.samples))
+        for column in self.pressing.T:
+            total += _filled(column, self.samples.time)
+        return total
 
     @cached_property
     def down(self) -> FloatArray:

@@ -384,9 +384,11 @@ def measurement_errors(
     RMS f_rms of the channel, and its noise, (c, 3) [N], NaN if unknown.
     """
     forces = samples.trusted_forces
-    sizes = [[rms(channel) for channel in cluster.T] for cluster in forces.swapaxes(0, 1)]
+    sizes = np.empty(noise.shape)
+    for cluster, axis in np.ndindex(noise.shape):
+        sizes[cluster, axis] = rms(forces[:, cluster, axis])
     offset = np.fmax(noise, settings.cluster_error)
-    return np.hypot(offset, settings.cluster_gain_error * np.nan_to_num(np.array(sizes)))
+    return np.hypot(offset, settings.cluster_gain_error * np.nan_to_num(sizes))
 
 
 def _forces_of(model: ContactModel, samples: Samples) -> tuple[FloatArray, FloatArray]:

@@ -159,6 +159,14 @@ def test_spikes_do_not_hide_each_other_and_spoil_neither_fit_nor_pressure(sound)
     assert not plausibility.find_outliers(tapped.samples(), tapped.geometry).rows.any()
 
 
+def test_a_trial_without_clusters_is_checked(sound: dict[str, Path]) -> None:
+    trial = st.open_trial(sound["protocol"])
+    samples = trial.samples()
+    forces, status = samples.local_forces[:, :0], samples.status[:, :0]
+    bare = replace(samples, clusters=(), local_forces=forces, status=status)
+    assert check_data(bare, trial.geometry) == ()
+
+
 # --- Samples that no limb in a socket gives
 
 
