@@ -311,16 +311,29 @@ class ForceMap:
         typical sample: its standard deviations are root mean squares.
         """
         values, present = _channels(samples)
-        weights, sums = self._weights(samples), dict[str, FloatArray]()
-        for start in range(0, len(samples), _CHUNK):
+        weights = self._weights(samples)
+        count, tiles = len(samples), len(self._areas)
+        # Sums over the samples: of means, and of the squares of standard deviations.
+        forces, force_squares = np.zeros((2, 1, tiles, 3))
+        pressure, pressure_squares, shear, shear_squares = np.zeros((4, 1, tiles))
+        for start in range(0, count, _CHUNK):
             chunk = slice(start, start + _CHUNK)
-            for name, found in vars(self._estimate(values[chunk], present[chunk], weights)).items():
-                if name != "source":
-                    powers = found ** (2 if "deviation" in name else 1)
-                    sums[name] = sums.get(name, 0.0) + powers.sum(axis=0, keepdims=True)
-        means = {name: total / len(samples) for name, total in sums.items()}
-        means |= {name: np.sqrt(mean) for name, mean in means.items() if "deviation" in name}
-        return MapEstimate(**means, source=self._source(present))
+            found = self._estimate(values[chunk], present[chunk], weights)
+            forces += found.forces.sum(axis=0)
+            force_squares += (found.standard_deviations**2).sum(axis=0)
+            pressure += found.normal_pressure.sum(axis=0)
+            pressure_squares += (found.normal_pressure_standard_deviation**2).sum(axis=0)
+            shear += found.shear.sum(axis=0)
+            shear_squares += (found.shear_standard_deviation**2).sum(axis=0)
+        return MapEstimate(
+            forces=forces / count,
+            standard_deviations=np.sqrt(force_squares / count),
+            normal_pressure=pressure / count,
+            normal_pressure_standard_deviation=np.sqrt(pressure_squares / count),
+            shear=shear / count,
+            shear_standard_deviation=np.sqrt(shear_squares / count),
+            source=self._source(present),
+        )
 
     def source(self, samples: Samples) -> str:
         """The channels that the map of these samples is conditioned on, in words."""
