@@ -32,7 +32,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -475,34 +474,99 @@ def _rigid_motions(geometry: SocketGeometry, arm: float) -> FloatArray:
     return np.swapaxes(geometry.rotations, 1, 2) @ in_socket @ np.kron(np.eye(2), axes.T)
 
 
-_LOG_NORMAL = {
-    **dict.fromkeys(("shear", "preload", "bed", "sinking", "rotation", "bed_shear"), "spread"),
-    "bed_variation": "spread",
-    "length": "length_spread",
-    "cluster_error": "cluster_error_spread",
-}
-_NORMAL = {"drag": "drag_spread", "share": "share_spread"}
+@dataclass(frozen=True)
+class Hypothesis:
+    """The hyperparameters of a prior; unlike the settings' values they know no bounds.
+
+    Attributes:
+        normal_deviation: Standard deviation of a tile's own normal force, to which the sizes below
+            are relative [N]; the data scales all of them.
+        length: Correlation length of the forces over the wall [m].
+        shear: Standard deviation of a tile's own tangential force along each tangent [-].
+        preload: Standard deviation of the normal force common to all tiles [-].
+        bed: Root mean square force of the bed of springs as the limb moves sideways [-].
+        sinking: Root mean square force of the bed as the limb sinks [-].
+        rotation: Root mean square force of the bed as the limb turns, about each axis [-].
+        bed_shear: Tangential stiffness of the bed, relative to its normal stiffness [-].
+        bed_variation: Variation kappa of the bed's stiffness over the wall, relative to it [-].
+        arm: Lever arm at which a rotation displaces a tile as far as a translation does [m].
+        drag: Distal force on a tile by friction, relative to its normal force [-].
+        share: Share of the load that the tiles bear, within `MIN_SHARE` to 1 [-]; the surface
+            between them bears the rest.
+        moment_error: Standard deviation of a moment's error [N m].
+        force_error: Standard deviation of the error of a force of the load cell [N].
+        cluster_error: Standard deviation of the offset of a force on a cluster [N].
+        cluster_gain_error: Standard deviation of the gain of a cluster [-].
+    """
+
+    normal_deviation: float
+    length: float
+    shear: float
+    preload: float
+    bed: float
+    sinking: float
+    rotation: float
+    bed_shear: float
+    bed_variation: float
+    arm: float
+    drag: float
+    share: float
+    moment_error: float
+    force_error: float
+    cluster_error: float
+    cluster_gain_error: float
 
 
-def hypotheses(settings: ForceMapSettings) -> Iterator[SimpleNamespace]:
+_UNCERTAIN = 11  # hyperparameters that `hypotheses` spreads
+
+
+def hypotheses(settings: ForceMapSettings) -> Iterator[Hypothesis]:
     """The prior's hyperparameters, spread evenly over their distributions; one has the medians.
 
-    The points are the low-discrepancy additive recurrence of the generalised golden ratio
+    `drag` and `share` are normally distributed, the other uncertain ones log-normally.
+    """
+
+    def log_normal(median: float, deviation: float, point: float) -> float:
+        return float(median * np.exp(deviation * point))
+
+    spread = settings.spread
+    for point in _normal_points(settings.draws, _UNCERTAIN).tolist():
+        shear, preload, bed, sinking, rotation, bed_shear, bed_variation = point[:7]
+        length, cluster_error, drag, share = point[7:]
+        borne = settings.share + settings.share_spread * share
+        yield Hypothesis(
+            normal_deviation=settings.normal_deviation,
+            length=log_normal(settings.length, settings.length_spread, length),
+            shear=log_normal(settings.shear, spread, shear),
+            preload=log_normal(settings.preload, spread, preload),
+            bed=log_normal(settings.bed, spread, bed),
+            sinking=log_normal(settings.sinking, spread, sinking),
+            rotation=log_normal(settings.rotation, spread, rotation),
+            bed_shear=log_normal(settings.bed_shear, spread, bed_shear),
+            bed_variation=log_normal(settings.bed_variation, spread, bed_variation),
+            arm=settings.arm,
+            drag=settings.drag + settings.drag_spread * drag,
+            share=min(max(borne, MIN_SHARE), 1.0),
+            moment_error=settings.moment_error,
+            force_error=settings.force_error,
+            cluster_error=log_normal(
+                settings.cluster_error, settings.cluster_error_spread, cluster_error
+            ),
+            cluster_gain_error=settings.cluster_gain_error,
+        )
+
+
+def _normal_points(count: int, dimensions: int) -> FloatArray:
+    """Standard normal points, evenly spread, the first at the medians, (count, dimensions) [-].
+
+    They are the low-discrepancy additive recurrence of the generalised golden ratio
     (Niederreiter, Random Number Generation and Quasi-Monte Carlo Methods, 1992, section 3.2).
     """
-    spreads = _LOG_NORMAL | _NORMAL
     ratio = 1.0
     for _ in range(64):  # to rounding
-        ratio = (1.0 + ratio) ** (1.0 / (len(spreads) + 1.0))
-    steps = ratio ** -np.arange(1.0, len(spreads) + 1.0)
-    points = ndtri((0.5 + np.arange(settings.draws)[:, None] * steps) % 1.0)
-    for point in points.tolist():
-        sizes = {}
-        for (name, spread), value in zip(spreads.items(), point, strict=True):
-            median, change = getattr(settings, name), getattr(settings, spread) * value
-            sizes[name] = median + change if name in _NORMAL else median * np.exp(change)
-        sizes["share"] = min(max(sizes["share"], MIN_SHARE), 1.0)
-        yield SimpleNamespace(**(vars(settings) | sizes))  # may exceed the settings' bounds
+        ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1.0))
+    steps = ratio ** -np.arange(1.0, dimensions + 1.0)
+    return np.asarray(ndtri((0.5 + np.arange(count)[:, None] * steps) % 1.0))
 
 
 def _probabilities(log_evidence: FloatArray) -> FloatArray:
@@ -523,7 +587,7 @@ class Prior:
     """
 
     def __init__(
-        self, geometry: SocketGeometry, clusters: tuple[str, ...], sizes: SimpleNamespace
+        self, geometry: SocketGeometry, clusters: tuple[str, ...], sizes: Hypothesis
     ) -> None:
         count = len(geometry)
         self._correlation = wall_correlation(geometry, sizes.length)
