@@ -260,6 +260,20 @@ class Terms:
     curvature: FloatArray  # errors times second derivatives of the law, shape (6n, 6n) [-]
 
 
+@dataclass(frozen=True)
+class _ForceDerivatives:
+    """Nonzero derivatives of the forces on n tiles by the tile's own scaled parameters, in N rows.
+
+    Attributes:
+        places: For each of P derivatives the axis of the force in the law's frame and the row of
+            the parameter: stiffnesses are 0 to 2, rest displacements 3 to 5.
+        values: The derivatives, shape (N, P, n) [N].
+    """
+
+    places: tuple[tuple[int, int], ...]
+    values: FloatArray
+
+
 class Problem:
     """The objective as a function of the scaled parameters, shape (6, n) [-].
 
@@ -444,59 +458,91 @@ class Problem:
         return values - values.mean(axis=0) if self._with_offsets else values
 
     def evaluate(self, x: FloatArray) -> Terms:
-        """Derivatives of the objective of a refined law at x, shape (6, n)."""
+        """Derivatives of the objective of a refined law at x, shape (6, n) [-]."""
         stiffness, rest = (x * self._scale).reshape(2, 3, -1)
         moved = self.law.displacements(self._motion) - rest
-        # Derivatives of the forces, by axis and parameter: stiffnesses are 0 to 2, rest
-        # displacements 3 to 5.
-        forces = self.law.columns(moved)
-        derivatives = {(axis, axis): forces[:, axis] for axis in range(3)}
-        for (axis, along), slope in self.law.slopes(moved).items():
-            derivatives[axis, 3 + along] = -stiffness[axis] * slope
-        places = list(derivatives)
-        columns = np.stack(list(derivatives.values()), axis=1)  # (N, pairs, n)
-        columns *= self._scale[[parameter for _, parameter in places]]
-        rows, _, points = columns.shape
+        forces = self._force_derivatives(stiffness, moved)
         wrench, local = self.residuals(x)
-
-        by_pair = columns.reshape(rows, -1)
-        products = (by_pair.T @ by_pair).reshape(len(places), points, len(places), points) / rows
-        weighted = self._weights[:, None, None] * self.law.onto
-        metric = np.einsum("can,cbm->anbm", self.law.onto, weighted)
-        normal = np.zeros((6, points, 6, points))
-        for a, (axis, parameter) in enumerate(places):
-            for b, (other_axis, other) in enumerate(places):
-                normal[parameter, :, other] += products[a, :, b] * metric[axis, :, other_axis]
-        # Weighted errors, mapped to the tiles' forces.
-        mapped = -np.tensordot(wrench, weighted, axes=1) / rows
-        for channel, residual in zip(self.channels, local, strict=True):
-            point, share = channel.point, channel.weight / len(residual)
-            missed = share * self._centred(residual)
-            mapped[channel.rows, :, point] -= missed[:, None] * channel.direction
-            own = np.zeros((len(residual), 6))
-            for k, (axis, parameter) in enumerate(places):
-                own[:, parameter] += channel.direction[axis] * columns[channel.rows, k, point]
-            own = self._centred(own)
-            normal[:, point, :, point] += share * (own.T @ own)
-        gradient = (self.prior @ (x - self.start).reshape(-1)).reshape(x.shape)
-        for k, (axis, parameter) in enumerate(places):
-            gradient[parameter] += np.einsum("tn,tn->n", columns[:, k], mapped[:, axis])
+        errors = self._errors_on_tiles(wrench, local)
+        products = self._wrench_products(forces)
+        for channel in self.channels:
+            products[:, channel.point, :, channel.point] += self._channel_products(forces, channel)
         return Terms(
-            gradient=gradient.reshape(-1),
-            gauss_newton=normal.reshape(6 * points, 6 * points),
-            curvature=self._curvature(stiffness, moved, mapped),
+            gradient=self._gradient(x, forces, errors),
+            gauss_newton=products.reshape(x.size, x.size),
+            curvature=self._curvature(stiffness, moved, errors),
         )
 
+    def _force_derivatives(self, stiffness: FloatArray, moved: FloatArray) -> _ForceDerivatives:
+        """Derivatives at stiffnesses (3, n) [N/m] and displacements from rest (N, 3, n) [m]."""
+        columns = self.law.columns(moved)
+        found = {(axis, axis): columns[:, axis] for axis in range(3)}
+        for (axis, along), slope in self.law.slopes(moved).items():
+            found[axis, 3 + along] = -stiffness[axis] * slope
+        values = np.stack(list(found.values()), axis=1)
+        values *= self._scale[[parameter for _, parameter in found]]
+        return _ForceDerivatives(places=tuple(found), values=values)
+
+    def _wrench_products(self, forces: _ForceDerivatives) -> FloatArray:
+        """Gauss-Newton matrix of the wrench, (6, n, 6, n) [-].
+
+        It is the mean product of two derivatives of forces, times the weighted product of what a
+        unit of both forces does to the wrench.
+        """
+        rows, pairs, points = forces.values.shape
+        columns = forces.values.reshape(rows, pairs * points)
+        means = (columns.T @ columns).reshape(pairs, points, pairs, points) / rows
+        onto = self.law.onto
+        unit = np.einsum("can,cbm->anbm", onto, self._weights[:, None, None] * onto)
+        products = np.zeros((6, points, 6, points))
+        for a, (axis, parameter) in enumerate(forces.places):
+            for b, (other_axis, other_parameter) in enumerate(forces.places):
+                added = means[a, :, b] * unit[axis, :, other_axis]
+                products[parameter, :, other_parameter] += added
+        return products
+
+    def _channel_products(self, forces: _ForceDerivatives, channel: ClusterChannel) -> FloatArray:
+        """Gauss-Newton matrix of a cluster's channel in its tile's parameters, shape (6, 6) [-]."""
+        rows = len(channel.force)
+        slopes = np.zeros((rows, 6))  # of the channel's force
+        for k, (axis, parameter) in enumerate(forces.places):
+            values = forces.values[channel.rows, k, channel.point]
+            slopes[:, parameter] += channel.direction[axis] * values
+        slopes = self._centred(slopes)
+        return np.asarray(channel.weight / rows * (slopes.T @ slopes))
+
+    def _errors_on_tiles(self, wrench: FloatArray, local: list[FloatArray]) -> FloatArray:
+        """Derivatives of half the squared errors by the tiles' forces, shape (N, 3, n) [1/N].
+
+        The residuals are those of `residuals`.
+        """
+        weighted = self._weights[:, None, None] * self.law.onto
+        errors = -np.tensordot(wrench, weighted, axes=1) / len(wrench)
+        for channel, residual in zip(self.channels, local, strict=True):
+            missed = channel.weight / len(residual) * self._centred(residual)
+            errors[channel.rows, :, channel.point] -= missed[:, None] * channel.direction
+        return np.asarray(errors)
+
+    def _gradient(self, x: FloatArray, forces: _ForceDerivatives, errors: FloatArray) -> FloatArray:
+        """Gradient of data and prior by the scaled parameters, shape (6n,) [-]."""
+        gradient = (self.prior @ (x - self.start).reshape(-1)).reshape(x.shape)
+        for k, (axis, parameter) in enumerate(forces.places):
+            gradient[parameter] += np.einsum("tn,tn->n", forces.values[:, k], errors[:, axis])
+        return np.asarray(gradient.reshape(-1))
+
     def _curvature(
-        self, stiffness: FloatArray, moved: FloatArray, mapped: FloatArray
+        self, stiffness: FloatArray, moved: FloatArray, errors: FloatArray
     ) -> FloatArray:
-        """Second derivatives of the law times the mapped errors, (6n, 6n), a block per tile."""
+        """Second derivatives of the law times the errors on the tiles, (6n, 6n) [-].
+
+        There is a block per tile, as a force depends on its own tile's parameters only.
+        """
         points = stiffness.shape[1]
         block = np.zeros((6, 6, points))
         for (axis, along), slope in self.law.slopes(moved).items():
-            block[axis, 3 + along] -= (mapped[:, axis] * slope).sum(axis=0)
+            block[axis, 3 + along] -= (errors[:, axis] * slope).sum(axis=0)
         for (axis, along, other), bend in self.law.bends(moved).items():
-            block[3 + along, 3 + other] += stiffness[axis] * (mapped[:, axis] * bend).sum(axis=0)
+            block[3 + along, 3 + other] += stiffness[axis] * (errors[:, axis] * bend).sum(axis=0)
         block += np.triu(np.ones((6, 6)), 1).T[:, :, None] * block.transpose(1, 0, 2)
         block *= self._scale[:, None] * self._scale[None]
         full = np.zeros((6, points, 6, points))
