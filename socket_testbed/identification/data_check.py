@@ -61,11 +61,18 @@ MAX_ROTATION = 0.7  # [rad]; of the limb from its mean attitude; sound 0.04
 
 @dataclass(frozen=True)
 class DataFinding:
-    """A defect of a trial's data."""
+    """A defect of a trial's data.
 
-    source: str  # the wrench, the limb pose, a cluster or a channel
-    fact: str  # the defect
-    hint: str  # what to check
+    Attributes:
+        source: Where to look, such as `the wrench`, `the limb pose`, the name of a cluster or of
+            a channel.
+        fact: The defect in words, with its numbers and their units.
+        hint: What to check.
+    """
+
+    source: str
+    fact: str
+    hint: str
 
     def __str__(self) -> str:
         return f"{LOOK}{self.source}: {self.fact}; {self.hint}"
@@ -80,9 +87,13 @@ def check_data(
 ) -> tuple[DataFinding, ...]:
     """Defects of a trial's data, the worst first; empty if it is good.
 
-    The mass is that of the person [kg], if stated. Channels in `leave_out` are not checked. In a
-    window instead of a `whole` trial the limb may just be pushed, so sources are not compared over
-    time.
+    Args:
+        samples: The samples of the trial, or of a window of it, N of them.
+        geometry: The socket, which has the clusters of the samples.
+        mass: Mass of the person, to judge the size of the load [kg]; None if it is unknown.
+        leave_out: Names of channels that are not checked, such as `Mz` or `distal.Fx`.
+        whole: Whether the samples are a whole trial. In a window the limb may just be pushed, so
+            sources are not compared over time.
     """
     if len(samples) < LEAST_CHECKED:
         fact = f"{len(samples)} samples are too few to judge it"
@@ -101,7 +112,7 @@ def check_data(
 def _units(
     samples: Samples, geometry: SocketGeometry, mass: float | None, leave_out: tuple[str, ...]
 ) -> Iterator[DataFinding]:
-    """Units and frames."""
+    """Units and frames, which show in sizes: of single channels, the force and the rotation."""
     try:
         plausibility.require_units(samples, geometry)
     except IdentificationError as error:
@@ -432,13 +443,19 @@ def _channels(samples: Samples, leave_out: tuple[str, ...]) -> Iterator[DataFind
 
 
 def _filled(course: FloatArray, time: FloatArray) -> FloatArray:
-    """A series with its missing values interpolated, (N,); zeros if all are missing."""
+    """A series of N values with the missing ones interpolated, (N,); zeros if all are missing.
+
+    Times have the shape (N,) [s].
+    """
     known = np.isfinite(course)
     return np.interp(time, time[known], course[known]) if known.any() else np.zeros(len(course))
 
 
 def _correlation(one: FloatArray, other: FloatArray) -> float:
-    """Correlation of two series where both are known: 0 if one is constant, NaN if too short."""
+    """Correlation of two series (N,) where both are known [-]: 0 if one is constant.
+
+    It is NaN if fewer than `LEAST_CHECKED` values are known in both.
+    """
     known = np.isfinite(one) & np.isfinite(other)
     if known.sum() < LEAST_CHECKED:
         return float("nan")
@@ -448,7 +465,11 @@ def _correlation(one: FloatArray, other: FloatArray) -> float:
 
 
 def _along(position: FloatArray, load: FloatArray, proximal: FloatArray) -> float:
-    """Cosine of the angle between the limb's motion under load and the distal direction [-]."""
+    """Cosine of the angle between the limb's motion under load and the distal direction [-].
+
+    From positions (N, 3) [m], loads (N,) [N] and the proximal direction (3,); 1 if too few are
+    known.
+    """
     known = np.isfinite(position).all(axis=1) & np.isfinite(load)
     if known.sum() < LEAST_CHECKED:
         return 1.0
@@ -468,7 +489,10 @@ def _explained(course: FloatArray, by: FloatArray) -> float:
 
 
 def _lag(reference: FloatArray, course: FloatArray, period: float) -> float:
-    """Delay of a series behind another, 0 unless a lag is clearly better [s]."""
+    """Delay of a series (N,) behind another [s]; 0 unless a lag is clearly better.
+
+    The period is the time between values [s].
+    """
     step = max(1, round(LAG_STEP / period))
     reference, course, period = reference[::step], course[::step], step * period
     limit = min(round(SEARCHED_LAG / period), len(course) // 3)
@@ -486,5 +510,6 @@ def _lag(reference: FloatArray, course: FloatArray, period: float) -> float:
 
 
 def _longest_run(values: FloatArray) -> int:
+    """Number of values in the longest run of equal ones, of a series (N,)."""
     ends = np.flatnonzero(np.append(np.diff(values) != 0.0, True))
     return int(np.diff(np.append(-1, ends)).max())

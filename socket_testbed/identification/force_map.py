@@ -61,16 +61,28 @@ _MAX_PATTERNS = 64  # cached patterns of present channels
 
 @dataclass(frozen=True)
 class MapEstimate:
-    """Forces of the limb on all n tiles with their standard deviations, for N samples."""
+    """Forces of the limb on all n tiles with their standard deviations, for N samples.
 
-    forces: FloatArray  # forces on the socket in {S}, shape (N, n, 3) [N]
-    standard_deviations: FloatArray  # of the forces, by axis of {S}, shape (N, n, 3) [N]
-    normal_pressure: FloatArray  # positive in compression, shape (N, n) [Pa]
-    normal_pressure_standard_deviation: FloatArray  # shape (N, n) [Pa]
-    shear: FloatArray  # magnitude of the tangential force over the area, shape (N, n) [Pa]
-    # root mean square difference of the Rice-distributed magnitude from `shear`, shape (N, n) [Pa]
+    Attributes:
+        forces: Forces of the limb on the socket's tiles in {S}, shape (N, n, 3) [N].
+        standard_deviations: Standard deviations of the forces, by axis of {S}, shape
+            (N, n, 3) [N].
+        normal_pressure: Normal pressures on the tiles, positive in compression, shape (N, n) [Pa].
+        normal_pressure_standard_deviation: Standard deviations of the normal pressures, shape
+            (N, n) [Pa].
+        shear: Magnitudes of the tangential forces over the areas, shape (N, n) [Pa].
+        shear_standard_deviation: Root mean square differences of the Rice-distributed magnitudes
+            from `shear`, shape (N, n) [Pa].
+        source: What the estimate was conditioned on, in words.
+    """
+
+    forces: FloatArray
+    standard_deviations: FloatArray
+    normal_pressure: FloatArray
+    normal_pressure_standard_deviation: FloatArray
+    shear: FloatArray
     shear_standard_deviation: FloatArray
-    source: str  # what the estimate was conditioned on, in words
+    source: str
 
     @property
     def pressure_reach(self) -> FloatArray:
@@ -88,10 +100,15 @@ class MapEstimate:
         }
 
     def columns(self, names: tuple[str, ...], prefix: str = "") -> dict[str, FloatArray]:
-        """Columns of a table with one row per sample, by titles with units.
+        """Columns of a table with one row per sample, shape (N,) each, by titles with units.
 
         For each tile the force in {S} and its standard deviation, such as `tile_012.Fz [N]` and
-        `tile_012.Fz.sd [N]`, then likewise `pressure` and `shear` [Pa].
+        `tile_012.Fz.sd [N]`, then normal pressure and shear with theirs, such as
+        `tile_012.pressure [Pa]` and `tile_012.pressure.sd [Pa]`.
+
+        Args:
+            names: Names of the n tiles, in the order of the geometry.
+            prefix: What each title begins with.
         """
         found = {}
         for tile, name in enumerate(names):
@@ -103,7 +120,10 @@ class MapEstimate:
         return found
 
     def by_tile(self, geometry: SocketGeometry) -> pd.DataFrame:
-        """Pressure and shear of the first sample with their standard deviations, a row per tile."""
+        """Pressure and shear of the first sample with their standard deviations [kPa].
+
+        The table has a row per tile of the geometry, indexed by its name, with the cluster on it.
+        """
         import pandas as pd
 
         columns = {f"{name} [kPa]": 1e-3 * values[0] for name, values in self._stresses.items()}
@@ -116,14 +136,22 @@ class _Conditioned:
     """The M hypotheses of the prior, conditioned on the present channels.
 
     A tile's force has four components here: along x, y, z of {S} and along the tile's normal.
+    S = H K H' + R is the covariance of the present channels.
+
+    Attributes:
+        present: Indices of the d present channels among all 6 + 3c, shape (d,).
+        gain: K H' S^-1 of the hypotheses, from the channels to the forces, shape (M, n, 4, d)
+            [1/m, -].
+        precision: S^-1 of the hypotheses, shape (M, d, d) [1/N^2, or per N m instead of N].
+        log_determinant: Logarithm of the determinant of S, shape (M,).
+        variances: Variances of the forces for an amplitude of 1, shape (M, n, 4) [N^2].
     """
 
-    present: IntArray  # indices of the d present channels
-    # K H' S^-1 of the hypotheses, from the channels to the forces, shape (M, n, 4, d)
+    present: IntArray
     gain: FloatArray
-    precision: FloatArray  # S^-1, shape (M, d, d)
-    log_determinant: FloatArray  # of S, shape (M,)
-    variances: FloatArray  # of the forces, shape (M, n, 4) [N^2]
+    precision: FloatArray
+    log_determinant: FloatArray
+    variances: FloatArray
 
     def __getitem__(self, kept: IntArray) -> _Conditioned:
         parts = {name: values[kept] for name, values in vars(self).items() if name != "present"}
@@ -132,9 +160,9 @@ class _Conditioned:
     def average(self, measured: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and variances of the forces over the hypotheses, shape (N, n, 4) each [N, N^2].
 
-        They follow from the present channels, shape (N, d), and the probabilities of the
-        hypotheses, shape (M,). Under each hypothesis the squared amplitude has the posterior mean
-        (f + y' S^-1 y) / (f + d - 2).
+        They follow from the present channels, shape (N, d) [N m, N], and the probabilities of the
+        hypotheses, shape (M,) [-]. Under each hypothesis the squared amplitude has the posterior
+        mean (f + y' S^-1 y) / (f + d - 2).
         """
         count, channels = measured.shape
         hypotheses, tiles = self.variances.shape[:2]
@@ -173,22 +201,35 @@ class JointDraws:
 
     A draw of the forces in the tiles' frames is :math:`G_m y + b_m E_d` with its hypothesis m. The
     second half of the draws has the errors of the first with opposite sign.
+
+    Attributes:
+        rows: Indices of the k samples among those given to `ForceMap.sample`, shape (k,).
+        channels: Their d present channels y, shape (k, d) [N m, N].
+        gain: G of the M hypotheses, from the channels to the forces in the tiles' frames, flattened
+            to x, y, z of one tile after another, shape (M, 3n, d) [1/m, -].
+        weights: Probabilities of the hypotheses, shape (M,) [-].
+        sizes: Scales b of the errors under each hypothesis, shape (k, M) [-].
+        hypotheses: Index of the hypothesis of each of the first D/2 draws, shape (D/2,).
+        errors: Errors E of the first D/2 draws, in the tiles' frames, shape (D/2, 3n) [N].
     """
 
-    rows: IntArray  # indices of the samples, shape (k,)
-    channels: FloatArray  # their channels y, shape (k, d) [N m, N]
-    gain: FloatArray  # G of the hypotheses, shape (M, 3n, d)
-    weights: FloatArray  # probabilities of the hypotheses, shape (M,) [-]
-    sizes: FloatArray  # scales b of the errors under each hypothesis, shape (k, M) [-]
-    hypotheses: IntArray  # hypothesis of each draw, shape (D/2,)
-    errors: FloatArray  # E, shape (D/2, 3n) [N]
+    rows: IntArray
+    channels: FloatArray
+    gain: FloatArray
+    weights: FloatArray
+    sizes: FloatArray
+    hypotheses: IntArray
+    errors: FloatArray
 
     def __getitem__(self, part: slice) -> JointDraws:
         channels, sizes = self.channels[part], self.sizes[part]
         return replace(self, rows=self.rows[part], channels=channels, sizes=sizes)
 
     def values(self) -> FloatArray:
-        """The forces in the tiles' frames, flattened, shape (k, D, 3n) [N]."""
+        """The draws of the forces on the socket in the tiles' frames, shape (k, D, 3n) [N].
+
+        The last axis is x, y, z of one tile after another.
+        """
         errors = self.sizes[:, self.hypotheses, None] * self.errors
         hypotheses, forces, channels = self.gain.shape
         means = self.channels @ self.gain.reshape(-1, channels).T
@@ -196,12 +237,15 @@ class JointDraws:
         return np.concatenate([means + errors, means - errors], axis=1)
 
     def mean(self) -> FloatArray:
-        """The estimate: the mean over the hypotheses, shape (k, 3n) [N]."""
+        """The estimate in the tiles' frames: the mean over the hypotheses, shape (k, 3n) [N]."""
         gain = np.tensordot(self.weights, self.gain, axes=1)
         return np.asarray(self.channels @ gain.T)
 
     def mapped(self, mapping: FloatArray) -> JointDraws:
-        """The same draws of r linear functions of the forces, a matrix of shape (3n, r)."""
+        """Draws of r linear functions of the forces, with r in place of 3n in every shape.
+
+        The mapping from the forces in the tiles' frames has the shape (3n, r), in any unit.
+        """
         gain = np.einsum("mfd,fr->mrd", self.gain, mapping, optimize=True)
         return replace(self, gain=np.ascontiguousarray(gain), errors=self.errors @ mapping)
 
@@ -209,9 +253,14 @@ class JointDraws:
 class ForceMap:
     """Maps one sample's clusters and wrench to the forces on all tiles, with uncertainty.
 
-    The names of the clusters are in the order of the samples; the settings are the prior. The
-    evidence of the samples of a `trial` weighs the hypotheses. Without them `estimate` and `sample`
-    use that of their own samples, and `update` that of recent samples.
+    The evidence of a trial's samples weighs the hypotheses. Without a trial, `estimate`, `mean`
+    and `sample` use the evidence of their own samples, and `update` that of recent samples.
+
+    Args:
+        geometry: The socket with its n tiles.
+        clusters: Names of the c clusters, in the order of the samples.
+        settings: Sizes and spreads of the prior; None for the default settings.
+        trial: Samples whose evidence weighs the hypotheses; None for no trial.
     """
 
     def __init__(
@@ -245,7 +294,7 @@ class ForceMap:
             self._evidence_count = len(trial)
 
     def estimate(self, samples: Samples) -> MapEstimate:
-        """The map at every sample; the prior's if a sample has no channel at all."""
+        """The map at each of N samples; the prior's if a sample has no channel at all."""
         values, present = _channels(samples)
         return self._estimate(values, present, self._weights(samples))
 
@@ -307,7 +356,7 @@ class ForceMap:
         """The mean of the map over the samples, with N = 1, in bounded memory.
 
         Nearly the same directions are unobserved in every sample, so the mean is as uncertain as a
-        typical sample: its standard deviations are root mean squares.
+        typical sample: its standard deviations are root mean squares. There must be a sample.
         """
         values, present = _channels(samples)
         weights = self._weights(samples)
@@ -350,7 +399,11 @@ class ForceMap:
         have the posterior distribution (Matheron's rule: Journel & Huijbregts, Mining
         Geostatistics, 1978, section VII.A). All samples share the random numbers: the unobserved
         directions stay the same over a trial, so averaging over time does not reduce uncertainty.
-        They are seeded, and come in pairs of opposite errors: `count` is even.
+        They are seeded, and come in pairs of opposite errors.
+
+        Args:
+            samples: N samples with the clusters of the map.
+            count: Number D of draws at each sample, even.
 
         Yields:
             The draws of a batch of samples; each sample occurs once, in any order.
@@ -388,7 +441,8 @@ class ForceMap:
     def _draw(self, hypotheses: bytes) -> tuple[FloatArray, FloatArray]:
         """Draws of the prior: forces, (D, 3n) [N], and channels with noise, shape (D, c).
 
-        Forces are in the tiles' frames; `hypotheses` holds the index of each draw's hypothesis.
+        Forces are in the tiles' frames, channels in N m and N; `hypotheses` holds the bytes of the
+        index of each draw's hypothesis, shape (D,).
         """
         chosen = np.frombuffer(hypotheses, np.int64)
         tiles, rng = len(self._geometry), np.random.default_rng(0)
@@ -403,6 +457,7 @@ class ForceMap:
         return forces, noise
 
     def _condition(self, pattern: bytes) -> _Conditioned:
+        """The hypotheses, conditioned on the channels that the bytes of flags (6 + 3c,) mark."""
         present = np.flatnonzero(np.frombuffer(pattern, bool))
         cross = self._cross[..., present]
         total = self._total[:, present[:, None], present]
@@ -424,7 +479,7 @@ class ForceMap:
 
 
 def _channels(samples: Samples) -> tuple[FloatArray, BoolArray]:
-    """Values of all channels, shape (N, 6 + 3c), and which of them are present."""
+    """Values of all channels, shape (N, 6 + 3c) [N m, N], and which of them are present."""
     values = samples.trusted_values
     return values, np.isfinite(values)
 
@@ -438,7 +493,7 @@ def _by_pattern(present: BoolArray) -> Iterator[tuple[bytes, IntArray]]:
 
 
 def _rice_deviation(size: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Root mean square difference of a Rice-distributed magnitude from `size`.
+    """Root mean square difference of a Rice-distributed magnitude from `size`, of its shape [N].
 
     Take a vector of two components, of standard deviation sigma each, with a mean of magnitude
     `size`. Its magnitude has the mean sigma sqrt(pi/2) L_1/2(-x), x = size^2 / (2 sigma^2), and
@@ -452,13 +507,26 @@ def _rice_deviation(size: FloatArray, sigma: FloatArray) -> FloatArray:
 
 
 def wall_correlation(geometry: SocketGeometry, length: float) -> FloatArray:
-    """Definite Matern correlation over the distance of the tiles' centres, length [m], (n, n)."""
+    """Definite Matern correlation of forces on the tiles, shape (n, n) [-].
+
+    Args:
+        geometry: The socket, whose n tiles have straight distances between their centres.
+        length: Correlation length [m].
+    """
     apart = np.linalg.norm(geometry.anchors[:, None] - geometry.anchors, axis=2)
     return matern(apart, length) + _NUGGET * np.eye(len(geometry))
 
 
 def matern(apart: FloatArray, length: float) -> FloatArray:
-    """Matern correlation, smoothness 3/2, for distances [m] and a length [m], of their shape."""
+    """Matern correlation of smoothness 3/2 (Rasmussen & Williams, 2006, section 4.2) [-].
+
+    Args:
+        apart: Distances, of any shape [m].
+        length: Correlation length [m].
+
+    Returns:
+        Correlations from 1 at no distance to 0 far away, of the shape of the distances [-].
+    """
     scaled = np.sqrt(3.0) * apart / length
     return np.asarray((1.0 + scaled) * np.exp(-scaled))
 
@@ -579,10 +647,18 @@ def _probabilities(log_evidence: FloatArray) -> FloatArray:
 class Prior:
     """The forces in the tiles' frames under one hypothesis: their covariance K and its parts.
 
+    The d channels are the wrench's [M; F] in {S}, then three per cluster in the cluster's frame.
+
+    Args:
+        geometry: The socket with its n tiles.
+        clusters: Names of the c clusters, so that d = 6 + 3c.
+        sizes: The hyperparameters.
+
     Attributes:
-        mapping: H from the forces to the channels, shape (c, 3n).
-        noise: Variances R of the channels' noise, offset and gain, shape (c,).
-        with_channels: K H', shape (n, 3, c).
+        mapping: H from the forces to the channels, shape (d, 3n) [m, -].
+        noise: Variances R of the channels' noise, offset and gain, shape (d,) [(N m)^2, N^2].
+        with_channels: K H', covariances of forces and channels, shape (n, 3, d) [N^2 m, N^2].
+        signal: H K H', covariance of the channels without noise, shape (d, d).
         blocks: The covariances of each tile's force, shape (n, 3, 3) [N^2].
     """
 
@@ -610,14 +686,17 @@ class Prior:
         K, tiles = self.covariance(), np.arange(count)
         self.blocks = K.reshape(count, 3, count, 3)[tiles, :, tiles]
         self.with_channels = (K @ self.mapping.T).reshape(count, 3, -1)
-        self.signal = self.mapping @ K @ self.mapping.T  # H K H'
+        self.signal = self.mapping @ K @ self.mapping.T
         channels = 3 * len(clusters)
         errors = (sizes.moment_error, sizes.force_error, sizes.cluster_error)
         gains = np.repeat([0.0, sizes.cluster_gain_error], (6, channels))
         self.noise = np.repeat(errors, (3, 3, channels)) ** 2 + gains**2 * np.diag(self.signal)
 
     def covariance(self) -> FloatArray:
-        """K, shape (3n, 3n) [N^2]: see the module."""
+        """K in the tiles' frames, x, y, z of one tile after another, (3n, 3n) [N^2].
+
+        The module docstring gives its equation.
+        """
         count = len(self._correlation)
         alike = np.kron(self._correlation, np.ones((3, 3)))  # M, for each component of a force
         normal, bed = np.tile([0.0, 0.0, 1.0], count), self._bed.reshape(3 * count, -1)
@@ -629,7 +708,10 @@ class Prior:
         return np.asarray(K.reshape(3 * count, -1))
 
     def draw(self, numbers: FloatArray) -> FloatArray:
-        """Draws of the forces, (D, 3n) [N], from standard normal numbers, shape (D, 9n + 7)."""
+        """Draws of the forces in the tiles' frames, x, y, z of each tile in turn, (D, 3n) [N].
+
+        They follow from standard normal numbers, shape (D, 9n + 7) [-].
+        """
         count, tiles = len(numbers), len(self._correlation)
         parts = np.split(numbers, [3 * tiles, 9 * tiles, 9 * tiles + 1], axis=1)
         root = np.linalg.cholesky(self._correlation)
