@@ -251,7 +251,7 @@ class _Courses:
 
     @cached_property
     def causes(self) -> FloatArray:
-        """Wrench and pose, or the wrench alone without any pose, shape (N, 12) or (N, 6)."""
+        """Wrench and pose, (N, 12), or without any pose the wrench, (N, 6) [N m, N, m, rad]."""
         samples = self.samples
         posed = samples.has_pose.any()
         return np.hstack([samples.wrench, samples.pose]) if posed else samples.wrench

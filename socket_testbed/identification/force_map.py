@@ -329,6 +329,10 @@ class ForceMap:
         return _probabilities(self._evidence if known else self._mean_evidence(samples))
 
     def _estimate(self, values: FloatArray, present: BoolArray, weights: FloatArray) -> MapEstimate:
+        """The map from channels (N, 6 + 3c) [N m, N] and the hypotheses' probabilities (M,) [-].
+
+        `present` marks the channels with a value, shape (N, 6 + 3c).
+        """
         kept = np.flatnonzero(weights)
         forces, variances = np.empty((2, len(values), len(self._areas), 4))
         for pattern, rows in _by_pattern(present):
@@ -472,6 +476,7 @@ class ForceMap:
         )
 
     def _source(self, present: BoolArray) -> str:
+        """Prior and measured sources in words, from the present channels, shape (N, 6 + 3c)."""
         wrench = len(WRENCH_CHANNELS)
         names = np.repeat(["wrench", *self._clusters], [wrench] + [3] * len(self._clusters))
         parts = dict.fromkeys(names[present.any(axis=0)])

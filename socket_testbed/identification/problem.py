@@ -224,6 +224,7 @@ def build_objective(
 def _cluster_channels(
     samples: Samples, geometry: SocketGeometry, counts: BoolArray
 ) -> tuple[ClusterChannel, ...]:
+    """The channels of the clusters in the objective, which `counts` marks, shape (c, 3)."""
     geometry.require(samples.clusters, "the samples")
     channels = []
     for column, cluster in enumerate(samples.clusters):
@@ -424,7 +425,7 @@ class Problem:
         return _normalised(P, q, *bounds, "Stage 1 (rest positions)")
 
     def moments(self, x: FloatArray) -> list[Moments]:
-        """Moments of the data at the rest displacements of x, shape (6, n).
+        """Moments of the data at the rest displacements of the scaled parameters x, (6, n) [-].
 
         First those of all columns with the wrench (p = 3n, m = 6), then for each channel of the
         clusters those of its tile's columns with its force (p = 3, m = 1).
@@ -635,7 +636,7 @@ class Problem:
         return full.reshape(6 * points, 6 * points)
 
     def model(self, x: FloatArray) -> ContactModel:
-        """The contact model with the parameters x, shape (6, n)."""
+        """The contact model with the scaled parameters x, shape (6, n) [-]."""
         objective, law = self.objective, self.law
         geometry = objective.geometry
         stiffness, rest = (x * self._scale).reshape(2, 3, -1)
