@@ -35,7 +35,14 @@ _MAX_SETTLING = 0.02  # [m]; limit for a loaded limb, which bounds the bed's sti
 def gate(displacement: FloatArray, sharpness: float) -> FloatArray:
     r"""Smooth unilateral gate, :math:`g(d) = 1/2 - 1/2 \tanh(\alpha d) = 1 / (1 + e^{2 \alpha d})`.
 
-    It is in [0, 1] [-] and tends to 1 in compression, d < 0 [m]; alpha is the sharpness [1/m].
+    It tends to 1 in compression and to 0 away from the wall.
+
+    Args:
+        displacement: Displacements d from rest, of any shape [m]; negative in compression.
+        sharpness: Sharpness alpha [1/m].
+
+    Returns:
+        The gates, within 0 to 1, of the shape of the displacements [-]; NaN for NaN.
     """
     # Far outside the contact the exponential overflows to infinity, where the gate is 0.
     with np.errstate(over="ignore"):
@@ -43,7 +50,7 @@ def gate(displacement: FloatArray, sharpness: float) -> FloatArray:
 
 
 def relative_change(force: FloatArray) -> float:
-    """Standard deviation of forces (N, 3) over their RMS [-]; 0 without force."""
+    """Standard deviation of forces, shape (N, 3) [N], over their RMS [-]; 0 without force."""
     change, size = np.sqrt(force.var(axis=0).sum()), np.sqrt((force**2).sum(axis=1).mean())
     return float(change / size) if size else 0.0
 
@@ -54,73 +61,114 @@ def wrench_map(anchors: FloatArray) -> FloatArray:
     .. math:: C = \begin{bmatrix} [a_1]_\times & \dots & [a_n]_\times \\
                                   I & \dots & I \end{bmatrix}
 
-    For points of application a_i of shape (n, 3) [m] it has the shape (6, 3n) [m, 1].
+    For points of application a_i in {S}, shape (n, 3) [m], it has the shape (6, 3n): the rows of
+    the moment are in m, those of the force have no unit. Columns run over x, y, z of each point.
     """
     moments = np.cross(anchors[:, None], np.eye(3))  # a_i x e_j
     return np.vstack([moments.reshape(-1, 3).T, np.tile(np.eye(3), len(anchors))])
 
 
 def rigid_motions(arms: FloatArray) -> FloatArray:
-    """Displacements of points at arms (n, 3) [m] by a translation and a rotation, (n, 3, 6).
+    """Displacements of points by a small translation, then rotation, of a body, (n, 3, 6) [-, m].
 
-    By virtual work they are the transpose of `wrench_map`.
+    The arms from the centre of rotation to the points have the shape (n, 3) [m]. By virtual work
+    the displacements are the transpose of `wrench_map`.
     """
     return np.roll(wrench_map(arms).reshape(6, -1, 3), 3, axis=0).transpose(1, 2, 0)
 
 
 def neighbour_differences(points: int, neighbours: IntArray) -> FloatArray:
-    """Matrix D'D of the differences between neighbours, shape (n, n) [-], by their pairs (e, 2)."""
+    """Matrix D'D of the differences between neighbours, shape (n, n) [-].
+
+    Args:
+        points: The number n of tiles.
+        neighbours: Indices of the two tiles of each pair of neighbours, shape (e, 2); D has a row
+            for each.
+    """
     D = np.eye(points)[neighbours[:, 0]] - np.eye(points)[neighbours[:, 1]]
     return D.T @ D
 
 
 @dataclass(frozen=True)
 class Loading:
-    """The samples from which a law derives the scales of its parameters."""
+    """The samples from which a law derives the scales of its parameters.
 
-    motion: FloatArray  # motions u of the limb, shape (N, m)
-    wrench: FloatArray  # measured wrenches, shape (N, 6) [N m, N]
-    shares: FloatArray  # weight of each squared wrench error, shape (6,) [1/(N m)^2, 1/N^2]
-    neighbours: IntArray  # pairs of neighbouring tiles, shape (e, 2)
-    zero: float  # objective of predicting zero [-]
+    The N rows are the samples of a fit, or means over blocks of them (`ContactLaw.MAX_ROWS`).
+
+    Attributes:
+        motion: Motions u of the limb in {S}, shape (N, m) [m] or [m, rad]: see `ContactLaw.motion`.
+        wrench: Measured wrenches [M; F] in {S}, shape (N, 6) [N m, N]; 0 for channels that are not
+            in the objective.
+        shares: Weight of each squared error of the wrench in J_w (see `problem`), shape (6,)
+            [1/(N m)^2, 1/N^2]; 0 for channels that are not in the objective.
+        neighbours: Indices of the two tiles of each pair of neighbours, shape (e, 2).
+        zero: Objective of predicting zero, without the prior [-].
+    """
+
+    motion: FloatArray
+    wrench: FloatArray
+    shares: FloatArray
+    neighbours: IntArray
+    zero: float
 
 
 @dataclass(frozen=True)
 class Sizes:
     """Scales, bounds and prior of a law's parameters, a row per parameter of a tile.
 
-    The rows are the stiffnesses along the three axes, then the rest displacements. The prior is
-    :math:`(x - x_0)^T Q (x - x_0)` in the scaled parameters x, with the same Q for each axis.
+    The six rows are the stiffnesses along the three axes of the law's frame, then the rest
+    displacements along them. The prior is :math:`(x - x_0)^T Q (x - x_0)` in the scaled parameters
+    x; all three axes share one Q.
+
+    Attributes:
+        scale: Divisors that scale the parameters, shape (6, n) [N/m, m].
+        start: Centre x_0 of the prior, shape (6, n) [-].
+        springs: Stiffnesses of the linear springs of Stage 1 along the axes, shape (3, n) [N/m].
+        limit: Largest size of a rest displacement along an axis [m]; infinite for none.
+        prior: Q of the stiffnesses, then of the rest displacements, shape (2, n, n) [-].
     """
 
-    scale: FloatArray  # divisors of the parameters, shape (6, n) [N/m, m]
-    start: FloatArray  # centre x_0 of the prior, shape (6, n) [-]
-    springs: FloatArray  # stiffnesses of the linear springs of Stage 1, shape (3, n) [N/m]
-    limit: float  # largest rest displacement along an axis [m]
-    prior: FloatArray  # Q of the stiffnesses and of the rest displacements, shape (2, n, n) [-]
+    scale: FloatArray
+    start: FloatArray
+    springs: FloatArray
+    limit: float
+    prior: FloatArray
 
 
 @dataclass
 class ContactLaw(ABC):
-    """Springs between the limb and the tiles: see the module."""
+    """Springs between the limb and the tiles: see the module.
 
-    anchors: FloatArray  # points of application a_i, shape (n, 3) [m]
-    rotations: FloatArray  # frames {L_i} of the points, R_i maps {L_i} to {S}, (n, 3, 3) [-]
-    sharpness: float  # sharpness alpha of the gate [1/m]
-    reference_pose: FloatArray  # pose where the motion is zero, shape (6,) [m, rad]
+    Attributes:
+        anchors: Points of application a_i, the tiles' centres in {S}, shape (n, 3) [m].
+        rotations: Frames {L_i} of the tiles, shape (n, 3, 3) [-]; R_i maps {L_i} to {S}, its
+            columns are x (proximal), y and z (inward normal).
+        sharpness: Sharpness alpha of the gate [1/m].
+        reference_pose: Pose of the limb in {S} where the motion is zero: position and rotation
+            vector, shape (6,) [m, rad].
+        IN_TILES: Whether stiffnesses and rest displacements are along the tiles' axes; otherwise
+            they are along those of {S}, and rest positions are those of the limb.
+        REFINED: Whether both stages are refined jointly, which requires `slopes` and `bends`.
+        OFFSETS_THROUGHOUT: Whether a variant with offsets has those of the clusters in both stages,
+            and fits the wrench's offset to the residual of the springs; otherwise both are
+            constants of Stage 2.
+        MAX_ROWS: Most rows of a fit, above which it averages over equal blocks of samples; None
+            for no limit.
+        GATES: Axes of the law's frames along which displacements are gated, of 0, 1, 2.
+        SHARPNESS: Name of the setting that gives the sharpness.
+    """
 
-    # Whether stiffnesses and rest displacements are along the tiles' axes; otherwise of {S}, and
-    # rest positions are those of the limb.
+    anchors: FloatArray
+    rotations: FloatArray
+    sharpness: float
+    reference_pose: FloatArray
+
     IN_TILES: ClassVar[bool] = False
-    # Whether both stages are refined jointly, which requires `slopes` and `bends`.
     REFINED: ClassVar[bool] = False
-    # Whether a variant with offsets has those of the clusters in both stages, and fits the wrench's
-    # offset to the residual of the springs; otherwise both are constants of Stage 2.
     OFFSETS_THROUGHOUT: ClassVar[bool] = False
-    # Max. samples of a fit; longer data is averaged over equal blocks.
     MAX_ROWS: ClassVar[int | None] = None
-    GATES: ClassVar[tuple[int, ...]]  # axes of the frames along which displacements are gated
-    SHARPNESS: ClassVar[str]  # name of the setting for the gate's sharpness
+    GATES: ClassVar[tuple[int, ...]]
+    SHARPNESS: ClassVar[str]
 
     @property
     def frames(self) -> FloatArray:
@@ -130,54 +178,93 @@ class ContactLaw(ABC):
 
     @abstractmethod
     def motion_map(self) -> FloatArray:
-        """Displacements of the tiles in {S} per motion, shape (n, 3, m)."""
+        """Displacements of the tiles in {S} per unit of motion, shape (n, 3, m) [-] or [-, m]."""
 
     @cached_property
     def jacobian(self) -> FloatArray:
-        """J from a motion to the displacements, shape (3n, m), a row per axis and tile."""
+        """J from a motion to the displacements in the law's frames, shape (3n, m) [-] or [-, m].
+
+        The rows are the n tiles along the first axis, then along the second and third.
+        """
         turned = np.einsum("nia,nij->anj", self.frames, self.motion_map())
         return turned.reshape(-1, turned.shape[2])
 
     @cached_property
     def onto(self) -> FloatArray:
-        """Map of the forces in the law's frames onto the wrench, shape (6, 3, n) [m, 1]."""
+        """Map of the forces in the law's frames onto the wrench [M; F] in {S}, (6, 3, n) [m, -].
+
+        The axes are the wrench's channels, the axes of the law's frame and the tiles.
+        """
         in_socket = wrench_map(self.anchors).reshape(6, -1, 3)
         return np.einsum("cni,nia->can", in_socket, self.frames)
 
     def displacements(self, motion: FloatArray) -> FloatArray:
-        """Displacements v of the tiles for N motions of the limb, shape (N, 3, n) [m]."""
+        """Displacements v of the tiles in the law's frames, shape (N, 3, n) [m].
+
+        The N motions of the limb have the shape (N, m): see `motion`.
+        """
         return np.asarray((motion @ self.jacobian.T).reshape(len(motion), 3, -1))
 
     @abstractmethod
     def motion(self, pose: FloatArray) -> FloatArray:
-        """Motions u since the reference pose, shape (N, m), from poses (N, 6) [m, rad]."""
+        """Motions u of the limb since the reference pose, along the axes of {S}, shape (N, m).
+
+        Poses are positions and rotation vectors in {S}, shape (N, 6) [m, rad]. Motions are
+        displacements [m], in the rigid variants followed by rotations [rad].
+        """
 
     @abstractmethod
     def columns(self, moved: FloatArray) -> FloatArray:
-        """Columns s at displacements from rest v - r, both of shape (N, 3, n) [m]."""
+        """Columns s of the stiffnesses at displacements from rest v - r, shape (N, 3, n) [m] each.
+
+        A column times its stiffness is a force on the socket along an axis of the law's frame.
+        """
 
     def slopes(self, moved: FloatArray) -> dict[tuple[int, int], FloatArray]:
-        """Nonzero derivatives of s, shape (N, n) [-], by its axis and that of v."""
+        """Nonzero derivatives of the columns s by the displacements v, shape (N, n) [-] each.
+
+        Keys are the axis of s and that of v; displacements from rest have the shape (N, 3, n) [m].
+        """
         raise NotImplementedError
 
     def bends(self, moved: FloatArray) -> dict[tuple[int, int, int], FloatArray]:
-        """Second derivatives of s, by its axis and two ascending axes of v [1/m]."""
+        """Nonzero second derivatives of the columns s, shape (N, n) [1/m] each.
+
+        Keys are the axis of s and two ascending axes of v; displacements from rest have the shape
+        (N, 3, n) [m].
+        """
         raise NotImplementedError
 
     @classmethod
     @abstractmethod
     def reference_of(cls, pose: FloatArray, settings: IdentificationSettings) -> FloatArray:
-        """Reference pose of a fit to poses of shape (N, 6), shape (6,) [m, rad]."""
+        """Reference pose of a fit in {S}, position and rotation vector, shape (6,) [m, rad].
+
+        Args:
+            pose: Poses of the limb in the fit, shape (N, 6) [m, rad].
+            settings: Settings of the fit, which may state a `reference_position`.
+        """
 
     @abstractmethod
     def sizes(self, settings: IdentificationSettings, loading: Loading) -> Sizes:
-        """Scales, bounds and prior of the parameters in a fit."""
+        """Scales, bounds and prior of the parameters in a fit.
+
+        Args:
+            settings: Settings of the fit.
+            loading: Its motions and wrenches, from which expected stiffnesses follow.
+        """
 
     def bed_stiffness(self, loading: Loading, along: FloatArray) -> tuple[float, float]:
         """Stiffness of the uniform bed that best explains how the wrench changes with the motion.
 
-        It is nonnegative [N/m]; `along` holds the ratios of the stiffnesses along the axes to it,
-        shape (3,) [-]. The second number is the weighted sum of squared residuals [-].
+        Args:
+            loading: Motions and wrenches; their means do not matter.
+            along: Ratios of the stiffnesses along the three axes of the law's frame to the
+                stiffness of the bed, shape (3,) [-].
+
+        Returns:
+            The stiffness, 0 or more [N/m], and the sum over the rows of the squared residuals times
+            `Loading.shares` [-].
         """
         slope = np.einsum(
             "can,a,anm->cm", self.onto, along, self.jacobian.reshape(*self.onto.shape[1:], -1)
@@ -191,12 +278,18 @@ class ContactLaw(ABC):
         return stiffness, float(((target - stiffness * changes) ** 2).sum(axis=0) @ loading.shares)
 
     def min_stiffness(self, loading: Loading) -> tuple[float, float]:
-        """Mean load [N], and the stiffness [N/m] at which n springs carry it within 20 mm."""
+        """Mean load [N], and the stiffness [N/m] at which n springs carry it within 20 mm.
+
+        The load is the magnitude of the loading's mean force, 1 N or more.
+        """
         load = max(float(np.linalg.norm(loading.wrench[:, 3:].mean(axis=0))), 1.0)
         return load, load / (len(self.anchors) * _MAX_SETTLING)
 
     def stored(self, rest: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Rest positions (n, 3) [m] and reference pose (6,) of a model, from r (3, n)."""
+        """Rest positions and reference pose of a `ContactModel`, (n, 3) [m] and (6,) [m, rad].
+
+        The rest displacements r are in the law's frames, shape (3, n) [m].
+        """
         if self.IN_TILES:
             return rest.T.copy(), self.reference_pose
         return rest.T + self.reference_pose[:3], np.zeros(6)
@@ -204,7 +297,19 @@ class ContactLaw(ABC):
     def wrench_offsets(
         self, motion: FloatArray, residual: FloatArray, wrench: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Constant (6,) and slope over the motion (6, 6) of the wrench's residuals, (N, 6)."""
+        """Offset of the wrench that the springs leave: a constant, without slope.
+
+        Args:
+            motion: Motions of the limb, shape (N, m): see `motion`.
+            residual: Measured wrench less that of the springs, in {S}, shape (N, 6) [N m, N]; 0 for
+                channels that are not in the objective.
+            wrench: Measured wrench in {S}, shape (N, 6) [N m, N]; 0 for channels that are not in
+                the objective.
+
+        Returns:
+            The constant, shape (6,) [N m, N], and its slope over the motion, shape (6, 6), with
+            a row per channel [N m, N per m, rad].
+        """
         return residual.mean(axis=0), np.zeros((6, 6))
 
 
@@ -225,27 +330,39 @@ class PaperLaw(ContactLaw):
     SHARPNESS = "gate_sharpness"
 
     def motion_map(self) -> FloatArray:
-        """Every tile moves with the limb's position."""
+        """Every tile moves with the limb's position: unit matrices, shape (n, 3, 3) [-]."""
         return self.frames
 
     def motion(self, pose: FloatArray) -> FloatArray:
-        """Positions since the reference position, shape (N, 3) [m]."""
+        """Positions in {S} since the reference position, shape (N, 3) [m].
+
+        The poses have the shape (N, 6) [m, rad]; their rotations do not matter.
+        """
         return pose[:, :3] - self.reference_pose[:3]
 
     def columns(self, moved: FloatArray) -> FloatArray:
-        """Gated displacements, axis by axis."""
+        """Gated displacements along x, y, z of {S}, from ungated ones, (N, 3, n) [m] each."""
         return moved * gate(moved, self.sharpness)
 
     @classmethod
     def reference_of(cls, pose: FloatArray, settings: IdentificationSettings) -> FloatArray:
-        """Centre q_ref of the box of rest positions: the mean position unless given."""
+        """Centre q_ref of the box of rest positions in {S}, shape (6,) [m, rad]; no rotation.
+
+        Args:
+            pose: Poses of the limb in the fit, shape (N, 6) [m, rad], whose mean position is the
+                centre unless the settings state one.
+            settings: Settings of the fit; `reference_position` is the centre if it is not empty.
+        """
         middle = settings.reference_position or pose[:, :3].mean(axis=0)
         return np.concatenate([middle, np.zeros(3)])
 
     def sizes(self, settings: IdentificationSettings, loading: Loading) -> Sizes:
         """Sizes from the settings; the smoothness has no centre.
 
-        If k0 is not given, it follows from the slope of the wrench.
+        Args:
+            settings: Settings of the fit, with its limits and expected differences of neighbours.
+            loading: Motions and wrenches of the fit. If the settings have no k0, it follows from
+                the slope of the wrench over the motion.
         """
         stiffness = settings.initial_stiffness or max(
             self.bed_stiffness(loading, np.ones(3))[0], self.min_stiffness(loading)[1]
@@ -274,10 +391,15 @@ _MIN_MOTION = 1e-9  # [m, rad]; less is rounding of a constant pose
 
 
 def relative_pose(pose: FloatArray, reference: FloatArray) -> FloatArray:
-    """Displacement and rotation vector since a reference pose (6,), both in {S}.
+    """Displacement and rotation vector since a reference pose, both in {S}.
 
-    A pose holds position and rotation vector, shape (N, 6) [m, rad]; the result is
-    ``[q - c, phi]`` with ``R = exp(phi) R_ref``, of the same shape, NaN where the pose is.
+    Args:
+        pose: Positions q and rotation vectors of the limb in {S}, shape (N, 6) [m, rad].
+        reference: Reference position c and rotation vector in {S}, shape (6,) [m, rad].
+
+    Returns:
+        ``[q - c, phi]`` with ``R = exp(phi) R_ref``, shape (N, 6) [m, rad]; NaN in rows where any
+        component of the pose is NaN.
     """
     relative = np.hstack([pose[:, :3] - reference[:3], turned(pose[:, 3:], -reference[3:])])
     relative[~np.isfinite(relative).all(axis=1)] = np.nan
@@ -309,7 +431,7 @@ class RigidLaw(ContactLaw):
     neighbours, the prior is
     :math:`\lambda/(3n) \sum_a (x_a - \bar x_a)^T Q (x_a - \bar x_a)`, in an objective that is 1
     for a prediction of zero; x_a are the stiffnesses along an axis, divided by their expected
-    value, with mean 1, and the rest displacements likewise, with mean 0.
+    value, with mean 1, and the rest displacements along it, divided by theirs, with mean 0.
     """
 
     IN_TILES = True
@@ -320,15 +442,18 @@ class RigidLaw(ContactLaw):
     SHARPNESS = "contact_sharpness"
 
     def motion_map(self) -> FloatArray:
-        """Displacements of the tiles' centres, moved with the limb."""
+        """Displacements of the tiles' centres in {S}, moved with the limb, (n, 3, 6) [-, m]."""
         return rigid_motions(self.anchors - self.reference_pose[:3])
 
     def motion(self, pose: FloatArray) -> FloatArray:
-        """Relative poses, shape (N, 6) [m, rad]."""
+        """Displacements and rotations since the reference pose in {S}, shape (N, 6) [m, rad].
+
+        The poses have the shape (N, 6) [m, rad]: see `relative_pose`.
+        """
         return relative_pose(pose, self.reference_pose)
 
     def columns(self, moved: FloatArray) -> FloatArray:
-        """(g delta_x, g delta_y, -p)."""
+        """(g delta_x, g delta_y, -p) in the tiles' frames, from delta, (N, 3, n) [m] each."""
         opened = gate(moved[:, 2], self.sharpness)
         with np.errstate(invalid="ignore"):  # NaN stays NaN
             pressed = np.logaddexp(0.0, (-2.0 * self.sharpness) * moved[:, 2])
@@ -337,13 +462,13 @@ class RigidLaw(ContactLaw):
         return columns
 
     def slopes(self, moved: FloatArray) -> dict[tuple[int, int], FloatArray]:
-        """Derivatives of the columns."""
+        """Derivatives of the columns, shape (N, n) [-] each, at displacements (N, 3, n) [m]."""
         opened, slope = self._opened(moved)
         shear = {(axis, 2): slope * moved[:, axis] for axis in (0, 1)}
         return {(axis, axis): opened for axis in range(3)} | shear
 
     def bends(self, moved: FloatArray) -> dict[tuple[int, int, int], FloatArray]:
-        """Second derivatives of the columns."""
+        """Second derivatives of the columns, (N, n) [1/m] each, at displacements (N, 3, n) [m]."""
         opened, slope = self._opened(moved)
         twist = -2.0 * self.sharpness * slope * (1.0 - 2.0 * opened)
         shear = {(axis, 2, 2): twist * moved[:, axis] for axis in (0, 1)}
@@ -356,12 +481,22 @@ class RigidLaw(ContactLaw):
 
     @classmethod
     def reference_of(cls, pose: FloatArray, settings: IdentificationSettings) -> FloatArray:
-        """The mean pose on SE(3)."""
+        """The mean position and the mean rotation in {S}, shape (6,) [m, rad].
+
+        Args:
+            pose: Poses of the limb in the fit, shape (N, 6) [m, rad].
+            settings: Settings of the fit; no setting matters here.
+        """
         rotation = Rotation.from_rotvec(pose[:, 3:]).mean().as_rotvec()
         return np.concatenate([pose[:, :3].mean(axis=0), rotation])
 
     def sizes(self, settings: IdentificationSettings, loading: Loading) -> Sizes:
-        """Sizes from the data: see the class."""
+        """Sizes from the data: see the class.
+
+        Args:
+            settings: Settings of the fit, of which `prior` weighs the prior.
+            loading: Motions and wrenches of the fit.
+        """
         stiffness, rest = self._expect(loading)
         points = len(self.anchors)
         prior = MEAN_WEIGHT * np.eye(points) + neighbour_differences(points, loading.neighbours)
@@ -394,6 +529,17 @@ class RigidLaw(ContactLaw):
 
         The slope is zero along components that did not move, and small if the force hardly changed:
         in a hold the limb creeps under constant load, and fitting that would cancel the springs.
+
+        Args:
+            motion: Displacements and rotations since the reference pose, shape (N, 6) [m, rad].
+            residual: Measured wrench less that of the springs, in {S}, shape (N, 6) [N m, N]; 0 for
+                channels that are not in the objective.
+            wrench: Measured wrench in {S}, shape (N, 6) [N m, N], whose force shows how much the
+                load changed.
+
+        Returns:
+            The constant, shape (6,) [N m, N], and the slope over the motion, shape (6, 6), with
+            a row per channel [N m, N per m, rad].
         """
         mean, spread = motion.mean(axis=0), motion.std(axis=0)
         inverse = 1.0 / np.where(spread > _MIN_MOTION, spread, np.inf)
@@ -415,29 +561,46 @@ LAWS: dict[str, type[ContactLaw]] = {
 
 @dataclass(frozen=True)
 class ContactModel:
-    """A bed of unilateral tri-axial springs, with the constant offsets of the sensors."""
+    """A bed of unilateral tri-axial springs, with the constant offsets of the sensors.
 
-    variant: Variant  # the law, and which offsets the model has
-    names: tuple[str, ...]  # names of the n points of interest
-    anchors: FloatArray  # points of application a_i, shape (n, 3) [m]
-    rotations: FloatArray  # frames {L_i} of the points, R_i maps {L_i} to {S}, shape (n, 3, 3) [-]
-    # stiffness k_i along x, y, z of {S} (rigid: of {L_i}), shape (n, 3) [N/m]
+    Attributes:
+        variant: The law, `stiffness` as published or `rigid` by the limb's pose; with `_bias` the
+            model has offsets.
+        names: Names of the n tiles (points of interest).
+        anchors: Points of application a_i, the tiles' centres in {S}, shape (n, 3) [m].
+        rotations: Frames {L_i} of the tiles, shape (n, 3, 3) [-]; R_i maps {L_i} to {S}, its
+            columns are x (proximal), y and z (inward normal).
+        stiffness: Stiffnesses k_i along x, y, z of {S}, in the rigid variants of {L_i}, shape
+            (n, 3) [N/m].
+        rest_positions: Rest positions q_r,i of the limb in {S}, in the rigid variants rest
+            displacements r_i of the tiles in {L_i} since the reference pose, shape (n, 3) [m].
+        sharpness: Sharpness alpha of the gate [1/m].
+        wrench_bias: Offset b_w of the wrench [M; F] in {S}, shape (6,) [N m, N]; 0 without offsets.
+        force_bias: Offset b_f of the force on a cluster in the cluster's frame, shape (3,) [N], by
+            the cluster's name; no entry without offset.
+        cluster_points: Index of the tile under each cluster, by the cluster's name.
+        reference_pose: Pose of the limb in {S} from which the rigid variants measure displacements,
+            position and rotation vector, shape (6,) [m, rad]; 0 in the paper's variants.
+        wrench_slope: Slope of the wrench in {S} over displacement and rotation since the reference
+            pose with `rigid_bias`, shape (6, 6), a row per channel [N m, N per m, rad]; otherwise
+            0.
+        of_wrench: Separate model that predicts the wrench, if it predicts unseen samples better
+            than this bed: a bed of another sharpness, or a linear regression without springs. None
+            if this bed predicts the wrench.
+    """
+
+    variant: Variant
+    names: tuple[str, ...]
+    anchors: FloatArray
+    rotations: FloatArray
     stiffness: FloatArray
-    # rest positions q_r,i in {S} (rigid: rest displacements r_i in {L_i} since the reference pose),
-    # shape (n, 3) [m]
     rest_positions: FloatArray
-    sharpness: float  # alpha of the gate [1/m]
-    wrench_bias: FloatArray  # offset b_w of the wrench, shape (6,) [N m, N]
-    # offset b_f of each cluster's force in the cluster's frame, by the name of the cluster, shape
-    # (3,) each [N]
+    sharpness: float
+    wrench_bias: FloatArray
     force_bias: dict[str, FloatArray]
-    cluster_points: dict[str, int]  # index of the point of interest under each cluster, by its name
-    # pose from which the rigid variants measure displacements, shape (6,) [m, rad]
+    cluster_points: dict[str, int]
     reference_pose: FloatArray = field(default_factory=lambda: np.zeros(6))
-    # slope of the wrench over the relative pose with `rigid_bias`, shape (6, 6) [N m, N per m, rad]
     wrench_slope: FloatArray = field(default_factory=lambda: np.zeros((6, 6)))
-    # separate model for the wrench if it predicts unseen samples better than this bed: a bed of
-    # another sharpness, or a linear regression without springs
     of_wrench: ContactModel | None = None
 
     @property
@@ -448,8 +611,8 @@ class ContactModel:
     def forces(self, pose: FloatArray) -> FloatArray:
         """Forces F_i + b_i on the socket at the n points of interest, in {S}, shape (N, n, 3) [N].
 
-        A pose of the limb holds its position q and rotation vector, shape (N, 6) [m, rad]; the
-        paper's variants use the position only. NaN where a pose is NaN.
+        A pose of the limb holds its position q and rotation vector in {S}, shape (N, 6) [m, rad];
+        the paper's variants use the position only. NaN where a pose is NaN.
         """
         forces = self._spring_forces(pose)
         for name, bias in self.force_bias.items():
@@ -460,8 +623,9 @@ class ContactModel:
     def wrench(self, pose: FloatArray) -> FloatArray:
         """Wrenches ``C F + b_w`` [M; F] at the load cell in {S}, shape (N, 6) [N m, N].
 
-        Poses are as in `forces`; `rigid_bias` adds a slope over the pose. The clusters' offsets are
-        those of their sensors and do not enter the wrench.
+        A pose of the limb holds its position q and rotation vector in {S}, shape (N, 6) [m, rad].
+        `rigid_bias` adds a slope over the pose. The clusters' offsets are those of their sensors
+        and do not enter the wrench.
         """
         if self.of_wrench is not None:
             return self.of_wrench.wrench(pose)
@@ -473,7 +637,10 @@ class ContactModel:
         return np.asarray(wrench)
 
     def cluster_forces(self, pose: FloatArray) -> dict[str, FloatArray]:
-        """Forces on the clusters, each in its cluster's frame, shape (N, 3) each [N]."""
+        """Forces on the clusters, by name, each in its cluster's frame {L}, shape (N, 3) [N].
+
+        A pose of the limb holds its position q and rotation vector in {S}, shape (N, 6) [m, rad].
+        """
         points = list(self.cluster_points.values())
         forces = self._spring_forces(pose, points)
         no_bias = np.zeros(3)
@@ -485,8 +652,15 @@ class ContactModel:
     def predict(self, pose: FloatArray, clusters: Sequence[str]) -> FloatArray:
         """Every channel in the order of `channel_names`, shape (N, 6 + 3c) [N m, N].
 
-        The wrench precedes the force on each of the c clusters in its frame. Poses are as in
-        `forces`.
+        The wrench [M; F] in {S} precedes the force on each of the c clusters in its frame {L}.
+
+        Args:
+            pose: Poses of the limb: position and rotation vector in {S}, shape (N, 6) [m, rad];
+                where one is NaN, so are the predictions.
+            clusters: Names of the clusters, in the order of their channels.
+
+        Raises:
+            ConfigurationError: If the model does not have one of the clusters.
         """
         missing = [name for name in clusters if name not in self.cluster_points]
         if missing:
@@ -507,10 +681,16 @@ class ContactModel:
     ) -> tuple[FloatArray, FloatArray]:
         """Displacements delta at the springs' gates, with their standard deviations.
 
-        From poses (N, 6) [m, rad] and the covariance of their noise (6, 6). Displacements are along
-        x, y, z of {S}, shape (N, n, 3), or in the rigid variants along each tile's inward normal,
-        (N, n, 1) [m]: negative in compression, infinite without stiffness. The deviations have the
-        shape (n, 3) or (n, 1).
+        Args:
+            pose: Poses of the limb: position and rotation vector in {S}, shape (N, 6) [m, rad].
+            noise: Covariance of the noise of position and rotation since the reference pose, along
+                the axes of {S}, shape (6, 6) [m^2, m rad, rad^2].
+
+        Returns:
+            The displacements from rest along x, y, z of {S}, shape (N, n, 3), or in the rigid
+            variants along each tile's inward normal, (N, n, 1) [m]: negative in compression,
+            infinite without stiffness. Then their standard deviations by the noise, shape (n, 3) or
+            (n, 1) [m].
         """
         law, axes = self.law, list(self.law.GATES)
         motion, stiff = law.motion(pose), self.stiffness > 0.0

@@ -12,7 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import compress, groupby
+from functools import cached_property
+from itertools import chain, compress, groupby
 
 import numpy as np
 
@@ -60,11 +61,18 @@ MAX_ROTATION = 0.7  # [rad]; of the limb from its mean attitude; sound 0.04
 
 @dataclass(frozen=True)
 class DataFinding:
-    """A defect of a trial's data."""
+    """A defect of a trial's data.
 
-    source: str  # the wrench, the limb pose, a cluster or a channel
-    fact: str  # the defect
-    hint: str  # what to check
+    Attributes:
+        source: Where to look, such as `the wrench`, `the limb pose`, the name of a cluster or of
+            a channel.
+        fact: The defect in words, with its numbers and their units.
+        hint: What to check.
+    """
+
+    source: str
+    fact: str
+    hint: str
 
     def __str__(self) -> str:
         return f"{LOOK}{self.source}: {self.fact}; {self.hint}"
@@ -79,9 +87,13 @@ def check_data(
 ) -> tuple[DataFinding, ...]:
     """Defects of a trial's data, the worst first; empty if it is good.
 
-    The mass is that of the person [kg], if stated. Channels in `leave_out` are not checked. In a
-    window instead of a `whole` trial the limb may just be pushed, so sources are not compared over
-    time.
+    Args:
+        samples: The samples of the trial, or of a window of it, N of them.
+        geometry: The socket, which has the clusters of the samples.
+        mass: Mass of the person, to judge the size of the load [kg]; None if it is unknown.
+        leave_out: Names of channels that are not checked, such as `Mz` or `distal.Fx`.
+        whole: Whether the samples are a whole trial. In a window the limb may just be pushed, so
+            sources are not compared over time.
     """
     if len(samples) < LEAST_CHECKED:
         fact = f"{len(samples)} samples are too few to judge it"
@@ -100,7 +112,7 @@ def check_data(
 def _units(
     samples: Samples, geometry: SocketGeometry, mass: float | None, leave_out: tuple[str, ...]
 ) -> Iterator[DataFinding]:
-    """Units and frames."""
+    """Units and frames, which show in sizes: of single channels, the force and the rotation."""
     try:
         plausibility.require_units(samples, geometry)
     except IdentificationError as error:
@@ -132,70 +144,196 @@ def _units(
         )
 
 
-def _time_series(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFinding]:
-    """Signs, lags, and whether each source follows the load."""
-    proximal = proximal_direction(geometry)
-    load = axial_force(geometry, samples.wrench)
-    pressing = -samples.trusted_forces[:, :, 2]
-    period = usual_period(samples.time)
-    together = np.sum([_filled(column, samples.time) for column in pressing.T], axis=0)
-    if not np.isfinite(load).any():
-        return
-    changes = [float(np.nanstd(course)) for course in (together, load)]
-    if changes[0] > max(LOCAL_SHARE[1] * changes[1], MIN_LOAD_CHANGE / 5):
+@dataclass(frozen=True)
+class _Courses:
+    """The courses of load, clusters and limb over a trial's N samples, in which rules find defects.
+
+    The load is the force along the socket, positive under load. A cluster's force is its normal
+    force, positive in compression.
+
+    Attributes:
+        samples: The samples, without outliers and left-out channels, with rotations since the mean
+            attitude.
+        geometry: The socket.
+    """
+
+    samples: Samples
+    geometry: SocketGeometry
+
+    @cached_property
+    def load(self) -> FloatArray:
+        """The load as measured, shape (N,) [N]; NaN where a force of the load cell is missing."""
+        return axial_force(self.geometry, self.samples.wrench)
+
+    @cached_property
+    def pressing(self) -> FloatArray:
+        """The force on each of the c clusters, shape (N, c) [N]; NaN unless its status is OK."""
+        return np.asarray(-self.samples.trusted_forces[:, :, 2])
+
+    @cached_property
+    def together(self) -> FloatArray:
+        """The force on all clusters, missing values interpolated, shape (N,) [N]."""
+        total = np.zeros(len(self.samples))
+        for column in self.pressing.T:
+            total += _filled(column, self.samples.time)
+        return total
+
+    @cached_property
+    def down(self) -> FloatArray:
+        """The limb's position towards the distal end, shape (N,) [m]; NaN where it is missing."""
+        return np.asarray(-self.samples.position @ self.proximal)
+
+    @cached_property
+    def proximal(self) -> FloatArray:
+        """Unit vector along the socket towards its proximal end in {S}, shape (3,) [-]."""
+        return proximal_direction(self.geometry)
+
+    @cached_property
+    def period(self) -> float:
+        """Usual time between samples [s]."""
+        return usual_period(self.samples.time)
+
+    @cached_property
+    def load_change(self) -> float:
+        """Standard deviation of the load [N]; 0 for an unknown load."""
+        return float(np.nanstd(self.load)) if np.isfinite(self.load).any() else 0.0
+
+    @cached_property
+    def clusters_change(self) -> float:
+        """Standard deviation of the force on all clusters [N]."""
+        return float(np.nanstd(self.together))
+
+    @cached_property
+    def load_is_too_small(self) -> bool:
+        """Whether the load changes far less than the force on the clusters."""
+        limit = max(LOCAL_SHARE[1] * self.load_change, MIN_LOAD_CHANGE / 5)
+        return bool(np.isfinite(self.load).any()) and self.clusters_change > limit
+
+    @cached_property
+    def load_shows_others(self) -> bool:
+        """Whether the load changes enough to judge others by it, and is not itself in doubt."""
+        return self.load_change > MIN_LOAD_CHANGE and not self.load_is_too_small
+
+    @cached_property
+    def follows(self) -> FloatArray:
+        """Correlation of each cluster with the load as measured, shape (c,) [-]."""
+        return np.array([_correlation(column, self.load) for column in self.pressing.T])
+
+    @cached_property
+    def sign_note(self) -> str | None:
+        """Why the wrench looks negated, in words; None if it does not."""
+        note = plausibility.sign_note(self.samples, self.geometry)
+        opposite = int((self.follows < REVERSED).sum()) if self.load_shows_others else 0
+        if note is None and opposite > 1 and 2 * opposite > len(self.follows):
+            return "the force on the clusters falls as the load rises"
+        return note
+
+    @cached_property
+    def sense(self) -> float:
+        """Factor that turns a negated load the right way: -1, otherwise 1 [-]."""
+        return -1.0 if self.sign_note and np.nansum(self.follows) < 0.0 else 1.0
+
+    @cached_property
+    def lags(self) -> dict[str, float]:
+        """Delays behind the load by source, of those that are too late or too early [s]."""
+        if not self.load_shows_others:
+            return {}
+        reference = self.sense * self.load
+        courses = {"the clusters": self.together, "the limb pose": self.down}
+        found = {name: _lag(reference, course, self.period) for name, course in courses.items()}
+        limit = max(MAX_LAG, 2.5 * self.period)
+        return {name: lag for name, lag in found.items() if abs(lag) > limit}
+
+    @cached_property
+    def are_simultaneous(self) -> bool:
+        """Whether sources can be compared with the load sample by sample."""
+        return self.load_shows_others and not self.lags
+
+    @cached_property
+    def causes(self) -> FloatArray:
+        """Wrench and pose, (N, 12), or without any pose the wrench, (N, 6) [N m, N, m, rad]."""
+        samples = self.samples
+        posed = samples.has_pose.any()
+        return np.hstack([samples.wrench, samples.pose]) if posed else samples.wrench
+
+
+def _small_load(courses: _Courses) -> Iterator[DataFinding]:
+    """A wrench that changes far less than the forces on the clusters."""
+    if courses.load_is_too_small:
         yield DataFinding(
             "the wrench",
-            f"its force along the socket changes by {changes[1]:.2g} N while those of the clusters"
-            f" change by {changes[0]:.2g} N",
+            f"its force along the socket changes by {courses.load_change:.2g} N while those of the"
+            f" clusters change by {courses.clusters_change:.2g} N",
             "check that forces are in N and stresses in Pa, the load cell's channels, and the"
             " calibration",
         )
+
+
+def _negated_wrench(courses: _Courses) -> Iterator[DataFinding]:
+    """A wrench that pulls at a pressed socket, or that falls as the clusters are pressed."""
+    if courses.sign_note:
+        hint = "check the sign of the load cell's channels"
+        yield DataFinding("the wrench", courses.sign_note, hint)
+
+
+def _small_clusters(courses: _Courses) -> Iterator[DataFinding]:
+    """Clusters that are loaded, but far less than the load."""
+    if not courses.load_shows_others:
         return
-    if not changes[1] > MIN_LOAD_CHANGE:
-        return
-    note = plausibility.sign_note(samples, geometry)
-    follows = [_correlation(column, load) for column in pressing.T]
-    opposite = sum(value < REVERSED for value in follows)
-    if note or (opposite > 1 and 2 * opposite > len(follows)):
-        fact = "the force on the clusters falls as the load rises"
-        yield DataFinding("the wrench", note or fact, "check the sign of the load cell's channels")
-        return
-    if 0.0 < changes[0] < LOCAL_SHARE[0] * changes[1]:
+    if 0.0 < courses.clusters_change < LOCAL_SHARE[0] * courses.load_change:
         yield DataFinding(
             "the clusters",
-            f"their forces change by {changes[0]:.2g} N while the load does by {changes[1]:.2g} N",
+            f"their forces change by {courses.clusters_change:.2g} N while the load does by"
+            f" {courses.load_change:.2g} N",
             "check that stresses are in Pa and forces in N, and the calibration",
         )
-    down = -samples.position @ proximal
-    for name, course in (("the clusters", together), ("the limb pose", down)):
-        lag = _lag(load, course, period)
-        if abs(lag) > max(MAX_LAG, 2.5 * period):
-            how = f"{'late' if lag > 0.0 else 'early'} by {abs(lag):.1f} s against the load cell"
-            yield DataFinding(name, how, "check the clocks and the delays of the sources")
-            return
-    noises = channel_noise(samples).local_forces[:, 2]
-    posed = samples.has_pose.any()
-    causes = np.hstack([samples.wrench, samples.pose]) if posed else samples.wrench
-    for name, value, column, noise in zip(
-        samples.clusters, follows, pressing.T, noises, strict=True
-    ):
+
+
+def _late_sources(courses: _Courses) -> Iterator[DataFinding]:
+    """Sources that follow the load too late or too early."""
+    for name, lag in courses.lags.items():
+        how = f"{'late' if lag > 0.0 else 'early'} by {abs(lag):.1f} s against the load cell"
+        yield DataFinding(name, how, "check the clocks and the delays of the sources")
+
+
+def _reversed_clusters(courses: _Courses) -> Iterator[DataFinding]:
+    """Clusters that are pressed less while the limb is loaded more."""
+    if not courses.are_simultaneous:
+        return
+    for name, value in zip(courses.samples.clusters, courses.sense * courses.follows, strict=True):
         if value < REVERSED:
             yield DataFinding(
                 name,
                 f"it is pressed less the more the limb is loaded (correlation {value:.2f})",
                 "check the sign of its normal channel, or whether clusters are exchanged",
             )
-        elif (
-            value < MIN_CORRELATION
-            and _explained(column, causes) < MIN_EXPLAINED
-            and np.nanstd(column) > MIN_SIGNAL * noise  # else it is hardly loaded
+
+
+def _idle_clusters(courses: _Courses) -> Iterator[DataFinding]:
+    """Clusters whose force follows neither the load nor any other motion or load of the limb."""
+    if not courses.are_simultaneous:
+        return
+    follows = courses.sense * courses.follows
+    noises = channel_noise(courses.samples).local_forces[:, 2]
+    sources = zip(courses.samples.clusters, follows, courses.pressing.T, noises, strict=True)
+    for name, value, force, noise in sources:
+        if (
+            REVERSED <= value < MIN_CORRELATION
+            and _explained(force, courses.causes) < MIN_EXPLAINED
+            and np.nanstd(force) > MIN_SIGNAL * noise  # else it is hardly loaded
         ):
             yield DataFinding(
                 name,
                 f"it does not follow the load (correlation {value:.2f})",
                 "check its place, its cable and its calibration",
             )
-    along = _along(samples.position, load, proximal)
+
+
+def _motion_across(courses: _Courses) -> Iterator[DataFinding]:
+    """A limb that does not sink along the socket as it is loaded."""
+    if not courses.are_simultaneous:
+        return
+    along = _along(courses.samples.position, courses.sense * courses.load, courses.proximal)
     if along < MIN_SINKING:
         yield DataFinding(
             "the limb pose",
@@ -203,6 +341,23 @@ def _time_series(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFin
             f" {np.degrees(np.arccos(along)):.0f} deg to the socket's axis",
             "check the axes and the registration of the marker bodies",
         )
+
+
+_RULES_OF_COURSES = (
+    _small_load,
+    _negated_wrench,
+    _small_clusters,
+    _late_sources,
+    _reversed_clusters,
+    _idle_clusters,
+    _motion_across,
+)
+
+
+def _time_series(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFinding]:
+    """Sizes, signs and lags, and whether each source follows the load."""
+    courses = _Courses(samples, geometry)
+    return chain.from_iterable(rule(courses) for rule in _RULES_OF_COURSES)
 
 
 def _disagreements(samples: Samples, geometry: SocketGeometry) -> Iterator[DataFinding]:
@@ -288,13 +443,19 @@ def _channels(samples: Samples, leave_out: tuple[str, ...]) -> Iterator[DataFind
 
 
 def _filled(course: FloatArray, time: FloatArray) -> FloatArray:
-    """A series with its missing values interpolated, (N,); zeros if all are missing."""
+    """A series of N values with the missing ones interpolated, (N,); zeros if all are missing.
+
+    Times have the shape (N,) [s].
+    """
     known = np.isfinite(course)
     return np.interp(time, time[known], course[known]) if known.any() else np.zeros(len(course))
 
 
 def _correlation(one: FloatArray, other: FloatArray) -> float:
-    """Correlation of two series where both are known: 0 if one is constant, NaN if too short."""
+    """Correlation of two series (N,) where both are known [-]: 0 if one is constant.
+
+    It is NaN if fewer than `LEAST_CHECKED` values are known in both.
+    """
     known = np.isfinite(one) & np.isfinite(other)
     if known.sum() < LEAST_CHECKED:
         return float("nan")
@@ -304,7 +465,11 @@ def _correlation(one: FloatArray, other: FloatArray) -> float:
 
 
 def _along(position: FloatArray, load: FloatArray, proximal: FloatArray) -> float:
-    """Cosine of the angle between the limb's motion under load and the distal direction [-]."""
+    """Cosine of the angle between the limb's motion under load and the distal direction [-].
+
+    From positions (N, 3) [m], loads (N,) [N] and the proximal direction (3,); 1 if too few are
+    known.
+    """
     known = np.isfinite(position).all(axis=1) & np.isfinite(load)
     if known.sum() < LEAST_CHECKED:
         return 1.0
@@ -324,7 +489,10 @@ def _explained(course: FloatArray, by: FloatArray) -> float:
 
 
 def _lag(reference: FloatArray, course: FloatArray, period: float) -> float:
-    """Delay of a series behind another, 0 unless a lag is clearly better [s]."""
+    """Delay of a series (N,) behind another [s]; 0 unless a lag is clearly better.
+
+    The period is the time between values [s].
+    """
     step = max(1, round(LAG_STEP / period))
     reference, course, period = reference[::step], course[::step], step * period
     limit = min(round(SEARCHED_LAG / period), len(course) // 3)
@@ -342,5 +510,6 @@ def _lag(reference: FloatArray, course: FloatArray, period: float) -> float:
 
 
 def _longest_run(values: FloatArray) -> int:
+    """Number of values in the longest run of equal ones, of a series (N,)."""
     ends = np.flatnonzero(np.append(np.diff(values) != 0.0, True))
     return int(np.diff(np.append(-1, ends)).max())

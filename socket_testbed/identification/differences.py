@@ -49,10 +49,15 @@ VALUES = (*VALUE, *DIFFERENCE)
 
 @dataclass(frozen=True)
 class Conditions:
-    """The c conditions under which k trials are compared; a single trial may be a condition."""
+    """The c conditions under which k trials are compared; a single trial may be a condition.
+
+    Attributes:
+        names: Names of the c conditions; the others are compared with the first.
+        numbers: Index of each trial's condition, shape (k,).
+    """
 
     names: tuple[str, ...]
-    numbers: IntArray  # index of each trial's condition, shape (k,)
+    numbers: IntArray
 
     @property
     def freedom(self) -> int:
@@ -60,14 +65,14 @@ class Conditions:
         return len(self.numbers) - len(self.names)
 
     def grouped(self, values: Sequence[T]) -> dict[str, list[T]]:
-        """Group one value per trial by condition."""
+        """One value per trial, k of any type, grouped by the names of the conditions."""
         found: dict[str, list[T]] = {name: [] for name in self.names}
         for number, value in zip(self.numbers, values, strict=True):
             found[self.names[number]].append(value)
         return found
 
     def mean(self, values: FloatArray) -> FloatArray:
-        """Condition means, shape (c, m), of trial values, shape (k, m)."""
+        """Means over the trials of each condition, (c, m), of m values per trial, (k, m)."""
         return np.array([np.mean(group, axis=0) for group in self.grouped([*values]).values()])
 
     def columns(
@@ -77,10 +82,21 @@ class Conditions:
         high: FloatArray,
         correlation: FloatArray | float = 0.0,
     ) -> dict[str, FloatArray]:
-        """Columns of shape (c, m) from m values and their intervals, each of shape (k, m).
+        """Values of the conditions and their differences from the first one, with intervals.
 
-        `correlation` [-], shape (c, m), relates the errors of each condition to the first one's.
         The module docstring gives the equations.
+
+        Args:
+            values: m values of each trial, in any units, shape (k, m); NaN if unknown.
+            low: Lower ends of their 95 % intervals, shape (k, m).
+            high: Upper ends of their 95 % intervals, shape (k, m).
+            correlation: Correlation of the errors of each condition with those of the first, shape
+                (c, m) or one number [-].
+
+        Returns:
+            Columns of shape (c, m) in the units of the values: `VALUES`, and with several trials
+            in a condition also `spread`, `degrees of freedom` [1] and `detectable`. Differences of
+            the first condition from itself are NaN.
         """
         value, low, high = map(self.mean, (values, low, high))
         below, above = np.maximum(value - low, 0.0), np.maximum(high - value, 0.0)
@@ -118,5 +134,10 @@ class Conditions:
 
 
 def is_clear(low: Any, high: Any) -> Any:
-    """Whether the intervals of differences exclude 0."""
+    """Whether the intervals of differences exclude 0; false where both ends are NaN.
+
+    Args:
+        low: Lower ends, numbers or arrays, in any unit.
+        high: Upper ends, in the unit and shape of the lower ones.
+    """
     return (low > 0.0) | (high < 0.0)

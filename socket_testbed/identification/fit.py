@@ -52,35 +52,62 @@ _MIN_PIVOT = 1e-10  # [-]; for the Hessian in a step's program
 
 @dataclass(frozen=True)
 class ChannelErrors:
-    """Errors of one channel, in the channel's unit."""
+    """Errors of one channel, in the channel's unit; NaN without a sample.
 
-    name: str  # such as Mx or distal.Fz
-    unit: str  # N m or N
-    rmse: float  # root-mean-square error
-    mae: float  # mean absolute error
-    sigma: float  # standard deviation of the residual
-    # ``1 - RMSE / RMSE of the best constant`` [-]: as a constant explains a static hold, an RMSE
-    # alone is flattering. NaN for a constant channel.
+    Attributes:
+        name: The channel: of the wrench in {S}, such as `Mx`, or of a cluster in the cluster's
+            frame, such as `distal.Fz`.
+        unit: Unit of the errors, `N m` or `N`.
+        rmse: Root-mean-square error [N m] or [N].
+        mae: Mean absolute error [N m] or [N].
+        sigma: Standard deviation of the residual, the error without its mean [N m] or [N].
+        skill: ``1 - RMSE / RMSE of the best constant`` [-]: as a constant explains a static hold,
+            an RMSE alone is flattering. At most 1; 0 or less if a constant is as good. NaN for
+            a constant channel.
+        samples: Number of samples in which the channel was measured and predicted.
+        in_objective: Whether the channel was fitted.
+    """
+
+    name: str
+    unit: str
+    rmse: float
+    mae: float
+    sigma: float
     skill: float
-    samples: int  # number of samples with a value
-    in_objective: bool  # whether the channel was fitted
+    samples: int
+    in_objective: bool
 
 
 def deviation(values: FloatArray) -> float:
-    """Standard deviation: the error of the best constant; 0 for rounding, NaN with missing ones."""
+    """Standard deviation of values (N,), in their unit: the RMSE of the best constant.
+
+    It is 0 if they differ by rounding only, and NaN if any is NaN.
+    """
     found = float(np.std(values))
     return 0.0 if found <= _CONSTANT * float(np.abs(values).max()) else found
 
 
 def skill_of(error: float, of_constant: float) -> float:
-    """Skill of an error relative to that of the best constant [-]; NaN if the latter is 0."""
+    """Skill of an error relative to that of the best constant, 1 or less [-].
+
+    Args:
+        error: RMSE of a prediction, or a mean of several, in any unit.
+        of_constant: RMSE of the best constant in that unit; 0 gives a skill of NaN.
+    """
     return 1.0 - error / (of_constant or np.nan)
 
 
 def channel_errors(
     name: str, measured: FloatArray, predicted: FloatArray, in_objective: bool = True
 ) -> ChannelErrors:
-    """Errors of one channel over the samples in which it was measured and predicted."""
+    """Errors of one channel over the samples in which it was measured and predicted.
+
+    Args:
+        name: Name of the channel, such as `Mx` or `distal.Fz`.
+        measured: Its measured values, shape (N,) [N m] or [N]; NaN where missing.
+        predicted: Its predicted values, shape (N,) [N m] or [N]; NaN where missing.
+        in_objective: Whether the channel was fitted.
+    """
     rows = np.isfinite(measured) & np.isfinite(predicted)
     residual, count = predicted[rows] - measured[rows], int(rows.sum())
     rmse = mae = sigma = skill = float("nan")
@@ -110,24 +137,34 @@ QUOTED = {
 
 @dataclass(frozen=True)
 class ErrorSummary:
-    """The paper's summary figures over the channels in the objective; NaN without any."""
+    """The paper's summary figures over the channels in the objective; NaN without any.
 
-    mean_moment_rmse: float  # of the moments [N m]
-    mean_force_rmse: float  # of the forces [N]
-    median_local_rmse: float  # of the clusters' channels [N]
-    skill: float  # median skill of these channels [-]
-    wrench_skill: float  # median skill of the wrench's channels [-]
-    local_skill: float  # median skill of the clusters' channels [-]
-    # channels without a sample that is both measured and predicted, in none of the figures
+    Attributes:
+        mean_moment_rmse: Mean RMSE of the wrench's moments [N m].
+        mean_force_rmse: Mean RMSE of the wrench's forces [N].
+        median_local_rmse: Median RMSE of the clusters' channels [N].
+        skill: Median skill of all channels in the objective [-].
+        wrench_skill: Median skill of the wrench's channels [-].
+        local_skill: Median skill of the clusters' channels [-].
+        without_value: Names of the channels without a sample that is both measured and predicted,
+            which are in none of the figures.
+    """
+
+    mean_moment_rmse: float
+    mean_force_rmse: float
+    median_local_rmse: float
+    skill: float
+    wrench_skill: float
+    local_skill: float
     without_value: tuple[str, ...]
 
     @property
     def quoted(self) -> dict[str, float]:
-        """The paper's figures, by field."""
+        """The paper's figures by their fields, the keys of `QUOTED` [N m, N]."""
         return {field: getattr(self, field) for field in QUOTED}
 
     def in_words(self, form: Callable[[float], str] = number) -> str:
-        """The paper's figures with their units."""
+        """The paper's figures with their units, in one line; `form` writes a number."""
         titles = map(split_unit, QUOTED.values())
         pairs = zip(titles, self.quoted.values(), strict=True)
         return ", ".join(f"{name} {form(value)} {unit}" for (name, unit), value in pairs)
@@ -150,14 +187,27 @@ def summarise_errors(errors: Sequence[ChannelErrors]) -> ErrorSummary:
 
 
 def predictions(samples: Samples, model: ContactModel, window: float) -> FloatArray:
-    """Predictions of all channels, (N, 6 + 3c), with poses averaged over a window [s]."""
+    """Predictions of all channels in the order of `Samples.channels`, (N, 6 + 3c) [N m, N].
+
+    Args:
+        samples: N samples, of which the poses and the names of the c clusters matter.
+        model: The model, which has these clusters.
+        window: Width of the centred window over which poses are averaged [s]; 0: not averaged.
+    """
     return model.predict(smooth_poses(samples, window).pose, samples.clusters)
 
 
 def evaluate(
     samples: Samples, predicted: ContactModel | FloatArray, leave_out: tuple[str, ...] = ()
 ) -> tuple[ChannelErrors, ...]:
-    """Errors by channel of a model or of its predictions, (N, 6 + 3c); `leave_out`: not fitted."""
+    """Errors of every channel of a model or of its predictions, in the order of the channels.
+
+    Args:
+        samples: N measured samples with c clusters; forces whose status is not OK are ignored.
+        predicted: A model, or predictions of all channels in the order of `Samples.channels`,
+            shape (N, 6 + 3c) [N m, N]. A model predicts from the poses of the samples as they are.
+        leave_out: Names of the channels that were not fitted, such as `Mz`.
+    """
     if isinstance(predicted, ContactModel):
         predicted = predicted.predict(samples.pose, samples.clusters)
     measured = samples.trusted_values
@@ -169,27 +219,40 @@ def evaluate(
 
 @dataclass(frozen=True)
 class Fit:
-    """A fitted model with its errors and certificates."""
+    """A fitted model with its errors and certificates.
+
+    Attributes:
+        model: The fitted model.
+        settings: Settings of the identification, with the `initial_stiffness` used.
+        samples: Number of samples in the objective.
+        first_stamp: Time of the oldest of these samples since the epoch [ns].
+        last_stamp: Time of the newest of these samples since the epoch [ns].
+        determined: Effective number of directions among the 3n stiffnesses that the data
+            determines, 0 to 3n [-]; the prior (smoothness) determines the others.
+        errors: Errors of every channel on the samples of the fit, the wrench's six first, then
+            three per cluster.
+        stage_one: Certified solution of Stage 1, scaled rest displacements, shape (3n,) [-].
+        stage_two: Certified solution of Stage 2, scaled stiffnesses, shape (3n,) [-].
+        joint: Certified joint refinement of both in the rigid variants, shape (6n,) [-]; None in
+            the paper's variants.
+        wrench: What predicts the wrench, in words; empty for the model's own springs.
+    """
 
     model: ContactModel
-    # settings of the identification, with the `initial_stiffness` used
     settings: IdentificationSettings
-    samples: int  # number of samples in the objective
-    first_stamp: int  # timestamp of the oldest of them [ns]
-    last_stamp: int  # of the newest
-    # effective number of stiffness directions determined by the data, of 3n; the smoothness
-    # determines the others [-]
+    samples: int
+    first_stamp: int
+    last_stamp: int
     determined: float
-    errors: tuple[ChannelErrors, ...]  # errors of every channel on the samples of the fit
-    stage_one: BoxSolution  # certified solution of Stage 1
-    stage_two: BoxSolution  # certified solution of Stage 2
-    # certified joint refinement of both in the rigid variants, otherwise None
+    errors: tuple[ChannelErrors, ...]
+    stage_one: BoxSolution
+    stage_two: BoxSolution
     joint: BoxSolution | None
-    wrench: str  # what predicts the wrench, empty for the model's own springs
+    wrench: str
 
     @property
     def wrench_rmse(self) -> FloatArray:
-        """In-sample errors of the wrench [M; F], shape (6,) [N m, N]."""
+        """In-sample RMSE of the wrench [M; F] in {S}, shape (6,) [N m, N]; NaN without a value."""
         return np.array([error.rmse for error in self.errors[:6]])
 
     @property
@@ -200,7 +263,14 @@ class Fit:
 
 
 def check_names(settings: IdentificationSettings, clusters: tuple[str, ...]) -> None:
-    """Check that settings name channels of these clusters and an installed solver."""
+    """Check that settings name channels of these clusters and an installed solver.
+
+    Otherwise it raises a `ConfigurationError`.
+
+    Args:
+        settings: Settings of a fit, of which `solver` and `leave_out` are checked.
+        clusters: Names of the clusters of the samples to fit.
+    """
     check_solver(settings.solver)
     check_channels(settings.leave_out, channel_names(clusters))
 
@@ -211,6 +281,15 @@ def fit_contact_model(
     """Identify the contact model: rest positions, then stiffnesses and offsets.
 
     Skips outliers and samples without a wrench or a limb position.
+
+    Args:
+        samples: Samples of a loaded segment; poses are averaged as the settings say.
+        geometry: The socket, which has the clusters of the samples.
+        settings: Settings of the fit.
+
+    Raises:
+        IdentificationError: From the steps of the fit, if the samples are too few, implausible or
+            unloaded, or if a program has no certified solution.
     """
     problem = Problem(build_objective(samples, geometry, settings))
     solver, tolerance = settings.solver, settings.solver_tolerance
@@ -289,10 +368,19 @@ def _with_wrench_model(
 
 
 def regress_wrench(samples: Samples, motion: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Slope (6, 6) and constant (6,) of the wrench over the limb's motion (N, 6), by least squares.
+    """Regress the wrench linearly on the limb's motion, by least squares.
 
-    If the motions lack rank, the solution has minimum norm in standardised motions. A channel of
-    the wrench without values has a constant of NaN.
+    If the motions lack rank, the solution has minimum norm in standardised motions.
+
+    Args:
+        samples: N samples, with every pose and a wrench without gaps in a channel; the poses show
+            which components of the motion are constant.
+        motion: Their displacements and rotations since a reference pose, in {S}, shape (N, 6)
+            [m, rad].
+
+    Returns:
+        The slope, shape (6, 6), a row per channel [N m, N per m, rad], and the wrench at zero
+        motion, shape (6,) [N m, N]. A channel with a missing value has a constant of NaN.
     """
     mean, constant = motion.mean(axis=0), samples.wrench.mean(axis=0)
     spread = motion.std(axis=0)

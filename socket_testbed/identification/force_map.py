@@ -32,7 +32,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -62,16 +61,28 @@ _MAX_PATTERNS = 64  # cached patterns of present channels
 
 @dataclass(frozen=True)
 class MapEstimate:
-    """Forces of the limb on all n tiles with their standard deviations, for N samples."""
+    """Forces of the limb on all n tiles with their standard deviations, for N samples.
 
-    forces: FloatArray  # forces on the socket in {S}, shape (N, n, 3) [N]
-    standard_deviations: FloatArray  # of the forces, by axis of {S}, shape (N, n, 3) [N]
-    normal_pressure: FloatArray  # positive in compression, shape (N, n) [Pa]
-    normal_pressure_standard_deviation: FloatArray  # shape (N, n) [Pa]
-    shear: FloatArray  # magnitude of the tangential force over the area, shape (N, n) [Pa]
-    # root mean square difference of the Rice-distributed magnitude from `shear`, shape (N, n) [Pa]
+    Attributes:
+        forces: Forces of the limb on the socket's tiles in {S}, shape (N, n, 3) [N].
+        standard_deviations: Standard deviations of the forces, by axis of {S}, shape
+            (N, n, 3) [N].
+        normal_pressure: Normal pressures on the tiles, positive in compression, shape (N, n) [Pa].
+        normal_pressure_standard_deviation: Standard deviations of the normal pressures, shape
+            (N, n) [Pa].
+        shear: Magnitudes of the tangential forces over the areas, shape (N, n) [Pa].
+        shear_standard_deviation: Root mean square differences of the Rice-distributed magnitudes
+            from `shear`, shape (N, n) [Pa].
+        source: What the estimate was conditioned on, in words.
+    """
+
+    forces: FloatArray
+    standard_deviations: FloatArray
+    normal_pressure: FloatArray
+    normal_pressure_standard_deviation: FloatArray
+    shear: FloatArray
     shear_standard_deviation: FloatArray
-    source: str  # what the estimate was conditioned on, in words
+    source: str
 
     @property
     def pressure_reach(self) -> FloatArray:
@@ -89,10 +100,15 @@ class MapEstimate:
         }
 
     def columns(self, names: tuple[str, ...], prefix: str = "") -> dict[str, FloatArray]:
-        """Columns of a table with one row per sample, by titles with units.
+        """Columns of a table with one row per sample, shape (N,) each, by titles with units.
 
         For each tile the force in {S} and its standard deviation, such as `tile_012.Fz [N]` and
-        `tile_012.Fz.sd [N]`, then likewise `pressure` and `shear` [Pa].
+        `tile_012.Fz.sd [N]`, then normal pressure and shear with theirs, such as
+        `tile_012.pressure [Pa]` and `tile_012.pressure.sd [Pa]`.
+
+        Args:
+            names: Names of the n tiles, in the order of the geometry.
+            prefix: What each title begins with.
         """
         found = {}
         for tile, name in enumerate(names):
@@ -104,7 +120,10 @@ class MapEstimate:
         return found
 
     def by_tile(self, geometry: SocketGeometry) -> pd.DataFrame:
-        """Pressure and shear of the first sample with their standard deviations, a row per tile."""
+        """Pressure and shear of the first sample with their standard deviations [kPa].
+
+        The table has a row per tile of the geometry, indexed by its name, with the cluster on it.
+        """
         import pandas as pd
 
         columns = {f"{name} [kPa]": 1e-3 * values[0] for name, values in self._stresses.items()}
@@ -117,14 +136,22 @@ class _Conditioned:
     """The M hypotheses of the prior, conditioned on the present channels.
 
     A tile's force has four components here: along x, y, z of {S} and along the tile's normal.
+    S = H K H' + R is the covariance of the present channels.
+
+    Attributes:
+        present: Indices of the d present channels among all 6 + 3c, shape (d,).
+        gain: K H' S^-1 of the hypotheses, from the channels to the forces, shape (M, n, 4, d)
+            [1/m, -].
+        precision: S^-1 of the hypotheses, shape (M, d, d) [1/N^2, or per N m instead of N].
+        log_determinant: Logarithm of the determinant of S, shape (M,).
+        variances: Variances of the forces for an amplitude of 1, shape (M, n, 4) [N^2].
     """
 
-    present: IntArray  # indices of the d present channels
-    # K H' S^-1 of the hypotheses, from the channels to the forces, shape (M, n, 4, d)
+    present: IntArray
     gain: FloatArray
-    precision: FloatArray  # S^-1, shape (M, d, d)
-    log_determinant: FloatArray  # of S, shape (M,)
-    variances: FloatArray  # of the forces, shape (M, n, 4) [N^2]
+    precision: FloatArray
+    log_determinant: FloatArray
+    variances: FloatArray
 
     def __getitem__(self, kept: IntArray) -> _Conditioned:
         parts = {name: values[kept] for name, values in vars(self).items() if name != "present"}
@@ -133,9 +160,9 @@ class _Conditioned:
     def average(self, measured: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and variances of the forces over the hypotheses, shape (N, n, 4) each [N, N^2].
 
-        They follow from the present channels, shape (N, d), and the probabilities of the
-        hypotheses, shape (M,). Under each hypothesis the squared amplitude has the posterior mean
-        (f + y' S^-1 y) / (f + d - 2).
+        They follow from the present channels, shape (N, d) [N m, N], and the probabilities of the
+        hypotheses, shape (M,) [-]. Under each hypothesis the squared amplitude has the posterior
+        mean (f + y' S^-1 y) / (f + d - 2).
         """
         count, channels = measured.shape
         hypotheses, tiles = self.variances.shape[:2]
@@ -174,22 +201,35 @@ class JointDraws:
 
     A draw of the forces in the tiles' frames is :math:`G_m y + b_m E_d` with its hypothesis m. The
     second half of the draws has the errors of the first with opposite sign.
+
+    Attributes:
+        rows: Indices of the k samples among those given to `ForceMap.sample`, shape (k,).
+        channels: Their d present channels y, shape (k, d) [N m, N].
+        gain: G of the M hypotheses, from the channels to the forces in the tiles' frames, flattened
+            to x, y, z of one tile after another, shape (M, 3n, d) [1/m, -].
+        weights: Probabilities of the hypotheses, shape (M,) [-].
+        sizes: Scales b of the errors under each hypothesis, shape (k, M) [-].
+        hypotheses: Index of the hypothesis of each of the first D/2 draws, shape (D/2,).
+        errors: Errors E of the first D/2 draws, in the tiles' frames, shape (D/2, 3n) [N].
     """
 
-    rows: IntArray  # indices of the samples, shape (k,)
-    channels: FloatArray  # their channels y, shape (k, d) [N m, N]
-    gain: FloatArray  # G of the hypotheses, shape (M, 3n, d)
-    weights: FloatArray  # probabilities of the hypotheses, shape (M,) [-]
-    sizes: FloatArray  # scales b of the errors under each hypothesis, shape (k, M) [-]
-    hypotheses: IntArray  # hypothesis of each draw, shape (D/2,)
-    errors: FloatArray  # E, shape (D/2, 3n) [N]
+    rows: IntArray
+    channels: FloatArray
+    gain: FloatArray
+    weights: FloatArray
+    sizes: FloatArray
+    hypotheses: IntArray
+    errors: FloatArray
 
     def __getitem__(self, part: slice) -> JointDraws:
         channels, sizes = self.channels[part], self.sizes[part]
         return replace(self, rows=self.rows[part], channels=channels, sizes=sizes)
 
     def values(self) -> FloatArray:
-        """The forces in the tiles' frames, flattened, shape (k, D, 3n) [N]."""
+        """The draws of the forces on the socket in the tiles' frames, shape (k, D, 3n) [N].
+
+        The last axis is x, y, z of one tile after another.
+        """
         errors = self.sizes[:, self.hypotheses, None] * self.errors
         hypotheses, forces, channels = self.gain.shape
         means = self.channels @ self.gain.reshape(-1, channels).T
@@ -197,12 +237,15 @@ class JointDraws:
         return np.concatenate([means + errors, means - errors], axis=1)
 
     def mean(self) -> FloatArray:
-        """The estimate: the mean over the hypotheses, shape (k, 3n) [N]."""
+        """The estimate in the tiles' frames: the mean over the hypotheses, shape (k, 3n) [N]."""
         gain = np.tensordot(self.weights, self.gain, axes=1)
         return np.asarray(self.channels @ gain.T)
 
     def mapped(self, mapping: FloatArray) -> JointDraws:
-        """The same draws of r linear functions of the forces, a matrix of shape (3n, r)."""
+        """Draws of r linear functions of the forces, with r in place of 3n in every shape.
+
+        The mapping from the forces in the tiles' frames has the shape (3n, r), in any unit.
+        """
         gain = np.einsum("mfd,fr->mrd", self.gain, mapping, optimize=True)
         return replace(self, gain=np.ascontiguousarray(gain), errors=self.errors @ mapping)
 
@@ -210,9 +253,14 @@ class JointDraws:
 class ForceMap:
     """Maps one sample's clusters and wrench to the forces on all tiles, with uncertainty.
 
-    The names of the clusters are in the order of the samples; the settings are the prior. The
-    evidence of the samples of a `trial` weighs the hypotheses. Without them `estimate` and `sample`
-    use that of their own samples, and `update` that of recent samples.
+    The evidence of a trial's samples weighs the hypotheses. Without a trial, `estimate`, `mean`
+    and `sample` use the evidence of their own samples, and `update` that of recent samples.
+
+    Args:
+        geometry: The socket with its n tiles.
+        clusters: Names of the c clusters, in the order of the samples.
+        settings: Sizes and spreads of the prior; None for the default settings.
+        trial: Samples whose evidence weighs the hypotheses; None for no trial.
     """
 
     def __init__(
@@ -246,7 +294,7 @@ class ForceMap:
             self._evidence_count = len(trial)
 
     def estimate(self, samples: Samples) -> MapEstimate:
-        """The map at every sample; the prior's if a sample has no channel at all."""
+        """The map at each of N samples; the prior's if a sample has no channel at all."""
         values, present = _channels(samples)
         return self._estimate(values, present, self._weights(samples))
 
@@ -281,6 +329,10 @@ class ForceMap:
         return _probabilities(self._evidence if known else self._mean_evidence(samples))
 
     def _estimate(self, values: FloatArray, present: BoolArray, weights: FloatArray) -> MapEstimate:
+        """The map from channels (N, 6 + 3c) [N m, N] and the hypotheses' probabilities (M,) [-].
+
+        `present` marks the channels with a value, shape (N, 6 + 3c).
+        """
         kept = np.flatnonzero(weights)
         forces, variances = np.empty((2, len(values), len(self._areas), 4))
         for pattern, rows in _by_pattern(present):
@@ -308,19 +360,32 @@ class ForceMap:
         """The mean of the map over the samples, with N = 1, in bounded memory.
 
         Nearly the same directions are unobserved in every sample, so the mean is as uncertain as a
-        typical sample: its standard deviations are root mean squares.
+        typical sample: its standard deviations are root mean squares. There must be a sample.
         """
         values, present = _channels(samples)
-        weights, sums = self._weights(samples), dict[str, FloatArray]()
-        for start in range(0, len(samples), _CHUNK):
+        weights = self._weights(samples)
+        count, tiles = len(samples), len(self._areas)
+        # Sums over the samples: of means, and of the squares of standard deviations.
+        forces, force_squares = np.zeros((2, 1, tiles, 3))
+        pressure, pressure_squares, shear, shear_squares = np.zeros((4, 1, tiles))
+        for start in range(0, count, _CHUNK):
             chunk = slice(start, start + _CHUNK)
-            for name, found in vars(self._estimate(values[chunk], present[chunk], weights)).items():
-                if name != "source":
-                    powers = found ** (2 if "deviation" in name else 1)
-                    sums[name] = sums.get(name, 0.0) + powers.sum(axis=0, keepdims=True)
-        means = {name: total / len(samples) for name, total in sums.items()}
-        means |= {name: np.sqrt(mean) for name, mean in means.items() if "deviation" in name}
-        return MapEstimate(**means, source=self._source(present))
+            found = self._estimate(values[chunk], present[chunk], weights)
+            forces += found.forces.sum(axis=0)
+            force_squares += (found.standard_deviations**2).sum(axis=0)
+            pressure += found.normal_pressure.sum(axis=0)
+            pressure_squares += (found.normal_pressure_standard_deviation**2).sum(axis=0)
+            shear += found.shear.sum(axis=0)
+            shear_squares += (found.shear_standard_deviation**2).sum(axis=0)
+        return MapEstimate(
+            forces=forces / count,
+            standard_deviations=np.sqrt(force_squares / count),
+            normal_pressure=pressure / count,
+            normal_pressure_standard_deviation=np.sqrt(pressure_squares / count),
+            shear=shear / count,
+            shear_standard_deviation=np.sqrt(shear_squares / count),
+            source=self._source(present),
+        )
 
     def source(self, samples: Samples) -> str:
         """The channels that the map of these samples is conditioned on, in words."""
@@ -338,7 +403,11 @@ class ForceMap:
         have the posterior distribution (Matheron's rule: Journel & Huijbregts, Mining
         Geostatistics, 1978, section VII.A). All samples share the random numbers: the unobserved
         directions stay the same over a trial, so averaging over time does not reduce uncertainty.
-        They are seeded, and come in pairs of opposite errors: `count` is even.
+        They are seeded, and come in pairs of opposite errors.
+
+        Args:
+            samples: N samples with the clusters of the map.
+            count: Number D of draws at each sample, even.
 
         Yields:
             The draws of a batch of samples; each sample occurs once, in any order.
@@ -376,7 +445,8 @@ class ForceMap:
     def _draw(self, hypotheses: bytes) -> tuple[FloatArray, FloatArray]:
         """Draws of the prior: forces, (D, 3n) [N], and channels with noise, shape (D, c).
 
-        Forces are in the tiles' frames; `hypotheses` holds the index of each draw's hypothesis.
+        Forces are in the tiles' frames, channels in N m and N; `hypotheses` holds the bytes of the
+        index of each draw's hypothesis, shape (D,).
         """
         chosen = np.frombuffer(hypotheses, np.int64)
         tiles, rng = len(self._geometry), np.random.default_rng(0)
@@ -391,6 +461,7 @@ class ForceMap:
         return forces, noise
 
     def _condition(self, pattern: bytes) -> _Conditioned:
+        """The hypotheses, conditioned on the channels that the bytes of flags (6 + 3c,) mark."""
         present = np.flatnonzero(np.frombuffer(pattern, bool))
         cross = self._cross[..., present]
         total = self._total[:, present[:, None], present]
@@ -405,6 +476,7 @@ class ForceMap:
         )
 
     def _source(self, present: BoolArray) -> str:
+        """Prior and measured sources in words, from the present channels, shape (N, 6 + 3c)."""
         wrench = len(WRENCH_CHANNELS)
         names = np.repeat(["wrench", *self._clusters], [wrench] + [3] * len(self._clusters))
         parts = dict.fromkeys(names[present.any(axis=0)])
@@ -412,7 +484,7 @@ class ForceMap:
 
 
 def _channels(samples: Samples) -> tuple[FloatArray, BoolArray]:
-    """Values of all channels, shape (N, 6 + 3c), and which of them are present."""
+    """Values of all channels, shape (N, 6 + 3c) [N m, N], and which of them are present."""
     values = samples.trusted_values
     return values, np.isfinite(values)
 
@@ -426,7 +498,7 @@ def _by_pattern(present: BoolArray) -> Iterator[tuple[bytes, IntArray]]:
 
 
 def _rice_deviation(size: FloatArray, sigma: FloatArray) -> FloatArray:
-    """Root mean square difference of a Rice-distributed magnitude from `size`.
+    """Root mean square difference of a Rice-distributed magnitude from `size`, of its shape [N].
 
     Take a vector of two components, of standard deviation sigma each, with a mean of magnitude
     `size`. Its magnitude has the mean sigma sqrt(pi/2) L_1/2(-x), x = size^2 / (2 sigma^2), and
@@ -440,13 +512,26 @@ def _rice_deviation(size: FloatArray, sigma: FloatArray) -> FloatArray:
 
 
 def wall_correlation(geometry: SocketGeometry, length: float) -> FloatArray:
-    """Definite Matern correlation over the distance of the tiles' centres, length [m], (n, n)."""
+    """Definite Matern correlation of forces on the tiles, shape (n, n) [-].
+
+    Args:
+        geometry: The socket, whose n tiles have straight distances between their centres.
+        length: Correlation length [m].
+    """
     apart = np.linalg.norm(geometry.anchors[:, None] - geometry.anchors, axis=2)
     return matern(apart, length) + _NUGGET * np.eye(len(geometry))
 
 
 def matern(apart: FloatArray, length: float) -> FloatArray:
-    """Matern correlation, smoothness 3/2, for distances [m] and a length [m], of their shape."""
+    """Matern correlation of smoothness 3/2 (Rasmussen & Williams, 2006, section 4.2) [-].
+
+    Args:
+        apart: Distances, of any shape [m].
+        length: Correlation length [m].
+
+    Returns:
+        Correlations from 1 at no distance to 0 far away, of the shape of the distances [-].
+    """
     scaled = np.sqrt(3.0) * apart / length
     return np.asarray((1.0 + scaled) * np.exp(-scaled))
 
@@ -462,34 +547,99 @@ def _rigid_motions(geometry: SocketGeometry, arm: float) -> FloatArray:
     return np.swapaxes(geometry.rotations, 1, 2) @ in_socket @ np.kron(np.eye(2), axes.T)
 
 
-_LOG_NORMAL = {
-    **dict.fromkeys(("shear", "preload", "bed", "sinking", "rotation", "bed_shear"), "spread"),
-    "bed_variation": "spread",
-    "length": "length_spread",
-    "cluster_error": "cluster_error_spread",
-}
-_NORMAL = {"drag": "drag_spread", "share": "share_spread"}
+@dataclass(frozen=True)
+class Hypothesis:
+    """The hyperparameters of a prior; unlike the settings' values they know no bounds.
+
+    Attributes:
+        normal_deviation: Standard deviation of a tile's own normal force, to which the sizes below
+            are relative [N]; the data scales all of them.
+        length: Correlation length of the forces over the wall [m].
+        shear: Standard deviation of a tile's own tangential force along each tangent [-].
+        preload: Standard deviation of the normal force common to all tiles [-].
+        bed: Root mean square force of the bed of springs as the limb moves sideways [-].
+        sinking: Root mean square force of the bed as the limb sinks [-].
+        rotation: Root mean square force of the bed as the limb turns, about each axis [-].
+        bed_shear: Tangential stiffness of the bed, relative to its normal stiffness [-].
+        bed_variation: Variation kappa of the bed's stiffness over the wall, relative to it [-].
+        arm: Lever arm at which a rotation displaces a tile as far as a translation does [m].
+        drag: Distal force on a tile by friction, relative to its normal force [-].
+        share: Share of the load that the tiles bear, within `MIN_SHARE` to 1 [-]; the surface
+            between them bears the rest.
+        moment_error: Standard deviation of a moment's error [N m].
+        force_error: Standard deviation of the error of a force of the load cell [N].
+        cluster_error: Standard deviation of the offset of a force on a cluster [N].
+        cluster_gain_error: Standard deviation of the gain of a cluster [-].
+    """
+
+    normal_deviation: float
+    length: float
+    shear: float
+    preload: float
+    bed: float
+    sinking: float
+    rotation: float
+    bed_shear: float
+    bed_variation: float
+    arm: float
+    drag: float
+    share: float
+    moment_error: float
+    force_error: float
+    cluster_error: float
+    cluster_gain_error: float
 
 
-def hypotheses(settings: ForceMapSettings) -> Iterator[SimpleNamespace]:
+_UNCERTAIN = 11  # hyperparameters that `hypotheses` spreads
+
+
+def hypotheses(settings: ForceMapSettings) -> Iterator[Hypothesis]:
     """The prior's hyperparameters, spread evenly over their distributions; one has the medians.
 
-    The points are the low-discrepancy additive recurrence of the generalised golden ratio
+    `drag` and `share` are normally distributed, the other uncertain ones log-normally.
+    """
+
+    def log_normal(median: float, deviation: float, point: float) -> float:
+        return float(median * np.exp(deviation * point))
+
+    spread = settings.spread
+    for point in _normal_points(settings.draws, _UNCERTAIN).tolist():
+        shear, preload, bed, sinking, rotation, bed_shear, bed_variation = point[:7]
+        length, cluster_error, drag, share = point[7:]
+        borne = settings.share + settings.share_spread * share
+        yield Hypothesis(
+            normal_deviation=settings.normal_deviation,
+            length=log_normal(settings.length, settings.length_spread, length),
+            shear=log_normal(settings.shear, spread, shear),
+            preload=log_normal(settings.preload, spread, preload),
+            bed=log_normal(settings.bed, spread, bed),
+            sinking=log_normal(settings.sinking, spread, sinking),
+            rotation=log_normal(settings.rotation, spread, rotation),
+            bed_shear=log_normal(settings.bed_shear, spread, bed_shear),
+            bed_variation=log_normal(settings.bed_variation, spread, bed_variation),
+            arm=settings.arm,
+            drag=settings.drag + settings.drag_spread * drag,
+            share=min(max(borne, MIN_SHARE), 1.0),
+            moment_error=settings.moment_error,
+            force_error=settings.force_error,
+            cluster_error=log_normal(
+                settings.cluster_error, settings.cluster_error_spread, cluster_error
+            ),
+            cluster_gain_error=settings.cluster_gain_error,
+        )
+
+
+def _normal_points(count: int, dimensions: int) -> FloatArray:
+    """Standard normal points, evenly spread, the first at the medians, (count, dimensions) [-].
+
+    They are the low-discrepancy additive recurrence of the generalised golden ratio
     (Niederreiter, Random Number Generation and Quasi-Monte Carlo Methods, 1992, section 3.2).
     """
-    spreads = _LOG_NORMAL | _NORMAL
     ratio = 1.0
     for _ in range(64):  # to rounding
-        ratio = (1.0 + ratio) ** (1.0 / (len(spreads) + 1.0))
-    steps = ratio ** -np.arange(1.0, len(spreads) + 1.0)
-    points = ndtri((0.5 + np.arange(settings.draws)[:, None] * steps) % 1.0)
-    for point in points.tolist():
-        sizes = {}
-        for (name, spread), value in zip(spreads.items(), point, strict=True):
-            median, change = getattr(settings, name), getattr(settings, spread) * value
-            sizes[name] = median + change if name in _NORMAL else median * np.exp(change)
-        sizes["share"] = min(max(sizes["share"], MIN_SHARE), 1.0)
-        yield SimpleNamespace(**(vars(settings) | sizes))  # may exceed the settings' bounds
+        ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1.0))
+    steps = ratio ** -np.arange(1.0, dimensions + 1.0)
+    return np.asarray(ndtri((0.5 + np.arange(count)[:, None] * steps) % 1.0))
 
 
 def _probabilities(log_evidence: FloatArray) -> FloatArray:
@@ -502,15 +652,23 @@ def _probabilities(log_evidence: FloatArray) -> FloatArray:
 class Prior:
     """The forces in the tiles' frames under one hypothesis: their covariance K and its parts.
 
+    The d channels are the wrench's [M; F] in {S}, then three per cluster in the cluster's frame.
+
+    Args:
+        geometry: The socket with its n tiles.
+        clusters: Names of the c clusters, so that d = 6 + 3c.
+        sizes: The hyperparameters.
+
     Attributes:
-        mapping: H from the forces to the channels, shape (c, 3n).
-        noise: Variances R of the channels' noise, offset and gain, shape (c,).
-        with_channels: K H', shape (n, 3, c).
+        mapping: H from the forces to the channels, shape (d, 3n) [m, -].
+        noise: Variances R of the channels' noise, offset and gain, shape (d,) [(N m)^2, N^2].
+        with_channels: K H', covariances of forces and channels, shape (n, 3, d) [N^2 m, N^2].
+        signal: H K H', covariance of the channels without noise, shape (d, d).
         blocks: The covariances of each tile's force, shape (n, 3, 3) [N^2].
     """
 
     def __init__(
-        self, geometry: SocketGeometry, clusters: tuple[str, ...], sizes: SimpleNamespace
+        self, geometry: SocketGeometry, clusters: tuple[str, ...], sizes: Hypothesis
     ) -> None:
         count = len(geometry)
         self._correlation = wall_correlation(geometry, sizes.length)
@@ -533,14 +691,17 @@ class Prior:
         K, tiles = self.covariance(), np.arange(count)
         self.blocks = K.reshape(count, 3, count, 3)[tiles, :, tiles]
         self.with_channels = (K @ self.mapping.T).reshape(count, 3, -1)
-        self.signal = self.mapping @ K @ self.mapping.T  # H K H'
+        self.signal = self.mapping @ K @ self.mapping.T
         channels = 3 * len(clusters)
         errors = (sizes.moment_error, sizes.force_error, sizes.cluster_error)
         gains = np.repeat([0.0, sizes.cluster_gain_error], (6, channels))
         self.noise = np.repeat(errors, (3, 3, channels)) ** 2 + gains**2 * np.diag(self.signal)
 
     def covariance(self) -> FloatArray:
-        """K, shape (3n, 3n) [N^2]: see the module."""
+        """K in the tiles' frames, x, y, z of one tile after another, (3n, 3n) [N^2].
+
+        The module docstring gives its equation.
+        """
         count = len(self._correlation)
         alike = np.kron(self._correlation, np.ones((3, 3)))  # M, for each component of a force
         normal, bed = np.tile([0.0, 0.0, 1.0], count), self._bed.reshape(3 * count, -1)
@@ -552,7 +713,10 @@ class Prior:
         return np.asarray(K.reshape(3 * count, -1))
 
     def draw(self, numbers: FloatArray) -> FloatArray:
-        """Draws of the forces, (D, 3n) [N], from standard normal numbers, shape (D, 9n + 7)."""
+        """Draws of the forces in the tiles' frames, x, y, z of each tile in turn, (D, 3n) [N].
+
+        They follow from standard normal numbers, shape (D, 9n + 7) [-].
+        """
         count, tiles = len(numbers), len(self._correlation)
         parts = np.split(numbers, [3 * tiles, 9 * tiles, 9 * tiles + 1], axis=1)
         root = np.linalg.cholesky(self._correlation)

@@ -49,18 +49,29 @@ class LoadShare:
 
     With the measured m and a part v of the prediction, the share of v is the projection
     :math:`\sum_k v_k \cdot m_k / \sum_k m_k \cdot m_k` over the samples; the three add up to 1.
+    A share may be negative or exceed 1. Shares are NaN without samples.
+
+    Attributes:
+        name: The part of the wrench in {S}: `Fz`, `force` or `moment`.
+        springs: Share of the springs [-].
+        offsets: Share of the offsets: constant, and with `rigid_bias` linear in the pose [-].
+        residual: Share not explained by the model [-].
     """
 
-    name: str  # Fz, force or moment
-    springs: float  # share of the springs [-]
-    offsets: float  # share of the offsets: constant, and with `rigid_bias` linear in the pose [-]
-    residual: float  # share not explained by the model [-]
+    name: str
+    springs: float
+    offsets: float
+    residual: float
 
 
 def load_shares(samples: Samples, model: ContactModel) -> tuple[LoadShare, ...]:
     """Shares of Fz, of the force and of the moment carried by the springs of a model.
 
     Samples without a pose or a channel of the part are ignored; a share without samples is NaN.
+
+    Args:
+        samples: Samples with a wrench, their poses averaged as in the fit.
+        model: The model; a separate model of the wrench, if it has one, is ignored.
     """
     bed = replace(model, of_wrench=None)
     alone = replace(bed, wrench_bias=np.zeros(6), wrench_slope=np.zeros((6, 6)))
@@ -80,7 +91,10 @@ def load_shares(samples: Samples, model: ContactModel) -> tuple[LoadShare, ...]:
 
 
 def share_warning(shares: tuple[LoadShare, ...]) -> str:
-    """A warning if the springs carry less than half of the force; else empty."""
+    """A warning if the springs carry less than `MIN_SPRING_SHARE` of the force; else empty.
+
+    The shares are those of Fz, force and moment, as `load_shares` returns them.
+    """
     fz, force, _ = shares
     if not force.springs < MIN_SPRING_SHARE:
         return ""
@@ -93,17 +107,25 @@ def share_warning(shares: tuple[LoadShare, ...]) -> str:
 
 @dataclass(frozen=True)
 class Excitation:
-    """How far one component of the pose moves, compared with its noise."""
+    """How far one component of the pose moves, compared with its noise.
 
-    name: str  # such as position z or rotation about x, along the axes of {S}
-    unit: str  # mm or mrad
-    motion: float  # standard deviation of the motion, noise removed [m, rad]
-    noise: float  # standard deviation of its noise [m, rad]; NaN if the samples do not show it
-    advice: str  # how to move it more
+    Attributes:
+        name: The component along an axis of {S}, such as `position z` or `rotation about x`.
+        unit: Unit in which the texts state it, `mm` or `mrad`.
+        motion: Standard deviation of the motion, noise removed, in [m] or [rad].
+        noise: Standard deviation of its noise, in [m] or [rad]; NaN if the samples do not show it.
+        advice: How to move it more, in words.
+    """
+
+    name: str
+    unit: str
+    motion: float
+    noise: float
+    advice: str
 
     @property
     def sufficient(self) -> bool:
-        """Whether the motion is at least `MIN_RATIO` times the noise."""
+        """Whether the motion is at least `MIN_RATIO` times the noise; no if that is unknown."""
         return self.motion >= MIN_RATIO * self.noise
 
     def __str__(self) -> str:
@@ -114,14 +136,28 @@ class Excitation:
 
 @dataclass(frozen=True)
 class Motion:
-    """How the pose moves in some samples."""
+    """How the pose moves in some samples.
 
-    excitations: tuple[Excitation, ...]  # of its six components, positions first
-    directions: int  # independent directions that move `MIN_RATIO` times the noise
+    Attributes:
+        excitations: Excitations of its six components: positions x, y, z, then rotations about
+            them.
+        directions: Number of independent directions of the pose, 0 to 6, in which it moves at
+            least `MIN_RATIO` times the noise.
+    """
+
+    excitations: tuple[Excitation, ...]
+    directions: int
 
 
 def measure_motion(samples: Samples, geometry: SocketGeometry, window: float = 0.0) -> Motion:
-    """Compare the motion of the limb with the noise of its pose, averaged over a window [s]."""
+    """Compare the motion of the limb with the noise of its pose.
+
+    Args:
+        samples: N samples, of which the poses matter, not averaged.
+        geometry: The socket, whose axis tells which component moves as the limb is loaded.
+        window: Centred window over which a fit averages the poses, which lowers the noise [s];
+            0: not averaged.
+    """
     noise = channel_noise(samples)
     size = np.maximum(np.nan_to_num(noise.pose, nan=_UNKNOWN_NOISE), _MIN_NOISE)
     covariance = replace(noise, pose=size).pose_covariance(smoothing_gain(samples, window))
@@ -143,15 +179,28 @@ def measure_motion(samples: Samples, geometry: SocketGeometry, window: float = 0
 
 @dataclass(frozen=True)
 class Engagement:
-    """The engaged springs of a model over N samples; NaN without a pose."""
+    """The engaged springs of a model over N samples; NaN without a pose.
 
-    springs: int  # number of springs of the bed, those without stiffness included
-    engaged: FloatArray  # number of engaged springs, shape (N,) [1]
-    uncertain: FloatArray  # number of uncertain ones, (N,) [1]; NaN if the pose's noise is unknown
-    time_share: FloatArray  # of each spring's engagement, (n, 3), in the rigid variants (n, 1) [-]
+    Attributes:
+        springs: Number of springs of the bed, 3n, in the rigid variants n; those without stiffness
+            are included.
+        engaged: Number of engaged springs at each sample, shape (N,) [1].
+        uncertain: Number of uncertain springs at each sample, shape (N,) [1]; NaN if the pose's
+            noise is unknown.
+        time_share: Share of the chosen samples with a pose in which each spring is engaged, shape
+            (n, 3) along x, y, z of {S}, in the rigid variants (n, 1) [-].
+    """
+
+    springs: int
+    engaged: FloatArray
+    uncertain: FloatArray
+    time_share: FloatArray
 
     def columns(self, prefix: str) -> dict[str, FloatArray]:
-        """Number and share of engaged springs, and share of uncertain ones, shape (N,) each."""
+        """Number and share of engaged springs, and share of uncertain ones, shape (N,) each.
+
+        The titles hold the units and begin with the prefix.
+        """
         return {
             f"{prefix}engaged [1]": self.engaged,
             f"{prefix}engaged_share [-]": self.engaged / self.springs,
@@ -162,9 +211,13 @@ class Engagement:
 def engagement(
     samples: Samples, model: ContactModel, window: float = 0.0, rows: slice = slice(None)
 ) -> Engagement:
-    """Springs of a model that are engaged at each sample, and each spring's share of the rows.
+    """Springs of a model that are engaged at each sample, and each spring's share of the time.
 
-    The N samples are raw; their poses are averaged over the window of the fit [s].
+    Args:
+        samples: N samples, of which the poses matter, not averaged.
+        model: The model with its bed of springs.
+        window: Centred window over which the fit averaged the poses [s]; 0: not averaged.
+        rows: The samples over which the share of the time is taken.
     """
     relative = relative_pose(samples.pose, model.reference_pose)
     motion = replace(samples, position=relative[:, :3], rotation=relative[:, 3:])

@@ -36,30 +36,57 @@ _AGAIN = "fit the trial again"
 
 @dataclass(frozen=True)
 class StoredModel:
-    """A model read from its file."""
+    """A model read from its file.
+
+    Attributes:
+        model: The contact model.
+        geometry: Geometry of the socket it was fitted on.
+        settings: Settings of its fit.
+        samples: Number of samples of its fit.
+        first_stamp: Time of the oldest of these samples since the epoch [ns]; 0 in a model of an
+            older version.
+        last_stamp: Time of the newest of these samples since the epoch [ns].
+        wrench_rmse: RMSE of the wrench [M; F] in {S} on the samples of the fit, shape (6,)
+            [N m, N]; NaN for a channel without values.
+        errors: Errors of its fit on every channel; empty in a model of an older version.
+        status: Solver and certificate of both stages and of their refinement, in words.
+        trial: Name of the trial it was fitted on.
+        fingerprint: Fingerprint of that trial; empty in a model of an older version.
+        unloaded: Start and end of the spans in which the limb was unloaded, used to correct the
+            clusters' drift, since the first sample of the trial [s].
+        segment: The segment of the fit, such as `plateau 12.00 s to 31.50 s`; empty in a model of
+            an older version.
+    """
 
     model: ContactModel
-    geometry: SocketGeometry  # geometry of the socket it was fitted on
+    geometry: SocketGeometry
     settings: IdentificationSettings
-    samples: int  # number of samples of its fit
-    first_stamp: int  # timestamp of the oldest of them [ns]; 0 in a model of an older version
-    last_stamp: int  # of the newest
-    wrench_rmse: FloatArray  # errors of its fit, shape (6,) [N m, N]
-    # errors of its fit on every channel; empty in a model of an older version
+    samples: int
+    first_stamp: int
+    last_stamp: int
+    wrench_rmse: FloatArray
     errors: tuple[ChannelErrors, ...]
-    status: str  # solver and certificate of both stages, in words
-    trial: str  # name of the trial it was fitted on
-    fingerprint: str  # of that trial; empty in a model of an older version
-    # spans of the trial used to correct the clusters' drift [s]
+    status: str
+    trial: str
+    fingerprint: str
     unloaded: tuple[tuple[float, float], ...]
-    segment: str  # of the trial, such as `plateau 12.00 s to 31.50 s`
+    segment: str
 
     def predictions(self, samples: Samples) -> FloatArray:
-        """Predictions of all channels, (N, 6 + 3c), with poses averaged as in the fit."""
+        """Predictions of all channels, shape (N, 6 + 3c) [N m, N], in the samples' order of them.
+
+        The poses of the N samples are averaged as in the fit.
+        """
         return predictions(samples, self.model, self.settings.pose_smoothing)
 
     def used(self, trial: str, fingerprint: str, samples: Samples) -> BoolArray:
-        """Which samples of a trial are in the span of the fit, (N,); older models know its name."""
+        """Which samples of a trial are in the span of the fit, shape (N,); none of another trial.
+
+        Args:
+            trial: Name of the trial, which identifies it for a model of an older version.
+            fingerprint: Fingerprint of the trial, which identifies it otherwise.
+            samples: N samples of the trial, of which the stamps matter.
+        """
         stamps = samples.stamps
         same = fingerprint == self.fingerprint if self.fingerprint else trial == self.trial
         own = same and self.last_stamp in stamps
@@ -72,7 +99,12 @@ class StoredModel:
         )
 
     def require_socket(self, geometry: SocketGeometry) -> None:
-        """Check that the model was fitted on this socket."""
+        """Check that the model was fitted on this socket.
+
+        Raises:
+            ConfigurationError: If the tiles differ, or a cluster is on another tile or has another
+                area.
+        """
         if not self.geometry.same_tiles(geometry):
             raise ConfigurationError(
                 f"the model of {self.trial} was fitted on another socket ({len(self.geometry)}"
@@ -94,7 +126,13 @@ def write_model(
 ) -> None:
     """Write a model fitted on a segment as JSON, replacing an older file.
 
-    The trial's identity contains at least its `name` and `fingerprint`.
+    Args:
+        fit: The fit of the model.
+        geometry: The socket of the fit.
+        trial: Identity of the trial, with at least its `name` and `fingerprint`, and the
+            `unloaded` spans used to correct drift, in pairs [s], if any.
+        segment: The segment of the fit, in words.
+        path: The file to write.
     """
     document = {
         "format": _FORMAT,
@@ -133,12 +171,18 @@ def _parameters(model: ContactModel) -> dict[str, Any]:
 
 
 def record(of: Any) -> dict[str, Any]:
-    """A dataclass of numbers and texts for JSON, such as the errors of a channel."""
+    """A dataclass of numbers and texts for JSON, such as the errors of a channel.
+
+    Values that are not finite become null.
+    """
     return {key: documents.finite_or_null(value) for key, value in dataclasses.asdict(of).items()}
 
 
 def quoted_figures(errors: Sequence[ChannelErrors]) -> dict[str, Any]:
-    """The paper's summary figures over the channels in the objective, by name and unit."""
+    """The paper's summary figures over the channels in the objective, by name and unit.
+
+    Names are such as `mean moment RMSE [N m]`; figures that are not finite become None.
+    """
     figures = summarise_errors(errors).quoted.items()
     return {
         f"{name} [{split_unit(QUOTED[name])[1]}]": documents.finite_or_null(value)
@@ -225,7 +269,15 @@ class _Model(documents.Document):
 
 
 def read_model(path: Path, geometry: SocketGeometry | None = None) -> StoredModel:
-    """Read a model; given a geometry, check that the model was fitted on that socket."""
+    """Read a model that `write_model` wrote.
+
+    Args:
+        path: The file.
+        geometry: The socket that the model must have been fitted on; None to accept any.
+
+    Raises:
+        ConfigurationError: If the file is not a model of this format, or of another socket.
+    """
     try:
         data = documents.load_json(path, "a model")
     except ConfigurationError as error:

@@ -38,14 +38,21 @@ _DEFINITE = 1.0 - 1e-6  # [-]; largest correlation of two components
 
 @dataclass(frozen=True)
 class ChannelNoise:
-    """Standard deviation of the noise of one sample; NaN where it cannot be estimated."""
+    """Standard deviation of the noise of one sample; NaN where it cannot be estimated.
 
-    wrench: FloatArray  # noise of the wrench [M; F] in {S}, shape (6,) [N m, N]
-    # noise of the force on each of the c clusters in its frame, shape (c, 3) [N]
+    Attributes:
+        wrench: Noise of the wrench [M; F] in {S}, shape (6,) [N m, N].
+        local_forces: Noise of the force on each of the c clusters in the cluster's frame, shape
+            (c, 3) [N].
+        pose: Noise of the limb's position and of its small rotations about x, y, z of {S}, shape
+            (6,) [m, rad].
+        pose_correlation: Correlation of the noise of the pose's components, which share markers,
+            shape (6, 6) [-]; the unit matrix if it cannot be estimated.
+    """
+
+    wrench: FloatArray
     local_forces: FloatArray
-    # noise of the limb's position and of its small rotations in {S}, shape (6,) [m, rad]
     pose: FloatArray
-    # correlation of the noise of the pose's components, which share markers, shape (6, 6) [-]
     pose_correlation: FloatArray
 
     @property
@@ -54,12 +61,16 @@ class ChannelNoise:
         return np.concatenate([self.wrench, self.local_forces.reshape(-1)])
 
     def pose_covariance(self, gain: float) -> FloatArray:
-        """Covariance of averaged poses, (6, 6) [m^2, m rad, rad^2]; see `smoothing_gain`."""
+        """Covariance of the noise of averaged poses in {S}, shape (6, 6) [m^2, m rad, rad^2].
+
+        The gain is the share of the variance that averaging leaves, 1 without [-]:
+        see `smoothing_gain`.
+        """
         return gain * self.pose_correlation * np.outer(self.pose, self.pose)
 
 
 def channel_noise(samples: Samples) -> ChannelNoise:
-    """Estimate the noise of every channel from its third differences: see the module.
+    """Estimate the noise of every channel of N samples from its third differences: see the module.
 
     Forces whose status is not OK are ignored. The noise is NaN for a constant channel or one with
     fewer than `MIN_DIFFERENCES` usable differences.
@@ -98,7 +109,7 @@ def _deviation(values: FloatArray, regular: BoolArray) -> float:
 
 
 def _step(values: FloatArray) -> float:
-    """Smallest difference between distinct values of a channel; 0 if it is constant."""
+    """Smallest difference between distinct values (N,) of a channel; 0 if it is constant."""
     finite = np.unique(values[np.isfinite(values)])
     gaps = np.diff(finite)
     gaps = gaps[gaps > _ROUNDING * np.abs(finite).max(initial=0.0)]
@@ -118,10 +129,14 @@ def _correlation(pose: FloatArray, regular: BoolArray, deviation: FloatArray) ->
 
 
 def smooth_poses(samples: Samples, window: float) -> Samples:
-    """The samples with each pose replaced by the mean of the poses in a window around it [s].
+    """The samples with each pose replaced by the mean of the poses in a window around it.
 
     The window is centred, so the mean does not lag: near a gap, and near the first and last sample,
     it is shorter on both sides. Missing poses stay missing.
+
+    Args:
+        samples: N samples in ascending time.
+        window: Width of the window [s]; 0 leaves the poses as they are.
     """
     known = samples.has_pose
     if window == 0.0 or not known.any():
@@ -134,7 +149,12 @@ def smooth_poses(samples: Samples, window: float) -> Samples:
 
 
 def smoothing_gain(samples: Samples, window: float) -> float:
-    """Mean share of white noise's variance left by `smooth_poses` with a window [s]."""
+    """Mean share of white noise's variance left by `smooth_poses`, above 0 and up to 1 [-].
+
+    Args:
+        samples: N samples in ascending time, of which the stamps and the missing poses matter.
+        window: Width of the window [s]; 0 gives 1.
+    """
     known = samples.has_pose
     if window == 0.0 or not known.any():
         return 1.0

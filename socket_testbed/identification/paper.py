@@ -50,10 +50,16 @@ def beside_published(
 ) -> pd.DataFrame:
     """The figures of the paper for a trial, next to the printed ones.
 
-    The errors are those of the paper's two variants on every channel; the fronts are theirs (empty
-    to omit thetas), samples and settings those of the fits. There is one row per figure, indexed
-    by its name and unit: the values without and with offsets for this trial and for the paper, NaN
-    if unknown, and a remark: why the two are not comparable, or that the printed number is unknown.
+    Args:
+        errors: Errors of the paper's two variants on every channel, the wrench's six first.
+        fronts: Fronts of the two variants; empty to omit the thetas.
+        samples: Samples of the fits.
+        settings: Settings of the fits, whose `leave_out` marks channels that do not compare.
+
+    Returns:
+        One row per figure, indexed by its name and unit: the values without and with offsets for
+        this trial and for the paper, NaN if unknown, and a remark: why the two are not comparable,
+        or that the printed number is unknown.
     """
     both = [_figures(errors[variant], fronts.get(variant)) for variant in PAPER_VARIANTS]
     conditions = [*differing_conditions(samples, settings)]
@@ -94,7 +100,14 @@ def _figures(errors: Sequence[ChannelErrors], front: Front | None) -> dict[str, 
 
 
 def differing_conditions(samples: Samples, settings: IdentificationSettings) -> Iterator[str]:
-    """Differences from the published experiment and fit: this trial's value, then the paper's."""
+    """Differences from the published experiment and fit, in words.
+
+    Each states this trial's value, then the paper's.
+
+    Args:
+        samples: Samples of the fit, some of them with a pose and a wrench.
+        settings: Settings of the fit, compared with `PUBLISHED_SETTINGS`.
+    """
     force = force_magnitude(samples.wrench[samples.has_pose_and_wrench])
     load, rate = float(np.median(force)), 1.0 / usual_period(samples.time)
     if abs(load - PUBLISHED_LOAD) > _LOAD_TOLERANCE * PUBLISHED_LOAD:

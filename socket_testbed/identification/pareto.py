@@ -60,12 +60,24 @@ FIGURES = {
 
 @dataclass(frozen=True)
 class FrontPoint:
-    """The solution of both stages at one theta, see `Front`; NaN if a stage was not certified."""
+    """The solution of both stages at one theta; its errors are NaN if a stage was not certified.
+
+    Attributes:
+        theta: Weight of the wrench against the clusters, 0 to 1 [-].
+        residual: Largest KKT residual or gap of both stages, in scaled units [-].
+        rmse: RMSE of the m channels in the objective, the wrench's first, shape (m,) [N m, N].
+        flaw: Why the solution must not be used; empty if it is sound.
+        wrench_error: Normalised error e_w of the wrench [-].
+        local_error: Normalised error e_f of the clusters [-].
+        mean_moment_rmse: Mean RMSE of the moments in the objective [N m].
+        mean_force_rmse: Mean RMSE of the forces in the objective [N].
+        median_local_rmse: Median RMSE of the clusters' channels in the objective [N].
+    """
 
     theta: float
     residual: float
     rmse: FloatArray
-    flaw: str = ""  # why the solution must not be used; empty if it is sound
+    flaw: str = ""
     wrench_error: float = np.nan
     local_error: float = np.nan
     mean_moment_rmse: float = np.nan
@@ -75,38 +87,66 @@ class FrontPoint:
 
 @dataclass(frozen=True)
 class Knee:
-    """Where a front bends most, or why it has no knee."""
+    """Where a front bends most, or why it has no knee.
 
-    index: int | None  # index of the solution; None without a knee
-    # distance below the chord between the front's ends, relative to the span [-]: 0 on the chord,
-    # 1 if both errors reach their minima at once
+    Attributes:
+        index: Index of the solution among the thetas; None without a knee.
+        depth: Distance below the chord between the front's ends, relative to the span [-]: 0 on the
+            chord, 1 if both errors reach their minima at once. NaN without a sound solution.
+        span: Differences of e_w and e_f between the front's ends [-]; NaN without a sound solution.
+        verdict: The result in words.
+    """
+
+    index: int | None
     depth: float
-    span: tuple[float, float]  # differences of e_w and e_f between the ends [-]
-    verdict: str  # the result in words
+    span: tuple[float, float]
+    verdict: str
 
 
 class Front:
-    """The solutions of one variant at T rising thetas."""
+    """The solutions of one variant at T rising thetas.
 
-    theta: FloatArray  # weights of the wrench against the clusters, shape (T,) [-]
-    wrench_error: FloatArray  # normalised errors e_w of the wrench, shape (T,) [-]
-    local_error: FloatArray  # normalised errors e_f of the clusters, shape (T,) [-]
-    mean_moment_rmse: FloatArray  # of the moments in the objective, shape (T,) [N m]
-    mean_force_rmse: FloatArray  # of the forces in the objective, shape (T,) [N]
-    median_local_rmse: FloatArray  # of the clusters' channels in the objective, shape (T,) [N]
-    residual: FloatArray  # largest KKT residuals or gaps of both stages, scaled, shape (T,) [-]
+    Errors are NaN where a stage was not certified.
+
+    Args:
+        variant: The variant of the model.
+        channels: Names of the m channels in the objective, the wrench's first.
+        points: The solutions in the order of the thetas.
+
+    Attributes:
+        theta: Weights of the wrench against the clusters, 0 to 1, shape (T,) [-].
+        wrench_error: Normalised errors e_w of the wrench, shape (T,) [-].
+        local_error: Normalised errors e_f of the clusters, shape (T,) [-].
+        mean_moment_rmse: Mean RMSE of the moments in the objective, shape (T,) [N m].
+        mean_force_rmse: Mean RMSE of the forces in the objective, shape (T,) [N].
+        median_local_rmse: Median RMSE of the clusters' channels in the objective, shape (T,) [N].
+        residual: Largest KKT residuals or gaps of both stages, in scaled units, shape (T,) [-].
+        variant: The variant of the model.
+        channels: Names of the m channels in the objective, the wrench's first.
+        rmse: RMSE of the channels in the objective, shape (T, m) [N m, N].
+        flaws: Why each solution must not be used, T texts; empty if it is sound.
+        sound: Solutions without a flaw, shape (T,).
+        non_dominated: Sound solutions that no other one dominates, shape (T,).
+        knee: Where the front bends most.
+    """
+
+    theta: FloatArray
+    wrench_error: FloatArray
+    local_error: FloatArray
+    mean_moment_rmse: FloatArray
+    mean_force_rmse: FloatArray
+    median_local_rmse: FloatArray
+    residual: FloatArray
 
     def __init__(
         self, variant: Variant, channels: tuple[str, ...], points: Sequence[FrontPoint]
     ) -> None:
         self.variant = variant
-        self.channels = channels  # names of the m channels in the objective, the wrench's first
+        self.channels = channels
         for name in FIGURES:
             setattr(self, name, np.array([getattr(point, name) for point in points]))
-        # Root-mean-square errors of the channels, shape (T, m) [N m, N].
         self.rmse = np.array([point.rmse for point in points]).reshape(len(points), len(channels))
         self.flaws = tuple(point.flaw for point in points)
-        # Sound solutions, the non-dominated among them, shape (T,) each, and the knee.
         self.sound = np.array([not flaw for flaw in self.flaws], dtype=bool)
         self.non_dominated = find_non_dominated(self.wrench_error, self.local_error, self.sound)
         self.knee = find_knee(self.wrench_error, self.local_error, self.non_dominated)
@@ -119,7 +159,7 @@ class Front:
 
     @property
     def marks(self) -> dict[str, int]:
-        """Indices of the notable solutions that exist, by name."""
+        """Indices of the notable solutions that exist, by `SENSOR_ONLY`, `KNEE`, `WRENCH_ONLY`."""
         marks = {SENSOR_ONLY: np.flatnonzero(self.sound & (self.theta == 0.0))}
         if self.knee.index is not None:
             marks[KNEE] = np.array([self.knee.index])
@@ -159,8 +199,21 @@ def pareto_front(
     At theta 0 the wrench has no weight, at theta 1 the clusters have none: directions that the
     other group does not determine then depend on the smoothness alone. Solutions that are not
     certified or not unique carry a flaw and are not on the front. Longer data is thinned to 4000
-    samples; theta and variant of the settings are ignored. The thetas are ascending in [0, 1];
-    `progress` is called with the number done and the total.
+    samples.
+
+    Args:
+        samples: Samples of a loaded segment.
+        geometry: The socket, which has the clusters of the samples.
+        settings: Settings of the fits; their theta and variant are ignored.
+        thetas: Weights of the wrench against the clusters, ascending within 0 to 1, shape (T,) [-].
+        progress: Called after each theta with the number done and the total.
+
+    Returns:
+        The front of each of the paper's variants, by its name.
+
+    Raises:
+        IdentificationError: If the wrench or the clusters have no channel in the objective, if no
+            theta gives a sound solution, or if the samples cannot be fitted.
     """
     settings = replace(settings, variant=PAPER_VARIANTS[0])
     objective = build_objective(samples, geometry, settings)
@@ -249,7 +302,10 @@ def find_non_dominated(
 ) -> BoolArray:
     """Solutions for which no other is as good in both errors and better in one, shape (T,).
 
-    Solutions that are not sound neither dominate nor are kept.
+    Args:
+        wrench_error: Errors of the wrench, shape (T,) [-].
+        local_error: Errors of the clusters, shape (T,) [-].
+        sound: Solutions without a flaw, shape (T,); others neither dominate nor are kept.
     """
     kept = np.zeros(len(sound), dtype=bool)
     order = np.lexsort((local_error, wrench_error))
@@ -265,6 +321,11 @@ def find_knee(wrench_error: FloatArray, local_error: FloatArray, kept: BoolArray
     """The kept solution farthest below the chord between the front's ends.
 
     The choice is invariant to scaling of the axes.
+
+    Args:
+        wrench_error: Errors e_w of the wrench, shape (T,) [-].
+        local_error: Errors e_f of the clusters, shape (T,) [-].
+        kept: The solutions on the front, shape (T,).
     """
     front = np.flatnonzero(kept)
     if len(front) == 0:
@@ -284,7 +345,7 @@ def find_knee(wrench_error: FloatArray, local_error: FloatArray, kept: BoolArray
 
 
 def front_table(fronts: Iterable[Front]) -> pd.DataFrame:
-    """Fronts of the same samples as one table: see `Front.to_dataframe`."""
+    """Several fronts as one table, a row per solution: see `Front.to_dataframe`."""
     return pd.concat([front.to_dataframe() for front in fronts], ignore_index=True)
 
 

@@ -3,7 +3,7 @@
 - Units: if a quarter of the samples exceeds the load that a person can apply, or the limb lies
   outside the socket, the samples are in another unit or frame, and a fit is refused.
 - Load: a wrench that is zero throughout says nothing about contact, and a fit is refused.
-- Outliers: a single value beyond the same limits, or far above the root mean square of its group
+- Outliers: a single value beyond these limits, or far above the root mean square of its group
   of channels (moments, forces, cluster forces: `OUTLIER_RATIO`, `OUTLIER_SHARE`), would dominate
   the normalisation of its group; so would several spikes (`SPIKE_RATIO`), unless load cell and
   clusters feel them. They are left out with a note; too many outliers are refused.
@@ -82,10 +82,16 @@ _MAX_NAMED = 3  # outliers of a channel in a note
 
 @dataclass(frozen=True)
 class Outliers:
-    """Single implausible values."""
+    """Single implausible values of N samples.
 
-    position: BoolArray  # samples with an outlying limb position, shape (N,)
-    values: BoolArray  # outlying values of the channels, shape (N, 6 + 3c)
+    Attributes:
+        position: Samples with an outlying limb position, shape (N,).
+        values: Outlying values of the channels in the order of `Samples.channels`, shape
+            (N, 6 + 3c).
+    """
+
+    position: BoolArray
+    values: BoolArray
 
     @property
     def rows(self) -> BoolArray:
@@ -93,7 +99,7 @@ class Outliers:
         return np.asarray(self.position | self.values.any(axis=1))
 
     def taken_from(self, samples: Samples) -> Samples:
-        """The samples with their outliers marked as not measured."""
+        """The N samples with their outliers marked as not measured, that is NaN."""
         position = np.where(self.position[:, None], np.nan, samples.position)
         return dataclasses.replace(samples.blanked(self.values), position=position)
 
@@ -101,7 +107,13 @@ class Outliers:
 def find_outliers(
     samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...] = ()
 ) -> Outliers:
-    """Find single outliers by the rule of the module, ignoring `leave_out`."""
+    """Find single outliers by the rule of the module.
+
+    Args:
+        samples: N samples.
+        geometry: The socket, whose tiles limit the forces and the limb's position.
+        leave_out: Names of channels in which no outliers are sought, such as `distal.Fx`.
+    """
     values = _counted(samples, leave_out)
     limits = channel_limits(geometry, samples.clusters)
     # A channel that is often beyond its limit has another unit: see `require_units`.
@@ -143,7 +155,12 @@ def _rises(values: FloatArray) -> BoolArray:
 
 
 def outlier_notes(samples: Samples, outliers: Outliers) -> Iterator[str]:
-    """A note per channel with outliers: their values and times."""
+    """A note per channel with outliers: their values, and their times since the first sample [s].
+
+    Args:
+        samples: N samples as they were measured.
+        outliers: Their outliers.
+    """
     values = [np.linalg.norm(samples.position, axis=1), *samples.values.T]
     found = [outliers.position, *outliers.values.T]
     for name, column, rows in zip(
@@ -159,7 +176,9 @@ def outlier_notes(samples: Samples, outliers: Outliers) -> Iterator[str]:
 def sign_note(samples: Samples, geometry: SocketGeometry) -> str | None:
     """A note if the wrench looks negated; None without clear evidence.
 
-    The x axes of the socket's tiles point to the proximal end.
+    Args:
+        samples: Samples under load; medians over them are judged.
+        geometry: The socket; the x axes of its tiles point to the proximal end.
     """
     proximal = proximal_direction(geometry)
     opening = geometry.rotations[:, :, 2].mean(axis=0) @ proximal
@@ -182,14 +201,27 @@ def sign_note(samples: Samples, geometry: SocketGeometry) -> str | None:
 
 @dataclass(frozen=True)
 class Implausible:
-    """A channel that `find_implausible` proposes to leave out of the objective."""
+    """A channel that `find_implausible` proposes to leave out of the objective.
 
-    channel: str  # name of the channel, such as Mx or distal.Fz
-    reason: str  # why, with the numbers
+    Attributes:
+        channel: Name of the channel, such as `Mx` or `distal.Fz`.
+        reason: Why, in words with the numbers and their units.
+    """
+
+    channel: str
+    reason: str
 
 
 def find_implausible(samples: Samples, geometry: SocketGeometry) -> tuple[Implausible, ...]:
-    """Propose channels to leave out, by the rule of the module, one per channel and reason."""
+    """Propose channels to leave out, by the rules of the module.
+
+    Args:
+        samples: The samples of a trial.
+        geometry: The socket, whose farthest tile limits the moments.
+
+    Returns:
+        The proposals in the order of the channels, one for each channel and reason.
+    """
     force = force_magnitude(samples.wrench)
     load, peak = finite_quantile(force, 0.5), _peak(force)
     found: list[Implausible] = []
@@ -249,7 +281,15 @@ def _peak(values: FloatArray) -> float:
 
 
 def require_position(samples: Samples, geometry: SocketGeometry) -> None:
-    """Refuse limb positions in another unit or frame."""
+    """Refuse limb positions in another unit or frame.
+
+    Args:
+        samples: Samples, of which the poses matter; without any pose nothing is refused.
+        geometry: The socket, whose farthest tile limits the positions.
+
+    Raises:
+        IdentificationError: If the limb is too far from the load cell, or moves too far.
+    """
     position = samples.position[samples.has_pose]
     if not len(position):
         return
@@ -269,7 +309,17 @@ def require_position(samples: Samples, geometry: SocketGeometry) -> None:
 def require_units(
     samples: Samples, geometry: SocketGeometry, leave_out: tuple[str, ...] = ()
 ) -> None:
-    """Refuse samples, the limb positions first, in another unit or frame."""
+    """Refuse samples, the limb positions first, in another unit or frame.
+
+    Args:
+        samples: N samples.
+        geometry: The socket, whose tiles limit the forces and the limb's position.
+        leave_out: Names of channels that may exceed their limits, such as `distal.Fx`.
+
+    Raises:
+        IdentificationError: If the limb position is implausible (`require_position`), or a quarter
+            of the values of a channel exceed what a person can apply.
+    """
     require_position(samples, geometry)
     values = _counted(samples, leave_out)
     limits = channel_limits(geometry, samples.clusters)
@@ -288,7 +338,13 @@ def require_units(
 def require_load(samples: Samples, wrench_counts: BoolArray) -> None:
     """Refuse a wrench within a load cell's noise, or without any force or moment.
 
-    Checks only the wrench's channels in the objective, `wrench_counts` of shape (6,).
+    Args:
+        samples: Samples of a fit, complete in the channels of the objective.
+        wrench_counts: Channels [M; F] of the wrench in the objective, shape (6,); the others do not
+            matter, and without any nothing is refused.
+
+    Raises:
+        IdentificationError: If the wrench holds no load.
     """
     if not wrench_counts.any():
         return
@@ -322,7 +378,13 @@ def _reach(geometry: SocketGeometry) -> float:
 
 
 def channel_limits(geometry: SocketGeometry, clusters: tuple[str, ...]) -> FloatArray:
-    """Largest size of each channel that a person can apply, shape (6 + 3c,) [N m, N]."""
+    """Largest size of each channel that a person can apply, shape (6 + 3c,) [N m, N].
+
+    Args:
+        geometry: The socket; the area of a cluster's tile limits its forces.
+        clusters: Names of the c clusters in the order of their channels. If one is not on the
+            socket, there are no limits: all are infinite.
+    """
     wrench = np.repeat([MAX_MOMENT, MAX_FORCE], 3)
     tiles = [geometry.clusters[name] for name in clusters if name in geometry.clusters]
     if len(tiles) < len(clusters):  # another socket's: reported elsewhere

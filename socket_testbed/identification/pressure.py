@@ -76,47 +76,83 @@ _DECIMALS = {title: column[3] for title, column in _COLUMNS.items()}
 
 @dataclass(frozen=True)
 class Quantity:
-    """Values with their 95 % intervals, as arrays of one shape."""
+    """Values with their 95 % intervals, as arrays of one shape and unit.
 
-    value: FloatArray  # the estimates
-    low: FloatArray  # lower ends of the intervals
-    high: FloatArray  # upper ends of the intervals
-    # reference for the reach of an interval: the magnitude of the value, the extent of the region
-    # for a coordinate, a right angle for a direction
+    Shape and unit are those of the output, such as in `RegionOutputs`.
+
+    Attributes:
+        value: The estimates; NaN if unknown.
+        low: Lower ends of the intervals.
+        high: Upper ends of the intervals.
+        scale: Reference for the reach of an interval, 0 or more: the magnitude of the value, the
+            extent of the region for a coordinate, a right angle for a direction, the geometric
+            mean of both axes' own stiffnesses for a stiffness.
+    """
+
+    value: FloatArray
+    low: FloatArray
+    high: FloatArray
     scale: FloatArray
 
     @property
     def reach(self) -> FloatArray:
-        """Distance of the farther end of the interval from the value."""
+        """Distance of the farther end of the interval from the value, in its shape and unit."""
         return np.maximum(self.high - self.value, self.value - self.low)
 
     def certain(self, share: float = SHARE) -> BoolArray:
-        """Where the interval reaches no farther from the value than a share of the scale [-]."""
+        """Where the interval reaches no farther from the value than a share of the scale [-].
+
+        The result has the shape of the values, and is false where they are NaN.
+        """
         return np.asarray(self.reach <= share * self.scale)  # false for NaN
 
     def part(self, place: Any, factor: float = 1.0) -> Quantity:
-        """Elements at an index of the arrays, such as `(..., 2)`, in another unit."""
+        """Elements of the arrays, in another unit.
+
+        Args:
+            place: Index of the arrays, such as `(..., 2)`; `...` for all elements.
+            factor: From the unit of the values to the other one, such as 1e-3 for Pa to kPa.
+        """
         return Quantity(*(np.asarray(factor * values[place]) for values in vars(self).values()))
 
 
 def normal_quantity(value: FloatArray, deviation: FloatArray) -> Quantity:
-    """Values with 95 % intervals from their standard deviations."""
+    """Normally distributed values with 95 % intervals from their standard deviations.
+
+    Args:
+        value: The values, of any shape and unit.
+        deviation: Their standard deviations, in the shape and unit of the values.
+    """
     reach = NORMAL_QUANTILE * deviation
     return Quantity(value, value - reach, value + reach, np.abs(value))
 
 
 @dataclass(frozen=True)
 class RegionOutputs:
-    """Outputs of R regions, over a span, shape (R,), or at N instants, shape (N, R)."""
+    """Outputs of R regions, over a span, shape (R,), or at N instants, shape (N, R).
 
-    mean: Quantity  # mean pressure [Pa]
-    peak: Quantity  # peak pressure [Pa]
-    area: Quantity  # contact area [m^2]
-    integral: Quantity  # pressure-time integral [Pa s]; NaN at instants
-    centre: Quantity  # centre of pressure in {S}, with a last axis of 3 [m]
-    shear: Quantity  # magnitude of the shear [Pa]
-    direction: Quantity  # of the shear, from x to y [rad]; its ends may lie beyond half a turn
-    share: Quantity  # share of the load [-]
+    The module docstring defines them.
+
+    Attributes:
+        mean: Mean pressure, positive in compression [Pa].
+        peak: Peak pressure, positive in compression [Pa].
+        area: Contact area [m^2].
+        integral: Pressure-time integral [Pa s]; NaN at instants.
+        centre: Centre of pressure in {S}, shape (R, 3) or (N, R, 3) [m]; NaN without compression.
+        shear: Magnitude of the mean shear [Pa].
+        direction: Direction of the shear from x (proximal) towards y of the tiles' frames, within
+            half a turn of 0 [rad]; the ends of its interval may lie beyond.
+        share: Share of the load, that is of the force along the socket [-]; it may be negative.
+    """
+
+    mean: Quantity
+    peak: Quantity
+    area: Quantity
+    integral: Quantity
+    centre: Quantity
+    shear: Quantity
+    direction: Quantity
+    share: Quantity
 
 
 def decimals_of(title: str) -> int:
@@ -125,26 +161,46 @@ def decimals_of(title: str) -> int:
 
 
 def greyness(value: FloatArray, reach: FloatArray) -> FloatArray:
-    """Greyness of pressures by the reach of 95 % intervals [Pa]: 0 full colour, 1 greyest."""
+    """Greyness of pressures by the reach of their 95 % intervals [-]: 0 full colour, 1 greyest.
+
+    Args:
+        value: Pressures, of any shape [Pa].
+        reach: Distances of the ends of their intervals, in the shape of the pressures [Pa].
+    """
     share = reach / np.maximum(np.abs(value), _MIN_GREYED)
     return np.asarray(np.clip((share - _FULL_COLOUR) / (_GREYEST - _FULL_COLOUR), 0.0, 1.0))
 
 
 def read_column(found: RegionOutputs, title: str) -> Quantity:
-    """The output of a column of `TITLES`, in the unit of the title."""
+    """The output of a column of `TITLES`, shape (R,) or (N, R), in the unit of the title.
+
+    Args:
+        found: The outputs.
+        title: The title of the column, such as `peak pressure [kPa]`.
+    """
     name, axis, factor, _ = _COLUMNS[title]
     quantity: Quantity = getattr(found, name)
     return quantity.part(... if axis is None else (..., axis), factor)
 
 
 def columns_of(found: RegionOutputs, titles: Sequence[str]) -> dict[str, FloatArray]:
-    """Columns with the ends of their intervals, by title."""
+    """Columns with the ends of their intervals by title, shape (R,) or (N, R), in its unit.
+
+    Args:
+        found: The outputs.
+        titles: Titles of the columns, of `TITLES`.
+    """
     columns = (with_interval(title, read_column(found, title)) for title in titles)
     return {title: values for column in columns for title, values in column.items()}
 
 
 def with_interval(title: str, quantity: Quantity) -> dict[str, FloatArray]:
-    """A column and the ends of its interval, by title."""
+    """A column and the ends of its interval, by title.
+
+    Args:
+        title: Title with a unit, such as `peak pressure [kPa]`.
+        quantity: Its values, in that unit.
+    """
     return {
         title: quantity.value,
         interval_end(title, "low"): quantity.low,
@@ -153,23 +209,39 @@ def with_interval(title: str, quantity: Quantity) -> dict[str, FloatArray]:
 
 
 def interval_end(title: str, end: str) -> str:
-    """Title of the end, `low` or `high`, of a column's interval: `peak pressure low [kPa]`."""
+    """Title of the end of a column's interval, such as `peak pressure low [kPa]`.
+
+    Args:
+        title: Title of the column, such as `peak pressure [kPa]`.
+        end: `low` or `high`.
+    """
     name, unit = split_unit(title)
     return f"{name} {end} [{unit}]"
 
 
 @dataclass(frozen=True)
 class PressureOutputs:
-    """Outputs of a socket over a span of time."""
+    """Outputs of a socket over a span of time.
 
-    regions: RegionOutputs  # over the span, shape (R,)
-    tiles: RegionOutputs  # of every tile over the span, shape (n,)
-    integrated: float  # time that the integrals cover, without breaks [s]
-    peak_row: int  # index of the sample with the highest pressure of a tile
+    Attributes:
+        regions: Outputs of the R regions over the span, shape (R,).
+        tiles: Outputs of each of the n tiles over the span, shape (n,).
+        integrated: Time that the integrals cover, without breaks [s].
+        peak_row: Index of the sample with the highest pressure of a tile.
+        force_map: The force map that the outputs are drawn from.
+        samples: The N samples of the span.
+        by_region: Computes the outputs of the R regions from forces.
+        threshold: Pressure above which a tile is in contact [Pa].
+    """
+
+    regions: RegionOutputs
+    tiles: RegionOutputs
+    integrated: float
+    peak_row: int
     force_map: ForceMap
     samples: Samples
     by_region: _Regions
-    threshold: float  # pressure above which a tile is in contact [Pa]
+    threshold: float
 
     @property
     def source(self) -> str:
@@ -199,7 +271,10 @@ class PressureOutputs:
         return RegionOutputs(**series)
 
     def mean_pressure(self) -> Quantity:
-        """Mean pressure of the regions at every sample, as in `series`, shape (N, R) [Pa]."""
+        """Mean pressure of the regions at every sample, shape (N, R) [Pa].
+
+        It equals `series.mean` at a fraction of the cost; NaN where nothing was measured.
+        """
         mapping = self.by_region.mean_pressure
         found = _unknown((len(self.samples), mapping.shape[1]))
         kept = np.flatnonzero(measured_rows(self.samples))
@@ -214,13 +289,20 @@ class PressureOutputs:
 
 @dataclass(frozen=True)
 class _Fields:
-    """Inputs of the outputs, on n tiles, with any leading axes."""
+    """Inputs of the outputs, on n tiles, with any leading axes.
 
-    force: FloatArray  # mean force in the tiles' frames, shape (..., n, 3) [N]
-    peak: FloatArray  # highest pressure, shape (..., n) [Pa]
-    contact: FloatArray  # share of the time in contact, shape (..., n) [-]
-    compression: FloatArray  # mean compressive force, shape (..., n) [N]
-    # integral of the pressure in contact, shape (..., n) [Pa s]; None at an instant
+    Attributes:
+        force: Mean force on the socket in the tiles' frames, shape (..., n, 3) [N].
+        peak: Highest pressure, shape (..., n) [Pa].
+        contact: Share of the time in contact, shape (..., n) [-].
+        compression: Mean compressive force, 0 or more, shape (..., n) [N].
+        integral: Integral of the pressure in contact, shape (..., n) [Pa s]; None at an instant.
+    """
+
+    force: FloatArray
+    peak: FloatArray
+    contact: FloatArray
+    compression: FloatArray
     integral: FloatArray | None = None
 
 
@@ -253,7 +335,7 @@ class _Regions:
         self._extents = np.sqrt((apart * member).sum(axis=0) / member.sum(axis=0))
 
     def read(self, fields: _Fields) -> dict[str, FloatArray]:
-        """The outputs by their names, shape (..., R), and the centre (..., R, 3)."""
+        """The outputs by their names, shape (..., R), and the centre (..., R, 3), in SI units."""
         leading = fields.peak.shape[:-1]
         force = fields.force.reshape(*leading, -1)
         x, y, mean, axial = np.moveaxis((force @ self._linear).reshape(*leading, 4, -1), -2, 0)
@@ -284,7 +366,10 @@ class _Regions:
         return RegionOutputs(**found)
 
     def interval(self, name: str, value: FloatArray, drawn: FloatArray) -> Quantity:
-        """A named quantity from the estimate and the draws."""
+        """A named quantity from the estimate, (..., R), and the draws, (..., D, R).
+
+        Those of the `centre` have a last axis of 3.
+        """
         axis = value.ndim - (2 if name == "centre" else 1)
         difference = drawn - np.expand_dims(value, axis)
         if name == "direction":
@@ -341,7 +426,10 @@ class _Span:
 def _expanded(
     force_map: ForceMap, samples: Samples, areas: FloatArray, threshold: float
 ) -> Iterator[tuple[IntArray, _Fields, _Fields]]:
-    """Batches of samples: their indices, fields (k, 1) and fields of draws (k, D)."""
+    """Batches of k samples: their indices, fields of the estimate and of the D draws.
+
+    The fields have the shapes (k, 1, n) and (k, D, n).
+    """
     for draws in force_map.sample(samples, _DRAWS):
         for start in range(0, len(draws.rows), _EXPANDED_BATCH):
             some = draws[start : start + _EXPANDED_BATCH]
@@ -358,7 +446,18 @@ def pressure_outputs(
     regions: Sequence[Region],
     threshold: float,
 ) -> PressureOutputs:
-    """Outputs of regions and tiles over a span; a tile is in contact above the threshold [Pa]."""
+    """Outputs of regions and tiles over a span.
+
+    Args:
+        force_map: The force map of the socket and its clusters.
+        samples: The N samples of the span; those without any measured channel are left out.
+        geometry: The socket with its n tiles.
+        regions: R regions, each with at least one tile.
+        threshold: Pressure above which a tile is in contact [Pa].
+
+    Raises:
+        TrialError: If no sample has a wrench or a trusted cluster.
+    """
     kept = np.flatnonzero(measured_rows(samples))
     if not len(kept):
         raise TrialError(
@@ -423,6 +522,7 @@ def _quantiles(drawn: FloatArray) -> FloatArray:
 
 
 def _unknown(shape: tuple[int, ...]) -> Quantity:
+    """A quantity of NaN."""
     return Quantity(*(np.full(shape, np.nan) for _ in fields(Quantity)))
 
 

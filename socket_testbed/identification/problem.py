@@ -58,39 +58,63 @@ _JITTER = 1e-12  # [-]; regularises flat problems
 
 @dataclass(frozen=True)
 class ClusterChannel:
-    """One channel of a cluster's force in the objective."""
+    """One channel of a cluster's force in the objective.
+
+    Attributes:
+        cluster: Name of the cluster.
+        point: Index of the tile under the cluster.
+        axis: Axis of the cluster's frame: 0, 1 or 2.
+        direction: Unit vector along that axis, shape (3,) [-], in {S}; in a `Problem` in the frame
+            of its law.
+        measured: Measured force along it, shape (N,) [N]; NaN if missing or not trusted. In
+            a `Problem` the rows are means over blocks of samples.
+        weight: Weight of its mean square error in a `Problem` [1/N^2]; 0 outside of one.
+    """
 
     cluster: str
-    point: int  # index of its point of interest
-    axis: int  # axis of the cluster's frame: 0, 1, 2
-    direction: FloatArray  # that axis in {S}, shape (3,) [-]
-    measured: FloatArray  # the measured force, NaN if missing, shape (N,) [N]
-    weight: float = 0.0  # weight of its mean square error in a `Problem` [1/N^2]
+    point: int
+    axis: int
+    direction: FloatArray
+    measured: FloatArray
+    weight: float = 0.0
 
     @cached_property
     def rows(self) -> BoolArray:
-        """Samples in which the channel was measured, shape (N,)."""
+        """Rows in which the channel was measured, shape (N,)."""
         return np.isfinite(self.measured)
 
     @cached_property
     def force(self) -> FloatArray:
-        """The measured force in those samples [N]."""
+        """The measured force without missing values, one for each of the `rows` [N]."""
         return self.measured[self.rows]
 
 
 @dataclass(frozen=True)
 class Objective:
-    """The samples of a fit with the weight of each channel."""
+    """The samples of a fit with the weight of each channel.
+
+    Attributes:
+        geometry: The socket.
+        settings: Settings of the fit.
+        samples: The N samples in use, without outliers, all with a pose and with the wrench's
+            channels in the objective; poses are averaged as the settings say.
+        wrench: Measured wrenches [M; F] in {S}, shape (N, 6) [N m, N]; 0 for channels that are not
+            in the objective.
+        wrench_counts: Channels of the wrench in the objective, shape (6,).
+        wrench_shares: Weights of the squared errors of the wrench in J_w, shape (6,)
+            [1/(N m)^2, 1/N^2]; 0 for channels that are not in the objective.
+        channels: The m channels of the clusters in the objective.
+        channel_shares: Weights of their squared errors in J_f, shape (m,) [1/N^2].
+    """
 
     geometry: SocketGeometry
     settings: IdentificationSettings
-    samples: Samples  # the N samples in use, without outliers, poses smoothed by the settings
-    # measured wrenches, zero for channels not in the objective, shape (N, 6) [N m, N]
+    samples: Samples
     wrench: FloatArray
-    wrench_counts: BoolArray  # channels of the wrench in the objective, shape (6,)
-    wrench_shares: FloatArray  # weight of squared errors in J_w, or 0, (6,) [1/(N m)^2, 1/N^2]
-    channels: tuple[ClusterChannel, ...]  # channels of the clusters in the objective
-    channel_shares: FloatArray  # weight of each channel's squared error in J_f, shape (m,) [1/N^2]
+    wrench_counts: BoolArray
+    wrench_shares: FloatArray
+    channels: tuple[ClusterChannel, ...]
+    channel_shares: FloatArray
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -99,18 +123,29 @@ class Objective:
         return tuple(name for name in self.samples.channels if name not in left_out)
 
     def with_settings(self, **changes: Any) -> Objective:
-        """The same samples with another theta, smoothness or variant."""
+        """The objective with another theta, smoothness or variant.
+
+        Weights, channels and samples stay: settings from which they follow must not change.
+        """
         return replace(self, settings=replace(self.settings, **changes))
 
     def part(self, rows: IntArray) -> Objective:
-        """The same objective on the samples of the given indices."""
+        """The objective on the samples of some indices, shape (k,), with its weights."""
         channels = tuple(replace(c, measured=c.measured[rows]) for c in self.channels)
         samples, wrench = self.samples[rows], self.wrench[rows]
         return replace(self, samples=samples, wrench=wrench, channels=channels)
 
 
 def check_channels(leave_out: tuple[str, ...], names: tuple[str, ...]) -> None:
-    """Check that every name is a channel."""
+    """Check that every name is a channel.
+
+    Args:
+        leave_out: Names to check, such as `Mz` or `distal.Fx`.
+        names: Names of all channels.
+
+    Raises:
+        ConfigurationError: If a name is not one of them.
+    """
     for name in leave_out:
         if name not in names:
             own = [channel for channel in names if channel.startswith(f"{name}.")]
@@ -119,7 +154,10 @@ def check_channels(leave_out: tuple[str, ...], names: tuple[str, ...]) -> None:
 
 
 def _usable_rows(samples: Samples, wrench_counts: BoolArray) -> BoolArray:
-    """Samples with a limb position and every wrench channel of the objective, shape (N,)."""
+    """Samples with a limb pose and every wrench channel of the objective, shape (N,).
+
+    `wrench_counts` marks these channels, shape (6,).
+    """
     measured = np.isfinite(samples.wrench)
     dead = wrench_counts & ~measured.any(axis=0) & (len(samples) > 0)
     for channel in np.flatnonzero(dead).tolist():
@@ -144,6 +182,16 @@ def build_objective(
     """Select, check and normalise the channels of a fit.
 
     Skips outliers (see `plausibility`) and samples without a wrench or a limb position.
+
+    Args:
+        samples: Samples of a loaded segment.
+        geometry: The socket, which has the clusters of the samples.
+        settings: Settings of the fit.
+
+    Raises:
+        IdentificationError: If the samples are too few, have too many outliers, hold no load or
+            have another unit, or if no channel is left.
+        ConfigurationError: If a channel to leave out, or a cluster, does not exist.
     """
     check_channels(settings.leave_out, samples.channels)
     counts = samples.counted(settings.leave_out)
@@ -176,6 +224,7 @@ def build_objective(
 def _cluster_channels(
     samples: Samples, geometry: SocketGeometry, counts: BoolArray
 ) -> tuple[ClusterChannel, ...]:
+    """The channels of the clusters in the objective, which `counts` marks, shape (c, 3)."""
     geometry.require(samples.clusters, "the samples")
     channels = []
     for column, cluster in enumerate(samples.clusters):
@@ -195,16 +244,20 @@ def _cluster_channels(
 
 
 def group_sizes(values: FloatArray) -> list[float]:
-    """RMS of the moments, forces and cluster forces of values (N, 6 + 3c), with lower limits."""
+    """RMS of the moments [N m], the forces [N] and the cluster forces [N], with lower limits.
+
+    The values are those of all channels, shape (N, 6 + 3c) [N m, N]; NaN if missing.
+    """
     groups = values[:, :3], values[:, 3:6], values[:, 6:]
     least = plausibility.MIN_MOMENT, plausibility.MIN_FORCE, plausibility.MIN_FORCE
     return [max(rms(group, 0.0), low) for group, low in zip(groups, least, strict=True)]
 
 
 def _shares(objective: Objective, noise: ChannelNoise | None) -> tuple[FloatArray, FloatArray]:
-    """Weights of squared errors of the wrench (6,) and of m channels of clusters: see the module.
+    """Weights of squared errors of the wrench, (6,), and of m channels of clusters, (m,).
 
-    The noise is given only for the weights `noise`.
+    They are `Objective.wrench_shares` and `Objective.channel_shares`. The noise is given only for
+    the weights `noise`.
     """
     channels, wrench_counts = objective.channels, objective.wrench_counts
     least = np.repeat([plausibility.MIN_MOMENT, plausibility.MIN_FORCE], 3)
@@ -236,15 +289,24 @@ def _shares(objective: Objective, noise: ChannelNoise | None) -> tuple[FloatArra
 
 @dataclass(frozen=True)
 class Moments:
-    """Means and centred mean products of N rows of columns S (N, p) and targets Y (N, m)."""
+    """Means and centred mean products of N rows of columns S (N, p) and targets Y (N, m).
 
-    mean: FloatArray  # means of S, shape (p,) [m]
-    gram: FloatArray  # of S with itself, shape (p, p) [m^2]
-    target_mean: FloatArray  # means of Y, shape (m,)
-    cross: FloatArray  # of S with Y, shape (p, m)
+    Columns are those of a contact law [m], targets the wrench [N m, N] or a force of a cluster [N].
+
+    Attributes:
+        mean: Means of S, shape (p,) [m].
+        gram: Centred mean products of S with itself, shape (p, p) [m^2].
+        target_mean: Means of Y, shape (m,) [N m, N].
+        cross: Centred mean products of S with Y, shape (p, m) [N m^2, N m].
+    """
+
+    mean: FloatArray
+    gram: FloatArray
+    target_mean: FloatArray
+    cross: FloatArray
 
     def products(self, centred: bool) -> tuple[FloatArray, FloatArray]:
-        """`gram` and `cross`, centred (for a model with offset) or about zero."""
+        """`gram` (p, p) and `cross` (p, m), centred (for a model with offset) or about zero."""
         if centred:
             return self.gram, self.cross
         gram = self.gram + np.outer(self.mean, self.mean)
@@ -253,20 +315,50 @@ class Moments:
 
 @dataclass(frozen=True)
 class Terms:
-    """Derivatives of the objective by the scaled parameters (6, n), flattened."""
+    """Derivatives of half the objective by the scaled parameters (6, n), flattened.
 
-    gradient: FloatArray  # shape (6n,) [-]
-    gauss_newton: FloatArray  # Gauss-Newton matrix of the data, shape (6n, 6n) [-]
-    curvature: FloatArray  # errors times second derivatives of the law, shape (6n, 6n) [-]
+    Attributes:
+        gradient: Gradient of data and prior, shape (6n,) [-].
+        gauss_newton: Gauss-Newton matrix of the data, without the prior, shape (6n, 6n) [-].
+        curvature: Errors times second derivatives of the law, shape (6n, 6n) [-]; with it the
+            Gauss-Newton matrix is the Hessian of the data.
+    """
+
+    gradient: FloatArray
+    gauss_newton: FloatArray
+    curvature: FloatArray
+
+
+@dataclass(frozen=True)
+class _ForceDerivatives:
+    """Nonzero derivatives of the forces on n tiles by the tile's own scaled parameters, in N rows.
+
+    Attributes:
+        places: For each of P derivatives the axis of the force in the law's frame and the row of
+            the parameter: stiffnesses are 0 to 2, rest displacements 3 to 5.
+        values: The derivatives, shape (N, P, n) [N].
+    """
+
+    places: tuple[tuple[int, int], ...]
+    values: FloatArray
 
 
 class Problem:
     """The objective as a function of the scaled parameters, shape (6, n) [-].
 
+    The rows of the parameters are the stiffnesses along the axes of the law's frames, then the rest
+    displacements along them, divided by their scales (`contact.Sizes`).
+
     Attributes:
+        objective: The samples and the weights of the channels.
         settings: The settings, with the numbers that follow from the samples.
         law: The contact law at the reference pose of the samples.
-        start, lower, upper: Centre of the law's prior and bounds, shape (6, n) [-].
+        channels: The m channels of the clusters, in the law's frames and with their weights; rows
+            are means over blocks of samples (`ContactLaw.MAX_ROWS`).
+        prior: Quadratic term of the prior of all parameters, flattened, shape (6n, 6n) [-].
+        start: Centre of the law's prior, shape (6, n) [-].
+        lower: Lower bounds of the parameters, shape (6, n) [-]; minus infinity for none.
+        upper: Upper bounds of the parameters, shape (6, n) [-]; infinity for none.
     """
 
     def __init__(self, objective: Objective) -> None:
@@ -296,8 +388,7 @@ class Problem:
         loading = Loading(self._motion, self._wrench, shares, geometry.neighbours, zero)
         sizes = law.sizes(settings, loading)
         self._scale = sizes.scale
-        # Quadratic terms of the prior of stiffnesses and rest displacements, (3n, 3n) each, and of
-        # all parameters, (6n, 6n) [-].
+        # Quadratic terms of the prior of stiffnesses and of rest displacements, (3n, 3n) each [-].
         self._spread = [np.kron(np.eye(3), prior) for prior in sizes.prior]
         self.prior = block_diag(*self._spread)
         self._springs, self.start = sizes.springs, sizes.start
@@ -334,7 +425,7 @@ class Problem:
         return _normalised(P, q, *bounds, "Stage 1 (rest positions)")
 
     def moments(self, x: FloatArray) -> list[Moments]:
-        """Moments of the data at the rest displacements of x, shape (6, n).
+        """Moments of the data at the rest displacements of the scaled parameters x, (6, n) [-].
 
         First those of all columns with the wrench (p = 3n, m = 6), then for each channel of the
         clusters those of its tile's columns with its force (p = 3, m = 1).
@@ -396,6 +487,10 @@ class Problem:
 
         :math:`\mathrm{tr}(P^{-1} P_{data})` over the stiffnesses off their bound (Hastie,
         Tibshirani & Friedman, The Elements of Statistical Learning, 7.6).
+
+        Args:
+            x: Scaled parameters, shape (6, n) [-].
+            moments: Moments of the data at their rest displacements, as `moments` returns them.
         """
         free = np.flatnonzero(x[:3] > self.lower[:3])
         if len(free) == 0:
@@ -415,7 +510,11 @@ class Problem:
         return self.law.columns(moved).reshape(len(motion), -1)
 
     def residuals(self, x: FloatArray) -> tuple[FloatArray, list[FloatArray]]:
-        """Residuals of the springs: of the wrench, shape (N, 6), and the channels, (rows,) each."""
+        """Measured less predicted values of the springs at x, shape (6, n) [-], without offsets.
+
+        Those of the wrench have the shape (N, 6) [N m, N], those of each channel of the clusters
+        one value for each of its `rows` [N].
+        """
         stiffness, rest = (x * self._scale).reshape(2, 3, -1)
         points = [channel.point for channel in self.channels]
         onto = self.law.onto.reshape(6, -1).T
@@ -432,7 +531,7 @@ class Problem:
         return wrench, local
 
     def value(self, x: FloatArray) -> float:
-        """Half the objective of a refined law, as in a quadratic program [-]."""
+        """Half the objective of a refined law at x, shape (6, n) [-], as in a quadratic program."""
         wrench, local = self.residuals(x)
         data = float(self._weights @ (wrench**2).mean(axis=0))
         for channel, residual in zip(self.channels, local, strict=True):
@@ -441,62 +540,95 @@ class Problem:
         return 0.5 * (data + float(away @ self.prior @ away))
 
     def _centred(self, values: FloatArray) -> FloatArray:
+        """Values (N, ...) less their mean over the rows if the model has offsets."""
         return values - values.mean(axis=0) if self._with_offsets else values
 
     def evaluate(self, x: FloatArray) -> Terms:
-        """Derivatives of the objective of a refined law at x, shape (6, n)."""
+        """Derivatives of the objective of a refined law at x, shape (6, n) [-]."""
         stiffness, rest = (x * self._scale).reshape(2, 3, -1)
         moved = self.law.displacements(self._motion) - rest
-        # Derivatives of the forces, by axis and parameter: stiffnesses are 0 to 2, rest
-        # displacements 3 to 5.
-        forces = self.law.columns(moved)
-        derivatives = {(axis, axis): forces[:, axis] for axis in range(3)}
-        for (axis, along), slope in self.law.slopes(moved).items():
-            derivatives[axis, 3 + along] = -stiffness[axis] * slope
-        places = list(derivatives)
-        columns = np.stack(list(derivatives.values()), axis=1)  # (N, pairs, n)
-        columns *= self._scale[[parameter for _, parameter in places]]
-        rows, _, points = columns.shape
+        forces = self._force_derivatives(stiffness, moved)
         wrench, local = self.residuals(x)
-
-        by_pair = columns.reshape(rows, -1)
-        products = (by_pair.T @ by_pair).reshape(len(places), points, len(places), points) / rows
-        weighted = self._weights[:, None, None] * self.law.onto
-        metric = np.einsum("can,cbm->anbm", self.law.onto, weighted)
-        normal = np.zeros((6, points, 6, points))
-        for a, (axis, parameter) in enumerate(places):
-            for b, (other_axis, other) in enumerate(places):
-                normal[parameter, :, other] += products[a, :, b] * metric[axis, :, other_axis]
-        # Weighted errors, mapped to the tiles' forces.
-        mapped = -np.tensordot(wrench, weighted, axes=1) / rows
-        for channel, residual in zip(self.channels, local, strict=True):
-            point, share = channel.point, channel.weight / len(residual)
-            missed = share * self._centred(residual)
-            mapped[channel.rows, :, point] -= missed[:, None] * channel.direction
-            own = np.zeros((len(residual), 6))
-            for k, (axis, parameter) in enumerate(places):
-                own[:, parameter] += channel.direction[axis] * columns[channel.rows, k, point]
-            own = self._centred(own)
-            normal[:, point, :, point] += share * (own.T @ own)
-        gradient = (self.prior @ (x - self.start).reshape(-1)).reshape(x.shape)
-        for k, (axis, parameter) in enumerate(places):
-            gradient[parameter] += np.einsum("tn,tn->n", columns[:, k], mapped[:, axis])
+        errors = self._errors_on_tiles(wrench, local)
+        products = self._wrench_products(forces)
+        for channel in self.channels:
+            products[:, channel.point, :, channel.point] += self._channel_products(forces, channel)
         return Terms(
-            gradient=gradient.reshape(-1),
-            gauss_newton=normal.reshape(6 * points, 6 * points),
-            curvature=self._curvature(stiffness, moved, mapped),
+            gradient=self._gradient(x, forces, errors),
+            gauss_newton=products.reshape(x.size, x.size),
+            curvature=self._curvature(stiffness, moved, errors),
         )
 
+    def _force_derivatives(self, stiffness: FloatArray, moved: FloatArray) -> _ForceDerivatives:
+        """Derivatives at stiffnesses (3, n) [N/m] and displacements from rest (N, 3, n) [m]."""
+        columns = self.law.columns(moved)
+        found = {(axis, axis): columns[:, axis] for axis in range(3)}
+        for (axis, along), slope in self.law.slopes(moved).items():
+            found[axis, 3 + along] = -stiffness[axis] * slope
+        values = np.stack(list(found.values()), axis=1)
+        values *= self._scale[[parameter for _, parameter in found]]
+        return _ForceDerivatives(places=tuple(found), values=values)
+
+    def _wrench_products(self, forces: _ForceDerivatives) -> FloatArray:
+        """Gauss-Newton matrix of the wrench, (6, n, 6, n) [-].
+
+        It is the mean product of two derivatives of forces, times the weighted product of what a
+        unit of both forces does to the wrench.
+        """
+        rows, pairs, points = forces.values.shape
+        columns = forces.values.reshape(rows, pairs * points)
+        means = (columns.T @ columns).reshape(pairs, points, pairs, points) / rows
+        onto = self.law.onto
+        unit = np.einsum("can,cbm->anbm", onto, self._weights[:, None, None] * onto)
+        products = np.zeros((6, points, 6, points))
+        for a, (axis, parameter) in enumerate(forces.places):
+            for b, (other_axis, other_parameter) in enumerate(forces.places):
+                added = means[a, :, b] * unit[axis, :, other_axis]
+                products[parameter, :, other_parameter] += added
+        return products
+
+    def _channel_products(self, forces: _ForceDerivatives, channel: ClusterChannel) -> FloatArray:
+        """Gauss-Newton matrix of a cluster's channel in its tile's parameters, shape (6, 6) [-]."""
+        rows = len(channel.force)
+        slopes = np.zeros((rows, 6))  # of the channel's force
+        for k, (axis, parameter) in enumerate(forces.places):
+            values = forces.values[channel.rows, k, channel.point]
+            slopes[:, parameter] += channel.direction[axis] * values
+        slopes = self._centred(slopes)
+        return np.asarray(channel.weight / rows * (slopes.T @ slopes))
+
+    def _errors_on_tiles(self, wrench: FloatArray, local: list[FloatArray]) -> FloatArray:
+        """Derivatives of half the squared errors by the tiles' forces, shape (N, 3, n) [1/N].
+
+        The residuals are those of `residuals`.
+        """
+        weighted = self._weights[:, None, None] * self.law.onto
+        errors = -np.tensordot(wrench, weighted, axes=1) / len(wrench)
+        for channel, residual in zip(self.channels, local, strict=True):
+            missed = channel.weight / len(residual) * self._centred(residual)
+            errors[channel.rows, :, channel.point] -= missed[:, None] * channel.direction
+        return np.asarray(errors)
+
+    def _gradient(self, x: FloatArray, forces: _ForceDerivatives, errors: FloatArray) -> FloatArray:
+        """Gradient of data and prior by the scaled parameters, shape (6n,) [-]."""
+        gradient = (self.prior @ (x - self.start).reshape(-1)).reshape(x.shape)
+        for k, (axis, parameter) in enumerate(forces.places):
+            gradient[parameter] += np.einsum("tn,tn->n", forces.values[:, k], errors[:, axis])
+        return np.asarray(gradient.reshape(-1))
+
     def _curvature(
-        self, stiffness: FloatArray, moved: FloatArray, mapped: FloatArray
+        self, stiffness: FloatArray, moved: FloatArray, errors: FloatArray
     ) -> FloatArray:
-        """Second derivatives of the law times the mapped errors, (6n, 6n), a block per tile."""
+        """Second derivatives of the law times the errors on the tiles, (6n, 6n) [-].
+
+        There is a block per tile, as a force depends on its own tile's parameters only.
+        """
         points = stiffness.shape[1]
         block = np.zeros((6, 6, points))
         for (axis, along), slope in self.law.slopes(moved).items():
-            block[axis, 3 + along] -= (mapped[:, axis] * slope).sum(axis=0)
+            block[axis, 3 + along] -= (errors[:, axis] * slope).sum(axis=0)
         for (axis, along, other), bend in self.law.bends(moved).items():
-            block[3 + along, 3 + other] += stiffness[axis] * (mapped[:, axis] * bend).sum(axis=0)
+            block[3 + along, 3 + other] += stiffness[axis] * (errors[:, axis] * bend).sum(axis=0)
         block += np.triu(np.ones((6, 6)), 1).T[:, :, None] * block.transpose(1, 0, 2)
         block *= self._scale[:, None] * self._scale[None]
         full = np.zeros((6, points, 6, points))
@@ -504,7 +636,7 @@ class Problem:
         return full.reshape(6 * points, 6 * points)
 
     def model(self, x: FloatArray) -> ContactModel:
-        """The contact model with the parameters x, shape (6, n)."""
+        """The contact model with the scaled parameters x, shape (6, n) [-]."""
         objective, law = self.objective, self.law
         geometry = objective.geometry
         stiffness, rest = (x * self._scale).reshape(2, 3, -1)
@@ -535,7 +667,7 @@ class Problem:
 
 
 def _block_means(values: FloatArray, size: int) -> FloatArray:
-    """Means of the finite values over blocks of rows; NaN without any."""
+    """Means of the finite values (N, ...) over blocks of `size` rows; NaN without any."""
     starts = np.arange(0, len(values), size)
     known = np.isfinite(values)
     total = np.add.reduceat(np.where(known, values, 0.0), starts, axis=0)
@@ -544,6 +676,7 @@ def _block_means(values: FloatArray, size: int) -> FloatArray:
 
 
 def _moments(columns: FloatArray, targets: FloatArray) -> Moments:
+    """Moments of columns (N, p) and targets (N, m)."""
     mean, target_mean = columns.mean(axis=0), targets.mean(axis=0)
     S, Y = columns - mean, targets - target_mean
     return Moments(mean, S.T @ S / len(S), target_mean, S.T @ Y / len(S))
@@ -552,6 +685,7 @@ def _moments(columns: FloatArray, targets: FloatArray) -> Moments:
 def _normalised(
     P: FloatArray, q: FloatArray, lower: FloatArray, upper: FloatArray, name: str
 ) -> BoxQP:
+    """A program scaled by `_normalisation`."""
     factor = _normalisation(P)
     return BoxQP(factor * P, factor * q, lower, upper, name)
 

@@ -48,32 +48,45 @@ _MIN_CURVATURE = 1e-12  # [-]; relative to the mean of a scaled problem
 
 @dataclass(frozen=True)
 class Certificate:
-    """How well a point solves a box QP, in the problem's scaled units [-]."""
+    """How well a point solves a box QP, in the problem's scaled units [-].
 
-    primal: float  # largest violation of a bound
-    # largest component of ``x - clip(x - (P x + q))``, the natural residual: zero if and only if
-    # the point is optimal
+    Attributes:
+        primal: Largest violation of a bound, 0 if there is none [-].
+        stationarity: Largest component of ``x - clip(x - (P x + q))``, the natural residual [-]:
+            zero if and only if the point is optimal.
+        gap: Duality gap over ``1 + |objective|`` [-].
+    """
+
+    primal: float
     stationarity: float
-    gap: float  # duality gap over ``1 + |objective|``
+    gap: float
 
     @property
     def worst(self) -> float:
-        """The largest of the three."""
+        """The largest of the three [-]; NaN if one is NaN."""
         return float(np.max([self.primal, self.stationarity, self.gap]))  # NaN is the worst
 
 
 @dataclass(frozen=True)
 class BoxQP:
-    """A strictly scaled quadratic program with bounds."""
+    """A strictly scaled quadratic program with bounds: see the module for its equation.
 
-    P: FloatArray  # symmetric positive semidefinite matrix, shape (p, p) [-]
-    q: FloatArray  # linear term, shape (p,) [-]
-    lower: FloatArray  # lower bounds, shape (p,) [-]
-    upper: FloatArray  # upper bounds, shape (p,) [-]; infinite for none
-    name: str  # for error messages
+    Attributes:
+        P: Symmetric positive semidefinite matrix, shape (p, p) [-].
+        q: Linear term, shape (p,) [-].
+        lower: Lower bounds, shape (p,) [-]; minus infinity for none.
+        upper: Upper bounds, shape (p,) [-]; infinity for none.
+        name: What the program solves for, such as `Stage 2 (stiffnesses)`; errors begin with it.
+    """
+
+    P: FloatArray
+    q: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    name: str
 
     def certificate(self, x: FloatArray) -> Certificate:
-        """Karush-Kuhn-Tucker residuals and duality gap at x.
+        """Karush-Kuhn-Tucker residuals and duality gap at x, shape (p,) [-].
 
         The multipliers of the bounds are taken from the gradient g: the dual objective is
         ``-1/2 x'Px + sum(max(g, 0) l + min(g, 0) u)`` (Boyd & Vandenberghe, Convex
@@ -96,15 +109,27 @@ class BoxQP:
 
 @dataclass(frozen=True)
 class BoxSolution:
-    """A solution of a box QP with its certificate."""
+    """A solution of a box QP with its certificate.
 
-    x: FloatArray  # the solution, shape (p,) [-]
-    certificate: Certificate  # its residuals
-    determined: bool = True  # whether the optimum is unique, set by `solve_box_qp`
-    solver: str = WARM_START  # the solver that was called, or `WARM_START`
-    iterations: int | None = None  # iterations of the solver; None if not reported
-    exchanges: int = 0  # exchanges of the active set while pivoting
-    course: str = ""  # number of steps of a joint refinement, in words
+    Attributes:
+        x: The solution, shape (p,) [-].
+        certificate: Its residuals.
+        determined: Whether the optimum is unique; only `solve_box_qp` determines it, otherwise it
+            is True.
+        solver: Name of the solver that was called; `WARM_START` if none was.
+        iterations: Number of iterations of the solver; None if it was not called or does not
+            report them.
+        exchanges: Number of exchanges of the active set while pivoting.
+        course: Number of steps of a joint refinement, in words; empty for a single program.
+    """
+
+    x: FloatArray
+    certificate: Certificate
+    determined: bool = True
+    solver: str = WARM_START
+    iterations: int | None = None
+    exchanges: int = 0
+    course: str = ""
 
     @property
     def status(self) -> str:
@@ -117,7 +142,11 @@ class BoxSolution:
 
 
 class UncertifiedSolutionError(IdentificationError):
-    """A solver's answer exceeds the KKT tolerance with its residual [-]; NaN without an answer."""
+    """A solver's answer exceeds the KKT tolerance, or there is no answer.
+
+    Attributes:
+        residual: Largest residual of the answer's certificate [-]; NaN without an answer.
+    """
 
     def __init__(self, fact: str, hint: str, residual: float = math.nan) -> None:
         super().__init__(fact, hint)
@@ -129,9 +158,16 @@ def solve_box_qp(
 ) -> BoxSolution:
     """Solve a box QP and certify the answer, regardless of the solver's own status.
 
-    The solver is any that qpsolvers finds, the tolerance the largest residual of the certificate
-    [-]. Pivoting starts from the active set of `near`, the solution of a similar problem, shape
-    (p,) [-]; the solver is called only if that fails.
+    Args:
+        problem: The program, in p variables.
+        solver: Name of the solver, any that qpsolvers finds.
+        tolerance: Largest accepted residual of the certificate [-].
+        near: Solution of a similar program, shape (p,) [-]. Pivoting starts from its active set,
+            and the solver is called only if that fails. None to call the solver at once.
+
+    Raises:
+        UncertifiedSolutionError: If the program has values that are not finite, or the solver gives
+            no answer within the tolerance.
     """
     check_solver(solver)
     if not (np.isfinite(problem.P).all() and np.isfinite(problem.q).all()):
@@ -157,7 +193,17 @@ def solve_box_qp(
 
 
 def solve_cold(problem: BoxQP, solver: str) -> BoxSolution:
-    """Solve a box QP without a warm start: the solver, then pivoting from its answer."""
+    """Solve a box QP without a warm start: the solver, then pivoting from its answer.
+
+    The certificate of the solution is for the caller to judge.
+
+    Args:
+        problem: The program.
+        solver: Name of the solver, any that qpsolvers finds.
+
+    Raises:
+        UncertifiedSolutionError: If the solver fails or gives no finite answer.
+    """
     P = problem.P if solver in qpsolvers.dense_solvers else csc_matrix(problem.P)
     program = qpsolvers.Problem(P, problem.q, lb=problem.lower, ub=problem.upper)
     try:
@@ -188,6 +234,10 @@ def pivot_regularised(problem: BoxQP, start: FloatArray) -> BoxSolution:
     the original problem and leaves P definite over the free variables; otherwise the ridge
     vanishes. The first x' is the point of the box nearest to zero, so that a small optimum is
     found if there are many.
+
+    Args:
+        problem: The program, in p variables.
+        start: A point inside the bounds, shape (p,) [-].
     """
     best = pivot(problem, start)
     x, centre = best.x, np.clip(np.zeros_like(start), problem.lower, problem.upper)
@@ -213,6 +263,10 @@ def pivot(problem: BoxQP, start: FloatArray) -> BoxSolution:
     which cannot cycle. From a solver's answer a few steps reach the optimum to rounding. P must be
     definite over the free variables. The result is the visited point with the smallest residuals,
     at worst the start.
+
+    Args:
+        problem: The program, in p variables.
+        start: A point inside the bounds, shape (p,) [-].
     """
     x, certificate = start, problem.certificate(start)
     trial = start - (problem.P @ start + problem.q)
@@ -244,7 +298,10 @@ def pivot(problem: BoxQP, start: FloatArray) -> BoxSolution:
 
 
 def _solve_on_sides(problem: BoxQP, side: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Optimum over the free variables with the others at their bounds, and its gradient."""
+    """Optimum over the free variables with the others at their bounds, and its gradient, (p,) each.
+
+    The sides of the variables are as in `_wrong_side`, shape (p,).
+    """
     x = np.where(side < 0, problem.lower, np.where(side > 0, problem.upper, 0.0))
     free = np.flatnonzero(side == 0)
     if len(free) == 0:
@@ -260,13 +317,18 @@ def _solve_on_sides(problem: BoxQP, side: IntArray) -> tuple[FloatArray, FloatAr
 
 
 def _wrong_side(problem: BoxQP, side: IntArray, x: FloatArray, gradient: FloatArray) -> IntArray:
-    """The side each variable belongs on: -1 lower bound, 0 free, 1 upper bound."""
+    """The side each variable belongs on, shape (p,): -1 lower bound, 0 free, 1 upper bound."""
     beyond = np.where(x < problem.lower - _ROUNDING, -1, x > problem.upper + _ROUNDING)
     return np.where(side == 0, beyond, np.where(side * gradient > _ROUNDING, 0, side))
 
 
 def is_definite(matrix: FloatArray, min_pivot: float) -> bool:
-    """Whether a symmetric matrix, shape (p, p), is definite with all pivots above `min_pivot`."""
+    """Whether a symmetric matrix is definite with all pivots above a limit.
+
+    Args:
+        matrix: The matrix, shape (p, p); only its lower triangle is read.
+        min_pivot: The limit of the squared diagonal of its Cholesky factor, in the matrix's unit.
+    """
     try:
         factor = np.linalg.cholesky(matrix)
     except np.linalg.LinAlgError:

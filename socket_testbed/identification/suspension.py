@@ -38,15 +38,23 @@ class Suspension:
     direction without motion it is unknown and its interval wide. Intervals come from a bootstrap of
     blocks in time (Kuensch, Annals of Statistics 17, 1989), as errors of neighbouring samples are
     correlated.
+
+    Attributes:
+        stiffness: K along and about the axes of {S}, shape (6, 6) [N/m, N/rad; N m/m, N m/rad].
+            Rows are loads, columns displacements, both in the order of `AXES`; NaN if the load
+            lacks a direction.
+        pistoning: Range of the motion of the tiles' centre along the socket, between the 2.5th and
+            the 97.5th percentile, shape () [m].
+        rotation: Range of the rotation about x, y, z of {S}, between these percentiles, shape (3,)
+            [rad].
     """
 
-    # by AXES, shape (6, 6) [N/m, N/rad; N m/m, N m/rad]: load by displacement
     stiffness: Quantity
-    pistoning: Quantity  # range of the motion along the socket, shape () [m]
-    rotation: Quantity  # range of the rotation about x, y, z of {S}, shape (3,) [rad]
+    pistoning: Quantity
+    rotation: Quantity
 
     def outputs(self) -> dict[str, Quantity]:
-        """Scalar results in the unit of their title, such as `stiffness Fz [N/mm]`."""
+        """Scalar results, shape () each, in the unit of their title: `stiffness Fz [N/mm]`."""
         found = {"pistoning [mm]": self.pistoning.part((), 1e3)}
         degree = np.pi / 180.0
         for axis, name in enumerate("xyz"):
@@ -58,7 +66,12 @@ class Suspension:
 
 
 def find_suspension(samples: Samples, geometry: SocketGeometry) -> Suspension | None:
-    """The suspension over some samples; None if too few have a pose and a wrench."""
+    """The suspension over some samples; None if fewer than 64 have a pose and a whole wrench.
+
+    Args:
+        samples: N samples under changing load, in ascending time.
+        geometry: The socket, whose tiles give the centre and the direction along the socket.
+    """
     noise = channel_noise(samples).wrench
     known = samples.has_pose & np.isfinite(samples.wrench).all(axis=1)
     if known.sum() < _MIN_SAMPLES:
@@ -90,7 +103,10 @@ def find_suspension(samples: Samples, geometry: SocketGeometry) -> Suspension | 
 
 
 def _stiffness(moved: FloatArray, load: FloatArray, variance: FloatArray) -> FloatArray:
-    """K from displacements and loads, shape (N, 6) each; NaN if the load lacks a direction."""
+    """K, shape (6, 6), from displacements [m, rad] and loads [N, N m], shape (N, 6) each.
+
+    It is NaN if the load lacks a direction. `variance` is that of the loads' noise, shape (6,).
+    """
     load = load - load.mean(axis=0)
     size = load.std(axis=0)
     gram = load.T @ load / len(load) - np.diag(variance)
@@ -102,7 +118,10 @@ def _stiffness(moved: FloatArray, load: FloatArray, variance: FloatArray) -> Flo
 
 
 def _quantity(value: FloatArray, drawn: FloatArray) -> Quantity:
-    """A value with its interval; an unknown draw counts as infinite on either side."""
+    """A value of any shape with its interval, from draws with one more leading axis.
+
+    An unknown draw counts as infinite on either side.
+    """
     below = np.where(np.isnan(drawn), -np.inf, drawn)
     above = np.where(np.isnan(drawn), np.inf, drawn)
     low = np.percentile(below, _PERCENTILES[0], axis=0, method="lower")

@@ -6,7 +6,7 @@ Three questions, each answered for an estimate and for its baselines on the same
 - `wrench`: the wrench from the limb's pose alone, on samples not used in the fit;
 - `tiles`: the force on tiles without a sensor, if known from a simulation.
 
-The baselines need no model: inverse-distance interpolation of the clusters, the same with the
+The baselines need no model: inverse-distance interpolation of the clusters, without and with the
 smallest change that matches the wrench, the best constant, and linear regression on the pose.
 """
 
@@ -60,21 +60,38 @@ other trial are unseen; in-sample data is not."""
 
 @dataclass(frozen=True)
 class Judgement:
-    """Errors of one predictor on one question; NaN for figures that do not apply."""
+    """Errors of one predictor on one question; NaN for figures that do not apply.
 
-    question: Question  # `cluster`, `wrench` or `tiles`: see the module
-    predictor: str  # an estimate or a baseline
-    test: Test  # relation of the samples to those of the fit
-    fitted_on: str  # name of the trial of the fit; empty without a fit
-    tested_on: str  # name of the test trial
-    cluster: str = ""  # the left-out cluster; empty for all of them
+    Attributes:
+        question: `cluster`, `wrench` or `tiles`: see the module.
+        predictor: Name of an estimate or a baseline.
+        test: Relation of the samples to those of the fit.
+        fitted_on: Name of the trial of the fit; empty without a fit.
+        tested_on: Name of the test trial.
+        cluster: The left-out cluster; empty for all of them, and for the other questions.
+        samples: Number of samples judged.
+        error: RMSE of the forces on clusters or tiles over the RMS of the measured or true ones
+            [-], for a single cluster over that of all clusters. Predicting zero everywhere gives 1.
+        moment_rmse: Mean RMSE of the wrench's moments [N m].
+        force_rmse: Mean RMSE of the wrench's forces [N].
+        moment_skill: 1 - `moment_rmse` over that of the best constants [-].
+        force_skill: 1 - `force_rmse` over that of the best constants [-].
+        coverage: Share of the true forces within the intervals of each of `LEVELS`, shape (3,) [-].
+    """
+
+    question: Question
+    predictor: str
+    test: Test
+    fitted_on: str
+    tested_on: str
+    cluster: str = ""
     samples: int = 0
-    error: float = float("nan")  # RMSE of the forces over their RMS [-]; 1 if zero is predicted
-    moment_rmse: float = float("nan")  # mean RMSE of the moments [N m]
-    force_rmse: float = float("nan")  # mean RMSE of the forces [N]
-    moment_skill: float = float("nan")  # 1 - `moment_rmse` over that of the best constants [-]
-    force_skill: float = float("nan")  # the same of `force_rmse` [-]
-    coverage: tuple[float, ...] = _UNKNOWN  # share of the values within each of `LEVELS` [-]
+    error: float = float("nan")
+    moment_rmse: float = float("nan")
+    force_rmse: float = float("nan")
+    moment_skill: float = float("nan")
+    force_skill: float = float("nan")
+    coverage: tuple[float, ...] = _UNKNOWN
 
 
 def inverse_distance(
@@ -86,9 +103,16 @@ def inverse_distance(
               w_{ic} = \lVert a_i - a_c \rVert^{-2}
 
     with f_c in the cluster's frame, so that pressure stays pressure around the socket (Shepard,
-    Proc. 23rd ACM National Conference, 1968). A cluster's own tile has its force. The inputs are in
-    the clusters' frames, shape (N, c, 3) [N], NaN if missing; the results are in {S}, shape
-    (N, n, 3) [N], NaN in samples without any cluster.
+    Proc. 23rd ACM National Conference, 1968). A cluster's own tile has its force.
+
+    Args:
+        geometry: The socket with its n tiles.
+        clusters: Names of the c clusters.
+        local_forces: Forces on the clusters in the clusters' frames, shape (N, c, 3) [N]; a cluster
+            with a NaN counts as missing in that sample.
+
+    Returns:
+        Forces on the tiles in {S}, shape (N, n, 3) [N]; NaN in samples without any cluster.
     """
     tiles = [geometry.clusters[name] for name in clusters]
     apart = np.linalg.norm(geometry.anchors[:, None] - geometry.anchors[tiles], axis=2)
@@ -110,10 +134,18 @@ def close_wrench(
               C (F + \Delta F) = w
 
     so that large tiles change more than small ones, as under an added stress:
-    :math:`\Delta F = A C^T (C A C^T)^{-1} (w - C F)`. The force on `held` tiles, such as those with
-    a sensor, is fixed. Forces are in {S}, shape (N, n, 3) [N], wrenches [M; F], shape (N, 6)
-    [N m, N]; if there are too few other tiles to match the wrench, the misfit is least. A channel
-    that never has a value is not matched.
+    :math:`\Delta F = A C^T (C A C^T)^{-1} (w - C F)`.
+
+    Args:
+        geometry: The socket with its n tiles.
+        forces: Forces on the tiles in {S}, shape (N, n, 3) [N].
+        wrench: Measured wrenches [M; F] in {S}, shape (N, 6) [N m, N]. A channel that never has
+            a value is not matched; in samples with another missing value the result is NaN.
+        held: Indices of the tiles whose force is fixed, such as those with a sensor. With too few
+            other tiles to match the wrench, the misfit is least.
+
+    Returns:
+        The changed forces in {S}, shape (N, n, 3) [N].
     """
     known = np.isfinite(wrench).any(axis=0)
     mapping, wrench = wrench_map(geometry.anchors)[known], wrench[:, known]
@@ -126,13 +158,19 @@ def close_wrench(
 
 
 WrenchPredictor = Callable[[FloatArray], FloatArray]
-"""From poses, shape (N, 6) [m, rad], to wrenches, shape (N, 6) [N m, N]."""
+"""From poses in {S}, shape (N, 6) [m, rad], to wrenches [M; F] in {S}, shape (N, 6) [N m, N]."""
 
 
 def wrench_predictors(
     samples: Samples, models: Mapping[str, ContactModel]
 ) -> dict[str, WrenchPredictor]:
-    """The best constant and linear regression on the pose, fitted on the samples, then models."""
+    """The best constant and linear regression on the pose, fitted on the samples, then models.
+
+    Args:
+        samples: Samples with every pose and wrench, such as those `under_load`, on which the
+            baselines are fitted; poses averaged as in the fits of the models.
+        models: Models by the names that their predictors get.
+    """
     mean, middle = samples.wrench.mean(axis=0), np.append(np.zeros(3), samples.attitude)
     slope, constant = fit.regress_wrench(samples, relative_pose(samples.pose, middle))
     return {
@@ -149,9 +187,17 @@ def judge_wrench(
     fitted_on: str = "",
     tested_on: str = "",
 ) -> Iterator[Judgement]:
-    """Judge predictions of the wrench from the pose alone, on samples `under_load`.
+    """Judge predictions of the wrench from the pose alone; a judgement for each predictor.
 
     Means leave out wrench channels without a value.
+
+    Args:
+        samples: Samples of the test with every pose and wrench, such as those `under_load`; poses
+            averaged as in the fits.
+        predictors: From poses to wrenches, by name.
+        test: Relation of the samples to those of the fit.
+        fitted_on: Name of the trial of the fit.
+        tested_on: Name of the trial of the samples.
     """
     constant = np.array([fit.deviation(channel) for channel in samples.wrench.T])
     for name, predict in predictors.items():
@@ -167,9 +213,18 @@ def judge_wrench(
 def left_out_pressures(
     samples: Samples, geometry: SocketGeometry
 ) -> Iterator[tuple[str, FloatArray, FloatArray, FloatArray]]:
-    """Each cluster's pressure, the map's without it and that one's deviation, (N,) each [Pa].
+    """Measured and expected pressure of each cluster.
 
-    The map has the default prior: the data is judged alike, whatever the settings.
+    Expected is what the force map of the other clusters and the wrench says. It has the default
+    prior: the data is judged alike, whatever the settings.
+
+    Args:
+        samples: N samples.
+        geometry: The socket, which has the clusters of the samples.
+
+    Yields:
+        Name of a cluster, its measured normal pressure (NaN unless trusted), the expected one and
+        its standard deviation, shape (N,) each [Pa]; pressures are positive in compression.
     """
     force_map = ForceMap(geometry, samples.clusters)
     for column, name in enumerate(samples.clusters):
@@ -190,7 +245,12 @@ def field_estimators(
 ) -> dict[str, FieldEstimator]:
     """Estimators of the forces on the tiles that need no fit, by name.
 
-    Inverse-distance interpolation of the clusters, without and with the wrench matched; force map.
+    They are inverse-distance interpolation of the clusters, without and with the wrench matched,
+    and the force map.
+
+    Args:
+        geometry: The socket with its n tiles.
+        settings: Prior of the force map.
     """
     made = cache(partial(ForceMap, geometry, settings=settings))  # by the clusters
 
@@ -220,8 +280,16 @@ def judge_clusters(
 ) -> Iterator[Judgement]:
     """Judge the forces on each cluster, estimated from the others and the wrench; then on all.
 
-    The intervals are those of a measurement: they include the errors of the cluster's own channels,
-    with the standard deviations `noise` in its frame, shape (c, 3) [N].
+    The intervals are those of a measurement: they include the errors of the cluster's own channels.
+
+    Args:
+        samples: N samples of the test with c clusters; clusters without a trusted force are left
+            out.
+        geometry: The socket, which has these clusters.
+        estimators: Estimators of the forces on the tiles, by name.
+        noise: Standard deviations of the errors of the clusters' channels in the clusters' frames,
+            shape (c, 3) [N]; NaN counts as 0. See `measurement_errors`.
+        tested_on: Name of the trial of the samples.
     """
     size = rms(samples.trusted_forces)
     together: dict[str, list[_Compared]] = {}
@@ -252,7 +320,15 @@ def judge_tiles(
     estimators: Mapping[str, FieldEstimator],
     tested_on: str = "",
 ) -> Iterator[Judgement]:
-    """Judge the forces on tiles without a sensor against the truth, (N, n, 3) in {S} [N]."""
+    """Judge the forces on tiles without a sensor against the truth; nothing if all have one.
+
+    Args:
+        samples: N samples of the second half of a trial.
+        geometry: The socket with its n tiles.
+        truth: True forces on all tiles in {S}, shape (N, n, 3) [N].
+        estimators: Estimators of the forces on the tiles, by name.
+        tested_on: Name of the trial of the samples.
+    """
     bare = np.flatnonzero(~geometry.covered)
     if not len(bare):
         return
@@ -264,7 +340,7 @@ def judge_tiles(
 
 
 _Compared = tuple[FloatArray, FloatArray, FloatArray]
-"""True and estimated forces of N samples, and the estimates' standard deviations."""
+"""True and estimated forces of N samples in {S}, and the estimates' standard deviations [N]."""
 
 
 def _figures(compared: Sequence[_Compared], size: float) -> dict[str, Any]:
@@ -288,7 +364,16 @@ def fit_variants(
     settings: IdentificationSettings,
     notify: Callable[[str], None],
 ) -> dict[str, ContactModel]:
-    """Fit every variant of the contact model, by name; report those that cannot be fitted."""
+    """Fit every variant of the contact model, by name.
+
+    If none can be fitted, it raises the error of the first.
+
+    Args:
+        samples: Samples of a loaded segment.
+        geometry: The socket, which has the clusters of the samples.
+        settings: Settings of the fits; their variant is ignored.
+        notify: Called with a line for each variant that cannot be fitted.
+    """
     models: dict[str, ContactModel] = {}
     errors: dict[str, IdentificationError] = {}
     for variant in VARIANTS:
@@ -305,7 +390,15 @@ def fit_variants(
 
 
 def split(samples: Samples, least_force: float) -> tuple[IntArray, IntArray]:
-    """Indices of the first and the second half of the samples under load."""
+    """Indices of the first and the second half of the samples under load, in ascending order.
+
+    Args:
+        samples: The samples of a trial.
+        least_force: Smallest force that counts as load [N].
+
+    Raises:
+        IdentificationError: If too few samples are under load to fit and test two halves.
+    """
     loaded = np.flatnonzero(samples.under_load(least_force))
     if len(loaded) < 2 * MIN_SAMPLES:
         raise IdentificationError(
@@ -321,7 +414,13 @@ def split(samples: Samples, least_force: float) -> tuple[IntArray, IntArray]:
 def judge_unseen_half(
     samples: Samples, geometry: SocketGeometry, settings: IdentificationSettings
 ) -> tuple[fit.ChannelErrors, ...]:
-    """Errors on the second half of the samples of a model fitted on the first half."""
+    """Errors of each channel on the second half of the samples, of a model fitted on the first.
+
+    Args:
+        samples: Samples of a segment, poses not averaged.
+        geometry: The socket, which has the clusters of the samples.
+        settings: Settings of the fit, by which poses are averaged in both halves.
+    """
     first, second = split(samples, 0.0)
     model = fit.fit_contact_model(samples[first], geometry, settings).model
     unseen = smooth_poses(samples[second], settings.pose_smoothing)
@@ -338,10 +437,17 @@ def judge_samples(
 ) -> list[Judgement]:
     """Answer all three questions on the loaded part of one trial.
 
-    The variants and their baselines are fitted on its first half and judged on its second; the
-    variant of the settings is ignored. Tiles without a sensor are judged on the second half for
-    every estimate, against their true forces in {S}, shape (N, n, 3) [N], if those are known.
-    Variants that cannot be fitted are reported to `notify`.
+    The variants and their baselines are fitted on its first half and judged on both halves. Tiles
+    without a sensor are judged on the second half for every estimate, if their forces are known.
+
+    Args:
+        samples: The N samples of a trial, poses not averaged.
+        geometry: The socket with its n tiles.
+        settings: Settings of the fits, whose variant is ignored, of the force map and of the least
+            load.
+        truth: True forces on all tiles in {S}, shape (N, n, 3) [N]; None if unknown.
+        name: Name of the trial.
+        notify: Called with a line for each variant that cannot be fitted.
     """
     first, second = split(samples, settings.plateau.least_force)
     found = judge_map(samples, geometry, settings, name)
@@ -365,7 +471,14 @@ def judge_samples(
 def judge_map(
     samples: Samples, geometry: SocketGeometry, settings: EstimatorSettings, name: str
 ) -> list[Judgement]:
-    """Judge the estimators that need no fit on left-out clusters."""
+    """Judge the estimators that need no fit on left-out clusters.
+
+    Args:
+        samples: The samples of a trial; those under load are judged, at most `MAX_SAMPLES`.
+        geometry: The socket, which has the clusters of the samples.
+        settings: Settings of the force map and of the least load.
+        name: Name of the trial.
+    """
     loaded = samples[samples.under_load(settings.plateau.least_force)]
     samples = loaded[evenly(len(loaded), MAX_SAMPLES)]
     noise = measurement_errors(samples, channel_noise(samples).local_forces, settings.force_map)
@@ -380,16 +493,24 @@ def measurement_errors(
 
     .. math:: \sqrt{\max(\sigma_{noise}, \sigma_{offset})^2 + (\sigma_{gain} f_{rms})^2}
 
-    with the force map's uncertainty of the offset (including typical noise) and of the gain, the
-    RMS f_rms of the channel, and its noise, (c, 3) [N], NaN if unknown.
+    with the force map's uncertainty of the offset (including typical noise) and of the gain, and
+    the RMS f_rms of the channel.
+
+    Args:
+        samples: Samples with c clusters, over which the RMS is taken.
+        noise: Noise of each channel in the clusters' frames, shape (c, 3) [N]; NaN if unknown.
+        settings: Prior of the force map, with the uncertainties.
     """
     forces = samples.trusted_forces
-    sizes = [[rms(channel) for channel in cluster.T] for cluster in forces.swapaxes(0, 1)]
+    sizes = np.empty(noise.shape)
+    for cluster, axis in np.ndindex(noise.shape):
+        sizes[cluster, axis] = rms(forces[:, cluster, axis])
     offset = np.fmax(noise, settings.cluster_error)
-    return np.hypot(offset, settings.cluster_gain_error * np.nan_to_num(np.array(sizes)))
+    return np.hypot(offset, settings.cluster_gain_error * np.nan_to_num(sizes))
 
 
 def _forces_of(model: ContactModel, samples: Samples) -> tuple[FloatArray, FloatArray]:
+    """Forces of a model on the tiles, as a `FieldEstimator`: without standard deviations."""
     forces = model.forces(samples.pose)
     return forces, np.full_like(forces, np.nan)
 
@@ -437,7 +558,7 @@ def summarise_judgements(judgements: Sequence[Judgement]) -> pd.DataFrame:
 def judgements_by_trial(judgements: Sequence[Judgement]) -> pd.DataFrame:
     """Judgements of each `trial` in one row: its own, and medians over models of other trials.
 
-    Columns are the figures of `judgements_table` by question, test and predictor, such as
+    The columns are the figures of `judgements_table` by question, test and predictor, such as
     `wrench, second half: rigid_bias force skill [-]`.
     """
     import pandas as pd

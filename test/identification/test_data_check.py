@@ -83,6 +83,28 @@ def test_damaged_copies_say_what_to_look_at(sound: dict[str, Path]) -> None:
             assert all(str(finding).startswith("data: look at ") for finding in found)
 
 
+def test_a_finding_hides_no_other_that_it_does_not_cause(sound: dict[str, Path]) -> None:
+    trial = st.open_trial(sound["protocol"])
+    samples = trial.samples()
+    pose = {"position": late(samples.position), "rotation": late(samples.rotation)}
+    turned = replace(samples, wrench=-samples.wrench)
+
+    def found(damaged) -> list[tuple[str, str]]:
+        return [(each.source, each.hint) for each in check_data(damaged, trial.geometry)]
+
+    (wrench, _), (limb, hint), *_ = found(replace(turned, **pose))
+    assert (wrench, limb) == ("the wrench", "the limb pose") and "clocks" in hint
+    (clusters, hint), (limb, _), *_ = found(replace(samples, wrench=late(samples.wrench)))
+    assert (clusters, limb) == ("the clusters", "the limb pose") and "clocks" in hint
+    forces = samples.local_forces.copy()
+    forces[:, 0] *= -1.0
+    (wrench, _), (cluster, hint), *_ = found(replace(turned, local_forces=forces))
+    assert (wrench, cluster) == ("the wrench", samples.clusters[0]) and "normal channel" in hint
+    hold = st.open_trial(sound["static_hold"]).samples()[200:400]  # the load hardly changes
+    assert found(hold) == []
+    assert [source for source, _ in found(replace(hold, wrench=-hold.wrench))] == ["the wrench"]
+
+
 def test_a_reversed_cluster_another_size_and_few_samples_are_named(sound: dict[str, Path]) -> None:
     trial = st.open_trial(sound["protocol"])
     samples = trial.samples()
@@ -135,6 +157,14 @@ def test_spikes_do_not_hide_each_other_and_spoil_neither_fit_nor_pressure(sound)
     tapped.samples().wrench[rows.start + 20] *= 4.0
     tapped.samples().local_forces[rows.start + 20] *= 2.5
     assert not plausibility.find_outliers(tapped.samples(), tapped.geometry).rows.any()
+
+
+def test_a_trial_without_clusters_is_checked(sound: dict[str, Path]) -> None:
+    trial = st.open_trial(sound["protocol"])
+    samples = trial.samples()
+    forces, status = samples.local_forces[:, :0], samples.status[:, :0]
+    bare = replace(samples, clusters=(), local_forces=forces, status=status)
+    assert check_data(bare, trial.geometry) == ()
 
 
 # --- Samples that no limb in a socket gives

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from itertools import islice
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +12,13 @@ from socket_testbed.errors import TrialError
 from socket_testbed.geometry.regions import all_regions, proximal_direction
 from socket_testbed.identification import force_map as maps
 from socket_testbed.identification import pressure
-from socket_testbed.identification.force_map import ForceMap, Prior, hypotheses, wall_correlation
+from socket_testbed.identification.force_map import (
+    ForceMap,
+    Hypothesis,
+    Prior,
+    hypotheses,
+    wall_correlation,
+)
 from socket_testbed.identification.validation import CLOSED, field_estimators
 from socket_testbed.samples import Samples, Status
 from socket_testbed.settings.identification import ForceMapSettings
@@ -30,7 +35,7 @@ def some_samples(count: int = 6, seed: int = 0) -> Samples:
     return make_samples(np.zeros((count, 3)), wrench, dict(zip(CLUSTERS, local, strict=True)))
 
 
-def whole_prior(sizes: SimpleNamespace) -> np.ndarray:
+def whole_prior(sizes: Hypothesis) -> np.ndarray:
     """The prior's covariance as the module's equation states it, shape (3n, 3n)."""
     tiles = len(GEOMETRY)
     correlation = wall_correlation(GEOMETRY, sizes.length)
