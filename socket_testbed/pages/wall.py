@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -77,34 +78,76 @@ def patches(geometry: SocketGeometry, step: float = STEP) -> Iterator[Patch]:
     The value at a point is its expected value given those of the tiles, under a Gaussian process
     with the correlation of the force map (Matern 3/2 by distance, of the default length).
     """
-    around, edge = socket_axis(geometry), float(np.median(np.sqrt(geometry.areas)))
-    on_wall, heights = wall_tiles(geometry, around), around.heights(geometry.anchors)
-    radii = around.radii(geometry.anchors)
-    radius = float(radii.max())
+    around = socket_axis(geometry)
+    on_wall = wall_tiles(geometry, around)
+    edge = float(np.median(np.sqrt(geometry.areas)))
+    radius = float(around.radii(geometry.anchors).max())
     if on_wall.any():
-        wall, radii = heights[on_wall], radii[on_wall]
-        low, high = max(wall.min() - 0.5 * edge, 0.0), wall.max() + 0.5 * edge
-        size = np.median(radii)
-        x = np.linspace(-np.pi, np.pi, 2 * max(8, round(np.pi * size / edge / step)))
-        y = np.linspace(low, high, max(4, round((high - low) / edge / step)))
-        angle, height = np.reshape(np.meshgrid(x, y), (2, -1))  # row by row
-        apart = np.subtract.outer(angle, around.angles(geometry.anchors[on_wall]))
-        across = np.angle(np.exp(1j * apart)) * size
-        r = _smooth(np.hypot(across, np.subtract.outer(height, wall)) / edge, radii)
-        outwards = np.cos(angle)[:, None] * around.anterior + np.sin(angle)[:, None] * around.left
-        points = around.end + height[:, None] * around.proximal + r[:, None] * outwards
-        yield _patch("wall", geometry, np.degrees(x), 1e3 * y, points, edge)
-        radius = float(r[: len(x)].mean())
+        wall = _wall_patch(geometry, around, on_wall, edge, step)
+        yield wall.patch
+        radius = wall.lower_radius
     if not on_wall.all():
-        line = np.linspace(-radius, radius, 2 * max(12, round(radius / edge / step)) + 1)
-        right, up = np.reshape(np.meshgrid(line, line), (2, -1))
-        offset = geometry.anchors[(heights < edge) | ~on_wall] - around.end
-        flat = np.column_stack([-offset @ around.left, offset @ around.anterior])
-        z = _smooth(cdist(np.column_stack([right, up]), flat) / edge, offset @ around.proximal)
-        directions = np.stack([-around.left, around.anterior, around.proximal])
-        points = around.end + np.column_stack([right, up, z]) @ directions
-        points[np.hypot(right, up) > radius * (1.0 + 1e-9)] = np.nan
-        yield _patch("end", geometry, 1e3 * line, 1e3 * line, points, edge)
+        yield _end_patch(geometry, around, on_wall, edge, radius, step)
+
+
+class _Wall(NamedTuple):
+    """The wall's grid, and the mean radius of its lowest row, where the distal end begins [m]."""
+
+    patch: Patch
+    lower_radius: float
+
+
+def _wall_patch(
+    geometry: SocketGeometry, around: SocketAxis, on_wall: BoolArray, edge: float, step: float
+) -> _Wall:
+    """The unrolled wall: a full turn by the span of its tiles, one half edge beyond them.
+
+    Its radius at a point is that of the nearby tiles, smoothed by their distance along the wall.
+    """
+    anchors = geometry.anchors[on_wall]
+    heights, radii = around.heights(anchors), around.radii(anchors)
+    low = max(heights.min() - 0.5 * edge, 0.0)
+    high = heights.max() + 0.5 * edge
+    size = np.median(radii)
+    columns = 2 * max(8, round(np.pi * size / edge / step))
+    rows = max(4, round((high - low) / edge / step))
+    x = np.linspace(-np.pi, np.pi, columns)
+    y = np.linspace(low, high, rows)
+    angle, height = np.reshape(np.meshgrid(x, y), (2, -1))  # row by row
+    apart = np.subtract.outer(angle, around.angles(anchors))
+    across = np.angle(np.exp(1j * apart)) * size
+    along = np.subtract.outer(height, heights)
+    radius = _smooth(np.hypot(across, along) / edge, radii)
+    outwards = np.cos(angle)[:, None] * around.anterior + np.sin(angle)[:, None] * around.left
+    points = around.end + height[:, None] * around.proximal + radius[:, None] * outwards
+    patch = _patch("wall", geometry, np.degrees(x), 1e3 * y, points, edge)
+    return _Wall(patch, lower_radius=float(radius[:columns].mean()))
+
+
+def _end_patch(
+    geometry: SocketGeometry,
+    around: SocketAxis,
+    on_wall: BoolArray,
+    edge: float,
+    radius: float,
+    step: float,
+) -> Patch:
+    """The distal end: a disc of a radius [m], seen from inside with anterior up.
+
+    Its height at a point is that of the nearby tiles, smoothed by their distance across the axis.
+    """
+    count = 2 * max(12, round(radius / edge / step)) + 1
+    line = np.linspace(-radius, radius, count)
+    right, up = np.reshape(np.meshgrid(line, line), (2, -1))
+    nearby = (around.heights(geometry.anchors) < edge) | ~on_wall
+    offset = geometry.anchors[nearby] - around.end
+    flat = np.column_stack([-offset @ around.left, offset @ around.anterior])
+    apart = cdist(np.column_stack([right, up]), flat)
+    height = _smooth(apart / edge, offset @ around.proximal)
+    directions = np.stack([-around.left, around.anterior, around.proximal])
+    points = around.end + np.column_stack([right, up, height]) @ directions
+    points[np.hypot(right, up) > radius * (1.0 + 1e-9)] = np.nan
+    return _patch("end", geometry, 1e3 * line, 1e3 * line, points, edge)
 
 
 def _smooth(apart: FloatArray, values: FloatArray) -> FloatArray:
