@@ -403,8 +403,10 @@ def _texts(
     """Text entries of each condition; one text where its trials agree."""
     trials = [each.trial for each in found]
     described = [trial.metadata.described() for trial in trials]
-    stated = [name for name in FIELDS if any(name in texts for texts in described)]
-    texts = {("metadata", n): [each.get(n, "not stated") for each in described] for n in stated}
+    texts: dict[tuple[str, str], list[str]] = {}
+    for field in FIELDS:
+        if any(field in stated for stated in described):
+            texts["metadata", field] = [stated.get(field, "not stated") for stated in described]
     if compared.freedom:
         texts["trials", "trials"] = [*names]
     texts |= {
@@ -414,25 +416,29 @@ def _texts(
         ("trials", "socket"): [trial.geometry.source or "not stated" for trial in trials],
         ("trials", "calibration"): [trial.calibration.origin for trial in trials],
     }
-    rows = [
-        (*key, "", "", item, *[np.nan] * len(VALUES), "; ".join(dict.fromkeys(different)))
-        for key, entries in texts.items()
-        for item, different in compared.grouped(entries).items()
-    ]
+    no_number = [np.nan] * len(VALUES)
+    rows = []
+    for (part, name), entries in texts.items():
+        for item, different in compared.grouped(entries).items():
+            text = "; ".join(dict.fromkeys(different))
+            rows.append((part, name, "", "", item, *no_number, text))
     return pd.DataFrame(rows, columns=[*COLUMNS])
 
 
 def _correlation(trials: Sequence[Trial], compared: Conditions) -> FloatArray:
     """Correlation of the map errors with those of the first condition, shape (c, 1) [-]."""
-    limb, socket = (trials[0].metadata.subject, trials[0].metadata.side), trials[0].geometry
-    same_limb = [
-        limb == (trial.metadata.subject, trial.metadata.side)
-        and limb[0] is not None
-        and trial.geometry.same_tiles(socket)
-        for trial in trials
-    ]
-    all_same = np.array([[all(group)] for group in compared.grouped(same_limb).values()])
-    return SAME_LIMB * np.asarray(all_same & all_same[0], dtype=float)
+    agree = compared.grouped([_same_limb(trial, trials[0]) for trial in trials])
+    of_one_limb = np.array([all(group) for group in agree.values()])
+    related = of_one_limb & of_one_limb[0]
+    return SAME_LIMB * related.astype(float)[:, None]
+
+
+def _same_limb(trial: Trial, first: Trial) -> bool:
+    """Whether two trials are of the same leg of one stated subject in one socket."""
+    subject, side = trial.metadata.subject, trial.metadata.side
+    if subject is None or (subject, side) != (first.metadata.subject, first.metadata.side):
+        return False
+    return trial.geometry.same_tiles(first.geometry)
 
 
 def _notes(
