@@ -323,13 +323,16 @@ def tile(
 
     if output is not None:
         _check_socket_output(Path(output), bodies)
-    places = read_cluster_places(Path(clusters)) if clusters else [] if place else None
+    places = read_cluster_places(Path(clusters)) if clusters else None  # None: the usual ones
+    if places is None and place:
+        places = []  # all are proposed
     usual = read_socket(packaged("config", SOCKET_FILE))
     usual_regions = {region.name: region.tiles for region in all_regions(usual)}
-    own = [place.name for place in places or ()]
+    given_names = [given.name for given in places or ()]
     for name in keep_out:  # before any tile is laid
-        if name not in own and not designs.TILE_NAME.fullmatch(name):
-            designs.tiles_named(name, usual_regions)
+        is_tile = designs.TILE_NAME.fullmatch(name) is not None
+        if name not in given_names and not is_tile:
+            designs.tiles_named(name, usual_regions)  # refuses an unknown region
     kept = read_socket(Path(bodies)) if bodies else dataclasses.replace(usual, registration="")
     upwards = designs.parse_direction(proximal, "--proximal") if proximal else None
     front = designs.parse_direction(anterior, "--anterior") if anterior else None
