@@ -17,33 +17,45 @@ from socket_testbed.identification.force_map import matern
 from socket_testbed.settings.identification import ForceMapSettings
 
 STEP = 0.35  # [-]; of the grid, relative to the edge of a tile
-_MAX_DISTANCE = 1.3  # [-]; likewise; farther from the nearest tile there is no wall
-_KERNEL_WIDTH = 0.7  # [-]; likewise; for smoothing the wall's shape
+_MAX_DISTANCE = 1.3  # [tile edges]; farther from the nearest tile there is no wall
+_KERNEL_WIDTH = 0.7  # [tile edges]; for smoothing the wall's shape
 _NUGGET = 3e-3  # [-]; keeps weights small beyond the outermost tiles
 # Corners of a square of edge 1 in {L}, counter-clockwise about the inward normal.
 _SQUARE = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) / 2.0
 
 
 def side_names(side: Side | None) -> list[str]:
-    """Directions at -180, -90, 0, 90 and 180 degrees on the unrolled wall, by side of the leg."""
+    """Directions at -180, -90, 0, 90 and 180 degrees on the unrolled wall, by side of the leg.
+
+    For a right leg posterior, lateral, anterior, medial, posterior; without a side right and left.
+    """
     names = {turn: name for name, turn in SECTOR_TURNS[side].items()}
     return [names[turn] for turn in (2, 3, 0, 1, 2)]
 
 
 @dataclass(frozen=True, eq=False)
 class UnrolledTiles:
-    """The n tiles as squares of the same areas, on the unrolled wall or on the distal end.
+    """The n tiles as squares of their areas, on the unrolled wall or on the distal end.
 
-    Positions on the wall are the angle from anterior towards left [deg], unwrapped around the
-    tile's centre, and the height above the distal end; those on the end, seen from inside, are
-    towards right and towards anterior [mm].
+    A position on the wall is the angle from anterior towards left [deg] and the height above the
+    distal end [mm]; one on the end, seen from inside, points towards right and anterior [mm].
+
+    Attributes:
+        around: The socket's axis in {S}.
+        on_wall: Which tiles are on the wall, shape (n,); the others are on the end.
+        squares: Corners in {S} at (-x, -y), (+x, -y), (+x, +y) and (-x, +y) of the tile's frame,
+            turned with its cluster, shape (n, 4, 3) [m].
+        places: Positions of the centres on the wall or end, shape (n, 2) [deg, mm] or [mm, mm].
+        corners: Positions of the corners on the wall or end, in the order of `squares`, shape
+            (n, 4, 2) [deg, mm] or [mm, mm]. Angles are within half a turn of the centre's, so
+            that they may lie beyond +-180.
     """
 
     around: SocketAxis
-    on_wall: BoolArray  # (n,); the others are on the end
-    squares: FloatArray  # (n, 4, 3) in {S} [m]; corners (-x, -y), (+x, -y), (+x, +y), (-x, +y)
-    places: FloatArray  # (n, 2), of the centres
-    corners: FloatArray  # (n, 4, 2)
+    on_wall: BoolArray
+    squares: FloatArray
+    places: FloatArray
+    corners: FloatArray
 
 
 def unrolled_tiles(geometry: SocketGeometry) -> UnrolledTiles:
@@ -63,20 +75,38 @@ def unrolled_tiles(geometry: SocketGeometry) -> UnrolledTiles:
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """A part of the surface on a grid of w x h points."""
+    """A part of the surface on a grid of w x h points.
 
-    name: str  # `wall`, unrolled, or `end`, seen from inside with anterior up
-    x: FloatArray  # (w,); as in `UnrolledTiles`
-    y: FloatArray  # (h,)
-    points: FloatArray  # (h, w, 3) in {S} [m]; NaN without wall
-    weights: FloatArray  # (h, w, n) [-]; of the tiles' values at a point
+    Attributes:
+        name: `wall`, unrolled, or `end`, seen from inside with anterior up.
+        x: Columns of the grid, shape (w,): on the wall angles from anterior towards left, from -180
+            to 180 [deg], on the end distances from the axis towards right [mm].
+        y: Rows of the grid, shape (h,): on the wall heights above the distal end, on the end
+            distances from the axis towards anterior [mm].
+        points: The points in {S}, shape (h, w, 3) [m]; NaN where there is no wall.
+        weights: Weights of the n tiles' values in the value at each point, shape (h, w, n) [-];
+            they add up to 1 and may be negative.
+    """
+
+    name: str
+    x: FloatArray
+    y: FloatArray
+    points: FloatArray
+    weights: FloatArray
 
 
 def patches(geometry: SocketGeometry, step: float = STEP) -> Iterator[Patch]:
-    """Grids of the wall and the distal end, where they have tiles; `step` is relative to the edge.
+    """Grids of the wall and the distal end, where they have tiles.
 
     The value at a point is its expected value given those of the tiles, under a Gaussian process
     with the correlation of the force map (Matern 3/2 by distance, of the default length).
+
+    Args:
+        geometry: The socket.
+        step: Usual distance of neighbouring points, relative to the edge of the median tile [-].
+
+    Yields:
+        The wall, then the distal end.
     """
     around = socket_axis(geometry)
     on_wall = wall_tiles(geometry, around)
@@ -100,7 +130,7 @@ class _Wall(NamedTuple):
 def _wall_patch(
     geometry: SocketGeometry, around: SocketAxis, on_wall: BoolArray, edge: float, step: float
 ) -> _Wall:
-    """The unrolled wall: a full turn by the span of its tiles, one half edge beyond them.
+    """The unrolled wall: a full turn by the heights of its tiles and half an edge [m] beyond them.
 
     Its radius at a point is that of the nearby tiles, smoothed by their distance along the wall.
     """
@@ -151,7 +181,10 @@ def _end_patch(
 
 
 def _smooth(apart: FloatArray, values: FloatArray) -> FloatArray:
-    """Smooth tile values over points, by the distances between them in tile edges."""
+    """Smooth k tile values (k,) over p points, by the distances between them in tile edges (p, k).
+
+    The result has the unit of the values and the shape (p,).
+    """
     weights = np.exp(-0.5 * (apart / _KERNEL_WIDTH) ** 2) + 1e-9 / (1.0 + apart**2)
     return np.asarray((weights @ values) / weights.sum(axis=1))
 
