@@ -96,7 +96,8 @@ class Cycles(Result):
     def deviation(self) -> FloatArray:
         """Standard deviation over the cycles at each percent, in the units of `titles`, (101, m).
 
-        Its divisor is the number of cycles with a value, less one. NaN where fewer than three cycles have a value.
+        The divisor is the number of cycles with a value, less one. NaN where fewer than three
+        cycles have a value.
         """
         spread = np.ma.masked_invalid(self.curves).std(axis=0, ddof=1).filled(np.nan)
         return np.where(self.counts >= _MIN_CYCLES, spread, np.nan)
