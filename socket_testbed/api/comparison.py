@@ -47,8 +47,8 @@ if TYPE_CHECKING:
 
 _MAX_ITEMS = 12  # trials or conditions
 _MOST_DIFFERING = 10  # in words
-_LOAD_TOLERANCE = 0.1  # [-]; relative difference in mean force above which a note is given
-_TIME_TOLERANCE = 0.05  # [-]; likewise for the time covered by an integral
+_LOAD_TOLERANCE = 0.1  # [-]; relative difference in mean force that is noted
+_TIME_TOLERANCE = 0.05  # [-]; relative difference in the integrated time that is noted
 COLUMNS = ("part", "name", "quantity", "unit", "item", *VALUES, "text")
 MAPPED = ("regions", "tiles")  # parts of the table computed from the force map
 LEGEND = "value (95 % interval); *: the interval of the difference excludes 0."
@@ -61,6 +61,17 @@ def values_table(
 
     Only errors of the force map are correlated. Angles are compared modulo 360 degrees. Repeated
     trials add columns for their spread.
+
+    Args:
+        conditions: The c conditions, and which of them each trial belongs to.
+        rows: The outputs of each trial, the first trial's first; all have the same m keys in the
+            same order. An output without `low` and `high` is exact.
+        correlation: Correlation of the map's errors in each condition with those in the first, a
+            number or shape (c, 1) [-].
+
+    Returns:
+        A row per output and condition, the conditions of one output one after the other, as in
+        `Comparison.to_dataframe`.
     """
     keys = [(part, name, *split_unit(title)) for part, name, title in rows[0]]
     table = pd.DataFrame(keys, columns=[*COLUMNS[:4]])
@@ -86,14 +97,25 @@ def values_table(
 
 @dataclass(frozen=True, repr=False)
 class Comparison(Result):
-    """Trials side by side."""
+    """Trials or conditions side by side, with differences from the first.
 
-    conditions: Mapping[str, Sequence[str]]  # trial names by condition; a trial is its own
-    title: str  # segment and contact threshold of the comparison
-    notes: tuple[str, ...]  # remarks for the reader
-    table: pd.DataFrame  # see `to_dataframe`
-    geometry: SocketGeometry | None  # None: only regions are compared
-    side: Side | None = None  # the leg that wears the socket, if stated
+    Attributes:
+        conditions: Names of the trials by condition, the reference first; without conditions each
+            trial is its own.
+        title: Segment, contact threshold and, for repeated trials, the smallest detectable
+            differences, in words.
+        notes: Remarks for the reader, such as differing loads or regions that are not compared.
+        table: Every value in long form, see `to_dataframe`.
+        geometry: The first trial's socket, whose n tiles are compared; None if only regions are.
+        side: The leg that wears the socket; None if it is not stated or differs between trials.
+    """
+
+    conditions: Mapping[str, Sequence[str]]
+    title: str
+    notes: tuple[str, ...]
+    table: pd.DataFrame
+    geometry: SocketGeometry | None
+    side: Side | None = None
 
     def __repr__(self) -> str:
         names = self.table.groupby("part")["name"].nunique()
@@ -102,24 +124,36 @@ class Comparison(Result):
 
     @property
     def items(self) -> tuple[str, ...]:
-        """Names of the conditions, or of the trials."""
+        """Names of the conditions, or of the trials; the first one is the reference."""
         return tuple(self.conditions)
 
     @property
     def kind(self) -> str:
-        """`trials` or `conditions`."""
+        """`trials` or `conditions`: what the `items` are."""
         single = all([name] == [*trials] for name, trials in self.conditions.items())
         return "trials" if single else "conditions"
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Every value in long form.
+        """Every value in long form, a row per output and item; no named index.
 
-        Columns: `part` (such as `regions`), `name` (such as `anterior proximal`), `quantity` and
-        `unit`, `item` (the trial), `value` with the ends `low` and `high` of its 95 % interval,
-        `difference` from the first trial with `difference low` and `difference high`, and `text`
-        for entries without a number. Conditions with several trials add the `spread` between
-        donnings (a standard deviation) with its `degrees of freedom`, and the smallest
-        `detectable` difference.
+        Columns; numbers are in the `unit` of the row:
+
+        - `part`: `metadata` and `trials` (texts), `regions`, `tiles`, `limb` or `wrench`;
+        - `name`: the region, tile or wrench channel, such as `anterior proximal`; for a text what
+          it states, such as `segment`; empty for the limb;
+        - `quantity`, `unit`: such as `peak pressure` and `kPa`; empty for a text;
+        - `item`: the trial or condition;
+        - `value`, `low`, `high`: its value, or the mean of its trials, with the ends of the 95 %
+          interval;
+        - `difference`, `difference low`, `difference high`: from the first item;
+        - `text`: of an entry without a number, otherwise None.
+
+        Conditions with several trials add the `spread` between donnings (a standard deviation)
+        with its `degrees of freedom`, and the smallest `detectable` difference.
+
+        Numbers are NaN in rows with a text, differences for the first item, and interval ends for
+        the wrench, which is exact, unless trials are repeated. An open end of an interval of the
+        limb is infinite.
         """
         return self.table.copy()
 
@@ -128,7 +162,14 @@ class Comparison(Result):
 
         Args:
             part: The part, such as `regions`.
-            quantity: One quantity, indexed by name; empty for all, indexed by name and quantity.
+            quantity: One quantity, such as `peak pressure`; empty for all of them.
+
+        Returns:
+            A row per name and quantity, indexed by `name` and `quantity` (with its unit), or by
+            `name` for one quantity. Columns: the items, then each difference, such as
+            `walk - hold`, marked with `*` if its interval excludes 0; for repeated trials also
+            `spread` and `detectable`. A cell is empty where there is no number, and a dash where an
+            interval is open.
         """
         rows = self.table[self.table["part"] == part]
         if quantity:
@@ -176,11 +217,16 @@ class Comparison(Result):
         return lines
 
     def difference_title(self, item: str) -> str:
-        """Column name of a trial's difference."""
+        """Column name of an item's difference from the first item, such as `walk - hold`."""
         return f"{item} - {self.items[0]}"
 
     def document(self) -> dict[str, Any]:
-        """The comparison for JSON: the rows of `to_dataframe`, null where there is no value."""
+        """The comparison for JSON.
+
+        Returns:
+            `kind`, the `items`, `conditions` (the names of their trials, if given), `title`,
+            `notes`, and `rows` as in `to_dataframe`, None where there is no value.
+        """
         return {
             "kind": "trials",  # also if they are grouped by conditions
             "items": list(self.items),
@@ -208,7 +254,18 @@ class Comparison(Result):
         )
 
     def tile_pressures(self, columns: Sequence[str]) -> Quantity:
-        """Mean pressures of n tiles, or their differences from the first trial, (k, n) [kPa]."""
+        """Mean pressures of the n tiles by item, or their differences from the first item.
+
+        The comparison must be tile by tile, that is not by region.
+
+        Args:
+            columns: Columns of `to_dataframe` with the value and the lower and upper end of its
+                interval: `("value", "low", "high")`, or those of the difference.
+
+        Returns:
+            The values with their intervals, shape (k, n) [kPa], for k items in their order and the
+            tiles in the socket's order; differences of the first item are NaN.
+        """
         rows = self.table.query("part == 'tiles' and quantity == 'mean pressure'")
         value, low, high = (
             rows[name].to_numpy().reshape(-1, len(self.items)).T for name in columns
@@ -268,6 +325,16 @@ def compare(
         params: A `testbed.yaml` to use instead of each trial's own.
         progress: See `Progress`.
 
+    Returns:
+        The comparison: `to_dataframe()` holds every value, `cells` one part as formatted text,
+        `differing()` the clear differences in words.
+
+    Raises:
+        ConfigurationError: There are too few or too many trials or conditions, one is given twice,
+            the sockets differ, or a setting is wrong.
+        TrialError: A trial cannot be read or has no such segment.
+        IdentificationError: The measured values of a trial have another unit.
+
     >>> found = st.compare("trials/hold", "trials/walk", segment="15:20")
     >>> found
     Comparison(trials hold, walk; 21 regions, 79 tiles)
@@ -311,7 +378,19 @@ def compare(
 def open_compared(
     items: Sequence[Trial | PathLike], conditions: Mapping[str, Sequence[Trial | PathLike]] | None
 ) -> tuple[list[Trial], IntArray]:
-    """The trials, all different, and the index of each one's condition."""
+    """The trials, all different, and the index of each one's condition.
+
+    Args:
+        items: Two to twelve trials, or their folders; empty if there are conditions.
+        conditions: Trials by condition, two to twelve; None if there are items.
+
+    Returns:
+        The k opened trials, condition by condition, and the indices, shape (k,).
+
+    Raises:
+        ConfigurationError: Both are given, a condition has no trial, there are too few or too many,
+            a trial is given twice, or a path is not that of a trial but of a model or socket.
+    """
     if conditions and items:
         raise ConfigurationError(
             f"{len(items)} trials and also conditions are given", "give each trial to a condition"
@@ -353,7 +432,7 @@ def _shared_rows(found: Sequence[TrialPressure], one_socket: bool, by_region: bo
         rows.append(outputs | _wrench_rows(each))
 
     def is_shared(part: str, name: str) -> bool:
-        # Regions of the same name may consist of different tiles.
+        # Two trials' regions of one name may consist of different tiles.
         own = part == "regions" and one_socket and not name.startswith(mirrored)
         return not own or len({each.get(name) for each in tiles}) == 1
 
@@ -403,8 +482,10 @@ def _texts(
     """Text entries of each condition; one text where its trials agree."""
     trials = [each.trial for each in found]
     described = [trial.metadata.described() for trial in trials]
-    stated = [name for name in FIELDS if any(name in texts for texts in described)]
-    texts = {("metadata", n): [each.get(n, "not stated") for each in described] for n in stated}
+    texts: dict[tuple[str, str], list[str]] = {}
+    for field in FIELDS:
+        if any(field in stated for stated in described):
+            texts["metadata", field] = [stated.get(field, "not stated") for stated in described]
     if compared.freedom:
         texts["trials", "trials"] = [*names]
     texts |= {
@@ -414,25 +495,29 @@ def _texts(
         ("trials", "socket"): [trial.geometry.source or "not stated" for trial in trials],
         ("trials", "calibration"): [trial.calibration.origin for trial in trials],
     }
-    rows = [
-        (*key, "", "", item, *[np.nan] * len(VALUES), "; ".join(dict.fromkeys(different)))
-        for key, entries in texts.items()
-        for item, different in compared.grouped(entries).items()
-    ]
+    no_number = [np.nan] * len(VALUES)
+    rows = []
+    for (part, name), entries in texts.items():
+        for item, different in compared.grouped(entries).items():
+            text = "; ".join(dict.fromkeys(different))
+            rows.append((part, name, "", "", item, *no_number, text))
     return pd.DataFrame(rows, columns=[*COLUMNS])
 
 
 def _correlation(trials: Sequence[Trial], compared: Conditions) -> FloatArray:
     """Correlation of the map errors with those of the first condition, shape (c, 1) [-]."""
-    limb, socket = (trials[0].metadata.subject, trials[0].metadata.side), trials[0].geometry
-    same_limb = [
-        limb == (trial.metadata.subject, trial.metadata.side)
-        and limb[0] is not None
-        and trial.geometry.same_tiles(socket)
-        for trial in trials
-    ]
-    all_same = np.array([[all(group)] for group in compared.grouped(same_limb).values()])
-    return SAME_LIMB * np.asarray(all_same & all_same[0], dtype=float)
+    agree = compared.grouped([_same_limb(trial, trials[0]) for trial in trials])
+    of_one_limb = np.array([all(group) for group in agree.values()])
+    related = of_one_limb & of_one_limb[0]
+    return SAME_LIMB * related.astype(float)[:, None]
+
+
+def _same_limb(trial: Trial, first: Trial) -> bool:
+    """Whether two trials are of the same leg of one stated subject in one socket."""
+    subject, side = trial.metadata.subject, trial.metadata.side
+    if subject is None or (subject, side) != (first.metadata.subject, first.metadata.side):
+        return False
+    return trial.geometry.same_tiles(first.geometry)
 
 
 def _notes(

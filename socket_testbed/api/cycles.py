@@ -37,14 +37,25 @@ _TIME = "time [s]"
 
 @dataclass(frozen=True, repr=False)
 class Cycles(Result):
-    """Quantities over 0 to 100 % of each cycle of a trial."""
+    """The courses of m quantities over 0 to 100 % of each of K cycles of a trial.
+
+    Attributes:
+        trial: The trial.
+        by: Label of the events that delimit the cycles, or two of them as `placed:removed`, see
+            `st.cycles`.
+        spans: Start and end of each cycle since the first sample of the trial, shape (K, 2) [s].
+        left_out: Number of cycles that were left out because they contain a pause.
+        titles: Titles of the quantities with their units, such as `Fz [N]`.
+        curves: Their values at 0, 1, ... 100 % of each cycle, in the units of their titles, shape
+            (K, 101, m); NaN where a value is missing or the recording has a break.
+    """
 
     trial: Trial
-    by: str  # the events that delimit the cycles, see `st.cycles`
-    spans: FloatArray  # (K, 2) [s], start and end of each cycle since the first sample
-    left_out: int  # number of cycles that contain a pause
-    titles: tuple[str, ...]  # of the m quantities with their units, such as `Fz [N]`
-    curves: FloatArray  # (K, 101, m), their values at 0, 1, ... 100 % of each cycle
+    by: str
+    spans: FloatArray
+    left_out: int
+    titles: tuple[str, ...]
+    curves: FloatArray
 
     def __repr__(self) -> str:
         return f"Cycles({self})"
@@ -70,19 +81,23 @@ class Cycles(Result):
 
     @property
     def counts(self) -> IntArray:
-        """Number of cycles with a value at each percent, shape (101, m)."""
+        """Number of cycles with a value at each percent, by quantity, shape (101, m)."""
         return np.asarray(np.isfinite(self.curves).sum(axis=0))
 
     @property
     def mean(self) -> FloatArray:
-        """Mean over the cycles at each percent, shape (101, m); NaN where no cycle has a value."""
+        """Mean over the cycles at each percent, in the units of `titles`, shape (101, m).
+
+        NaN where no cycle has a value.
+        """
         return np.asarray(np.ma.masked_invalid(self.curves).mean(axis=0).filled(np.nan))
 
     @property
     def deviation(self) -> FloatArray:
-        """Standard deviation over the cycles at each percent, shape (101, m).
+        """Standard deviation over the cycles at each percent, in the units of `titles`, (101, m).
 
-        NaN where fewer than three cycles have a value.
+        The divisor is the number of cycles with a value, less one. NaN where fewer than three
+        cycles have a value.
         """
         spread = np.ma.masked_invalid(self.curves).std(axis=0, ddof=1).filled(np.nan)
         return np.where(self.counts >= _MIN_CYCLES, spread, np.nan)
@@ -91,7 +106,8 @@ class Cycles(Result):
         """A row per percent, indexed by `cycle [%]`.
 
         Each quantity has columns such as `Fz mean [N]`, `Fz sd [N]` and `Fz n [-]`: mean, standard
-        deviation and number of cycles. NaN as in `mean` and `deviation`.
+        deviation and number of the cycles that have a value there. The mean is NaN where no cycle
+        has a value, the standard deviation where fewer than three have one.
         """
         statistics = {"mean": self.mean, "sd": self.deviation, "n": self.counts}
         columns = {
@@ -171,7 +187,12 @@ def cycles(
         segment: The part of the trial in which the cycles must lie.
 
     Returns:
-        The cycles. A band needs at least three.
+        The cycles: `curves` holds each one, `to_dataframe()` their mean and standard deviation,
+        which needs at least three.
+
+    Raises:
+        TrialError: The trial cannot be read, or no cycle lies within the segment.
+        ConfigurationError: The trial has no such channel, or the table has no time.
 
     >>> trial = st.simulate("trials/cycles", "ramp", duration=130, seed=1)
     >>> found = st.cycles(trial, "Fz")

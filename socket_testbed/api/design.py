@@ -41,13 +41,26 @@ _MAX_POINTS = 4000  # per panel
 
 @dataclass(frozen=True, repr=False)
 class CalibratedCluster(Result):
-    """A cluster calibrated from bench data, to be saved into a calibration."""
+    """A cluster calibrated from bench data, to be saved into a calibration.
+
+    Attributes:
+        name: Name of the cluster.
+        quality: The coefficients (`quality.cluster`), the bench data, its outliers, and the errors
+            on the data of the fit and on held-out data [Pa].
+        baseline: Capacitances of the unloaded cluster before the bench run by converter input,
+            shape (4,) [pF]; None without unloaded readings.
+        drift: Change of the unloaded cluster over the bench run, for which the bench data is
+            corrected: `capacitance` by converter input, shape (4,) [pF], and `stress` (normal,
+            shear x, shear y), shape (3,) [Pa]; None without unloaded readings before and after.
+        existing: The calibration whose other clusters are kept; None without one.
+        existing_file: The file of that calibration, which `save` may replace; None without one.
+    """
 
     name: str
     quality: BenchCalibration
-    baseline: FloatArray | None  # (4,) [pF], unloaded capacitances before the bench run
-    drift: Drift | None  # over the bench run; the data is corrected for it
-    existing: Calibration | None = None  # a calibration whose other clusters are kept
+    baseline: FloatArray | None
+    drift: Drift | None
+    existing: Calibration | None = None
     existing_file: Path | None = None
 
     def __repr__(self) -> str:
@@ -59,7 +72,23 @@ class CalibratedCluster(Result):
         )
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Range and held-out errors by stress, in Pa and percent of full scale."""
+        """Range and errors, a row per stress, indexed by `stress`: normal, shear_x, shear_y.
+
+        Full scale is the largest magnitude of the known stress; outliers do not count for it.
+
+        Columns:
+
+        - `from [Pa]`, `to [Pa]`: range of the known stress without outliers; normal is positive in
+          compression;
+        - `held-out RMSE [Pa]`, `held-out RMSE [%]`, `held-out MAE [Pa]`, `held-out R2 [-]`: errors
+          on groups of readings (files, cycles or blocks) that the fit did not see, the percentage
+          of full scale; R2 is the explained share of the variance;
+        - `training RMSE [Pa]`: error on the readings of the fit;
+        - `hysteresis [%]`, `repeatability [%]`, `cross-talk [%]`: of full scale, see
+          `socket_testbed.calibration.calibrate.quality_figures`. NaN if the bench run does not show
+          them: without a rise and fall through equal loads, without a repeated cycle, or without a
+          pure load along another axis.
+        """
         held_out = self.quality.held_out
         columns = {
             "from [Pa]": self.quality.stress_range[:, 0],
@@ -76,7 +105,7 @@ class CalibratedCluster(Result):
         return pd.DataFrame(columns).rename_axis("stress")
 
     def notes(self) -> list[str]:
-        """Notes on other clusters of the calibration fitted to the same readings."""
+        """A note if other clusters of the existing calibration were fitted to these readings."""
         old, new = self.existing.clusters if self.existing else {}, self.quality.cluster
         same = [
             name
@@ -98,6 +127,13 @@ class CalibratedCluster(Result):
         Args:
             limit: Largest held-out RMSE [% of the full scale].
             force: Whether to accept a cluster above the limit, marked as forced.
+
+        Returns:
+            The calibration: its coefficients by cluster, with this cluster's errors as its `bench`.
+
+        Raises:
+            CalibrationError: The normal stress does not grow with the capacitance, or a held-out
+                RMSE exceeds the limit.
         """
         from socket_testbed.calibration.calibrate import bench_record
 
@@ -125,6 +161,10 @@ class CalibratedCluster(Result):
             limit: Largest held-out RMSE [% of the full scale].
             force: Whether to accept a cluster above the limit.
             replace: Whether to replace another file.
+
+        Raises:
+            CalibrationError: As in `calibration`.
+            ConfigurationError: Another file exists.
         """
         path = Path(path)
         own = self.existing_file is not None and self.existing_file.resolve() == path.resolve()
@@ -210,6 +250,15 @@ def calibrate(
         wiring: Input of each channel (-x,+y), (+x,+y), (-x,-y), (+x,-y) (default: the existing
             cluster's, else 0, 1, 2, 3).
         drop_outliers: Whether to leave outliers out of the fit.
+
+    Returns:
+        The calibrated cluster: `to_dataframe()` holds its errors, `save` writes it.
+
+    Raises:
+        ConfigurationError: A file, column, unit or number is wrong, there are more than two
+            baselines, the wiring names an input twice, or the cluster's name is nearly that of one
+            in the calibration.
+        CalibrationError: The readings cannot be calibrated.
 
     >>> found = st.calibrate("bench.csv", "distal", wiring=(2, 3, 0, 1))
     >>> found
@@ -308,7 +357,11 @@ def tile(
         progress: See `Progress`.
 
     Returns:
-        The design: `geometry` is the socket, `facts()` describes it, `notes` need attention.
+        The design: `geometry` is the socket in {S}, `facts()` describes it, `notes` need attention.
+
+    Raises:
+        ConfigurationError: A setting or a file is wrong, or the output holds registered bodies.
+        ScanError: The scan cannot be read or tiled.
 
     >>> design = st.tile("scan.stl", "socket.yaml", proximal="+z", anterior="+x")
     >>> design
@@ -323,13 +376,16 @@ def tile(
 
     if output is not None:
         _check_socket_output(Path(output), bodies)
-    places = read_cluster_places(Path(clusters)) if clusters else [] if place else None
+    places = read_cluster_places(Path(clusters)) if clusters else None  # None: the usual ones
+    if places is None and place:
+        places = []  # all are proposed
     usual = read_socket(packaged("config", SOCKET_FILE))
     usual_regions = {region.name: region.tiles for region in all_regions(usual)}
-    own = [place.name for place in places or ()]
+    given_names = [given.name for given in places or ()]
     for name in keep_out:  # before any tile is laid
-        if name not in own and not designs.TILE_NAME.fullmatch(name):
-            designs.tiles_named(name, usual_regions)
+        is_tile = designs.TILE_NAME.fullmatch(name) is not None
+        if name not in given_names and not is_tile:
+            designs.tiles_named(name, usual_regions)  # refuses an unknown region
     kept = read_socket(Path(bodies)) if bodies else dataclasses.replace(usual, registration="")
     upwards = designs.parse_direction(proximal, "--proximal") if proximal else None
     front = designs.parse_direction(anterior, "--anterior") if anterior else None
@@ -407,7 +463,12 @@ def register(
         force: Whether to accept landmarks with large residuals, or a limb outside the socket.
 
     Returns:
-        The registration with its uncertainty; `geometry` is the registered socket.
+        The registration with its uncertainty; `geometry` is the registered socket, in {S}.
+
+    Raises:
+        ConfigurationError: A file is wrong.
+        RegistrationError: The take and the landmarks do not determine the bodies and the limb, or
+            their residuals are large.
 
     >>> found = st.register("take.csv", "landmarks.yaml", "old_socket.yaml", "new_socket.yaml")
     >>> found

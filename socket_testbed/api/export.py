@@ -59,7 +59,29 @@ def export(
             load cell's origin).
 
     Returns:
-        The table, with units in the column names; its `attrs` name the segment and rows.
+        The table as written. Its `attrs` describe the `segment` and the `rows`. A row per sample,
+        no named index; missing values are NaN. Columns:
+
+        - `stamp [ns]` of the trigger since the epoch, `time [s]` since the trial's first sample;
+        - the wrench in {S}, such as `Mx [N m]` and `Fz [N]`; position and rotation vector of the
+          limb in {S}, such as `q_x [m]` and `phi_x [rad]`;
+        - for each cluster its capacitances by converter input, such as `distal.C0 [pF]`; its
+          status, `distal.status [-]` (0 ok, 1 saturated, 2 missing, 3 out of the calibrated range);
+          its stresses along its own axes, `distal.normal [Pa]` (positive in compression),
+          `distal.shear_x [Pa]` and `distal.shear_y [Pa]`; and its force in the frame {L} of its
+          tile, such as `distal.Fz [N]`;
+        - `predicted.*` as in `st.predict`; `springs.engaged [1]`, and the shares
+          `springs.engaged_share [-]` and `springs.uncertain_share [-]` of all springs; `map.*` as
+          in `TrialMap.to_dataframe`; `pressure.*` as in `TrialPressure.over_time`.
+
+        With `cycles` it has a row per percent, as in `Cycles.to_dataframe`; for OpenSim and C3D a
+        row per sample, indexed by `time [s]`, with forces [N], points [m] and moments [N m], or
+        markers [mm].
+
+    Raises:
+        ConfigurationError: The suffix is unknown or its format does not hold what is asked for,
+            `about` is no point near the load cell, or the model is of another socket.
+        TrialError: The trial cannot be read, has no such segment, or lacks markers or cycles.
 
     >>> table = st.export(st.open_trial("trials/hold"), "hold.csv", segment="10:20")
     >>> "distal.C0 [pF]" in table.columns, len(table)

@@ -53,6 +53,13 @@ class TrialFit(Result):
 
     The table holds the in-sample errors, the figure shows the stiffness of every tile, and `save`
     writes a model for `st.read_model`.
+
+    Attributes:
+        trial: The trial.
+        segment: The part that was fitted; with `frames` only its first samples. Its `start` and
+            `end` [s] count from the first sample of the trial, `rows` is a slice of its samples.
+        fit: The contact model (`fit.model`), the settings used, the errors of every channel on the
+            segment, and the certificates of both stages.
     """
 
     trial: Trial
@@ -103,12 +110,25 @@ class TrialFit(Result):
         )
 
     def load_shares(self) -> tuple[information.LoadShare, ...]:
-        """Shares of Fz, force and moment carried by springs and offsets."""
+        """Shares of the measured wrench that springs and offsets carry, over the segment.
+
+        Returns:
+            For `Fz`, the whole `force` and the `moment`, in this order: the share of the `springs`,
+            of the `offsets` and the `residual` that neither explains [-], which add up to 1. NaN
+            without a sample that has a pose and this part of the wrench.
+        """
         smooth = smooth_poses(self._samples(), self.fit.settings.pose_smoothing)
         return information.load_shares(smooth, self.fit.model)
 
     def motion(self) -> information.Motion:
-        """Motion of the pose over the segment, relative to its noise."""
+        """Motion of the pose over the segment, relative to its noise.
+
+        Returns:
+            `excitations`: for position x, y, z and rotation about x, y, z of {S} the standard
+            deviations of the `motion`, noise removed, and of the `noise` [m, rad], NaN if unknown;
+            and `directions`, the number (0 to 6) of independent directions that move at least three
+            times their noise.
+        """
         window = self.fit.settings.pose_smoothing
         return information.measure_motion(self._samples(), self.trial.geometry, window)
 
@@ -117,6 +137,9 @@ class TrialFit(Result):
 
         In-sample errors are optimistic; rank trials and settings by these instead. They require
         another fit, with the same settings.
+
+        Returns:
+            Errors of every channel as in `fit.errors`: the wrench's six, then three per cluster.
         """
         with threadpool_limits(1):
             return judge_unseen_half(self._samples(), self.trial.geometry, self.fit.settings)
@@ -126,11 +149,31 @@ class TrialFit(Result):
         return self.trial.sound(self.fit.settings.leave_out)[self.segment.rows]
 
     def to_dataframe(self) -> pd.DataFrame:
-        """In-sample errors, one row per channel in the channel's unit."""
+        """In-sample errors, a row per channel, indexed by `channel`: such as `Mx`, `distal.Fz`.
+
+        Columns:
+
+        - `unit`: unit of the channel, `N m` or `N`;
+        - `RMSE`, `MAE`, `sigma`: root-mean-square and mean absolute error, and standard deviation
+          of the residual (predicted - measured), each in this unit;
+        - `skill`: 1 - RMSE / RMSE of the best constant [-]: 1 is perfect, 0 no better than a
+          constant;
+        - `samples`: number of samples in which the channel was measured and predicted;
+        - `in objective`: whether the channel was fitted, that is not left out.
+
+        Errors and skill are NaN for a channel without such a sample, the skill also for a channel
+        that does not change.
+        """
         return errors_to_dataframe(self.fit.errors)
 
     def document(self) -> dict[str, Any]:
-        """The in-sample errors for JSON; `save` writes the model itself."""
+        """The in-sample errors for JSON; `save` writes the model itself.
+
+        Returns:
+            `trial`, `model` (its `trial` and `variant`), `segment` (`kind`, `start` and `end` [s]),
+            the number of `samples`, `channels` with the errors of each in its `unit`, and
+            `in_objective`, the paper's mean and median errors [N m, N] over the fitted channels.
+        """
         return _errors_document(self, self.stored(), self.fit.samples, self.fit.errors)
 
     def _figure(self, style: FigureStyle) -> Figure:
@@ -149,18 +192,36 @@ class TrialFit(Result):
 
 
 Model: TypeAlias = TrialFit | StoredModel | PathLike
+"""A fit, a model that `st.read_model` read, or the path of its file."""
 
 
 @dataclass(frozen=True, repr=False)
 class Evaluation(Result):
-    """A model evaluated on a segment of a trial, with the errors of every channel."""
+    """A model evaluated on a segment of a trial, with the errors of every channel.
+
+    The table holds the errors; the figure shows the measured and the predicted wrench over the
+    whole trial.
+
+    Attributes:
+        trial: The trial that the model is judged on.
+        model: The model, with its socket and settings; `model.settings.pose_smoothing` is the
+            window over which poses were averaged [s].
+        segment: The part of the trial that is judged. Its `start` and `end` [s] count from the
+            first sample of the trial, `rows` is a slice of its samples.
+        samples: Number of samples of the segment with both a wrench and a limb pose, outliers not
+            counted.
+        errors: Errors of every channel over the segment, in the channel's unit [N m, N]: the
+            wrench's six in {S}, then three per cluster in the frame {L} of its tile. Outliers, and
+            cluster forces whose status is not OK, count as not measured.
+        pressure: Pressure outputs of the segment; None unless requested.
+    """
 
     trial: Trial
     model: StoredModel
     segment: Segment
-    samples: int  # in the segment with a wrench and a limb position
+    samples: int
     errors: tuple[ChannelErrors, ...]
-    pressure: TrialPressure | None = None  # if requested
+    pressure: TrialPressure | None = None
 
     def __repr__(self) -> str:
         return (
@@ -170,22 +231,49 @@ class Evaluation(Result):
 
     @property
     def in_sample(self) -> bool:
-        """Whether the model was fitted on some of these samples."""
+        """Whether the model was fitted on some samples of the segment."""
         used = self.model.used(self.trial.name, self.trial.fingerprint, self.trial.samples())
         return bool(used[self.segment.rows].any())
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Errors, one row per channel in the channel's unit."""
+        """Errors, a row per channel, indexed by `channel`: such as `Mx`, `distal.Fz`.
+
+        Columns:
+
+        - `unit`: unit of the channel, `N m` or `N`;
+        - `RMSE`, `MAE`, `sigma`: root-mean-square and mean absolute error, and standard deviation
+          of the residual (predicted - measured), each in this unit;
+        - `skill`: 1 - RMSE / RMSE of the best constant [-]: 1 is perfect, 0 no better than a
+          constant, which knows the mean of this segment;
+        - `samples`: number of samples in which the channel was measured and predicted;
+        - `in objective`: whether the channel was in the objective of the model's fit.
+
+        Errors and skill are NaN for a channel without such a sample, the skill also for a channel
+        that does not change.
+        """
         return errors_to_dataframe(self.errors)
 
     def engagement(self) -> information.Engagement:
-        """Engaged springs at every sample of the trial, and their share of the segment's time."""
+        """Engaged springs at every sample of the trial, and their share of the segment's time.
+
+        Returns:
+            `springs`, their number in the model; `engaged` and `uncertain`, numbers of engaged and
+            of uncertain springs at each of the trial's N samples, shape (N,) [1], NaN without a
+            pose, `uncertain` also if the pose's noise is unknown; and `time_share`, the share of
+            the segment's samples with a pose in which a spring is engaged [-], shape (n, 3) by tile
+            and axis of {S}, (n, 1) in the rigid variants.
+        """
         model, window = self.model.model, self.model.settings.pose_smoothing
         samples = self.trial.sound(self.model.settings.leave_out)
         return information.engagement(samples, model, window, self.segment.rows)
 
     def document(self) -> dict[str, Any]:
-        """The evaluation for JSON."""
+        """The evaluation for JSON.
+
+        Returns:
+            The keys of `TrialFit.document` for this trial, segment and model; `in_sample`; and, if
+            requested, `pressure` as in `TrialPressure.document`.
+        """
         found = _errors_document(self, self.model, self.samples, self.errors)
         found["in_sample"] = self.in_sample
         return found | ({"pressure": self.pressure.document()} if self.pressure else {})
@@ -259,6 +347,15 @@ def fit(
         initial_stiffness: k0 of Stage 1 [N/m]; `auto`: from the slope of the wrench.
         solver: A solver available to qpsolvers.
 
+    Returns:
+        The fit: `fit.model` is the contact model; `save` writes it.
+
+    Raises:
+        ConfigurationError: A setting or a file is wrong.
+        TrialError: The trial cannot be read or has no such segment.
+        IdentificationError: The samples cannot be fitted: too few have a wrench and a pose, or a
+            solution is not certified.
+
     >>> trial = st.open_trial("trials/hold")
     >>> fitted = st.fit(trial, variant="rigid_bias", theta=0.5)
     >>> fitted
@@ -292,7 +389,18 @@ def prepare_fit(
     params: PathLike | None,
     choices: Mapping[str, Any],
 ) -> tuple[Trial, Segment, Samples, IdentificationSettings]:
-    """The trial, the part to be fitted, its sound samples, and the settings; reports the notes."""
+    """The trial, the part to be fitted, its sound samples, and the settings; reports the notes.
+
+    Args:
+        trial: The trial.
+        segment: As `specification` in `st.select_segment`, or a `Segment`.
+        params: A `testbed.yaml` to use instead of the trial's own; None for the trial's.
+        choices: Settings of the identification that override those, by name; None keeps one.
+
+    Returns:
+        The opened trial; the segment, with `frames` only its first samples; the samples of the
+        segment, NaN where a value is an outlier; the settings of the identification.
+    """
     trial = as_trial(trial)
     settings = estimator_settings(trial.estimator, as_path(params), **choices)
     samples, frames = trial.samples(), settings.identification.frames
@@ -305,6 +413,14 @@ def prepare_fit(
 def read_model(path: PathLike) -> StoredModel:
     """Read a model saved by `fit`.
 
+    Returns:
+        The model: `model.model` is the contact model with the stiffness of its n tiles along x, y
+        and z of `model.model.frame`, shape (n, 3) [N/m]; `geometry` is its socket; `settings` and
+        `errors` are those of its fit.
+
+    Raises:
+        ConfigurationError: The file cannot be read, or is no model.
+
     >>> st.fit(st.open_trial("trials/hold")).save("hold.json")
     >>> model = st.read_model("hold.json")
     >>> model
@@ -316,7 +432,12 @@ def read_model(path: PathLike) -> StoredModel:
 
 
 def model_for(trial: Trial, model: Model) -> StoredModel:
-    """A fit, a stored model or one at a path, for a trial; refuses one of another socket."""
+    """A fit, a stored model or one at a path, for a trial; refuses one of another socket.
+
+    Args:
+        trial: The trial, whose tiles must be those of the model.
+        model: See `Model`.
+    """
     if isinstance(model, TrialFit):
         model = model.stored()
     elif not isinstance(model, StoredModel):
@@ -326,19 +447,28 @@ def model_for(trial: Trial, model: Model) -> StoredModel:
 
 
 def _predictions(samples: Samples, stored: StoredModel) -> FloatArray:
-    """Predictions of a model, shape (N, 6 + 3c), with poses averaged as in its fit."""
+    """Predictions of a model, shape (N, 6 + 3c) [N m, N], with poses averaged as in its fit."""
     with threadpool_limits(1):
         return stored.predictions(samples)
 
 
 def predictions(trial: Trial, stored: StoredModel) -> FloatArray:
-    """Predictions at all samples of a trial; NaN where the limb position is missing or outlying."""
+    """Predictions of all channels at all samples of a trial.
+
+    Args:
+        trial: The trial, whose limb poses the model is given.
+        stored: The model.
+
+    Returns:
+        The wrench [M; F] in {S} [N m, N], then the force on each of the c clusters in the frame {L}
+        of its tile [N], shape (N, 6 + 3c); NaN where the limb pose is missing or an outlier.
+    """
     plausibility.require_position(trial.samples(), trial.geometry)
     return _predictions(trial.sound(stored.settings.leave_out), stored)
 
 
 def predict(trial: Trial | PathLike, model: Model) -> pd.DataFrame:
-    """Predict every channel of a trial from its limb positions.
+    """Predict every channel of a trial from its limb poses.
 
     Poses are averaged over the same window as in the model's fit, if any.
 
@@ -347,9 +477,15 @@ def predict(trial: Trial | PathLike, model: Model) -> pd.DataFrame:
         model: A fit, a model that `read_model` read, or the path of its file.
 
     Returns:
-        A table with the index and columns of `trial.samples().to_dataframe()`: the wrench in {S}
-        and the force on each cluster in its frame. NaN where the limb position is missing or an
-        outlier.
+        A row per sample, indexed by `time [s]` since the first sample. Columns: the wrench in {S},
+        such as `Mx [N m]` and `Fz [N]`, and the force on each cluster in the frame {L} of its tile,
+        such as `distal.Fx [N]`; titles and index are those of `trial.samples().to_dataframe()`. NaN
+        where the limb pose is missing or an outlier.
+
+    Raises:
+        ConfigurationError: The model's file is wrong, or the model is of another socket.
+        TrialError: The trial cannot be read.
+        IdentificationError: The limb poses are in another unit or frame.
 
     >>> trial = st.open_trial("trials/hold")
     >>> predicted = st.predict(trial, st.fit(trial))
@@ -380,6 +516,14 @@ def evaluate(
             model's fit).
         pressure: Whether to add the pressure outputs of the segment, see `st.pressure`. They come
             from the force map, not from the model.
+
+    Returns:
+        The evaluation: `errors` and `to_dataframe()` give the errors of every channel.
+
+    Raises:
+        ConfigurationError: The model's file is wrong, or the model is of another socket.
+        TrialError: The trial cannot be read or has no such segment.
+        IdentificationError: The limb poses are in another unit or frame.
 
     >>> fitted = st.fit(st.open_trial("trials/hold"))
     >>> found = st.evaluate(st.open_trial("trials/walk"), fitted, segment="all")

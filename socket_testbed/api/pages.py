@@ -83,7 +83,13 @@ def write_report(
         choices: Settings as in `fit`, except `variant`.
 
     Returns:
-        The results shown on the page.
+        The results shown on the page: `fitted` are the models by variant, `fronts`, `pressure` and
+        `validation` the results behind the figures.
+
+    Raises:
+        ConfigurationError: The page exists already, or a setting or a file is wrong.
+        TrialError: The trial cannot be read or has no such segment.
+        IdentificationError: The samples cannot be fitted.
 
     >>> results = st.write_report(st.open_trial("trials/hold"), "hold.html", thetas=5)
     >>> list(results.fitted)
@@ -129,6 +135,9 @@ def write_comparison(
         found: A result of `st.compare`.
         page: The page, ending in `.html`.
         command: The command that made the page, for the record.
+
+    Raises:
+        ConfigurationError: The page does not end in `.html`, or cannot be written.
 
     >>> found = st.compare("trials/hold", "trials/walk", segment="15:20")
     >>> st.write_comparison(found, "liners.html")
@@ -244,6 +253,11 @@ def view(
 
     Returns:
         The page: a context manager with its `url`, served until `close` or the program's end.
+
+    Raises:
+        ConfigurationError: The page cannot be served at this address, or the model is of another
+            socket.
+        TrialError: The trial cannot be read.
 
     >>> with st.view(st.open_trial("trials/hold")) as page:
     ...     print(page.url)

@@ -50,7 +50,11 @@ if TYPE_CHECKING:
     from socket_testbed.report.style import FigureStyle
 
 Rows: TypeAlias = dict[tuple[str, str, str], dict[str, Any]]
-"""Values of outputs, by part, name and title."""
+"""Outputs, keyed by part (`regions`, `tiles`, `limb`), name of the place, and title with the unit.
+
+Each is a dictionary with a `value`, the ends `low` and `high` of its 95 % interval, and whether it
+is `uncertain`.
+"""
 
 TILE_TITLES = tuple(t for t in TITLES if t not in (*CENTRE_TITLES, "contact area [cm^2]"))
 _ROW_KEYS = ("value", "low", "high", "uncertain")
@@ -59,22 +63,42 @@ _SERIES_TITLES = tuple(title for title in TITLES if not title.startswith("pressu
 
 @dataclass(frozen=True, repr=False)
 class TrialMap(Result):
-    """Forces on all tiles over a segment of a trial, with their standard deviations."""
+    """Forces on all n tiles at the N samples of a segment of a trial, with standard deviations.
+
+    Attributes:
+        trial: The trial; tile i is `trial.geometry.names[i]`.
+        segment: The part of the trial. Its `start` and `end` [s] count from the first sample of the
+            trial, `rows` is a slice of the trial's samples.
+        time: Times of the samples since the first sample of the trial, shape (N,) [s].
+        samples: The N samples that the map was conditioned on; outliers and left-out channels are
+            NaN. Clusters are used only where their status is OK.
+        force_map: The estimator, its prior weighed by the evidence of the whole trial; `estimate`
+            takes any samples of its clusters.
+    """
 
     trial: Trial
     segment: Segment
-    time: FloatArray  # (N,) [s], of its samples since the first sample of the trial
-    samples: Samples  # with the channels in use
+    time: FloatArray
+    samples: Samples
     force_map: ForceMap
 
     @cached_property
     def estimate(self) -> MapEstimate:
-        """The map at every sample."""
+        """The map at every sample.
+
+        Its forces on the socket are in {S}, shape (N, n, 3) [N], its pressures (positive in
+        compression) and shears have the shape (N, n) [Pa]. At a sample without any channel it is
+        the prior: no force, with large standard deviations.
+        """
         return self.force_map.estimate(self.samples)
 
     @cached_property
     def mean(self) -> MapEstimate:
-        """The mean map, with N = 1."""
+        """The mean map over the segment, in the units and frames of `estimate`, with N = 1.
+
+        Standard deviations are root mean squares over the samples: a mean over time is as uncertain
+        as a typical sample, because the sensors leave the same directions open in each.
+        """
         return self.force_map.mean(self.samples)
 
     def __repr__(self) -> str:
@@ -88,14 +112,26 @@ class TrialMap(Result):
     def to_dataframe(self) -> pd.DataFrame:
         """The map as a pandas table, a row per sample, indexed by `time [s]`.
 
-        Columns per tile: force in {S} with standard deviations, such as `tile_012.Fz [N]` and
-        `tile_012.Fz.sd [N]`, then `pressure [Pa]` (positive in compression) and `shear [Pa]`.
+        The index counts from the first sample of the trial. Columns of each tile, here `distal`:
+
+        - `distal.Fx [N]`, `distal.Fx.sd [N]`, and those of Fy and Fz: force of the limb on the
+          socket in {S}, with its standard deviation;
+        - `distal.pressure [Pa]`, `distal.pressure.sd [Pa]`: normal pressure, positive in
+          compression;
+        - `distal.shear [Pa]`, `distal.shear.sd [Pa]`: magnitude of the shear, never negative.
+
+        No value is NaN: a sample without any channel has the prior's force, zero, and its standard
+        deviations.
         """
         columns = self.estimate.columns(self.trial.geometry.names)
         return pd.DataFrame(columns, index=pd.Index(self.time, name="time [s]"))
 
     def summary(self) -> pd.DataFrame:
-        """Means over the segment, a row per tile, the highest pressure first.
+        """Means over the segment, a row per tile, indexed by `tile`, the highest pressure first.
+
+        Columns: `cluster`, the one on the tile, or empty; `pressure [kPa]` (normal, positive in
+        compression) and `shear [kPa]` (magnitude), with their standard deviations
+        `pressure sd [kPa]` and `shear sd [kPa]`. No value is NaN.
 
         Standard deviations are those of the mean's error. They do not shrink with the number of
         samples, because the sensors leave the same uncertainty in each.
@@ -104,7 +140,15 @@ class TrialMap(Result):
         return table.sort_values("pressure [kPa]", ascending=False, kind="stable")
 
     def at(self, time: float) -> TrialMap:
-        """The map of the latest sample at a time since the first sample [s]."""
+        """The map of the latest sample at a time since the first sample of the trial [s].
+
+        Returns:
+            A map with N = 1, whose segment is this instant.
+
+        Raises:
+            TrialError: The map has no sample there: the time is before its first sample, or more
+                than three usual steps after the last one before it.
+        """
         row = sample_at(self.time, time)
         if row is None:
             raise TrialError(
@@ -126,8 +170,13 @@ class TrialMap(Result):
             count: Number D of draws, even.
 
         Returns:
-            Shear along x (proximal) and along y of each tile's frame, and normal pressure, positive
-            in compression, shape (N, D, n, 3) [Pa]. For many samples this is large: see `at`.
+            Shape (N, D, n, 3) [Pa]; the last axis holds the shear along x (proximal) and along y of
+            each tile's frame {L}, and the normal pressure, positive in compression. The second half
+            of the draws has the errors of the first half with opposite signs. For many samples the
+            array is large: see `at`.
+
+        Raises:
+            ConfigurationError: The count is odd or below 2.
         """
         geometry = self.trial.geometry
         check_number(count, "count", 2)
@@ -140,7 +189,12 @@ class TrialMap(Result):
         return found
 
     def document(self) -> dict[str, Any]:
-        """The map for JSON, with means over the segment by tile."""
+        """The map for JSON.
+
+        Returns:
+            `trial`, `segment` (`kind`, `start` and `end` [s]), `tiles` with the rows of `summary`
+            (means over the segment [kPa]), and `rows` with those of `to_dataframe` [s, N, Pa].
+        """
         means = records(self.summary().reset_index())
         return origin(self.trial, self.segment) | {"tiles": means} | super().document()
 
@@ -174,6 +228,15 @@ def force_map(
         params: A `testbed.yaml` to use instead of the trial's own; its group `force_map` sets the
             prior.
 
+    Returns:
+        The map: `estimate` holds its arrays, `to_dataframe()` a row per sample, `summary()` the
+        mean of each tile.
+
+    Raises:
+        ConfigurationError: A setting or a file is wrong.
+        TrialError: The trial cannot be read or has no such segment.
+        IdentificationError: The measured values have another unit.
+
     >>> found = st.force_map(st.open_trial("trials/hold"), segment="10:20")
     >>> found
     TrialMap(hold, span 10.00 s to 20.00 s; 41 samples, highest mean pressure ... kPa on ...)
@@ -204,10 +267,26 @@ def _mapped(
 
 @dataclass(frozen=True, repr=False)
 class TrialPressure(SegmentPressure, Result):
-    """Pressure outputs over a segment of a trial, by region and tile, with 95 % intervals."""
+    """Pressure outputs over a segment of a trial, by region and tile, with 95 % intervals.
 
-    threshold: float  # [kPa]; a tile above this pressure is in contact
-    share: float  # [-]; of a value; with an interval that reaches farther it is uncertain
+    Pressure is positive in compression. The tables are `regions` (the one that is saved), `tiles`,
+    `limb` and `over_time`.
+
+    Attributes:
+        trial: The trial; tile i is `trial.geometry.names[i]`.
+        segment: The part of the trial. Its `start` and `end` [s] count from the first sample of the
+            trial, `rows` is a slice of the trial's samples.
+        places: The R regions, with their `name` and the indices of their `tiles`, in the order of
+            the rows of `regions`; the last one is `socket`, all tiles.
+        outputs: The outputs as arrays in SI units (Pa, m^2, Pa s, m, rad): over the segment by
+            region, shape (R,), and by tile, shape (n,), and of the regions at its N samples, shape
+            (N, R), each with the ends of its interval; and the samples and force map behind them.
+        threshold: Pressure above which a tile is in contact [kPa].
+        share: A value is uncertain if its interval reaches farther than this share of it [-].
+    """
+
+    threshold: float
+    share: float
 
     def __repr__(self) -> str:
         socket = self.regions.iloc[-1]
@@ -219,14 +298,18 @@ class TrialPressure(SegmentPressure, Result):
 
     @cached_property
     def map(self) -> TrialMap:
-        """The underlying force map at every sample: 6 kB each."""
+        """The force map behind the outputs, of the same segment: 6 kB a sample."""
         found = self.outputs
         return TrialMap(self.trial, self.segment, self.time, found.samples, found.force_map)
 
     def rows(self) -> Rows:
-        """Every output by part (`regions`, `tiles` or `limb`), place and title.
+        """Every output by part, place and title, such as `("tiles", "distal", "shear [kPa]")`.
 
-        Each has a `value`, the ends `low` and `high` of its 95 % interval, and a flag `uncertain`.
+        Returns:
+            For each key a dictionary: the `value`, the ends `low` and `high` of its 95 % interval,
+            all in the unit of the title, and the flag `uncertain`. The part is `regions`, `tiles`
+            or `limb`, whose place is empty. Unknown values are NaN and uncertain; an unknown end of
+            an interval of the limb is infinite.
         """
         regions = tuple(place.name for place in self.places)
         parts = (
@@ -250,18 +333,40 @@ class TrialPressure(SegmentPressure, Result):
         return rows
 
     def limb(self) -> pd.DataFrame:
-        """Pistoning, range of rotation and stiffness along and about x, y, z of {S}.
+        """How the limb is held by the socket: its pistoning, range of rotation and stiffness.
 
-        Rows such as `pistoning [mm]` and `stiffness Fz [N/mm]`, columns `value`, `low`, `high`
-        (95 %) and `uncertain`; NaN where the load did not change in every direction. Empty without
-        poses. `suspension` holds the full 6 x 6 stiffness.
+        The index holds each output with its unit:
+
+        - `pistoning [mm]`: range of the limb's motion along the socket, from its 2.5 % to its
+          97.5 % percentile over the samples;
+        - `range of rotation about x [deg]`, and y and z of {S}: range between the same percentiles;
+        - `stiffness Fx [N/mm]`, `stiffness Mx [N m/deg]`, and y and z of {S}: change of the load on
+          the socket with the limb's displacement along, or rotation about, this axis through the
+          mean of the tiles' centres; `suspension` holds the full 6 x 6 matrix.
+
+        Columns, in the unit of the row: `value`, the ends `low` and `high` of its 95 % interval,
+        and `uncertain`, a flag. The stiffnesses are NaN if the load did not change in every
+        direction; an end is infinite if parts of the segment leave it open. The table is empty if
+        fewer than 64 samples have a pose and a complete wrench.
         """
         found = {title: row for (part, _, title), row in self.rows().items() if part == "limb"}
         return pd.DataFrame.from_dict(found, orient="index", columns=[*_ROW_KEYS])
 
     @property
     def tiles(self) -> pd.DataFrame:
-        """Outputs over the segment, a row per tile, with 95 % intervals as in `regions`."""
+        """Outputs over the segment, a row per tile, indexed by `tile`, in the socket's order.
+
+        Columns: `cluster`, the one on the tile, or empty; then, each with the ends of its 95 %
+        interval, such as `peak pressure low [kPa]` and `peak pressure high [kPa]`:
+
+        - `peak pressure [kPa]`, `mean pressure [kPa]`: highest of all samples, and mean over them;
+        - `pressure-time integral [kPa s]`: of the pressure while the tile is in contact;
+        - `share of load [%]`: of the axial force of all tiles;
+        - `shear [kPa]`, `shear direction [deg]`: magnitude of the mean shear, and its direction in
+          the tile's frame {L} from x (proximal) towards y; ends may lie beyond +-180.
+
+        No value is NaN.
+        """
         geometry = self.trial.geometry
         names = pd.Index(geometry.names, name="tile")
         table = pd.DataFrame(columns_of(self.outputs.tiles, TILE_TITLES), index=names)
@@ -269,15 +374,41 @@ class TrialPressure(SegmentPressure, Result):
         return table
 
     def to_dataframe(self) -> pd.DataFrame:
-        """Same as `regions`."""
+        """The table of `regions`: a row per region, then `socket`, indexed by `region`.
+
+        Columns, each with the ends of its 95 % interval, such as `peak pressure low [kPa]` and
+        `peak pressure high [kPa]`:
+
+        - `peak pressure [kPa]`: highest on any tile of the region, of all samples;
+        - `mean pressure [kPa]`: over the region's area and the samples;
+        - `contact area [cm^2]`: of the tiles above the threshold, mean over the samples;
+        - `pressure-time integral [kPa s]`: of the pressure on tiles in contact, mean over the area;
+        - `share of load [%]`: of the axial force of all tiles;
+        - `shear [kPa]`, `shear direction [deg]`: magnitude of the mean shear over area and samples,
+          and its direction from x (proximal) towards y of the tiles' frames {L}; ends may lie
+          beyond +-180;
+        - `centre of pressure x [mm]`, and y and z: in {S}.
+
+        The last column is `nearest tile`, the one nearest to the centre of pressure, or empty. The
+        centre is NaN for a region without compression at any sample.
+        """
         return self.regions
 
     def over_time(self) -> pd.DataFrame:
-        """Outputs of the regions and stresses on the tiles at every sample, by `time [s]`.
+        """Outputs of the regions and stresses on the tiles, a row per sample, by `time [s]`.
 
-        Columns such as `anterior proximal.mean pressure [kPa]`, and `distal.pressure [kPa]` and
-        `distal.shear [kPa]` for tiles (`tile distal` if a region has the same name), with the ends
-        of their 95 % intervals. Intervals of tiles are 1.96 standard deviations of the force map.
+        The index counts from the first sample of the trial. Columns, each with the ends of its 95 %
+        interval, such as `distal.mean pressure low [kPa]`:
+
+        - of each region the columns of `regions` at this instant except the pressure-time integral
+          and the nearest tile, such as `anterior proximal.mean pressure [kPa]`;
+        - of each tile `pressure [kPa]` (normal, positive in compression) and `shear [kPa]`
+          (magnitude), such as `h007_a054.shear [kPa]`; a tile named like a region has the prefix
+          `tile `, as in `tile distal.pressure [kPa]`. Ends lie 1.96 standard deviations of the
+          force map from the value, that of a shear not below 0.
+
+        Regions are NaN at a sample in which nothing was measured, and a centre of pressure where
+        nothing is compressed; tiles are never NaN and have the prior's values there.
         """
         estimate = self.map.estimate
         pressure = normal_quantity(
@@ -295,7 +426,14 @@ class TrialPressure(SegmentPressure, Result):
         return pd.DataFrame(columns, index=pd.Index(self.time, name="time [s]"))
 
     def document(self) -> dict[str, Any]:
-        """The outputs for JSON, each with its interval and the flag `uncertain`."""
+        """The outputs for JSON, each with its interval and the flag `uncertain`.
+
+        Returns:
+            `trial`, `segment` (`kind`, `start` and `end` [s]), the number of `samples`, the limits
+            and the integrated time with their units in the keys, `source` (what was measured, in
+            words), and `regions`, `tiles` and `limb` with the outputs of `rows` by name and title;
+            None for unknown values.
+        """
         names, nearest = self.trial.geometry.names, self.regions["nearest tile"]
         found: dict[str, dict[str, dict[str, Any]]] = {"regions": {}, "tiles": {}, "limb": {"": {}}}
         for place in self.places:
@@ -363,6 +501,15 @@ def pressure(
         params: A `testbed.yaml` to use instead of the trial's own; its group `force_map` sets the
             prior.
         leave_out: Channels to ignore, such as `distal.Fx` or `Mz`.
+
+    Returns:
+        The outputs: `regions` and `tiles` are tables over the segment, `over_time()` one of every
+        sample, `limb()` one of the limb's motion and stiffness.
+
+    Raises:
+        ConfigurationError: A setting, a file or a region is wrong.
+        TrialError: The trial cannot be read, has no such segment, or nothing was measured in it.
+        IdentificationError: The measured values have another unit.
 
     >>> found = st.pressure(st.open_trial("trials/hold"))
     >>> found

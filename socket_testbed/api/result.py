@@ -24,20 +24,28 @@ if TYPE_CHECKING:
 
 
 class Result:
-    """A result as a table, a JSON document, a file and a figure."""
+    """A result as a table, a JSON document, a file and a figure.
+
+    `to_dataframe` of each result names its columns with their units, its index, and what NaN means.
+    """
 
     def to_dataframe(self) -> pd.DataFrame:
         """The result as a pandas table, with units in the column names."""
         raise NotImplementedError
 
     def document(self) -> dict[str, Any]:
-        """The result as a JSON-compatible dictionary: null for missing values."""
+        """The result as a JSON-compatible dictionary.
+
+        Returns:
+            By default one key, `rows`: a list with a dictionary per row of `to_dataframe`, keyed by
+            its column names, with a named index as the first; None for missing and infinite values.
+        """
         table = self.to_dataframe()
         rows = table if table.index.name is None else table.reset_index()
         return {"rows": records(rows)}
 
     def to_json(self) -> str:
-        """The result as a JSON string."""
+        """The `document` as a JSON string, null for missing and infinite values."""
         return json.dumps(self.document(), indent=1, allow_nan=False)
 
     def save(self, path: PathLike) -> None:
@@ -58,6 +66,12 @@ class Result:
         Args:
             width: Printed width, 88 or 180 [mm].
             title: Whether the figure has a title.
+
+        Returns:
+            The figure, not shown and not saved.
+
+        Raises:
+            ConfigurationError: The width is another one, or this kind of result has no figure.
         """
         # matplotlib is slow to import.
         from socket_testbed.report.style import figure_style, in_style
@@ -81,6 +95,10 @@ class Result:
             title: As in `figure`.
             ax: Matplotlib axes for the result's main panel (the unrolled wall of a map, a quantity
                 over a cycle), drawn in your own style.
+
+        Raises:
+            ConfigurationError: The suffix or the width is another one, or this kind of result has
+                no figure or no main panel.
         """
         if ax is not None:
             self._draw_into(ax)
@@ -103,7 +121,7 @@ class Result:
 
 
 def records(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Rows of a table for JSON."""
+    """Rows of a table by column name, for JSON: without the index, None for NaN and infinity."""
     return [
         {name: finite_or_null(value) for name, value in row.items()}
         for row in table.to_dict("records")
@@ -111,7 +129,15 @@ def records(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def origin(trial: Trial, segment: Segment) -> dict[str, Any]:
-    """Trial and segment of a result for JSON."""
+    """Trial and segment of a result for JSON.
+
+    Args:
+        trial: The trial; its folder's name is given.
+        segment: The part of the trial; its start and end are in seconds since the first sample.
+
+    Returns:
+        The keys `trial`, and `segment` with `kind`, `start` [s] and `end` [s].
+    """
     return {
         "trial": trial.name,
         "segment": {"kind": segment.kind, "start": segment.start, "end": segment.end},

@@ -35,22 +35,53 @@ _MAX_THETAS = 10_001
 
 @dataclass(frozen=True, repr=False)
 class Tradeoff(Result):
-    """The trade-off between the wrench and the clusters on a segment of a trial."""
+    """The trade-off between the wrench and the clusters on a segment of a trial.
+
+    Attributes:
+        trial: The trial.
+        segment: The part that was fitted; with `frames` only its first samples. Its `start` and
+            `end` [s] count from the first sample of the trial, `rows` is a slice of its samples.
+        fronts: The solutions along theta of the paper's variants, `stiffness` and
+            `stiffness_bias`. Each has `theta`, the weight of the wrench against the clusters
+            (0: clusters only, 1: wrench only), and the normalised errors of both, shape (T,) [-],
+            1 if zero is predicted; and `knee`.
+    """
 
     trial: Trial
     segment: Segment
-    fronts: dict[Variant, Front]  # the solutions along theta
+    fronts: dict[Variant, Front]
 
     def __repr__(self) -> str:
         fronts = "; ".join(map(repr, self.fronts.values()))
         return f"Tradeoff({self.trial.name}, {self.segment}; {fronts})"
 
     def to_dataframe(self) -> pd.DataFrame:
-        """A row per solution of both fronts, see `Front.to_dataframe`."""
+        """A row per solution, the thetas of one variant after those of the other; no named index.
+
+        Columns:
+
+        - `variant`, `theta [-]`: contact law, and weight of the wrench against the clusters;
+        - `wrench error [-]`, `local error [-]`: errors of both groups on the objective's scale, 1
+          if zero is predicted with weights by size;
+        - `non-dominated`: 1 on the front, 0 off it;
+        - `mark`: `sensor-only`, `knee` or `wrench-only` for the notable solutions, or empty;
+        - `mean moment RMSE [N m]`, `mean force RMSE [N]`, `median local RMSE [N]`: the paper's
+          figures over the channels in the objective;
+        - `KKT residual or gap [-]`: largest of both stages, scaled;
+        - `flaw`: why the solution must not be used, or empty;
+        - `RMSE Mx [N m]`, `RMSE distal.Fz [N]`, ...: of each channel in the objective.
+
+        Errors are NaN where a stage has no certified solution.
+        """
         return front_table(self.fronts.values())
 
     def document(self) -> dict[str, Any]:
-        """The fronts for JSON."""
+        """The fronts for JSON.
+
+        Returns:
+            `trial`, `segment` (`kind`, `start` and `end` [s]), and `fronts`, each with its
+            `variant`, `knee`, `marks` and `solutions`.
+        """
         fronts = [front_document(front) for front in self.fronts.values()]
         return origin(self.trial, self.segment) | {"fronts": fronts}
 
@@ -62,7 +93,7 @@ class Tradeoff(Result):
 
 
 def theta_values(thetas: int) -> FloatArray:
-    """Evenly spaced thetas from 0 to 1, rounded to readable digits [-]."""
+    """As many evenly spaced thetas from 0 to 1, rounded to readable digits, (thetas,) [-]."""
     check_number(thetas, "--thetas", 2, _MAX_THETAS)
     return np.linspace(0.0, 1.0, thetas).round(10)
 
@@ -86,6 +117,15 @@ def pareto(
         progress: See `Progress`.
         choices: Settings as in `fit`, except `variant` and `theta`.
 
+    Returns:
+        The trade-off: `fronts` by variant, `to_dataframe()` with a row per solution.
+
+    Raises:
+        ConfigurationError: A setting or a file is wrong.
+        TrialError: The trial cannot be read or has no such segment.
+        IdentificationError: The samples cannot be fitted, a group of channels is left out, or no
+            theta gives a usable solution.
+
     >>> tradeoff = st.pareto(st.open_trial("trials/hold"), thetas=11)
     >>> tradeoff.fronts["stiffness"]
     Front(stiffness, 11 solutions, ... not dominated; knee of depth ...)
@@ -101,23 +141,50 @@ def pareto(
 
 @dataclass(frozen=True, repr=False)
 class PaperTable(Result):
-    """The paper's figures recomputed for a trial, next to the published ones."""
+    """The paper's figures recomputed for a trial, next to the published ones.
+
+    Attributes:
+        trial: The trial.
+        segment: The part that was fitted: the first `frames` samples of the chosen one. Its `start`
+            and `end` [s] count from the first sample of the trial, `rows` is a slice of its
+            samples.
+        samples: Number of samples in the objective: those with a limb pose and every wrench channel
+            that is not left out, outliers not counted.
+        settings: The settings of the fit with offsets; the other fit differs in the variant.
+        table: The figures, see `to_dataframe`.
+    """
 
     trial: Trial
     segment: Segment
-    samples: int  # in the objective
+    samples: int
     settings: IdentificationSettings
-    table: pd.DataFrame  # a row per figure, see `beside_published`
+    table: pd.DataFrame
 
     def __repr__(self) -> str:
         return f"PaperTable({self.trial.name}, {self.segment}; {len(self.table)} figures)"
 
     def to_dataframe(self) -> pd.DataFrame:
-        """A row per figure, see `beside_published`."""
+        """A row per figure, indexed by `figure`: its name and unit, such as `RMSE of Mx [N m]`.
+
+        The figures are the paper's mean and median RMSE, the RMSE of every channel, the standard
+        deviation `sigma` of the residual of every wrench channel, and the thetas of the marks of
+        the fronts, such as `theta, knee [-]`.
+
+        Columns, in two levels: `this trial` and `the paper`, each `without offsets` and
+        `with offsets` (the variants `stiffness` and `stiffness_bias`), in the unit of the row; and
+        a `remark` (below an empty first level): why the two are not comparable, or that the printed
+        number is not known here. NaN for a number that is not known. `save` writes one level, with
+        titles such as `with offsets` and `paper: with offsets`.
+        """
         return self.table.copy()
 
     def document(self) -> dict[str, Any]:
-        """The figures for JSON, with the settings used."""
+        """The figures for JSON, with the settings used.
+
+        Returns:
+            `trial`, `segment` (`kind`, `start` and `end` [s]), the number of `samples`, `settings`,
+            and `figures` by name and unit, with columns as `save` writes them.
+        """
         table = self._saved_table()
         return {
             **origin(self.trial, self.segment),
@@ -157,7 +224,12 @@ def paper(
         choices: Other settings as in `fit`, except `variant`.
 
     Returns:
-        The figures, a row each, see `beside_published`.
+        The figures: `to_dataframe()` has a row each.
+
+    Raises:
+        ConfigurationError: A setting or a file is wrong.
+        TrialError: The trial cannot be read or has no such segment.
+        IdentificationError: The samples cannot be fitted, or no theta gives a usable solution.
 
     >>> found = st.paper(st.open_trial("trials/hold"), thetas=5)
     >>> found.to_dataframe().loc["RMSE of Mx [N m]", "the paper"].tolist()

@@ -44,7 +44,10 @@ if TYPE_CHECKING:
 
 PathLike: TypeAlias = str | os.PathLike[str]
 Progress: TypeAlias = Callable[[str], Callable[[int, int], None]]
-"""Called with a task's name; the returned function is called with steps done and in total."""
+"""Reports long work: called with a task's name, such as `tiling`.
+
+It returns a function that is called after each step with the steps done and their total number.
+"""
 
 _MAX_TRIGGERS = 1_000_000
 
@@ -55,20 +58,37 @@ def as_path(path: PathLike | None) -> Path | None:
 
 
 def note_problems(trial: Trial, leave_out: tuple[str, ...]) -> None:
-    """Note the problems in a trial's data, except in left-out channels."""
+    """Note the problems in a trial's data, except in left-out channels.
+
+    Args:
+        trial: The trial; each problem is a note, sent to its `notify`.
+        leave_out: Names of channels that are not checked, such as `distal.Fx` or `Mz`.
+    """
     for found in trial.problems(leave_out):
         trial.note(str(found))
 
 
 def unique_names(trials: Sequence[Trial]) -> tuple[str, ...]:
-    """Unique names of trials: as many trailing parts of their paths as that takes."""
+    """Unique names of trials, in their order: as many trailing parts of their paths as that takes.
+
+    Trials in `a/hold` and `b/hold` are called just that, those in `a/hold` and `a/walk` are called
+    `hold` and `walk`.
+    """
     parts = [trial.path.resolve().parts for trial in trials]
     tails = (tuple("/".join(part[-number:]) for part in parts) for number in count(1))
     return next(names for names in tails if len({*names}) == len(names))
 
 
 def started(progress: Progress | None, task: str) -> Callable[[int, int], None]:
-    """Start reporting progress; a no-op without a `progress`."""
+    """Start reporting progress; a no-op without a `progress`.
+
+    Args:
+        progress: See `Progress`; None reports nothing.
+        task: Name of the task, such as `tiling`.
+
+    Returns:
+        A function to call after each step, with the steps done and their total number.
+    """
     return (lambda done, total: None) if progress is None else progress(task)
 
 
@@ -100,7 +120,12 @@ def open_trial(
 
     Returns:
         The trial: `trial.samples()` returns its synchronised samples, `trial.events()` its events,
-        `trial.geometry` is its socket.
+        `trial.geometry` is its socket. Nothing but the folder's existence is checked yet: errors of
+        the data are raised by what first reads them.
+
+    Raises:
+        TrialError: There is no trial at the path.
+        ConfigurationError: The unloaded spans or the tare are wrong.
 
     >>> trial = st.open_trial("trials/hold")
     >>> trial
@@ -128,7 +153,11 @@ def as_trial(trial: Trial | PathLike) -> Trial:
 
 
 def require_different(trials: Sequence[Trial]) -> None:
-    """Raise an error if a trial is given twice."""
+    """Raise an error if a trial is given twice.
+
+    Raises:
+        ConfigurationError: Two of the trials are in one folder.
+    """
     paths = [trial.path.resolve() for trial in trials]
     for number, trial in enumerate(trials):
         if paths[number] in paths[:number]:
@@ -136,7 +165,15 @@ def require_different(trials: Sequence[Trial]) -> None:
 
 
 def require_one_socket(trials: Sequence[Trial], hint: str) -> None:
-    """Raise an error unless all trials are of the same socket."""
+    """Raise an error unless all trials are of one socket: equal tiles in equal places.
+
+    Args:
+        trials: The trials, compared with the first one.
+        hint: What to do about another socket, for the error.
+
+    Raises:
+        ConfigurationError: A trial is of another socket than the first one.
+    """
     for trial in trials:
         if not trial.geometry.same_tiles(trials[0].geometry):
             raise ConfigurationError(
@@ -176,7 +213,11 @@ def annotate(
         remove: Fields to remove.
 
     Returns:
-        All metadata of the trial, the new value of `trial.metadata`.
+        All metadata of the trial, the new value of `trial.metadata`; None for fields not stated.
+
+    Raises:
+        TrialError: The path is no folder of a single trial.
+        ConfigurationError: A value or a field to remove is wrong, or `trial.yaml` is invalid.
 
     >>> trial = st.open_trial("trials/hold")
     >>> st.annotate(trial, subject="S01", side="left", mass=82.5).columns()
@@ -202,7 +243,12 @@ def check_data(trial: Trial | PathLike) -> tuple[DataFinding, ...]:
     """Check whether a trial's data is good; returns the findings, the worst first.
 
     Checks signs, lags, units, and dead, clipped, noisy and missing sources, each alone and against
-    the others: see `socket_testbed.identification.data_check`.
+    the others: see `socket_testbed.identification.data_check`. Channels that the trial's settings
+    leave out are not checked.
+
+    Returns:
+        A finding per defect: its `source` (the wrench, the limb pose, a cluster or a channel), the
+        `fact`, and the `hint`, what to check; empty for good data.
 
     >>> st.check_data(st.open_trial("trials/hold"))
     ()
@@ -224,6 +270,14 @@ def select_segment(samples: Samples, specification: str = "plateau") -> Segment:
             first sample; or `event:A:B` between events, such as `event:placed+5:removed-2`, with
             event labels, `push#2` for the second push, or seconds at either end.
 
+    Returns:
+        The segment: `start` and `end` [s] since the first sample, and `rows`, a slice of the
+        samples.
+
+    Raises:
+        ConfigurationError: The specification is unknown.
+        TrialError: The trial has no such part.
+
     >>> samples = st.open_trial("trials/hold").samples()
     >>> segment = st.select_segment(samples, "10:20")
     >>> segment
@@ -237,14 +291,24 @@ def select_segment(samples: Samples, specification: str = "plateau") -> Segment:
 
 
 def require_segment(specification: str | None) -> str:
-    """The specification of a segment; raises an error for None."""
+    """The specification of a segment, which must be given.
+
+    Raises:
+        ConfigurationError: It is None.
+    """
     if specification is None:
         raise ConfigurationError("segment is None", f"{segments.HINT}, or leave it")
     return specification
 
 
 def select(trial: Trial, segment: str | Segment | None, settings: EstimatorSettings) -> Segment:
-    """The segment itself, or the one that its specification selects."""
+    """The segment itself, or the one that its specification selects.
+
+    Args:
+        trial: The trial.
+        segment: A segment of it, or a specification as in `st.select_segment`; None is refused.
+        settings: Limits of a plateau and the channels left out when one is searched.
+    """
     if isinstance(segment, Segment):
         return segment
     return trial.select(require_segment(segment), settings)
@@ -281,6 +345,13 @@ def simulate(
         calibration: A `calibration.yaml` (default: the package's own, `config/like_paper.yaml` with
             `like_paper`).
         progress: See `Progress`.
+
+    Returns:
+        The new trial, opened as by `st.open_trial`. Its folder also holds the ground truth.
+
+    Raises:
+        ConfigurationError: The scenario or tissue is unknown, a number is out of its range, or the
+            folder exists.
 
     >>> st.simulate("trials/short", "ramp", duration=30, seed=1)
     Trial('trials/short')

@@ -47,12 +47,20 @@ _MAX_FITTED = 12  # trials to fit models on, and trials to test each of them on
 
 @dataclass(frozen=True, repr=False)
 class Validation(Result):
-    """Estimates judged on held-out data; `save` writes the table of `by_trial`."""
+    """Estimates judged on held-out data; `save` writes the table of `by_trial`.
 
-    trials: tuple[str, ...]  # names
-    fitted: tuple[str, ...]  # names of the trials that models were fitted on
+    Attributes:
+        trials: Names of the trials that were read.
+        fitted: Names of those that models were fitted on, at most 12.
+        judgements: The errors of each predictor on each question, test and trial, by cluster where
+            clusters are left out.
+        metadata: Stated metadata of each of `trials`, in their order.
+    """
+
+    trials: tuple[str, ...]
+    fitted: tuple[str, ...]
     judgements: tuple[validation.Judgement, ...]
-    metadata: tuple[TrialMetadata, ...]  # of each trial
+    metadata: tuple[TrialMetadata, ...]
 
     def __repr__(self) -> str:
         return (
@@ -61,17 +69,48 @@ class Validation(Result):
         )
 
     def to_dataframe(self) -> pd.DataFrame:
-        """A row per judgement, see `judgements_table`."""
+        """A row per judgement; no named index.
+
+        Columns:
+
+        - `question`: `cluster` (force on a left-out cluster), `wrench` (from the pose alone) or
+          `tiles` (forces on tiles without a sensor, known from a simulation);
+        - `predictor`: a model variant, `force map`, or a simple rival;
+        - `test`: relation of the samples to those of the fit: `left out`, `in-sample`,
+          `second half` or `other trial`;
+        - `fitted on`, `tested on`: names of the trials; the former is empty without a fit;
+        - `cluster`: the left-out one; empty for all of them together, and for other questions;
+        - `samples [1]`: number of samples;
+        - `error [-]`: of `cluster` and `tiles`, RMSE of the forces over their RMS, 1 if zero is
+          predicted;
+        - `moment RMSE [N m]`, `force RMSE [N]`, `moment skill [-]`, `force skill [-]`: of `wrench`,
+          means over the axes, and their skill against the best constant;
+        - `within 50 % [-]`, `within 80 % [-]`, `within 95 % [-]`: share of the true values inside
+          these intervals of the prediction.
+
+        Figures that a question or a predictor does not have are NaN.
+        """
         return validation.judgements_table(self.judgements)
 
     def summary(self) -> pd.DataFrame:
-        """Means over the trials, a row per question, test and predictor."""
+        """Means over the trials, indexed by `question`, `test` and `predictor`.
+
+        The columns are the numeric ones of `to_dataframe`, with their means over all judgements
+        that take the clusters together; `judged [1]`, the number of these; `worst error [-]`; and
+        `median moment skill [-]` and `median force skill [-]`, which a single bad trial does not
+        affect. NaN as in `to_dataframe`.
+        """
         return validation.summarise_judgements(self.judgements)
 
     def by_trial(self) -> pd.DataFrame:
-        """A row per trial with its metadata and judgements, see `judgements_by_trial`.
+        """A row per trial with its metadata and judgements, indexed by `trial`, its name.
 
-        A trial without judgements has empty cells.
+        Columns: the metadata `subject`, `side`, `socket`, `liner`, `mass [kg]`, `operator`,
+        `protocol` and `trial_notes`, None where not stated; then the figures of `to_dataframe` by
+        question, test and predictor, such as `wrench, second half: rigid_bias force skill [-]`.
+        Figures of the test `other trial` are medians over the models of other trials.
+
+        NaN for a figure that a trial does not have, all of them if it could not be judged.
         """
         stated = [metadata.columns() for metadata in self.metadata]
         table = pd.DataFrame(stated, index=pd.Index(self.trials, name="trial"), dtype=object)
@@ -89,7 +128,12 @@ class Validation(Result):
         return validation_figure(self.judgements, f"{name}: validation", style)
 
     def document(self) -> dict[str, Any]:
-        """The validation for JSON."""
+        """The validation for JSON.
+
+        Returns:
+            The names `trials` and `fitted`; `levels`, the probabilities of the tested intervals
+            [-]; and `judgements`, with the share of the values within each level as `coverage`.
+        """
         return {
             "trials": list(self.trials),
             "fitted": list(self.fitted),
@@ -124,6 +168,17 @@ def validate(
         params: A `testbed.yaml` to use instead of each trial's own.
         progress: See `Progress`.
         choices: `theta`, `smoothness`, `leave_out`, `pose_smoothing` and `solver` as in `fit`.
+
+    Returns:
+        The validation: `summary()` has the means over the trials, `to_dataframe()` every judgement,
+        `by_trial()` a row per trial.
+
+    Raises:
+        ConfigurationError: No trial is given, one is given twice, they are of different sockets, or
+            a setting is wrong.
+        TrialError: A single trial cannot be read or has no such segment; none of several can be
+            judged.
+        IdentificationError: A single trial has too few samples under load to fit and to test.
 
     >>> found = st.validate(st.open_trial("trials/hold"), st.open_trial("trials/walk"))
     >>> found

@@ -57,7 +57,7 @@ def takes(
     Args:
         functions: Functions of the API, such as `fit`, or of a module, such as `batch.run_batch`.
         without: Parameters that are not options of the verb, separated by spaces.
-        exclusive: Mutually exclusive parameters.
+        exclusive: Mutually exclusive parameters, separated by spaces.
         epilog: Text below the options in the help.
     """
     return lambda verb: verb  # `_Module` reads it from the source text
@@ -65,11 +65,23 @@ def takes(
 
 @dataclass(frozen=True)
 class Function:
-    """A function and the arguments of its decorator `takes`."""
+    """A function and the arguments of its decorator `takes`.
+
+    Attributes:
+        summary: First line of its docstring, without the full stop.
+        texts: Descriptions of its parameters, by name, from `Args:` of its docstring.
+        parameters: Its parameters with their defaults; positional ones are `POSITIONAL_ONLY`, the
+            others `KEYWORD_ONLY`. An annotation is a function that returns the type, because a type
+            may need a library that is slow to import.
+        takes: Names of the functions whose options it takes, see `takes`.
+        without: Parameters that are not options of the verb, separated by spaces.
+        exclusive: Mutually exclusive parameters, separated by spaces.
+        epilog: Text below the options in the help.
+    """
 
     summary: str
-    texts: dict[str, str]  # descriptions of the parameters
-    parameters: tuple[Parameter, ...]  # annotations are callables: types may need a library
+    texts: dict[str, str]
+    parameters: tuple[Parameter, ...]
     takes: tuple[str, ...] = ()
     without: str = ""
     exclusive: str = ""
@@ -203,7 +215,11 @@ def _text(name: str, functions: Iterable[Function]) -> str:
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser with one-line errors: what is wrong, then the likely option or the help."""
+    """A parser with one-line errors: what is wrong, then the likely option or the help.
+
+    Attributes:
+        words: The words of the command line, in which an unknown option is looked for.
+    """
 
     words: Sequence[str] = ()
 

@@ -42,7 +42,7 @@ _TRIGGER_RATE = 10.0  # [Hz]
 _REPLAY_SPEED = 5.0  # [-]; relative to the testbed
 _MAX_START_UP = 6.0  # [s] of testbed time; until the first trigger
 _MIN_COMPLETE = 0.9  # [-]; with fewer complete samples the trial is recorded again, slower
-_MIN_USABLE = 0.3  # [-]; likewise, in the last attempt
+_MIN_USABLE = 0.3  # [-]; with fewer complete samples in the last attempt the demo fails
 _MAX_RETRIES = 4
 
 

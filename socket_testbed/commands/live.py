@@ -130,6 +130,9 @@ def doctor(*, press: bool = False, **options: Any) -> None:
     Args:
         press: Ask for a press on each cluster instead, with the limb out of the socket, to check
             its position, its sign, and the load cell's direction.
+
+    Raises:
+        DeviceError: A check failed.
     """
     simulation, faults = simulated(**options)
     testbed = configured(simulation, **options)
@@ -206,6 +209,11 @@ def run(
         view_port: Serve the page on this port.
         time_scale: Speed of the simulated testbed relative to real time, at most 1; auto: as fast
             as the machine allows.
+
+    Raises:
+        ConfigurationError: An option is wrong, or belongs to simulated hardware, a recorded trial
+            or a page that is not asked for.
+        TrialError: A recorded trial is empty, or its recording stopped early.
     """
     if duration is not None:
         check_number(duration, "--duration", 0.1, 1e6)

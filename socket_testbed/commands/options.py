@@ -37,7 +37,12 @@ Shown = TypeVar("Shown", bound="Result")
 
 
 def given(options: Mapping[str, Any], *functions: Callable[..., Any]) -> dict[str, Any]:
-    """The options accepted by some functions, as keywords."""
+    """The options accepted by some functions, as keywords.
+
+    Args:
+        options: Options of a verb, by name of the parameter.
+        functions: The functions that are called with the result.
+    """
     names = {name for function in functions for name in inspect.signature(function).parameters}
     return {name: value for name, value in options.items() if name in names}
 
@@ -75,9 +80,17 @@ def open_checked(trial: Path, **options: Any) -> Trial:
 
 
 def report_data(trial: Trial, good: bool = True, leave_out: Sequence[str] | None = None) -> str:
-    """Report whether a trial's data is good, or the findings; returns the first one.
+    """Report whether a trial's data is good, or the findings, as notes of the trial.
 
     For an unreadable trial, the error is left to the verb.
+
+    Args:
+        trial: The trial.
+        good: Whether to report good data too.
+        leave_out: Channels that are not checked; None stands for those of the trial's settings.
+
+    Returns:
+        The worst finding, or that the data is good; empty for an unreadable trial.
     """
     try:
         left = None if leave_out is None else tuple(leave_out)
@@ -97,7 +110,12 @@ def check_settings(options: Mapping[str, Any]) -> None:
 
 
 def open_all(paths: Sequence[Path], options: Mapping[str, Any]) -> list[Trial]:
-    """The trials at some paths, whose notes name them; a folder stands for all trials in it."""
+    """The trials at some paths, whose notes name them.
+
+    Args:
+        paths: Folders of trials; a folder of several stands for all trials in it.
+        options: Options of a verb, of which those of `open_given` count.
+    """
 
     def named(trial: Trial) -> Callable[[str], None]:
         own = f"{trial.name}: "
@@ -109,7 +127,16 @@ def open_all(paths: Sequence[Path], options: Mapping[str, Any]) -> list[Trial]:
 
 
 def refuse_given(options: Mapping[str, Any], belongs: str, hint: str) -> None:
-    """Raise an error for options without meaning in this call."""
+    """Raise an error for options without meaning in this call.
+
+    Args:
+        options: These options; None and an unchanged tare count as not given.
+        belongs: What they are for, in words.
+        hint: What to do, for the error.
+
+    Raises:
+        ConfigurationError: One of them is given.
+    """
     for name, value in options.items():
         if value not in (None, RECORDED):
             raise ConfigurationError(f"{option_of(name)} is for {belongs}", hint)
@@ -118,7 +145,14 @@ def refuse_given(options: Mapping[str, Any], belongs: str, hint: str) -> None:
 def check_files(
     output: Path | None, figure: Path | None = None, *, replace: bool, table: bool = True
 ) -> None:
-    """Refuse an unsupported format or an existing file before long work."""
+    """Refuse an unsupported format or an existing file before long work.
+
+    Args:
+        output: The output file; None for none.
+        figure: The picture; None for none.
+        replace: Whether to accept existing files.
+        table: Whether the output must be a table: `.csv`, `.parquet` or `.mat`.
+    """
     if output is not None and table:
         check_suffix(output, TABLES, "table")
     if figure is not None:
@@ -181,7 +215,12 @@ def on_trial(
 ) -> None:
     """Run a function of the API on a trial and deliver its result.
 
-    The function receives its own options and those of `settings`.
+    Args:
+        trial: Folder of the trial.
+        options: Options of the verb, by name.
+        work: The function; it receives the trial, and its own options and those of `settings`.
+        show: Prints the result.
+        settings: Further functions whose options it takes.
     """
     check_files(options.get("output"), options.get("figure"), replace=options["replace"])
     opened = open_checked(trial, **options)
@@ -190,7 +229,12 @@ def on_trial(
 
 
 def segment_columns(samples: int, segment: Segment) -> Row:
-    """Summary columns: number of samples and segment of a trial."""
+    """Summary columns: number of samples and segment of a trial.
+
+    Args:
+        samples: Number of samples used.
+        segment: The segment; its start and end are in seconds since the trial's first sample.
+    """
     return {
         "samples": samples,
         "segment": segment.kind,
@@ -200,7 +244,11 @@ def segment_columns(samples: int, segment: Segment) -> Row:
 
 
 def check_metadata(options: Mapping[str, Any]) -> TrialMetadata:
-    """The metadata among the options; errors name the wrong option."""
+    """The metadata among the options.
+
+    Raises:
+        ConfigurationError: A value is wrong; the error names its option.
+    """
     stated = {name: options[name] for name in FIELDS}
     try:
         return change_metadata(TrialMetadata(), stated, options.get("remove", ()))
@@ -214,7 +262,16 @@ def typed_command() -> str:
 
 
 def name_and_value(word: str, option: str, example: str) -> tuple[str, str]:
-    """The parts of an option's NAME=VALUE."""
+    """The parts of an option's NAME=VALUE.
+
+    Args:
+        word: The word given.
+        option: The option, for the error, such as `--fault`.
+        example: A correct word, for the error.
+
+    Raises:
+        ConfigurationError: The word has no name, no value or no equals sign.
+    """
     name, _, value = word.partition("=")
     if not name or not value:
         raise ConfigurationError(f"{option}: '{word}' is not NAME=VALUE", f"write it as {example}")
@@ -232,14 +289,22 @@ class TrialVerb(Generic[R]):
 
     Its functions are module-level, so that workers can import them; they receive the verb's options
     by name, including `output`.
+
+    Attributes:
+        name: The verb.
+        suffix: Suffix of the outputs of a folder of trials, such as `.pressure.csv`.
+        work: Computes the result of a trial and writes the output.
+        row: The result's row of the summary of a folder: values by column name with the unit.
+        show: Prints the result of a single trial.
+        metadata: Metadata fields that the outputs depend on: a trial is repeated if they change.
     """
 
     name: str
-    suffix: str  # of the outputs of a folder of trials
-    work: Callable[[Trial, Mapping[str, Any]], R]  # writes the output
-    row: Callable[[R], Row]  # of the summary
-    show: Callable[[R, Mapping[str, Any]], None]  # prints the result of a single trial
-    metadata: tuple[str, ...] = ()  # metadata fields that the outputs depend on
+    suffix: str
+    work: Callable[[Trial, Mapping[str, Any]], R]
+    row: Callable[[R], Row]
+    show: Callable[[R, Mapping[str, Any]], None]
+    metadata: tuple[str, ...] = ()
 
 
 @takes("commands.options.open_given", exclusive="jobs dask")
@@ -263,6 +328,10 @@ def on_trials(
         dask: Use the workers of a Dask cluster instead, by the address of its scheduler.
         again: Repeat finished trials.
         replace: Replace existing outputs.
+
+    Raises:
+        ConfigurationError: A folder of trials has no output folder, or an option that needs a
+            single trial, or a single trial has one that needs a folder.
     """
     options |= {"output": output, "replace": replace}
     json, figure = options.get("json"), options.get("figure")

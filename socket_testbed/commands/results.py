@@ -58,6 +58,9 @@ def fit(trial: Path, *, output: Path, **options: Any) -> None:
 
     Args:
         output: File of the model, or the folder of the models of a folder of trials.
+
+    Raises:
+        ConfigurationError: The output has the suffix of a table, a page or a picture.
     """
     if output.suffix.lower() in (*TABLES, *PAGES, *PICTURES):
         raise ConfigurationError(f"{output}: a model is not a {output.suffix}", "name a .json")
@@ -263,7 +266,7 @@ def _show_paper(found: PaperTable) -> None:
 
 
 def errors_table(errors: Sequence[ChannelErrors]) -> str:
-    """RMSE, MAE, sigma and skill per channel, with means and medians."""
+    """RMSE, MAE and sigma [N m, N] and skill [-] per channel, with means and medians, as text."""
     frame = errors_to_dataframe(errors).drop(columns="samples")
     frame[""] = frame.pop("in objective").map({True: "", False: "not in objective"})
     summary = summarise_errors(errors)
@@ -286,7 +289,13 @@ def error_columns(
 ) -> Row:
     """Error columns for a summary: the paper's figures, median skills, then every channel.
 
-    Median skills come from the errors in `judged`, keyed by the suffix of the columns' names.
+    Args:
+        errors: Errors of every channel in its unit [N m, N].
+        judged: Errors that median skills come from, by the suffix of their columns' names, such as
+            `_in_sample`.
+
+    Returns:
+        Values by column name with the unit, such as `Fz_rmse [N]`; None where unknown.
     """
     row: Row = {**quoted_figures(errors)}
     for suffix, channels in judged.items():
@@ -321,6 +330,9 @@ def pressure(
             cycles run from each event of a label to the next, such as 'stance', or between two
             labels, such as 'stance:swing'. Usually with --segment all.
         figure: Draw unrolled maps, mean and at the peak, and regions over time.
+
+    Raises:
+        ConfigurationError: A table over time is asked for without an output.
     """
     if over_time and options["output"] is None:
         raise ConfigurationError("--over-time has no output", "name its table with -o FILE.csv")
@@ -373,7 +385,7 @@ def _pressure_row(found: TrialPressure) -> Row:
 
 
 def pressure_tables(found: TrialPressure) -> str:
-    """Tables of the outputs of regions and of tiles under a cluster."""
+    """Tables of the outputs of regions, of tiles under a cluster and of the limb, as text."""
     geometry, outputs = found.trial.geometry, found.outputs
     names = [place.name for place in found.places]
     regions = cells(names, outputs.regions, share=found.share).rename_axis("region")
@@ -402,7 +414,10 @@ def pressure_tables(found: TrialPressure) -> str:
 
 
 def pressure_columns(found: TrialPressure) -> Row:
-    """Summary columns: outputs of the socket with their intervals."""
+    """Summary columns: outputs of the whole socket with the ends of their 95 % intervals.
+
+    Values by column name with the unit, such as `peak pressure low [kPa]`; None where unknown.
+    """
     socket = found.regions.iloc[-1]
     ends = (interval_end(title, end) for title in TITLES for end in ("low", "high"))
     return {name: finite_or_null(socket[name]) for name in (*TITLES, *ends)}

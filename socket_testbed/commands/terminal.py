@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     from socket_testbed.nodes.controls import StatusListener
 
 _DRAW_INTERVAL = 0.5  # [s]
-_STATUS_LOG_INTERVAL = 60.0  # [s]; without a terminal
-_PROGRESS_LOG_INTERVAL = 10.0  # [s]; likewise
+_STATUS_LOG_INTERVAL = 60.0  # [s]; between status lines without a terminal
+_PROGRESS_LOG_INTERVAL = 10.0  # [s]; between progress lines without a terminal
 _SILENCE_LIMIT = 5.0  # [s]; without a trigger
 _STDIN = 0
 _CHUNK = 1 << 14  # [B]; of the nodes' output
@@ -39,7 +39,12 @@ _CLEAR = "\x1b[K"  # to the end of the line
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table with numbers right-aligned and text left-aligned."""
+    """A table with numbers right-aligned and text left-aligned.
+
+    Args:
+        header: Titles of the columns.
+        rows: Cells of each row, one per column.
+    """
     columns = []
     for title, *cells in zip(header, *rows, strict=True):
         width = max(map(len, (title, *cells)))
@@ -60,7 +65,12 @@ def _is_number(cell: str) -> bool:
 
 
 def decimals(value: float, digits: int = 3) -> str:
-    """A number with fixed decimals; a dash for a missing one."""
+    """A number with fixed decimals; a dash for one that is not finite.
+
+    Args:
+        value: The number, in any unit.
+        digits: Number of decimals.
+    """
     return _in_ascii(number(value, f"z.{digits}f"))
 
 
@@ -74,7 +84,7 @@ def say(line: str) -> None:
 
 
 class Progress:
-    """The progress of long work, as a line on standard error."""
+    """The progress of long work, as a line on standard error; see `Progress` of the API."""
 
     def __init__(self, task: str) -> None:
         self._task = task
@@ -82,7 +92,12 @@ class Progress:
         self._shown = False
 
     def __call__(self, done: int, total: int) -> None:
-        """Report the number of steps done."""
+        """Report progress, at most twice a second, without a terminal every ten seconds.
+
+        Args:
+            done: Number of steps done.
+            total: Number of all steps.
+        """
         terminal, end = sys.stderr.isatty(), done == total
         passed = time.monotonic() - self._last
         interval = _DRAW_INTERVAL if terminal else _PROGRESS_LOG_INTERVAL
@@ -243,7 +258,13 @@ class StatusLine:
 def status_parts(
     status: GraphStatus, duration: float | None = None, disk: Path | None = None
 ) -> list[str]:
-    """A status in words, the most important first; of a replay with its duration [s]."""
+    """A status in words, the most important first.
+
+    Args:
+        status: What was heard of the graph: times [s], and the newest wrench [M; F] [N m, N].
+        duration: Duration of a replayed trial [s]; None without an end.
+        disk: Folder whose free disk space is shown; None to show none.
+    """
     elapsed = duration_text(status.elapsed)
     if duration is not None:
         elapsed += f" of {duration_text(duration)}"
@@ -268,7 +289,12 @@ def status_parts(
 
 
 def fitted(parts: Sequence[str], columns: int) -> str:
-    """As many whole parts as fit into a line of the given number of columns."""
+    """As many whole parts as fit into a line.
+
+    Args:
+        parts: The parts, the most important first; the first one is cut if it is too long.
+        columns: Number of columns of the terminal.
+    """
     line = parts[0]
     for part in parts[1:]:
         # The last column stays free: some terminals wrap after it.

@@ -47,14 +47,34 @@ Document = dict[str, Any]
 
 
 def numbers(values: FloatArray, decimals: int = 2) -> list[Any]:
-    """Numbers of any shape for JSON, null where not finite."""
+    """Numbers for JSON, as nested lists.
+
+    Args:
+        values: Numbers of any shape with at least one axis.
+        decimals: Decimals to round to.
+
+    Returns:
+        Lists nested like the axes of the values, None where a value is not finite.
+    """
     rounded = np.round(np.asarray(values, dtype=np.float64), decimals).astype(object)
     rounded[~np.isfinite(np.asarray(values, dtype=np.float64))] = None
     return list(rounded.tolist())
 
 
 def socket_document(geometry: SocketGeometry, side: Side | None = None) -> Document:
-    """The socket: surface grids, tiles, clusters and names of its parts."""
+    """The socket: surface grids, tiles, clusters and names of its parts.
+
+    Args:
+        geometry: The socket of n tiles.
+        side: The leg, which turns left and right into medial and lateral; None if unknown.
+
+    Returns:
+        `names` of the tiles and `clusters` (tile index by name); `on_wall`, `places` (n, 2) and
+        closed `corners` (n, 5, 2) as in `UnrolledTiles` [deg, mm], `squares` (n, 5, 3) in {S} [mm];
+        `sides`, the directions from -180 to 180 degrees; `sectors`, the borders of the sectors
+        [deg]; `heights`, from distal to proximal, and `thirds`, the edges of these [mm];
+        `proximal`, a unit vector in {S}; the user's `regions`; the colour scale; and `patches`.
+    """
     tiles = unrolled_tiles(geometry)
     return {
         "names": geometry.names,
@@ -76,6 +96,7 @@ def socket_document(geometry: SocketGeometry, side: Side | None = None) -> Docum
 
 
 def _patch(patch: Patch) -> Document:
+    """A grid of the surface [deg, mm]; its weights are 16-bit integers of a `unit`, in base 64."""
     weights = (patch.weights / _UNIT).round().astype("<i2")
     return {
         "name": patch.name,
@@ -95,9 +116,21 @@ def moment(
     measured: FloatArray,
     grey: FloatArray | None = None,
 ) -> Document:
-    """Stresses on tiles (n,) [Pa] and measured cluster pressures (c,) [Pa] at a time [s].
+    """Stresses on n tiles and measured pressures of c clusters at a time, in kPa for the page.
 
-    `reach` is that of the 95 % intervals of the pressures, `grey` their `greyness` by default.
+    Args:
+        time: Time since the first sample [s].
+        pressure: Normal pressure on the tiles, positive in compression, shape (n,) [Pa].
+        reach: Half-widths of its 95 % intervals, shape (n,) [Pa].
+        shear: Magnitude of the shear on the tiles, shape (n,) [Pa]; empty if it is not shown.
+        measured: Measured normal pressure of the clusters, shape (c,) [Pa], NaN where missing;
+            empty if it is not shown.
+        grey: How grey each tile is drawn, 0 (full colour) to 1, shape (n,) [-]; by default the
+            `greyness` of its pressure.
+
+    Returns:
+        The keys `time` [s], `pressure`, `reach`, `shear` and `measured` [kPa], and `grey` [-], None
+        where unknown.
     """
     return {
         "time": round(time, 3),
@@ -110,14 +143,29 @@ def moment(
 
 
 def moments(time: FloatArray, outputs: PressureOutputs, geometry: SocketGeometry) -> list[Document]:
-    """A moment for each of the N samples of some outputs, at times [s]."""
+    """A `moment` for each of the N samples of some outputs.
+
+    Args:
+        time: Times of the samples since the first one of the trial, shape (N,) [s].
+        outputs: Pressure outputs of these samples.
+        geometry: The socket.
+    """
     found, measured = outputs.estimate, measured_pressure(outputs.samples, geometry)
     stresses = found.normal_pressure, found.pressure_reach, found.shear
     return [moment(*row) for row in zip(time.tolist(), *stresses, measured, strict=True)]
 
 
 def wrench_rows(measured: FloatArray, predicted: FloatArray) -> list[list[str]]:
-    """Rows of a table of two wrenches [M; F], shape (6,) [N m, N]."""
+    """Rows of a table of two wrenches, the first one its heading.
+
+    Args:
+        measured: Measured wrench [M; F] in {S}, shape (6,) [N m, N]; NaN where missing.
+        predicted: Wrench [M; F] in {S} predicted by a model, shape (6,) [N m, N]; NaN without one.
+
+    Returns:
+        Rows of the channel with its unit, the measured and the predicted value, as texts with two
+        decimals, `none` for NaN.
+    """
     rows = [["", "measured", "predicted"]]
     for name, *values in zip(WRENCH_CHANNELS, measured.tolist(), predicted.tolist(), strict=True):
         shown = [f"{value:.2f}" if np.isfinite(value) else "none" for value in values]
@@ -126,7 +174,16 @@ def wrench_rows(measured: FloatArray, predicted: FloatArray) -> list[list[str]]:
 
 
 def measured_pressure(samples: Samples, geometry: SocketGeometry) -> FloatArray:
-    """Measured pressure of every cluster of the socket, NaN where missing, (N, c) [Pa]."""
+    """Measured normal pressure of every cluster of the socket.
+
+    Args:
+        samples: The N samples; values whose status is not OK count as missing.
+        geometry: The socket with its c clusters, which may be more than those of the samples.
+
+    Returns:
+        Pressures, positive in compression, shape (N, c) [Pa], in the order of `geometry.clusters`;
+        NaN where missing.
+    """
     found = np.full((len(samples), len(geometry.clusters)), np.nan)
     for column, name in enumerate(geometry.clusters):
         if name in samples.clusters:
@@ -136,7 +193,16 @@ def measured_pressure(samples: Samples, geometry: SocketGeometry) -> FloatArray:
 
 
 def trial_document(trial: Trial, outputs: PressureOutputs, time: FloatArray) -> Document:
-    """The socket of a trial, and its course from outputs at some times [s]."""
+    """The socket of a trial, and its course.
+
+    Args:
+        trial: The trial.
+        outputs: Pressure outputs at N of its samples, whose last region is the socket.
+        time: Times of these samples since the first one of the trial, shape (N,) [s].
+
+    Returns:
+        `socket` as in `socket_document` and `course` as in `course`.
+    """
     force = axial_force(trial.geometry, outputs.samples.wrench)
     peak = outputs.series.peak.part((..., -1))
     events = [(event.time, event.label) for event in trial.events()]
@@ -149,9 +215,18 @@ def trial_document(trial: Trial, outputs: PressureOutputs, time: FloatArray) -> 
 def course(
     time: FloatArray, force: FloatArray, peak: Quantity, events: Iterable[tuple[float, str]]
 ) -> Document:
-    """Force along the socket (N,) [N] and the socket's peak pressure (N,) [Pa] over time [s].
+    """Force along the socket and peak pressure of the socket over time.
 
-    Labels with too many events, such as steps, are not marked.
+    Args:
+        time: Times of N samples since the first one of the trial, ascending, shape (N,) [s].
+        force: Force of the limb along the socket, positive under load, shape (N,) [N].
+        peak: Highest pressure of a tile with its 95 % interval, shape (N,) [Pa].
+        events: Times [s] and labels of events; a label with more than 20, such as steps, is left
+            out.
+
+    Returns:
+        `time` [s], `force` [N], `peak` with `low` and `high` [kPa], and `events` with `time` [s]
+        and `label`; None where unknown.
     """
     listed = [*events]
     counts = Counter(label for _, label in listed)
@@ -166,7 +241,16 @@ def course(
 
 
 def bars(places: Sequence[Region], outputs: RegionOutputs) -> Document:
-    """Outputs of the regions except parts of sectors, with 95 % intervals, by title."""
+    """Outputs of the regions except parts of sectors, with 95 % intervals, by title.
+
+    Args:
+        places: The R regions.
+        outputs: Outputs of these regions, shape (R,).
+
+    Returns:
+        `regions`, the r names shown; `values`, by title with the unit, such as `shear [kPa]`, lists
+        of value, low and high, (r, 3); and `decimals` to show, by title.
+    """
     shown = [i for i, place in enumerate(places) if place.name not in SECTOR_PARTS]
     found = {title: read_column(outputs, title) for title in _BAR_TITLES}
     values = {
@@ -185,10 +269,19 @@ def cards(
     measured: FloatArray,
     when: str = "",
 ) -> list[Document]:
-    """Cards of the peak, and of the highest pressure away from sensors, with `when` in the title.
+    """Cards of the peak, and of the highest pressure away from sensors.
 
-    `outputs` holds R regions; `pressure` is that on the tiles at the peak, shape (n,) [Pa], and
-    `measured` that of the clusters, shape (c,) [Pa].
+    Args:
+        geometry: The socket of n tiles and c clusters.
+        places: The R regions, the socket among them.
+        outputs: Outputs of these regions, shape (R,).
+        pressure: Normal pressure on the tiles at the peak, shape (n,) [Pa].
+        measured: Measured pressure of the clusters at the peak, in the order of
+            `geometry.clusters`, shape (c,) [Pa]; NaN where missing.
+        when: Words that end the titles, such as ` at this moment`.
+
+    Returns:
+        Cards as in `pressure_card`; the second one only if a tile has no cluster.
     """
     names = [place.name for place in places]
     top = int(pressure.argmax())
@@ -210,14 +303,31 @@ def cards(
 def pressure_card(
     title: str, value: Any, low: Any, high: Any, words: str, sign: str = "-"
 ) -> Document:
-    """Card of a pressure or of a difference, with its interval [kPa]."""
+    """Card of a pressure or of a difference, with its interval.
+
+    Args:
+        title: Heading of the card.
+        value: The pressure or difference [kPa].
+        low: Lower end of its 95 % interval [kPa].
+        high: Upper end of its 95 % interval [kPa].
+        words: A line below the number.
+        sign: `+` to show the sign of a positive value, `-` not to.
+
+    Returns:
+        The texts `title`, `value`, `interval` and `words`.
+    """
     spec = f"z.{decimals_of('peak pressure [kPa]')}f"
     number = {"value": f"{value:{sign}{spec}} kPa", "interval": f"{low:{spec}} to {high:{spec}}"}
     return {"title": title, **number, "words": words}
 
 
 def check_card(findings: Sequence[DataFinding], notes: Sequence[str]) -> Document:
-    """Card of the data check, with the notes on a good recording."""
+    """Card of the data check, with the notes on a good recording.
+
+    Args:
+        findings: Defects of the data, the worst first; empty for good data.
+        notes: Notes on the recording; the first one is shown if there is no defect.
+    """
     problems = [f"{found.fact}; {found.hint}" for found in findings]
     value = f"look at {findings[0].source}" if findings else ""
     good = "nothing implausible in any source"
@@ -225,7 +335,16 @@ def check_card(findings: Sequence[DataFinding], notes: Sequence[str]) -> Documen
 
 
 def data_card(problems: Sequence[str], good: str, value: str = "look") -> Document:
-    """Card of the data: the first problem and the number of others, or words for good data."""
+    """Card of the data: the first problem and the number of others, or words for good data.
+
+    Args:
+        problems: Problems in words, the worst first.
+        good: The words if there is none.
+        value: The large word above a problem.
+
+    Returns:
+        The texts `title`, `value` and `words`, and `bad`, true only if there is a problem.
+    """
     if not problems:
         return {"title": "Data", "value": "good", "words": good}
     return {"title": "Data", "value": value, "words": first_of(problems), "bad": True}

@@ -17,12 +17,16 @@ _COURSE_SAMPLES = 400
 
 
 class Player:
-    """A trial as a `Source` of the page: map and outputs are computed on demand.
-
-    A model may have predicted its channels, shape (N, 6 + 3c).
-    """
+    """A trial as a `Source` of the page: map and outputs are computed on demand."""
 
     def __init__(self, trial: Trial, predicted: FloatArray | None = None) -> None:
+        """Compute the force map's prior and the course of a trial.
+
+        Args:
+            trial: The trial of N samples.
+            predicted: A model's predictions of all its channels, shape (N, 6 + 3c) [N m, N], of
+                which the page shows the wrench; None without a model.
+        """
         self._samples = samples = trial.samples()
         self._mapped = mapped_trial(trial, trial.estimator)
         self._data = document.check_card(trial.problems(), trial.notes)
@@ -38,11 +42,21 @@ class Player:
         }
 
     def start(self) -> document.Document:
-        """The socket, the course, and the time of the peak, where the page opens."""
+        """The socket, the course, and the time of the peak, where the page opens.
+
+        Returns:
+            `socket` and `course` as in `document.trial_document`, `title`, `facts` (the stated
+            metadata), and `start` and `end`, times of the peak and of the last sample [s].
+        """
         return self._start
 
     def now(self, time: float | None) -> document.Document:
-        """The latest sample at a time since the first one [s]."""
+        """The latest sample at a time since the first one [s]; None stands for 0.
+
+        Returns:
+            `moment` and `cards`, and with a measured sample at this time `bars` and `wrench`, see
+            `document`.
+        """
         at, samples, mapped = time or 0.0, self._samples, self._mapped
         row = sample_at(samples.time, at)
         if row is None or not measured_rows(mapped.samples[row : row + 1])[0]:
@@ -63,5 +77,13 @@ class Player:
         }
 
     def act(self, what: str, given: dict[str, Any]) -> str:
-        """A recorded trial has no services."""
+        """A recorded trial has no services.
+
+        Args:
+            what: Name of the button.
+            given: Its values.
+
+        Raises:
+            ConfigurationError: Always.
+        """
         raise ConfigurationError(f"a recorded trial cannot {what}", "watch the running testbed")

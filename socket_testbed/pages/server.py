@@ -33,23 +33,41 @@ class Source(Protocol):
     """Content of a page: a trial or a running testbed; `act` may be called meanwhile."""
 
     def start(self) -> Document:
-        """The socket, and everything else that does not change."""
+        """The socket, and everything else that does not change, as plain data for JSON."""
 
     def now(self, time: float | None) -> Document:
-        """State at a time since the first sample [s], or of the newest sample."""
+        """State at a time since the first sample [s], or if None of the newest sample."""
 
     def act(self, what: str, given: dict[str, Any]) -> str:
-        """Press a button; returns its outcome in one line, or raises a TestbedError."""
+        """Press a button.
+
+        Args:
+            what: Name of the button, such as `tare`.
+            given: Values that the page sends with it, by name.
+
+        Returns:
+            The outcome, one line.
+
+        Raises:
+            TestbedError: It failed; the page shows the line.
+        """
 
 
 class PageServer(ThreadingHTTPServer):
-    """Serves a source on a port (0: any free one) until closed; a context manager.
+    """Serves a source until closed; a context manager.
 
-    `names` are further accepted host names. The page is at `url`; the lock `asking` is held while
-    the source is asked for its state.
+    The page is at `url`; the lock `asking` is held while the source is asked for its state.
     """
 
     def __init__(self, source: Source, host: str, port: int, names: tuple[str, ...] = ()) -> None:
+        """Listen and serve in a thread.
+
+        Args:
+            source: What the page shows.
+            host: Address or name of this machine to listen on; `0.0.0.0` for all addresses.
+            port: Port to listen on; 0 for any free one.
+            names: Further host names under which browsers may open the page.
+        """
         listening = listen(host, port)
         super().__init__((host, port), _Handler, bind_and_activate=False)
         self.socket.close()
@@ -74,8 +92,12 @@ class PageServer(ThreadingHTTPServer):
         """Reason to refuse a request with these Host and Origin headers; empty to accept it.
 
         Pages of other sites may send requests to this machine: they carry that site as Origin, or
-        its name as Host if the name is made to resolve to this machine (DNS rebinding). The local
-        address of the connection is always a valid host.
+        its name as Host if the name is made to resolve to this machine (DNS rebinding).
+
+        Args:
+            hosts: Values of the Host headers; exactly one is accepted.
+            origins: Values of the Origin headers, if any.
+            address: Local address of the connection, always a valid host.
         """
         hosts = [host.lower() for host in hosts]
         names = self._names | {_bracketed(address)}
@@ -189,7 +211,15 @@ def is_local(host: str) -> bool:
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """Listen on an address or name of this machine; port 0 for any free one."""
+    """A socket that listens on an address or name of this machine.
+
+    Args:
+        host: The address or name; `0.0.0.0` for all addresses.
+        port: The port, 0 to 65535; 0 for any free one.
+
+    Raises:
+        ConfigurationError: The address is unknown or of another machine, or the port is taken.
+    """
     check_number(port, "the port of the page", 0, 65535)
     try:
         family, *_, address = socket.getaddrinfo(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -16,33 +17,45 @@ from socket_testbed.identification.force_map import matern
 from socket_testbed.settings.identification import ForceMapSettings
 
 STEP = 0.35  # [-]; of the grid, relative to the edge of a tile
-_MAX_DISTANCE = 1.3  # [-]; likewise; farther from the nearest tile there is no wall
-_KERNEL_WIDTH = 0.7  # [-]; likewise; for smoothing the wall's shape
+_MAX_DISTANCE = 1.3  # [tile edges]; farther from the nearest tile there is no wall
+_KERNEL_WIDTH = 0.7  # [tile edges]; for smoothing the wall's shape
 _NUGGET = 3e-3  # [-]; keeps weights small beyond the outermost tiles
 # Corners of a square of edge 1 in {L}, counter-clockwise about the inward normal.
 _SQUARE = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) / 2.0
 
 
 def side_names(side: Side | None) -> list[str]:
-    """Directions at -180, -90, 0, 90 and 180 degrees on the unrolled wall, by side of the leg."""
+    """Directions at -180, -90, 0, 90 and 180 degrees on the unrolled wall, by side of the leg.
+
+    For a right leg posterior, lateral, anterior, medial, posterior; without a side right and left.
+    """
     names = {turn: name for name, turn in SECTOR_TURNS[side].items()}
     return [names[turn] for turn in (2, 3, 0, 1, 2)]
 
 
 @dataclass(frozen=True, eq=False)
 class UnrolledTiles:
-    """The n tiles as squares of the same areas, on the unrolled wall or on the distal end.
+    """The n tiles as squares of their areas, on the unrolled wall or on the distal end.
 
-    Positions on the wall are the angle from anterior towards left [deg], unwrapped around the
-    tile's centre, and the height above the distal end; those on the end, seen from inside, are
-    towards right and towards anterior [mm].
+    A position on the wall is the angle from anterior towards left [deg] and the height above the
+    distal end [mm]; one on the end, seen from inside, points towards right and anterior [mm].
+
+    Attributes:
+        around: The socket's axis in {S}.
+        on_wall: Which tiles are on the wall, shape (n,); the others are on the end.
+        squares: Corners in {S} at (-x, -y), (+x, -y), (+x, +y) and (-x, +y) of the tile's frame,
+            turned with its cluster, shape (n, 4, 3) [m].
+        places: Positions of the centres on the wall or end, shape (n, 2) [deg, mm] or [mm, mm].
+        corners: Positions of the corners on the wall or end, in the order of `squares`, shape
+            (n, 4, 2) [deg, mm] or [mm, mm]. Angles are within half a turn of the centre's, so
+            that they may lie beyond +-180.
     """
 
     around: SocketAxis
-    on_wall: BoolArray  # (n,); the others are on the end
-    squares: FloatArray  # (n, 4, 3) in {S} [m]; corners (-x, -y), (+x, -y), (+x, +y), (-x, +y)
-    places: FloatArray  # (n, 2), of the centres
-    corners: FloatArray  # (n, 4, 2)
+    on_wall: BoolArray
+    squares: FloatArray
+    places: FloatArray
+    corners: FloatArray
 
 
 def unrolled_tiles(geometry: SocketGeometry) -> UnrolledTiles:
@@ -62,53 +75,116 @@ def unrolled_tiles(geometry: SocketGeometry) -> UnrolledTiles:
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """A part of the surface on a grid of w x h points."""
+    """A part of the surface on a grid of w x h points.
 
-    name: str  # `wall`, unrolled, or `end`, seen from inside with anterior up
-    x: FloatArray  # (w,); as in `UnrolledTiles`
-    y: FloatArray  # (h,)
-    points: FloatArray  # (h, w, 3) in {S} [m]; NaN without wall
-    weights: FloatArray  # (h, w, n) [-]; of the tiles' values at a point
+    Attributes:
+        name: `wall`, unrolled, or `end`, seen from inside with anterior up.
+        x: Columns of the grid, shape (w,): on the wall angles from anterior towards left, from -180
+            to 180 [deg], on the end distances from the axis towards right [mm].
+        y: Rows of the grid, shape (h,): on the wall heights above the distal end, on the end
+            distances from the axis towards anterior [mm].
+        points: The points in {S}, shape (h, w, 3) [m]; NaN where there is no wall.
+        weights: Weights of the n tiles' values in the value at each point, shape (h, w, n) [-];
+            they add up to 1 and may be negative.
+    """
+
+    name: str
+    x: FloatArray
+    y: FloatArray
+    points: FloatArray
+    weights: FloatArray
 
 
 def patches(geometry: SocketGeometry, step: float = STEP) -> Iterator[Patch]:
-    """Grids of the wall and the distal end, where they have tiles; `step` is relative to the edge.
+    """Grids of the wall and the distal end, where they have tiles.
 
     The value at a point is its expected value given those of the tiles, under a Gaussian process
     with the correlation of the force map (Matern 3/2 by distance, of the default length).
+
+    Args:
+        geometry: The socket.
+        step: Usual distance of neighbouring points, relative to the edge of the median tile [-].
+
+    Yields:
+        The wall, then the distal end.
     """
-    around, edge = socket_axis(geometry), float(np.median(np.sqrt(geometry.areas)))
-    on_wall, heights = wall_tiles(geometry, around), around.heights(geometry.anchors)
-    radii = around.radii(geometry.anchors)
-    radius = float(radii.max())
+    around = socket_axis(geometry)
+    on_wall = wall_tiles(geometry, around)
+    edge = float(np.median(np.sqrt(geometry.areas)))
+    radius = float(around.radii(geometry.anchors).max())
     if on_wall.any():
-        wall, radii = heights[on_wall], radii[on_wall]
-        low, high = max(wall.min() - 0.5 * edge, 0.0), wall.max() + 0.5 * edge
-        size = np.median(radii)
-        x = np.linspace(-np.pi, np.pi, 2 * max(8, round(np.pi * size / edge / step)))
-        y = np.linspace(low, high, max(4, round((high - low) / edge / step)))
-        angle, height = np.reshape(np.meshgrid(x, y), (2, -1))  # row by row
-        apart = np.subtract.outer(angle, around.angles(geometry.anchors[on_wall]))
-        across = np.angle(np.exp(1j * apart)) * size
-        r = _smooth(np.hypot(across, np.subtract.outer(height, wall)) / edge, radii)
-        outwards = np.cos(angle)[:, None] * around.anterior + np.sin(angle)[:, None] * around.left
-        points = around.end + height[:, None] * around.proximal + r[:, None] * outwards
-        yield _patch("wall", geometry, np.degrees(x), 1e3 * y, points, edge)
-        radius = float(r[: len(x)].mean())
+        wall = _wall_patch(geometry, around, on_wall, edge, step)
+        yield wall.patch
+        radius = wall.lower_radius
     if not on_wall.all():
-        line = np.linspace(-radius, radius, 2 * max(12, round(radius / edge / step)) + 1)
-        right, up = np.reshape(np.meshgrid(line, line), (2, -1))
-        offset = geometry.anchors[(heights < edge) | ~on_wall] - around.end
-        flat = np.column_stack([-offset @ around.left, offset @ around.anterior])
-        z = _smooth(cdist(np.column_stack([right, up]), flat) / edge, offset @ around.proximal)
-        directions = np.stack([-around.left, around.anterior, around.proximal])
-        points = around.end + np.column_stack([right, up, z]) @ directions
-        points[np.hypot(right, up) > radius * (1.0 + 1e-9)] = np.nan
-        yield _patch("end", geometry, 1e3 * line, 1e3 * line, points, edge)
+        yield _end_patch(geometry, around, on_wall, edge, radius, step)
+
+
+class _Wall(NamedTuple):
+    """The wall's grid, and the mean radius of its lowest row, where the distal end begins [m]."""
+
+    patch: Patch
+    lower_radius: float
+
+
+def _wall_patch(
+    geometry: SocketGeometry, around: SocketAxis, on_wall: BoolArray, edge: float, step: float
+) -> _Wall:
+    """The unrolled wall: a full turn by the heights of its tiles and half an edge [m] beyond them.
+
+    Its radius at a point is that of the nearby tiles, smoothed by their distance along the wall.
+    """
+    anchors = geometry.anchors[on_wall]
+    heights, radii = around.heights(anchors), around.radii(anchors)
+    low = max(heights.min() - 0.5 * edge, 0.0)
+    high = heights.max() + 0.5 * edge
+    size = np.median(radii)
+    columns = 2 * max(8, round(np.pi * size / edge / step))
+    rows = max(4, round((high - low) / edge / step))
+    x = np.linspace(-np.pi, np.pi, columns)
+    y = np.linspace(low, high, rows)
+    angle, height = np.reshape(np.meshgrid(x, y), (2, -1))  # row by row
+    apart = np.subtract.outer(angle, around.angles(anchors))
+    across = np.angle(np.exp(1j * apart)) * size
+    along = np.subtract.outer(height, heights)
+    radius = _smooth(np.hypot(across, along) / edge, radii)
+    outwards = np.cos(angle)[:, None] * around.anterior + np.sin(angle)[:, None] * around.left
+    points = around.end + height[:, None] * around.proximal + radius[:, None] * outwards
+    patch = _patch("wall", geometry, np.degrees(x), 1e3 * y, points, edge)
+    return _Wall(patch, lower_radius=float(radius[:columns].mean()))
+
+
+def _end_patch(
+    geometry: SocketGeometry,
+    around: SocketAxis,
+    on_wall: BoolArray,
+    edge: float,
+    radius: float,
+    step: float,
+) -> Patch:
+    """The distal end: a disc of a radius [m], seen from inside with anterior up.
+
+    Its height at a point is that of the nearby tiles, smoothed by their distance across the axis.
+    """
+    count = 2 * max(12, round(radius / edge / step)) + 1
+    line = np.linspace(-radius, radius, count)
+    right, up = np.reshape(np.meshgrid(line, line), (2, -1))
+    nearby = (around.heights(geometry.anchors) < edge) | ~on_wall
+    offset = geometry.anchors[nearby] - around.end
+    flat = np.column_stack([-offset @ around.left, offset @ around.anterior])
+    apart = cdist(np.column_stack([right, up]), flat)
+    height = _smooth(apart / edge, offset @ around.proximal)
+    directions = np.stack([-around.left, around.anterior, around.proximal])
+    points = around.end + np.column_stack([right, up, height]) @ directions
+    points[np.hypot(right, up) > radius * (1.0 + 1e-9)] = np.nan
+    return _patch("end", geometry, 1e3 * line, 1e3 * line, points, edge)
 
 
 def _smooth(apart: FloatArray, values: FloatArray) -> FloatArray:
-    """Smooth tile values over points, by the distances between them in tile edges."""
+    """Smooth k tile values (k,) over p points, by the distances between them in tile edges (p, k).
+
+    The result has the unit of the values and the shape (p,).
+    """
     weights = np.exp(-0.5 * (apart / _KERNEL_WIDTH) ** 2) + 1e-9 / (1.0 + apart**2)
     return np.asarray((weights @ values) / weights.sum(axis=1))
 

@@ -87,7 +87,12 @@ def _kept(front: Front) -> tuple[IntArray, FloatArray]:
 
 
 def marks_table(fronts: Iterable[Front]) -> Table:
-    """The marked solutions of each front."""
+    """The marked solutions of each front, three rows each: sensor-only, knee and wrench-only.
+
+    The table is indexed by `variant`. Its columns are `solution`, `theta [-]`, both normalised
+    errors [-], the paper's mean and median RMSE [N m, N], and a `remark`. Numbers are NaN where a
+    front has no such solution; the remark then says why, otherwise whether it is dominated.
+    """
     columns = [*FIGURES.values()][:-1]  # without the residual
     rows = []
     for front in fronts:
@@ -112,6 +117,11 @@ def pareto_figure(fronts: Iterable[Front], title: str, style: FigureStyle) -> Fi
     """Draw both normalised errors of at most two fronts on logarithmic axes.
 
     Dominated solutions are faint; flawed ones are not shown.
+
+    Args:
+        fronts: The fronts.
+        title: Title of the figure.
+        style: Print layout.
     """
     columns = 2 if style.is_narrow else 3
     figure = style.figure(_ASPECT * style.width + 30.0 - 6.0 * columns)

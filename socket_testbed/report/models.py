@@ -180,7 +180,7 @@ def _remark(labels: Sequence[str], errors: Sequence[ChannelErrors]) -> str:
 
 
 Shown: TypeAlias = tuple[str, FloatArray, Sequence[ChannelErrors]]
-"""A model's label, predictions for all samples, (N, 6 + 3c), and errors."""
+"""A model's label, its predictions for all samples, shape (N, 6 + 3c) [N m, N], and its errors."""
 
 
 def _channels(results: Results, name: str, title: str, channels: Sequence[int]) -> ReportFigure:
@@ -220,6 +220,15 @@ def wrench_figure(
 
     One panel per channel: three per row of a page, with errors unless titles are off, or two per
     row of a column.
+
+    Args:
+        samples: All N samples of a trial with c clusters.
+        segment: The part of the trial that is shaded, over which the errors are.
+        models: At most four models; whether a channel is in the objective is read from the first.
+        title: Title of the figure.
+        style: Print layout.
+        channels: Indices of the channels among `samples.channels`, 0 to 5 + 3c, in the order of the
+            panels; by default forces, then moments.
     """
     across, has_errors = 2 if style.is_narrow else 3, style.titles and not style.is_narrow
     rows = -(-len(channels) // across)
@@ -279,7 +288,17 @@ def surface_section(results: Results) -> Section:
 
 
 def model_values(results: Results, candidate: Candidate) -> dict[str, dict[str, Any]]:
-    """Parameters of a model on the tiles for the map, by name."""
+    """Parameters of a model on the n tiles for the map, by name.
+
+    Args:
+        results: The results of the trial, for the limb's mean position.
+        candidate: The model.
+
+    Returns:
+        `values`, n numbers, and their `unit`, by name: stiffnesses [N/m] along x, y and z of {S},
+        in the rigid variants of the tile's frame {L}; and rest positions [mm] along these axes
+        from the limb's mean position over the segment, or from the reference pose.
+    """
     model, frame = candidate.model, candidate.model.frame
     kinds = [
         ("stiffness", "N/m", model.stiffness),

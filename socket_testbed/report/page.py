@@ -33,14 +33,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ReportFigure:
-    """A chart on a page, with files next to it: its data and, on request, figures for print."""
+    """A chart on a page, with files next to it: its data and, on request, figures for print.
+
+    Attributes:
+        name: Name of its files without a suffix, and part of its identifier on the page.
+        caption: Caption on the page.
+        draw: Draws it for print in a style.
+        data: What is drawn, with units in the column names; written as CSV.
+        chart: Panels of lines for the page, see `line_chart` and report.js; None if it is drawn
+            only for print or shown on the map of the socket.
+    """
 
     kind: ClassVar = "figure"
-    name: str  # of its files
+    name: str
     caption: str
-    draw: Callable[[FigureStyle], Figure]  # for print
+    draw: Callable[[FigureStyle], Figure]
     data: pd.DataFrame
-    # Panels of lines for the page, see report.js; None if shown on the map of the socket
     chart: Mapping[str, Any] | None = None
 
     def files(self, drawn: bool) -> list[str]:
@@ -48,7 +56,12 @@ class ReportFigure:
         return [f"{self.name}.{suffix}" for suffix in ["csv", *["pdf", "png"] * drawn]]
 
     def write(self, folder: Path, style: FigureStyle | None) -> None:
-        """Write its files to a folder, including those for print if a style is given."""
+        """Write its files.
+
+        Args:
+            folder: The folder, which exists.
+            style: Print layout of the `.pdf` and the `.png`; None writes only the CSV.
+        """
         write_table(self.data, folder / f"{self.name}.csv")
         if style is not None:
             figure = self.draw(style)
@@ -57,14 +70,25 @@ class ReportFigure:
 
 
 def utc(moment: datetime) -> str:
-    """A time as text."""
+    """A time in UTC as text, such as `2025-01-31 12:00:00 UTC`."""
     return moment.astimezone(UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
 
 
 def line_chart(
     time: FloatArray, panels: Sequence[Mapping[str, Any]], shaded: Sequence[Segment]
 ) -> dict[str, Any]:
-    """A chart of panels over time (N,) [s], thinned: what is measured, then named models."""
+    """A chart of panels over time, thinned for the page.
+
+    Args:
+        time: Times of N samples since the first one, shape (N,) [s].
+        panels: For each panel its `title`, with the unit, and `lines`: values by name, shape (N,),
+            in this unit, NaN where missing. What is measured comes first, then models.
+        shaded: Segments of the trial that are shaded, in the order in which they are drawn.
+
+    Returns:
+        `over`, the label of the x axis; `panels`, each line with its `x`, `y` and `style`; and
+        `shaded`, starts and ends [s].
+    """
     shown = []
     for panel in panels:
         lines = {}
@@ -78,16 +102,26 @@ def line_chart(
 
 @dataclass(frozen=True)
 class Pictures:
-    """The socket: unrolled map and 3D view; if over time, also a course and bars of regions."""
+    """The socket: unrolled map and 3D view; if over time, also a course and bars of regions.
+
+    Attributes:
+        description: What the map shows, for readers who cannot see it.
+        over_time: Whether the page holds moments of a trial and the mean over a segment.
+    """
 
     kind: ClassVar = "pictures"
     description: str
-    over_time: bool = True  # including the mean over a segment
+    over_time: bool = True
 
 
 @dataclass(frozen=True)
 class Maps:
-    """Unrolled maps side by side: titles by their identifiers on the page."""
+    """Unrolled maps side by side.
+
+    Attributes:
+        maps: Titles of the maps by their identifiers on the page, the `box` of the page's data.
+        legend: A line below the maps.
+    """
 
     kind: ClassVar = "maps"
     maps: Mapping[str, str]
@@ -96,7 +130,11 @@ class Maps:
 
 @dataclass(frozen=True)
 class Heading:
-    """A heading within a section."""
+    """A heading within a section.
+
+    Attributes:
+        text: The heading.
+    """
 
     kind: ClassVar = "heading"
     text: str
@@ -104,13 +142,21 @@ class Heading:
 
 @dataclass(frozen=True)
 class Section:
-    """A section of a page."""
+    """A section of a page.
 
-    name: str  # identifier
+    Attributes:
+        name: Identifier on the page.
+        title: Heading of the section; empty for none.
+        parts: Contents in their order: strings are paragraphs, sequences of strings are lists; also
+            `Heading`, `Table`, `ReportFigure`, `Pictures` and `Maps`.
+        files: Further tables for the folder of the page, by the name of the file, such as
+            `errors.csv`.
+    """
+
+    name: str
     title: str
-    # Strings are paragraphs, sequences are lists; also headings, tables, figures, pictures, maps
     parts: Sequence[Any]
-    files: Mapping[str, pd.DataFrame] = field(default_factory=dict)  # further CSV files by name
+    files: Mapping[str, pd.DataFrame] = field(default_factory=dict)
 
     @property
     def figures(self) -> list[ReportFigure]:
@@ -128,8 +174,15 @@ def write_page(
 ) -> None:
     """Write a page as one self-contained file, or replace it; all text is escaped.
 
-    `groups` are sections by the title under which they are folded; those of "" stay open. `data`
-    feeds the cards and pictures, see report.js; `content` holds further template variables.
+    Args:
+        path: The file.
+        title: Heading of the page.
+        subtitle: A line below the heading.
+        groups: Sections by the title under which they are folded; those of "" stay open.
+        data: Plain data for the cards and pictures, see `pages.document` and report.js.
+        content: Further variables of the template page.html: `metadata` (stated values as text),
+            `folder` (name of the folder with the files) and `figures` (whether it holds those for
+            print).
     """
     environment = Environment(
         loader=PackageLoader("socket_testbed", "pages/static"),
@@ -158,7 +211,15 @@ def write_socket_page(
     title: str,
     facts: Sequence[tuple[str, str]],
 ) -> None:
-    """Write a single-file page with the interior surface of a socket in {S} [m] and its tiles."""
+    """Write a single-file page with the interior surface of a socket and its tiles.
+
+    Args:
+        surface: The surface in {S} [m].
+        geometry: The socket, whose tiles lie on the surface.
+        path: The file, `.html`; an existing one is replaced.
+        title: Heading of the page.
+        facts: Names and values for the table below the pictures.
+    """
     heights = 1e3 * socket_axis(geometry).heights(geometry.anchors)
     mesh = {"points": numbers(1e3 * surface.vertices, 1), "faces": surface.faces.tolist()}
     data = {

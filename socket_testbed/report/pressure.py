@@ -51,7 +51,12 @@ def head_section(results: Results) -> Section:
 
 
 def page_data(results: Results) -> dict[str, Any]:
-    """Data of the cards and the pictures of the socket."""
+    """Data of the cards and the pictures of the socket, as plain data for JSON.
+
+    The keys are those of `pages.document.trial_document`; `start`, the time of the peak [s];
+    `moments` and `mean` (over the segment, without a time), `cards`, `bars`; and `extras`, the
+    models' parameters on the tiles, each with `values` and `unit`.
+    """
     found, trial, over_trial = results.pressure, results.trial, results.over_trial
     outputs, tiles, geometry = found.outputs, found.outputs.tiles, results.trial.geometry
     time = 1e-9 * (over_trial.samples.stamps - results.samples.stamps[0])
@@ -164,7 +169,15 @@ def force_map_figure(
     style: FigureStyle,
     side: Side | None,
 ) -> Figure:
-    """Normal pressure of the first sample of a force map, and its standard deviation."""
+    """Normal pressure of the first sample of a force map, and its standard deviation, in kPa.
+
+    Args:
+        geometry: The socket.
+        estimate: The map, whose first sample is drawn.
+        title: Title of the figure.
+        style: Print layout.
+        side: The leg that wears the socket; None if unknown.
+    """
     pressure = 1e-3 * estimate.normal_pressure[0]
     deviation = 1e-3 * estimate.normal_pressure_standard_deviation[0]
     maps = {"normal pressure": pressure, "its standard deviation": deviation}
@@ -186,7 +199,13 @@ def _maps(found: SegmentPressure) -> dict[str, Quantity]:
 
 
 def pressure_figure(found: SegmentPressure, title: str, style: FigureStyle) -> Figure:
-    """Unrolled maps of the pressure above that of sectors, heights and user regions over time."""
+    """Unrolled maps of the pressure above that of sectors, heights and user regions over time.
+
+    Args:
+        found: The pressure outputs over a segment.
+        title: Title of the figure; empty for none.
+        style: Print layout.
+    """
     maps = _maps(found)
     reach = {name: quantity.reach for name, quantity in maps.items()}
     regions = {place.name: found.places.index(place) for place in main_regions(found.places)}
@@ -238,7 +257,16 @@ def draw_regions(
     events: Sequence[tuple[float, str]],
     style: FigureStyle,
 ) -> None:
-    """Draw the pressure of regions over time with 95 % bands and events, a panel per kind."""
+    """Draw the pressure of regions over time with 95 % bands and events, a panel per kind.
+
+    Args:
+        figure: The figure, or a part of one, without axes.
+        time: Times of N samples since the first one of the trial, ascending, shape (N,) [s].
+        mean: Mean pressure of R regions with its 95 % interval, shape (N, R) [Pa].
+        regions: Names of the regions drawn, with their columns in `mean`.
+        events: Times [s] and labels of the trial's events; those outside of `time` are not drawn.
+        style: Print layout.
+    """
     groups, (across, key_columns, _) = group_regions([*regions]), _shape(regions, style)
     events = sorted(event for event in events if time[0] <= event[0] <= time[-1])
     numbers = {label: i for i, label in enumerate(dict.fromkeys(e[1] for e in events), start=1)}

@@ -162,7 +162,13 @@ def list_notes(results: Results) -> Iterator[str]:
 
 
 def origin_section(results: Results, command: str, made: datetime) -> Section:
-    """The section on the provenance of the report and the solvers' certificates."""
+    """The section on the provenance of the report and the solvers' certificates.
+
+    Args:
+        results: The results of the report.
+        command: The command that made the page.
+        made: Time at which the page was made.
+    """
     settings = [
         (name, ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value))
         for name, value in results.settings.to_flat().items()
@@ -191,7 +197,13 @@ def origin_section(results: Results, command: str, made: datetime) -> Section:
 
 
 def provenance(results: Results, command: str, made: datetime) -> list[tuple[str, str]]:
-    """Inputs and software of the report, as pairs of name and value."""
+    """Inputs and software of the report, as pairs of name and value, with hashes of its files.
+
+    Args:
+        results: The results of the report.
+        command: The command that made the page.
+        made: Time at which the page was made.
+    """
     trial, geometry = results.trial, results.trial.geometry
     calibration, stored = trial.calibration, trial.path / PARAMETERS_FILE
     stamps = [int(results.samples.stamps[end]) for end in (0, -1)]

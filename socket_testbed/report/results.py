@@ -42,20 +42,35 @@ _PRESSURE_SAMPLES = 150  # of the trial
 
 @dataclass(frozen=True)
 class Candidate:
-    """A model shown in the report."""
+    """A model shown in the report.
 
-    label: str  # the variant fitted here, or `given`
+    Attributes:
+        label: The variant fitted here, or `given`.
+        source: The fit, or the given model.
+        predicted: Its predictions at all N samples of the trial: wrench [M; F] in {S}, then the
+            force on each of the c clusters in the frame {L} of its tile, shape (N, 6 + 3c)
+            [N m, N]; NaN without a limb pose.
+        errors: Errors of every channel over the segment, in the channel's unit.
+        in_sample: Whether the model was fitted on samples of the segment.
+        held_out: Errors of every channel over the samples that are neither in the segment nor used
+            by the model's fit; empty with fewer than 10 of them.
+        shares: Shares of Fz, force and moment over the segment that springs and offsets carry [-].
+        engagement: Engaged springs at all N samples of the trial, and the share of the segment's
+            time in which each is engaged [-].
+    """
+
+    label: str
     source: Fit | StoredModel
-    predicted: FloatArray  # (N, 6 + 3c) [N m, N], over the trial
-    errors: tuple[ChannelErrors, ...]  # over the segment
-    in_sample: bool  # whether it was fitted on samples of the segment
-    held_out: tuple[ChannelErrors, ...]  # over the rest, unused; empty with too few samples
-    shares: tuple[information.LoadShare, ...]  # of the load over the segment
-    engagement: information.Engagement  # of the springs over the trial
+    predicted: FloatArray
+    errors: tuple[ChannelErrors, ...]
+    in_sample: bool
+    held_out: tuple[ChannelErrors, ...]
+    shares: tuple[information.LoadShare, ...]
+    engagement: information.Engagement
 
     @property
     def model(self) -> ContactModel:
-        """The model."""
+        """The contact model: the parameters of the tiles and the offsets."""
         return self.source.model
 
     @property
@@ -66,25 +81,45 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Results:
-    """The results of a trial."""
+    """The results of a trial.
+
+    Attributes:
+        trial: The trial.
+        samples: All N samples of the trial; outliers are NaN.
+        segment: The part used for the fits; with `frames` only its first samples.
+        specification: The segment as requested, such as `plateau`.
+        settings: The settings used; their variant is fitted in addition to the paper's.
+        candidates: The models: the fitted variants, then the given model, if any.
+        fronts: The trade-off over theta of the paper's variants; may be empty.
+        no_fronts: Reason for empty `fronts`; empty otherwise.
+        plateaus: Plateaus of the trial, the longest first.
+        bag_notes: Notes on the recording and on the models, without duplicates.
+        motion: Motion of the pose over the segment, relative to its noise.
+        validation: Judgements of estimates on held-out data of this trial; may be empty.
+        no_validation: Reason for empty `validation`; empty otherwise.
+        pressure: Pressure outputs over the whole segment, even if only its first samples are
+            fitted.
+        over_trial: Pressure outputs of the socket alone, without its regions, at about 150 samples
+            of the trial, including its peak and that of the segment.
+        data: Findings of the data check, the worst first; empty for good data.
+    """
 
     trial: Trial
     samples: Samples
-    segment: Segment  # used for the fits
-    specification: str  # of the segment, as requested
-    settings: EstimatorSettings  # their variant is fitted in addition to the paper's
-    candidates: tuple[Candidate, ...]  # the variants, then the given model, if any
-    fronts: dict[Variant, Front]  # may be empty
-    no_fronts: str  # reason for empty `fronts`
-    plateaus: tuple[Segment, ...]  # the longest first
+    segment: Segment
+    specification: str
+    settings: EstimatorSettings
+    candidates: tuple[Candidate, ...]
+    fronts: dict[Variant, Front]
+    no_fronts: str
+    plateaus: tuple[Segment, ...]
     bag_notes: tuple[str, ...]
-    motion: information.Motion  # of the pose over the segment, relative to its noise
-    validation: tuple[Judgement, ...]  # may be empty
-    no_validation: str  # reason for empty `validation`
-    pressure: SegmentPressure  # over the segment, even if its first frames alone are fitted
-    # of the socket at samples of the trial, including the peaks of the trial and the segment
+    motion: information.Motion
+    validation: tuple[Judgement, ...]
+    no_validation: str
+    pressure: SegmentPressure
     over_trial: PressureOutputs
-    data: tuple[DataFinding, ...]  # of the data check
+    data: tuple[DataFinding, ...]
 
     @property
     def in_segment(self) -> BoolArray:
@@ -103,7 +138,11 @@ class Results:
         return {c.label: c for c in self.candidates if c.fit is not None}
 
     def series(self, columns: Mapping[str, ArrayLike]) -> pd.DataFrame:
-        """Columns of shape (N,), preceded by stamps and times of the samples."""
+        """A table of columns of shape (N,), a row per sample of the trial, no named index.
+
+        They are preceded by `stamp [ns]` since the epoch, `time [s]` since the first sample, and
+        `in segment`, 1 or 0. Their titles hold their units.
+        """
         first = {
             "stamp [ns]": self.samples.stamps,
             "time [s]": self.samples.time,
@@ -130,7 +169,17 @@ def compute_results(
     given: StoredModel | None = None,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Results:
-    """Fit the variants on a segment of a trial, trace the fronts over theta, and judge both."""
+    """Fit the variants on a segment of a trial, trace the fronts over theta, and judge both.
+
+    Args:
+        trial: The trial.
+        specification: The segment, as in `st.select_segment`.
+        settings: Settings of the fits, the plateaus and the force map; their variant is fitted in
+            addition to the paper's.
+        thetas: Ascending thetas of the fronts, 0 to 1 [-].
+        given: A further model to show; None for none.
+        progress: Called with the number of stages done and their total.
+    """
     identification, leave_out = settings.identification, settings.identification.leave_out
     samples = trial.sound(leave_out)
     whole = trial.select(specification, settings)

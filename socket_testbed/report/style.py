@@ -77,7 +77,7 @@ _STYLE: dict[str, Any] = {
     "figure.constrained_layout.w_pad": 0.02,
     "figure.constrained_layout.h_pad": 0.02,
     "pdf.fonttype": 42,  # TrueType: text stays text
-    "svg.fonttype": "none",  # likewise
+    "svg.fonttype": "none",  # no outlines: text stays text
     "savefig.bbox": "standard",  # a tight box would change the width
     "text.usetex": False,
 }
@@ -88,10 +88,16 @@ _NO_LAYOUT = {"figure.autolayout": False, "figure.constrained_layout.use": False
 
 @dataclass(frozen=True)
 class FigureStyle:
-    """Print layout of a figure."""
+    """Print layout of a figure.
 
-    width: float = PAGE  # [mm], such as `COLUMN` or `PAGE`
-    titles: bool = True  # and errors in keys; a paper has them in its caption
+    Attributes:
+        width: Printed width, such as `COLUMN` (88) or `PAGE` (180) [mm].
+        titles: Whether the figure has a title, and errors in its keys; a paper has them in its
+            caption.
+    """
+
+    width: float = PAGE
+    titles: bool = True
 
     @property
     def is_narrow(self) -> bool:
@@ -103,7 +109,12 @@ class FigureStyle:
         return Figure(figsize=(self.width * MM, height * MM), layout="constrained")
 
     def add_title(self, figure: Figure | SubFigure, title: str) -> None:
-        """Add a wrapped title without markup, unless titles are off."""
+        """Add a wrapped title without markup, unless titles are off.
+
+        Args:
+            figure: A figure, or a part of one, as wide as this style.
+            title: The title; empty for none.
+        """
         if self.titles and title:
             figure.suptitle(wrap(title, 0.96 * self.width), parse_math=False)
 
@@ -112,7 +123,15 @@ DEFAULT_STYLE = FigureStyle()
 
 
 def figure_style(width: float, title: bool) -> FigureStyle:
-    """The requested style; raises an error for an unsupported width."""
+    """The requested style.
+
+    Args:
+        width: Printed width, 88 or 180 [mm].
+        title: Whether figures have titles, and errors in their keys.
+
+    Raises:
+        ConfigurationError: The width is another one.
+    """
     if width not in WIDTHS:
         raise ConfigurationError(
             f"figures are not laid out for a width of {width:g} mm",
@@ -123,7 +142,13 @@ def figure_style(width: float, title: bool) -> FigureStyle:
 
 @in_style
 def wrap(text: str, width: float, size: float = LABEL) -> str:
-    """Break a text, including long words, into lines of a width [mm] at a size [pt]."""
+    """Break a text, including long words, into lines that fit a width.
+
+    Args:
+        text: The text; `$` is printed as such.
+        width: Width of a line [mm].
+        size: Size of the type [pt].
+    """
     if not text.strip():
         return text
     drawn = TextPath((0, 0), text.replace("$", "S"), size=size, prop=FontProperties())
@@ -145,7 +170,15 @@ def style_axes(axis: Axes) -> None:
 def panels(
     figure: Figure | SubFigure, count: int, across: int, label: str = "time [s]", **shared: Any
 ) -> list[Axes]:
-    """Panels with a common x axis, row by row, labelled below the lowest of each column."""
+    """Panels with a common x axis, row by row, labelled below the lowest of each column.
+
+    Args:
+        figure: The figure, or a part of one, without axes.
+        count: Number of panels.
+        across: Number of panels per row.
+        label: Label of the x axis.
+        shared: Further options of matplotlib's `subplots`, such as `sharey`.
+    """
     rows = -(-count // across)
     axes = figure.subplots(rows, across, squeeze=False, sharex=True, **shared).ravel()
     for axis in axes[count:]:
@@ -159,7 +192,13 @@ def panels(
 
 
 def add_legend(where: Axes | Figure, *entries: Any, **options: Any) -> None:
-    """Add a legend without markup; for a panel, above it and with a bold title."""
+    """Add a legend without markup; for a panel, above it and with a bold title.
+
+    Args:
+        where: The panel, or the figure.
+        entries: Handles and labels as in matplotlib's `legend`; none for all labelled lines.
+        options: Options of matplotlib's `legend`, which override the usual ones.
+    """
     if isinstance(where, Axes):
         bold = {"size": LABEL, "weight": "bold"}
         above = {"loc": "lower left", "bbox_to_anchor": (-0.01, 1.0), "borderaxespad": 0.0}
@@ -183,7 +222,13 @@ def lay_out(figure: Figure) -> Figure:
 
 @in_style
 def save_figure(figure: Figure, path: Path, dpi: int = 300) -> None:
-    """Write a figure at its printed size, as `.png`, `.pdf` or `.svg`; text stays text."""
+    """Write a figure at its printed size; text stays text.
+
+    Args:
+        figure: The figure.
+        path: The file, `.png`, `.pdf` or `.svg`; an existing one is replaced.
+        dpi: Resolution of a `.png` [dots per inch].
+    """
     check_suffix(path, PICTURES, "picture")
     with atomic_output(path) as staging:
         figure.savefig(staging, dpi=dpi)
@@ -192,8 +237,16 @@ def save_figure(figure: Figure, path: Path, dpi: int = 300) -> None:
 def thin(x: FloatArray, y: FloatArray, most: int = MAX_POINTS) -> tuple[FloatArray, FloatArray]:
     """Keep the lowest and highest value of each of several intervals of equal size.
 
-    Values, shape (N,), are NaN where missing; an interval without values remains a gap. Points keep
-    their order; all are kept if there are at most `most`.
+    An interval without values remains a gap. Points keep their order.
+
+    Args:
+        x: Coordinates of N points, such as times [s], shape (N,).
+        y: Their values in any unit, shape (N,); NaN where missing.
+        most: Largest number of points that are all kept, and about the number of those kept
+            otherwise.
+
+    Returns:
+        Coordinates and values of the kept points.
     """
     if len(x) <= most:
         return x, y
@@ -209,7 +262,19 @@ def thin(x: FloatArray, y: FloatArray, most: int = MAX_POINTS) -> tuple[FloatArr
 def thin_band(
     x: FloatArray, low: FloatArray, high: FloatArray, most: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Keep the extreme ends of a band in each of several intervals of equal size, as `thin`."""
+    """Keep the outermost ends of a band in each of several intervals of equal size.
+
+    An interval without values remains a gap.
+
+    Args:
+        x: Coordinates of N points, such as times [s], shape (N,).
+        low: Lower ends of the band in any unit, shape (N,); NaN where missing.
+        high: Upper ends of the band in the unit of `low`, shape (N,); NaN where missing.
+        most: Largest number of points kept.
+
+    Returns:
+        First coordinate, lowest lower end and highest upper end of each interval.
+    """
     if len(x) <= most:
         return x, low, high
     starts = np.arange(0, len(x), -(-len(x) // most))

@@ -54,7 +54,10 @@ _SHORT_NAMES = {"anterior": "ant.", "posterior": "post.", "lateral": "lat.", "me
 
 
 def value_range(values: FloatArray) -> tuple[float, float]:
-    """Ends of the colour scale: the range of the finite values, widened if it is a point."""
+    """Ends of the colour scale: the range of the finite values, in their unit, of any shape.
+
+    A single value is widened; without any the ends are 0 and 1.
+    """
     finite = values[np.isfinite(values)]
     if not len(finite):
         return 0.0, 1.0
@@ -65,14 +68,24 @@ def value_range(values: FloatArray) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class TilePaint:
-    """The tiles of a socket and their colours."""
+    """The n tiles of a socket and their colours.
+
+    Attributes:
+        geometry: The socket.
+        tiles: Positions of the tiles on the unrolled wall and on the distal end.
+        fills: Colours of the tiles, RGBA from 0 to 1, shape (n, 4) [-]; transparent under images.
+        hatched: Tiles without a value, shape (n,).
+        scale: The colour scale, for a colour bar.
+        images: Parts of the surface with their smooth colours, RGBA from 0 to 1, shape (h, w, 4)
+            [-]; empty if each tile has one colour.
+    """
 
     geometry: SocketGeometry
     tiles: UnrolledTiles
-    fills: FloatArray  # (n, 4) [-], RGBA
-    hatched: BoolArray  # (n,), tiles without a value
+    fills: FloatArray
+    hatched: BoolArray
     scale: ScalarMappable
-    images: Sequence[tuple[Patch, FloatArray]] = ()  # parts of the surface, RGBA, (h, w, 4)
+    images: Sequence[tuple[Patch, FloatArray]] = ()
 
 
 def paint_tiles(
@@ -81,12 +94,17 @@ def paint_tiles(
     limits: tuple[float, float] | None = None,
     reach: FloatArray | None = None,
 ) -> TilePaint:
-    """Colour tiles by their values, shape (n,); those without one are white and hatched.
+    """Colour tiles by their values; those without one are white and hatched.
 
-    If `reach`, the half-width of their intervals, (n,), is given for pressures [kPa] on all tiles,
-    they are drawn smooth over the surface, in the colours and greys of the pages (from the lowest
-    value on, unless limits are given); differences,
-    whose limits are symmetric, have linear colours.
+    Pressures whose intervals are known are drawn smooth over the surface, in the colours and greys
+    of the pages; differences, whose limits are symmetric, have linear colours.
+
+    Args:
+        geometry: The socket of n tiles.
+        values: Values of the tiles in any unit, with `reach` in kPa, shape (n,); NaN for none.
+        limits: Ends of the colour scale in the unit of the values; by default their range.
+        reach: Half-widths of the 95 % intervals of pressures, shape (n,) [kPa]; None colours each
+            tile evenly, as does a missing value.
     """
     tiles, unknown = unrolled_tiles(geometry), np.isnan(values)
     low, high = limits or value_range(values)
@@ -269,9 +287,16 @@ def draw_wall(
     reach: FloatArray | None = None,
     side: Side | None = None,
 ) -> None:
-    """Draw values on the wall, shape (n,), with a colour bar, into the caller's axes.
+    """Draw values on the wall, with a colour bar, into the caller's axes.
 
-    See `paint_tiles` for `reach`.
+    Args:
+        axis: The axes.
+        geometry: The socket of n tiles.
+        values: Values of the tiles in any unit, with `reach` in kPa, shape (n,); NaN is hatched.
+        unit: Label of the colour bar.
+        reach: Half-widths of the 95 % intervals of pressures, shape (n,) [kPa]: they are drawn
+            smooth, the greyer, the less certain; None colours each tile evenly.
+        side: The leg that wears the socket; None if unknown.
     """
     paint = paint_tiles(geometry, values, reach=reach)
     _draw_wall(axis, paint, [""] * len(geometry), side)
@@ -279,7 +304,13 @@ def draw_wall(
 
 
 def add_key(figure: Figure | SubFigure, style: FigureStyle, *parts: str) -> None:
-    """Write the key of marks below a figure, wrapped; no markup."""
+    """Write the key of marks below a figure, wrapped; no markup.
+
+    Args:
+        figure: The figure, or a part of one.
+        style: Print layout; the key is as wide as its figures.
+        parts: Explanations, joined by commas; empty ones are left out.
+    """
     text = wrap(", ".join(filter(None, parts)), 0.96 * style.width, SMALL)
     if text:
         figure.supxlabel(text, fontsize=SMALL, parse_math=False)
@@ -305,7 +336,7 @@ def tile_map_figure(
 
     Args:
         geometry: The socket of n tiles.
-        values: Values by map name, shape (n,) each; NaN is hatched.
+        values: Values by map name in any unit, with a `reach` in kPa, shape (n,); NaN is hatched.
         unit: Label of the colour bar.
         title: Title of the figure.
         style: Print layout.
@@ -314,7 +345,7 @@ def tile_map_figure(
         from_zero: See `limits`.
         below: Height [mm] of a further part below the maps, and the function that draws it.
         side: The leg that wears the socket, if known.
-        reach: Half-widths of 95 % intervals, (n,), by map name: see `paint_tiles`.
+        reach: Half-widths of 95 % intervals by map name, shape (n,) [kPa]: see `paint_tiles`.
     """
     if limits is None:
         scales = _scales_of(values, from_zero)
@@ -339,7 +370,12 @@ def tile_map_figure(
 
 @in_style
 def socket_figure(geometry: SocketGeometry, title: str = "") -> Figure:
-    """Draw the tiles of a socket with their names, and with clusters of a different name."""
+    """Draw the tiles of a socket with their names, and with clusters of a different name.
+
+    Args:
+        geometry: The socket.
+        title: Title of the figure; empty for none.
+    """
     style = FigureStyle(300.0)
     figure = style.figure(140.0)
     style.add_title(figure, title)

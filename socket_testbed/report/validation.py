@@ -129,6 +129,11 @@ def validation_figure(
     """Draw force errors by left-out cluster, and the coverage of the map's intervals.
 
     For several trials, means are drawn.
+
+    Args:
+        judgements: The judgements of one trial or of several.
+        title: Title of the figure.
+        style: Print layout.
     """
     narrow = style.is_narrow
     figure = style.figure(130.0 if narrow else 75.0)

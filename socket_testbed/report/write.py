@@ -39,7 +39,12 @@ def files_folder(page: Path) -> Path:
 
 
 def check_page_path(page: Path, replace: bool = False) -> None:
-    """Refuse a page that cannot be written, before long work."""
+    """Refuse a page that cannot be written, before long work.
+
+    Args:
+        page: The page, ending in `.html`.
+        replace: Whether it may replace a page, and next to it the folder of a report.
+    """
     check_suffix(page, PAGES, "report")
     check_outputs(page, replace=replace)
     folder = files_folder(page)
@@ -56,7 +61,18 @@ def write_report(
     replace: bool = False,
     style: FigureStyle | None = None,
 ) -> None:
-    """Write the page and its folder atomically; with a style, including figures for print."""
+    """Write the page and its folder atomically.
+
+    Args:
+        results: The results of a trial.
+        page: The page, ending in `.html`; the folder next to it is named after it.
+        command: The command that made the page, for the record.
+        made: Time at which the page was made.
+        progress: Called with the number of figures drawn for print and their total; None reports
+            nothing.
+        replace: Whether to replace an existing page and folder.
+        style: Print layout of the figures for print; None draws none.
+    """
     check_page_path(page, replace)
     folder = files_folder(page)
     groups = {group: [make(results) for make in makers] for group, makers in SECTIONS.items()}
