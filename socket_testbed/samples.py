@@ -97,8 +97,8 @@ class Samples:
         rotation: Rotation vector of the limb frame in {S}, shape (N, 3) [rad].
         wrench: Measured wrench [M; F] in {S}, shape (N, 6) [N m, N].
         clusters: Names of the c clusters.
-        local_forces: Measured force on each cluster in the cluster's frame, shape
-            (N, c, 3) [N].
+        local_forces: Measured force on each cluster in the frame {L} of its tile, also where
+            the cluster is turned on it, shape (N, c, 3) [N]; pressed along -z.
         status: Status of each cluster (`Status`), shape (N, c).
     """
 
@@ -232,7 +232,7 @@ class Samples:
         Returns:
             A row per sample, indexed by `time [s]`. Columns: the wrench in {S}, such as `Mx [N m]`
             and `Fz [N]`; the limb position and rotation vector in {S}, such as `q_x [m]` and
-            `phi_x [rad]`; for each cluster its force in its own frame, such as `distal.Fx [N]`,
+            `phi_x [rad]`; for each cluster its force in its tile's frame, such as `distal.Fx [N]`,
             and its status, such as `distal.status [-]` (see `Status`). Missing values are NaN.
         """
         import pandas as pd

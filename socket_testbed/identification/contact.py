@@ -576,7 +576,7 @@ class ContactModel:
             displacements r_i of the tiles in {L_i} since the reference pose, shape (n, 3) [m].
         sharpness: Sharpness alpha of the gate [1/m].
         wrench_bias: Offset b_w of the wrench [M; F] in {S}, shape (6,) [N m, N]; 0 without offsets.
-        force_bias: Offset b_f of the force on a cluster in the cluster's frame, shape (3,) [N], by
+        force_bias: Offset b_f of the force on a cluster in its tile's frame {L}, shape (3,) [N], by
             the cluster's name; no entry without offset.
         cluster_points: Index of the tile under each cluster, by the cluster's name.
         reference_pose: Pose of the limb in {S} from which the rigid variants measure displacements,
@@ -637,7 +637,7 @@ class ContactModel:
         return np.asarray(wrench)
 
     def cluster_forces(self, pose: FloatArray) -> dict[str, FloatArray]:
-        """Forces on the clusters, by name, each in its cluster's frame {L}, shape (N, 3) [N].
+        """Forces on the clusters, by name, each in its tile's frame {L}, shape (N, 3) [N].
 
         A pose of the limb holds its position q and rotation vector in {S}, shape (N, 6) [m, rad].
         """

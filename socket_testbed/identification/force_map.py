@@ -652,7 +652,7 @@ def _probabilities(log_evidence: FloatArray) -> FloatArray:
 class Prior:
     """The forces in the tiles' frames under one hypothesis: their covariance K and its parts.
 
-    The d channels are the wrench's [M; F] in {S}, then three per cluster in the cluster's frame.
+    The d channels are the wrench's [M; F] in {S}, then three per cluster in its tile's frame {L}.
 
     Args:
         geometry: The socket with its n tiles.

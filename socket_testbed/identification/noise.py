@@ -42,7 +42,7 @@ class ChannelNoise:
 
     Attributes:
         wrench: Noise of the wrench [M; F] in {S}, shape (6,) [N m, N].
-        local_forces: Noise of the force on each of the c clusters in the cluster's frame, shape
+        local_forces: Noise of the force on each of the c clusters in its tile's frame, shape
             (c, 3) [N].
         pose: Noise of the limb's position and of its small rotations about x, y, z of {S}, shape
             (6,) [m, rad].

@@ -260,7 +260,7 @@ def _too_large(
             f"its peaks of {_peak(values):.3g} N on one tile are {_peak(values) / peak:.2g} times"
             f" the largest load of {peak:.3g} N"
         )
-    # In a cluster's frame z points inwards: compression is along -z.
+    # In a tile's frame z points inwards: compression is along -z.
     limit = max(MIN_TENSION, TENSION_SHARE * load)
     if name.endswith(".Fz") and pull > limit:
         yield (

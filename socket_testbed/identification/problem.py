@@ -63,7 +63,7 @@ class ClusterChannel:
     Attributes:
         cluster: Name of the cluster.
         point: Index of the tile under the cluster.
-        axis: Axis of the cluster's frame: 0, 1 or 2.
+        axis: Axis of the frame {L} of the cluster's tile: 0, 1 or 2.
         direction: Unit vector along that axis, shape (3,) [-], in {S}; in a `Problem` in the frame
             of its law.
         measured: Measured force along it, shape (N,) [N]; NaN if missing or not trusted. In

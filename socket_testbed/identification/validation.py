@@ -102,8 +102,8 @@ def inverse_distance(
     .. math:: F_i = R_i \frac{\sum_c w_{ic} f_c}{\sum_c w_{ic}}, \qquad
               w_{ic} = \lVert a_i - a_c \rVert^{-2}
 
-    with f_c in the cluster's frame, so that pressure stays pressure around the socket (Shepard,
-    Proc. 23rd ACM National Conference, 1968). A cluster's own tile has its force.
+    with f_c in the frame of the cluster's tile, so that pressure stays pressure around the socket
+    (Shepard, Proc. 23rd ACM National Conference, 1968). A cluster's own tile has its force.
 
     Args:
         geometry: The socket with its n tiles.

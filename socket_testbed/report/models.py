@@ -271,7 +271,7 @@ def surface_section(results: Results) -> Section:
         "The map at the top of the page also shows these parameters. For a rigid variant, they are"
         " in the tile's own frame (z along the inward normal), with rest positions relative to the"
         " reference pose; for the paper's variants, in {S}, with rest positions relative to the"
-        " mean limb position of the segment. A cluster's offset is in the cluster's own frame; the"
+        " mean limb position of the segment. A cluster's offset is in its tile's frame; the"
         " wrench's offset belongs to no tile. Channels outside the objective have no offset."
     )
     offsets = _offsets(results)
