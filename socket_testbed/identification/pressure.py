@@ -55,6 +55,7 @@ _NEVER_NEGATIVE = ("area", "integral", "shear")
 MAX_DRAWN = 2000  # samples of a span with expanded draws, evenly spread
 _EXPANDED_BATCH = 32  # samples whose draws are expanded at a time
 _RIGHT_ANGLE = 0.5 * np.pi  # [rad]
+_ROUNDING = 1e-9  # [-]; relative to the value
 # Output, axis of a vector, factor from SI, and displayed decimals, by the title of a column; in the
 # order of tables.
 _COLUMNS: dict[str, tuple[str, int | None, float, int]] = {
@@ -104,7 +105,9 @@ class Quantity:
 
         The result has the shape of the values, and is false where they are NaN.
         """
-        return np.asarray(self.reach <= share * self.scale)  # false for NaN
+        # The centre of a single tile has neither reach nor scale, but rounding.
+        rounding = _ROUNDING * np.abs(self.value)
+        return np.asarray(self.reach <= share * self.scale + rounding)  # false for NaN
 
     def part(self, place: Any, factor: float = 1.0) -> Quantity:
         """Elements of the arrays, in another unit.

@@ -250,6 +250,14 @@ def test_a_far_interval_is_uncertain(trial, share: float, uncertain: bool) -> No
     assert rows["regions", "socket", "peak pressure [kPa]"]["uncertain"] is uncertain
 
 
+@pytest.mark.parametrize("place", ["anterior proximal", "posterior middle", "medial proximal"])
+def test_the_centre_of_one_tile_is_certain(place: str, found: TrialPressure) -> None:
+    """It is the tile's own, whatever its pressure."""
+    rows = found.rows()
+    for axis in "xyz":
+        assert not rows["regions", place, f"centre of pressure {axis} [mm]"]["uncertain"]
+
+
 # --- the map
 
 MAP = {
