@@ -14,7 +14,7 @@ unexport PYTHONPATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LI
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .DELETE_ON_ERROR:
-.PHONY: demo test quick test-slow docs setup lint benchmark colcon clean
+.PHONY: demo test quick test-slow mutants docs setup lint benchmark colcon clean
 
 demo: setup
 	$(BIN)/socket-testbed demo
@@ -32,6 +32,10 @@ quick: setup
 # The rest: packages, the documents' commands, kills, whole reports, real scans, statistics.
 test-slow: setup
 	$(PYTEST) -n 3 -m slow
+
+# Small changes that no test notices, as in MUTANTS="socket_testbed/geometry --count 10".
+mutants: setup
+	$(BIN)/python scripts/mutants.py $(MUTANTS)
 
 lint: setup
 	$(BIN)/ruff check
