@@ -14,7 +14,7 @@ unexport PYTHONPATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH LD_LI
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .DELETE_ON_ERROR:
-.PHONY: demo test quick test-slow docs setup lint benchmark colcon clean
+.PHONY: demo test quick test-slow mutants docs setup lint benchmark colcon clean
 
 demo: setup
 	$(BIN)/socket-testbed demo
@@ -33,15 +33,21 @@ quick: setup
 test-slow: setup
 	$(PYTEST) -n 3 -m slow
 
+# Small changes that no test notices, as in MUTANTS="socket_testbed/geometry --count 10".
+mutants: setup
+	$(BIN)/python scripts/mutants.py $(MUTANTS)
+
 lint: setup
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 
-# The reference of the Python API, from the docstrings.
+# The reference of the Python API and of all types that it takes or returns, from the docstrings.
+DOCUMENTED := api arrays calibration errors geometry identification pages.server report.results \
+	report.style samples settings simulation.limb socket_design tables trials
 docs: setup
-	$(BIN)/pdoc --docformat google --output-directory build/docs socket_testbed.api
-	@echo "open build/docs/socket_testbed/api.html"
+	$(BIN)/pdoc --docformat google --output-directory build/docs $(addprefix socket_testbed.,$(DOCUMENTED))
+	@echo "open build/docs/socket_testbed/api.html, or build/docs/index.html for all modules"
 
 setup: $(VENV)/.messages $(VENV)/.package
 

@@ -69,6 +69,9 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="1000 samples, few runs")
     parser.add_argument("--samples", type=int, nargs="+", help="numbers of samples (1000 10000)")
     parser.add_argument("--thetas", type=int, default=101, help="values from 0 to 1 (101)")
+    parser.add_argument(
+        "--scenarios", nargs="+", choices=SCENARIOS, default=SCENARIOS, help="of the trials (both)"
+    )
     arguments = parser.parse_args()
     budget = 1.0 if arguments.quick else 6.0
     # OSQP prints from C, past sys.stdout, which would split the table.
@@ -76,7 +79,7 @@ def main() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     print(describe_machine(1))
     for count in arguments.samples or ([1000] if arguments.quick else [1000, 10000]):
-        for scenario in SCENARIOS:
+        for scenario in arguments.scenarios:
             samples, geometry = simulate(scenario, count)
             for smoothness in SMOOTHNESS:
                 stage = stage_two(samples, geometry, smoothness)

@@ -148,7 +148,7 @@ def _print_times(geometry: SocketGeometry) -> None:
     force_map = ForceMap(geometry, clusters)
 
     def first_sample_without_a_cluster() -> None:
-        force_map._patterns.clear()
+        force_map._conditioned.cache_clear()
         force_map.update(missing)
 
     for name, run in (

@@ -1,7 +1,5 @@
 """What reading a long trial takes, beside the bag library's own way through the raw messages.
 
-    .venv/bin/python benchmarks/benchmark_long_trials.py [MINUTES ...]
-
 The trial is a simulated static hold of 10 s at 100 Hz that is repeated, with its stamps going on,
 for 10 minutes (60 take some minutes more). The floor: rosbags goes through the raw messages of the
 five topics that samples are made of, and decodes none. Reading: `Trial.samples()`. Both are
@@ -11,6 +9,7 @@ the processor, memory is the peak of the process, and each is a process of its o
 
 from __future__ import annotations
 
+import argparse
 import os
 import shutil
 import subprocess
@@ -32,6 +31,7 @@ from socket_testbed.trials.trial import Trial
 
 RATE = 100.0  # [Hz]
 PIECE = 10.0  # [s]
+VERBS = ("info", "fit", "evaluate", "pressure", "export", "report")
 
 
 def repeat(source: Path, target: Path, times: int) -> None:
@@ -79,22 +79,29 @@ def verb(words: list[str]) -> tuple[float, float]:
 
 def main() -> None:
     """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
+        "minutes", nargs="*", type=float, default=[10.0], help="lengths of the trial (10)"
+    )
+    parser.add_argument("--verbs", nargs="+", choices=VERBS, default=VERBS, help="(all)")
+    options = parser.parse_args()
+    if 60.0 * min(options.minutes) < PIECE:
+        parser.error(f"a trial is shorter than {PIECE:g} s: give at least {PIECE / 60.0:.3f}")
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    lengths = [float(word) for word in sys.argv[1:]] or [10.0]
     geometry = read_socket(packaged("config", "socket.yaml"))
     calibration = read_calibration(packaged("config", "calibration.yaml"))
     with tempfile.TemporaryDirectory() as folder:
         piece = Path(folder) / "piece"
         trial = simulate(geometry, calibration, "static_hold", PIECE, RATE, seed=0)
         write_simulated_trial(trial, piece)
-        for length in lengths:
+        for length in options.minutes:
             path = Path(folder) / f"{length:g}min"
             repeat(piece, path, round(60.0 * length / PIECE))
             print(f"{length:g} min at {RATE:g} Hz  processor  / floor  / reading   memory")
             floor = apart(iterate, path)
             reading = apart(read, path)
             model = path.with_suffix(".json")
-            verbs = {
+            words = {
                 "info": [],
                 "fit": ["--segment", "all", "-o", str(model)],
                 "evaluate": ["--segment", "all", "--model", str(model)],
@@ -105,8 +112,8 @@ def main() -> None:
             rows = {"the bag library's iteration": floor, "reading all samples": reading}
             for name, (seconds, memory) in rows.items():
                 show(name, seconds, memory, floor[0], reading[0])
-            for name, words in verbs.items():
-                show(name, *verb([name, str(path), *words]), floor[0], reading[0])
+            for name in options.verbs:
+                show(name, *verb([name, str(path), *words[name]]), floor[0], reading[0])
 
 
 def show(name: str, seconds: float, memory: float, floor: float, reading: float) -> None:

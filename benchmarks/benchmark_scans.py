@@ -10,6 +10,7 @@ import argparse
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import trimesh
@@ -18,7 +19,7 @@ from scipy.spatial import KDTree
 
 from socket_testbed.__main__ import run as verb
 
-FACES = {2.6: "20,000", 0.378: "1,000,000"}  # about, by the edge of a triangle [mm]
+EDGES = (2.6, 0.378)  # [mm]; of the triangles of simulated scans: 20,000 and 1,000,000 faces
 DRAWN = 100_000
 SCANNER = Path(__file__).parents[1] / "examples" / "socket_scan.py"
 
@@ -41,11 +42,13 @@ def main() -> None:
     """Print a row for each scan, below what the verb says of it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("scans", nargs="*", type=Path, help="default: simulated ones")
+    parser.add_argument("--edges", nargs="+", type=float, default=EDGES,
+                        help="of the triangles of simulated scans [mm] (2.6 0.378)")  # fmt: skip
     parser.add_argument("--words", default="", help="further words of the verb, as '--seed 1'")
     options = parser.parse_args()
     print(describe_machine(1))
     with tempfile.TemporaryDirectory() as folder:
-        for scan in options.scans or simulated(Path(folder)):
+        for scan in options.scans or simulated(Path(folder), options.edges):
             floor, floor_memory = apart(look, scan)
             seconds, memory = apart(tile, scan, options.words.split())
             print(
@@ -55,11 +58,11 @@ def main() -> None:
             )
 
 
-def simulated(folder: Path) -> list[Path]:
-    """Scans of the same socket, coarse and fine."""
+def simulated(folder: Path, edges: Sequence[float]) -> list[Path]:
+    """Scans of one socket, by the edges of their triangles [mm]."""
     scans = []
-    for edge, faces in FACES.items():
-        scans.append(folder / f"{faces} faces.stl")
+    for edge in edges:
+        scans.append(folder / f"edges of {edge:g} mm.stl")
         subprocess.run([sys.executable, SCANNER, scans[-1], f"{edge}"], check=True)
     return scans
 

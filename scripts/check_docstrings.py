@@ -8,6 +8,7 @@ What an entry says is for readers to judge. Prints a line per gap; exits with 1 
 from __future__ import annotations
 
 import ast
+import builtins
 import inspect
 import re
 import sys
@@ -50,11 +51,32 @@ def parameters(function: Any) -> list[str]:
 
 
 def raised(function: Any) -> set[str]:
-    """Names of the errors that a function's own body raises anew."""
+    """Names of the errors that a function's own body raises anew and does not catch."""
     tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
-    calls = (node.exc for node in ast.walk(tree) if isinstance(node, ast.Raise))
+    caught = {
+        statement
+        for attempt in ast.walk(tree)
+        if isinstance(attempt, ast.Try)
+        for part in attempt.body
+        for statement in ast.walk(part)
+        if isinstance(statement, ast.Raise) and _is_caught(statement, attempt)
+    }
+    calls = (n.exc for n in ast.walk(tree) if isinstance(n, ast.Raise) and n not in caught)
     names = {ast.unparse(call.func) for call in calls if isinstance(call, ast.Call)}
     return {name for name in names if name[:1].isupper() and name not in _SILENT}
+
+
+def _is_caught(statement: ast.Raise, attempt: ast.Try) -> bool:
+    """Whether one of the handlers of a `try` catches what a statement raises, if it is built in."""
+    called = getattr(statement.exc, "func", None)
+    error = getattr(builtins, getattr(called, "id", ""), None)
+    kinds = (
+        getattr(builtins, name.id, None)
+        for handler in attempt.handlers
+        for name in ast.walk(handler.type or ast.Name("BaseException"))
+        if isinstance(name, ast.Name)
+    )
+    return error is not None and any(kind and issubclass(error, kind) for kind in kinds)
 
 
 def gaps_of_function(function: Any, verb: bool) -> Iterator[str]:

@@ -114,7 +114,13 @@ def _complete(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: list[str] | None = None) -> int:
-    """Run a verb; returns the exit code."""
+    """Run a verb, and print an error as one line.
+
+    The arguments are the words after `socket-testbed`; None for those of this process.
+
+    Returns:
+        The exit code: 0 on success, 1 on an error, 130 if the verb was interrupted.
+    """
     words = sys.argv[1:] if arguments is None else arguments
     options = vars(_parse(words))
     verb = options.pop("verb")

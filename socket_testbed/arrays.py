@@ -22,43 +22,66 @@ _MEDIAN = 0.67449  # [-]; median magnitude of a standard normal variable
 
 
 def rms(values: FloatArray, empty: float = float("nan")) -> float:
-    """Root mean square of the finite values; `empty` without any."""
+    """Root mean square of the finite values, in their unit.
+
+    Args:
+        values: Values of one unit, of any shape; NaN and infinite ones do not count.
+        empty: The result if no value is finite.
+    """
     finite = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(finite**2))) if len(finite) else empty
 
 
 def finite_mean(values: Iterable[float], mean: Callable[[list[float]], Any] = np.mean) -> float:
-    """Mean, or another `mean`, of the finite values; NaN without any."""
+    """Mean of the finite values, in their unit; NaN without any.
+
+    Args:
+        values: Values of one unit; NaN and infinite ones do not count.
+        mean: The kind of mean, such as `np.median`; it is given the list of the finite values.
+    """
     finite = [value for value in values if np.isfinite(value)]
     return float(mean(finite)) if finite else float("nan")
 
 
 def finite_quantile(values: FloatArray, share: float) -> float:
-    """A quantile of the finite values; 0 without any."""
+    """A quantile of the finite values, in their unit; 0 without any.
+
+    Args:
+        values: Values of one unit, of any shape; NaN and infinite ones do not count.
+        share: Fraction of the finite values below the quantile, 0 to 1 [-].
+    """
     finite = values[np.isfinite(values)]
     return float(np.quantile(finite, share)) if len(finite) else 0.0
 
 
 def robust_deviation(errors: FloatArray) -> FloatArray:
-    """Standard deviation of normal errors from their median magnitude, along the first axis."""
+    """Standard deviation of normal errors from their median magnitude, along the first axis.
+
+    The errors have shape (N, ...) and mean zero; the result has shape (...) and their unit. It is
+    NaN where one of them is.
+    """
     return np.asarray(np.median(np.abs(errors), axis=0) / _MEDIAN)
 
 
 def runs(flags: BoolArray) -> IntArray:
-    """Half-open index ranges in which the flags are set, shape (n, 2)."""
+    """Ranges of rows in which the flags, shape (N,), are set: first and last + 1, shape (n, 2)."""
     edges = np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8))
     return np.flatnonzero(edges).reshape(-1, 2)
 
 
 def usual_period(time: FloatArray | IntArray) -> float:
-    """Median step between samples, in the unit of their times; NaN for fewer than two."""
+    """Median step between samples, in the unit of their times (N,); NaN for fewer than two."""
     return float(np.median(np.diff(time))) if len(time) > 1 else float("nan")
 
 
 def gaps(time: FloatArray | IntArray, longer: float = GAP) -> BoolArray:
-    """Steps between samples that are longer than so many usual ones, shape (max(N - 1, 0),).
+    """Which steps between samples are longer than so many usual ones, shape (max(N - 1, 0),).
 
     The usual step is that around each one, as the rate of the trigger may be changed meanwhile.
+
+    Args:
+        time: Times of the samples in any unit, ascending, shape (N,).
+        longer: Length above which a step counts, in usual steps [-].
     """
     steps, width = np.diff(time), 2 * _AROUND + 1
     few = len(steps) < width
@@ -67,7 +90,12 @@ def gaps(time: FloatArray | IntArray, longer: float = GAP) -> BoolArray:
 
 
 def sample_at(time: FloatArray, when: float) -> int | None:
-    """Index of the latest of some samples at a time; None before the first and after a break."""
+    """Row of the latest of some samples at a time; None before the first and after a break.
+
+    Args:
+        time: Times of the samples, ascending, shape (N,) [s].
+        when: The time, from the same zero [s].
+    """
     row = int(np.searchsorted(time, when + TOLERANCE, "right")) - 1
     usual = usual_period(time[max(row - _AROUND, 0) : row + _AROUND + 1])
     holds = BREAK * np.nan_to_num(usual) + TOLERANCE
@@ -75,22 +103,33 @@ def sample_at(time: FloatArray, when: float) -> int | None:
 
 
 def within(time: FloatArray, start: float, end: float) -> BoolArray:
-    """Which samples lie in a span [s] including its ends, shape (N,)."""
+    """Which samples lie in a span of time including its ends, shape (N,).
+
+    Args:
+        time: Times of the samples, shape (N,) [s].
+        start: Start of the span, from the zero of `time` [s].
+        end: End of the span, from the zero of `time` [s].
+    """
     return (time >= start - TOLERANCE) & (time <= end + TOLERANCE)
 
 
 def evenly(count: int, most: int) -> IntArray:
-    """At most `most` of `count` indices, evenly spread from the first to the last."""
+    """Some of the indices 0 to `count` - 1, evenly spread from the first to the last.
+
+    Args:
+        count: Number of items to choose from.
+        most: Number of indices returned, if there are more items; otherwise each is.
+    """
     return np.linspace(0, count - 1, min(count, most)).astype(np.int64)
 
 
 def line_weights(offsets: FloatArray) -> FloatArray:
     """Weights of n values in their least-squares line at offset 0, shape (n,) [-].
 
-    The offsets are times relative to the requested time, shape (n,) [s]. If they are symmetric
-    about 0 the result is the mean. Otherwise, such as with missing values, the mean would lag
-    behind a steady motion; the line does not. The sum of the squared weights is the variance of the
-    result for values of variance 1.
+    The offsets are times relative to the requested time, shape (n,) [s]. The value of the line is
+    the sum of the values times their weights. If the offsets are symmetric about 0 it is the mean.
+    Otherwise, such as with missing values, the mean would lag behind a steady motion; the line does
+    not. The sum of the squared weights is the variance of the result for values of variance 1.
     """
     if len(offsets) == 0:
         return offsets

@@ -41,13 +41,16 @@ def time_scale() -> float:
 
 
 def shared_environment(scale: float = 1.0) -> dict[str, str]:
-    """Environment for the processes of one testbed: its time scale [-] and clock origin."""
+    """Environment variables that give the processes of one testbed the same clock.
+
+    They hold the clock's origin and its scale, in testbed seconds per real second, 0 to 1 [-].
+    """
     beginning = time.time_ns() - round(time.monotonic_ns() * scale)
     return {TIME_SCALE: str(scale), BEGINNING: str(beginning)}
 
 
 def monotonic() -> float:
-    """Time of the testbed's steady clock [s]; the same in all processes of a testbed."""
+    """Time of the testbed's steady clock [s]; all processes of a testbed read the same time."""
     return time.monotonic() * _scale
 
 
@@ -67,7 +70,11 @@ def real(seconds: float) -> float:
 
 
 class SteadyClock:
-    """The system clock at startup, advanced by the steady clock; both in ns."""
+    """The system clock at startup, advanced by the steady clock; both in ns.
+
+    Attributes:
+        beginning: Time since the epoch at zero of the steady clock [ns].
+    """
 
     def __init__(
         self, wall: Callable[[], int] = time.time_ns, steady: Callable[[], int] = monotonic_ns
@@ -75,7 +82,6 @@ class SteadyClock:
         self._wall = wall
         self._steady = steady
         shared = os.environ.get(BEGINNING)
-        # Time since the epoch at zero of the steady clock [ns].
         self.beginning = int(shared) if shared else wall() - steady()
 
     def now(self) -> int:
@@ -108,17 +114,23 @@ class TriggerTime:
     Processes that were not started together read the system clock at different times. If it was set
     in between, all stamps are off by the same amount, which shows when triggers arrive. Delayed
     triggers are off by varying amounts.
+
+    Attributes:
+        shift: Time of the steady clock at a trigger, less the time that this process's
+            `SteadyClock` gives its stamp [s]; normally 0.
     """
 
     def __init__(self, clock: SteadyClock) -> None:
         self._clock = clock
         self._differences: deque[float] = deque(maxlen=_MIN_TRIGGERS)
-        self.shift = 0.0  # [s]; of the trigger's clock from this process's; normally 0
+        self.shift = 0.0
 
     def steady(self, stamp: int, arrival: float) -> float:
         """Time of a trigger on the steady clock [s]; minus infinity while unknown.
 
-        `stamp` is since the epoch [ns], `arrival` on the steady clock [s].
+        Args:
+            stamp: The trigger's stamp, since the epoch [ns].
+            arrival: Time at which this process received the trigger, on the steady clock [s].
         """
         plain = self._clock.to_steady(stamp)
         for shift in (self.shift, 0.0):
@@ -154,9 +166,12 @@ class TriggerPeriod:
         self._intervals: deque[float] = deque(maxlen=_MAX_INTERVALS)
 
     def add(self, stamp: int, sequence: int) -> float:
-        """Add a trigger with its stamp [ns] and number; returns the period [s], 0 until known.
+        """Add a trigger; returns the period [s], 0 until three intervals are known.
 
-        Numbers that do not increase belong to another trigger node.
+        Args:
+            stamp: The trigger's stamp, since the epoch [ns].
+            sequence: The trigger's number. Numbers that do not increase belong to another trigger
+                node, so that the period is unknown again.
         """
         if self._last is not None:
             duration, pulses = stamp - self._last[0], sequence - self._last[1]
@@ -173,7 +188,10 @@ _MAX_WAIT = 0.4  # [s]; a recovery is noticed within a second
 
 
 class Backoff:
-    """Retry intervals: a failure doubles the wait up to the longest [s], a success resets it."""
+    """Retry intervals: a failure doubles the wait up to the longest [s], a success resets it.
+
+    Waits are in testbed seconds; the first is 0.05 s.
+    """
 
     def __init__(self, longest: float = _MAX_WAIT) -> None:
         self._longest = longest
@@ -185,7 +203,7 @@ class Backoff:
         return now >= self._next
 
     def failed(self, now: float) -> float:
-        """Note a failed attempt at a time [s]; returns the wait before the next [s]."""
+        """Note a failed attempt at a time of the steady clock [s]; returns the next wait [s]."""
         self._wait = min(2.0 * self._wait, self._longest) if self._wait else _MIN_WAIT
         self._next = now + self._wait
         return self._wait

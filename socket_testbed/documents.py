@@ -36,7 +36,15 @@ class FieldError(ValueError):
 
 
 def read_document(path: Path, kind: type[T]) -> T:
-    """Read a YAML file; an empty one is an empty mapping."""
+    """Read a YAML file; an empty one is an empty mapping.
+
+    Args:
+        path: The file, UTF-8 text of 16 MiB at most.
+        kind: The type of the content, such as a subclass of `Document`.
+
+    Raises:
+        ConfigurationError: If the file cannot be read, is not YAML, or does not have the type.
+    """
     data = load_yaml(path)
     return convert({} if data is None else data, kind, str(path))
 
@@ -44,8 +52,14 @@ def read_document(path: Path, kind: type[T]) -> T:
 def convert(data: Any, kind: type[T], where: str = "", strict: bool = True) -> T:
     """Validate data against a `Document` or any other type that msgspec supports.
 
-    Errors name the data by `where`, such as a file and a field. If `strict`, a string such as
-    `1e-8` is not a number.
+    Args:
+        data: The data, as of a YAML or JSON document: mappings, lists, texts, numbers, None.
+        kind: The type that it must have.
+        where: How errors name the data, such as a file and a field.
+        strict: Whether a text such as `1e-8` is refused where a number is declared.
+
+    Raises:
+        ConfigurationError: If the data does not have the type; it names the innermost wrong part.
     """
     try:
         return msgspec.convert(data, kind, strict=strict)
@@ -54,20 +68,39 @@ def convert(data: Any, kind: type[T], where: str = "", strict: bool = True) -> T
 
 
 def check_number(value: Any, where: str, low: float = -FINITE, high: float = FINITE) -> float:
-    """A finite number within [low, high]; integers are accepted."""
+    """A finite number within [low, high]; integers are accepted.
+
+    Args:
+        value: The value, as a user gave it; NumPy scalars are numbers.
+        where: How errors name the value, such as `--duration`.
+        low: The least value allowed, in the value's unit.
+        high: The largest value allowed, in the value's unit.
+
+    Raises:
+        ConfigurationError: If the value is no number or is not within the limits.
+    """
     kind: Any = Annotated[float, Meta(ge=low, le=high)]
     return float(convert(plain(value), kind, where))
 
 
 def refuse_unknown(keys: Iterable[str], known: Collection[str], where: str) -> None:
-    """Refuse unknown keys."""
+    """Refuse unknown keys.
+
+    Args:
+        keys: The keys of a mapping.
+        known: The keys that it may have.
+        where: How errors name the mapping, such as a file and a field.
+
+    Raises:
+        ConfigurationError: If a key is unknown; its hint is a similar known key, or all of them.
+    """
     for key in keys:
         if key not in known:
             raise ConfigurationError(f"{where}: unknown key '{key}'", closest(key, known))
 
 
 def plain(value: Any) -> Any:
-    """A value with NumPy scalars and arrays converted to Python numbers and lists."""
+    """A value with NumPy scalars and arrays, and tuples, as Python numbers and lists."""
     if isinstance(value, list | tuple):
         return [plain(each) for each in value]
     return value.tolist() if hasattr(value, "tolist") else value
@@ -173,7 +206,7 @@ _TYPE_NAMES: dict[Any, str] = {
 
 
 def shown(value: Any) -> str:
-    """A value from a file as shown in an error."""
+    """A value from a file as shown in an error, of 60 characters at most."""
     if value is None:
         return "empty"
     if isinstance(value, dict):
@@ -232,7 +265,14 @@ def dump_yaml(document: Any, **options: Any) -> str:
 
 
 def load_yaml(path: Path) -> Any:
-    """Read a YAML file within bounded memory and time."""
+    """Read a YAML file within bounded memory and time; None for an empty one.
+
+    Keys are unique texts. As in YAML 1.2, `1:30`, `010` and a date are texts.
+
+    Raises:
+        ConfigurationError: If the file cannot be read or is not YAML, is nested too deep, has
+            tags, or expands to more than 200 000 values.
+    """
     text = read_text(path)
     try:
         _refuse_bombs(text)
@@ -281,7 +321,15 @@ def _fault(problem: str, place: Any) -> yaml.MarkedYAMLError:
 
 
 def load_json(path: Path, kind: str) -> Any:
-    """Read a JSON file with finite numbers; errors call it by its kind, such as `a model`."""
+    """Read a JSON file with finite numbers.
+
+    Args:
+        path: The file, UTF-8 text of 16 MiB at most.
+        kind: How errors call the file, with its article, such as `a model`.
+
+    Raises:
+        ConfigurationError: If the file cannot be read, or is not JSON.
+    """
     try:
         return msgspec.json.decode(read_text(path, kind))
     except (RecursionError, msgspec.DecodeError) as error:
@@ -289,7 +337,16 @@ def load_json(path: Path, kind: str) -> Any:
 
 
 def read_text(path: Path, kind: str = "a file", largest: int = _MAX_SIZE) -> str:
-    """Read UTF-8 text of limited size [bytes]; errors call it by its kind, such as `a model`."""
+    """Read UTF-8 text of limited size; a byte-order mark is left out.
+
+    Args:
+        path: The file.
+        kind: How errors call the file, with its article, such as `a model`.
+        largest: The largest size allowed [bytes].
+
+    Raises:
+        ConfigurationError: If the file is missing, unreadable or too large, or is not UTF-8.
+    """
     try:
         with path.open("rb") as stream:
             content = stream.read(largest + 1)
@@ -311,7 +368,11 @@ _DECIMAL = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", flags=re.ASCII)
 
 
 def decimal(text: str) -> float:
-    """A finite number from decimal digits; a ValueError for anything else, such as nan or 1_000."""
+    """A finite number from decimal digits, such as `-1.5e3`.
+
+    Raises:
+        ValueError: If the text is anything else, such as `nan`, `1_000` or ` 1`.
+    """
     number = float(text) if _DECIMAL.fullmatch(text) else float("nan")
     if not abs(number) <= FINITE:
         raise ValueError(f"{shown(text)} is not a number")
@@ -319,7 +380,7 @@ def decimal(text: str) -> float:
 
 
 def finite_or_null(value: Any) -> Any:
-    """A value for JSON, with None in place of NaN, also in a tuple."""
+    """A value for JSON: NaN and infinity become None, and tuples lists, in which they do too."""
     if isinstance(value, tuple):
         return [*map(finite_or_null, value)]
     return None if isinstance(value, float) and not math.isfinite(value) else value

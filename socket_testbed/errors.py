@@ -33,7 +33,12 @@ class TestbedError(Exception):
 
 @contextmanager
 def naming(place: object, *kinds: type[TestbedError]) -> Iterator[None]:
-    """Errors of some kinds (default: all) begin with the place, such as a file: `a.yaml: ...`."""
+    """Errors raised within the context begin with a place, such as `a.yaml: ...`.
+
+    Args:
+        place: The place, such as the path of a file or the name of a trial.
+        kinds: Classes of the errors that begin with it; none for every `TestbedError`.
+    """
     kinds = kinds or (TestbedError,)
     try:
         yield
@@ -42,7 +47,7 @@ def naming(place: object, *kinds: type[TestbedError]) -> Iterator[None]:
 
 
 def fact_and_hint(line: str) -> tuple[str, str]:
-    """The parts of a `TestbedError`'s line; without a hint all of it is the fact."""
+    """Fact and hint of a `TestbedError`'s line; without a hint all of it is the fact."""
     fact, _, hint = line.rpartition(": ")
     return (fact, hint) if fact else (hint, "")
 
@@ -89,7 +94,15 @@ class RegistrationError(TestbedError):
 
 
 def likely(word: str, known: Collection[str]) -> str:
-    """A hint naming the most similar known word; empty if none is similar."""
+    """A hint naming the most similar known word, such as `did you mean 'fit'?`.
+
+    Args:
+        word: The unknown word.
+        known: The words that would be accepted.
+
+    Returns:
+        The hint; empty if no known word is similar.
+    """
     import difflib  # needed only for errors
 
     found = difflib.get_close_matches(word, list(known), n=1)
@@ -97,21 +110,31 @@ def likely(word: str, known: Collection[str]) -> str:
 
 
 def listed(parts: Sequence[str], most: int) -> str:
-    """The first parts, and the number of the others."""
+    """Parts in one line, such as `a, b and 3 more`.
+
+    Args:
+        parts: The parts, in the order in which they are listed.
+        most: Number of parts to show; the others are only counted.
+    """
     more = f" and {len(parts) - most} more" * (len(parts) > most)
     return ", ".join(parts[:most]) + more
 
 
 def option_of(name: str) -> str:
-    """The option of a parameter, such as `--load-cell`."""
+    """The option of a parameter's name, such as `--load-cell` of `load_cell`."""
     return f"--{name.replace('_', '-')}"
 
 
 def first_of(problems: Sequence[object]) -> str:
-    """The first of some problems, and the number of the others."""
+    """The first of some problems (one or more), and the number of the others in brackets."""
     return f"{problems[0]}" + f" (and {len(problems) - 1} more)" * (len(problems) > 1)
 
 
 def closest(word: str, known: Collection[str]) -> str:
-    """A hint for an unknown word: a similar known word, or the list of them."""
+    """A hint for an unknown word: a similar known word, or the list of them.
+
+    Args:
+        word: The unknown word.
+        known: The words that would be accepted.
+    """
     return likely(word, known) or "use one of " + (", ".join(sorted(known)) or "(none)")

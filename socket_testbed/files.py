@@ -31,7 +31,15 @@ _new_outputs: set[Path] = set()  # outputs that did not exist before the work
 
 
 def packaged(folder: str, name: str) -> Path:
-    """Path of a file in the package's `config` or `msg`, in the checkout or the installation."""
+    """Path of a file of the package, in the checkout or the installation.
+
+    Args:
+        folder: The folder, `config` or `msg`.
+        name: The file's name in it.
+
+    Raises:
+        ConfigurationError: If the file is in neither.
+    """
     here = Path(__file__).resolve()
     in_checkout = {"msg": "msg_defs/msg"}.get(folder, folder)
     candidates = [here.parents[1] / in_checkout / name]
@@ -45,12 +53,21 @@ def packaged(folder: str, name: str) -> Path:
 
 
 def file_or_packaged(given: Path | str | None, name: str) -> Path:
-    """The given file or, without one, the package's own of this name."""
+    """The given file or, without one, the package's own.
+
+    Args:
+        given: The file; None or an empty text for the package's own.
+        name: Name of the package's own file in `config`, such as `socket.yaml`.
+    """
     return Path(given) if given else packaged("config", name)
 
 
 def refuse_existing(path: Path) -> None:
-    """Refuse to overwrite anything."""
+    """Refuse to overwrite anything.
+
+    Raises:
+        ConfigurationError: If the path exists.
+    """
     if path.exists():
         raise ConfigurationError(f"{path} exists already", "name another output or remove it")
 
@@ -123,6 +140,10 @@ def check_outputs(*paths: Path | None, replace: bool) -> None:
     Args:
         paths: The files; None for an output that is not wanted.
         replace: Whether to replace existing outputs.
+
+    Raises:
+        ConfigurationError: If an output exists and is not to be replaced, is a folder, or cannot
+            be written where it is wanted.
     """
     for path in filter(None, paths):
         if path.is_dir():
@@ -139,14 +160,22 @@ def check_outputs(*paths: Path | None, replace: bool) -> None:
 
 
 def check_new_folder(path: Path) -> None:
-    """Refuse an existing folder, or one whose grandparent is missing."""
+    """Refuse an existing folder, or one whose grandparent is missing.
+
+    Raises:
+        ConfigurationError: If the folder exists or cannot be made there.
+    """
     refuse_existing(path)
     if not path.parent.exists():
         _require_parent(path.parent)
 
 
 def make_folder(path: Path) -> None:
-    """Create a folder and its parents, unless it exists."""
+    """Create a folder and its parents, unless it exists.
+
+    Raises:
+        ConfigurationError: If the folder cannot be made.
+    """
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -170,7 +199,16 @@ def _require_parent(path: Path) -> None:
 
 
 def check_suffix(path: Path, known: Sequence[str], what: str) -> None:
-    """Refuse a file whose suffix is not one of those `known` for a picture, a table, ..."""
+    """Refuse a file whose suffix is not that of a picture, a table, ...
+
+    Args:
+        path: The file; capitals in its suffix do not matter.
+        known: The suffixes allowed, in small letters with their dot, such as `.csv`.
+        what: What the file would hold, such as `table`, for errors.
+
+    Raises:
+        ConfigurationError: If the suffix is another one.
+    """
     if path.suffix.lower() not in known:
         fact = f"{path}: '{path.suffix}' is not the format of a {what}"
         raise ConfigurationError(fact, f"name a {' or '.join(known)} file")
@@ -180,9 +218,19 @@ def check_suffix(path: Path, known: Sequence[str], what: str) -> None:
 def atomic_output(path: Path, replace: bool = False) -> Iterator[Path]:
     """Write a file or folder next to its final place and rename it once it is complete.
 
-    A file replaces an older one, unless `check_outputs` found none; a folder must not exist yet,
-    unless `replace`. If several processes write the same new output, the first to finish wins.
-    Yields the path to write to, which has the same name and does not exist.
+    A file replaces an older one, unless `check_outputs` found none. If several processes write one
+    new output, the first to finish wins.
+
+    Args:
+        path: The final path; its folder must exist.
+        replace: Whether a folder may replace an older one.
+
+    Yields:
+        The path to write to: it has the final name, in another folder, and does not exist.
+
+    Raises:
+        ConfigurationError: If the output cannot be written there, or another run wrote it
+            meanwhile.
     """
     path = path.resolve()  # keep symbolic links
     _require_parent(path)
@@ -213,6 +261,14 @@ def atomic_output(path: Path, replace: bool = False) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file atomically."""
+    """Write a text file atomically, in UTF-8.
+
+    Args:
+        path: The file; an older one is replaced.
+        text: The content.
+
+    Raises:
+        ConfigurationError: If the file cannot be written there.
+    """
     with atomic_output(path) as staging:
         staging.write_text(text, encoding="utf-8")

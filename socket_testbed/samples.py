@@ -23,7 +23,14 @@ GRAVITY = 9.81  # [m/s^2]
 
 
 class Status(IntEnum):
-    """Status of a cluster's stress; a single channel takes one of the first three."""
+    """Status of a cluster's stress; a single channel takes one of the first three.
+
+    Attributes:
+        OK: The value is within the calibrated range.
+        SATURATED: A capacitance is at an end of the chip's range: the value is NaN.
+        MISSING: There is no measurement: the value is NaN.
+        OUT_OF_RANGE: The value lies outside the calibrated range and is extrapolated.
+    """
 
     OK = 0
     SATURATED = 1
@@ -35,22 +42,22 @@ WITHOUT_VALUE = (Status.SATURATED, Status.MISSING)
 
 
 def local_channels(cluster: str) -> list[str]:
-    """Names of the three channels of a cluster."""
+    """Names of the three channels of a cluster, such as `distal.Fx`, in its frame {L}."""
     return [f"{cluster}.{channel}" for channel in LOCAL_CHANNELS]
 
 
 def channel_names(clusters: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of all channels: the wrench's, then three per cluster."""
+    """Names of the 6 + 3c channels: the wrench's [M; F], then three for each of c clusters."""
     return (*WRENCH_CHANNELS, *chain.from_iterable(map(local_channels, clusters)))
 
 
 def channel_unit(name: str) -> str:
-    """Unit of a channel, from its name."""
+    """Unit of a channel from its name, such as `Mx` or `distal.Fz`: `N m` or `N`."""
     return "N m" if name.rpartition(".")[2].startswith("M") else "N"
 
 
 def force_magnitude(wrench: FloatArray) -> FloatArray:
-    """Magnitudes of the forces of N wrenches, (N,) of (N, 6) [N]; NaN where one is missing.
+    """Magnitudes (N,) [N] of the forces of wrenches [M; F], (N, 6); NaN where one is missing.
 
     A channel that never has a value does not count.
     """
@@ -60,14 +67,23 @@ def force_magnitude(wrench: FloatArray) -> FloatArray:
 
 
 def moments_about(wrench: FloatArray, point: Sequence[float] | None) -> FloatArray:
-    """Wrenches [M; F], shape (N, 6), about a point in their frame, shape (3,) [m]; None: as is."""
+    """Wrenches [M; F] about another point: M - p x F and F, shape (N, 6) [N m, N].
+
+    Args:
+        wrench: Wrenches [M; F] about the origin of their frame, shape (N, 6) [N m, N].
+        point: The point p in their frame, shape (3,) [m]; None for the origin.
+    """
     if point is None:
         return wrench
     return np.hstack([wrench[:, :3] - np.cross(point, wrench[:, 3:]), wrench[:, 3:]])
 
 
 def mean_and_sigma(vectors: FloatArray) -> tuple[float, float]:
-    """Magnitude of the mean of complete vectors, shape (N, 3), and spread of their magnitudes."""
+    """Magnitude of the mean of vectors, and standard deviation of their magnitudes.
+
+    The vectors have shape (N, 3) in one unit, which both results have. Rows that hold a NaN do not
+    count; without any other row both results are NaN.
+    """
     vectors = vectors[np.isfinite(vectors).all(axis=1)]
     if not len(vectors):
         return float("nan"), float("nan")
@@ -76,7 +92,12 @@ def mean_and_sigma(vectors: FloatArray) -> tuple[float, float]:
 
 
 def turned(rotation: FloatArray, by: FloatArray) -> FloatArray:
-    """Rotation vectors of exp(rotation) exp(by), shape (N, 3) [rad]; NaN for unknown rotations."""
+    """Rotation vectors of the product exp(rotation) exp(by), shape (N, 3) [rad].
+
+    Args:
+        rotation: Rotation vectors, shape (N, 3) [rad]; a row with NaN gives a row of NaN.
+        by: Rotation vector that is applied first, shape (3,) [rad].
+    """
     known = np.isfinite(rotation).all(axis=1)
     found = np.full(rotation.shape, np.nan)
     if known.any():
@@ -172,7 +193,7 @@ class Samples:
 
     @property
     def states(self) -> dict[str, StatusArray]:
-        """Status of the wrench, the limb position and each cluster, shape (N,) each."""
+        """`Status` of each sample, shape (N,), of `wrench`, `limb position` and each cluster."""
         complete = np.isfinite(self.wrench).all(axis=1)
         present = {"wrench": complete, "limb position": self.has_pose}
         found = {name: np.where(rows, Status.OK, Status.MISSING) for name, rows in present.items()}
@@ -180,12 +201,12 @@ class Samples:
 
     @property
     def complete(self) -> BoolArray:
-        """Rows of which nothing is missing or saturated, shape (N,)."""
+        """Rows in which the wrench, the pose and every cluster have a value, shape (N,)."""
         return np.all([~np.isin(state, WITHOUT_VALUE) for state in self.states.values()], axis=0)
 
     @property
     def trusted_forces(self) -> FloatArray:
-        """Local forces whose status is OK, shape (N, c, 3) [N]; the others are NaN.
+        """Forces on the clusters in their frames, shape (N, c, 3) [N]; NaN if not `Status.OK`.
 
         Forces outside the calibrated range are extrapolated, so fits and evaluations ignore them.
         """
@@ -193,13 +214,13 @@ class Samples:
 
     @property
     def trusted_values(self) -> FloatArray:
-        """All channels, as in `values`, with only the `trusted_forces` of the clusters."""
+        """The wrench and the `trusted_forces`, by `channels`, shape (N, 6 + 3c) [N m, N]."""
         forces = self.trusted_forces.reshape(len(self), 3 * len(self.clusters))
         return np.hstack([self.wrench, forces])
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Names of all channels: the wrench's, then three per cluster."""
+        """Names of the 6 + 3c channels: the wrench's [M; F], then Fx, Fy, Fz of each cluster."""
         return channel_names(self.clusters)
 
     @property
@@ -208,15 +229,15 @@ class Samples:
         return [f"{name} [{channel_unit(name)}]" for name in self.channels]
 
     def counted(self, leave_out: Sequence[str]) -> BoolArray:
-        """Which of the `channels` are not left out, shape (6 + 3c,)."""
+        """Which of the `channels` are not among some names, shape (6 + 3c,)."""
         return np.isin(self.channels, leave_out, invert=True)
 
     def without(self, leave_out: Sequence[str]) -> Samples:
-        """The samples with left-out channels marked as not measured."""
+        """The samples with the values of some channels, given by name, replaced by NaN."""
         return self.blanked(~self.counted(leave_out))
 
     def blanked(self, missing: BoolArray) -> Samples:
-        """The samples with some values of the `channels`, (N, 6 + 3c), marked as not measured."""
+        """The samples with NaN where a flag, shape (N, 6 + 3c) by `channels`, is set."""
         values = np.where(missing, np.nan, self.values)
         forces = values[:, 6:].reshape(self.local_forces.shape)
         return replace(self, wrench=values[:, :6], local_forces=forces)

@@ -22,7 +22,12 @@ UNCERTAIN = ", uncertain"  # after a wide interval
 
 
 def number(value: float, spec: str = ".3g") -> str:
-    """Format a number for display; a dash if it is not finite."""
+    """Format a number for display; a dash if it is not finite.
+
+    Args:
+        value: The number, in the unit in which it is shown.
+        spec: Format as in Python's `format`, by default three significant digits.
+    """
     return f"{value:{spec}}" if math.isfinite(value) else NOTHING
 
 
@@ -33,14 +38,25 @@ def duration_text(seconds: float) -> str:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of a page: the frame's index heads the rows; columns may be grouped."""
+    """A table of a page: the frame's index heads the rows; columns may be grouped.
+
+    Attributes:
+        name: Identifier on the page, such as `pressure-regions`.
+        caption: Text above the table.
+        frame: The cells. Titles of columns include the unit, such as `peak [kPa]`; columns with
+            two levels of titles are grouped by the first. Numbers are shown as they are, so that
+            their unit is that of the title.
+        formats: Formats of numbers as in Python's `format`, by the title of a column or, for
+            columns without one, by the title of a group; all others have three decimals.
+        is_text: Whether cells hold running text, which wraps.
+    """
 
     kind: ClassVar = "table"
-    name: str  # identifier on the page
+    name: str
     caption: str
     frame: pd.DataFrame
-    formats: Mapping[str, str] = field(default_factory=dict)  # of numbers, by title or group
-    is_text: bool = False  # cells hold running text, which wraps
+    formats: Mapping[str, str] = field(default_factory=dict)
+    is_text: bool = False
 
     @property
     def columns(self) -> list[tuple[str, str, bool]]:
@@ -51,13 +67,13 @@ class Table:
 
     @property
     def groups(self) -> list[tuple[str, int]]:
-        """Name and width of each run of grouped columns; empty without groups."""
+        """Title and number of columns of each run of grouped columns; empty without groups."""
         names = [group for group, *_ in self.columns]
         return [(name, len([*run])) for name, run in groupby(names)] if any(names) else []
 
     @property
     def rows(self) -> Iterator[tuple[str, tuple[str, ...]]]:
-        """The heading and the cells of each row."""
+        """The heading and the cells of each row, numbers as text."""
         columns = []
         for (group, title, is_number), (_, cells) in zip(
             self.columns, self.frame.items(), strict=True
@@ -68,7 +84,13 @@ class Table:
 
 
 def pairs_table(name: str, caption: str, pairs: Sequence[tuple[str, str]]) -> Table:
-    """A table of names and their values as text."""
+    """A table of names and their values as text.
+
+    Args:
+        name: Identifier of the table on a page.
+        caption: Text above the table.
+        pairs: Name and value of each row, in the order of the table.
+    """
     import pandas as pd
 
     frame = pd.DataFrame([*pairs], columns=["name", "value"]).set_index("name")
@@ -86,6 +108,9 @@ def write_table(frame: pd.DataFrame, path: Path) -> None:
         frame: The table. Titles include the units, such as `distal.Fz [N]`, `-` for dimensionless
             numbers; text and counts have none. A named index becomes the first column.
         path: The file, `.csv`, `.parquet` or `.mat`; an existing one is replaced.
+
+    Raises:
+        ConfigurationError: If the suffix is another one, or the file cannot be written there.
     """
     check_suffix(path, TABLES, "table")
     frame = frame if frame.index.name is None else frame.reset_index()
@@ -95,7 +120,7 @@ def write_table(frame: pd.DataFrame, path: Path) -> None:
 
 
 def split_unit(title: str) -> tuple[str, str]:
-    """Split a title such as `distal.Fz [N]` into name and unit; empty without a unit."""
+    """Split a title such as `distal.Fz [N]` into name and unit; the unit may be empty."""
     found = re.fullmatch(r"(.*) \[([^\]]*)\]", title)
     return (found[1], found[2]) if found else (title, "")
 

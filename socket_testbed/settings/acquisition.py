@@ -7,18 +7,19 @@ from dataclasses import dataclass
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.settings.fields import Settings, fixed, setting
 
-MAX_TARE = 60.0  # [s]
-MAX_STALE = 1.0  # [s]
+MAX_TARE = 60.0  # [s]; longest averaging time of a tare
+MAX_STALE = 1.0  # [s]; longest gap between frames of the motion capture
 READY_TIMEOUT = 60.0  # [s] of real time; for all nodes before the first trigger
 MAX_PULSE = 0.5  # [-]; of the trigger's period
 MAX_SPAN = 0.25  # [s]; of the default averaging around a trigger
 
 
 def averaging_span(wanted: float, period: float) -> float:
-    """Span around a trigger to average over [s].
+    """Span centred on a trigger to average over [s].
 
-    A negative setting [s] stands for the trigger period [s], at most `MAX_SPAN`, or 0 if it is not
-    known yet.
+    Args:
+        wanted: The setting [s]; a negative one stands for the trigger period, at most `MAX_SPAN`.
+        period: The trigger period [s]; 0 if it is not known yet.
     """
     return wanted if wanted >= 0.0 else min(period, MAX_SPAN)
 
@@ -29,7 +30,7 @@ class SchedulingSettings(Settings):
 
     priority: int = fixed(0, "real-time priority; 0: none [1]", 0, 98)
     cores: tuple[int, ...] = fixed((), "cores to run on; empty: all [1]", 0, 1023)
-    lock_memory: bool = fixed(False, "lock its memory, so that it is never swapped out [-]")
+    lock_memory: bool = fixed(False, "lock the node's memory, so that it is never swapped out [-]")
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ class TriggerSettings(Settings):
     wait_for: tuple[str, ...] = fixed((), "nodes that must be ready before the first trigger [-]")
     chip: str = fixed("pinctrl-rp1", "label of the GPIO chip; its number may change [-]")
     output_line: int = fixed(17, "line that outputs the pulse [1]", 0, 1023)
-    input_line: int = fixed(27, "line wired to it, whose edge is timestamped [1]", 0, 1023)
+    input_line: int = fixed(27, "line wired to output_line, whose edge is timestamped [1]", 0, 1023)
     pulse: float = fixed(5e-4, "length of the pulse [s]", 1e-5, 0.1)
     simulation: str = fixed("", "folder of a simulated world; empty: the hardware [-]")
     edge_within: float = fixed(1e-3, "longest delay of the edge after the pulse [s]", 1e-5, 0.1)
@@ -66,11 +67,16 @@ class ClusterSettings(Settings):
     names: tuple[str, ...] = fixed(
         ("brim_lateral", "mid_anterior", "posterior_distal", "distal"), "names of the clusters [-]"
     )
-    chip: str = fixed("fdc1004", "their chip, one of CAPACITIVE_CHIPS in live/hardware.py [-]")
+    chip: str = fixed(
+        "fdc1004", "chip of the clusters, one of CAPACITIVE_CHIPS in live/hardware.py [-]"
+    )
     buses: tuple[int, ...] = fixed((1, 1, 1, 1), "N of each cluster's bus /dev/i2c-N [1]", 0, 255)
-    multiplexer: int = fixed(0x70, "address of their multiplexer; 0: none [1]", 0, 0x77)
+    multiplexer: int = fixed(0x70, "I2C address of the clusters' multiplexer; 0: none [1]", 0, 0x77)
     multiplexers: tuple[int, ...] = fixed(
-        (), "the same per cluster, if they differ; empty: one address for all [1]", 0, 0x77
+        (),
+        "address of each cluster's multiplexer, if they differ; empty: multiplexer for all [1]",
+        0,
+        0x77,
     )
     channels: tuple[int, ...] = fixed((0, 1, 2, 3), "multiplexer channel of each cluster [1]", 0, 7)
     sample_rate: int = fixed(
@@ -83,12 +89,12 @@ class ClusterSettings(Settings):
 
     @property
     def each_multiplexer(self) -> tuple[int, ...]:
-        """Address of each cluster's multiplexer; 0: none."""
+        """I2C address of each cluster's multiplexer, one entry per cluster; 0: none."""
         return self.multiplexers or (self.multiplexer,) * len(self.names)
 
     @property
     def places(self) -> list[tuple[int, int, int]]:
-        """Bus, multiplexer address (0: none) and channel of each cluster."""
+        """Bus number N of /dev/i2c-N, multiplexer address (0: none) and channel, per cluster."""
         return [*zip(self.buses, self.each_multiplexer, self.channels, strict=True)]
 
 
@@ -107,9 +113,11 @@ class LoadCellSettings(Settings):
     data_ready_line: int = fixed(
         -1, "GPIO line of DRDY, whose edges timestamp the conversions; -1: none [1]", -1, 1023
     )
-    data_ready_chip: str = fixed("pinctrl-rp1", "label of the GPIO chip of that line [-]")
+    data_ready_chip: str = fixed("pinctrl-rp1", "label of the GPIO chip of data_ready_line [-]")
     clock_in: float = fixed(8.192e6, "clock of the converter [Hz]", 3e5, 8.4e6)
-    oversampling: int = fixed(8192, "ratio; rate = clock_in / 2 / oversampling [1]", 128, 16384)
+    oversampling: int = fixed(
+        8192, "oversampling ratio; rate = clock_in / 2 / oversampling [1]", 128, 16384
+    )
     gain: int = fixed(1, "gain of the converter's internal amplifier [1]", 1, 128)
     amplifier_gain: tuple[float, ...] = fixed(
         (34.0, 34.0, 34.0, 151.0, 151.0, 151.0), "gain of each bridge's amplifier [-]", 1.0, 1e4
@@ -119,7 +127,10 @@ class LoadCellSettings(Settings):
         (1.0, 1.0, 1.0, 1.0, 1.0, 1.0), "sign of each bridge, 1 or -1 [-]", -1.0, 1.0
     )
     matrix: tuple[float, ...] = fixed(
-        (), "the maker's, row by row, Fx to Mz over the bridges [N, N m per mV/V]", -1e6, 1e6
+        (),
+        "calibration matrix of the maker, row by row, Fx to Mz over the bridges [N, N m per mV/V]",
+        -1e6,
+        1e6,
     )
     full_scale: tuple[float, ...] = fixed((), "full scale of Fx Fy Fz Mx My Mz [N, N m]", 1e-3, 1e5)
     simulation: str = fixed("", "folder of a simulated world; empty: the hardware [-]")
@@ -143,8 +154,8 @@ class MocapSettings(Settings):
     """Parameters of the motion-capture node."""
 
     server: str = fixed("", "address of the computer that runs Motive [-]")
-    command_port: int = fixed(1510, "its command port [1]", 1, 65535)
-    data_port: int = fixed(1511, "its data port, for multicast [1]", 1, 65535)
+    command_port: int = fixed(1510, "command port of Motive [1]", 1, 65535)
+    data_port: int = fixed(1511, "data port of Motive, for multicast [1]", 1, 65535)
     multicast: str = fixed("", "multicast group, such as 239.255.42.99; empty: unicast [-]")
     interface: str = fixed("", "own address towards the server; empty: any [-]")
     bitstream: str = fixed("4.1", "stream version to request from a unicast server [-]")

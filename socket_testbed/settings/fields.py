@@ -1,8 +1,14 @@
-"""Settings as frozen dataclasses; construction checks the type and range of every field."""
+"""Settings as frozen dataclasses; construction checks the type and range of every field.
+
+A field's description, range and choices are stated once, in its call of `setting`. From there come
+the checks, the parameters' descriptions in ROS, and the `Attributes:` that `help()` shows.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import inspect
+import textwrap
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cache, partial
@@ -20,19 +26,33 @@ S = TypeVar("S", bound="Settings")
 # Switches in older files that were removed; accepted if they are off.
 _RETIRED = ("noise_correction",)
 
+_WIDTH = 92  # [characters]; of the lines of a section `Attributes:`
+
 _hints: Callable[[Any], dict[str, Any]] = cache(get_type_hints)  # cached: a front makes hundreds
 
 
 def setting(
     default: Any,
     description: str,
-    low: float = -FINITE,  # minimum
-    high: float = FINITE,  # maximum
-    choices: tuple[str, ...] = (),  # allowed texts
-    fixed: bool = False,  # whether a node reads it only at startup
-    auto: float | None = None,  # value of the text `auto`, if allowed
+    low: float = -FINITE,
+    high: float = FINITE,
+    choices: tuple[str, ...] = (),
+    fixed: bool = False,
+    auto: float | None = None,
 ) -> Any:
-    """A field of a settings class; its description ends with the unit in brackets."""
+    """A field of a settings class.
+
+    Args:
+        default: The default value, in the field's unit.
+        description: What the field is, for a reader who sees this field alone. It ends with the
+            unit in brackets: `[1]` for counts and numbers of things, `[-]` for other dimensionless
+            values and texts.
+        low: The least number allowed, of each item in a tuple; in the field's unit.
+        high: The largest number allowed, of each item in a tuple; in the field's unit.
+        choices: The texts allowed; empty for any.
+        fixed: Whether a node reads the field only at startup.
+        auto: The value that the text `auto` stands for; None if `auto` is not allowed.
+    """
     metadata = {"description": description, "low": low, "high": high}
     metadata |= {"choices": choices, "fixed": fixed, "auto": auto}
     return field(default=default, metadata=metadata)
@@ -59,12 +79,60 @@ def _checked(kind: Any, limits: Mapping[str, Any]) -> Any:
     return Annotated[kind, Meta(description=limits["description"], **span)]
 
 
+def _explained(declared: Settings | dataclasses.Field[Any]) -> str:
+    """Description, default, and range or choices of a field; the class of nested settings."""
+    if isinstance(declared, Settings):
+        return f"nested settings, a `{type(declared).__name__}`"
+    if not declared.metadata:
+        return f"nested settings, a `{declared.default_factory.__name__}`"  # type: ignore[union-attr]
+    limits = declared.metadata
+    text = f"{limits['description']}; default {declared.default!r}"
+    if limits["choices"]:
+        return f"{text}; one of {', '.join(map(repr, limits['choices']))}"
+    if limits["high"] - limits["low"] > FINITE:
+        return text
+    each = "each " if isinstance(declared.default, tuple) else ""
+    return f"{text}; {each}from {limits['low']:g} to {limits['high']:g}"
+
+
+def _entry(name: str, declared: Settings | dataclasses.Field[Any]) -> str:
+    """The lines of a field in the section `Attributes:` of a docstring.
+
+    Args:
+        name: The field's name.
+        declared: What the class's body assigns to it.
+    """
+    return textwrap.fill(
+        f"{name}: {_explained(declared)}.",
+        _WIDTH,
+        initial_indent="    ",
+        subsequent_indent="        ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
 @dataclass(frozen=True)
 class Settings:
     """Base class of all settings; construction checks the type and range of every field.
 
-    Texts such as `1e-08` are accepted as numbers, since ROS may pass them.
+    Texts such as `1e-08` are accepted as numbers, since ROS may pass them. A subclass documents
+    its fields by their descriptions: they become the `Attributes:` of its docstring.
     """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Append the section `Attributes:` to a subclass's docstring.
+
+        `@dataclass` follows this call, so the fields still stand in the body of the class.
+        """
+        super().__init_subclass__(**options)
+        if cls.__doc__:  # `python -OO` strips it
+            entries = (
+                _entry(name, declared)
+                for name, declared in vars(cls).items()
+                if isinstance(declared, Settings | dataclasses.Field)
+            )
+            cls.__doc__ = "\n".join([inspect.cleandoc(cls.__doc__), "\nAttributes:", *entries])
 
     def __post_init__(self) -> None:
         given = {}
@@ -79,7 +147,7 @@ class Settings:
 
     @classmethod
     def flat(cls, prefix: str = "") -> dict[str, dataclasses.Field[Any]]:
-        """All fields by dotted name, including those of nested settings."""
+        """All fields by dotted name, including those of nested settings; `prefix` precedes each."""
         names: dict[str, dataclasses.Field[Any]] = {}
         hints = _hints(cls)
         for item in dataclasses.fields(cls):
@@ -93,7 +161,13 @@ class Settings:
     def from_flat(cls: type[S], values: dict[str, Any], where: str, prefix: str = "") -> S:
         """Build the settings from values by dotted name; other fields keep their defaults.
 
-        Errors start with `where`. `prefix` is the dotted prefix of nested settings.
+        Args:
+            values: Values by dotted name, in the fields' units.
+            where: The source of the values, with which errors begin, such as a file and a node.
+            prefix: Dotted prefix of the names, for nested settings; empty otherwise.
+
+        Raises:
+            ConfigurationError: If a name is unknown, or a value has the wrong type or range.
         """
         if not prefix:
             kept = [n for n in values if not (values[n] is False and n.endswith(_RETIRED))]
@@ -112,7 +186,7 @@ class Settings:
             raise ConfigurationError(f"{where}: {prefix}{error.fact}", error.hint) from None
 
     def to_flat(self, prefix: str = "") -> dict[str, Any]:
-        """All values by dotted name; tuples become lists."""
+        """All values by dotted name, after `prefix`, in the fields' units; tuples become lists."""
         values = {name: attrgetter(name)(self) for name in self.flat()}
         return {prefix + n: list(v) if isinstance(v, tuple) else v for n, v in values.items()}
 

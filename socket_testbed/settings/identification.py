@@ -17,7 +17,11 @@ Weights = Literal["size", "noise", "raw"]
 
 
 def check_solver(solver: str) -> None:
-    """Check that a solver is installed; a model may name one that is not."""
+    """Check that a solver is installed; a model may name one that is not.
+
+    Raises:
+        ConfigurationError: If qpsolvers does not find the solver on this machine.
+    """
     import qpsolvers  # imported late: it imports every solver
 
     installed = qpsolvers.available_solvers
@@ -68,8 +72,9 @@ class IdentificationSettings(Settings):
         1000.0, "sharpness alpha of the rigid variants' contact [1/m]", 1.0, 1e6
     )
     wrench_sharpness: tuple[float, ...] = setting(
-        (100.0, 20.0), "tried for the wrench of rigid_bias, like contact_sharpness and a linear"
-        " regression, by the error on the unseen half; empty: contact_sharpness [1/m]", 1.0, 1e6,
+        (100.0, 20.0), "sharpness of further contacts tried for the wrench of rigid_bias, besides a"
+        " linear regression on the pose; one that is clearly better on the unseen half of the"
+        " samples predicts the wrench; empty: contact_sharpness alone [1/m]", 1.0, 1e6,
     )  # fmt: skip
     prior: float = setting(
         1.0, "weight of the rigid variants' prior over the tiles against the errors [-]", 1e-9, 1e6
@@ -145,17 +150,35 @@ class ForceMapSettings(Settings):
         0.2, "a tile's own tangential force, relative to its own normal force [-]", 1e-3, 1e2
     )
     length_spread: float = setting(0.5, "deviation of log(length) [-]", 0.0, 1.0)
-    preload: float = setting(1.2, "normal force common to all tiles, relative to it [-]", 1e-3, 1e2)
-    bed: float = setting(
-        0.5, "forces of a bed of springs as the limb moves sideways, relative to it [-]", 1e-3, 1e2
+    preload: float = setting(
+        1.2, "normal force common to all tiles, relative to normal_deviation [-]", 1e-3, 1e2
     )
-    sinking: float = setting(1.4, "the same as the limb sinks, relative to it [-]", 1e-3, 1e2)
-    rotation: float = setting(0.15, "the same as the limb turns, relative to it [-]", 1e-3, 1e2)
+    bed: float = setting(
+        0.5,
+        "forces of a bed of springs as the limb moves sideways, relative to normal_deviation [-]",
+        1e-3,
+        1e2,
+    )
+    sinking: float = setting(
+        1.4,
+        "forces of a bed of springs as the limb sinks, relative to normal_deviation [-]",
+        1e-3,
+        1e2,
+    )
+    rotation: float = setting(
+        0.15,
+        "forces of a bed of springs as the limb turns, relative to normal_deviation [-]",
+        1e-3,
+        1e2,
+    )
     bed_shear: float = setting(
         0.05, "tangential stiffness of the bed, relative to its normal stiffness [-]", 1e-3, 1e1
     )
     bed_variation: float = setting(
-        0.7, "variation of the bed's stiffness over the surface, relative to it [-]", 1e-3, 1e1
+        0.7,
+        "variation of the bed's stiffness over the surface, relative to its mean [-]",
+        1e-3,
+        1e1,
     )
     arm: float = setting(
         0.06, "lever arm that makes a rotation comparable to a translation [m]", 1e-3, 1.0
@@ -163,17 +186,28 @@ class ForceMapSettings(Settings):
     drag: float = setting(
         0.1, "distal force on a tile by friction, relative to its normal force [-]", -1.0, 1.0
     )
-    drag_spread: float = setting(0.1, "its standard deviation [-]", 0.0, 0.5)
+    drag_spread: float = setting(0.1, "standard deviation of drag [-]", 0.0, 0.5)
     share: float = setting(0.88, "mean share of the load borne by the tiles [-]", MIN_SHARE, 1.0)
-    share_spread: float = setting(0.07, "its standard deviation [-]", 0.0, 0.3)
+    share_spread: float = setting(0.07, "standard deviation of share [-]", 0.0, 0.3)
     moment_error: float = setting(
         0.7, "offset of a moment, including the surface between tiles [N m]", 1e-6, 1e2
     )
-    force_error: float = setting(4.0, "the same for a force of the load cell [N]", 1e-6, 1e3)
+    force_error: float = setting(
+        4.0,
+        "offset of a force of the load cell, including the surface between tiles [N]",
+        1e-6,
+        1e3,
+    )
     cluster_error: float = setting(0.3, "offset of a force on a cluster [N]", 1e-6, 1e3)
     cluster_gain_error: float = setting(0.05, "error of a cluster's gain [-]", 0.0, 1.0)
     cluster_error_spread: float = setting(1.0, "deviation of log(cluster_error) [-]", 0.0, 3.0)
     spread: float = setting(
-        1.0, "the same for bed_shear, bed_variation and the relative sizes [-]", 0.0, 2.0
+        1.0,
+        "deviation of log(size) of shear, preload, bed, sinking, rotation, bed_shear and"
+        " bed_variation [-]",
+        0.0,
+        2.0,
     )
-    draws: int = setting(64, "number of draws of these; 1: the given values only [1]", 1, 1024)
+    draws: int = setting(
+        64, "hypotheses drawn from these distributions; 1: the given values only [1]", 1, 1024
+    )

@@ -64,7 +64,16 @@ _MAX_NAME_LENGTH = 200  # [bytes]
 
 
 def check_take_name(name: str, what: str = "the trial's name") -> str:
-    """Refuse a trial's name, called `what` in errors, that is not valid for a take in Motive."""
+    """Refuse a trial's name that is not valid for a take in Motive; returns a valid one.
+
+    Args:
+        name: The name, without a folder.
+        what: How errors call the name.
+
+    Raises:
+        ConfigurationError: If the name is empty or longer than 200 bytes, begins or ends with a
+            dot or a blank, or holds a character that Motive or Windows forbids.
+    """
     hint = f"give letters, digits, blanks, '-', '_' and '.', {_MAX_NAME_LENGTH} bytes at most"
     shown = ascii(name if len(name) <= 40 else f"{name[:40]}...")
     if not name.isprintable() or set(name) & set(_FORBIDDEN):
@@ -161,7 +170,7 @@ class TestbedSettings(Settings):
     view_node: ViewSettings = field(default_factory=ViewSettings)
 
     def nodes(self) -> dict[str, Settings]:
-        """Settings by node name."""
+        """Settings of each node by its name, such as `trigger_node`."""
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
 
@@ -179,8 +188,16 @@ class _Node(Document):
 def read_testbed(path: Path, defaults: TestbedSettings | None = None) -> TestbedSettings:
     """Read `testbed.yaml`: node parameters in the ROS format, one section per node.
 
-    Unlike ROS, this refuses undeclared keys. Nodes that the file does not name keep the settings of
-    `defaults`, if given.
+    Unlike ROS, this refuses undeclared keys.
+
+    Args:
+        path: The file; an empty one gives the defaults.
+        defaults: Settings of the nodes that the file does not name; None for those of the classes.
+            A node that the file names does not use them: its other fields have the classes'
+            defaults.
+
+    Raises:
+        ConfigurationError: If the file cannot be read, or a key or a value is wrong.
     """
     defaults = defaults or TestbedSettings()
     kinds = {name: type(settings) for name, settings in defaults.nodes().items()}
@@ -199,7 +216,14 @@ def estimator_settings(
 ) -> EstimatorSettings:
     """Settings stored with a trial, or those of a `testbed.yaml`, with overrides.
 
-    `choices` override fields of `IdentificationSettings`, such as `theta`; None keeps the field.
+    Args:
+        stored: The settings stored with the trial.
+        params: A `testbed.yaml` whose estimator node replaces them; None for the stored ones.
+        choices: Fields of `IdentificationSettings` to override, such as `theta`; None keeps the
+            field.
+
+    Raises:
+        ConfigurationError: If the file, a choice, or the name of the solver is wrong.
     """
     settings = stored if params is None else read_testbed(params).estimator_node
     given = {name: value for name, value in choices.items() if value is not None}
@@ -212,7 +236,12 @@ def estimator_settings(
 def write_testbed(nodes: dict[str, Settings], path: Path) -> None:
     """Write settings by node name as a `testbed.yaml` for other runs and machines.
 
-    An empty list is left out where it is the default: ROS does not know its type.
+    An empty list is left out where it is the default: ROS does not know its type. Values that
+    belong to a single run, such as paths of files, are left out too.
+
+    Args:
+        nodes: Settings by node name, such as `trigger_node`.
+        path: The file; an existing one is replaced.
     """
     document = {}
     for node, settings in nodes.items():

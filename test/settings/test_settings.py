@@ -1,6 +1,7 @@
 """Settings, the file of the node parameters, and names of trials, which are names of takes."""
 
 import dataclasses
+import inspect
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,18 @@ def test_every_setting_has_a_unit_and_its_default_comes_back_from_its_flat_form(
         assert set(settings.to_flat()) == set(kind.flat())
         for field in kind.flat().values():
             assert field.metadata["description"].rstrip().endswith("]"), field.name
+
+
+def test_help_shows_each_field_with_its_unit_default_and_range_or_choices():
+    shown = " ".join(inspect.getdoc(IdentificationSettings).split())
+    assert "theta: weight of the wrench against the clusters, on normalised errors [-];" in shown
+    assert "[-]; default 0.5; from 0 to 1. weights:" in shown
+    assert "default 'size'; one of 'size', 'noise', 'raw'." in shown
+    assert "default (100.0, 20.0); each from 1 to 1e+06." in shown
+    assert "default 'osqp'. solver_tolerance:" in shown
+    nested = inspect.getdoc(testbed.EstimatorSettings)
+    assert "\n    identification: nested settings, a `IdentificationSettings`.\n" in nested
+    assert "\n    force_map: nested settings, a `ForceMapSettings`." in nested
 
 
 def test_whatever_means_a_number_is_one_and_a_wrong_value_is_refused_by_its_name():
