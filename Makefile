@@ -41,6 +41,7 @@ lint: setup
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
+	$(BIN)/python scripts/check_docstrings.py
 
 # The reference of the Python API and of all types that it takes or returns, from the docstrings.
 DOCUMENTED := api arrays calibration errors geometry identification pages.server report.results \
