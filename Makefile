@@ -37,6 +37,7 @@ lint: setup
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
+	$(BIN)/oxlint --deny-warnings --report-unused-disable-directives socket_testbed/pages/static test/support
 
 # The reference of the Python API, from the docstrings.
 docs: setup
