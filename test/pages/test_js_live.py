@@ -139,6 +139,16 @@ def test_keys_in_a_field_are_the_fields(field) -> None:
     assert settled(tab) == 12.5 and tab.text("#play") == "Play"
 
 
+@pytest.mark.parametrize("pressed", ["#play", "summary"], ids=["button", "summary"])
+def test_focus_of_a_button_leaves_the_arrows(pressed) -> None:
+    tab = opened(trial())
+    tab.press("ArrowRight", on=pressed)
+    assert settled(tab) == 17.5
+    # The browser itself presses or unfolds it.
+    assert not tab.press(" ", on=pressed)
+    assert tab.text("#play") == "Play"
+
+
 def test_space_plays_and_does_not_scroll() -> None:
     tab = opened(trial())
     assert tab.press(" ")
