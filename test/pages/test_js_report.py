@@ -3,14 +3,8 @@
 Pages are written as `report.page` writes them. Expected values are worked out by hand.
 """
 
-import base64
-import gzip
 import json
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cache
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,7 +12,6 @@ import numpy as np
 import pandas as pd
 import pytest
 import trimesh
-from markupsafe import Markup
 from support.hand_made import hand_bars, hand_cards, hand_course, hand_moment, hand_socket
 from support.hand_outputs import (
     GEOMETRY,
@@ -30,7 +23,7 @@ from support.hand_outputs import (
     made_moment,
     made_socket,
 )
-from support.tabs import INK, Picture, Tab, read_colour
+from support.tabs import INK, Picture, Tab, read_colour, small_viewer
 
 from socket_testbed.api.pages import _map_data
 from socket_testbed.identification.differences import DIFFERENCE, VALUE
@@ -54,15 +47,6 @@ PARTS: dict[str, Any] = {
     "maps": Maps({"map-0": "a", "map-1": "b", "map-2": "b - a"}, "legend"),
     "chart": ReportFigure("wrench", "Wrench", lambda _: None, pd.DataFrame(), CHART),
 }
-
-
-@contextmanager
-def small_viewer() -> Iterator[Path]:
-    """A folder in which pages are written with a small viewer, packed as the real one is."""
-    packed = base64.b64encode(gzip.compress(b"globalThis.Plotly = browser.Plotly;")).decode()
-    with TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
-        patch.setattr("socket_testbed.report.page._viewer", lambda: Markup(packed))
-        yield Path(folder)
 
 
 @cache

@@ -6,18 +6,24 @@ clicks, chooses, types and lets time pass. What the scripts draw is kept as `Pic
 
 from __future__ import annotations
 
+import base64
 import gzip
 import json
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from html.parser import HTMLParser
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import pytest
 import quickjs
+from markupsafe import Markup
 
+from socket_testbed.pages.server import Source
 from support import CHECKOUT
 
 STATIC = CHECKOUT / "socket_testbed" / "pages" / "static"
@@ -44,6 +50,30 @@ class StatusError(Exception):
 
 # Answers a path, and the body of a POST, with what is sent as JSON.
 Answer = Callable[[str, Any], Any]
+
+
+def served(source: Source) -> Answer:
+    """The answers of a server with a source, see `pages.server`."""
+
+    def answer(path: str, body: Any) -> Any:
+        if path == "start":
+            return source.start()
+        if path == "do":
+            return {"said": source.act(body.pop("do"), body)}
+        name, _, time = path.partition("?t=")
+        assert name == "now"
+        return source.now(float(time) if time else None)
+
+    return answer
+
+
+@contextmanager
+def small_viewer() -> Iterator[Path]:
+    """A folder in which pages are written with the fake viewer, packed as the real one is."""
+    packed = base64.b64encode(gzip.compress(b"globalThis.Plotly = browser.Plotly;")).decode()
+    with TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
+        patch.setattr("socket_testbed.report.page._viewer", lambda: Markup(packed))
+        yield Path(folder)
 
 
 class _Parser(HTMLParser):
