@@ -42,6 +42,8 @@ lint: setup
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/python scripts/check_docstrings.py
+	$(BIN)/oxlint --deny-warnings --report-unused-disable-directives \
+		socket_testbed/pages/static test/support
 
 # The reference of the Python API and of all types that it takes or returns, from the docstrings.
 DOCUMENTED := api arrays calibration errors geometry identification pages.server report.results \

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.bags import add_events, rewrite
+from support.tabs import LIVE_PAGE, Tab, served
 from support.wording import refused
 
 import socket_testbed as st
@@ -14,6 +15,8 @@ from socket_testbed.pages.player import Player
 from socket_testbed.samples import Status
 from socket_testbed.trials.cdr import stamp_of
 from socket_testbed.trials.segment import Segment
+
+MEAN = "mean pressure [kPa]"
 
 
 def test_an_instant_is_that_of_the_verbs(hold: Path, hold_model: Path) -> None:
@@ -74,3 +77,18 @@ def test_events_are_marks_and_nothing_is_shown_in_a_gap(hold: Path, tmp_path: Pa
     shown = played.now(26.2)
     assert "pressure" not in shown["moment"] and shown["cards"][0]["value"] == "none"
     assert "pressure" in played.now(20.0)["moment"]
+
+
+def test_page_opens_at_the_peak_and_jumps(hold: Path) -> None:
+    player = Player(st.open_trial(hold))
+    tab = Tab(LIVE_PAGE, served(player))
+    peak = player.start()["start"]
+    for time in (peak, peak - 5.0):
+        shown = player.now(time)
+        assert tab.text("#when") == f"at {shown['moment']['time']:.2f} s"
+        assert tab.texts("strong")[:3] == [card["value"] for card in shown["cards"]]
+        assert f"<b>peak {max(shown['moment']['pressure']):.1f}</b>" in tab.picture("#map").notes
+        assert tab.rows("#wrench") == shown["wrench"]
+        assert tab.texts(".said")[0].startswith(f"{shown['bars']['values'][MEAN][0][0]:.1f} (")
+        tab.press("ArrowLeft")
+        tab.wait(0.2)

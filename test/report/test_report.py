@@ -9,6 +9,7 @@ import pytest
 import trimesh
 from support.pages import MADE, NASTY, THETAS, Page
 from support.problems import make_samples, ring_socket
+from support.tabs import Tab, small_viewer
 from support.wording import refused
 
 import socket_testbed as st
@@ -18,7 +19,8 @@ from socket_testbed.identification.fit import summarise_errors
 from socket_testbed.identification.model_file import read_model
 from socket_testbed.pages.wall import unrolled_tiles
 from socket_testbed.report import fronts, validation, write
-from socket_testbed.report.page import write_socket_page
+from socket_testbed.report.page import Pictures, Section, write_page, write_socket_page
+from socket_testbed.report.pressure import page_data
 from socket_testbed.report.quality import list_notes
 from socket_testbed.report.results import Results, compute_results
 from socket_testbed.report.write import check_page_path, summarise, write_report
@@ -107,6 +109,27 @@ def test_a_page_that_cannot_be_written_leaves_nothing(results, tmp_path, monkeyp
     with refused(ConfigurationError, "No space left"):
         write_report(results, tmp_path / "page.html", "", MADE)
     assert not [*tmp_path.iterdir()]
+
+
+def test_page_shows_peak_mean_and_models(results):
+    with small_viewer() as folder:
+        section = Section("socket", "", [Pictures("The socket")])
+        write_page(folder / "page.html", "", "", {"": [section]}, page_data(results))
+        tab = Tab((folder / "page.html").read_text(encoding="utf-8"))
+    found = results.pressure
+    peak = 1e-3 * found.outputs.peak_map.normal_pressure.max()
+    mean = 1e-3 * found.outputs.tiles.mean.value.max()
+    assert tab.text("#when") == f"at {found.peak_time:.2f} s"
+    assert tab.texts("strong")[0] == f"{peak:.1f} kPa"
+    assert f"<b>peak {peak:.1f}</b>" in tab.picture("#map").notes
+    tab.click('button[data-moment="mean"]')
+    assert tab.text("#when") == f"mean over {found.segment}"
+    assert f"<b>peak {mean:.1f}</b>" in tab.picture("#map").notes
+    first = found.regions["mean pressure [kPa]"].iloc[0]
+    assert tab.texts(".said")[0].startswith(f"{first:.1f} (")
+    model = next(name for name in tab.options("#kind") if "stiffness along" in name)
+    tab.choose("#kind", model)
+    assert tab.picture("#map").heatmap().trace["colorbar"]["title"]["text"] == "N/m"
 
 
 def test_gaps_and_drop_outs_are_counted(rng):

@@ -73,6 +73,20 @@ def ring_socket() -> SocketGeometry:
     return _cone(named, 0.047, {name: name for name in on.values()})
 
 
+def small_socket() -> SocketGeometry:
+    """A cylinder of 50 mm about z with tiles to all four sides in three rings, and one on its end.
+
+    The rings are 20, 50 and 80 mm above the end; `left2` is to the left in the second one.
+    """
+    tiles = {}
+    for ring, height in enumerate((0.10, 0.13, 0.16), start=1):
+        for turn, side in enumerate(("anterior", "left", "posterior", "right")):
+            outwards, frame = wall_frame(0.5 * np.pi * turn, 0.0)
+            tiles[f"{side}{ring}"] = 0.05 * outwards + [0.0, 0.0, height], frame
+    tiles["end"] = np.array([0.0, 0.0, 0.08]), np.eye(3)
+    return _cone(tiles, 0.04, {"front": "anterior3", "side": "left2"})
+
+
 def random_socket(rng: np.random.Generator, rings=2, columns=4, clusters=3) -> SocketGeometry:
     """A cone of rings x columns tiles around z, which is proximal, with clusters on random ones."""
     tiles, pairs = {}, []

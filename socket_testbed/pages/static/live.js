@@ -81,10 +81,11 @@ function fill(table, rows) {
       (event) => new Option(`${event.time.toFixed(2)} s: ${event.label}`, event.time)));
     byId("events").addEventListener("change", ({target}) => { if (target.value) { seek(Number(target.value)); } });
     document.addEventListener("keydown", (event) => {
-      if (["INPUT", "SELECT", "BUTTON"].includes(event.target.tagName)) { return; }
+      const {tagName} = event.target;
+      if (["INPUT", "SELECT"].includes(tagName)) { return; }
       const step = {ArrowLeft: -JUMP, ArrowRight: JUMP}[event.key];
       if (step) { seek(position + step); }
-      if (event.key === " ") { event.preventDefault(); toggle(); }
+      if (event.key === " " && !["BUTTON", "SUMMARY"].includes(tagName)) { event.preventDefault(); toggle(); }
     });
   }
 

@@ -303,7 +303,7 @@ class Course {
     }
     if (this.slider) {
       Object.assign(this.slider, {min: span[0], max: span[1], step: "any"});
-      this.slider.value = at;
+      if (known(at)) { this.slider.value = at; }
     }
   }
 }
