@@ -55,6 +55,7 @@ _NEVER_NEGATIVE = ("area", "integral", "shear")
 MAX_DRAWN = 2000  # samples of a span with expanded draws, evenly spread
 _EXPANDED_BATCH = 32  # samples whose draws are expanded at a time
 _RIGHT_ANGLE = 0.5 * np.pi  # [rad]
+_MIN_EXTENT = 1e-9  # [m]; of a region of a single tile, whose centre of pressure is certain
 # Output, axis of a vector, factor from SI, and displayed decimals, by the title of a column; in the
 # order of tables.
 _COLUMNS: dict[str, tuple[str, int | None, float, int]] = {
@@ -250,7 +251,8 @@ class _Regions:
         self._axial = along.reshape(-1)
         centres = (member.T @ anchors) / member.sum(axis=0)[:, None]
         apart = ((anchors[:, None] - centres) ** 2).sum(axis=2)
-        self._extents = np.sqrt((apart * member).sum(axis=0) / member.sum(axis=0))
+        extents = np.sqrt((apart * member).sum(axis=0) / member.sum(axis=0))
+        self._extents = np.maximum(extents, _MIN_EXTENT)
 
     def read(self, fields: _Fields) -> dict[str, FloatArray]:
         """The outputs by their names, shape (..., R), and the centre (..., R, 3)."""
