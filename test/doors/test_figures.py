@@ -162,8 +162,10 @@ def test_the_wall_names_its_sides(drawn: Draw) -> None:
         -180.0: "post.", -90.0: "lat.", 0.0: "ant.", 90.0: "med.", 180.0: "post.",
     }  # fmt: skip
     assert wall.get_ylabel() == "height [mm]"
-    assert wall.get_xlim()[0] < -180.0 < 180.0 < wall.get_xlim()[1]
-    assert wall.get_ylim()[0] < 0.0 < 140.0 < wall.get_ylim()[1]
+    left, right = wall.get_xlim()
+    assert left < -180.0 and right > 180.0
+    low, high = wall.get_ylim()
+    assert low < 0.0 and high > 140.0
 
 
 def test_the_end_is_the_right_way_up(drawn: Draw) -> None:
