@@ -41,6 +41,7 @@ T = TypeVar("T")
 
 # Correlation of the map's errors in two trials of one limb in one socket: docs/compare.md [-].
 SAME_LIMB = 0.7
+_ROUNDING = 1e-9  # [-]; of a value; a smaller difference is none
 POWER = 0.8  # [-]; probability that a difference of the detectable size is significant
 VALUE = ("value", "low", "high")
 DIFFERENCE = ("difference", "difference low", "difference high")
@@ -100,12 +101,16 @@ class Conditions:
         """
         value, low, high = map(self.mean, (values, low, high))
         below, above = np.maximum(value - low, 0.0), np.maximum(high - value, 0.0)
-        difference = value - value[0]
         with np.errstate(invalid="ignore"):  # the reach of an open interval is unknown
             lower, upper = (
                 np.sqrt(own**2 + first**2 - 2.0 * correlation * own * first)
                 for own, first in ((below, above[0]), (above, below[0]))
             )
+        rounding = _ROUNDING * np.abs(value[0])
+        difference, lower, upper = (
+            np.where(np.abs(found) < rounding, 0.0, found)
+            for found in (value - value[0], lower, upper)
+        )
         found = (value, low, high, difference, difference - lower, difference + upper)
         columns = dict(zip(VALUES, found, strict=True))
         if self.freedom:

@@ -55,7 +55,7 @@ _NEVER_NEGATIVE = ("area", "integral", "shear")
 MAX_DRAWN = 2000  # samples of a span with expanded draws, evenly spread
 _EXPANDED_BATCH = 32  # samples whose draws are expanded at a time
 _RIGHT_ANGLE = 0.5 * np.pi  # [rad]
-_ROUNDING = 1e-9  # [-]; relative to the value
+_MIN_EXTENT = 1e-9  # [m]; of a region of a single tile, whose centre of pressure is certain
 # Output, axis of a vector, factor from SI, and displayed decimals, by the title of a column; in the
 # order of tables.
 _COLUMNS: dict[str, tuple[str, int | None, float, int]] = {
@@ -105,9 +105,7 @@ class Quantity:
 
         The result has the shape of the values, and is false where they are NaN.
         """
-        # The centre of a single tile has neither reach nor scale, but rounding.
-        rounding = _ROUNDING * np.abs(self.value)
-        return np.asarray(self.reach <= share * self.scale + rounding)  # false for NaN
+        return np.asarray(self.reach <= share * self.scale)  # false for NaN
 
     def part(self, place: Any, factor: float = 1.0) -> Quantity:
         """Elements of the arrays, in another unit.
@@ -335,7 +333,8 @@ class _Regions:
         self._axial = along.reshape(-1)
         centres = (member.T @ anchors) / member.sum(axis=0)[:, None]
         apart = ((anchors[:, None] - centres) ** 2).sum(axis=2)
-        self._extents = np.sqrt((apart * member).sum(axis=0) / member.sum(axis=0))
+        extents = np.sqrt((apart * member).sum(axis=0) / member.sum(axis=0))
+        self._extents = np.maximum(extents, _MIN_EXTENT)
 
     def read(self, fields: _Fields) -> dict[str, FloatArray]:
         """The outputs by their names, shape (..., R), and the centre (..., R, 3), in SI units."""

@@ -11,7 +11,8 @@ on the wall, 50 mm from the axis, 210 and 150 mm above the load cell, and `end` 
     end                          15        4.5      14         6
 
 All forces follow one factor, 1 - cos(2 pi t / 24 s) / 2, over 24 s at 4 Hz: half at the start, 1.5
-times at 12.0 s, and 1 in the mean, so that means over the trial are the values above.
+times at 12.0 s, and 1 in the mean, so that means over the trial are the values above. A second
+trial, an hour later, has `HEAVIER` times the forces and the load of the first.
 
 `HandMap` stands for the force map: it knows these forces, whatever the channels say, with errors
 that all tiles share: 95 % of the draws lie within 1.96 standard deviations, `PRESSURE_SD`. What it
@@ -68,6 +69,8 @@ FACTOR = 1.0 - 0.5 * np.cos(2.0 * np.pi * TIME / 24.0)
 PEAK_ROW = 48
 START = 1_800_000_000 * 10**9  # [ns]
 STAMPS = START + np.round(1e9 * TIME).astype(np.int64)
+HOUR = 3600 * 10**9  # [ns]; from the first trial to the second
+HEAVIER = 1.25  # [-]; forces of the second trial over those of the first
 
 CENTRE = np.array([0.0, 0.0, 0.15])  # of the tiles [m]
 STIFFNESS = np.array([40e3, 30e3, 20e3])  # along x, y, z [N/m]
@@ -130,9 +133,9 @@ def calibration() -> Calibration:
     return Calibration(clusters, "2026-01-01", "made by hand")
 
 
-def capacitances(cluster: str) -> np.ndarray:
+def capacitances(cluster: str, scale: float = 1.0) -> np.ndarray:
     """What the inputs of a cluster's converter read, (N, 4) [pF]: the calibration inverted."""
-    normal, along_x, along_y = STRESS[CLUSTERS[cluster]]
+    normal, along_x, along_y = scale * np.array(STRESS[CLUSTERS[cluster]])
     if cluster in TURNED:  # turned by +90 degrees, its x is the tile's y, its y is the tile's -x
         along_x, along_y = along_y, -along_x
     mean, dx, dy = 5.0 + FACTOR * normal / 20.0, FACTOR * along_x / 30.0, FACTOR * along_y / 30.0
@@ -144,35 +147,43 @@ def capacitances(cluster: str) -> np.ndarray:
     return found
 
 
-def load() -> np.ndarray:
+def load(scale: float = 1.0) -> np.ndarray:
     """Load [F; M] on the socket about the centre of the tiles, (N, 6) [N, N m]."""
     found = MEAN_LOAD + SWINGS * np.sin(2.0 * np.pi * np.outer(TIME / 24.0, CYCLES))
     found[:, 2] = MEAN_LOAD[2] * FACTOR
-    return found
+    return scale * found
 
 
-def wrench() -> np.ndarray:
+def wrench(scale: float = 1.0) -> np.ndarray:
     """Wrench [M; F] at the load cell, (N, 6) [N m, N]."""
-    force, moment = load()[:, :3], load()[:, 3:]
+    force, moment = np.hsplit(load(scale), 2)
     return np.hstack([moment + np.cross(CENTRE, force), force])
 
 
-def limb() -> Pose:
+def limb(scale: float = 1.0) -> Pose:
     """Poses of the limb in {S}: its origin is the centre of the tiles, displaced by the load."""
-    force, moment = load()[:, :3], load()[:, 3:]
+    force, moment = np.hsplit(load(scale), 2)
     turned = Rotation.from_rotvec(np.radians(moment / ROTATIONAL))
     return Pose(turned.as_matrix(), CENTRE + force / STIFFNESS)
+
+
+def factor_at(stamps: np.ndarray) -> np.ndarray:
+    """The factor of all forces at some stamps [ns] of either trial."""
+    later, elapsed = np.divmod(stamps - START, HOUR)
+    rows = np.searchsorted(STAMPS - START, elapsed)
+    return np.where(later, HEAVIER, 1.0) * FACTOR[rows]
 
 
 def forces_in_tiles(stamps: np.ndarray) -> np.ndarray:
     """Forces on the tiles in their frames at some stamps [ns], (N, n, 3) [N]."""
     pressure, along_x, along_y = np.array([*STRESS.values()]).T
     once = 1e3 * geometry().areas[:, None] * np.column_stack([along_x, along_y, -pressure])
-    return FACTOR[np.searchsorted(STAMPS, stamps)][:, None, None] * once
+    return factor_at(stamps)[:, None, None] * once
 
 
-def write(folder: Path, side: str = "right") -> Path:
-    """Write the scene as a trial, with its files; returns its folder."""
+def write(folder: Path, side: str = "right", subject: str = "S01", second: bool = False) -> Path:
+    """Write the scene, or its second trial, with its files; returns its folder."""
+    scale, stamps = (HEAVIER, STAMPS + HOUR) if second else (1.0, STAMPS)
     folder.parent.mkdir(parents=True, exist_ok=True)
     files = folder.parent / "socket.yaml", folder.parent / "calibration.yaml"
     write_socket(geometry(), files[0])
@@ -182,21 +193,21 @@ def write(folder: Path, side: str = "right") -> Path:
     count = len(TIME)
     still = Pose(np.tile(world.rotation, (count, 1, 1)), np.tile(world.translation, (count, 1)))
     # From the limb in {S} back to the pylon in the world.
-    in_world = still @ socket.socket_body.inverse() @ limb() @ socket.limb.inverse()
+    in_world = still @ socket.socket_body.inverse() @ limb(scale) @ socket.limb.inverse()
     poses = {"socket": still, "pylon": in_world}
-    forces = np.einsum("nij,knj->kni", socket.rotations, forces_in_tiles(STAMPS))
-    motion = limb()
-    truth = GroundTruth(TILES, forces, wrench(), motion.translation, motion.rotation_vector())
+    forces = np.einsum("nij,knj->kni", socket.rotations, forces_in_tiles(stamps))
+    motion, load_cell = limb(scale), wrench(scale)
+    truth = GroundTruth(TILES, forces, load_cell, motion.translation, motion.rotation_vector())
     trial = SimulatedTrial(
-        stamps=STAMPS,
-        capacitance={name: capacitances(name) for name in CLUSTERS},
-        wrench=wrench(),
+        stamps=stamps,
+        capacitance={name: capacitances(name, scale) for name in CLUSTERS},
+        wrench=load_cell,
         markers={name: poses[name].place(own) for name, own in socket.markers.items()},
         poses=poses,
         truth=truth,
     )
     write_simulated_trial(trial, folder, *files)
-    metadata = TrialMetadata(subject="S01", side=side, socket="scene", mass=61.2)
+    metadata = TrialMetadata(subject=subject, side=side, socket="scene", mass=61.2)
     write_metadata(metadata, folder / "trial.yaml")
     return folder
 
@@ -258,7 +269,7 @@ class HandMap:
         once = (forces_in_tiles(STAMPS[:1]) / FACTOR[0]).reshape(-1, 1)
         yield JointDraws(
             rows=np.arange(len(samples)),
-            channels=FACTOR[np.searchsorted(STAMPS, samples.stamps)][:, None],
+            channels=factor_at(samples.stamps)[:, None],
             gain=once[None],
             weights=np.ones(1),
             sizes=np.ones((len(samples), 1)),
