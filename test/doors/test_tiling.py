@@ -23,6 +23,7 @@ import trimesh
 from support import meshes, scene
 from support.pages import Page
 
+import socket_testbed as st
 from socket_testbed.__main__ import run
 from socket_testbed.errors import ConfigurationError, ScanError
 from socket_testbed.geometry.pose import Pose
@@ -350,6 +351,26 @@ def test_a_narrow_interior_has_no_inner_share() -> None:
     assert (
         fact == "114 of 200 cm^2 of the interior (57 %); none of it is more than 15 mm from its rim"
     )
+
+
+def test_a_tile_on_a_round_wall_has_its_square_s_area(tmp_path: Path) -> None:
+    """On a radius of 50 mm the wall under 45 mm is 2 * 50 mm * asin(0.45) = 46.68 mm wide.
+
+    At its edges it is 50 mm - sqrt(50^2 - 22.5^2) mm = 5.3 mm off the tile's plane.
+    """
+    wall = meshes.open_cone(0.05, 0.05, 0.05, 0.005, closed=False)
+    (tmp_path / "clusters.yaml").write_text("clusters: {front: {point: [0.05, 0.0, 0.105]}}")
+    design = st.tile(
+        meshes.write_stl(wall, tmp_path / "ring.stl"),
+        unit="mm",
+        proximal="+z",
+        anterior="+x",
+        clusters=tmp_path / "clusters.yaml",
+        settings=TilingSettings(0.045, 0.008, 0),
+    )
+    assert design.geometry.areas == pytest.approx(20.25e-4)
+    assert design.tiling.footprint_areas == pytest.approx(21.0e-4, rel=0.01)
+    assert design.tiling.flatness.max() == pytest.approx(5.3e-3, abs=6e-4)
 
 
 def test_a_strip_as_wide_as_a_tile_has_no_inside() -> None:
