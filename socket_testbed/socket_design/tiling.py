@@ -334,7 +334,8 @@ def tile_interior(
     kept = [footprints.footprint(int(tile)) for tile in tiles]
     squares = fitting.take(tiles)
     under, _ = points_over(squares, points.positions, settings.edge)
-    covered = (under & (squares.rotations[:, :, 2] @ points.normals.T > 0.0)).any(axis=0)
+    facing = squares.rotations[:, :, 2] @ points.normals.T > 0.0
+    covered = np.asarray((under & facing).any(axis=0))
     from_rim, from_tiles = (
         KDTree(others).query(points.positions)[0]  # infinite without a rim
         for others in (surroundings.rim, points.positions[covered])
