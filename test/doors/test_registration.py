@@ -293,3 +293,37 @@ def test_landmarks_in_one_plane_are_noted(tmp_path: Path) -> None:
         "load_cell: Cell:1, Cell:2, Cell:3, Cell:4 lie in one plane: a wrong sign of a coordinate"
         " would not be seen",
     )
+
+
+# --- the smallest files
+
+
+def smallest(frames: int, unit: str, folder: Path) -> list[str]:
+    """Some frames with three landmarks for each frame, in a unit of the take."""
+    document = landmarks()
+    for key, names in (
+        ("load_cell", ("Cell:2", "Cell:3", "Cell:4")),
+        ("limb", ("Limb:1", "Limb:2")),
+    ):
+        kept = (*names, "Limb:3")[:3]
+        document[key] = {name: document[key][name] for name in kept}
+    markers = {name: own[:frames] for name, own in seen(stretch=1.0).items()}
+    words = write(folder, markers, document)
+    takes.write_take(takes.Written(markers, unit=unit), folder / "take.csv")
+    return words
+
+
+@pytest.mark.parametrize("unit", takes.UNITS)
+def test_a_take_in_every_unit_gives_one_place(unit: str, tmp_path: Path) -> None:
+    """Twenty frames and three landmarks are enough; six decimals of a metre are a micrometre."""
+    found = st.register(*(smallest(20, unit, tmp_path)[k] for k in (1, 3, 5)))
+    assert 1e3 * found.geometry.socket_body.translation == pytest.approx([30, -80, 100], abs=0.01)
+    assert 1e3 * found.geometry.limb.translation == pytest.approx([150, 20, 10], abs=0.01)
+    assert 1e3 * found.limb_position == pytest.approx([5, 10, 130], abs=0.01)
+    assert found.take.units == unit and found.socket.landmarks.degrees == 3
+
+
+def test_too_few_frames_are_refused(tmp_path: Path) -> None:
+    words = smallest(19, "Meters", tmp_path)
+    with pytest.raises(RegistrationError, match="19 of 19 frames show all of"):
+        st.register(words[1], words[3], words[5])

@@ -39,6 +39,7 @@ from socket_testbed.socket_design.design import (
     place_by_points,
     tile_names,
 )
+from socket_testbed.socket_design.interior import find_interior, refuse_implausible
 from socket_testbed.socket_design.scan_file import Scan, read_scan
 from socket_testbed.socket_design.squares import Squares
 from socket_testbed.socket_design.tiling import Tiling, TilingSettings, tile_interior
@@ -477,6 +478,32 @@ def test_picked_points_are_origin_x_and_y() -> None:
     assert pose.apply(np.array([2.0, 2.0, 3.0])) == pytest.approx([0.0, 1.0, 0.0], abs=1e-12)
     assert pose.apply(np.array([1.0, 3.0, 3.0])) == pytest.approx([0.0, 0.0, 1.0], abs=1e-12)
     assert placement.source == "three picked points"
+
+
+@pytest.mark.parametrize("flip", [1.0, -1.0], ids=["as it lies", "turned round"])
+def test_the_open_end_is_proximal(flip: float) -> None:
+    mesh = meshes.moved(box(DEPTH, WIDTH, HEIGHT), lying)
+    turned = meshes.moved(mesh, lambda points: points * [flip, flip, 1.0])
+    found = find_interior(turned, None)
+    assert found.proximal == pytest.approx([flip, 0.0, 0.0], abs=0.02)
+    assert found.length == pytest.approx(HEIGHT, rel=0.02)
+    assert found.mesh.area == pytest.approx(378.4e-4)
+
+
+@pytest.mark.parametrize(
+    ("length", "girth", "unit", "likely"),
+    [(0.02, 0.04, "mm", "cm"), (20.0, 40.0, "m", "cm"), (200.0, 400.0, "m", "mm")],
+    ids=["small", "large", "larger"],
+)
+def test_a_likely_unit_is_named(length: float, girth: float, unit: str, likely: str) -> None:
+    """A cavity of 0.2 m with 0.4 m around is one; in inches it would be 1 m around."""
+    with pytest.raises(ScanError) as found:
+        refuse_implausible("a.stl", length, girth, unit)
+    assert found.value.fact.startswith(
+        f"a.stl: in {unit} its cavity is {length:g} m long and {girth:g} m around"
+    )
+    assert found.value.hint == f"its unit is likely {likely}: give --unit {likely}"
+    refuse_implausible("a.stl", 0.2, 0.4, "mm")
 
 
 # --- scan files, written by hand: a square tube of 100 x 100 mm, 200 mm long, from (5, 6, 7) mm
