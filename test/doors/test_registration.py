@@ -301,12 +301,9 @@ def test_landmarks_in_one_plane_are_noted(tmp_path: Path) -> None:
 def smallest(frames: int, unit: str, folder: Path) -> list[str]:
     """Some frames with three landmarks for each frame, in a unit of the take."""
     document = landmarks()
-    for key, names in (
-        ("load_cell", ("Cell:2", "Cell:3", "Cell:4")),
-        ("limb", ("Limb:1", "Limb:2")),
-    ):
-        kept = (*names, "Limb:3")[:3]
-        document[key] = {name: document[key][name] for name in kept}
+    kept = {"load_cell": ("Cell:2", "Cell:3", "Cell:4"), "limb": ("Limb:1", "Limb:2", "Limb:3")}
+    for key, names in kept.items():
+        document[key] = {name: document[key][name] for name in names}
     markers = {name: own[:frames] for name, own in seen(stretch=1.0).items()}
     words = write(folder, markers, document)
     takes.write_take(takes.Written(markers, unit=unit), folder / "take.csv")
