@@ -127,7 +127,7 @@ class LaidCluster:
 
     def __str__(self) -> str:
         asked, anchor = (
-            ", ".join(f"{1e3 * value:.1f}" for value in point)
+            ", ".join(f"{1e3 * value:z.1f}" for value in point)
             for point in (self.asked, self.anchor)
         )
         distance = 1e3 * float(np.linalg.norm(self.anchor - self.asked))

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -216,14 +217,19 @@ class SocketDesign:
         scan, tiling, edge = self.scan, self.tiling, 1e3 * self.settings.edge
         tiles, area = len(self.geometry), 1e4 * tiling.interior_area
         covered = 1e4 * float(tiling.footprint_areas.sum())
+        inside = f"more than {edge / 2:g} mm from its rim"
+        cover_inside = (
+            f"none of it is {inside}"
+            if math.isnan(tiling.cover_inside)
+            else f"{100 * tiling.cover_inside:.0f} % of the area {inside}"
+        )
         facts = {
             "scan": f"body {scan.body}, {len(scan.mesh.faces)} faces, in {scan.unit}"
             f" ({scan.unit_source})",
             "{S}": self.placement.source,
             "tiles": f"{tiles} of {edge:g} x {edge:g} mm",
             "covered": f"{covered:.0f} of {area:.0f} cm^2 of the interior"
-            f" ({100 * covered / area:.0f} %); {100 * tiling.cover_inside:.0f} % of the area more"
-            f" than {edge / 2:g} mm from its rim",
+            f" ({100 * covered / area:.0f} %); {cover_inside}",
             "upper bound": f"{tiling.upper_bound:.1f} tiles by area:"
             f" {100 * tiles / tiling.upper_bound:.0f} % reached",
             "largest gap": f"{1e3 * tiling.largest_gap:.0f} mm from the nearest tile",
@@ -234,7 +240,7 @@ class SocketDesign:
         }
         laid = {cluster.name: str(cluster) for cluster in tiling.clusters}
         for name, tile in self.geometry.clusters.items():
-            anchor = ", ".join(f"{1e3 * value:.1f}" for value in self.geometry.anchors[tile])
+            anchor = ", ".join(f"{1e3 * value:z.1f}" for value in self.geometry.anchors[tile])
             facts[f"cluster {name}"] = laid.get(name, f"placed at ({anchor}) mm of {{S}}")
         if not self.geometry.clusters:
             facts["clusters"] = "none"

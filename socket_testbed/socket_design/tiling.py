@@ -270,7 +270,7 @@ class Tiling:
         neighbours: Indices of neighbouring tiles, a pair per row, shape (e, 2), the smaller first.
         interior_area: Area of the interior [m^2].
         cover_inside: Covered share of the interior farther than half a tile from the rim (brim,
-            holes, cuts) [-].
+            holes, cuts) [-]; NaN if nothing is.
         largest_gap: Largest distance of a point of the interior from the nearest tile [m].
         clusters: The clusters under the first tiles, in their order.
     """
@@ -334,7 +334,8 @@ def tile_interior(
     kept = [footprints.footprint(int(tile)) for tile in tiles]
     squares = fitting.take(tiles)
     under, _ = points_over(squares, points.positions, settings.edge)
-    covered = (under & (squares.rotations[:, :, 2] @ points.normals.T > 0.0)).any(axis=0)
+    facing = squares.rotations[:, :, 2] @ points.normals.T > 0.0
+    covered = np.asarray((under & facing).any(axis=0))
     from_rim, from_tiles = (
         KDTree(others).query(points.positions)[0]  # infinite without a rim
         for others in (surroundings.rim, points.positions[covered])
@@ -346,7 +347,13 @@ def tile_interior(
         flatness=np.array([footprint.flatness for footprint in kept]),
         neighbours=_nearby_pairs(squares),
         interior_area=float(mesh.area),
-        cover_inside=float(points.areas[covered & inside].sum() / points.areas[inside].sum()),
+        cover_inside=_cover(points.areas[inside], covered[inside]),
         largest_gap=float(from_tiles.max()),
         clusters=tuple(laid),
     )
+
+
+def _cover(areas: FloatArray, covered: BoolArray) -> float:
+    """Covered share of the areas of some points [-]; NaN if there are none."""
+    whole = float(areas.sum())
+    return float(areas[covered].sum()) / whole if whole > 0.0 else float("nan")

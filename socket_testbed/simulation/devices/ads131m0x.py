@@ -23,6 +23,7 @@ _START_UP = 300  # modulator clocks
 _FAST = 2  # conversions from the fast filter after a start
 _FAST_ERROR = 0.01  # [V]; exaggerated, so that using them is noticed
 _FIFO_SIZE = 2  # conversions
+_MAX_TRANSFER = 4096  # [bytes]; of spidev
 
 
 class SimulatedAds131m0x:
@@ -108,7 +109,13 @@ class SimulatedAds131m0x:
 
         It sends the response to the command before, a word per channel and the checksum, and
         receives a command. Words have three bytes.
+
+        Raises:
+            TypeError: The bytes are not ints, or there are none, as in spidev.
+            ValueError: A byte is not in 0..255, which spidev would cut.
+            OverflowError: There are more bytes than spidev transfers.
         """
+        _check_bytes(data)
         now = clocks.monotonic()
         if self._fault("unplugged"):
             self._unplugged = True
@@ -230,6 +237,19 @@ class SimulatedAds131m0x:
         if place == _CLOCK and self._channels == 6:
             return value & 0x3FFF | old & 0xC000
         return value
+
+
+def _check_bytes(data: Sequence[object]) -> None:
+    """Refuse what spidev would refuse before anything is on the wire."""
+    for value in data:
+        if not isinstance(value, int):  # nor numpy's integers
+            raise TypeError(f"Non-Int/Long value in arguments: {value!r}")
+        if not 0 <= value <= 0xFF:
+            raise ValueError(f"{value} is no byte")
+    if not data:
+        raise TypeError("Empty argument list.")
+    if len(data) > _MAX_TRANSFER:
+        raise OverflowError(f"Argument list size exceeds {_MAX_TRANSFER} bytes.")
 
 
 def simulated_load_cell(

@@ -26,7 +26,12 @@ class SimulatedLines:
         Args:
             line: Number of the line; any, as there is one output.
             active: Whether to drive it active (high), otherwise inactive (low).
+
+        Raises:
+            TypeError: The number is no int, as in gpiod.
         """
+        if not isinstance(line, int):
+            raise TypeError(f"line {line!r} is no number of a line")
         rising, self._active = active and not self._active, active
         if rising and not self._faults["trigger.missing"]:
             self._edges.append(clocks.monotonic() + _DELAY + self._faults["trigger.late"])

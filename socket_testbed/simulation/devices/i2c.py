@@ -24,6 +24,7 @@ _FREQUENCY = 400e3  # [Hz]; of the bus
 _MIN_SLEEP = 5e-4  # [s]; shorter times are carried over to later transfers
 _MAX_CREDIT = 1e-3  # [s]
 _READ = 0x0001  # flag of linux/i2c.h
+_MAX_MESSAGES, _MAX_LENGTH = 42, 8192  # of a transfer, and of a message [bytes]; linux/i2c-dev.h
 
 
 def no_answer() -> OSError:
@@ -179,9 +180,11 @@ class SimulatedI2cBus:
         """Transfer messages with repeated starts between them; fills the buffers of reads.
 
         Raises:
-            OSError: No chip acknowledges (EREMOTEIO), the bus hangs (ETIMEDOUT) or is gone
-                (ENODEV).
+            TypeError: An argument is no message, as in smbus2.
+            OSError: The messages are not a transfer (EINVAL), no chip acknowledges (EREMOTEIO), the
+                bus hangs (ETIMEDOUT) or is gone (ENODEV).
         """
+        _check_transfer(messages)
         if self._faults.get("clusters.unplugged", 0.0):
             self._is_gone = True
             for part in self._parts:
@@ -217,6 +220,17 @@ class SimulatedI2cBus:
             before = clocks.monotonic()
             clocks.sleep(self._owed)
             self._owed = max(self._owed - (clocks.monotonic() - before), -_MAX_CREDIT)
+
+
+def _check_transfer(messages: Sequence[object]) -> None:
+    """Refuse what smbus2 or the kernel would refuse before anything is on the wire."""
+    for message in messages:
+        if not isinstance(message, i2c_msg):
+            raise TypeError(f"expected i2c_msg instance, got {type(message).__name__}")
+        if message.len > _MAX_LENGTH:
+            raise OSError(errno.EINVAL, f"a message of {message.len} bytes (simulated)")
+    if not 1 <= len(messages) <= _MAX_MESSAGES:
+        raise OSError(errno.EINVAL, f"a transfer of {len(messages)} messages (simulated)")
 
 
 class SimulatedClusterHardware:
@@ -261,8 +275,11 @@ class SimulatedClusterHardware:
         """Open a bus by its number; unplugged chips come back reset.
 
         Raises:
+            TypeError: The number is no int, as in smbus2.
             DeviceError: The bus is unplugged, or has no chips: it is missing.
         """
+        if not isinstance(number, int):
+            raise TypeError(f"Unexpected type(bus)={type(number)}")
         parts = self._buses.get(number, [])
         if unplugged := self._faults.get("clusters.unplugged", 0.0):
             for part in parts:
