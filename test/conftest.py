@@ -1,6 +1,9 @@
 import os
 from pathlib import Path
 
+# numpy reads it when it is first imported; child processes inherit it.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 import numpy as np
 import pytest
 from support import SHARED_DATA
@@ -10,7 +13,6 @@ from support.domains import claim_domain
 # anywhere; child processes inherit it.
 os.environ["ROS_DOMAIN_ID"] = claim_domain()
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from socket_testbed.__main__ import run
 

@@ -68,7 +68,7 @@ def test_every_way_of_writing_reads_alike(units, order, style, dialect, ending, 
 @example("")
 @example("٣")
 @example("\x1f0\x85")
-def test_a_cell_is_a_plain_number_or_named_with_its_line(cell):
+def test_a_cell_is_a_number_or_is_named(cell):
     bench = exact_bench()[np.arange(0, 200, 9)]
     try:
         plain = float(text) if (text := cell.strip()).isascii() and "_" not in text else np.nan
@@ -98,50 +98,70 @@ def with_cell(row: int, column: int, value: str):
     return change
 
 
-BAD = [  # changes, facts, and a hint
-    (with_cell(7, 1, "-50"), ("-50 kPa in line 8", "-1 to 2000 kPa"), "sign"),
-    (with_cell(0, 0, "time [ms]"), ("'time [ms]'", "0.1 ms in the"), "--units time=s"),
-    (with_cell(9, 0, "0.1"), ("does not increase at line 10",), "order"),
-    (with_cell(0, 1, "normal [N]"), ("force in N",), "--area"),
-    (with_cell(0, 7, "c3"), ("'c3' has no unit",), "c3=pF"),
-    (lambda rows: [row[:-1] for row in rows], ("no column for c3",), "c3=NAME"),
-    (with_cell(0, 1, "normal [mPa]"), ("'mPa'",), "MPa"),
-    (lambda rows: [[*row[:7], row[7] if row is rows[0] else "6.5"] for row in rows],
-     ("'c3 [pF]' is 6.5 pF in every row",), "wire"),
-]  # fmt: skip
+def with_constant_c3(rows):
+    return [[*row[:7], row[7] if row is rows[0] else "6.5"] for row in rows]
 
 
-def test_a_bad_file_is_named_with_its_hint(tmp_path):
-    for change, facts, hint in BAD:
-        path = edit(write_bench(tmp_path / "bench.csv", exact_bench()), change)
-        with refused(TestbedError, "bench.csv") as caught:
-            read_bench(path, {}, {})
-        assert all(fact in caught.value.fact for fact in facts) and hint in caught.value.hint
+def without_last_column(rows):
+    return [row[:-1] for row in rows]
 
 
-def test_columns_are_named_with_or_without_their_unit_and_units_replaced(tmp_path):
+BAD = {  # changes, facts, and a hint
+    "tension": (with_cell(7, 1, "-50"), ("-50 kPa in line 8", "-1 to 2000 kPa"), "sign"),
+    "too-large": (with_cell(7, 1, "2500"), ("2500 kPa in line 8", "-1 to 2000 kPa"), "unit"),
+    "time-in-ms": (
+        with_cell(0, 0, "time [ms]"),
+        ("'time [ms]'", "0.1 ms in the"),
+        "--units time=s",
+    ),
+    "time-stands": (with_cell(9, 0, "0.1"), ("does not increase at line 10",), "order"),
+    "force": (with_cell(0, 1, "normal [N]"), ("force in N",), "--area"),
+    "no-unit": (with_cell(0, 7, "c3"), ("'c3' has no unit",), "c3=pF"),
+    "no-column": (without_last_column, ("no column for c3",), "c3=NAME"),
+    "millipascals": (with_cell(0, 1, "normal [mPa]"), ("'mPa'",), "MPa"),
+    "constant": (with_constant_c3, ("'c3 [pF]' is 6.5 pF in every row",), "wire"),
+}
+
+
+@pytest.mark.parametrize(("change", "facts", "hint"), BAD.values(), ids=BAD)
+def test_a_bad_file_is_named_with_its_hint(tmp_path, change, facts, hint):
+    path = edit(write_bench(tmp_path / "bench.csv", exact_bench()), change)
+    with refused(TestbedError, "bench.csv") as caught:
+        read_bench(path, {}, {})
+    assert all(fact in caught.value.fact for fact in facts) and hint in caught.value.hint
+
+
+@pytest.mark.parametrize("title", ["sigma [Pa]", "sigma"], ids=["with-unit", "without-unit"])
+def test_a_column_is_named_and_its_unit_replaced(tmp_path, title: str):
     path, bench = tmp_path / "bench.csv", exact_bench()
     late = dataclasses.replace(bench, time=bench.time * 1e3)
     edit(write_bench(path, late), with_cell(0, 1, "sigma [Pa]"))
-    for title in ("sigma [Pa]", "sigma"):
-        found = read_bench(path, {"normal": title}, {"normal": "kPa", "time": "ms"})
-        np.testing.assert_allclose(found.stress, bench.stress, rtol=1e-8, atol=1e-6)
-        np.testing.assert_allclose(found.time, bench.time, atol=1e-9)
+    found = read_bench(path, {"normal": title}, {"normal": "kPa", "time": "ms"})
+    np.testing.assert_allclose(found.stress, bench.stress, rtol=1e-8, atol=1e-6)
+    np.testing.assert_allclose(found.time, bench.time, atol=1e-9)
 
 
-def test_time_and_cycles_are_optional_and_unloaded_readings_need_no_stress(tmp_path):
+def test_time_is_optional(tmp_path):
     path = write_bench(tmp_path / "bench.csv", exact_bench())
     edit(path, lambda rows: [row[1:] for row in rows])
     found = read_bench(path, {}, {})
     assert np.isnan(found.time).all() and (found.cycle == -1).all()
+
+
+def test_cycles_may_have_any_names(tmp_path):
+    path = write_bench(tmp_path / "bench.csv", exact_bench())
     edit(path, lambda rows: [[*row, "ab"[k % 2] if k else "run"] for k, row in enumerate(rows)])
-    cycle = read_bench(path, {"cycle": "run"}, {}).cycle  # of any names
+    cycle = read_bench(path, {"cycle": "run"}, {}).cycle
     np.testing.assert_array_equal(cycle, 1 - np.arange(len(cycle)) % 2)
+
+
+def test_unloaded_readings_need_no_stress(tmp_path):
+    path = tmp_path / "bench.csv"
     path.write_text("c3 [fF],c0 [pF],c1 [pF],c2 [pF],normal\n4000,1,2,3,\n4001,1,2,3,\n")
     np.testing.assert_allclose(read_unloaded(path, {}, {}), [[1, 2, 3, 4], [1, 2, 3, 4.001]])
 
 
-def test_a_real_sheet_is_refused_until_its_columns_and_units_are_named(shared_data):
+def test_a_real_sheet_needs_names_of_columns(shared_data):
     path = shared_data / "fdc1004_orthosis" / "Book1.csv"
     with refused(TestbedError, "Book1.csv", "c1 is in 3 columns: 'C1 pF', 'C1 (2)', 'C1(3)'"):
         read_bench(path, {}, {})

@@ -35,18 +35,35 @@ def make_capacitance(mean: float, along_x: float, along_y: float) -> np.ndarray:
     return mean + 0.5 * PLACES @ np.array([along_x, along_y])
 
 
-def test_stresses_are_the_line_over_the_mean_and_the_surfaces_over_the_differences():
-    cluster, line = make_cluster(), np.polynomial.Polynomial(make_cluster().normal)
-    for along_x, along_y in ((0.0, 0.0), (2.0, 0.0), (0.0, -1.5), (1.2, 2.4)):
-        stress, status = cluster.apply(make_capacitance(8.3, along_x, along_y), ALL_OK)
-        assert status == Status.OK and stress[0] == pytest.approx(line(8.3), rel=1e-12)
-        for found, (one, x, y, xx, xy, yy) in zip(stress[1:], cluster.shear, strict=True):
-            table = [[one, y, yy], [x, xy, 0.0], [xx, 0.0, 0.0]]  # [power of dx][power of dy]
-            surface = np.polynomial.polynomial.polyval2d(along_x, along_y, table)
-            assert found == pytest.approx(surface, rel=1e-12)
+DIFFERENCES = pytest.mark.parametrize(
+    ("along_x", "along_y"),
+    [
+        pytest.param(0.0, 0.0, id="balanced"),
+        pytest.param(2.0, 0.0, id="along-x"),
+        pytest.param(0.0, -1.5, id="along-y"),
+        pytest.param(1.2, 2.4, id="along-both"),
+    ],
+)
 
 
-def test_stacked_clusters_give_the_results_of_single_readings(rng):
+@DIFFERENCES
+def test_normal_stress_is_the_line_over_the_mean(along_x: float, along_y: float):
+    line = np.polynomial.Polynomial(make_cluster().normal)
+    stress, status = make_cluster().apply(make_capacitance(8.3, along_x, along_y), ALL_OK)
+    assert status == Status.OK and stress[0] == pytest.approx(line(8.3), rel=1e-12)
+
+
+@DIFFERENCES
+def test_shear_is_the_surface_over_the_differences(along_x: float, along_y: float):
+    cluster = make_cluster()
+    stress, _ = cluster.apply(make_capacitance(8.3, along_x, along_y), ALL_OK)
+    for found, (one, x, y, xx, xy, yy) in zip(stress[1:], cluster.shear, strict=True):
+        table = [[one, y, yy], [x, xy, 0.0], [xx, 0.0, 0.0]]  # [power of dx][power of dy]
+        surface = np.polynomial.polynomial.polyval2d(along_x, along_y, table)
+        assert found == pytest.approx(surface, rel=1e-12)
+
+
+def test_stacked_clusters_agree_with_single_readings(rng):
     clusters = {
         name: make_cluster(
             normal=np.array([rng.normal(), rng.uniform(1e3, 5e3)]),
@@ -71,39 +88,83 @@ def test_stacked_clusters_give_the_results_of_single_readings(rng):
         assert result[row, column] == worst
 
 
-def test_the_worst_status_wins_and_only_a_full_reading_gives_a_stress():
-    for statuses, values, expected in (
-        ((0, 0, 0, 0), make_capacitance(12.0, 3.0, -3.0), Status.OK),
-        ((0, 0, 0, 0), make_capacitance(3.99, 0.0, 0.0), Status.OUT_OF_RANGE),
-        ((0, 0, 0, 0), make_capacitance(8.0, 0.0, -3.01), Status.OUT_OF_RANGE),
-        ((1, 0, 0, 0), (np.nan, 8.0, 8.0, 8.0), Status.SATURATED),
-        ((0, 0, 0, 2), (8.0, 8.0, 8.0, 8.0), Status.MISSING),
-        ((1, 2, 0, 0), (8.0, np.nan, 8.0, 8.0), Status.MISSING),
-        ((0, 0, 0, 0), (np.inf, -np.inf, 8.0, 8.0), Status.MISSING),
-    ):
-        stress, status = make_cluster().apply(np.array(values), np.array(statuses, dtype=np.uint8))
-        assert status == expected
-        usable = expected in (Status.OK, Status.OUT_OF_RANGE)
-        assert (np.isfinite(stress) == usable).all()
+@pytest.mark.parametrize(
+    ("capacitance", "expected"),
+    [
+        pytest.param(make_capacitance(12.0, 3.0, -3.0), Status.OK, id="highest"),
+        pytest.param(make_capacitance(4.0, -3.0, 3.0), Status.OK, id="lowest"),
+        pytest.param(make_capacitance(3.99, 0.0, 0.0), Status.OUT_OF_RANGE, id="mean-below"),
+        pytest.param(make_capacitance(12.01, 0.0, 0.0), Status.OUT_OF_RANGE, id="mean-above"),
+        pytest.param(make_capacitance(8.0, 0.0, -3.01), Status.OUT_OF_RANGE, id="y-below"),
+        pytest.param(make_capacitance(8.0, 0.0, 3.01), Status.OUT_OF_RANGE, id="y-above"),
+        pytest.param(make_capacitance(8.0, -3.01, 0.0), Status.OUT_OF_RANGE, id="x-below"),
+        pytest.param(make_capacitance(8.0, 3.01, 0.0), Status.OUT_OF_RANGE, id="x-above"),
+    ],
+)
+def test_a_full_reading_gives_a_stress(capacitance: np.ndarray, expected: Status):
+    """Also outside of the calibrated range, with another status."""
+    stress, status = make_cluster().apply(capacitance, ALL_OK)
+    assert status == expected
+    assert np.isfinite(stress).all()
 
 
-def test_a_calibration_survives_its_file_and_coefficients_that_cannot_be_are_refused(tmp_path):
+@pytest.mark.parametrize(
+    ("statuses", "capacitance", "expected"),
+    [
+        pytest.param((1, 0, 0, 0), (np.nan, 8.0, 8.0, 8.0), Status.SATURATED, id="saturated"),
+        pytest.param((0, 0, 0, 2), (8.0, 8.0, 8.0, 8.0), Status.MISSING, id="missing"),
+        pytest.param((1, 2, 0, 0), (8.0, np.nan, 8.0, 8.0), Status.MISSING, id="worst-wins"),
+        pytest.param((0, 0, 0, 0), (np.inf, -np.inf, 8.0, 8.0), Status.MISSING, id="infinite"),
+    ],
+)
+def test_an_incomplete_reading_gives_no_stress(statuses, capacitance, expected: Status):
+    of_channels = np.array(capacitance), np.array(statuses, dtype=np.uint8)
+    stress, status = make_cluster().apply(*of_channels)
+    assert status == expected
+    assert not np.isfinite(stress).any()
+
+
+CLUSTERS = {"distal": make_cluster(), "brim": make_cluster(wiring=np.array([2, 0, 3, 1]))}
+MADE_UP = model.Calibration(CLUSTERS, "2026-05-04", "bench run 7")
+
+
+def test_a_calibration_survives_its_file(tmp_path):
     path = tmp_path / "calibration.yaml"
-    clusters = {"distal": make_cluster(), "brim": make_cluster(wiring=np.array([2, 0, 3, 1]))}
-    calibration = model.Calibration(clusters, "2026-05-04", "bench run 7")
-    model.write_calibration(calibration, path)
+    model.write_calibration(MADE_UP, path)
     path.write_text(path.read_text().replace("'2026-05-04'", "2026-05-04"))  # a date of YAML
-    found = model.read_calibration(path)
-    assert found.to_document() == calibration.to_document()
-    for key, value, error in (
-        ("normal", [0.0, 1.0], "the gain of normal is 1 Pa/pF: give [offset in Pa, gain"),
-        ("mean_range", [4.0, 4.0], "mean_range is [4, 4]: give [low, high] in pF"),
-        ("wiring", [0, 1, 1, 3], "wiring is [0.0, 1.0, 1.0, 3.0]: give each of 0, 1, 2, 3 once"),
-    ):
-        document = changed(calibration.to_document(), ("clusters", "brim", key), value)
-        path.write_text(yaml.safe_dump(document))
-        with refused(ConfigurationError, f"{path}: clusters: brim", error):
-            model.read_calibration(path)
-    calibration.require(("brim", "distal"), "the trial")
+    assert model.read_calibration(path).to_document() == MADE_UP.to_document()
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "error"),
+    [
+        pytest.param(
+            *("normal", [0.0, 1.0], "the gain of normal is 1 Pa/pF: give [offset in Pa, gain"),
+            id="gain-of-another-unit",
+        ),
+        pytest.param(
+            *("mean_range", [4.0, 4.0], "mean_range is [4, 4]: give [low, high] in pF"),
+            id="empty-range",
+        ),
+        pytest.param(
+            *(
+                "wiring",
+                [0, 1, 1, 3],
+                "wiring is [0.0, 1.0, 1.0, 3.0]: give each of 0, 1, 2, 3 once",
+            ),
+            id="input-twice",
+        ),
+    ],
+)
+def test_coefficients_that_cannot_be_are_refused(tmp_path, key, value, error):
+    path = tmp_path / "calibration.yaml"
+    document = changed(MADE_UP.to_document(), ("clusters", "brim", key), value)
+    path.write_text(yaml.safe_dump(document))
+    with refused(ConfigurationError, f"{path}: clusters: brim", error):
+        model.read_calibration(path)
+
+
+def test_a_cluster_without_a_calibration_is_named():
+    MADE_UP.require(("brim", "distal"), "the trial")
     with refused(CalibrationError, "no cluster mid of the trial (it has distal, brim"):
-        calibration.require(("brim", "mid"), "the trial")
+        MADE_UP.require(("brim", "mid"), "the trial")

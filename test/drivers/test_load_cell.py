@@ -4,7 +4,9 @@ With DRDY on a GPIO line (`line`) each edge is a conversion's time; without, tim
 """
 
 import dataclasses
+import errno
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 from unittest.mock import Mock
@@ -136,75 +138,114 @@ class Bench:
         return [not np.isnan(r.wrench).any() for t, r in self.readings if start <= t <= end]
 
 
-def test_a_wrench_is_that_of_its_time_with_all_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrench_is_that_of_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And no more conversions are kept than those of the last moments."""
     monkeypatch.setattr(converter_reader, "_HISTORY", 0.2)
     bench = Bench()
     bench.run(1.0)
     assert all(bench.valid(start=BEGIN + 0.05)) and bench.worst() < 4e-3
     assert bench.health() == (0, "spidev0.0 converts")
     assert 200 <= len(bench.converter.between(0.0, bench.now)[0]) < 400
-    for changes in (
-        {"channels": 8, "inputs": (7, 6, 0, 1, 2, 3), "crc": "ansi"},
-        {"oversampling": 16384, "window": 0.05},
-        {"gain": 2, "excitation": 3.3, "clock_in": 4.096e6},
-    ):
-        bench = Bench(dataclasses.replace(SETTINGS, **changes), late=0.2)
-        bench.run(0.5)
-        assert all(bench.valid(start=BEGIN + 0.2)), changes
-        assert len(bench.valid(start=BEGIN + 0.2)) >= 5
 
 
-def test_a_wrench_is_the_mean_over_a_span_and_does_not_lag_where_conversions_are_missing() -> None:
-    """Not a value behind it. Some missing leave the mean, too many the window alone."""
-    for span, fewest in ((0.01, 19), (0.25, 249)):
-        bench = Bench(span=span)
-        bench.run(1.2)
-        assert all(bench.valid(start=BEGIN + 0.2))
-        counts = {r.conversions for t, r in bench.readings if t > BEGIN + 0.2}
-        assert counts <= {fewest, fewest + 1, fewest + 2}
-        moment = bench.now - 0.3
-        mean = moving(moment + np.linspace(-0.5 * span, 0.5 * span, 1001)).mean(axis=0)
-        off = np.abs(bench.cell.wrench_at(moment, span).wrench - mean)
-        assert (off < 0.5 * bench.converter.period * SPEED + QUANTUM).all()
-    assert [averaging_span(-1.0, period) for period in (0.0, 0.01, 1.0)] == [0.0, 0.01, 0.25]
+@pytest.mark.parametrize(
+    "changes",
+    [
+        pytest.param(
+            {"channels": 8, "inputs": (7, 6, 0, 1, 2, 3), "crc": "ansi"}, id="8-channels-ansi"
+        ),
+        pytest.param({"oversampling": 16384, "window": 0.05}, id="slow"),
+        pytest.param({"gain": 2, "excitation": 3.3, "clock_in": 4.096e6}, id="gain-and-clock"),
+    ],
+)
+def test_other_settings_give_the_wrench_of_its_time(changes: dict[str, Any]) -> None:
+    bench = Bench(dataclasses.replace(SETTINGS, **changes), late=0.2)
+    bench.run(0.5)
+    assert all(bench.valid(start=BEGIN + 0.2))
+    assert len(bench.valid(start=BEGIN + 0.2)) >= 5
+
+
+@pytest.mark.parametrize(
+    ("span", "fewest"),
+    [pytest.param(0.01, 19, id="10-ms"), pytest.param(0.25, 249, id="250-ms")],
+)
+def test_a_wrench_is_the_mean_over_a_span(span: float, fewest: int) -> None:
+    bench = Bench(span=span)
+    bench.run(1.2)
+    assert all(bench.valid(start=BEGIN + 0.2))
+    counts = {r.conversions for t, r in bench.readings if t > BEGIN + 0.2}
+    assert counts <= {fewest, fewest + 1, fewest + 2}
+    moment = bench.now - 0.3
+    mean = moving(moment + np.linspace(-0.5 * span, 0.5 * span, 1001)).mean(axis=0)
+    off = np.abs(bench.cell.wrench_at(moment, span).wrench - mean)
+    assert (off < 0.5 * bench.converter.period * SPEED + QUANTUM).all()
+
+
+@pytest.mark.parametrize(
+    ("period", "span"),
+    [
+        pytest.param(0.0, 0.0, id="no-rate"),
+        pytest.param(0.01, 0.01, id="100-Hz"),
+        pytest.param(1.0, 0.25, id="1-Hz"),
+    ],
+)
+def test_the_span_follows_the_period_to_a_limit(period: float, span: float) -> None:
+    assert averaging_span(-1.0, period) == span
+
+
+@pytest.mark.parametrize(
+    ("lost", "fewest", "most"),
+    [
+        pytest.param(0.015, 225, 245, id="some"),  # leave the mean
+        pytest.param(0.05, 19, 21, id="many"),  # leave the window alone
+    ],
+)
+def test_a_mean_without_lost_conversions_does_not_lag(lost: float, fewest: int, most: int) -> None:
     speed = np.array([10.0, -8.0, 6.0, 200.0, -100.0, 900.0])  # [N m/s, N/s]
-    for lost, fewest, most in ((0.015, 225, 245), (0.05, 19, 21)):
-        bench = Bench(wrench=lambda t: (np.asarray(t)[..., None] - BEGIN) * speed, span=0.25)
-        bench.run(0.5)
-        moment = bench.now
-        bench.run(0.06)
-        bench.clock.now += lost  # two conversions wait, the others are lost
-        bench.run(0.2)
-        reading = bench.cell.wrench_at(moment, 0.25)
-        assert fewest <= reading.conversions <= most
-        off = np.abs(reading.wrench - (moment - BEGIN) * speed)
-        assert (off < 1e-3 * np.abs(speed) + 1e-2).all()
+    bench = Bench(wrench=lambda t: (np.asarray(t)[..., None] - BEGIN) * speed, span=0.25)
+    bench.run(0.5)
+    moment = bench.now
+    bench.run(0.06)
+    bench.clock.now += lost  # two conversions wait, the others are lost
+    bench.run(0.2)
+    reading = bench.cell.wrench_at(moment, 0.25)
+    assert fewest <= reading.conversions <= most
+    off = np.abs(reading.wrench - (moment - BEGIN) * speed)
+    assert (off < 1e-3 * np.abs(speed) + 1e-2).all()
 
 
-@pytest.mark.parametrize("line", [False, True])
-def test_faults_of_any_order_make_no_wrong_wrench_and_are_overcome(line: bool) -> None:
-    for seed, names in enumerate((*FAULTS, "", "")):
-        bench = Bench(seed=seed, line=line)
-        rng = np.random.default_rng(100 + seed)
-        bench.run(0.2)
-        for _ in range(1 if names else 20):
-            name = names or str(rng.choice(list(FAULTS)))
-            high = {"flipped_bits": 0.4, "brown_out": 0.2, "rail": 6.0}.get(name, 1.0)
-            value = np.ceil(high * rng.random()) if name == "rail" else high
-            bench.fault(name, float(value) if names or rng.random() < 0.5 else 0.0)
-            bench.run(0.25 if names else float(rng.uniform(0.005, 0.2)), pause=0.02)
-        assert all(bench.valid(BEGIN + 0.1, BEGIN + 0.18))
-        if names in {"unplugged", "frozen", "rail"}:
-            assert not any(bench.valid(bench.now - 0.15, bench.now - 0.02))
-            # Nobody waits for a wrench that does not come.
-            assert bench.cell.ready(bench.now - 0.1) and not bench.cell.ready(bench.now + 0.1)
-        bench.faults.clear()
-        off = bench.now
-        bench.run(1.4)
-        assert all(bench.valid(start=off + 0.5)) and bench.health()[0] == 0
+@pytest.mark.parametrize(
+    ("seed", "name"),
+    [
+        *(pytest.param(seed, name, id=name) for seed, name in enumerate(FAULTS)),
+        pytest.param(5, "", id="any-order"),
+        pytest.param(6, "", id="any-order-again"),
+    ],
+)
+@pytest.mark.parametrize("line", [False, True], ids=["inferred", "drdy"])
+def test_no_fault_makes_a_wrong_wrench(line: bool, seed: int, name: str) -> None:
+    """And each is overcome."""
+    bench = Bench(seed=seed, line=line)
+    rng = np.random.default_rng(100 + seed)
+    bench.run(0.2)
+    for _ in range(1 if name else 20):
+        fault = name or str(rng.choice(list(FAULTS)))
+        high = {"flipped_bits": 0.4, "brown_out": 0.2, "rail": 6.0}.get(fault, 1.0)
+        value = np.ceil(high * rng.random()) if fault == "rail" else high
+        bench.fault(fault, float(value) if name or rng.random() < 0.5 else 0.0)
+        bench.run(0.25 if name else float(rng.uniform(0.005, 0.2)), pause=0.02)
+    assert all(bench.valid(BEGIN + 0.1, BEGIN + 0.18))
+    if name in {"unplugged", "frozen", "rail"}:
+        assert not any(bench.valid(bench.now - 0.15, bench.now - 0.02))
+        # Nobody waits for a wrench that does not come.
+        assert bench.cell.ready(bench.now - 0.1) and not bench.cell.ready(bench.now + 0.1)
+    bench.faults.clear()
+    off = bench.now
+    bench.run(1.4)
+    assert all(bench.valid(start=off + 0.5)) and bench.health()[0] == 0
 
 
-def test_with_drdy_each_conversion_has_the_time_of_its_edge() -> None:
+def test_each_conversion_has_the_time_of_its_edge() -> None:
     bench = Bench(dataclasses.replace(SETTINGS, data_ready_line=22), line=True)
     bench.run(1.0)
     assert bench.worst() < 3e-3
@@ -220,18 +261,31 @@ def test_with_drdy_each_conversion_has_the_time_of_its_edge() -> None:
     assert bench.health()[0] == 0
 
 
-def test_a_rail_and_a_full_scale_are_two_things() -> None:
-    for axis, load, level, text in (
-        (5, 2600.0, 2, "Fz is above 100 % of its full scale of 2500 N: unload the cell"),
-        (2, -50.0, 1, "Mz is above 80 % of its full scale of 60 N m: do not load it further"),
-    ):
-        wrench = load * np.eye(6)[axis]
-        bench = Bench(wrench=still(wrench))
-        bench.run(0.2)
-        _, reading = bench.readings[-1]
-        np.testing.assert_allclose(reading.wrench, wrench, atol=1e-2)
-        assert bench.health() == (level, text)
-        assert reading.fault == (text if level == 2 else "")
+@pytest.mark.parametrize(
+    ("axis", "load", "level", "text"),
+    [
+        pytest.param(
+            *(5, 2600.0, 2, "Fz is above 100 % of its full scale of 2500 N: unload the cell"),
+            id="force-over-100-percent",
+        ),
+        pytest.param(
+            *(2, -50.0, 1, "Mz is above 80 % of its full scale of 60 N m: do not load it further"),
+            id="moment-over-80-percent",
+        ),
+        pytest.param(2, -47.0, 0, "spidev0.0 converts", id="moment-under-80-percent"),
+    ],
+)
+def test_a_load_near_full_scale_is_reported(axis: int, load: float, level: int, text: str) -> None:
+    wrench = load * np.eye(6)[axis]
+    bench = Bench(wrench=still(wrench))
+    bench.run(0.2)
+    _, reading = bench.readings[-1]
+    np.testing.assert_allclose(reading.wrench, wrench, atol=1e-2)
+    assert bench.health() == (level, text)
+    assert reading.fault == (text if level == 2 else "")
+
+
+def test_a_bridge_at_its_rail_is_named() -> None:
     bench = Bench(wrench=still(np.zeros(6)))
     bench.run(0.2)
     bench.fault("rail", 6.0)  # 1 + input 5, where the third bridge is
@@ -244,69 +298,116 @@ def test_a_rail_and_a_full_scale_are_two_things() -> None:
     assert reading.status == Status.SATURATED and np.isnan(reading.ratios).all()
 
 
-def test_a_tare_takes_the_load_away_and_outlives_a_restart_or_is_not_taken(tmp_path) -> None:
-    path = tmp_path / "tare.json"  # what else may stand in it: test_documents.py
-    settings = dataclasses.replace(SETTINGS, tare_file=str(path))
-    load = np.array([1.5, -2.5, 0.5, 10.0, -20.0, 300.0])
-    bench = Bench(settings, wrench=still(load))
+LOAD = np.array([1.5, -2.5, 0.5, 10.0, -20.0, 300.0])
+
+
+@pytest.fixture
+def storing(tmp_path: Path) -> LoadCellSettings:
+    """Settings with a file for the tare; what else may stand in it: test_documents.py."""
+    return dataclasses.replace(SETTINGS, tare_file=str(tmp_path / "tare.json"))
+
+
+def loaded_bench(settings: LoadCellSettings) -> Bench:
+    bench = Bench(settings, wrench=still(LOAD))
     bench.run(1.2)
-    with refused(DeviceError, "the cell bears 301 N, more than 100 N", "force_tare"):
-        bench.cell.tare(STAMP)
+    return bench
+
+
+def test_a_tare_takes_the_load_away(storing: LoadCellSettings) -> None:
+    bench = loaded_bench(storing)
     text = in_words(bench.cell.tare(STAMP, forced=True))
     assert text == "Mx 1.5 N m, My -2.5 N m, Mz 0.5 N m, Fx 10 N, Fy -20 N, Fz 300 N"
     reading = bench.cell.wrench_at(bench.now - 0.1)
     np.testing.assert_allclose(reading.wrench, 0.0, atol=1e-2)
-    np.testing.assert_allclose(reading.tare, load, atol=1e-2)
+    np.testing.assert_allclose(reading.tare, LOAD, atol=1e-2)
     assert reading.tared == STAMP  # whatever the system clock says
-    again = Bench(settings, wrench=still(load + 1.0))
-    again.tared = load
+
+
+def test_a_tare_outlives_a_restart(storing: LoadCellSettings) -> None:
+    bench = loaded_bench(storing)
+    bench.cell.tare(STAMP, forced=True)
+    reading = bench.cell.wrench_at(bench.now - 0.1)
+    again = Bench(storing, wrench=still(LOAD + 1.0))
+    again.tared = LOAD
     again.run(0.2)
     later = again.readings[-1][1]
     np.testing.assert_allclose(later.wrench, 1.0, atol=1e-2)
     np.testing.assert_array_equal(later.tare, reading.tare)
-    assert later.tared == reading.tared
+    assert later.tared == reading.tared == STAMP
+
+
+def test_a_stored_tare_of_other_settings_is_refused(storing: LoadCellSettings) -> None:
+    loaded_bench(storing).cell.tare(STAMP, forced=True)
     with refused(ConfigurationError, "tare.json: was taken with other", "tare again"):
-        Bench(dataclasses.replace(settings, excitation=2.5))
-    path.write_text("{")
+        Bench(dataclasses.replace(storing, excitation=2.5))
+
+
+def test_a_broken_tare_file_is_refused(storing: LoadCellSettings) -> None:
+    Path(storing.tare_file).write_text("{")
     with refused(ConfigurationError, "tare.json", "remove the file and tare again"):
-        Bench(settings)
+        Bench(storing)
 
 
-def test_a_tare_refuses_what_it_must() -> None:
+def test_a_loaded_cell_is_tared_by_force_only() -> None:
+    bench = loaded_bench(SETTINGS)
+    with refused(DeviceError, "the cell bears 301 N, more than 100 N", "force_tare"):
+        bench.cell.tare(STAMP)
+    assert bench.cell.tare(STAMP, forced=True) is not None
+
+
+@pytest.mark.parametrize(
+    ("duration", "text"),
+    [
+        pytest.param(0.3, "of 1000 conversions in the last 1 s", id="too-few-conversions"),
+        pytest.param(1.3, "Fz moves by 2", id="moving-load"),
+    ],
+)
+def test_an_unsteady_cell_is_not_tared(duration: float, text: str) -> None:
     bench = Bench()
-    for duration, text in ((0.3, "of 1000 conversions in the last 1 s"), (1.0, "Fz moves by 2")):
-        bench.run(duration)
-        with refused(DeviceError, "cannot tare: ", text):
-            bench.cell.tare(STAMP)
-    quiet = Bench(wrench=still(np.zeros(6)))
-    quiet.run(1.1)
-    quiet.fault("rail", 1.0)
-    quiet.run(0.05)
-    quiet.fault("rail", 0.0)
-    quiet.run(0.2)
+    bench.run(duration)
+    with refused(DeviceError, "cannot tare: ", text):
+        bench.cell.tare(STAMP)
+
+
+def test_a_rail_within_the_last_second_prevents_tare() -> None:
+    bench = Bench(wrench=still(np.zeros(6)))
+    bench.run(1.1)
+    bench.fault("rail", 1.0)
+    bench.run(0.05)
+    bench.fault("rail", 0.0)
+    bench.run(0.2)
     with refused(DeviceError, "bridge 2 (input 0) is at its rail"):
-        quiet.cell.tare(STAMP)
-    quiet.fault("unplugged", 1.0)
-    quiet.run(0.05)
+        bench.cell.tare(STAMP)
+
+
+def test_a_silent_cell_is_not_tared() -> None:
+    bench = Bench(wrench=still(np.zeros(6)))
+    bench.run(1.1)
+    bench.fault("unplugged", 1.0)
+    bench.run(0.05)
     with refused(DeviceError, "cannot tare: ", "no answer"):
-        quiet.cell.tare(STAMP)
+        bench.cell.tare(STAMP)
 
 
-def test_settings_that_would_give_wrong_wrenches_are_refused() -> None:
-    for name, value, fact in (
-        ("matrix", (1.0,) * 36, " cannot be inverted"),
-        ("inputs", (0, 1, 2, 3, 4, 4), " names an input twice"),
-        ("gain", 3, " is 3: "),
-        ("matrix", (1.0,) * 35, " has 35 numbers"),
-        ("full_scale", (1.0, 2.0), " has 2 numbers"),
-        ("inputs", (0, 1, 2, 3, 4, 7), " names input 7"),
-        ("channels", 7, " is 7: "),
-        ("sign", (1.0, 1.0, 1.0, 1.0, 1.0, 0.5), " holds"),
-        ("window", 0.001, " is 0.001 s"),
-        ("device", "spi0", " is 'spi0': "),
-    ):
-        with refused(ConfigurationError, f"load_cell_node: {name}{fact}"):
-            check_settings(dataclasses.replace(SETTINGS, oversampling=16384, **{name: value}))
+@pytest.mark.parametrize(
+    ("name", "value", "fact"),
+    [
+        pytest.param("matrix", (1.0,) * 36, " cannot be inverted", id="singular-matrix"),
+        pytest.param("matrix", (1.0,) * 35, " has 35 numbers", id="short-matrix"),
+        pytest.param("matrix", (1.0,) * 37, " has 37 numbers", id="long-matrix"),
+        pytest.param("inputs", (0, 1, 2, 3, 4, 4), " names an input twice", id="input-twice"),
+        pytest.param("inputs", (0, 1, 2, 3, 4, 7), " names input 7", id="input-7"),
+        pytest.param("gain", 3, " is 3: ", id="gain"),
+        pytest.param("full_scale", (1.0, 2.0), " has 2 numbers", id="full-scale"),
+        pytest.param("channels", 7, " is 7: ", id="channels"),
+        pytest.param("sign", (1.0, 1.0, 1.0, 1.0, 1.0, 0.5), " holds", id="sign"),
+        pytest.param("window", 0.001, " is 0.001 s", id="window-too-short"),
+        pytest.param("device", "spi0", " is 'spi0': ", id="device"),
+    ],
+)
+def test_settings_of_wrong_wrenches_are_refused(name: str, value: Any, fact: str) -> None:
+    with refused(ConfigurationError, f"load_cell_node: {name}{fact}"):
+        check_settings(dataclasses.replace(SETTINGS, oversampling=16384, **{name: value}))
 
 
 # --- the converter, byte by byte
@@ -339,22 +440,28 @@ def converter_on_a_wire(channels=6, crc="ccitt", chip_channels=None):
     return chip, wire, ads131m0x.Ads131m0x(wire, channels, crc)
 
 
-def test_checksums_delays_and_periods_are_those_of_the_data_sheet() -> None:
-    for kind, expected in (("ccitt", 0x29B1), ("ansi", 0xAEE7)):
-        assert ads131m0x.checksum(b"123456789", kind) == expected
+@pytest.mark.parametrize(("kind", "expected"), [("ccitt", 0x29B1), ("ansi", 0xAEE7)])
+def test_checksums_are_those_of_the_data_sheet(kind: str, expected: int) -> None:
+    assert ads131m0x.checksum(b"123456789", kind) == expected
+
+
+def test_the_period_is_that_of_the_data_sheet() -> None:
     assert ads131m0x.conversion_period(8.192e6, 16384) == pytest.approx(1 / 250)
-    for oversampling in (128, 1024, 2048, 4096, 16384):  # the delay is the middle of the filter
-        box = np.ones(min(oversampling, 1024))
-        response = np.convolve(np.convolve(box, box), box)
-        if oversampling > 1024:
-            outputs = np.zeros(oversampling - 1023)
-            outputs[::1024] = 1.0
-            response = np.convolve(response, outputs)
-        middle = np.arange(len(response)) @ response / response.sum() / 4.096e6
-        assert ads131m0x.group_delay(8.192e6, oversampling) == pytest.approx(middle, abs=5e-7)
 
 
-def test_the_conversation_is_that_of_the_data_sheet() -> None:
+@pytest.mark.parametrize("oversampling", [128, 1024, 2048, 4096, 16384])
+def test_the_delay_is_the_middle_of_the_filter(oversampling: int) -> None:
+    box = np.ones(min(oversampling, 1024))
+    response = np.convolve(np.convolve(box, box), box)
+    if oversampling > 1024:
+        outputs = np.zeros(oversampling - 1023)
+        outputs[::1024] = 1.0
+        response = np.convolve(response, outputs)
+    middle = np.arange(len(response)) @ response / response.sum() / 4.096e6
+    assert ads131m0x.group_delay(8.192e6, oversampling) == pytest.approx(middle, abs=5e-7)
+
+
+def test_the_configuration_is_that_of_the_data_sheet() -> None:
     _, wire, converter = converter_on_a_wire()
     converter.reset_and_configure(4096, 8, 8.192e6)
     assert wire.sent == [
@@ -367,10 +474,18 @@ def test_the_conversation_is_that_of_the_data_sheet() -> None:
         *[words(0x0000)] * 3,
     ]
     assert converter.identity == 0x2602 and "ADS131M06 on spidev0.0" in converter.description
+
+
+def test_a_flipped_bit_fails_the_checksum() -> None:
+    _, wire, converter = converter_on_a_wire()
+    converter.reset_and_configure(4096, 8, 8.192e6)
     wire.alter = lambda answer: [*answer[:7], answer[7] ^ 1, *answer[8:]]
     with pytest.raises(ads131m0x.ChecksumError):
         converter.read()
     assert converter.check_frames(3) == 3
+
+
+def test_a_frame_is_that_of_the_data_sheet() -> None:
     body = bytes.fromhex("013F00000001FFFFFF7FFFFF800000123456FEDCBA")
     frame = body + ads131m0x.checksum(body, "ccitt").to_bytes(2, "big") + b"\0"
     read = ads131m0x.Ads131m0x(Mock(xfer2=lambda data: list(frame)), 6).read()
@@ -380,14 +495,22 @@ def test_the_conversation_is_that_of_the_data_sheet() -> None:
     assert ads131m0x.volts(read.codes, 4)[3] == pytest.approx(-0.3)
 
 
-def test_a_chip_that_is_another_or_dead_or_deaf_is_named() -> None:
+def test_another_chip_is_named() -> None:
     _, _, converter = converter_on_a_wire(8, chip_channels=6)
     with refused(DeviceError, "the converter says ID 0x2602, not 0x28xx"):
         converter.reset_and_configure(4096, 1, 8.192e6)
-    chip, wire, converter = converter_on_a_wire()
-    wire.alter = lambda answer: [255] * len(answer)
-    with refused(DeviceError, "spidev0.0: no answer (every bit reads 1)", "MISO"):
+
+
+@pytest.mark.parametrize(("byte", "bit"), [(255, 1), (0, 0)], ids=["all-ones", "all-zeros"])
+def test_a_dead_chip_is_named(byte: int, bit: int) -> None:
+    _, wire, converter = converter_on_a_wire()
+    wire.alter = lambda answer: [byte] * len(answer)
+    with refused(DeviceError, f"spidev0.0: no answer (every bit reads {bit})", "MISO"):
         converter.reset_and_configure(4096, 1, 8.192e6)
+
+
+def test_a_register_that_is_not_written_is_named() -> None:
+    chip, _, _ = converter_on_a_wire()
     deaf = Mock(xfer2=lambda data: chip.xfer2(words(0) if data[:2] == [0x61, 0x03] else data))
     with refused(DeviceError, "register 0x02"):
         ads131m0x.Ads131m0x(deaf, 6).reset_and_configure(4096, 1, 8.192e6)
@@ -426,7 +549,7 @@ def test_conversions_are_timed_closer_than_they_are_read(rng) -> None:
     assert worst < 0.25 * CONVERSION
 
 
-def test_a_pause_leaves_no_conversion_with_a_wrong_time() -> None:
+def test_a_pause_leaves_no_wrong_time() -> None:
     times = ConversionClock(CONVERSION)
     assert times.conversion_end(1.0) is None  # nothing is known of what waits at first
     times.nothing_waits(1.001, 1.001)
@@ -441,16 +564,35 @@ def test_a_pause_leaves_no_conversion_with_a_wrong_time() -> None:
     assert times.conversion_end(1.0607) is None
 
 
-def test_the_bus_is_opened_in_mode_1_or_says_why_not(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def device(monkeypatch: pytest.MonkeyPatch) -> Mock:
+    """The SPI device that is opened."""
     device = Mock()
     monkeypatch.setitem(sys.modules, "spidev", SimpleNamespace(SpiDev=lambda: device))
+    return device
+
+
+def test_the_bus_is_opened_in_mode_1(device: Mock) -> None:
     spi = ads131m0x.open_spi("1.2", 8e6)
     device.open.assert_called_once_with(1, 2)
     assert (spi.mode, spi.max_speed_hz) == (1, 8_000_000)
-    for number, hint in {2: "dtparam=spi=on", 13: "group spi"}.items():
-        device.open.side_effect = OSError(number, "x")
-        with refused(DeviceError, "/dev/spidev0.0", hint):
-            ads131m0x.open_spi("0.0", 8e6)
-    assert device.close.call_count == 2
+
+
+@pytest.mark.parametrize(
+    ("number", "hint"),
+    [
+        pytest.param(errno.ENOENT, "dtparam=spi=on", id="ENOENT"),
+        pytest.param(errno.EACCES, "group spi", id="EACCES"),
+    ],
+)
+def test_a_bus_that_cannot_be_opened_is_named(device: Mock, number: int, hint: str) -> None:
+    device.open.side_effect = OSError(number, "x")
+    with refused(DeviceError, "/dev/spidev0.0", hint):
+        ads131m0x.open_spi("0.0", 8e6)
+    assert device.close.call_count == 1
+
+
+@pytest.mark.usefixtures("device")
+def test_a_bus_is_named_by_two_numbers() -> None:
     with refused(ConfigurationError, "N.M"):
         ads131m0x.open_spi("spidev0.0", 8e6)

@@ -52,34 +52,48 @@ def group() -> tuple[str, int]:
         return udp.getsockname()
 
 
-def test_frames_of_every_version_come_with_their_exposure_on_the_steady_clock():
-    for version in ((3, 0), (4, 0), (4, 1), (4, 4)):
-        with Link(version=version) as link:
-            link.until_level(0)
-            assert min(link.worst() for _ in range(5)) < ACCURACY
-            link.restart()
-            assert min(link.worst() for _ in range(5)) < ACCURACY
-            numbers, moments = zip(*link.frames, strict=True)
-            # They begin anew with the server that restarted.
-            assert sum(a >= b for a, b in itertools.pairwise(numbers)) <= 1
-            assert all(a < b for a, b in itertools.pairwise(moments))
+@pytest.mark.parametrize(
+    "version", [(3, 0), (4, 0), (4, 1), (4, 4)], ids=["3.0", "4.0", "4.1", "4.4"]
+)
+def test_frames_have_their_exposure_on_the_steady_clock(version: tuple[int, int]):
+    with Link(version=version) as link:
+        link.until_level(0)
+        assert min(link.worst() for _ in range(5)) < ACCURACY
+        link.restart()
+        assert min(link.worst() for _ in range(5)) < ACCURACY
+        numbers, moments = zip(*link.frames, strict=True)
+        # They begin anew with the server that restarted.
+        assert sum(a >= b for a, b in itertools.pairwise(numbers)) <= 1
+        assert all(a < b for a, b in itertools.pairwise(moments))
+
+
+def test_a_version_before_3_0_is_too_old():
     with Link(version=(2, 10)) as link:
         link.until_level(2, "NatNet 2.10 is too old, NatNet 3.0 is needed: update Motive to 2.0")
         assert not link.frames
 
 
-def test_a_wrong_address_is_refused_at_once():
-    for changes, text in (
-        ({"server": ""}, "server is empty"),
-        ({"server": "no such host.invalid"}, "server 'no such host.invalid' is not known"),
-        ({"bitstream": "2.10"}, "bitstream is '2.10', which is too old"),
-        ({"multicast": "10.0.0.1"}, "multicast is '10.0.0.1'"),
-    ):
-        with refused(ConfigurationError, f"mocap_node: {text}"):
-            NatNetClient(MocapSettings(**{"server": "127.0.0.1"} | changes), lambda *_: None)
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        pytest.param({"server": ""}, "server is empty", id="empty-server"),
+        pytest.param(
+            {"server": "no such host.invalid"},
+            "server 'no such host.invalid' is not known",
+            id="unknown-server",
+        ),
+        pytest.param(
+            {"bitstream": "2.10"}, "bitstream is '2.10', which is too old", id="old-bitstream"
+        ),
+        pytest.param({"multicast": "10.0.0.1"}, "multicast is '10.0.0.1'", id="unicast-group"),
+    ],
+)
+def test_a_wrong_address_is_refused_at_once(changes: dict[str, str], text: str):
+    with refused(ConfigurationError, f"mocap_node: {text}"):
+        NatNetClient(MocapSettings(**{"server": "127.0.0.1"} | changes), lambda *_: None)
 
 
-def test_a_server_is_waited_for_and_found():
+def test_a_server_that_starts_later_is_found():
     with Link(client=False) as link:
         address = link.server.address
         link.server.close()
@@ -88,11 +102,14 @@ def test_a_server_is_waited_for_and_found():
         link.server = NatNetServer(scene, address=address, faults=link.faults, seed=9)
         assert link.until_level(0) < 1.5
         assert link.worst() < ACCURACY
+
+
+def test_an_interface_without_a_network_is_named():
     with Link(settings={"interface": "192.0.2.77"}) as link:  # which is not there yet
         link.until_level(2, "no network")
 
 
-def test_changed_rigid_bodies_are_asked_for_and_a_client_that_was_forgotten_comes_back():
+def test_changed_rigid_bodies_are_asked_for():
     names = ["socket", "other"]
 
     def renamed(moment):
@@ -102,14 +119,17 @@ def test_changed_rigid_bodies_are_asked_for_and_a_client_that_was_forgotten_come
         link.until_level(0)
         names[1] = "pylon"
         until(lambda: "pylon" in link.client._models, "the new body")
-        link.server._clients = {}  # at once: its thread goes through the old ones
-        received = len(link.frames)
-        until(lambda: len(link.frames) > received + 10, "frames")
-        link.until_level(0)
-        assert link.client.figures()["sessions"] == 1  # the same server, and the same clock
 
 
-def test_neither_strangers_nor_a_callback_that_fails_end_the_stream(link):
+def test_a_client_that_was_forgotten_comes_back(link):
+    link.server._clients = {}  # at once: its thread goes through the old ones
+    received = len(link.frames)
+    until(lambda: len(link.frames) > received + 10, "frames")
+    link.until_level(0)
+    assert link.client.figures()["sessions"] == 1  # the same server, and the same clock
+
+
+def test_strangers_do_not_end_the_stream(link):
     _, port = link.client._sockets._sockets[0].getsockname()
     bad = link.client.figures()["bad_datagrams"]
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
@@ -122,12 +142,15 @@ def test_neither_strangers_nor_a_callback_that_fails_end_the_stream(link):
             stranger.sendto(b"\x09\x00\x00\x00", ("127.0.0.1", port))  # DISCONNECT, not from it
     assert link.worst() < ACCURACY
     assert link.client.figures()["sessions"] == 1
+
+
+def test_a_failing_callback_does_not_end_the_stream(link):
     link.client._on_frame = take = Mock(side_effect=ValueError("the callback's own"))
     until(lambda: take.call_count > 10, "frames")
     assert "the callback's own" in link.health()[1]
 
 
-def test_a_take_is_named_started_and_stopped_and_its_end_by_hand_is_reported(link):
+def test_takes_have_their_names_though_replies_are_lost(link):
     link.faults["mocap.drop"] = 0.3  # lost replies are asked for again and make no more takes
     link.client.set_recording("trial_1")
     until(lambda: link.server.recording, "the recording")
@@ -138,10 +161,19 @@ def test_a_take_is_named_started_and_stopped_and_its_end_by_hand_is_reported(lin
     link.client.set_recording("trial_2")
     until(lambda: link.server.takes == ["trial_1", "trial_2"], "another take")
     until(lambda: link.client.recording_fault == "", "the end of all faults")
+
+
+def test_a_take_that_somebody_stopped_is_reported(link):
+    link.client.set_recording("stopped")
+    until(lambda: link.server.recording and link.client._takes.settled, "the recording")
+    until(lambda: link.client.recording_fault == "", "the end of all faults")
     link.server.recording = False
     until(lambda: "does not record" in link.client.recording_fault, "the fault")
     link.client.set_recording(None)
     until(lambda: link.client._takes.settled, "the stop")
+
+
+def test_a_client_that_closes_ends_its_take(link):
     link.client.set_recording("last")
     until(lambda: link.server.recording, "the recording")
     link.client.close()
@@ -149,29 +181,41 @@ def test_a_take_is_named_started_and_stopped_and_its_end_by_hand_is_reported(lin
     until(lambda: not link.server._clients, "the farewell")
 
 
-def test_a_take_goes_on_after_a_restart_and_after_a_network_that_comes_back(link):
-    def is_over() -> bool:
-        return link.client.recording_fault == "" and link.health()[0] == 0
+def has_no_fault(link) -> bool:
+    return link.client.recording_fault == "" and link.health()[0] == 0
 
+
+@pytest.fixture
+def recording(link):
     link.client.set_recording("long")
     until(lambda: link.client._takes.settled and link.server.recording, "it")
-    link.faults["mocap.unplugged"] = 1.0
-    link.until_level(2)
-    link.faults.clear()
-    until(is_over, "the end of faults")
-    assert link.server.takes == ["long"]
-    link.faults["mocap.restart"] = 1.0
-    until(lambda: link.server.takes == ["long", "long"], "another take")
-    until(is_over, "the end of faults")
-    link.faults["mocap.unplugged"] = 1.0
-    link.until_level(2)
-    link.client.set_recording(None)
-    until(lambda: "no take is stopped: no conn" in link.client.recording_fault, "the fault")
-    link.faults["mocap.unplugged"] = 0.0
-    until(lambda: not link.server.recording, "the end")
+    return link
 
 
-def test_a_group_is_heard_again_after_faults_and_its_misuse_is_named(group):
+def test_a_take_goes_on_after_a_lost_network(recording):
+    recording.faults["mocap.unplugged"] = 1.0
+    recording.until_level(2)
+    recording.faults.clear()
+    until(lambda: has_no_fault(recording), "the end of faults")
+    assert recording.server.takes == ["long"]
+
+
+def test_a_take_is_started_again_after_a_restart(recording):
+    recording.faults["mocap.restart"] = 1.0
+    until(lambda: recording.server.takes == ["long", "long"], "another take")
+    until(lambda: has_no_fault(recording), "the end of faults")
+
+
+def test_a_take_is_stopped_once_the_network_returns(recording):
+    recording.faults["mocap.unplugged"] = 1.0
+    recording.until_level(2)
+    recording.client.set_recording(None)
+    until(lambda: "no take is stopped: no conn" in recording.client.recording_fault, "the fault")
+    recording.faults["mocap.unplugged"] = 0.0
+    until(lambda: not recording.server.recording, "the end")
+
+
+def test_a_group_is_heard_again_after_faults(group):
     with Link(multicast=group, version=(4, 2)) as link:
         link.until_level(0)
         link.faults["mocap.unplugged"] = 1.0
@@ -180,7 +224,13 @@ def test_a_group_is_heard_again_after_faults_and_its_misuse_is_named(group):
         link.until_level(0)
         link.restart()
         assert link.worst() < ACCURACY
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+
+
+def test_a_data_port_of_another_program_is_named(group):
+    with (
+        Link(multicast=group, version=(4, 2), client=False) as link,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
+    ):
         other.bind(("", group[1]))
         with refused(DeviceError, f"another program has the data port {group[1]}"):
-            NatNetClient(link.settings, link.take).start()
+            link.client.start()

@@ -104,49 +104,78 @@ def assert_no_pose(found: SeenBody, fault: str) -> None:
     assert found.frames == 0 and fault in found.fault
 
 
-def test_of_more_markers_few_make_a_pose_unless_labels_could_be_exchanged() -> None:
+def test_six_of_eight_markers_make_a_pose() -> None:
+    references = (EIGHT, TRIADS[1])
+    tracker = tracker_of(frames(), references=references, hidden=lambda _: [(0, 0), (0, 7)])
+    socket, pylon = tracker.sample(9.3 * PERIOD, 10.0 * PERIOD)
+    assert max(errors_of(pylon, 1, 9.3 * PERIOD)) < 3e-4
+    assert max(errors_of(socket, 0, 9.3 * PERIOD, references)) < 3e-4
+    assert seen(socket) == [k not in (0, 7) for k in range(8)]
+
+
+def test_labels_that_could_be_exchanged_make_no_pose() -> None:
     """Of the first four, the first and the fourth are as far from the third to within 2 mm."""
-    for count, labels in ((8, (0, 7)), (4, (1,))):
-        references, hidden = (EIGHT[:count], TRIADS[1]), [(0, label) for label in labels]
-        tracker = tracker_of(frames(), references=references, hidden=lambda _, own=hidden: own)
-        socket, pylon = tracker.sample(9.3 * PERIOD, 10.0 * PERIOD)
-        assert max(errors_of(pylon, 1, 9.3 * PERIOD)) < 3e-4
-        if labels == (1,):
-            assert_no_pose(socket, "marker 2 of rigid body 'socket' is occluded, and the others")
-        else:
-            assert max(errors_of(socket, 0, 9.3 * PERIOD, references)) < 3e-4
-            assert seen(socket) == [k not in labels for k in range(count)]
+    references = (EIGHT[:4], TRIADS[1])
+    tracker = tracker_of(frames(), references=references, hidden=lambda _: [(0, 1)])
+    socket, pylon = tracker.sample(9.3 * PERIOD, 10.0 * PERIOD)
+    assert max(errors_of(pylon, 1, 9.3 * PERIOD)) < 3e-4
+    assert_no_pose(socket, "marker 2 of rigid body 'socket' is occluded, and the others")
 
 
-def test_frames_without_a_pose_are_bridged_over_the_largest_gap_at_most():
+def test_frames_without_a_pose_are_bridged() -> None:
     hidden = [((0, 2),) if i in (9, 10) else () for i in range(20)]
     assert_right(tracker_of(frames(), hidden=hidden.__getitem__), 9.5 * PERIOD, 1e-4)
+
+
+def test_occlusions_beyond_the_largest_gap_leave_none() -> None:
     short = MocapSettings(stale=1.5 * PERIOD)
     tracker = tracker_of(frames(), short, hidden=lambda i: ((0, 2),) if i == 9 else ())
     socket, _ = tracker.sample(9.5 * PERIOD)
     assert_no_pose(socket, "marker 3 of rigid body 'socket' is occluded")
     assert seen(socket) == [True, True, False]
+
+
+@pytest.mark.parametrize(
+    "trigger", [0.1, -0.01, 0.25], ids=["in-a-gap", "before-the-first", "after-the-last"]
+)
+def test_no_pose_is_made_far_from_frames(trigger: float) -> None:
     tracker = tracker_of(np.concatenate([frames(10), frames(10, 0.2)]))
-    for trigger in (0.1, -0.01, 0.25):
-        for found in tracker.sample(trigger):
-            assert_no_pose(found, "no two frames within 0.05 s")
-            assert np.isnan(found.markers).all()
+    for found in tracker.sample(trigger):
+        assert_no_pose(found, "no two frames within 0.05 s")
+        assert np.isnan(found.markers).all()
     assert_right(tracker, 0.205)
-    tracker = tracker_of(frames(500))  # kept for a second
+
+
+def test_frames_are_kept_for_a_second() -> None:
+    tracker = tracker_of(frames(500))
     assert_no_pose(tracker.sample(200.5 * PERIOD)[0], "no two frames")
     assert_right(tracker, 400.5 * PERIOD)
 
 
-def test_unknown_bodies_and_another_triad_are_reported():
-    four = (TRIADS[0], EIGHT[:4])
-    for models, text in (
-        (models_of("socket", "A"), "no rigid body 'pylon' (there are: A, socket): name it so"),
-        (models_of(*NAMES, references=four), "rigid body 'pylon' has 4 markers in Motive, and 3"),
-    ):
-        tracker = tracker_of(frames(), models=models)
-        assert tracker.ready(5.5 * PERIOD)
-        assert_no_pose(tracker.sample(5.5 * PERIOD)[1], text)
-    tracker = BodyTracker(SETTINGS, 1.2 * TRIADS[0], TRIADS[1])
+@pytest.mark.parametrize(
+    ("models", "text"),
+    [
+        pytest.param(
+            models_of("socket", "A"),
+            "no rigid body 'pylon' (there are: A, socket): name it so",
+            id="unknown",
+        ),
+        pytest.param(
+            models_of(*NAMES, references=(TRIADS[0], EIGHT[:4])),
+            "rigid body 'pylon' has 4 markers in Motive, and 3",
+            id="too-many-markers",
+        ),
+    ],
+)
+def test_another_body_in_motive_is_named(models, text: str) -> None:
+    tracker = tracker_of(frames(), models=models)
+    assert tracker.ready(5.5 * PERIOD)
+    assert_no_pose(tracker.sample(5.5 * PERIOD)[1], text)
+
+
+@pytest.mark.parametrize("scale", [1.2, 0.8], ids=["too-large", "too-small"])
+def test_another_triad_is_reported(scale: float) -> None:
+    tracker = BodyTracker(SETTINGS, scale * TRIADS[0], TRIADS[1])
     for moment in frames():
         tracker.add(frame_at(moment), moment, MODELS)
     socket, _ = tracker.sample(5.5 * PERIOD)
@@ -154,22 +183,29 @@ def test_unknown_bodies_and_another_triad_are_reported():
     assert errors_of(socket, 0, 5.5 * PERIOD)[2] < 1e-5  # its markers are kept
 
 
-def test_ready_means_that_no_later_frame_makes_it_better():
+def test_ready_means_that_frames_are_on_both_sides() -> None:
     tracker = tracker_of(frames(10))
     assert tracker.ready(9.0 * PERIOD) and not tracker.ready(9.1 * PERIOD)
+
+
+def test_an_occluded_marker_is_waited_for() -> None:
     occluded = tracker_of(frames(10), hidden=lambda i: ((1, 1),) if i >= 9 else ())
     assert not occluded.ready(8.5 * PERIOD)  # the next frame may show the marker
     occluded.add(frame_at(10 * PERIOD), 10 * PERIOD, MODELS)
     assert occluded.ready(8.5 * PERIOD)
     assert_right(occluded, 8.5 * PERIOD, 1e-4)
-    tracker = tracker_of(frames(20))  # a window is waited for to its last frame
+
+
+def test_a_window_is_waited_for_to_its_end() -> None:
+    tracker = tracker_of(frames(20))
     assert tracker.ready(10.2 * PERIOD, 19.0 * PERIOD)
     assert not tracker.wait(10.2 * PERIOD, clocks.monotonic(), 20.0 * PERIOD)
     tracker.add(frame_at(20 * PERIOD), 20 * PERIOD, MODELS)
     assert tracker.wait(10.2 * PERIOD, clocks.monotonic(), 20.0 * PERIOD)
 
 
-def test_the_pose_is_the_mean_of_the_frames_in_the_window_and_markers_are_at_the_trigger():
+def test_the_pose_is_the_mean_of_the_window() -> None:
+    """The markers are those at the trigger."""
     noise = np.random.default_rng(0).normal(0.0, 1e-4, (81, 3, 3))
     moments, still = 0.005 * np.arange(-40, 41), lambda body, _: steady(body, 0.0)
     tracker = tracker_of(moments, pose=still, wrong=noise.__getitem__)
@@ -189,17 +225,20 @@ def test_the_pose_is_the_mean_of_the_frames_in_the_window_and_markers_are_at_the
     assert between.frames == 2
 
 
-def test_a_mean_does_not_lag_behind_a_steady_motion():
+@pytest.mark.parametrize("share", [1.0, 0.5], ids=["every-frame", "half-of-the-frames"])
+def test_a_mean_does_not_lag_behind_a_motion(share: float) -> None:
     """Wherever the trigger is between frames, and whichever are missing or without a pose."""
-    for share in (1.0, 0.5):
-        rng = np.random.default_rng(round(10 * share))
-        times = np.arange(-0.3, 0.3, PERIOD)
-        tracker = tracker_of(times[rng.random(len(times)) < share], pose=steady)
-        for trigger, window in itertools.product(rng.uniform(-0.1, 0.1, 10), (0.01, 0.05, 0.25)):
-            for body, found in enumerate(tracker.sample(trigger, window)):
-                if not found.fault:
-                    assert max(errors_of(found, body, trigger, pose=steady)[:2]) < 1e-7
-    # All frames around the trigger are occluded: there is no pose, though the window has frames.
+    rng = np.random.default_rng(round(10 * share))
+    times = np.arange(-0.3, 0.3, PERIOD)
+    tracker = tracker_of(times[rng.random(len(times)) < share], pose=steady)
+    for trigger, window in itertools.product(rng.uniform(-0.1, 0.1, 10), (0.01, 0.05, 0.25)):
+        for body, found in enumerate(tracker.sample(trigger, window)):
+            if not found.fault:
+                assert max(errors_of(found, body, trigger, pose=steady)[:2]) < 1e-7
+
+
+def test_a_window_occluded_around_the_trigger_gives_none() -> None:
+    """Though the window has other frames."""
     times = PERIOD * np.arange(-60, 60)
     around = [((0, 1),) if abs(time) < 0.04 else () for time in times]
     tracker = tracker_of(times, pose=steady, hidden=around.__getitem__)
@@ -207,7 +246,7 @@ def test_a_mean_does_not_lag_behind_a_steady_motion():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_whatever_happens_to_the_frames_a_pose_is_right_or_missing(seed):
+def test_a_pose_is_right_or_missing(seed):
     rng = np.random.default_rng(seed)
     labels = rng.permutation(3)
     tracker = BodyTracker(SETTINGS, *TRIADS)

@@ -13,7 +13,7 @@ from socket_testbed.geometry.pose import Pose
 
 NOISE = 1e-4  # [m]
 COUNT = 40
-SIZES = (4, 5, 6, 8)
+EVERY_SIZE = pytest.mark.parametrize("size", [3, 4, 5, 6, 8])
 
 
 @pytest.fixture
@@ -52,68 +52,103 @@ def check(fit, body, pose) -> None:
     assert off.max(initial=0.0) < 20.0 * NOISE and turned.max(initial=0.0) < 0.05
 
 
-def test_noise_never_turns_a_rightly_labelled_isosceles_triad_over(rng):
-    for off in (0.0, 2e-5, 2e-4):  # from the line of symmetry [m]
-        isosceles = np.array([[-0.04, 0.0, 0.0], [0.04, 0.0, 0.0], [off, 0.07, 0.0]])
-        pose = random_pose(rng, count=100)
-        fit = fit_body(isosceles, observe(isosceles, pose, rng))
-        check(fit, isosceles, pose)  # to find no pose is honest, too
+@pytest.mark.parametrize("off", [0.0, 2e-5, 2e-4], ids=["symmetric", "20-um", "200-um"])
+def test_noise_never_turns_an_isosceles_triad_over(rng, off: float):
+    """Whose apex is off the line of symmetry by so much, and whose labels are right."""
+    isosceles = np.array([[-0.04, 0.0, 0.0], [0.04, 0.0, 0.0], [off, 0.07, 0.0]])
+    pose = random_pose(rng, count=100)
+    fit = fit_body(isosceles, observe(isosceles, pose, rng))
+    check(fit, isosceles, pose)  # to find no pose is honest, too
 
 
-def test_the_pose_is_that_of_least_squares_of_all_markers_seen(rng):
-    for size in (3, *SIZES):
-        body, pose = body_of(size), random_pose(rng, count=COUNT)
-        observed = observe(body, pose, rng)
-        for k in range(0, COUNT, 2):  # in every other frame one is occluded
-            observed[k, k // 2 % size] = np.nan
-        fit = fit_body(body, observed)
-        np.testing.assert_array_equal(fit.found, (fit.order >= 0).any(axis=1))
-        assert fit.found[1::2].all()
-        for k in np.flatnonzero(fit.found):
-            seen = np.isfinite(observed[k]).all(axis=1)
-            np.testing.assert_array_equal(fit.order[k], np.where(seen, np.arange(size), -1))
-            arms = body[seen] - body[seen].mean(axis=0)
-            centred = observed[k, seen] - observed[k, seen].mean(axis=0)
-            turn, distance = Rotation.align_vectors(centred, arms)
-            np.testing.assert_allclose(fit.pose.rotation[k], turn.as_matrix(), atol=1e-9)
-            assert fit.residual[k] == pytest.approx(distance / math.sqrt(seen.sum()), rel=1e-6)
+@EVERY_SIZE
+def test_the_pose_is_that_of_least_squares(rng, size: int):
+    """Of all markers that are seen."""
+    body, pose = body_of(size), random_pose(rng, count=COUNT)
+    observed = observe(body, pose, rng)
+    for k in range(0, COUNT, 2):  # in every other frame one is occluded
+        observed[k, k // 2 % size] = np.nan
+    fit = fit_body(body, observed)
+    np.testing.assert_array_equal(fit.found, (fit.order >= 0).any(axis=1))
+    assert fit.found[1::2].all()
+    for k in np.flatnonzero(fit.found):
+        seen = np.isfinite(observed[k]).all(axis=1)
+        np.testing.assert_array_equal(fit.order[k], np.where(seen, np.arange(size), -1))
+        arms = body[seen] - body[seen].mean(axis=0)
+        centred = observed[k, seen] - observed[k, seen].mean(axis=0)
+        turn, distance = Rotation.align_vectors(centred, arms)
+        np.testing.assert_allclose(fit.pose.rotation[k], turn.as_matrix(), atol=1e-9)
+        assert fit.residual[k] == pytest.approx(distance / math.sqrt(seen.sum()), rel=1e-6)
 
 
-def test_labels_in_any_order_are_put_right_and_other_bodies_have_no_pose(rng):
-    for size in (3, *SIZES):
-        body, pose = body_of(size), random_pose(rng, count=COUNT)
-        truth = observe(body, pose, rng)
-        for hidden in (0, 1):
-            orders = np.array([rng.permutation(size) for _ in range(COUNT)])
-            observed = np.take_along_axis(truth, orders[:, :, None], axis=1)
-            for frame in observed:
-                frame[rng.permutation(size)[:hidden]] = np.nan
-            fit = fit_body(body, observed)
-            # Three markers that changed their labels might fit by chance: they are left alone.
-            assert fit.found.mean() >= (1.0 if not hidden else 0.5 if size > 4 else 0.0)
-            check(fit, body, pose)
-            for k in np.flatnonzero(fit.found):
-                used = fit.order[k] >= 0
-                np.testing.assert_array_equal(observed[k, fit.order[k][used]], truth[k][used])
-        truth[:, 1] += rng.uniform(0.01, 0.05, (COUNT, 3))
-        fit = fit_body(body, truth)
-        assert fit.found.all() == (size > 3) and (fit.order[:, 1] == -1).all()
-        check(fit, body, pose)
-        others = (1.2 * body, body * np.array([1.0, 1.0, -1.0]), body_of(size, seed=5))
-        for other in others[: None if size > 3 else 1]:  # a triad has no mirror image
-            assert not fit_body(body, observe(other, pose, rng)).found.any()
+@pytest.mark.parametrize("hidden", [0, 1], ids=["all-seen", "one-occluded"])
+@EVERY_SIZE
+def test_labels_in_any_order_are_put_right(rng, size: int, hidden: int):
+    body, pose = body_of(size), random_pose(rng, count=COUNT)
+    truth = observe(body, pose, rng)
+    orders = np.array([rng.permutation(size) for _ in range(COUNT)])
+    observed = np.take_along_axis(truth, orders[:, :, None], axis=1)
+    for frame in observed:
+        frame[rng.permutation(size)[:hidden]] = np.nan
+    fit = fit_body(body, observed)
+    # Three markers that changed their labels might fit by chance: they are left alone.
+    assert fit.found.mean() >= (1.0 if not hidden else 0.5 if size > 4 else 0.0)
+    check(fit, body, pose)
+    for k in np.flatnonzero(fit.found):
+        used = fit.order[k] >= 0
+        np.testing.assert_array_equal(observed[k, fit.order[k][used]], truth[k][used])
 
 
-def test_bodies_whose_labels_cannot_be_found_are_refused():
-    square = 0.06 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
-    row = np.array([[0, 0, 0], [3, 0, 0], [7, 0, 0], [12, 0, 0]]) * 0.01
-    near = np.vstack([body_of(4), body_of(4)[1] + 0.002])
-    for markers, fact in ((square, "look alike"), (row, "on one line"), (near, "3.5 mm apart")):
-        found = body_fault(markers)
-        assert found is not None and fact in found[0]
+@EVERY_SIZE
+def test_a_false_marker_is_not_used(rng, size: int):
+    body, pose = body_of(size), random_pose(rng, count=COUNT)
+    observed = observe(body, pose, rng)
+    observed[:, 1] += rng.uniform(0.01, 0.05, (COUNT, 3))
+    fit = fit_body(body, observed)
+    assert fit.found.all() == (size > 3) and (fit.order[:, 1] == -1).all()
+    check(fit, body, pose)
 
 
-def test_whatever_happens_to_the_markers_a_pose_is_right_or_missing(rng):
+@pytest.mark.parametrize(
+    ("size", "other"),
+    [
+        *(pytest.param(k, lambda b: 1.2 * b, id=f"larger-{k}") for k in (3, 4, 5, 6, 8)),
+        *(pytest.param(k, lambda b: 0.8 * b, id=f"smaller-{k}") for k in (3, 4, 5, 6, 8)),
+        # A triad has no mirror image.
+        *(
+            pytest.param(k, lambda b: b * [1.0, 1.0, -1.0], id=f"mirrored-{k}")
+            for k in (4, 5, 6, 8)
+        ),
+        *(
+            pytest.param(k, lambda b: body_of(len(b), seed=5), id=f"other-{k}")
+            for k in (4, 5, 6, 8)
+        ),
+    ],
+)
+def test_other_bodies_have_no_pose(rng, size: int, other):
+    body, pose = body_of(size), random_pose(rng, count=COUNT)
+    assert not fit_body(body, observe(other(body), pose, rng)).found.any()
+
+
+SQUARE = 0.06 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
+ROW = 0.01 * np.array([[0, 0, 0], [3, 0, 0], [7, 0, 0], [12, 0, 0]])
+NEAR = np.vstack([body_of(4), body_of(4)[1] + 0.002])
+
+
+@pytest.mark.parametrize(
+    ("markers", "fact"),
+    [
+        pytest.param(SQUARE, "look alike", id="square"),
+        pytest.param(ROW, "on one line", id="row"),
+        pytest.param(NEAR, "3.5 mm apart", id="too-near"),
+    ],
+)
+def test_bodies_whose_labels_cannot_be_found_are_refused(markers: np.ndarray, fact: str):
+    found = body_fault(markers)
+    assert found is not None and fact in found[0]
+
+
+def test_a_pose_is_right_or_missing(rng):
     """Occluded, exchanged and false markers together, far more of them than in a lab."""
     off, count = [], 0
     for size, seed in product((4, 5, 8), range(4)):
@@ -138,36 +173,43 @@ FRAMES = 6000
 LIMB = np.array([-0.045, -0.03, -0.22])  # far from the markers, as the lumped mass is
 
 
-def test_the_residuals_give_the_noise_whatever_is_occluded(rng):
-    for size in (3, *SIZES):
-        body = body_of(size)
-        observed = observe(body, random_pose(rng, count=FRAMES), rng)
-        tolerance = 4.0 / math.sqrt(2.0 * (3 * size - 6) * FRAMES)  # by the degrees of freedom
-        assert fit_body(body, observed).noise == pytest.approx(NOISE, rel=tolerance)
+@pytest.mark.parametrize("occluded", [False, True], ids=["all-seen", "one-occluded"])
+@EVERY_SIZE
+def test_the_residuals_give_the_noise(rng, size: int, occluded: bool):
+    body = body_of(size)
+    observed = observe(body, random_pose(rng, count=FRAMES), rng)
+    tolerance = 4.0 / math.sqrt(2.0 * (3 * size - 6) * FRAMES)  # by the degrees of freedom
+    if occluded:
         observed[1::2, 0] = np.nan
-        assert fit_body(body, observed).noise == pytest.approx(NOISE, rel=2.0 * tolerance)
+        tolerance *= 2.0
+    assert fit_body(body, observed).noise == pytest.approx(NOISE, rel=tolerance)
 
 
-def test_covariances_are_those_of_random_trials_and_of_the_published_formula(rng):
+@pytest.mark.parametrize("size", [3, 4, 7])
+def test_covariances_are_those_of_random_trials(rng, size: int):
+    points, pose = rng.uniform(-0.08, 0.08, (size, 3)), random_pose(rng)
+    fit = fit_rigid(points, pose.apply(points) + rng.normal(0.0, NOISE, (FRAMES, size, 3)))
+    stated = pose_uncertainty(points, NOISE)
+    shift, limb = (
+        (fit.apply(np.tile(point, (FRAMES, 1))) - pose.apply(point)) @ pose.rotation
+        for point in (points.mean(axis=0), LIMB)
+    )
+    turn = Rotation.from_matrix(pose.rotation.T @ fit.rotation).as_rotvec()
+    pairs = (shift, stated.shift), (turn, stated.rotation), (limb, stated.at(LIMB))
+    for found, expected in pairs:
+        white = np.linalg.solve(np.linalg.cholesky(expected), found.T)
+        np.testing.assert_allclose(np.cov(white), np.eye(3), atol=5.0 / math.sqrt(FRAMES))
+        np.testing.assert_allclose(white.mean(axis=1), 0.0, atol=5.0 / math.sqrt(FRAMES))
+
+
+@pytest.mark.parametrize("size", [3, 4, 7])
+def test_covariances_are_those_of_the_published_formula(rng, size: int):
     """Fitzpatrick, West and Maurer 1998: <TRE^2> = <FLE^2>/k (1 + 1/3 sum(d_i^2 / f_i^2))."""
-    for size in (3, 4, 7):
-        points, pose = rng.uniform(-0.08, 0.08, (size, 3)), random_pose(rng)
-        middle = points.mean(axis=0)
-        fit = fit_rigid(points, pose.apply(points) + rng.normal(0.0, NOISE, (FRAMES, size, 3)))
-        stated = pose_uncertainty(points, NOISE)
-        shift, limb = (
-            (fit.apply(np.tile(point, (FRAMES, 1))) - pose.apply(point)) @ pose.rotation
-            for point in (middle, LIMB)
-        )
-        turn = Rotation.from_matrix(pose.rotation.T @ fit.rotation).as_rotvec()
-        pairs = (shift, stated.shift), (turn, stated.rotation), (limb, stated.at(LIMB))
-        for found, expected in pairs:
-            white = np.linalg.solve(np.linalg.cholesky(expected), found.T)
-            np.testing.assert_allclose(np.cov(white), np.eye(3), atol=5.0 / math.sqrt(FRAMES))
-            np.testing.assert_allclose(white.mean(axis=1), 0.0, atol=5.0 / math.sqrt(FRAMES))
-        centred, ratios = points - middle, 0.0
-        for axis in np.linalg.eigh(centred.T @ centred)[1].T:
-            away = np.eye(3) - np.outer(axis, axis)
-            ratios += ((LIMB - middle) @ away @ (LIMB - middle)) / (centred @ away * centred).sum()
-        published = 3.0 * NOISE**2 / size * (1.0 + ratios * size / 3.0)
-        assert np.trace(stated.at(LIMB)) == pytest.approx(published)
+    points = rng.uniform(-0.08, 0.08, (size, 3))
+    middle = points.mean(axis=0)
+    centred, ratios = points - middle, 0.0
+    for axis in np.linalg.eigh(centred.T @ centred)[1].T:
+        away = np.eye(3) - np.outer(axis, axis)
+        ratios += ((LIMB - middle) @ away @ (LIMB - middle)) / (centred @ away * centred).sum()
+    published = 3.0 * NOISE**2 / size * (1.0 + ratios * size / 3.0)
+    assert np.trace(pose_uncertainty(points, NOISE).at(LIMB)) == pytest.approx(published)

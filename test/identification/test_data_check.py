@@ -15,6 +15,7 @@ from socket_testbed.identification.data_check import check_data
 from socket_testbed.identification.fit import fit_contact_model
 from socket_testbed.samples import Status
 from socket_testbed.simulation.limb import SCENARIOS, TISSUES
+from socket_testbed.trials.trial import Trial
 
 ALL = slice(None)
 
@@ -28,14 +29,26 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {name: folder / name for name in SCENARIOS}
 
 
-def test_sound_trials_are_good_but_for_a_cluster_that_disagrees_with_the_others(sound) -> None:
-    for path in sound.values():
-        trial = st.open_trial(path)
-        assert st.check_data(trial) == ()
-        samples = trial.samples()
-        samples.local_forces[:, 0, 2] -= 25e3 * trial.geometry.areas[0]
-        (found,) = check_data(samples, trial.geometry)
-        assert found.source == samples.clusters[0] and "the others" in found.fact
+@pytest.fixture(scope="module")
+def opened(sound: dict[str, Path]) -> dict[str, Trial]:
+    """The same trials, whose samples no test changes."""
+    return {name: st.open_trial(path) for name, path in sound.items()}
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_sound_trials_are_good(opened, scenario: str) -> None:
+    assert st.check_data(opened[scenario]) == ()
+
+
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_a_cluster_unlike_the_others_is_named(opened, scenario: str) -> None:
+    trial = opened[scenario]
+    samples = trial.samples()
+    offset = np.zeros_like(samples.local_forces)
+    offset[:, 0, 2] = 25e3 * trial.geometry.areas[0]
+    spoilt = replace(samples, local_forces=samples.local_forces - offset)
+    (found,) = check_data(spoilt, trial.geometry)
+    assert found.source == samples.clusters[0] and "the others" in found.fact
 
 
 def late(values: np.ndarray, by: int = 20) -> np.ndarray:
@@ -72,19 +85,21 @@ DAMAGED = {
 }
 
 
-def test_damaged_copies_say_what_to_look_at(sound: dict[str, Path]) -> None:
-    for path in (sound["static_hold"], sound["multi_direction"]):
-        trial = st.open_trial(path)
-        samples = trial.samples()
-        for name, (source, parts, damage) in DAMAGED.items():
-            arrays = {part: damage(getattr(samples, part)) for part in parts}
-            found = check_data(replace(samples, **arrays), trial.geometry)
-            assert any(source in finding.source for finding in found), (name, found)
-            assert all(str(finding).startswith("data: look at ") for finding in found)
+@pytest.mark.parametrize("scenario", ["static_hold", "multi_direction"])
+@pytest.mark.parametrize(
+    ("source", "parts", "damage"), DAMAGED.values(), ids=[n.replace(" ", "-") for n in DAMAGED]
+)
+def test_a_damaged_copy_says_what_to_look_at(opened, scenario, source, parts, damage) -> None:
+    trial = opened[scenario]
+    samples = trial.samples()
+    arrays = {part: damage(getattr(samples, part)) for part in parts}
+    found = check_data(replace(samples, **arrays), trial.geometry)
+    assert any(source in finding.source for finding in found), found
+    assert all(str(finding).startswith("data: look at ") for finding in found)
 
 
-def test_a_finding_hides_no_other_that_it_does_not_cause(sound: dict[str, Path]) -> None:
-    trial = st.open_trial(sound["protocol"])
+def test_a_finding_hides_no_unrelated_one(opened) -> None:
+    trial = opened["protocol"]
     samples = trial.samples()
     pose = {"position": late(samples.position), "rotation": late(samples.rotation)}
     turned = replace(samples, wrench=-samples.wrench)
@@ -100,62 +115,117 @@ def test_a_finding_hides_no_other_that_it_does_not_cause(sound: dict[str, Path])
     forces[:, 0] *= -1.0
     (wrench, _), (cluster, hint), *_ = found(replace(turned, local_forces=forces))
     assert (wrench, cluster) == ("the wrench", samples.clusters[0]) and "normal channel" in hint
-    hold = st.open_trial(sound["static_hold"]).samples()[200:400]  # the load hardly changes
+    hold = opened["static_hold"].samples()[200:400]  # the load hardly changes
     assert found(hold) == []
     assert [source for source, _ in found(replace(hold, wrench=-hold.wrench))] == ["the wrench"]
 
 
-def test_a_reversed_cluster_another_size_and_few_samples_are_named(sound: dict[str, Path]) -> None:
-    trial = st.open_trial(sound["protocol"])
-    samples = trial.samples()
-    (heavy,) = check_data(samples, trial.geometry, mass=5.0)
-    assert "weights of the stated 5 kg" in heavy.fact
-    (few,) = check_data(samples[:20], trial.geometry)
+@pytest.mark.parametrize(
+    ("mass", "text"),
+    [
+        pytest.param(5.0, "weights of the stated 5 kg", id="too-light"),
+        pytest.param(1e5, "weights of the stated 100000 kg", id="too-heavy"),
+    ],
+)
+def test_a_mass_unlike_the_load_is_named(opened, mass: float, text: str) -> None:
+    trial = opened["protocol"]
+    (found,) = check_data(trial.samples(), trial.geometry, mass=mass)
+    assert text in found.fact
+
+
+def test_few_samples_are_named(opened) -> None:
+    trial = opened["protocol"]
+    (few,) = check_data(trial.samples()[:20], trial.geometry)
     assert "20 samples are too few" in few.fact
+
+
+def test_a_channel_that_is_left_out_is_unchecked(opened) -> None:
+    trial = opened["protocol"]
+    samples = trial.samples()
     spoilt = replace(samples, wrench=samples.wrench * [1, 1, 1e4, 1, 1, 1])
     assert check_data(spoilt, trial.geometry)
     assert not check_data(spoilt, trial.geometry, leave_out=("Mz",))
+
+
+def test_a_dead_channel_may_be_left_out(opened) -> None:
+    trial = opened["protocol"]
+    samples = trial.samples()
     wrench, status = samples.wrench * [1, 1, np.nan, 1, 1, 1], samples.status.copy()
     status[:, 0] = Status.MISSING
     dead = replace(samples, wrench=wrench, status=status)
     found = check_data(dead, trial.geometry)
     assert {finding.source for finding in found} == {"Mz", samples.clusters[0]}
     assert not check_data(dead, trial.geometry, leave_out=("Mz", *samples.channels[6:9]))
+
+
+@pytest.mark.parametrize("end", ["min", "max"])
+def test_a_clipped_channel_is_named(opened, end: str) -> None:
+    trial = opened["protocol"]
+    samples = trial.samples()
     clipped = samples.wrench.copy()
-    clipped[::4, 3] = low = clipped[:, 3].min()
+    clipped[::4, 3] = limit = getattr(clipped[:, 3], end)()
     (found,) = check_data(replace(samples, wrench=clipped), trial.geometry)
-    assert found.source == "Fx" and f"are at one end, {low:.3g} N" in found.fact
-    samples.local_forces[:, 0] *= -1.0
-    (found,) = check_data(samples, trial.geometry)
+    assert found.source == "Fx" and f"are at one end, {limit:.3g} N" in found.fact
+
+
+def test_a_reversed_cluster_is_named(opened) -> None:
+    trial = opened["protocol"]
+    samples = trial.samples()
+    forces = samples.local_forces.copy()
+    forces[:, 0] *= -1.0
+    (found,) = check_data(replace(samples, local_forces=forces), trial.geometry)
     assert found.source == samples.clusters[0] and "sign" in found.hint
 
 
-def test_an_intermittent_cluster_does_not_blame_the_wrench_nor_a_short_trial_a_clock(sound) -> None:
-    trial = st.open_trial(sound["static_hold"])
+def test_an_intermittent_cluster_does_not_blame_the_wrench(opened) -> None:
+    trial = opened["static_hold"]
     hold = trial.samples()[90:200]
-    hold.status[::3, hold.clusters.index("distal")] = Status.OUT_OF_RANGE
-    (found,) = check_data(hold, trial.geometry)
+    status = hold.status.copy()
+    status[::3, hold.clusters.index("distal")] = Status.OUT_OF_RANGE
+    (found,) = check_data(replace(hold, status=status), trial.geometry)
     assert found.source == "distal" and "missing or out of range" in found.fact
-    trial = st.open_trial(sound["multi_direction"])
-    for short in (trial.samples()[:152:4], trial.samples()[:31]):
-        assert not [f for f in check_data(short, trial.geometry) if "clocks" in f.hint]
 
 
-def test_spikes_do_not_hide_each_other_and_spoil_neither_fit_nor_pressure(sound) -> None:
-    trial = st.open_trial(sound["protocol"])
-    rows = trial.select("hold", trial.estimator).rows
-    good = st.fit(trial, segment="hold").to_dataframe()["RMSE"]
-    for places, force in (([0], -2e3), ([5, 90], -2e3), (range(10, 90, 10), -3e3)):
-        spoilt = st.open_trial(sound["protocol"])
-        spoilt.samples().wrench[[rows.start + place for place in places], 5] = force
-        assert any("single values" in finding.source for finding in spoilt.problems())
-        found = st.fit(spoilt, segment="hold").to_dataframe()["RMSE"]
-        np.testing.assert_allclose(found, good, rtol=0.1)
-        peaks = (st.pressure(t, "hold").regions.loc["socket"].iloc[0] for t in (trial, spoilt))
-        assert abs(np.subtract(*peaks)) < 0.5
-    tapped = st.open_trial(sound["protocol"])  # a load that clusters feel, too, is none
-    tapped.samples().wrench[rows.start + 20] *= 4.0
-    tapped.samples().local_forces[rows.start + 20] *= 2.5
+@pytest.mark.parametrize("rows", [np.s_[:152:4], np.s_[:31]], ids=["slow", "short"])
+def test_few_samples_do_not_blame_a_clock(opened, rows: slice) -> None:
+    trial = opened["multi_direction"]
+    short = trial.samples()[rows]
+    assert not [f for f in check_data(short, trial.geometry) if "clocks" in f.hint]
+
+
+@pytest.fixture(scope="module")
+def results_of_hold(opened) -> tuple[np.ndarray, float]:
+    """The errors of a fit to the hold, and the pressure there."""
+    trial = opened["protocol"]
+    errors = st.fit(trial, segment="hold").to_dataframe()["RMSE"]
+    return errors, st.pressure(trial, "hold").regions.loc["socket"].iloc[0]
+
+
+@pytest.mark.parametrize(
+    ("places", "force"),
+    [
+        pytest.param([0], -2e3, id="one"),
+        pytest.param([5, 90], -2e3, id="two"),
+        pytest.param(range(10, 90, 10), -3e3, id="eight"),
+    ],
+)
+def test_spikes_spoil_neither_fit_nor_pressure(sound, results_of_hold, places, force) -> None:
+    """They do not hide each other."""
+    errors, pressure = results_of_hold
+    spoilt = st.open_trial(sound["protocol"])
+    rows = spoilt.select("hold", spoilt.estimator).rows
+    spoilt.samples().wrench[[rows.start + place for place in places], 5] = force
+    assert any("single values" in finding.source for finding in spoilt.problems())
+    found = st.fit(spoilt, segment="hold").to_dataframe()["RMSE"]
+    np.testing.assert_allclose(found, errors, rtol=0.1)
+    assert abs(st.pressure(spoilt, "hold").regions.loc["socket"].iloc[0] - pressure) < 0.5
+
+
+def test_a_load_that_clusters_feel_is_no_outlier(sound) -> None:
+    tapped = st.open_trial(sound["protocol"])
+    row = tapped.select("hold", tapped.estimator).rows.start + 20
+    tapped.samples().wrench[row] *= 4.0
+    tapped.samples().local_forces[row] *= 2.5
     assert not plausibility.find_outliers(tapped.samples(), tapped.geometry).rows.any()
 
 
@@ -171,48 +241,65 @@ def test_a_trial_without_clusters_is_checked(sound: dict[str, Path]) -> None:
 
 
 LOAD = 200.0  # [N]
+TENSION = np.array([0.0, 0.0, 150.0])  # [N], of an offset
 
 
-def test_a_wrench_without_a_load_and_another_unit_are_refused():
-    for array, column, names in (
-        ("wrench", np.s_[:, 3:], ("F", "likely in millinewtons")),
-        ("wrench", np.s_[:], ("M", "likely in newton millimetres")),
-        ("local_forces", np.s_[:], ("cluster_", "likely in millinewtons")),
-    ):
-        geometry, _, samples, settings = make_case(3)
-        getattr(samples, array)[column] *= 1000.0
-        with refused(IdentificationError, *names):
-            fit_contact_model(samples, geometry, settings)
+@pytest.mark.parametrize(
+    ("array", "column", "names"),
+    [
+        pytest.param("wrench", np.s_[:, 3:], ("F", "likely in millinewtons"), id="force"),
+        pytest.param("wrench", np.s_[:], ("M", "likely in newton millimetres"), id="wrench"),
+        pytest.param("local_forces", np.s_[:], ("cluster_", "likely in millinewtons"), id="local"),
+    ],
+)
+def test_another_unit_is_refused(array, column, names) -> None:
+    geometry, _, samples, settings = make_case(3)
+    getattr(samples, array)[column] *= 1000.0
+    with refused(IdentificationError, *names):
+        fit_contact_model(samples, geometry, settings)
+
+
+@pytest.mark.parametrize("size", [1e-4, 0.0], ids=["tiny", "zero"])
+def test_a_wrench_without_a_load_is_refused(size: float) -> None:
     geometry, _, samples, settings = make_case(2)
-    for wrench in (1e-4, 0.0):
-        samples.wrench[:] = wrench
-        with refused(IdentificationError, "holds no load"):
-            fit_contact_model(samples, geometry, settings)
+    samples.wrench[:] = size
+    with refused(IdentificationError, "holds no load"):
+        fit_contact_model(samples, geometry, settings)
     settings = replace(settings, leave_out=("Mx", "My", "Mz", "Fx", "Fy", "Fz"))
     assert fit_contact_model(samples, geometry, settings).samples == len(samples)
 
 
-def test_an_outlier_is_left_out_and_noted_with_channel_and_time_and_many_are_refused():
+@pytest.mark.parametrize(
+    ("array", "place", "value", "name"),
+    [
+        pytest.param("wrench", (17, 4), 2e3, "Fy has an outlier", id="wrench"),
+        pytest.param(
+            "local_forces", (17, 1, 2), -1e9, "cluster_1.Fz has an outlier", id="local-force"
+        ),
+        pytest.param("position", (17, 1), -1e9, "limb position has an outlier", id="position"),
+    ],
+)
+def test_an_outlier_is_left_out_and_noted(array, place, value, name) -> None:
+    """With its channel and time."""
     geometry, _, sound, settings = make_case(4)
     without = fit_contact_model(sound[np.arange(len(sound)) != 17], geometry, settings).model
-    for array, place, value, name in (
-        ("wrench", (17, 4), 2e3, "Fy has an outlier"),
-        ("local_forces", (17, 1, 2), -1e9, "cluster_1.Fz has an outlier"),
-        ("position", (17, 1), -1e9, "limb position has an outlier"),
-    ):
-        samples = make_case(4)[2]
-        getattr(samples, array)[place] = value
-        outliers = plausibility.find_outliers(samples, geometry)
-        (note,) = plausibility.outlier_notes(samples, outliers)
-        assert note.startswith(name) and "at 4.25 s" in note and note.endswith("left out")
-        found = fit_contact_model(samples, geometry, settings)
-        assert max(error.rmse for error in found.errors) < 100.0
-        assert array == "local_forces" or (found.model.stiffness == without.stiffness).all()
-    sound.wrench[::8, 3] = 1e9
+    samples = make_case(4)[2]
+    getattr(samples, array)[place] = value
+    outliers = plausibility.find_outliers(samples, geometry)
+    (note,) = plausibility.outlier_notes(samples, outliers)
+    assert note.startswith(name) and "at 4.25 s" in note and note.endswith("left out")
+    found = fit_contact_model(samples, geometry, settings)
+    assert max(error.rmse for error in found.errors) < 100.0
+    assert array == "local_forces" or (found.model.stiffness == without.stiffness).all()
+
+
+def test_many_outliers_are_refused() -> None:
+    geometry, _, samples, settings = make_case(4)
+    samples.wrench[::8, 3] = 1e9
     with refused(IdentificationError, "5 of 40 samples are outliers: Fx has 5"):
-        fit_contact_model(sound, geometry, settings)
+        fit_contact_model(samples, geometry, settings)
     settings = replace(settings, leave_out=("Fx",))  # then it drops no sample
-    assert fit_contact_model(sound, geometry, settings).samples == len(sound)
+    assert fit_contact_model(samples, geometry, settings).samples == len(samples)
 
 
 GEOMETRY = random_socket(np.random.default_rng(3))
@@ -237,36 +324,86 @@ def found(samples) -> list[str]:
     return [proposal.channel for proposal in plausibility.find_implausible(samples, GEOMETRY)]
 
 
-def test_a_negated_wrench_is_noted_on_clear_evidence_alone():
+def test_a_negated_wrench_is_noted() -> None:
     samples = loaded()
     negated = replace(samples, wrench=-samples.wrench)
     note = plausibility.sign_note(negated, GEOMETRY) or ""
     assert "wrench looks negated" in note and "200 N" in note and "3 of 3 clusters" in note
-    hanging = replace(samples, wrench=samples.wrench * (-0.9 * plausibility.HANGING_WEIGHT / LOAD))
-    pulled = replace(negated, local_forces=-samples.local_forces)
-    shifted = samples.local_forces + np.array([0.0, 0.0, 150.0])
-    offset = replace(samples, local_forces=shifted)
-    unread = replace(negated, status=np.full_like(samples.status, 2))
-    for doubtful in (hanging, pulled, offset, unread):
-        assert plausibility.sign_note(doubtful, GEOMETRY) is None
 
 
-def test_what_exceeds_the_load_pulls_or_has_no_lever_is_proposed_with_its_numbers():
+@pytest.mark.parametrize(
+    ("share", "noted"),
+    [pytest.param(0.9, False, id="lighter"), pytest.param(1.1, True, id="heavier")],
+)
+def test_a_hanging_prosthesis_is_no_negated_wrench(share: float, noted: bool) -> None:
     samples = loaded()
-    assert found(samples) == []
+    wrench = samples.wrench * (-share * plausibility.HANGING_WEIGHT / LOAD)
+    note = plausibility.sign_note(replace(samples, wrench=wrench), GEOMETRY)
+    assert (note is not None) == noted
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        pytest.param(lambda s: {"local_forces": -s.local_forces}, id="clusters-pulled"),
+        pytest.param(
+            lambda s: {"wrench": -s.wrench, "local_forces": s.local_forces + TENSION},
+            id="clusters-with-an-offset",
+        ),
+        pytest.param(lambda s: {"status": np.full_like(s.status, 2)}, id="clusters-unread"),
+    ],
+)
+def test_doubtful_clusters_negate_no_wrench(change) -> None:
+    samples = loaded()
+    negated = replace(samples, wrench=-samples.wrench)
+    assert plausibility.sign_note(replace(negated, **change(samples)), GEOMETRY) is None
+
+
+def test_plausible_samples_propose_nothing() -> None:
+    assert found(loaded()) == []
+
+
+@pytest.mark.parametrize("axis", range(3), ids="xyz")
+def test_a_local_force_beyond_the_load_is_proposed(axis: int) -> None:
+    samples = loaded()
     load = np.median(np.linalg.norm(samples.wrench[:, 3:], axis=1))
-    for axis in range(3):
-        size = np.median(np.abs(samples.local_forces[:, 1, axis]))
-        assert found(scaled(samples, 1, axis, 0.99 * load / size)) == []
-        large = scaled(samples, 1, axis, 10.0 * load / size)
-        (proposal,) = plausibility.find_implausible(large, GEOMETRY)
-        assert proposal.channel == f"cluster_1.F{'xyz'[axis]}" and "10 times" in proposal.reason
-    unloaded = replace(samples, wrench=samples.wrench * (0.9 * plausibility.MIN_LOAD / LOAD))
-    assert found(scaled(unloaded, 1, 0, 1e4)) == []  # nothing is too large for no load
-    pulled = scaled(samples, 2, 2, -1.0)  # as much tension as there was compression
-    assert found(pulled) == ["cluster_2.Fz"]
-    assert found(scaled(samples, 2, 2, -0.9 * plausibility.MIN_TENSION / (0.1 * LOAD))) == []
+    size = np.median(np.abs(samples.local_forces[:, 1, axis]))
+    assert found(scaled(samples, 1, axis, 0.99 * load / size)) == []
+    assert found(scaled(samples, 1, axis, 1.01 * load / size)) == [f"cluster_1.F{'xyz'[axis]}"]
+    large = scaled(samples, 1, axis, 10.0 * load / size)
+    (proposal,) = plausibility.find_implausible(large, GEOMETRY)
+    assert proposal.channel == f"cluster_1.F{'xyz'[axis]}" and "10 times" in proposal.reason
+
+
+@pytest.mark.parametrize(
+    ("share", "expected"),
+    [pytest.param(0.9, [], id="below"), pytest.param(1.1, ["cluster_1.Fx"], id="above")],
+)
+def test_nothing_is_too_large_for_no_load(share: float, expected: list[str]) -> None:
+    samples = loaded()
+    unloaded = replace(samples, wrench=samples.wrench * (share * plausibility.MIN_LOAD / LOAD))
+    assert found(scaled(unloaded, 1, 0, 1e4)) == expected
+
+
+@pytest.mark.parametrize(
+    ("tension", "expected"),
+    [
+        pytest.param(0.1 * LOAD, ["cluster_2.Fz"], id="as-much-as-compression"),
+        pytest.param(1.1 * plausibility.MIN_TENSION, ["cluster_2.Fz"], id="above-the-least"),
+        pytest.param(0.9 * plausibility.MIN_TENSION, [], id="below-the-least"),
+    ],
+)
+def test_a_wall_that_pulls_is_proposed(tension: float, expected: list[str]) -> None:
+    assert found(scaled(loaded(), 2, 2, -tension / (0.1 * LOAD))) == expected
+
+
+@pytest.mark.parametrize(
+    ("share", "expected"),
+    [pytest.param(0.99, [], id="below"), pytest.param(1.01, ["My"], id="above")],
+)
+def test_a_moment_without_a_lever_is_proposed(share: float, expected: list[str]) -> None:
+    samples = loaded()
+    load = np.median(np.linalg.norm(samples.wrench[:, 3:], axis=1))
     reach = np.linalg.norm(GEOMETRY.anchors, axis=1).max()
-    for share, expected in ((0.99, []), (1.01, ["My"])):
-        samples.wrench[:, 1] = -share * plausibility.LEVER_FACTOR * reach * load
-        assert found(samples) == expected
+    samples.wrench[:, 1] = -share * plausibility.LEVER_FACTOR * reach * load
+    assert found(samples) == expected

@@ -24,21 +24,22 @@ from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS, Ide
 
 SOLVERS = [solver for solver in ("osqp", "daqp") if solver in qpsolvers.available_solvers]
 REFERENCE = np.array([0.01, -0.02, 0.15, 0.02, 0.1, -0.05])  # [m, rad]
-LEFT_OUT = [
-    (),
-    ("cluster_1.Fx",),
-    ("Mz", "cluster_0.Fz", "cluster_2.Fy"),
-    ("Mx", "My", "Mz", "Fx", "Fy", "Fz"),
-]
+LEFT_OUT = {
+    "nothing": (),
+    "one": ("cluster_1.Fx",),
+    "three": ("Mz", "cluster_0.Fz", "cluster_2.Fy"),
+    "wrench": ("Mx", "My", "Mz", "Fx", "Fy", "Fz"),
+}
+ALL = slice(None)
 
 
 def value_of(program: BoxQP, x: np.ndarray) -> float:
     return float(0.5 * x @ program.P @ x + program.q @ x)
 
 
-@pytest.mark.parametrize("leave_out", LEFT_OUT)
+@pytest.mark.parametrize("leave_out", LEFT_OUT.values(), ids=LEFT_OUT)
 @pytest.mark.parametrize("variant", PAPER_VARIANTS)
-def test_the_fit_is_both_stages_of_the_stacked_problem(variant, leave_out):
+def test_the_fit_solves_the_stacked_problem(variant, leave_out):
     geometry, _, samples, settings = problems.make_case(91, variant, gaps=True, leave_out=leave_out)
     centre = samples.position.mean(axis=0)
     if len(leave_out) == 1:
@@ -62,7 +63,7 @@ def test_the_fit_is_both_stages_of_the_stacked_problem(variant, leave_out):
     np.testing.assert_allclose(offsets[kept], expected[len(stiffness) :], rtol=1e-4, atol=1e-4)
 
 
-def test_k0_is_the_slope_of_the_wrench_over_the_position():
+def test_k0_is_the_slope_of_wrench_over_position():
     geometry, _, samples, settings = problems.make_case(95, initial_stiffness=0.0)
     moved = np.tile(samples.position, len(geometry))  # every tile with the limb
     samples.wrench[:] = -300.0 + 4e3 * moved @ wrench_map(geometry.anchors).T
@@ -71,19 +72,26 @@ def test_k0_is_the_slope_of_the_wrench_over_the_position():
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_the_chosen_solver_is_called_for_every_program_and_the_fit_repeats_exactly(solver):
-    for variant, programs in (("stiffness_bias", 2), ("rigid_bias", 3)):
-        # Without beds for the wrench, which are fitted as well.
-        geometry, _, samples, settings = problems.make_case(31, solver=solver, wrench_sharpness=())
-        settings = replace(settings, variant=variant)
-        with patch("qpsolvers.solve_problem", wraps=qpsolvers.solve_problem) as solve:
-            fit, again = (fitting.fit_contact_model(samples, geometry, settings) for _ in range(2))
-        called = [call.args[1] for call in solve.call_args_list]
-        assert called == 2 * [solver] * programs  # both stages, and the refinement's first step
-        np.testing.assert_array_equal(fit.model.stiffness, again.model.stiffness)
+@pytest.mark.parametrize(
+    ("variant", "programs"),
+    [
+        pytest.param("stiffness_bias", 2, id="stiffness_bias"),  # both stages
+        pytest.param("rigid_bias", 3, id="rigid_bias"),  # and the refinement's first step
+    ],
+)
+def test_the_chosen_solver_gets_every_program(solver, variant, programs: int):
+    """The fit repeats exactly."""
+    # Without beds for the wrench, which are fitted as well.
+    geometry, _, samples, settings = problems.make_case(31, solver=solver, wrench_sharpness=())
+    settings = replace(settings, variant=variant)
+    with patch("qpsolvers.solve_problem", wraps=qpsolvers.solve_problem) as solve:
+        fit, again = (fitting.fit_contact_model(samples, geometry, settings) for _ in range(2))
+    called = [call.args[1] for call in solve.call_args_list]
+    assert called == 2 * [solver] * programs
+    np.testing.assert_array_equal(fit.model.stiffness, again.model.stiffness)
 
 
-def test_weights_by_noise_follow_the_noise_above_the_models_error(rng):
+def test_weights_by_noise_follow_the_noise(rng):
     geometry = problems.random_socket(rng)
     noise = np.array([1.0, 2.0, 4.0, 10.0, 20.0, 40.0])  # [N m, N]; far above 1 % of the size
     local = np.array([0.5, 1.0, 2.0])  # [N]
@@ -96,8 +104,11 @@ def test_weights_by_noise_follow_the_noise_above_the_models_error(rng):
         np.testing.assert_allclose(of_group, of_group.mean(), rtol=0.2)
 
 
-@pytest.mark.parametrize("lost", [("Mz",), ("Mx", "My", "Mz", "Fx", "Fy", "Fz")])
-def test_what_is_left_out_does_not_matter_and_the_fit_says_what_it_rests_on(lost):
+@pytest.mark.parametrize(
+    "lost", [("Mz",), ("Mx", "My", "Mz", "Fx", "Fy", "Fz")], ids=["Mz", "wrench"]
+)
+def test_what_is_left_out_does_not_matter(lost):
+    """The fit says what it rests on."""
     geometry, _, samples, settings = problems.make_case(77, leave_out=(*lost, "cluster_1.Fz"))
     samples.local_forces[:, 1, 2] = np.nan  # a dead channel may be left out
     expected = fitting.fit_contact_model(samples[:-3], geometry, settings)
@@ -113,23 +124,58 @@ def test_what_is_left_out_does_not_matter_and_the_fit_says_what_it_rests_on(lost
         assert error.samples == fit.samples * error.in_objective
 
 
-def test_what_cannot_be_fitted_is_refused_with_its_name():
+def missing(array: str, *place):
+    """Makes values of an array of samples missing."""
+
+    def change(samples):
+        values = getattr(samples, array).copy()
+        values[place] = np.nan
+        return {array: values}
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("leave_out", "change", "names"),
+    [
+        pytest.param(
+            *((), missing("local_forces", ALL, 1, 2), ("cluster_1.Fz ", "(--leave-out ")),
+            id="dead-cluster-channel",
+        ),
+        pytest.param(
+            (), missing("wrench", ALL, 2), ("Mz ", "(--leave-out "), id="dead-wrench-channel"
+        ),
+        pytest.param(
+            (),
+            missing("position", np.s_[MIN_SAMPLES - 1 :]),
+            ("only 11 of 40 samples", "needs 12"),
+            id="few-positions",
+        ),
+        pytest.param((), missing("position"), ("only 0 of 40 samples",), id="no-position"),
+        pytest.param(
+            (),
+            lambda _: {"clusters": ("cluster_0", "brim", "cluster_2")},
+            ("'brim'",),
+            id="unknown-cluster",
+        ),
+        pytest.param(
+            ("mz",), lambda _: {}, ("leave_out: no channel 'mz'", "Mz"), id="unknown-channel"
+        ),
+        pytest.param(..., lambda _: {}, ("every channel is left out",), id="all-left-out"),
+    ],
+)
+def test_what_cannot_be_fitted_is_named(leave_out, change, names):
     geometry, _, samples, settings = problems.make_case(71)
-    forces, wrench = samples.local_forces.copy(), samples.wrench.copy()
-    forces[:, 1, 2], wrench[:, 2] = np.nan, np.nan
-    few = np.where(np.arange(40)[:, None] < MIN_SAMPLES - 1, samples.position, np.nan)
-    for leave_out, arrays, *names in (
-        ((), {"local_forces": forces}, "cluster_1.Fz ", "(--leave-out "),
-        ((), {"wrench": wrench}, "Mz ", "(--leave-out "),
-        ((), {"position": few}, "only 11 of 40 samples", "needs 12"),
-        ((), {"position": np.full((40, 3), np.nan)}, "only 0 of 40 samples"),
-        ((), {"clusters": ("cluster_0", "brim", "cluster_2")}, "'brim'"),
-        (("mz",), {}, "leave_out: no channel 'mz'", "Mz"),
-        (samples.channels, {}, "every channel is left out"),
-    ):
-        with refused(TestbedError, *names):
-            spoilt = replace(samples, **arrays)
-            fitting.fit_contact_model(spoilt, geometry, replace(settings, leave_out=leave_out))
+    leave_out = samples.channels if leave_out is ... else leave_out
+    with refused(TestbedError, *names):
+        spoilt = replace(samples, **change(samples))
+        fitting.fit_contact_model(spoilt, geometry, replace(settings, leave_out=leave_out))
+
+
+def test_twelve_samples_with_a_position_are_enough():
+    geometry, _, samples, settings = problems.make_case(71)
+    few = replace(samples, **missing("position", np.s_[MIN_SAMPLES:])(samples))
+    assert fitting.fit_contact_model(few, geometry, settings).samples == MIN_SAMPLES == 12
 
 
 # --- Stage 2 at given rest positions
@@ -145,12 +191,17 @@ def solve_stage_two(samples, geometry, settings, rest):
     return problem, moments, x
 
 
-def test_determined_directions_are_those_that_the_data_decides_however_many_samples_repeat_it():
+def test_determined_directions_are_decided_by_the_data():
     geometry, bed, samples, settings = problems.make_case(64, smoothness=1e-12)
     problem, moments, found = solve_stage_two(samples, geometry, settings, bed.rest_positions)
     free = (found[:3] > 0.0).sum()  # nearly no smoothness: the data decides all that is free
     assert problem.determined_directions(found, moments) == pytest.approx(free, abs=0.5)
-    # Every sample 20 times is more than a block of the products, and changes nothing.
+
+
+def test_samples_that_repeat_change_nothing():
+    geometry, bed, samples, settings = problems.make_case(64, smoothness=1e-12)
+    found = solve_stage_two(samples, geometry, settings, bed.rest_positions)[2]
+    # Every sample 20 times is more than a block of the products.
     many = samples[np.repeat(np.arange(len(samples)), 20)]
     again = solve_stage_two(many, geometry, settings, bed.rest_positions)[2]
     assert stacked.relative(again, found) < 1e-6
@@ -185,8 +236,11 @@ def rigid_case(seed: int, variant="rigid", count: int = 80, **changes):
     return geometry, bed, samples, settings
 
 
-@pytest.mark.parametrize("variant", [v for v in VARIANTS if LAWS[v].REFINED])
-def test_derivatives_agree_with_differences_and_stage_two_with_the_objective(variant, rng):
+REFINED = pytest.mark.parametrize("variant", [v for v in VARIANTS if LAWS[v].REFINED])
+
+
+@REFINED
+def test_derivatives_agree_with_differences(variant, rng):
     geometry, _, samples, settings = rigid_case(4, variant)
     problem = Problem(build_objective(samples, geometry, settings))
     x = problem.start + 0.3 * rng.normal(size=problem.start.shape)
@@ -198,7 +252,14 @@ def test_derivatives_agree_with_differences_and_stage_two_with_the_objective(var
     hessian = terms.gauss_newton + problem.prior + terms.curvature
     scale = np.abs(change).max() / 2e-5
     np.testing.assert_allclose(hessian @ way.reshape(-1), change / 2e-5, atol=1e-6 * scale)
-    # Stage 2 is the objective up to scale and constant: forces are linear in the stiffnesses.
+
+
+@REFINED
+def test_stage_two_is_the_objective_up_to_scale(variant, rng):
+    """And up to a constant: forces are linear in the stiffnesses."""
+    geometry, _, samples, settings = rigid_case(4, variant)
+    problem = Problem(build_objective(samples, geometry, settings))
+    x = problem.start + 0.3 * rng.normal(size=problem.start.shape)
     program = problem.stage_two(problem.moments(x))
     points = rng.uniform(0.0, 3.0, (6, *x[:3].shape))
     ours = np.array([value_of(program, k.reshape(-1)) for k in points])
@@ -207,7 +268,7 @@ def test_derivatives_agree_with_differences_and_stage_two_with_the_objective(var
     np.testing.assert_allclose(ours - ours[0], scale * (values - values[0]), rtol=1e-9)
 
 
-def test_constants_of_the_clusters_move_nothing_but_their_offsets():
+def test_constants_of_clusters_move_only_their_offsets():
     geometry, _, samples, settings = rigid_case(13, "rigid_bias")
     mean = samples.local_forces.mean(axis=0)
     moved = replace(samples, local_forces=samples.local_forces - 2.0 * mean)
@@ -230,13 +291,17 @@ def test_joint_refinement_recovers_what_the_bed_bears(variant):
     assert (np.sqrt((error**2).mean(axis=0)) < 0.02 * spread).all()
 
 
-def test_a_pose_or_a_load_that_stands_still_gives_no_slope():
-    geometry, bed, samples, settings = rigid_case(12, "rigid_bias")
+def test_a_rotation_that_stands_still_gives_no_slope():
+    geometry, _, samples, settings = rigid_case(12, "rigid_bias")
     # The mean of the rotation differs from it by rounding.
     still = replace(samples, rotation=np.tile([0.1, -0.2, 0.3], (80, 1)))
     model = fitting.fit_contact_model(still, geometry, settings).model
     assert (model.wrench_slope[:, 3:] == 0.0).all()
-    # A limb that creeps while its load stays tells nothing about another load.
+
+
+def test_a_creeping_limb_gives_no_slope():
+    """While its load stays, it tells nothing about another load."""
+    geometry, bed, samples, settings = rigid_case(12, "rigid_bias")
     noise = np.random.default_rng(0).normal(0.0, [0.001] * 3 + [0.1] * 3, (80, 6))
     creeping = replace(samples, wrench=samples.wrench.mean(axis=0) + noise)
     held = fitting.fit_contact_model(creeping, geometry, settings).model
@@ -245,32 +310,64 @@ def test_a_pose_or_a_load_that_stands_still_gives_no_slope():
     assert (np.abs(held.wrench_slope) @ reach < 0.1 * size).all()
 
 
-def test_the_wrench_is_taken_from_what_predicts_the_unseen_half_best(tmp_path):
-    """A wrench that is linear in the pose is a regression's; the bed keeps the clusters' forces."""
-    geometry, bed, samples, settings = rigid_case(4, "rigid_bias", count=160)
+# --- What the wrench is taken from: what predicts the unseen half best
+
+
+def test_the_wrench_of_a_bed_is_its_own():
+    geometry, _, samples, settings = rigid_case(4, "rigid_bias", count=160)
     own = fitting.fit_contact_model(samples, geometry, settings)
     assert own.wrench == "" and own.model.of_wrench is None  # the bed is the truth
+
+
+def test_the_wrench_is_of_springs_of_another_sharpness():
+    geometry, bed, samples, settings = rigid_case(4, "rigid_bias", count=160)
     soft = {"contact_sharpness": 20.0, "wrench_sharpness": (20.0, bed.sharpness)}
     fit = fitting.fit_contact_model(samples, geometry, replace(settings, **soft))
     assert fit.wrench.startswith("springs of sharpness 300 /m: ")
     assert fit.model.sharpness == 20.0 and fit.model.of_wrench.sharpness == bed.sharpness
-    change = samples.wrench - samples.wrench.mean(axis=0)  # under one load it says nothing
+
+
+def test_one_load_says_nothing_about_the_wrench():
+    geometry, _, samples, settings = rigid_case(4, "rigid_bias", count=160)
+    change = samples.wrench - samples.wrench.mean(axis=0)
     held = replace(samples, wrench=np.array([0, 1, 0, 5, 3, -250.0]) + 1e-3 * change)
     assert fitting.fit_contact_model(held, geometry, settings).model.of_wrench is None
+
+
+@pytest.fixture(scope="module")
+def linear():
+    """The socket, samples with a wrench linear in the pose, settings, and the fit to them."""
+    geometry, _, samples, settings = rigid_case(4, "rigid_bias", count=160)
     slope = np.random.default_rng(2).normal(size=(6, 6)) * np.repeat([[40.0], [2000.0]], 3, axis=0)
     pose = samples.pose - samples.pose.mean(axis=0)
     samples.wrench[:] = [0.5, 1.0, 0.1, 5.0, 3.0, -250.0] + pose @ slope.T
-    fit = fitting.fit_contact_model(samples, geometry, settings)
+    return geometry, samples, settings, fitting.fit_contact_model(samples, geometry, settings)
+
+
+def test_a_wrench_linear_in_the_pose_is_regressed(linear):
+    """The bed keeps the clusters' forces."""
+    _, samples, _, fit = linear
     assert fit.wrench.startswith("linear regression on the pose: ")
     np.testing.assert_allclose(fit.model.wrench(samples.pose), samples.wrench, atol=0.5)
-    # A channel that is left out decides nothing.
-    without = replace(settings, leave_out=("Mz",))
-    assert fitting.fit_contact_model(samples, geometry, without).wrench == ""
-    late = samples.local_forces.copy()  # a cluster that began in the second half
-    late[:80, 0] = np.nan
-    assert fitting.fit_contact_model(replace(samples, local_forces=late), geometry, settings)
     alone = replace(fit.model, of_wrench=None)
     np.testing.assert_array_equal(alone.forces(samples.pose), fit.model.forces(samples.pose))
+
+
+def test_a_left_out_channel_decides_nothing(linear):
+    geometry, samples, settings, _ = linear
+    without = replace(settings, leave_out=("Mz",))
+    assert fitting.fit_contact_model(samples, geometry, without).wrench == ""
+
+
+def test_a_cluster_may_begin_in_the_second_half(linear):
+    geometry, samples, settings, _ = linear
+    late = samples.local_forces.copy()
+    late[:80, 0] = np.nan
+    assert fitting.fit_contact_model(replace(samples, local_forces=late), geometry, settings)
+
+
+def test_a_regression_comes_back_from_its_file(linear, tmp_path):
+    geometry, samples, _, fit = linear
     path = tmp_path / "model.json"
     write_model(fit, geometry, {"name": "made up"}, "all", path)
     found = read_model(path).model.wrench(samples.pose)
@@ -280,7 +377,7 @@ def test_the_wrench_is_taken_from_what_predicts_the_unseen_half_best(tmp_path):
 # --- Errors per channel
 
 
-def test_errors_are_those_by_hand_of_the_samples_with_a_value_and_a_constant_has_no_skill():
+def test_errors_are_those_by_hand():
     measured = np.array([1.0, np.nan, 2.0, 3.0, 6.0, 9.0])
     predicted = np.array([2.0, 2.0, 2.0, 1.0, 6.0, np.inf])
     found = fitting.channel_errors("Fx", measured, predicted, in_objective=False)
@@ -290,13 +387,19 @@ def test_errors_are_those_by_hand_of_the_samples_with_a_value_and_a_constant_has
     assert found.sigma == pytest.approx(math.sqrt(5.0 / 4.0 - 1.0 / 16.0))
     assert found.skill == pytest.approx(1.0 - math.sqrt(5.0 / 14.0))
     assert (found.name, found.unit, found.samples, found.in_objective) == ("Fx", "N", 4, False)
+
+
+def test_a_channel_without_a_value_has_no_errors():
     found = fitting.channel_errors("Mx", np.full(4, np.nan), np.zeros(4))
     assert found.samples == 0 and math.isnan(found.rmse) and math.isnan(found.skill)
+
+
+def test_a_constant_channel_has_no_skill():
     found = fitting.channel_errors("Fx", np.full(1000, 1e-7), np.full(1000, 1.0 + 1e-7))
     assert found.rmse == pytest.approx(1.0) and math.isnan(found.skill)
 
 
-def test_the_quoted_figures_are_means_and_medians_of_the_channels_in_the_objective(rng):
+def test_quoted_figures_are_of_the_objective_s_channels(rng):
     names = ("Mx", "My", "Mz", "Fx", "Fy", "Fz", "a.Fx", "a.Fy", "Mid.Fx")
     errors = [fitting.channel_errors(name, *rng.normal(size=(2, 50))) for name in names]
     left_out = fitting.channel_errors("Mx", 1e3 * np.ones(5), np.zeros(5), in_objective=False)
@@ -311,23 +414,44 @@ def test_the_quoted_figures_are_means_and_medians_of_the_channels_in_the_objecti
 # --- The file of a model
 
 
-SPOILT = (
-    (("format",), "socket_testbed model 0", "is of the format 'socket_testbed model 0': fit the"),
-    (("parameters", "stiffness"), [[1.0, 2.0, 3.0]], "stiffness has 1 rows for "),
-    (("parameters", "rest_positions", 1, 2), 1e300, "rest_positions[1][2] is 1e+300: give"),
-    (("parameters", "force_bias", "elsewhere"), [0, 0, 0], "unknown key 'elsewhere'"),
-    (("parameters", "clusters"), ["nowhere"], "clusters: no cluster 'nowhere'"),
-    (("settings", "noise_correction"), True, "unknown key"),  # such a fit cannot be repeated
-)
+SPOILT = {
+    "older-format": (
+        ("format",),
+        "socket_testbed model 0",
+        "is of the format 'socket_testbed model 0': fit the",
+    ),
+    "missing-rows": (("parameters", "stiffness"), [[1.0, 2.0, 3.0]], "stiffness has 1 rows for "),
+    "too-large": (
+        ("parameters", "rest_positions", 1, 2),
+        1e300,
+        "rest_positions[1][2] is 1e+300: give",
+    ),
+    "too-small": (
+        ("parameters", "rest_positions", 1, 2),
+        -1e300,
+        "rest_positions[1][2] is -1e+300: give",
+    ),
+    "unknown-bias": (
+        ("parameters", "force_bias", "elsewhere"),
+        [0, 0, 0],
+        "unknown key 'elsewhere'",
+    ),
+    "unknown-cluster": (("parameters", "clusters"), ["nowhere"], "clusters: no cluster 'nowhere'"),
+    # Such a fit cannot be repeated.
+    "former-setting": (("settings", "noise_correction"), True, "unknown key"),
+}
 
 
-def test_a_spoilt_model_is_refused_and_one_of_an_older_version_is_read(hold_model, tmp_path):
-    path, text = tmp_path / "model.json", hold_model.read_text()
-    for place, value, error in SPOILT:
-        path.write_text(json.dumps(changed(json.loads(text), place, value)))
-        with refused(ConfigurationError, str(path), error):
-            read_model(path)
-    document = json.loads(text)
+@pytest.mark.parametrize(("place", "value", "error"), SPOILT.values(), ids=SPOILT)
+def test_a_spoilt_model_is_refused(hold_model, tmp_path, place, value, error):
+    path, document = tmp_path / "model.json", json.loads(hold_model.read_text())
+    path.write_text(json.dumps(changed(document, place, value)))
+    with refused(ConfigurationError, str(path), error):
+        read_model(path)
+
+
+def test_a_model_of_an_older_version_is_read(hold_model, tmp_path):
+    path, document = tmp_path / "model.json", json.loads(hold_model.read_text())
     document["quality"].pop("errors")
     document["parameters"]["parameter_factor"] = ["0 1 2"]
     document["settings"]["noise_correction"] = False
@@ -339,7 +463,7 @@ def test_a_spoilt_model_is_refused_and_one_of_an_older_version_is_read(hold_mode
 
 
 @pytest.mark.parametrize("variant", PAPER_VARIANTS)
-def test_the_paper_s_model_is_its_springs_with_their_offsets(rng, variant, monkeypatch):
+def test_the_paper_s_model_is_springs_with_offsets(rng, variant, monkeypatch):
     monkeypatch.setattr("socket_testbed.identification.contact._CHUNK", 7)
     geometry = problems.random_socket(rng)
     bed = problems.random_bed(rng, geometry, variant)
@@ -358,18 +482,28 @@ def test_the_paper_s_model_is_its_springs_with_their_offsets(rng, variant, monke
         expected = springs[:, tile] @ geometry.rotations[tile]
         np.testing.assert_allclose(local[name], expected, atol=1e-10)
     np.testing.assert_allclose(bed.forces(q), springs, atol=1e-10)
+
+
+@pytest.mark.parametrize("variant", PAPER_VARIANTS)
+def test_a_tile_far_out_of_contact_bears_nothing(rng, variant):
+    geometry = problems.random_socket(rng)
     law = LAWS[variant](geometry.anchors, geometry.rotations, 2000.0, REFERENCE)
-    with np.errstate(over="raise"):  # far out of contact the law keeps its overflow quiet
+    with np.errstate(over="raise"):  # the law keeps its overflow quiet
         assert (law.columns(np.full((1, 3, 1), 1e3)) == 0.0).all()
 
 
-def test_a_rigid_model_gates_in_the_tile_s_frame_and_never_pulls(rng):
-    """A rigid body about the reference, far from {S}."""
+def rigid_bed_at_reference(rng):
+    """A rigid bed about the reference, far from {S}; small shifts and turns; their poses."""
     bed = problems.random_bed(rng, problems.random_socket(rng), "rigid")
-    bed = replace(bed, reference_pose=REFERENCE)
     shifts, turns = rng.normal(0.0, 0.004, (40, 3)), rng.normal(0.0, 0.02, (40, 3))
     turned = Rotation.from_rotvec(turns) * Rotation.from_rotvec(REFERENCE[3:])
     pose = np.hstack([REFERENCE[:3] + shifts, turned.as_rotvec()])
+    return replace(bed, reference_pose=REFERENCE), shifts, turns, pose
+
+
+def test_a_rigid_model_gates_in_the_tile_frame(rng):
+    """It never pulls."""
+    bed, shifts, turns, pose = rigid_bed_at_reference(rng)
     forces, alpha = bed.forces(pose), bed.sharpness
     for tile, (kx, ky, kz) in enumerate(bed.stiffness):
         moved = shifts + np.cross(turns, bed.anchors[tile] - REFERENCE[:3])
@@ -380,7 +514,11 @@ def test_a_rigid_model_gates_in_the_tile_s_frame_and_never_pulls(rng):
         found = forces[:, tile] @ bed.rotations[tile]
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
         assert normal.max() <= 0.0
-    pose[4] = np.nan  # no pose predicts nothing
+
+
+def test_no_pose_predicts_nothing(rng):
+    bed, _, _, pose = rigid_bed_at_reference(rng)
+    pose[4] = np.nan
     predicted = np.hstack([bed.predict(pose, [*bed.cluster_points]), bed.forces(pose)[:, 0]])
     assert np.flatnonzero(np.isnan(predicted).any(axis=1)).tolist() == [4]
     assert np.isnan(predicted[4]).all()
@@ -403,70 +541,117 @@ def known_problem(seed, size=12):
     return BoxQP(P, gradient - P @ x, lower, upper, "known"), x
 
 
-def test_the_certificate_is_zero_at_the_optimum_and_nowhere_else(rng):
+def test_the_certificate_is_zero_at_the_optimum():
     problem, optimum = known_problem(1)
     assert problem.certificate(optimum).worst < 1e-13
-    for step in (1e-5, 1e-3, 1e-1):
-        direction = rng.normal(size=len(optimum))
-        inside = np.clip(optimum + step * direction, problem.lower, problem.upper)
-        assert value_of(problem, inside) > value_of(problem, optimum)
-        assert problem.certificate(inside).worst > 0.01 * step
-    outside = np.where(np.isfinite(problem.upper), problem.upper + 0.25, optimum)
+
+
+@pytest.mark.parametrize("step", [1e-5, 1e-3, 1e-1])
+def test_the_certificate_shows_a_step_inside(rng, step: float):
+    problem, optimum = known_problem(1)
+    direction = rng.normal(size=len(optimum))
+    inside = np.clip(optimum + step * direction, problem.lower, problem.upper)
+    assert value_of(problem, inside) > value_of(problem, optimum)
+    assert problem.certificate(inside).worst > 0.01 * step
+
+
+@pytest.mark.parametrize("side", ["lower", "upper"])
+def test_the_certificate_shows_a_step_outside(side: str):
+    problem, optimum = known_problem(1)
+    bound, step = getattr(problem, side), 0.25 if side == "upper" else -0.25
+    outside = np.where(np.isfinite(bound), bound + step, optimum)
     assert problem.certificate(outside).primal == pytest.approx(0.25)
-    for spoilt in (problem.P, problem.q, optimum):  # what is not a number is never certified
-        kept = spoilt[3].copy()
-        spoilt[3] = np.nan
-        assert not problem.certificate(optimum).worst <= 1e-2
-        spoilt[3] = kept
 
 
+@pytest.mark.parametrize("part", ["P", "q", "x"])
+def test_what_is_not_a_number_is_never_certified(part: str):
+    problem, optimum = known_problem(1)
+    spoilt = optimum if part == "x" else getattr(problem, part)
+    spoilt[3] = np.nan
+    assert not problem.certificate(optimum).worst <= 1e-2
+
+
+@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("solver", SOLVERS)
-def test_solvers_find_known_optima_and_near_a_solution_none_is_called(monkeypatch, solver):
-    for seed in range(3):
-        problem, optimum = known_problem(seed)
-        solution = solve_box_qp(problem, solver, 1e-9)
-        np.testing.assert_allclose(solution.x, optimum, atol=1e-8)
-        assert solution.certificate == problem.certificate(solution.x)
-        assert solution.certificate.worst <= 1e-9
-        assert solution.solver == solver and solver in solution.status
+def test_solvers_find_known_optima(solver, seed: int):
+    problem, optimum = known_problem(seed)
+    solution = solve_box_qp(problem, solver, 1e-9)
+    np.testing.assert_allclose(solution.x, optimum, atol=1e-8)
+    assert solution.certificate == problem.certificate(solution.x)
+    assert solution.certificate.worst <= 1e-9
+    assert solution.solver == solver and solver in solution.status
+
+
+@pytest.mark.parametrize("step", [0.0, 0.01, 1.0, 100.0])
+@pytest.mark.parametrize("solver", SOLVERS)
+def test_near_a_solution_no_solver_is_called(monkeypatch, solver, step: float):
+    problem, optimum = known_problem(2)
     monkeypatch.setattr(qpsolvers, "solve_problem", None)
-    for step in (0.0, 0.01, 1.0, 100.0):
-        warm = solve_box_qp(problem, solver, 1e-9, optimum + step)
-        np.testing.assert_allclose(warm.x, optimum, atol=1e-11)
-        assert warm.certificate.worst <= 1e-9 and warm.determined and warm.solver == WARM_START
+    warm = solve_box_qp(problem, solver, 1e-9, optimum + step)
+    np.testing.assert_allclose(warm.x, optimum, atol=1e-11)
+    assert warm.certificate.worst <= 1e-9 and warm.determined and warm.solver == WARM_START
 
 
-def test_a_wrong_answer_is_refused_whatever_the_solver_says(monkeypatch):
-    problem, optimum = known_problem(85)
-    wrong = np.clip(optimum + 0.05, problem.lower, problem.upper)
-    monkeypatch.setattr(qpsolvers, "solve_problem", solver := Mock())
-    for correct in ("pivot", "pivot_regularised"):  # nobody corrects its answer
+@pytest.fixture
+def uncorrected(monkeypatch):
+    """A solver whose answer nobody corrects."""
+    for correct in ("pivot", "pivot_regularised"):
         place = f"socket_testbed.identification.solver.{correct}"
         monkeypatch.setattr(place, lambda of, x: solving.BoxSolution(x, of.certificate(x)))
-    for result, reason in (
-        (qpsolvers.Solution(None, found=True, x=wrong), "KKT"),
-        (qpsolvers.Solution(None, found=True, x=None), "gave no answer"),
-        (qpsolvers.Solution(None, found=True, x=np.full(12, np.nan)), "gave no answer"),
-        (qpsolvers.exceptions.SolverError("out of luck"), "out of luck"),
-    ):
-        solver.side_effect = [result]
-        with pytest.raises(solving.UncertifiedSolutionError, match=reason) as caught:
-            solve_box_qp(problem, "osqp", 1e-6)
-        residual = problem.certificate(wrong).worst if reason == "KKT" else np.nan
-        assert caught.value.residual == pytest.approx(residual, nan_ok=True)
+    monkeypatch.setattr(qpsolvers, "solve_problem", solver := Mock())
+    return solver
 
 
-def test_flat_and_singular_programs_are_solved_and_called_undetermined(rng):
-    """Exactly flat, a near solution leads nowhere; flat but for rounding, it does."""
-    for curvature, start, solver in ((0.0, 0.29, "osqp"), (1e-14, 0.0, WARM_START)):
-        root = rng.normal(size=(12, 12))
-        P, q = root @ root.T / 12 + 0.1 * np.eye(12), rng.normal(size=12)
-        P[:, 0] = P[0] = q[0] = 0.0
-        P[0, 0] = curvature
-        flat = BoxQP(P, q, np.full(12, -0.3), np.full(12, 0.3), "flat")
-        solution = solve_box_qp(flat, "osqp", 1e-6, np.full(12, start))
-        assert solution.certificate.worst <= 1e-6
-        assert solution.solver == solver and not solution.determined
+def test_a_wrong_answer_is_refused_by_its_residual(uncorrected):
+    """Whatever the solver says."""
+    problem, optimum = known_problem(85)
+    wrong = np.clip(optimum + 0.05, problem.lower, problem.upper)
+    uncorrected.side_effect = [qpsolvers.Solution(None, found=True, x=wrong)]
+    with pytest.raises(solving.UncertifiedSolutionError, match="KKT") as caught:
+        solve_box_qp(problem, "osqp", 1e-6)
+    assert caught.value.residual == pytest.approx(problem.certificate(wrong).worst)
+
+
+@pytest.mark.parametrize(
+    ("result", "reason"),
+    [
+        pytest.param(
+            qpsolvers.Solution(None, found=True, x=None), "gave no answer", id="no-vector"
+        ),
+        pytest.param(
+            qpsolvers.Solution(None, found=True, x=np.full(12, np.nan)), "gave no answer", id="nan"
+        ),
+        pytest.param(
+            qpsolvers.exceptions.SolverError("out of luck"), "out of luck", id="solver-error"
+        ),
+    ],
+)
+def test_no_answer_of_a_solver_is_refused(uncorrected, result, reason: str):
+    uncorrected.side_effect = [result]
+    with pytest.raises(solving.UncertifiedSolutionError, match=reason) as caught:
+        solve_box_qp(known_problem(85)[0], "osqp", 1e-6)
+    assert math.isnan(caught.value.residual)
+
+
+@pytest.mark.parametrize(
+    ("curvature", "start", "solver"),
+    [
+        pytest.param(0.0, 0.29, "osqp", id="exactly-flat"),  # a near solution leads nowhere
+        pytest.param(1e-14, 0.0, WARM_START, id="flat-but-for-rounding"),  # it does
+    ],
+)
+def test_a_flat_program_is_solved_but_undetermined(rng, curvature, start, solver):
+    root = rng.normal(size=(12, 12))
+    P, q = root @ root.T / 12 + 0.1 * np.eye(12), rng.normal(size=12)
+    P[:, 0] = P[0] = q[0] = 0.0
+    P[0, 0] = curvature
+    flat = BoxQP(P, q, np.full(12, -0.3), np.full(12, 0.3), "flat")
+    solution = solve_box_qp(flat, "osqp", 1e-6, np.full(12, start))
+    assert solution.certificate.worst <= 1e-6
+    assert solution.solver == solver and not solution.determined
+
+
+def test_the_optimum_nearest_to_zero_is_found():
     program = BoxQP(np.ones((2, 2)), np.full(2, -4.0), np.full(2, -5.0), np.full(2, 5.0), "a line")
     found = pivot_regularised(program, np.array([0.001, 4.001]))
-    np.testing.assert_allclose(found.x, 2.0, atol=1e-5)  # of all optima the one nearest to zero
+    np.testing.assert_allclose(found.x, 2.0, atol=1e-5)

@@ -63,13 +63,15 @@ def test_the_prior_s_parts_are_its_equation_s() -> None:
             np.testing.assert_allclose(found, whole, atol=1e-9 * whole.max())
         blocks = whole.reshape(tiles, 3, tiles, 3)[np.arange(tiles), :, np.arange(tiles)]
         np.testing.assert_allclose(prior.blocks, blocks, atol=1e-9 * whole.max())
-    # Hypotheses follow the stated distributions.
+
+
+def test_hypotheses_follow_the_stated_distributions() -> None:
     settings = ForceMapSettings(draws=256, spread=2.0)
     logs = np.log([sizes.sinking / settings.sinking for sizes in hypotheses(settings)])
     assert abs(np.median(logs)) < 0.2 and abs(logs.std() - 2.0) < 0.2
 
 
-def test_a_trial_s_evidence_weighs_the_hypotheses_of_each_of_its_samples() -> None:
+def test_the_whole_trial_weighs_the_hypotheses() -> None:
     samples = some_samples(30)
     whole = ForceMap(GEOMETRY, CLUSTERS, trial=samples)
     alone, among = whole.estimate(samples[4:5]).forces[0], whole.estimate(samples).forces[4]
@@ -80,14 +82,18 @@ def test_a_trial_s_evidence_weighs_the_hypotheses_of_each_of_its_samples() -> No
     np.testing.assert_allclose(last.forces[0], whole.estimate(samples).forces[29])
 
 
-def test_a_dropped_channel_is_as_if_it_never_was_and_leaves_less_known() -> None:
-    """It leaves the map of a socket that has one cluster less."""
-    samples, force_map = some_samples(), ForceMap(GEOMETRY, CLUSTERS, ForceMapSettings(draws=1))
-    complete = force_map.estimate(samples)
+def test_pressure_and_shear_are_those_of_forces() -> None:
+    complete = ForceMap(GEOMETRY, CLUSTERS, ForceMapSettings(draws=1)).estimate(some_samples())
     local = np.einsum("nji,knj->kni", GEOMETRY.rotations, complete.forces)
     np.testing.assert_allclose(complete.normal_pressure, -local[..., 2] / GEOMETRY.areas)
     shear = np.linalg.norm(local[..., :2], axis=-1) / GEOMETRY.areas
     np.testing.assert_allclose(complete.shear, shear)
+
+
+def test_a_dropped_cluster_is_as_if_never_there() -> None:
+    """It leaves the map of a socket that has one cluster less, and less known than before."""
+    samples, force_map = some_samples(), ForceMap(GEOMETRY, CLUSTERS, ForceMapSettings(draws=1))
+    complete = force_map.estimate(samples)
     samples.status[:, 3] = Status.OUT_OF_RANGE
     dropped = force_map.estimate(samples)
     fewer = replace(GEOMETRY, clusters={c: GEOMETRY.clusters[c] for c in CLUSTERS[:3]})
@@ -96,16 +102,21 @@ def test_a_dropped_channel_is_as_if_it_never_was_and_leaves_less_known() -> None
     never = ForceMap(fewer, CLUSTERS[:3], ForceMapSettings(draws=1)).estimate(three)
     for name, values in vars(never).items():
         if name != "source":
-            np.testing.assert_allclose(getattr(dropped, name), values, rtol=1e-6, atol=1e-7)
+            found = getattr(dropped, name)
+            np.testing.assert_allclose(found, values, rtol=1e-6, atol=1e-7, err_msg=name)
     tile = GEOMETRY.clusters[CLUSTERS[3]]
     assert (dropped.standard_deviations > complete.standard_deviations)[:, tile].all()
+
+
+def test_a_map_of_nothing_is_the_prior() -> None:
+    samples, force_map = some_samples(), ForceMap(GEOMETRY, CLUSTERS, ForceMapSettings(draws=1))
     samples.status[:] = Status.MISSING
     samples.wrench[:] = np.nan
     nothing = force_map.estimate(samples)
     assert (nothing.forces == 0.0).all() and (nothing.standard_deviations > 0.0).all()
 
 
-def test_joint_draws_have_the_posterior_of_a_plain_conditioning() -> None:
+def test_joint_draws_are_a_plain_conditioning_s_posterior() -> None:
     """With one draw of the prior's sizes, the posterior is a multivariate t distribution."""
     settings = ForceMapSettings(draws=1)
     force_map = ForceMap(GEOMETRY, CLUSTERS, settings)
@@ -133,7 +144,12 @@ def test_joint_draws_have_the_posterior_of_a_plain_conditioning() -> None:
     expected = covariance / np.outer(deviation, deviation)
     assert np.abs(found - expected).max() < 0.1
     assert np.abs(found - expected).mean() < 0.02  # 3000 pairs
-    # Of many hypotheses, each has the draws that its probability gives it.
+
+
+def test_each_hypothesis_has_its_share_of_draws() -> None:
+    """By its probability."""
+    samples = some_samples(1)
+    samples.status[0, 2] = Status.MISSING
     (joint,) = ForceMap(GEOMETRY, CLUSTERS).sample(samples)
     drawn = np.bincount(joint.hypotheses, minlength=len(joint.weights))
     assert len(drawn) > 3 and np.abs(drawn - 100.0 * joint.weights).max() <= 1.0
@@ -169,15 +185,32 @@ def test_what_was_not_measured_counts_in_nothing() -> None:
     assert np.isnan(found.series.mean.high[4]).all()
     highest = found.estimate.normal_pressure.max(axis=1)
     np.testing.assert_allclose(found.series.peak.value[kept, -1], highest[kept])
+
+
+def test_a_segment_without_a_measurement_is_refused() -> None:
+    samples = samples_at(0.25 * np.arange(9))
     samples.wrench[:] = np.nan
     samples.status[:] = Status.MISSING
+    force_map, regions = ForceMap(RING, CLUSTERS), all_regions(RING)
     with pytest.raises(TrialError, match="no sample of the segment has a wrench or a trusted"):
         pressure.pressure_outputs(force_map, samples, RING, regions, THRESHOLD)
 
 
-def test_a_value_is_certain_by_its_interval_which_is_narrow_for_directions_near_half_a_turn():
-    value, low, high = np.array([[10.0, 5.0, 15.0], [10.0, 4.9, 12.0], [0.0, -1.0, 1.0]]).T
-    assert pressure.Quantity(value, low, high, value).certain(0.5).tolist() == [True, False, False]
+@pytest.mark.parametrize(
+    ("value", "low", "high", "certain"),
+    [
+        pytest.param(10.0, 5.0, 15.0, True, id="within-half"),
+        pytest.param(10.0, 4.9, 12.0, False, id="too-low"),
+        pytest.param(10.0, 8.0, 15.1, False, id="too-high"),
+        pytest.param(0.0, -1.0, 1.0, False, id="zero"),
+    ],
+)
+def test_a_value_is_certain_by_its_interval(value, low, high, certain) -> None:
+    parts = (np.array([part]) for part in (value, low, high, value))
+    assert pressure.Quantity(*parts).certain(0.5).tolist() == [certain]
+
+
+def test_an_interval_of_directions_crosses_half_a_turn() -> None:
     reader = pressure._Regions(RING, all_regions(RING)[:1])
     drawn = np.radians(np.tile([[179.0], [-179.0]], (100, 1)))  # 2 degrees apart
     direction = reader.interval("direction", np.radians([179.0]), drawn)
@@ -199,7 +232,8 @@ def moving_samples(count: int) -> Samples:
     return samples
 
 
-def test_a_span_has_the_values_of_its_map_and_the_intervals_of_its_draws():
+def test_a_span_has_the_intervals_of_its_draws():
+    """The values are those of its map."""
     samples = moving_samples(120)
     samples.stamps[60:] += 9 * 10**9  # a gap is left out of integrals
     force_map, regions = ForceMap(RING, CLUSTERS, trial=samples), all_regions(RING)
@@ -232,14 +266,18 @@ def test_a_span_has_the_values_of_its_map_and_the_intervals_of_its_draws():
         quantity = getattr(found.regions, name)
         ours = (quantity.value, quantity.low, quantity.high)
         np.testing.assert_allclose(ours, (value, *ends), rtol=1e-9, atol=1e-9, err_msg=name)
-    # What the channels leave open stays the same: a hold is no better known than a sample.
+
+
+def test_a_hold_is_no_better_known_than_samples():
+    """What the channels leave open stays the same."""
+    force_map, regions = ForceMap(RING, CLUSTERS, trial=moving_samples(120)), all_regions(RING)
     spans = (samples_at(0.25 * np.arange(count)) for count in (30, 2))
     held = (pressure.pressure_outputs(force_map, s, RING, regions, THRESHOLD) for s in spans)
     widths = (each.regions.mean.high - each.regions.mean.low for each in held)
     np.testing.assert_allclose(*widths, rtol=1e-6)
 
 
-def test_draws_at_some_samples_of_a_long_span_give_nearly_what_all_give(monkeypatch):
+def test_draws_at_some_samples_suffice(monkeypatch):
     samples = moving_samples(700)
     samples.local_forces[333], samples.wrench[333] = [2.0, -0.8, -80.0], 6.0 * samples.wrench[0]
     samples.status[333] = Status.OK  # a peak of one sample

@@ -21,25 +21,37 @@ def moving(rng, geometry, motion, sd, count=400):
     return make_samples(pose, np.zeros((count, 6)), {})
 
 
-def test_the_shares_of_a_bed_are_its_own(rng):
+def bed_with_samples(rng):
     bed = problems.random_bed(rng, random_socket(rng), "stiffness_bias")
-    samples = problems.samples_of_bed(rng, bed, problems.moving_limb(rng, 30))
+    return bed, problems.samples_of_bed(rng, bed, problems.moving_limb(rng, 30))
+
+
+@pytest.mark.parametrize(
+    ("name", "part"),
+    [("Fz", [5]), ("force", [3, 4, 5]), ("moment", [0, 1, 2])],
+    ids=["Fz", "force", "moment"],
+)
+def test_the_shares_of_a_bed_are_its_own(rng, name: str, part: list[int]):
+    bed, samples = bed_with_samples(rng)
     shares = {share.name: share for share in information.load_shares(samples, bed)}
     assert set(shares) == {"Fz", "force", "moment"}
-    for name, part in (("Fz", [5]), ("force", [3, 4, 5]), ("moment", [0, 1, 2])):
-        share = shares[name]
-        assert share.springs + share.offsets + share.residual == pytest.approx(1.0)
-        assert share.residual == pytest.approx(0.0, abs=1e-9)
-        measured = samples.wrench[:, part]
-        by_hand = np.sum(bed.wrench_bias[part] * measured) / np.sum(measured**2)
-        assert share.offsets == pytest.approx(by_hand)
+    share = shares[name]
+    assert share.springs + share.offsets + share.residual == pytest.approx(1.0)
+    assert share.residual == pytest.approx(0.0, abs=1e-9)
+    measured = samples.wrench[:, part]
+    by_hand = np.sum(bed.wrench_bias[part] * measured) / np.sum(measured**2)
+    assert share.offsets == pytest.approx(by_hand)
+
+
+def test_channels_never_measured_have_no_share(rng):
+    bed, samples = bed_with_samples(rng)
     samples.wrench[:, 1] = np.nan  # My was never measured
     samples.position[3] = np.nan
     assert np.isnan(information.load_shares(samples, bed)[2].springs)
     assert information.load_shares(samples, bed)[0].residual == pytest.approx(0.0, abs=1e-9)
 
 
-def test_motion_and_noise_are_told_apart(rng):
+def test_motion_is_told_from_noise(rng):
     geometry = random_socket(rng)  # along z
     motion = np.array([1e-4, 2e-3, 1e-3, 2e-3, 2e-2, 0.0])
     known = np.array([2e-4, 2e-4, 1e-4, 1e-3, 1e-3, 1e-3])
@@ -51,12 +63,16 @@ def test_motion_and_noise_are_told_apart(rng):
     assert enough == [False, True, True, False, True, False]
     assert found.directions == 3
     assert str(found.excitations[5]).endswith("twist the limb in the socket")
+
+
+def test_motion_above_unknown_noise_is_insufficient(rng):
+    geometry = random_socket(rng)
     unknown = information.measure_motion(moving(rng, geometry, [1e-3] * 6, [0.0] * 6, 8), geometry)
     assert unknown.directions == 0
     assert all("unknown noise" in str(excitation) for excitation in unknown.excitations)
 
 
-def test_springs_are_engaged_in_compression_within_the_spread_of_drawn_poses(rng, monkeypatch):
+def test_springs_are_engaged_in_compression(rng, monkeypatch):
     """A limb at rest, turned far from {S}, whose pose has noise: no formula but the motion."""
     monkeypatch.setattr(information, "_BLOCK", 700)
     count, centre = 3000, np.array([0.01, -0.02, 0.13])
@@ -111,7 +127,7 @@ def suspended(seed: int, moments: float = 1.0, count: int = 400) -> tuple[np.nda
     return stiffness, make_samples(np.hstack([position, rotation]), wrench, {})
 
 
-def test_a_linear_suspension_is_found_within_its_intervals_where_load_and_pose_show_it() -> None:
+def test_a_linear_suspension_is_within_its_intervals() -> None:
     held = []
     for seed in range(6):
         known, samples = suspended(seed)
@@ -122,10 +138,17 @@ def test_a_linear_suspension_is_found_within_its_intervals_where_load_and_pose_s
         held.append((stiffness.low <= known) & (known <= stiffness.high))
         assert found.pistoning.low <= found.pistoning.value <= found.pistoning.high
     assert np.mean(held) > 0.88
+
+
+def test_a_suspension_without_moments_has_no_stiffness() -> None:
     _, samples = suspended(0, moments=0.0)  # no load in every direction
     found = find_suspension(samples, GEOMETRY)
     assert found is not None and not found.stiffness.certain().any()
     assert np.isfinite(found.pistoning.value)
+
+
+def test_no_pose_shows_no_suspension() -> None:
+    _, samples = suspended(0, moments=0.0)
     samples.position[:] = np.nan
     assert find_suspension(samples, GEOMETRY) is None
 
@@ -149,7 +172,8 @@ def noisy_samples(seed: int, count: int = 800) -> Samples:
     return make_samples(values[:, :6], values[:, 6:12], {"brim": brim, "distal": distal})
 
 
-def test_known_noise_comes_back_whatever_outliers_steps_gaps_and_untrusted_forces_there_are():
+def spoilt_samples() -> Samples:
+    """Noisy samples with outliers, steps, gaps and forces that nobody trusts."""
     samples, rng = noisy_samples(20, 1600), np.random.default_rng(21)
     for array in (samples.position, samples.rotation, samples.wrench, samples.local_forces):
         motion = array.std(axis=0)  # some 100 times the noise
@@ -160,39 +184,56 @@ def test_known_noise_comes_back_whatever_outliers_steps_gaps_and_untrusted_force
     samples.wrench[rng.random(samples.wrench.shape) < 0.05] = np.nan
     samples.position[rng.random(1600) < 0.05] = np.nan
     kept = np.sort(rng.choice(1600, 1500, replace=False))  # triggers were lost
-    for spoilt in (noisy_samples(80), samples[kept[(kept < 400) | (kept > 700)]]):
-        found = noise.channel_noise(spoilt)
-        np.testing.assert_allclose(found.wrench, WRENCH_NOISE, rtol=0.15)
-        np.testing.assert_allclose(found.local_forces, LOCAL_NOISE, rtol=0.15)
-        np.testing.assert_allclose(found.pose, POSE_NOISE, rtol=0.15)
+    return samples[kept[(kept < 400) | (kept > 700)]]
 
 
-def test_a_quantised_channel_has_the_noise_of_its_steps_and_few_values_have_none():
+@pytest.mark.parametrize(
+    "make", [lambda: noisy_samples(80), spoilt_samples], ids=["sound", "spoilt"]
+)
+def test_known_noise_comes_back(make):
+    found = noise.channel_noise(make())
+    np.testing.assert_allclose(found.wrench, WRENCH_NOISE, rtol=0.15)
+    np.testing.assert_allclose(found.local_forces, LOCAL_NOISE, rtol=0.15)
+    np.testing.assert_allclose(found.pose, POSE_NOISE, rtol=0.15)
+
+
+def test_a_quantised_channel_has_the_noise_of_steps():
     samples = noisy_samples(40)
     slow = np.sin(2.0 * np.pi * samples.time[:, None] / 60.0)
     coarse = replace(samples, wrench=np.round(np.tile(slow, 6), 1))  # [N]; without noise
     found = noise.channel_noise(coarse).wrench
     np.testing.assert_allclose(found, 0.1 / np.sqrt(12.0), rtol=0.01)
-    for count in (0, 3, noise.MIN_DIFFERENCES + 2):
-        assert np.isnan(noise.channel_noise(samples[:count]).values).all()
+
+
+@pytest.mark.parametrize("count", [0, 3, noise.MIN_DIFFERENCES + 2])
+def test_few_values_have_no_noise(count: int):
+    assert np.isnan(noise.channel_noise(noisy_samples(40)[:count]).values).all()
+
+
+def test_constant_and_missing_channels_have_no_noise():
+    samples = noisy_samples(40)
     samples.wrench[:, 0], samples.wrench[:, 1] = 0.0, np.nan
     assert np.isnan(noise.channel_noise(samples).wrench).tolist() == [True] * 2 + [False] * 4
 
 
-def test_smoothing_keeps_linear_motion_and_averages_the_noise(rng):
-    samples, jitter = noisy_samples(91), POSE_NOISE * rng.normal(size=(800, 6))
+def test_smoothing_keeps_linear_motion():
+    samples = noisy_samples(91)
     drift = np.outer(samples.time, POSE_NOISE)
-    still, steady = (
-        replace(samples, position=pose[:, :3], rotation=pose[:, 3:]) for pose in (jitter, drift)
-    )
+    steady = replace(samples, position=drift[:, :3], rotation=drift[:, 3:])
     # Rotations about different axes do not add up exactly: (0.4 rad)^2 of some mrad.
     np.testing.assert_allclose(noise.smooth_poses(steady, 2.0).pose, drift, atol=2e-5)
+
+
+def test_smoothing_averages_the_noise(rng):
+    samples, jitter = noisy_samples(91), POSE_NOISE * rng.normal(size=(800, 6))
+    still = replace(samples, position=jitter[:, :3], rotation=jitter[:, 3:])
     ratio = noise.smooth_poses(still, 2.0).pose.std(axis=0) / jitter.std(axis=0)
     np.testing.assert_allclose(ratio, 1.0 / 3.0, rtol=0.15)  # nine samples at 4 Hz
     assert noise.smoothing_gain(still, 2.0) == pytest.approx(1.0 / 9.0, rel=0.05)
 
 
-def test_smoothing_does_not_reach_across_a_gap_fills_nothing_and_holds_in_any_frame():
+def test_smoothing_does_not_reach_across_a_gap():
+    """It fills nothing that is missing."""
     samples, late = noisy_samples(92, 40), np.arange(40) >= 20
     position = 0.01 * late[:, None] * np.ones(3)
     position[30] = np.nan
@@ -201,6 +242,10 @@ def test_smoothing_does_not_reach_across_a_gap_fills_nothing_and_holds_in_any_fr
     smooth = noise.smooth_poses(apart, 4.0)
     np.testing.assert_allclose(smooth.position, position, atol=1e-15)
     assert np.isnan(smooth.rotation[30]).all() and np.isfinite(smooth.rotation[29]).all()
+
+
+def test_smoothing_holds_in_any_frame():
+    samples = noisy_samples(92, 40)
     around = Rotation.from_rotvec([0.0, 0.0, np.pi])  # rotation vectors jump there
     vectors = (around * Rotation.from_rotvec(samples.rotation)).as_rotvec()
     turned = noise.smooth_poses(replace(samples, rotation=vectors), 2.0).rotation

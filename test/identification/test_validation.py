@@ -27,7 +27,7 @@ def moving_samples(rng, count=60, slope=None, noise=0.0):
     return make_samples(pose, wrench, {"cluster_0": np.zeros((count, 3))}), slope
 
 
-def test_clusters_share_by_distance_and_the_wrench_is_met_by_the_smallest_change(rng):
+def test_clusters_share_by_distance(rng):
     geometry = random_socket(rng, clusters=2)
     given = rng.normal(size=(4, 2, 3))
     given[2, 1, 0] = np.nan
@@ -43,6 +43,9 @@ def test_clusters_share_by_distance_and_the_wrench_is_met_by_the_smallest_change
     assert np.allclose(local[2], given[2, 0])
     assert np.isnan(found[3]).all()
 
+
+def test_the_wrench_is_met_by_the_smallest_change(rng):
+    geometry = random_socket(rng, clusters=2)
     geometry = replace(geometry, areas=rng.uniform(5e-4, 2e-3, len(geometry)))
     forces, held = rng.normal(size=(2, len(geometry), 3)), [0, 3]
     wrench = rng.normal(0.0, [1.0] * 3 + [50.0] * 3, (2, 6))
@@ -58,7 +61,9 @@ def test_clusters_share_by_distance_and_the_wrench_is_met_by_the_smallest_change
     assert np.allclose(constraints @ multipliers, gradient, rtol=1e-6)
 
 
-def test_the_regression_finds_a_linear_law_and_ignores_a_pose_that_does_not_move(rng):
+@pytest.mark.parametrize("about_y", [0.0, 1e-3], ids=["as-seen", "turned-where-nothing-moved"])
+def test_the_regression_finds_a_linear_law(rng, about_y: float):
+    """It ignores a direction in which the pose did not move."""
     samples, slope = moving_samples(rng)
     samples.position[:, 1] = 2.0 * samples.position[:, 0]  # another's multiple
     small = 1e-3 * rng.normal(size=(60, 1)) * [1.0, 0.0, 0.0]  # about x alone
@@ -66,19 +71,24 @@ def test_the_regression_finds_a_linear_law_and_ignores_a_pose_that_does_not_move
     samples.wrench[:] = np.hstack([samples.position, small]) @ slope
     seen = replace(samples, rotation=turned(small, frame))[:30]
     predict = validation.wrench_predictors(seen, {})[fit.REGRESSION]
-    for about_y in (0.0, 1e-3):
-        turn = turned(small + np.array([0.0, about_y, 0.0]), frame)
-        assert np.allclose(predict(replace(samples, rotation=turn).pose), samples.wrench)
+    turn = turned(small + np.array([0.0, about_y, 0.0]), frame)
+    assert np.allclose(predict(replace(samples, rotation=turn).pose), samples.wrench)
 
 
-def test_the_wrench_s_rivals_have_the_skill_that_they_must(rng):
-    samples, slope = moving_samples(rng, 200, noise=0.5)
+def test_a_constant_has_no_skill_in_sample(rng):
+    """A regression has the noise for its error."""
+    samples, _ = moving_samples(rng, 200, noise=0.5)
     predictors = validation.wrench_predictors(samples, {})
     found = {j.predictor: j for j in validation.judge_wrench(samples, predictors, "in-sample")}
     constant = found[validation.CONSTANT]
     assert (constant.moment_skill, constant.force_skill) == pytest.approx((0.0, 0.0), abs=1e-12)
     assert found[fit.REGRESSION].force_rmse == pytest.approx(0.5, rel=0.1)
     assert found[fit.REGRESSION].moment_skill > 0.9
+
+
+def test_channels_never_measured_are_judged_by_the_others(rng):
+    samples, slope = moving_samples(rng, 200, noise=0.5)
+    predictors = validation.wrench_predictors(samples, {})
     other, _ = moving_samples(rng, slope=slope)
     rmse = np.sqrt(np.mean((other.wrench - samples.wrench.mean(axis=0)) ** 2, axis=0))
     other.wrench[:, 2] = np.nan  # Mz was never measured: the others count
@@ -101,26 +111,41 @@ def samples_of_forces(geometry, forces, errors=0.0):
     return make_samples(np.zeros((len(forces), 3)), wrench, named)
 
 
-def test_a_left_out_cluster_is_judged_on_what_the_others_say(rng):
+UNIFORM = np.array([1.0, -2.0, -10.0])  # [N] in each tile's frame
+NO_NOISE = np.zeros((3, 3))
+
+
+@pytest.fixture
+def uniform(rng):
+    """A socket, and samples of a force that is the same on every tile."""
     geometry = random_socket(rng)
-    uniform = np.tile(geometry.rotations @ [1.0, -2.0, -10.0], (6, 1, 1))
-    samples = samples_of_forces(geometry, uniform)
-    noise = np.zeros((3, 3))
-    found = [*validation.judge_clusters(samples, geometry, rivals(geometry), noise, "here")]
+    return geometry, samples_of_forces(geometry, np.tile(geometry.rotations @ UNIFORM, (6, 1, 1)))
+
+
+def test_clusters_that_agree_are_judged_without_error(uniform):
+    geometry, samples = uniform
+    found = [*validation.judge_clusters(samples, geometry, rivals(geometry), NO_NOISE, "here")]
     assert len(found) == 2 * (3 + 1)
     assert all(j.error < 1e-9 and np.isnan(j.coverage).all() for j in found)
 
+
+def test_measurement_errors_grow_with_the_force(uniform):
+    _, samples = uniform
     settings = ForceMapSettings(cluster_error=0.5, cluster_gain_error=0.1)
-    errors = validation.measurement_errors(samples, noise, settings)
+    errors = validation.measurement_errors(samples, NO_NOISE, settings)
     assert np.allclose(errors, np.hypot(0.5, [0.1, 0.2, 1.0]))
 
-    # One cluster has nothing in common with the others: by hand, its error and that of all.
+
+def test_a_left_out_cluster_is_judged_by_others(uniform):
+    """One has nothing in common with them: by hand, its error and that of all."""
+    geometry, samples = uniform
+    first = [*validation.judge_clusters(samples, geometry, rivals(geometry), NO_NOISE, "here")]
     samples.local_forces[:, 0] = [5.0, 5.0, 5.0]
     samples.status[2:4, 1] = 3  # neither used nor judged
-    first, found = found, [*validation.judge_clusters(samples, geometry, rivals(geometry), noise)]
+    found = [*validation.judge_clusters(samples, geometry, rivals(geometry), NO_NOISE)]
     chosen = {j.cluster: j for j in found if j.predictor == validation.INVERSE_DISTANCE}
     size = np.sqrt(np.nanmean(samples.trusted_forces**2))
-    wrong = np.sqrt(np.mean((np.array([1.0, -2.0, -10.0]) - 5.0) ** 2))
+    wrong = np.sqrt(np.mean((UNIFORM - 5.0) ** 2))
     assert chosen["cluster_0"].error == pytest.approx(wrong / size)
     assert chosen["cluster_1"].samples == 4 and chosen["cluster_0"].samples == 6
     table = validation.summarise_judgements([*first, *found])
@@ -129,7 +154,7 @@ def test_a_left_out_cluster_is_judged_on_what_the_others_say(rng):
     assert row["error [-]"] == pytest.approx(0.5 * chosen[""].error)
 
 
-def test_intervals_hold_what_they_say_and_tiles_with_a_sensor_do_not_count(rng):
+def test_intervals_hold_what_they_say(rng):
     geometry = random_socket(rng)
     count, spread, noise = 4000, 2.0, 1.5
     truth = rng.normal(size=(count, len(geometry), 3))
@@ -148,6 +173,11 @@ def test_intervals_hold_what_they_say_and_tiles_with_a_sensor_do_not_count(rng):
     *_, too_sure = validation.judge_clusters(samples, geometry, {"map": estimate}, 0.0 * stated)
     assert too_sure.coverage[2] < 0.93
 
+
+def test_tiles_with_a_sensor_do_not_count(rng):
+    geometry = random_socket(rng)
+    truth = rng.normal(size=(4000, len(geometry), 3))
+    samples = samples_of_forces(geometry, truth, 1.5 * rng.normal(size=(3, 4000, 3)))
     closed = rivals(geometry)[validation.CLOSED]
     own = {validation.CLOSED: closed}
     (judged,) = validation.judge_tiles(samples, geometry, truth, own)
@@ -157,14 +187,20 @@ def test_intervals_hold_what_they_say_and_tiles_with_a_sensor_do_not_count(rng):
     assert judged.error == pytest.approx(expected)
 
 
-def test_loaded_samples_are_complete_and_pressed_and_come_in_halves(rng):
+def test_samples_under_load_are_complete_and_pressed(rng):
     samples, _ = moving_samples(rng, 5)
     samples.wrench[:, 3:] = [[0, 0, -30], [0, 0, -5], [30, 0, 0], [0, np.nan, -40], [0, 0, -40]]
     samples.position[4, 0] = np.nan
     samples.wrench[:, 0] = np.nan  # a channel that is never measured is not asked for
     assert samples.under_load(20.0).tolist() == [True, False, True, False, False]
+
+
+def test_samples_under_load_are_split_in_halves(rng):
     samples, _ = moving_samples(rng, 60)
     samples.wrench[:, 3:] = np.outer(np.arange(60) >= 10, [0.0, 0.0, -100.0])
     first, second = validation.split(samples, 20.0)
     assert first.tolist() == [*range(10, 35)] and second.tolist() == [*range(35, 60)]
+
+
+def test_rows_that_are_spread_evenly_have_both_ends():
     assert np.arange(10, 60)[evenly(50, 3)].tolist() == [10, 34, 59]

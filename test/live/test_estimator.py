@@ -120,7 +120,7 @@ def fitted(bench: Bench, fit: Fit) -> Bench:
 # --- measurements by stamp, and the window
 
 
-def test_a_window_holds_the_newest_samples_in_the_order_of_their_stamps() -> None:
+def test_a_window_holds_the_newest_samples_by_stamp() -> None:
     window, pose = estimator.SampleWindow(duration=3.0), np.zeros((1, 3))
     stamps = [round(k * 1e7 * (1.0 + (k > 700))) for k in range(2000)]  # 100 Hz, then 50 Hz
     late = stamps[-1] - 1_500_000_001
@@ -133,7 +133,7 @@ def test_a_window_holds_the_newest_samples_in_the_order_of_their_stamps() -> Non
     assert samples.wrench[:, 0].tolist() == samples.stamps.tolist()
 
 
-def test_a_sample_is_mapped_and_predicted_whatever_the_order(fitted: Bench, fit: Fit) -> None:
+def test_a_sample_is_predicted_whatever_the_order(fitted: Bench, fit: Fit) -> None:
     values = fitted.values(2e-3)
     values[PYLON_POSE][3:] = [0.01, -0.02, 0.005, np.sqrt(1.0 - 5.25e-4)]  # turned
     limb = fitted.geometry.limb_pose(
@@ -154,19 +154,28 @@ def test_a_sample_is_mapped_and_predicted_whatever_the_order(fitted: Bench, fit:
     assert fitted.mapped[20:] == sorted(needed, key=lambda number: needed[number])
 
 
-def test_an_incomplete_sample_is_never_predicted_fitted_or_matched_by_nearest(trial: Trial) -> None:
-    for lacking in estimator.MEASURED:
-        bench = Bench(trial, least_samples=10, pending=5)
-        bench.send(30, lacking=lacking)
-        for stamp in (0, 29 * PERIOD - 1):  # too late, and of no sample
-            found = bench.estimator.add(lacking, stamp, bench.values()[lacking])
-            assert found == (None, None, None)
-        assert len(bench.mapped) == (30 if lacking in (SOCKET_POSE, PYLON_POSE) else 0)
-        assert bench.figures("samples", "window") == [0, 0] and not bench.fitter.requests
-        assert bench.figures("incomplete")[0] >= 25
+@pytest.mark.parametrize(
+    ("lacking", "mapped"),
+    [
+        pytest.param(STRESS, 0, id="stress"),
+        pytest.param(WRENCH, 0, id="wrench"),
+        pytest.param(SOCKET_POSE, 30, id="socket-pose"),
+        pytest.param(PYLON_POSE, 30, id="pylon-pose"),
+    ],
+)
+def test_an_incomplete_sample_is_never_fitted(trial: Trial, lacking: Topic, mapped: int) -> None:
+    """Nor predicted, nor matched by nearest."""
+    bench = Bench(trial, least_samples=10, pending=5)
+    bench.send(30, lacking=lacking)
+    for stamp in (0, 29 * PERIOD - 1):  # too late, and of no sample
+        found = bench.estimator.add(lacking, stamp, bench.values()[lacking])
+        assert found == (None, None, None)
+    assert len(bench.mapped) == mapped
+    assert bench.figures("samples", "window") == [0, 0] and not bench.fitter.requests
+    assert bench.figures("incomplete")[0] >= 25
 
 
-def test_a_cluster_that_is_not_in_the_message_is_missing(bench: Bench) -> None:
+def test_a_cluster_not_in_the_message_is_missing(bench: Bench) -> None:
     stresses, geometry = bench.values()[STRESS], bench.geometry
     absent, _ = stresses.popitem()
     forces, status = estimator.cluster_forces(geometry, stresses)
@@ -176,7 +185,7 @@ def test_a_cluster_that_is_not_in_the_message_is_missing(bench: Bench) -> None:
     np.testing.assert_allclose(np.delete(forces, column, axis=0), known)
 
 
-def test_a_jump_back_in_time_clears_what_was_measured(fitted: Bench, fit: Fit) -> None:
+def test_a_jump_back_in_time_clears_the_window(fitted: Bench, fit: Fit) -> None:
     fitted.send(5, start=1000)
     fitted.add(WRENCH, 2, np.zeros(6))  # pending
     fitted.estimator.trigger(2 * PERIOD)
@@ -198,35 +207,58 @@ def test_a_jump_back_in_time_clears_what_was_measured(fitted: Bench, fit: Fit) -
 # --- the map of a sample
 
 
-def test_channels_that_are_left_out_or_that_no_limb_gives_are_not_mapped(trial: Trial) -> None:
-    """And a changed prior counts from the next sample."""
-    sample, settings = trial.samples()[100:101], EstimatorSettings(force_map=PRIOR)
-    live = estimator.OnlineMap(trial.geometry, lambda: settings)
+class LiveMap:
+    """The map of a running testbed, and what the map of a trial makes of other values."""
 
-    def check(found: MapEstimate, values: dict[str, Any], prior: ForceMapSettings = PRIOR) -> None:
-        usual = ForceMap(trial.geometry, sample.clusters, prior)
-        for name, own in vars(usual.update(dataclasses.replace(sample, **values))).items():
-            np.testing.assert_equal(getattr(found, name), own)
+    def __init__(self, trial: Trial) -> None:
+        self.sample = trial.samples()[100:101]
+        self.settings = EstimatorSettings(force_map=PRIOR)
+        self.geometry = trial.geometry
+        self.map = estimator.OnlineMap(trial.geometry, lambda: self.settings)
 
-    spoilt, lacking = sample.wrench.copy(), sample.wrench.copy()
+    def update(self, **values: Any) -> MapEstimate:
+        return self.map.update(dataclasses.replace(self.sample, **values))
+
+    def check(self, found: MapEstimate, prior: ForceMapSettings = PRIOR, **values: Any) -> None:
+        usual = ForceMap(self.geometry, self.sample.clusters, prior)
+        sample = dataclasses.replace(self.sample, **values)
+        for name, own in vars(usual.update(sample)).items():
+            np.testing.assert_equal(getattr(found, name), own, err_msg=name)
+
+
+@pytest.fixture
+def live(trial: Trial) -> LiveMap:
+    return LiveMap(trial)
+
+
+def test_a_force_that_no_limb_gives_is_unmapped(live: LiveMap) -> None:
+    spoilt, lacking = live.sample.wrench.copy(), live.sample.wrench.copy()
     spoilt[0, 3], lacking[0, 3] = 1e9, np.nan
-    check(live.update(dataclasses.replace(sample, wrench=spoilt)), {"wrench": lacking})
-    forces = sample.local_forces.copy()
-    forces[0, sample.clusters.index("distal"), 2] = np.nan
+    live.check(live.update(wrench=spoilt), wrench=lacking)
+
+
+def test_a_channel_that_is_left_out_is_unmapped(live: LiveMap) -> None:
+    """And a changed prior counts from the next sample."""
+    live.update()
+    forces = live.sample.local_forces.copy()
+    forces[0, live.sample.clusters.index("distal"), 2] = np.nan
     left_out = IdentificationSettings(leave_out=("distal.Fz", "no such channel"))
     prior = dataclasses.replace(PRIOR, length=0.1)
-    settings = EstimatorSettings(identification=left_out, force_map=prior)
-    check(live.update(sample), {"local_forces": forces}, prior)
-    assert live.outputs() is not None
-    nothing = {"wrench": sample.wrench * np.nan, "status": sample.status + 2}
-    live.update(dataclasses.replace(sample, **nothing))
-    assert live.outputs() is None
+    live.settings = EstimatorSettings(identification=left_out, force_map=prior)
+    live.check(live.update(), prior, local_forces=forces)
+
+
+def test_a_sample_of_nothing_has_no_outputs(live: LiveMap) -> None:
+    live.update()
+    assert live.map.outputs() is not None
+    live.update(wrench=live.sample.wrench * np.nan, status=live.sample.status + 2)
+    assert live.map.outputs() is None
 
 
 # --- when to fit
 
 
-def test_it_fits_by_itself_once_the_window_holds_enough(bench: Bench) -> None:
+def test_it_fits_once_the_window_holds_enough(bench: Bench) -> None:
     bench.send(19)
     assert not bench.fitter.requests
     bench.send(31, start=19)
@@ -242,84 +274,130 @@ def test_it_fits_by_itself_once_the_window_holds_enough(bench: Bench) -> None:
     assert len(bench.fitter.requests) == 2
 
 
-def test_it_fits_again_and_a_fit_that_fails_leaves_the_model(fitted: Bench, fit: Fit) -> None:
-    """Models of alike settings are compared; a model whose settings have changed is replaced."""
+def test_it_fits_again_after_as_many_samples(fitted: Bench, fit: Fit) -> None:
     fitted.send(29, start=20)
     assert len(fitted.fitter.requests) == 1
     fitted.send(1, start=49)
+    _, again = fitted.fitter.requests
+    assert again.steady.rival is fit.model and again.steady.after == fit.last_stamp
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        pytest.param(
+            IdentificationError("the samples say nothing", "load the socket"), id="refused"
+        ),
+        pytest.param(BrokenProcessPool(), id="worker-died"),
+    ],
+)
+def test_a_fit_that_fails_leaves_the_model(fitted: Bench, fit: Fit, error: Exception) -> None:
+    fitted.send(30, start=20)
+    fitted.fitter.requests[1].future.set_exception(error)
+    assert fitted.estimator.state == (2, f"no fit: {error}")
+    fitted.send(30, start=50)
+    assert 79 in fitted.predicted
+    assert fitted.fitter.requests[2].steady.rival is fit.model
+    fitted.answer(2, fit)
+    assert fitted.estimator.state[0] == 0
+
+
+def test_a_model_of_other_settings_is_replaced(fitted: Bench, fit: Fit) -> None:
+    """Models of alike settings are compared."""
+    fitted.send(30, start=20)
     fitted.answer(1, fit)
     theta = dataclasses.replace(fitted.settings.identification, theta=0.1)
     fitted.settings = dataclasses.replace(fitted.settings, identification=theta)
-    wrong = IdentificationError("the samples say nothing", "load the socket")
-    for request, error in ((2, wrong), (3, BrokenProcessPool()), (4, None), (5, None)):
+    for request in range(2, 6):
         fitted.send(30, start=30 * request - 10)
         assert 30 * request + 19 in fitted.predicted
-        if error is None:
+        if request < 4:
+            fitted.fitter.requests[request].future.set_exception(BrokenProcessPool())
+        else:
             fitted.answer(request, fit)
             assert fitted.estimator.state[0] == 0
-        else:
-            fitted.fitter.requests[request].future.set_exception(error)
-            assert fitted.estimator.state == (2, f"no fit: {error}")
     steady = [request.steady for request in fitted.fitter.requests[1:]]
     assert [each.rival for each in steady] == [fit.model, None, None, None, fit.model]
     assert [each.after for each in steady] == [fit.last_stamp, 0, 0, 0, fit.last_stamp]
 
 
-def test_without_auto_fit_it_fits_on_request_and_checks_the_data(bench: Bench, fit: Fit) -> None:
-    """A fit on request takes all of the window. Data is checked every two seconds."""
+@pytest.fixture
+def on_request(bench: Bench) -> Bench:
+    """A bench of 20 samples that fits on request alone."""
     bench.settings = dataclasses.replace(bench.settings, auto_fit=False)
     bench.send(20)
-    ((samples, future),) = bench.fitter.checks
-    assert len(samples) == 9 and not bench.fitter.requests
+    return bench
+
+
+def test_data_is_checked_every_two_seconds(on_request: Bench) -> None:
+    ((samples, future),) = on_request.fitter.checks
+    assert len(samples) == 9 and not on_request.fitter.requests
     future.set_result(("data: look at Fx: it stands still", "data: look at the mass"))
-    level, text = bench.estimator.state
+    level, text = on_request.estimator.state
     assert level == 1 and text.startswith("data: look at Fx: it stands still (and 1 more); no mod")
+
+
+def test_a_fit_on_request_takes_all_samples(on_request: Bench, fit: Fit) -> None:
     with ThreadPoolExecutor() as pool:
-        answer = pool.submit(bench.estimator.fit)
-        while not bench.fitter.requests:
+        answer = pool.submit(on_request.estimator.fit)
+        while not on_request.fitter.requests:
             pass
         with refused(IdentificationError, "a fit is running already: ask again"):
-            bench.estimator.fit()
-        (request,) = bench.fitter.requests
+            on_request.estimator.fit()
+        (request,) = on_request.fitter.requests
         assert len(request.samples) == 20 and request.steady is None
         request.future.set_result(Refit(fit))
-        assert answer.result(HANGS) is fit and bench.models == [fit]
+        assert answer.result(HANGS) is fit and on_request.models == [fit]
 
 
-def test_the_model_that_is_better_on_the_newest_samples_stays(trial: Trial, fit: Fit) -> None:
-    for worse in (False, True):
-        bench = Bench(trial, least_samples=20, refit_after=30)
-        bench.send(20)
-        bench.answer(0, fit, cause="distal.Fz changed by -20.0 N")
-        assert "older samples left out: distal.Fz changed by -20.0 N" in bench.estimator.state[1]
-        bench.send(30, start=20)
-        model = dataclasses.replace(fit.model, wrench_bias=fit.model.wrench_bias + 1.0)
-        other = dataclasses.replace(fit, model=model, samples=7)
-        bench.answer(1, other, contest=Contest(24, 0.05, 0.06 if worse else 0.04))
-        for topic, value in bench.values(1e-4 * 49).items():
-            bench.add(topic, 50, value)
-        np.testing.assert_allclose(bench.predicted[50] - bench.predicted[49], 1.0 - worse)
-        assert bench.models == [fit, other][: 2 - worse]
-        assert bench.figures("fits", "refused", "predictions") == [2 - worse, worse, 31]
-        level, text = bench.estimator.state
-        assert level == 0 and ("kept: " in text) == worse
-        assert "the newest 24 samples a refit has an error of 0.0" in text
+@pytest.mark.parametrize("worse", [False, True], ids=["refit-better", "refit-worse"])
+def test_the_better_model_of_newest_samples_stays(bench: Bench, fit: Fit, worse: bool) -> None:
+    bench.send(20)
+    bench.answer(0, fit, cause="distal.Fz changed by -20.0 N")
+    assert "older samples left out: distal.Fz changed by -20.0 N" in bench.estimator.state[1]
+    bench.send(30, start=20)
+    model = dataclasses.replace(fit.model, wrench_bias=fit.model.wrench_bias + 1.0)
+    other = dataclasses.replace(fit, model=model, samples=7)
+    bench.answer(1, other, contest=Contest(24, 0.05, 0.06 if worse else 0.04))
+    for topic, value in bench.values(1e-4 * 49).items():
+        bench.add(topic, 50, value)
+    np.testing.assert_allclose(bench.predicted[50] - bench.predicted[49], 1.0 - worse)
+    assert bench.models == [fit, other][: 2 - worse]
+    assert bench.figures("fits", "refused", "predictions") == [2 - worse, worse, 31]
+    level, text = bench.estimator.state
+    assert level == 0 and ("kept: " in text) == worse
+    assert "the newest 24 samples a refit has an error of 0.0" in text
 
 
-def test_a_stored_model_predicts_at_once(bench: Bench, hold_model: Path, tmp_path: Path) -> None:
-    document = json.loads(hold_model.read_text())
-    clusters, tile = (document["geometry"][key] for key in ("clusters", "tiles"))
+def exchange_two_clusters(geometry: dict[str, Any]) -> None:
+    clusters = geometry["clusters"]
     first, second, *_ = clusters
-    exchanged = {first: clusters[second], second: clusters[first]}
-    tile = next(iter(tile.values()))
-    for change, wrong in (
-        (lambda: clusters.update(exchanged), "had another tile or area"),
-        (lambda: tile["anchor"].append(tile["anchor"].pop() + 0.01), "another socket"),
-    ):
-        change()
-        (tmp_path / "model.json").write_text(json.dumps(document))
-        with refused(ConfigurationError, wrong):
-            bench.estimator.load(tmp_path / "model.json")
+    clusters[first], clusters[second] = clusters[second], clusters[first]
+
+
+def lift_a_tile(geometry: dict[str, Any]) -> None:
+    anchor = next(iter(geometry["tiles"].values()))["anchor"]
+    anchor[2] += 0.01
+
+
+@pytest.mark.parametrize(
+    ("change", "wrong"),
+    [
+        pytest.param(exchange_two_clusters, "had another tile or area", id="clusters-exchanged"),
+        pytest.param(lift_a_tile, "another socket", id="tile-lifted"),
+    ],
+)
+def test_a_model_of_another_socket_is_refused(
+    bench: Bench, hold_model: Path, tmp_path: Path, change: Any, wrong: str
+) -> None:
+    document = json.loads(hold_model.read_text())
+    change(document["geometry"])
+    (tmp_path / "model.json").write_text(json.dumps(document))
+    with refused(ConfigurationError, wrong):
+        bench.estimator.load(tmp_path / "model.json")
+
+
+def test_a_stored_model_predicts_at_once(bench: Bench, hold_model: Path) -> None:
     bench.estimator.load(hold_model)
     (reported,) = bench.models
     assert isinstance(reported, StoredModel) and reported.trial == read_model(hold_model).trial
@@ -414,17 +492,37 @@ def test_outliers_do_not_end_a_stretch(trial: Trial, samples: Samples) -> None:
     assert found.fit.samples == clean.fit.samples - 3
 
 
-def test_without_enough_newer_steady_data_there_is_no_fit(trial: Trial, samples: Samples) -> None:
-    older = dataclasses.replace(STEADY, after=int(samples.stamps[-1]))
-    occluded = dataclasses.replace(samples, position=np.full_like(samples.position, np.nan))
-    for some, steady in (
-        (samples, older),
-        (samples, Steady(PLATEAU, 10_000)),
-        (occluded, dataclasses.replace(STEADY, rival=object())),
-        (samples[:20], Steady(PLATEAU, 5)),
-    ):
-        assert fit_samples(some, trial.geometry, SETTINGS, steady) is None
-    negated = dataclasses.replace(samples, wrench=-samples.wrench)
-    for wrong, steady, text in ((negated, STEADY, "negated"), (samples[:0], None, "only 0 of 0")):
-        with refused(IdentificationError, text):
-            fit_samples(wrong, trial.geometry, SETTINGS, steady)
+@pytest.mark.parametrize(
+    ("change", "steady"),
+    [
+        pytest.param(lambda s: s, lambda s: {"after": int(s.stamps[-1])}, id="no-newer-data"),
+        pytest.param(lambda s: s, lambda _: {"least_samples": 10_000}, id="too-few-samples"),
+        pytest.param(
+            lambda s: dataclasses.replace(s, position=np.full_like(s.position, np.nan)),
+            lambda _: {"rival": object()},
+            id="occluded",
+        ),
+        pytest.param(lambda s: s[:20], lambda _: {"least_samples": 5}, id="too-short"),
+    ],
+)
+def test_without_newer_steady_data_nothing_is_fitted(
+    trial: Trial, samples: Samples, change: Any, steady: Any
+) -> None:
+    asked = dataclasses.replace(STEADY, **steady(samples))
+    assert fit_samples(change(samples), trial.geometry, SETTINGS, asked) is None
+
+
+@pytest.mark.parametrize(
+    ("change", "steady", "text"),
+    [
+        pytest.param(
+            *(lambda s: dataclasses.replace(s, wrench=-s.wrench), STEADY, "negated"), id="negated"
+        ),
+        pytest.param(lambda s: s[:0], None, "only 0 of 0", id="empty"),
+    ],
+)
+def test_wrong_samples_are_refused(
+    trial: Trial, samples: Samples, change: Any, steady: Steady | None, text: str
+) -> None:
+    with refused(IdentificationError, text):
+        fit_samples(change(samples), trial.geometry, SETTINGS, steady)

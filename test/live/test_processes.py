@@ -4,6 +4,7 @@ import json
 import os
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -75,7 +76,7 @@ print(json.dumps([refused, policies, [list(os.sched_getaffinity(t)) == [core] fo
 """
 
 
-def test_all_threads_get_what_is_set_or_a_refusal_says_so() -> None:
+def test_all_threads_get_what_is_set() -> None:
     _, out, _ = program(sys.executable, "-c", EVERY_THREAD)
     refused, policies, cores = json.loads(out)
     assert len(policies) == 3 and all(cores)
@@ -83,28 +84,54 @@ def test_all_threads_get_what_is_set_or_a_refusal_says_so() -> None:
     assert not refused or "scheduling.priority 7 is refused" in refused[0]
 
 
-def test_hardware_keeps_to_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    "make",
+    [
+        pytest.param(lambda: hardware.make_trigger(acquisition.TriggerSettings()), id="trigger"),
+        pytest.param(lambda: hardware.i2c_opener(acquisition.ClusterSettings()), id="clusters"),
+        pytest.param(lambda: hardware.spi_opener(acquisition.LoadCellSettings()), id="load-cell"),
+    ],
+)
+def test_hardware_keeps_to_real_time(
+    make: Callable[[], object], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(clocks, "_scale", 0.5)
-    for make in (
-        lambda: hardware.make_trigger(acquisition.TriggerSettings()),
-        lambda: hardware.i2c_opener(acquisition.ClusterSettings()),
-        lambda: hardware.spi_opener(acquisition.LoadCellSettings()),
-    ):
-        with refused(ConfigurationError, "TIME_SCALE=0.5 is for a simulated testbed"):
-            make()
+    with refused(ConfigurationError, "TIME_SCALE=0.5 is for a simulated testbed"):
+        make()
 
 
-def test_doctor_names_kernels_whose_bus_locks_up() -> None:
-    pi = "Raspberry Pi 5 Model B Rev 1.0"
-    found = doctor.kernel_finding(pi, "6.6.20+rpt-rpi-2712")
+PI = "Raspberry Pi 5 Model B Rev 1.0"
+
+
+@pytest.mark.parametrize("release", ["6.6.20+rpt-rpi-2712", "6.6.27"])
+def test_doctor_names_kernels_whose_bus_locks_up(release: str) -> None:
+    found = doctor.kernel_finding(PI, release)
     assert "5784" in found.found and found.hint == "update it to 6.6.28 or newer"
-    for model, release in ((pi, "6.8.0-1013-raspi"), (pi, "6.6.28"), ("a laptop", "5.15.0")):
-        assert not doctor.kernel_finding(model, release).hint
 
 
-def test_doctor_judges_lateness_by_the_conversions_that_the_load_cell_keeps(monkeypatch) -> None:
+@pytest.mark.parametrize(
+    ("model", "release"),
+    [
+        pytest.param(PI, "6.8.0-1013-raspi", id="6.8"),
+        pytest.param(PI, "6.6.28", id="6.6.28"),
+        pytest.param("a laptop", "5.15.0", id="laptop"),
+    ],
+)
+def test_doctor_accepts_other_kernels(model: str, release: str) -> None:
+    assert not doctor.kernel_finding(model, release).hint
+
+
+@pytest.mark.parametrize(
+    ("oversampling", "verdict"),
+    [
+        pytest.param(8192, "soon enough", id="slow-conversions"),
+        pytest.param(1024, "too late", id="fast-conversions"),
+    ],
+)
+def test_doctor_judges_lateness_by_kept_conversions(
+    oversampling: int, verdict: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(doctor, "measure_lateness", lambda *_: np.full(10, 2e-3))
-    for oversampling, verdict in ((8192, "soon enough"), (1024, "too late")):
-        cell = acquisition.LoadCellSettings(oversampling=oversampling)
-        (found,) = doctor.check_scheduling(Testbed(TestbedSettings(load_cell_node=cell)))
-        assert f": {verdict} for 4 Hz" in found.found
+    cell = acquisition.LoadCellSettings(oversampling=oversampling)
+    (found,) = doctor.check_scheduling(Testbed(TestbedSettings(load_cell_node=cell)))
+    assert f": {verdict} for 4 Hz" in found.found

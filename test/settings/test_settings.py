@@ -3,29 +3,28 @@
 import dataclasses
 import inspect
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 from support.wording import refused
 
 from socket_testbed.drivers.natnet.connection import TakeKeeper
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.settings import testbed
 from socket_testbed.settings.acquisition import TriggerSettings
+from socket_testbed.settings.fields import Settings
 from socket_testbed.settings.identification import IdentificationSettings
 
 NODES = {name: type(settings) for name, settings in testbed.TestbedSettings().nodes().items()}
 
 
-def test_every_setting_has_a_unit_and_its_default_comes_back_from_its_flat_form():
-    for kind in {*NODES.values(), IdentificationSettings, testbed.TestbedSettings}:
-        settings = kind()
-        assert kind.from_flat(settings.to_flat(), "here") == kind.from_flat({}, "here") == settings
-        assert set(settings.to_flat()) == set(kind.flat())
-        for field in kind.flat().values():
-            assert field.metadata["description"].rstrip().endswith("]"), field.name
+EVERY_KIND = pytest.mark.parametrize(
+    "kind", sorted({*NODES.values(), IdentificationSettings, testbed.TestbedSettings}, key=str)
+)
 
 
-def test_help_shows_each_field_with_its_unit_default_and_range_or_choices():
+def test_help_shows_unit_default_and_range():
     shown = " ".join(inspect.getdoc(IdentificationSettings).split())
     assert "theta: weight of the wrench against the clusters, on normalised errors [-];" in shown
     assert "[-]; default 0.5; from 0 to 1. weights:" in shown
@@ -37,21 +36,64 @@ def test_help_shows_each_field_with_its_unit_default_and_range_or_choices():
     assert "\n    force_map: nested settings, a `ForceMapSettings`." in nested
 
 
-def test_whatever_means_a_number_is_one_and_a_wrong_value_is_refused_by_its_name():
-    for value in (1, 1.0, "1e0", "1.0", np.float32(1.0), np.array(1.0)):
-        theta = IdentificationSettings(theta=value).theta
-        assert type(theta) is float and theta == 1.0
+@EVERY_KIND
+def test_defaults_come_back_from_their_flat_form(kind: type[Settings]):
+    settings = kind()
+    assert kind.from_flat(settings.to_flat(), "here") == kind.from_flat({}, "here") == settings
+    assert set(settings.to_flat()) == set(kind.flat())
+
+
+@EVERY_KIND
+def test_every_setting_has_a_unit(kind: type[Settings]):
+    for field in kind.flat().values():
+        assert field.metadata["description"].rstrip().endswith("]"), field.name
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        pytest.param(1, id="int"),
+        pytest.param(1.0, id="float"),
+        pytest.param("1e0", id="exponent"),
+        pytest.param("1.0", id="decimal"),
+        pytest.param(np.float32(1.0), id="numpy-scalar"),
+        pytest.param(np.array(1.0), id="numpy-array"),
+    ],
+)
+def test_whatever_means_a_number_is_one(value: Any):
+    theta = IdentificationSettings(theta=value).theta
+    assert type(theta) is float and theta == 1.0
+
+
+def test_a_float_that_is_whole_is_an_integer():
     least = testbed.WindowSettings(least_samples=50.0).least_samples
     assert type(least) is int and least == 50
+
+
+def test_auto_is_the_stiffness_zero():
     assert IdentificationSettings(initial_stiffness="auto").initial_stiffness == 0.0
+
+
+def test_an_array_is_a_tuple():
     assert IdentificationSettings(reference_position=np.ones(3)).reference_position == (1.0,) * 3
-    for name, value, error in (
-        ("variant", "stifness", "did you mean 'stiffness'"),
-        ("leave_out", "Mz", "leave_out is 'Mz': give a list"),
-        ("reference_position", [1.0], "give x, y and z in m"),
-    ):
-        with refused(ConfigurationError, error):
-            IdentificationSettings(**{name: value})
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "error"),
+    [
+        pytest.param("variant", "stifness", "did you mean 'stiffness'", id="misspelt"),
+        pytest.param("leave_out", "Mz", "leave_out is 'Mz': give a list", id="no-list"),
+        pytest.param("reference_position", [1.0], "give x, y and z in m", id="too-short"),
+        pytest.param("reference_position", [1.0] * 4, "give x, y and z in m", id="too-long"),
+    ],
+)
+def test_a_wrong_value_is_refused_by_its_name(name: str, value: Any, error: str):
+    with refused(ConfigurationError, error):
+        IdentificationSettings(**{name: value})
+
+
+def test_a_pulse_longer_than_the_period_is_refused():
+    assert TriggerSettings(rate=20.0, pulse=0.025).pulse == 0.025
     with refused(ConfigurationError, "a pulse of 0.1 s is too long for 20 Hz", "0.025 s or less"):
         TriggerSettings(rate=20.0, pulse=0.1)
 
@@ -59,15 +101,28 @@ def test_whatever_means_a_number_is_one_and_a_wrong_value_is_refused_by_its_name
 # --- testbed.yaml
 
 
-def test_a_file_of_parameters_gives_the_settings_of_its_nodes_over_those_of_another(tmp_path):
-    path = tmp_path / "testbed.yaml"
+class Parameters:
+    """A file of parameters."""
 
-    def read(content, *base):
-        path.write_text(content)
-        return testbed.read_testbed(path, *base)
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / "testbed.yaml"
 
-    assert read("") == testbed.TestbedSettings()
-    found = read(
+    def read(self, content: str, *base: testbed.TestbedSettings) -> testbed.TestbedSettings:
+        self.path.write_text(content)
+        return testbed.read_testbed(self.path, *base)
+
+
+@pytest.fixture
+def parameters(tmp_path: Path) -> Parameters:
+    return Parameters(tmp_path)
+
+
+def test_an_empty_file_gives_the_defaults(parameters: Parameters):
+    assert parameters.read("") == testbed.TestbedSettings()
+
+
+def test_a_file_of_parameters_gives_its_nodes_settings(parameters: Parameters):
+    found = parameters.read(
         """
         estimator_node:
           ros__parameters:
@@ -82,19 +137,34 @@ def test_a_file_of_parameters_gives_the_settings_of_its_nodes_over_those_of_anot
     assert (estimator.identification.theta, estimator.plateau.smoothing) == (1.0, 4.0)
     assert estimator.identification.leave_out == ("Mz",)
     assert estimator.window == testbed.WindowSettings()
-    first = read("trigger_node: {ros__parameters: {rate: 9, pulse: 1e-3}}")
-    second = read("trigger_node: {ros__parameters: {rate: 7}}", first)
+
+
+def test_a_node_in_a_later_file_is_replaced(parameters: Parameters):
+    first = parameters.read("trigger_node: {ros__parameters: {rate: 9, pulse: 1e-3}}")
+    second = parameters.read("trigger_node: {ros__parameters: {rate: 7}}", first)
     assert second.trigger_node == TriggerSettings(rate=7.0)
-    known = "estimator_node: {ros__parameters: {identification: "
-    for content, error in (
-        ("estimater_node: {ros__parameters: {}}", "did you mean 'estimator_node'"),
-        (f"{known}{{tetha: 1}}}}}}", "'identification.tetha': did you mean 'identification.theta'"),
-    ):
-        with refused(ConfigurationError, str(path), error):
-            read(content)
 
 
-def test_what_is_written_comes_back_but_for_what_belongs_to_one_run(tmp_path):
+@pytest.mark.parametrize(
+    ("content", "error"),
+    [
+        pytest.param(
+            "estimater_node: {ros__parameters: {}}", "did you mean 'estimator_node'", id="node"
+        ),
+        pytest.param(
+            "estimator_node: {ros__parameters: {identification: {tetha: 1}}}",
+            "'identification.tetha': did you mean 'identification.theta'",
+            id="parameter",
+        ),
+    ],
+)
+def test_an_unknown_name_is_refused_with_the_nearest(parameters: Parameters, content, error):
+    with refused(ConfigurationError, str(parameters.path), error):
+        parameters.read(content)
+
+
+def test_what_is_written_comes_back(tmp_path):
+    """But for what belongs to one run."""
     path = tmp_path / "testbed.yaml"
     estimator = testbed.EstimatorSettings(
         geometry="socket.yaml",
@@ -110,17 +180,51 @@ def test_what_is_written_comes_back_but_for_what_belongs_to_one_run(tmp_path):
 # --- names of trials, which go to Motive as names of takes
 
 
-def test_a_name_goes_to_motive_as_it_is_or_is_refused_when_it_is_given(tmp_path: Path):
-    for name in ("trial_20261122_101500", "S01 left 2", "Übung-3.b", "歩行"):
-        assert testbed.check_take_name(name) == name
-    wrong = ("", "a,b", "StopRecording\nx", "a\0b", "..", "a/b", "a\\b", "C:x", "a ", "a\u2028b")
-    for name in (*wrong, "\udcff", "x" * 70_000, "ü" * 101):
-        with refused(ConfigurationError, "the trial's name ", ": give letters") as caught:
-            testbed.check_take_name(name)
-        assert len(str(caught.value).encode()) < 450
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("trial_20261122_101500", id="usual"),
+        pytest.param("S01 left 2", id="with-spaces"),
+        pytest.param("Übung-3.b", id="umlaut"),
+        pytest.param("歩行", id="japanese"),
+        pytest.param("ü" * 100, id="200-bytes"),
+    ],
+)
+def test_a_good_name_goes_to_motive_unchanged(name: str):
+    assert testbed.check_take_name(name) == name
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("", id="empty"),
+        pytest.param("a,b", id="comma"),
+        pytest.param("StopRecording\nx", id="second-command"),
+        pytest.param("a\0b", id="null"),
+        pytest.param("..", id="parent"),
+        pytest.param("a/b", id="slash"),
+        pytest.param("a\\b", id="backslash"),
+        pytest.param("C:x", id="drive"),
+        pytest.param("a ", id="space-at-the-end"),
+        pytest.param("a\u2028b", id="line-separator"),
+        pytest.param("\udcff", id="surrogate"),
+        pytest.param("x" * 70_000, id="70000-bytes"),
+        pytest.param("ü" * 101, id="202-bytes"),
+    ],
+)
+def test_a_wrong_name_is_refused_in_one_line(name: str):
+    with refused(ConfigurationError, "the trial's name ", ": give letters") as caught:
+        testbed.check_take_name(name)
+    assert len(str(caught.value).encode()) < 450
+
+
+def test_a_recorder_refuses_a_wrong_name(tmp_path: Path):
     with refused(ConfigurationError, "the trial's name"):
         testbed.RecorderSettings(directory=str(tmp_path / "a,b"), record=True)
-    # A refused take is not pursued, and the one before it ends.
+
+
+def test_a_refused_take_is_not_pursued():
+    """And the one before it ends."""
     sent: list[str] = []
     keeper = TakeKeeper(lambda command, done: sent.append(command))
     keeper.request("first")

@@ -30,19 +30,23 @@ CALIBRATION = read_calibration(packaged("config", "calibration.yaml"))
 DOWN = np.array([0.0, 0.0, 0.0, 0.0, 0.0, -1.0])
 
 
-def test_the_socket_carries_the_load_by_pressure_within_the_cone_of_friction() -> None:
-    for force in (50.0, 280.0):
-        loaded = LoadedLimb(GEOMETRY, force * DOWN, np.random.default_rng(0))
-        loaded.step(force * DOWN, 0.25)
-        tissue = loaded.tissue
-        assert np.allclose(loaded.forces.sum(axis=0), [0, 0, -force], atol=0.05)
-        normal = -np.einsum("pi,pi->p", loaded.forces, tissue.normals)
-        tangential = np.linalg.norm(loaded.forces + normal[:, None] * tissue.normals, axis=1)
-        assert normal.min() >= 0.0
-        assert (tangential <= tissue.friction * normal + 1e-9).all()
+@pytest.mark.parametrize("force", [50.0, 280.0], ids=["50-N", "280-N"])
+def test_friction_and_pressure_carry_the_load(force: float) -> None:
+    """Within the cone of friction."""
+    loaded = LoadedLimb(GEOMETRY, force * DOWN, np.random.default_rng(0))
+    loaded.step(force * DOWN, 0.25)
+    tissue = loaded.tissue
+    assert np.allclose(loaded.forces.sum(axis=0), [0, 0, -force], atol=0.05)
+    normal = -np.einsum("pi,pi->p", loaded.forces, tissue.normals)
+    tangential = np.linalg.norm(loaded.forces + normal[:, None] * tissue.normals, axis=1)
+    assert normal.min() >= 0.0
+    assert (tangential <= tissue.friction * normal + 1e-9).all()
 
 
-@pytest.mark.parametrize(("tissue", "least", "most"), [("soft", 6.0, 9.0), ("stiff", 0.6, 1.4)])
+@pytest.mark.parametrize(
+    ("tissue", "least", "most"),
+    [pytest.param("soft", 6.0, 9.0, id="soft"), pytest.param("stiff", 0.6, 1.4, id="stiff")],
+)
 def test_the_limb_settles_under_the_paper_s_load(tissue, least, most) -> None:
     time, settled = np.arange(0.0, 120.0, 2.0), []
     for seed in range(5):
@@ -83,36 +87,50 @@ def test_perfect_sensors_see_the_truth() -> None:
         np.testing.assert_allclose(GEOMETRY.cluster_force(cluster, stress), actual, atol=2e-3)
 
 
-def test_more_clusters_than_a_simulated_world_holds_are_refused() -> None:
+def test_more_than_16_clusters_are_not_simulated() -> None:
     clusters = ClusterSettings(names=tuple(f"c{number}" for number in range(17)))
     nodes = dataclasses.replace(TestbedSettings(), cluster_node=clusters)
     with refused(ConfigurationError, "names 17 clusters, and 16 can be simulated"):
         Testbed(nodes, simulation=Simulation())
 
 
-def test_a_running_testbed_is_as_noisy_as_a_simulated_trial(tmp_path: Path, monkeypatch) -> None:
-    """By the unmodified drivers, which average conversions of the load cell, none of clusters."""
+@pytest.fixture
+def running(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeClock:
+    """The clock of a simulated testbed in this folder, with the usual errors of sensors."""
     clock, world = FakeClock(1000.0).install(monkeypatch), World(tmp_path, create=True)
-    usual = SensorErrors()
-    LiveTestbed(world, GEOMETRY, CALIBRATION, Simulation(), usual).advance(clock.now)
-    nodes = read_testbed(packaged("config", "simulated.yaml"))
-    cell = make_load_cell(dataclasses.replace(nodes.load_cell_node, simulation=str(tmp_path)))
-    for rate in (4.0, 20.0):
-        triggers = clock.now + 1.0 + np.arange(60) / rate
-        while clock.now < triggers[-1] + 0.5:
-            clock.sleep(1.1e-3)
-            cell.converter.poll()
-        wrench = np.array([cell.wrench_at(trigger, 1.0 / rate).wrench for trigger in triggers])
-        trial = simulate(GEOMETRY, CALIBRATION, "static_hold", 120.0 / rate, rate, 0)
-        live, offline = wrench.std(axis=0), (trial.wrench - trial.truth.wrench).std(axis=0)
-        for group in (slice(3), slice(3, 6)):
-            assert np.mean(live[group]) == pytest.approx(np.mean(offline[group]), rel=0.25)
-    clusters = make_clusters(dataclasses.replace(nodes.cluster_node, simulation=str(tmp_path)))
-    read = np.array([clusters.read(clock.now).capacitance for _ in range(200)])
-    assert np.mean(read.std(axis=0)) == pytest.approx(usual.capacitance_noise, rel=0.1)
+    LiveTestbed(world, GEOMETRY, CALIBRATION, Simulation(), SensorErrors()).advance(clock.now)
+    return clock
 
 
-def test_the_noise_of_a_marker_is_that_of_a_real_take(shared_data: Path) -> None:
+NODES = read_testbed(packaged("config", "simulated.yaml"))
+
+
+@pytest.mark.parametrize("rate", [4.0, 20.0], ids=["4-Hz", "20-Hz"])
+def test_a_live_load_cell_has_simulated_noise(
+    tmp_path: Path, running: FakeClock, rate: float
+) -> None:
+    """By the unmodified driver, which averages conversions."""
+    cell = make_load_cell(dataclasses.replace(NODES.load_cell_node, simulation=str(tmp_path)))
+    triggers = running.now + 1.0 + np.arange(60) / rate
+    while running.now < triggers[-1] + 0.5:
+        running.sleep(1.1e-3)
+        cell.converter.poll()
+    wrench = np.array([cell.wrench_at(trigger, 1.0 / rate).wrench for trigger in triggers])
+    trial = simulate(GEOMETRY, CALIBRATION, "static_hold", 120.0 / rate, rate, 0)
+    live, offline = wrench.std(axis=0), (trial.wrench - trial.truth.wrench).std(axis=0)
+    for group in (slice(3), slice(3, 6)):
+        assert np.mean(live[group]) == pytest.approx(np.mean(offline[group]), rel=0.25)
+
+
+def test_running_clusters_have_the_stated_noise(tmp_path: Path, running: FakeClock) -> None:
+    """By the unmodified driver, which averages none of their conversions."""
+    clusters = make_clusters(dataclasses.replace(NODES.cluster_node, simulation=str(tmp_path)))
+    read = np.array([clusters.read(running.now).capacitance for _ in range(200)])
+    stated = SensorErrors().capacitance_noise
+    assert np.mean(read.std(axis=0)) == pytest.approx(stated, rel=0.1)
+
+
+def test_marker_noise_is_that_of_a_real_take(shared_data: Path) -> None:
     """`sample_optitrack_take.csv` of cmuphyscomp/hmv-s16: a triad of 0.2 m, 250 frames at 120 Hz.
 
     It drifts by 0.4 mm: third differences leave the noise alone.
@@ -128,18 +146,28 @@ def test_the_noise_of_a_marker_is_that_of_a_real_take(shared_data: Path) -> None
     np.testing.assert_allclose(found[1:], found[0] / np.sqrt([2, 4]), rtol=0.2)
 
 
-def test_the_mean_over_the_window_averages_the_cameras_noise_and_does_not_lag() -> None:
+@pytest.mark.parametrize(
+    ("rate", "window"),
+    [pytest.param(4.0, 0.25, id="4-Hz"), pytest.param(20.0, 0.05, id="20-Hz")],
+)
+def test_the_window_s_mean_averages_camera_noise(rate: float, window: float) -> None:
+    """It does not lag."""
     _, single = measure(0.0, marker_noise=5e-5)
-    for rate, window in ((4.0, 0.25), (20.0, 0.05)):
-        _, perfect = measure(window, rate)
-        _, averaged = measure(-1.0, rate, marker_noise=5e-5)
-        frames = 2 * int(0.5 * window * CAMERA_RATE) + 1
-        expected = single.std(axis=0) / np.sqrt(frames)
-        np.testing.assert_allclose((averaged - perfect).std(axis=0), expected, rtol=0.35)
-        assert np.abs(perfect.mean(axis=0)).max() < 1e-6  # it settles by 1 mm/s
+    _, perfect = measure(window, rate)
+    _, averaged = measure(-1.0, rate, marker_noise=5e-5)
+    frames = 2 * int(0.5 * window * CAMERA_RATE) + 1
+    expected = single.std(axis=0) / np.sqrt(frames)
+    np.testing.assert_allclose((averaged - perfect).std(axis=0), expected, rtol=0.35)
+    assert np.abs(perfect.mean(axis=0)).max() < 1e-6  # it settles by 1 mm/s
+
+
+def test_one_frame_with_the_body_is_enough() -> None:
     trial, off = measure(0.25, drop_out=0.3, label_swap=0.2)
-    assert np.abs(off).max() < 1e-4  # one frame with the body is enough
+    assert np.abs(off).max() < 1e-4
     assert np.isnan(trial.markers["pylon"][:, :, 0]).mean() == pytest.approx(0.3, abs=0.1)
+
+
+def test_without_any_marker_there_is_no_position() -> None:
     assert np.isnan(measure(0.25, drop_out=1.0)[1]).all()
 
 
