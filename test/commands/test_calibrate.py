@@ -46,16 +46,21 @@ def record(path) -> dict:
     return yaml.safe_load(path.read_text())["clusters"]["distal"]["bench"]
 
 
-def test_report_and_record_say_how_good_it_is_and_where_it_comes_from(call, bench_file, output):
+def test_the_record_states_the_fit_s_quality(call, bench_file, output):
     out = call(bench_file, *WIRING)
     assert "18 cycles held out in turn" in out and "+- (95 %)" in out
     stored = record(output)
-    assert (stored["source"], stored["readings"]) == ("bench.csv", 1062)
     assert 3.5 < stored["hysteresis_percent"]["normal"] < 4.5
     # No load was of shear alone: that is said instead of a number.
     talk = stored["cross_talk_percent"]
     assert talk["normal"] is None and "no pure shear" in out
     assert 0.0 < talk["shear_x"] < 3.0 and "no pure normal" not in out
+
+
+def test_the_record_states_its_source(call, bench_file, output):
+    call(bench_file, *WIRING)
+    stored = record(output)
+    assert (stored["source"], stored["readings"]) == ("bench.csv", 1062)
     calibration = read_calibration(output)
     assert calibration.source == "distal: bench.csv" and calibration.date == stored["date"]
     assert calibration.clusters["distal"].bench == stored
@@ -76,10 +81,11 @@ def test_cross_talk_is_the_coupling_of_the_sensor(call, tmp_path, output):
     assert 3.0 <= found["shear_x"] <= 6.1 and found["shear_y"] < 0.3
 
 
-def test_one_cluster_of_a_file_is_replaced_or_added(call, bench_file, tmp_path, output):
+def test_one_cluster_of_a_file_is_replaced(call, bench_file, output):
+    """Its wiring is that of the existing cluster."""
     shutil.copyfile(CALIBRATION, output)
     old = read_calibration(output)
-    out = call(bench_file)  # its wiring is that of the existing cluster
+    out = call(bench_file)
     assert "distal replaced" in out and "kept: brim_lateral, mid_anterior" in out
     new = read_calibration(output)
     assert list(new.clusters) == list(old.clusters)
@@ -87,20 +93,33 @@ def test_one_cluster_of_a_file_is_replaced_or_added(call, bench_file, tmp_path, 
         same = new.clusters[name].to_document() == cluster.to_document()
         assert same == (name != "distal")
     np.testing.assert_array_equal(new.clusters["distal"].wiring, nominal().wiring)
-    output.unlink()
+
+
+def test_another_file_is_replaced_only_when_asked(call, bench_file, output):
     call(bench_file, "--into", CALIBRATION, *WIRING)
-    assert list(read_calibration(output).clusters) == list(old.clusters)
+    assert list(read_calibration(output).clusters) == list(read_calibration(CALIBRATION).clusters)
     call(bench_file, "--into", CALIBRATION, *WIRING, named=["exists already"])
     call(bench_file, "--into", CALIBRATION, *WIRING, "--replace")
 
 
-def test_a_bad_fit_is_drawn_but_refused_with_its_numbers_unless_forced(call, tmp_path, output):
-    path = write_bench(tmp_path / "bench.csv", sensor_bench(play=0.3))
+@pytest.fixture
+def bad(tmp_path):
+    """A bench file whose hysteresis exceeds the limit."""
+    return write_bench(tmp_path / "bench.csv", sensor_bench(play=0.3))
+
+
+def test_a_bad_fit_is_drawn_but_refused(call, bad, tmp_path, output):
     drawn = ("--figure", tmp_path / "fit.pdf")
-    call(path, *WIRING, *drawn, named=["exceeds 10 %", "normal 1", "--force"])
+    call(bad, *WIRING, *drawn, named=["exceeds 10 %", "normal 1", "--force"])
     assert not output.exists() and (tmp_path / "fit.pdf").read_bytes().startswith(b"%PDF")
-    call(path, *WIRING, "--force")
+
+
+def test_a_forced_fit_is_recorded_as_such(call, bad, output):
+    call(bad, *WIRING, "--force")
     assert record(output)["forced"] is True
+
+
+def test_outliers_left_out_are_recorded(call, tmp_path, output):
     bench = sensor_bench(play=0.04)
     bench.stress[[200, 500], 1] += 60e3
     out = call(write_bench(tmp_path / "out.csv", bench), *WIRING, "--drop-outliers")
@@ -121,24 +140,28 @@ def test_baselines_take_the_drift_off(call, tmp_path, output):
     assert found.bench["drift"]["flagged"] is True
 
 
-def test_forces_are_stresses_over_the_area_of_the_tile(call, tmp_path, output):
+def test_forces_are_stresses_over_the_tile_s_area(call, tmp_path, output):
     bench = sensor_bench()
     header = ("time [s]", "normal [N]", "shear_x [N]", "shear_y [N]", *HEADER[4:])
     newtons = dataclasses.replace(bench, stress=bench.stress * 9e-4 * 1e3)
-    gains = []
-    for path, words in (
-        (write_bench(tmp_path / "newtons.csv", newtons, header), ["--geometry", SOCKET]),
-        (write_bench(tmp_path / "pascals.csv", bench), []),
-    ):
+
+    def gain(path, *words) -> float:
         call(path, *words, *WIRING)
-        gains.append(read_calibration(output).clusters["distal"].normal[1])
-    assert gains[0] == pytest.approx(gains[1], rel=1e-6)
+        return read_calibration(output).clusters["distal"].normal[1]
+
+    by_force = gain(write_bench(tmp_path / "newtons.csv", newtons, header), "--geometry", SOCKET)
+    by_stress = gain(write_bench(tmp_path / "pascals.csv", bench))
+    assert by_force == pytest.approx(by_stress, rel=1e-6)
 
 
-def test_a_wrong_sign_or_wiring_is_found_out(call, bench_file, tmp_path, output):
+def test_a_wrong_sign_is_found_out(call, tmp_path, output):
     bench = sensor_bench()
     upside_down = bench_of(12.0 - bench.capacitance, bench.stress)
     path = write_bench(tmp_path / "upside_down.csv", upside_down)
     call(path, *WIRING, "--force", named=["gain of the normal stress"])
+    assert not output.exists()
+
+
+def test_a_wrong_wiring_is_found_out(call, bench_file, output):
     call(bench_file, "--wiring", 2, 3, 1, 0, named=["exceeds 10 %", "shear_x 4"])
     assert not output.exists()

@@ -25,7 +25,7 @@ def trials(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return path / "gel", path / "sock"
 
 
-def test_the_values_are_those_of_each_trial_s_own_pressure(trials, capsys) -> None:
+def test_values_are_those_of_each_trial_s_pressure(trials, capsys) -> None:
     """What a difference is made of them: test_comparison.py."""
     code, out, _ = call(capsys, "compare", *trials, *SEGMENT, "--json")
     found = st.compare(*trials, segment="15:17")
@@ -38,7 +38,7 @@ def test_the_values_are_those_of_each_trial_s_own_pressure(trials, capsys) -> No
         np.testing.assert_array_equal(row[ends].astype(float), [value[end] for end in ends])
 
 
-def test_repeated_donnings_give_their_spread_and_what_can_be_seen(trials, tmp_path, capsys) -> None:
+def test_repeated_donnings_give_their_spread(trials, tmp_path, capsys) -> None:
     again = st.simulate(tmp_path / "sock2", duration=30, seed=2)
     words = ["--condition", f"gel={trials[0]}", "--condition", f"sock={trials[1]}"]
     words += ["--condition", f"sock={tmp_path}", *SEGMENT]  # a folder of trials
@@ -56,7 +56,7 @@ def test_repeated_donnings_give_their_spread_and_what_can_be_seen(trials, tmp_pa
     np.testing.assert_allclose(shown["spread"], values.std(axis=0, ddof=1))
 
 
-def test_different_sockets_are_compared_where_alike(trials, tmp_path, capsys) -> None:
+def test_regions_of_one_name_are_compared_where_alike(trials, tmp_path) -> None:
     def add_regions(document) -> None:
         number, tiles = len([*tmp_path.iterdir()]) - 1, [*document["tiles"]]
         document["regions"] = {"same": tiles[:3], "other": tiles[number : number + 3]}
@@ -68,13 +68,15 @@ def test_different_sockets_are_compared_where_alike(trials, tmp_path, capsys) ->
     assert "same" in names and not names & {"other", "alone"}
     assert "these regions differ between trials: alone, other" in found.notes[0]
 
+
+def test_different_sockets_are_compared_by_region(trials, tmp_path, capsys) -> None:
     words = ("compare", trials[1], of_another_socket(trials[0], tmp_path / "wider"), *SEGMENT)
     refused(capsys, *words, named=["wider is of another socket", "--by-region", "sock"])
     document = json.loads(call(capsys, *words, "--by-region", "--json")[1])
     assert {row["part"] for row in document["rows"]} >= {"regions", "wrench"}
 
 
-def test_legs_are_compared_by_anatomy_and_the_page_says_so(trials, tmp_path, capsys) -> None:
+def test_legs_are_compared_by_anatomy(trials, tmp_path, capsys) -> None:
     legs = [shutil.copytree(trial, tmp_path / trial.name) for trial in trials]
     st.annotate(legs[0], side="left", liner="<b>gel</b>", subject="S01")
     st.annotate(legs[1], side="right", mass=81.5, subject="S01")

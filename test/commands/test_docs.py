@@ -16,7 +16,7 @@ from socket_testbed.identification import data_check, plausibility, pressure, pr
 from socket_testbed.nodes import estimator_node, recorder_node
 from socket_testbed.settings.identification import ForceMapSettings
 from socket_testbed.trials import events
-from socket_testbed.trials.topics import PUBLISHER_DEPTH, TOPICS
+from socket_testbed.trials.topics import PUBLISHER_DEPTH, TOPICS, Topic
 
 DOCS = CHECKOUT / "docs"
 PAGES = [CHECKOUT / "README.md", CHECKOUT / "CONTRIBUTING.md", *DOCS.glob("*.md")]
@@ -57,87 +57,113 @@ def test_commands_of_a_page_run(page: Path, tmp_path: Path, request: pytest.Fixt
     run(left, tmp_path)
 
 
-def test_pages_name_verbs_targets_topics_and_functions_that_exist() -> None:
+# --- the pages name what there is
+
+
+def test_the_readme_names_targets_that_exist() -> None:
     targets = re.findall(r"^([a-z]+):", (CHECKOUT / "Makefile").read_text(), flags=re.MULTILINE)
     readme = PAGES[0].read_text()
     assert set(re.findall(r"(?:^|`)make ([a-z]+)", readme, flags=re.MULTILINE)) <= set(targets)
-    rows = readme.partition("| for | verbs")[2].partition("\n\n")[0]
+
+
+def test_the_readme_names_every_verb() -> None:
+    rows = PAGES[0].read_text().partition("| for | verbs")[2].partition("\n\n")[0]
     assert set(re.findall(r"`([a-z]+)`", rows)) == set(VERBS)
+
+
+@pytest.mark.parametrize("topic", TOPICS, ids=lambda topic: topic.name)
+def test_the_conventions_name_every_topic(topic: Topic) -> None:
     conventions = (DOCS / "conventions.md").read_text()
-    for topic in TOPICS:
-        package, _, name = topic.type.split("/")
-        assert re.search(rf"`{topic.name}`.*\| {package}/{name} \|", conventions), topic.name
-    places = re.findall(r"`(\S+\.py): ([^`]+)`", (DOCS / "paper.md").read_text())
-    assert len(places) > 20
-    for name, listed in places:
-        (file,) = (CHECKOUT / "socket_testbed").rglob(name)
-        for defined in listed.split(", "):
-            assert re.search(rf"(def|class) {defined.rpartition('.')[2]}\b", file.read_text()), name
+    package, _, name = topic.type.split("/")
+    assert re.search(rf"`{topic.name}`.*\| {package}/{name} \|", conventions)
 
 
-def test_numbers_of_the_pages_are_those_of_the_code() -> None:
-    shown = {
-        "faults": (
-            f"retries after {clocks._MIN_WAIT} s, then after up to {clocks._MAX_WAIT} s",
-            f"no data at the recorder for {recorder_node._SILENCE_TIMEOUT:g} s",
-            f"correlation below {data_check.REVERSED}; sound",
-            f"clusters vary {data_check.LOCAL_SHARE[1]:g} times as much as the load",
-            f"{data_check.LOAD_RANGE[1]:g} body weights",
-            f"a lag above {data_check.MAX_LAG} s",
-            f"turns by {np.degrees(data_check.MAX_ROTATION):.0f} degrees",
-            f"normal force {data_check.MAX_INNOVATION} sigma off",
-            f"{data_check.MAX_MISSING:.0%} missing, no change for {data_check.MAX_STILL:g} s,"
-            f" {data_check.MAX_CLIPPED:.0%} at one end",
-            f"noise above {data_check.MAX_NOISE['N']:g} N or {data_check.MAX_NOISE['N m']:g} N m",
-        ),
-        "conventions": (
-            f"volatile with depth {PUBLISHER_DEPTH}",
-            f"dark red at {1e-3 * estimator_node._MAX_PRESSURE:g} kPa",
-            f"vanish after {estimator_node._LIFETIME} s",
-            f"{1e9 / estimator_node._REGIONS_PERIOD:g} Hz, only with a subscriber",
-            f"up to {1e9 / estimator_node._PICTURE_PERIOD:g} Hz",
-        ),
-        "fitting": (
-            f"fewer than {problem.MIN_SAMPLES} with a wrench",
-            f"below {plausibility.MIN_FORCE:g} N and {plausibility.MIN_MOMENT:g} N m throughout",
-            f"above {1e-3 * plausibility.MAX_FORCE:g} kN, {plausibility.MAX_MOMENT:g} N m, or"
-            f" {1e-6 * plausibility.MAX_STRESS:g} MPa on a cluster",
-            f"refused above {plausibility.MAX_OUTLIERS:.0%}",
-            f"wrench above {plausibility.HANGING_WEIGHT:g} N towards proximal",
-        ),
-        "view": (f"greyest at {pressure._GREYEST:g} times",),
-        "pressure": (
-            f"above {1e-3 * pressure.THRESHOLD:g} kPa (`--threshold`)",
-            f"from {pressure._DRAWS} joint draws",
-            f"widened by {pressure._PEAK_WIDENING:g}",
-            f"carry {ForceMapSettings.share:.0%} +- {ForceMapSettings.share_spread:.0%} of the",
-        ),
-        "segments": (
-            f"rises above {events._RISE_SHARE:.0%} of the way",
-            f"falls below {events._FALL_SHARE:.0%}.",
-            f"above {events._STANCE_SHARE:.0%} of the way",
-        ),
-        "force_map": (f"draws {ForceMapSettings.draws} hypotheses",),
-    }
-    for page, numbers in shown.items():
-        text = re.sub(r"(?<=\d) %", "%", " ".join((DOCS / f"{page}.md").read_text().split()))
-        for number in numbers:
-            assert number in text, page
+PLACES = re.findall(r"`(\S+\.py): ([^`]+)`", (DOCS / "paper.md").read_text())
 
 
-def test_every_link_leads_to_a_file_and_its_heading() -> None:
-    for page in PAGES:
-        for target in re.findall(r"\]\(([^):]+)\)", page.read_text()):
-            path, _, anchor = target.partition("#")
-            found = page.parent / path if path else page
-            assert found.exists(), (page.name, target)
-            text = re.sub(r"```.*?```", "", found.read_text(), flags=re.DOTALL) if anchor else ""
-            headings = re.findall(r"^#+ (.+)$", text.lower(), flags=re.MULTILINE)
-            anchors = [re.sub(r"[^\w -]", "", each).replace(" ", "-") for each in headings]
-            assert not anchor or anchor in anchors, (page.name, target)
+def test_the_paper_s_page_names_many_functions() -> None:
+    assert len(PLACES) > 20
 
 
-def test_the_map_names_folders_and_files_that_exist() -> None:
+@pytest.mark.parametrize(("name", "listed"), PLACES, ids=[": ".join(place) for place in PLACES])
+def test_the_paper_s_page_names_functions_that_exist(name: str, listed: str) -> None:
+    (file,) = (CHECKOUT / "socket_testbed").rglob(name)
+    for defined in listed.split(", "):
+        assert re.search(rf"(def|class) {defined.rpartition('.')[2]}\b", file.read_text())
+
+
+# --- the pages' numbers are those of the code
+
+
+NUMBERS = {
+    "faults": (
+        f"retries after {clocks._MIN_WAIT} s, then after up to {clocks._MAX_WAIT} s",
+        f"no data at the recorder for {recorder_node._SILENCE_TIMEOUT:g} s",
+        f"correlation below {data_check.REVERSED}; sound",
+        f"clusters vary {data_check.LOCAL_SHARE[1]:g} times as much as the load",
+        f"{data_check.LOAD_RANGE[1]:g} body weights",
+        f"a lag above {data_check.MAX_LAG} s",
+        f"turns by {np.degrees(data_check.MAX_ROTATION):.0f} degrees",
+        f"normal force {data_check.MAX_INNOVATION} sigma off",
+        f"{data_check.MAX_MISSING:.0%} missing, no change for {data_check.MAX_STILL:g} s,"
+        f" {data_check.MAX_CLIPPED:.0%} at one end",
+        f"noise above {data_check.MAX_NOISE['N']:g} N or {data_check.MAX_NOISE['N m']:g} N m",
+    ),
+    "conventions": (
+        f"volatile with depth {PUBLISHER_DEPTH}",
+        f"dark red at {1e-3 * estimator_node._MAX_PRESSURE:g} kPa",
+        f"vanish after {estimator_node._LIFETIME} s",
+        f"{1e9 / estimator_node._REGIONS_PERIOD:g} Hz, only with a subscriber",
+        f"up to {1e9 / estimator_node._PICTURE_PERIOD:g} Hz",
+    ),
+    "fitting": (
+        f"fewer than {problem.MIN_SAMPLES} with a wrench",
+        f"below {plausibility.MIN_FORCE:g} N and {plausibility.MIN_MOMENT:g} N m throughout",
+        f"above {1e-3 * plausibility.MAX_FORCE:g} kN, {plausibility.MAX_MOMENT:g} N m, or"
+        f" {1e-6 * plausibility.MAX_STRESS:g} MPa on a cluster",
+        f"refused above {plausibility.MAX_OUTLIERS:.0%}",
+        f"wrench above {plausibility.HANGING_WEIGHT:g} N towards proximal",
+    ),
+    "view": (f"greyest at {pressure._GREYEST:g} times",),
+    "pressure": (
+        f"above {1e-3 * pressure.THRESHOLD:g} kPa (`--threshold`)",
+        f"from {pressure._DRAWS} joint draws",
+        f"widened by {pressure._PEAK_WIDENING:g}",
+        f"carry {ForceMapSettings.share:.0%} +- {ForceMapSettings.share_spread:.0%} of the",
+    ),
+    "segments": (
+        f"rises above {events._RISE_SHARE:.0%} of the way",
+        f"falls below {events._FALL_SHARE:.0%}.",
+        f"above {events._STANCE_SHARE:.0%} of the way",
+    ),
+    "force_map": (f"draws {ForceMapSettings.draws} hypotheses",),
+}
+
+
+@pytest.mark.parametrize(
+    ("page", "number"), [(page, number) for page in NUMBERS for number in NUMBERS[page]]
+)
+def test_a_page_s_number_is_the_code_s(page: str, number: str) -> None:
+    text = (DOCS / f"{page}.md").read_text()
+    assert number in re.sub(r"(?<=\d) %", "%", " ".join(text.split()))
+
+
+# --- links, programs and versions
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_link_leads_to_its_heading(page: Path) -> None:
+    for target in re.findall(r"\]\(([^):]+)\)", page.read_text()):
+        path, _, anchor = target.partition("#")
+        found = page.parent / path if path else page
+        assert found.exists(), target
+        text = re.sub(r"```.*?```", "", found.read_text(), flags=re.DOTALL) if anchor else ""
+        headings = re.findall(r"^#+ (.+)$", text.lower(), flags=re.MULTILINE)
+        anchors = [re.sub(r"[^\w -]", "", each).replace(" ", "-") for each in headings]
+        assert not anchor or anchor in anchors, target
+
+
+def test_the_map_names_what_exists() -> None:
     page = (CHECKOUT / "CONTRIBUTING.md").read_text()
     shown = [path for path in CHECKOUT.iterdir() if not path.name.startswith(".")]
     known = {path.name for top in shown for path in (top, *top.rglob("*"))}
@@ -148,9 +174,15 @@ def test_the_map_names_folders_and_files_that_exist() -> None:
         assert any((top / name).exists() for top in (CHECKOUT / "socket_testbed", CHECKOUT)), name
 
 
-def test_programs_compile_and_one_version_stands_everywhere() -> None:
-    for page in PAGES:
-        for code in re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.DOTALL):
-            compile(code, page.name, "exec")  # test_api.py runs the README's first
-    for name in ("package.xml", "msg_defs/package.xml", "CITATION.cff", "CHANGELOG.md"):
-        assert re.search(rf"[>:[] ?{__version__}[<\n\]]", (CHECKOUT / name).read_text()), name
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_a_page_s_programs_compile(page: Path) -> None:
+    """test_api.py runs the README's first."""
+    for code in re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.DOTALL):
+        compile(code, page.name, "exec")
+
+
+@pytest.mark.parametrize(
+    "name", ["package.xml", "msg_defs/package.xml", "CITATION.cff", "CHANGELOG.md"]
+)
+def test_one_version_stands_everywhere(name: str) -> None:
+    assert re.search(rf"[>:[] ?{__version__}[<\n\]]", (CHECKOUT / name).read_text())

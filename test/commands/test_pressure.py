@@ -26,8 +26,12 @@ def found(hold: Path) -> Any:
     return st.pressure(st.open_trial(hold), "20:30", share=0.01)
 
 
-def test_under_a_cluster_it_is_what_the_raw_messages_say(hold: Path, found) -> None:
-    """Read by the bag library alone, and calibrated by hand."""
+CLUSTERS = ["brim_lateral", "mid_anterior", "posterior_distal", "distal"]
+
+
+@pytest.fixture(scope="module")
+def measured(hold: Path) -> dict[str, float]:
+    """Mean pressures under the clusters [kPa], read by the bag library and calibrated by hand."""
     store = get_typestore(Stores.ROS2_JAZZY)
     for name in ("ClusterCapacitance", "ClusterCapacitanceArray"):
         text = packaged("msg", f"{name}.msg").read_text()
@@ -42,16 +46,25 @@ def test_under_a_cluster_it_is_what_the_raw_messages_say(hold: Path, found) -> N
                 pressures.append({c.name: c.capacitance.mean() for c in message.clusters})
     seconds = np.array(times) - times[0]
     span = np.flatnonzero((seconds >= 20.0) & (seconds <= 30.0))
-    tiles = found.tiles.set_index("cluster")
+    means = {}
     for name, cluster in coefficients["clusters"].items():
         offset, gain = cluster["normal"]
-        measured = 1e-3 * (offset + gain * np.mean([pressures[i][name] for i in span]))
-        row = tiles.loc[name]
-        assert row["mean pressure low [kPa]"] < measured < row["mean pressure high [kPa]"]
-        assert row["mean pressure [kPa]"] == pytest.approx(measured, rel=0.06)
+        means[name] = 1e-3 * (offset + gain * np.mean([pressures[i][name] for i in span]))
+    assert {*means} == {*CLUSTERS}
+    return means
 
 
-def test_the_verb_prints_writes_and_draws_what_the_api_gives(hold, found, tmp_path, capsys) -> None:
+@pytest.mark.parametrize("name", CLUSTERS)
+def test_a_cluster_s_pressure_is_what_it_measured(
+    name: str, measured: dict[str, float], found: Any
+) -> None:
+    row = found.tiles.set_index("cluster").loc[name]
+    assert row["mean pressure low [kPa]"] < measured[name] < row["mean pressure high [kPa]"]
+    assert row["mean pressure [kPa]"] == pytest.approx(measured[name], rel=0.06)
+
+
+def test_the_verb_shows_what_the_api_gives(hold, found, tmp_path, capsys) -> None:
+    """In words, and in a figure of the width that was asked for."""
     figure = tmp_path / "map.png"
     words = ["pressure", hold, "--segment", "20:30", "--share", "0.01"]
     words += ["--figure", figure, "--width", 88, "--no-title"]
@@ -69,17 +82,27 @@ def test_own_regions_are_given_or_stored(hold: Path, tmp_path: Path) -> None:
     copy = edited(hold, tmp_path / "own", lambda document: document.update(regions=own))
     stored = st.pressure(st.open_trial(copy), "20:30").regions.loc["tendon"]
     pd.testing.assert_series_equal(given, stored)
+
+
+def test_a_region_of_unknown_tiles_is_refused(hold: Path) -> None:
     with pytest.raises(ConfigurationError, match="no tile 'x'"):
-        st.pressure(trial, "20:30", regions={"a": ["x"]})
+        st.pressure(st.open_trial(hold), "20:30", regions={"a": ["x"]})
+
+
+@pytest.fixture(scope="module")
+def walked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of one trial with cycles, and with too many regions for a figure."""
+    folder = tmp_path_factory.mktemp("walked")
+    plain = st.simulate(folder / "plain", "ramp", duration=130, seed=1)
+    own = {f"region {number}": ["distal"] for number in range(7)}
+    (folder / "trials").mkdir()
+    edited(plain.path, folder / "trials" / "ramp", lambda document: document.update(regions=own))
+    return folder / "trials"
 
 
 @pytest.mark.slow
-def test_cycles_are_written_and_drawn_and_a_folder_gives_a_summary(tmp_path: Path, capsys) -> None:
-    plain = st.simulate(tmp_path / "plain", "ramp", duration=130, seed=1)
-    own = {f"region {number}": ["distal"] for number in range(7)}  # too many for a figure
-    (tmp_path / "trials").mkdir()
-    copy = edited(plain.path, tmp_path / "trials" / "ramp", lambda d: d.update(regions=own))
-    trial = st.open_trial(copy)
+def test_cycles_are_written_as_the_api_gives_them(walked: Path, tmp_path: Path, capsys) -> None:
+    trial = st.open_trial(walked / "ramp")
     words = ("--segment", "all", "--cycles", "placed", "-o", tmp_path / "c.csv")
     words += ("--figure", tmp_path / "c.png")
     code, out, err = call(capsys, "pressure", trial.path, *words, "--json")
@@ -89,7 +112,11 @@ def test_cycles_are_written_and_drawn_and_a_folder_gives_a_summary(tmp_path: Pat
     expected = st.cycles(trial, every.to_frame()).mean[:, 0]
     assert np.allclose(table["socket.mean pressure mean [kPa]"], expected)
 
-    shutil.copytree(trial.path, tmp_path / "trials" / "two")
+
+@pytest.mark.slow
+def test_a_folder_gives_a_summary(walked: Path, tmp_path: Path, capsys) -> None:
+    for name in ("one", "two"):
+        shutil.copytree(walked / "ramp", tmp_path / "trials" / name)
     words = ("-o", tmp_path / "out", "--segment", "20:25", "--jobs", 1)
     assert call(capsys, "pressure", tmp_path / "trials", *words)[0] == 0
     summary = pd.read_csv(tmp_path / "out" / "summary.csv")

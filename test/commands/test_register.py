@@ -31,16 +31,28 @@ def test_the_verb_writes_the_registered_socket(files, tmp_path, capsys):
     assert "53 frames used, 7 left out (7 occluded" in out and f"at ({x}, {y}, {z}) mm" in out
 
 
-def test_without_an_output_the_socket_is_replaced_or_left_as_it_was(files, tmp_path, capsys):
-    bench, words = files
-    socket, landmarks = tmp_path / "socket.yaml", tmp_path / "landmarks.yaml"
-    old = socket.read_bytes()
+@pytest.fixture
+def landmarks(files, tmp_path):
+    """The file of landmarks, one of which is 50 mm off."""
+    bench, _ = files
     bad = copy.deepcopy(bench.document)
     bad["limb"]["Limb:2"][0] += 0.05
-    write_landmarks(bad, landmarks)
+    return write_landmarks(bad, tmp_path / "landmarks.yaml")
+
+
+@pytest.mark.usefixtures("landmarks")
+def test_a_wrong_landmark_leaves_the_socket_alone(files, tmp_path, capsys):
+    _, words = files
+    socket = tmp_path / "socket.yaml"
+    old = socket.read_bytes()
     named = ["limb: landmark Limb:2 is", "at most 10 mm", "--force"]
     verbs.refused(capsys, *words, named=named)
     assert socket.read_bytes() == old
+
+
+def test_without_an_output_the_socket_is_replaced(files, landmarks, tmp_path, capsys):
+    bench, words = files
+    socket = tmp_path / "socket.yaml"
     assert verbs.call(capsys, *words, "--force")[0] == 0
     forced = read_socket(socket)
     write_landmarks(bench.document, landmarks)

@@ -6,6 +6,7 @@ import signal
 import socket
 import subprocess
 import urllib.request
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -73,20 +74,28 @@ def test_run_records_until_ctrl_c(tmp_path: Path, capfd: pytest.CaptureFixture[s
     assert read_testbed(path / "testbed.yaml").trigger_node.rate == 20.0
 
 
-def test_a_busy_machine_gets_a_slower_testbed(monkeypatch, capsys) -> None:
-    note = "this machine is busy: the simulated testbed runs at {}\n"
-    for lateness, speed, scale, said in (
+SLOWER = "this machine is busy: the simulated testbed runs at {}\n"
+
+
+@pytest.mark.parametrize(
+    ("lateness", "speed", "scale", "said"),
+    [
         (0.0, 5.0, 1.0, ""),
-        (1e-4, 0.1, 0.5, note.format("half of real time")),
-        (0.1, 0.001, 0.0625, note.format("a sixteenth of real time")),
-    ):
-        found = MachineSpeed(lateness, speed)
-        monkeypatch.setattr(live, "measure_speed", lambda found=found: found)
-        assert (live._time_scale("auto"), capsys.readouterr().err) == (scale, said)
+        (1e-4, 0.1, 0.5, SLOWER.format("half of real time")),
+        (0.1, 0.001, 0.0625, SLOWER.format("a sixteenth of real time")),
+    ],
+    ids=["idle", "busy", "very busy"],
+)
+def test_a_busy_machine_gets_a_slower_testbed(
+    lateness: float, speed: float, scale: float, said: str, monkeypatch, capsys
+) -> None:
+    monkeypatch.setattr(live, "measure_speed", lambda: MachineSpeed(lateness, speed))
+    assert (live._time_scale("auto"), capsys.readouterr().err) == (scale, said)
 
 
 @pytest.mark.slow
-def test_the_page_s_button_records_without_record_and_at_whatever_speed(tmp_path: Path) -> None:
+def test_the_page_s_button_records(tmp_path: Path) -> None:
+    """Without `--record`, and at whatever speed."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         page = f"http://127.0.0.1:{free.getsockname()[1]}"
     body, headers = b'{"do": "record", "trial": "s07"}', {"Origin": page}
@@ -125,7 +134,9 @@ def manageable_time(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("manageable_time")
-def test_doctor_finds_all_simulated_and_names_what_fails(capsys, tmp_path, monkeypatch) -> None:
+def test_doctor_finds_all_simulated(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, subtests: pytest.Subtests
+) -> None:
     file = simulated_parameters(tmp_path, mocap_node={"socket_body": "Socket"})  # as in a lab
     code, table, _ = call(capsys, "doctor", "--simulated", "--params", file)
     assert code == 0 and "failed" not in table, table
@@ -133,25 +144,38 @@ def test_doctor_finds_all_simulated_and_names_what_fails(capsys, tmp_path, monke
         *("line 17 to 27", "FDC1004 at 0x50 behind channel 3 of 0x70 on i2c-1", "NatNet 4.1"),
         *("ADS131M06 on spidev0.0, ID 0x26", "0 of 1000 frames corrupted", "markers are seen"),
     ):
-        assert found in table
+        with subtests.test(found):
+            assert found in table
 
+
+HINTS = {
+    "trigger": "check the wire between the two lines",
+    "cluster mid_anterior": "check the cluster's plug",
+    "load cell": "check MISO",
+    "motion capture": "check that Motive streams",
+}
+
+
+@pytest.mark.usefixtures("manageable_time")
+def test_doctor_names_what_fails(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, subtests: pytest.Subtests
+) -> None:
     monkeypatch.setattr(doctor, "_SERVER_TIMEOUT", 0.1)
     faults = ["trigger.missing=1", "clusters.nack=2", "load_cell.unplugged=1", "mocap.unplugged=1"]
     words = [word for fault in faults for word in ("--fault", fault)]
     code, out, err = call(capsys, "doctor", "--simulated", *words)
     rows = {line.split("  ")[0]: line for line in out.splitlines()}
-    for what, hint in {
-        "trigger": "check the wire between the two lines",
-        "cluster mid_anterior": "check the cluster's plug",
-        "load cell": "check MISO",
-        "motion capture": "check that Motive streams",
-    }.items():
-        assert "failed" in rows[what] and hint in rows[what]
+    for what, hint in HINTS.items():
+        with subtests.test(what):
+            assert "failed" in rows[what] and hint in rows[what]
     assert "failed" not in rows["cluster distal"]
     assert code == 1 and "checks failed" in err
 
 
-def test_doctor_without_hardware(capsys, tmp_path: Path, monkeypatch) -> None:
+def test_doctor_without_hardware_names_each_device(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    subtests: pytest.Subtests,
+) -> None:  # fmt: skip
     monkeypatch.setattr(doctor, "_SERVER_TIMEOUT", 0.1)
     file = simulated_parameters(
         tmp_path,
@@ -164,22 +188,35 @@ def test_doctor_without_hardware(capsys, tmp_path: Path, monkeypatch) -> None:
     assert code == 1 and "Traceback" not in table + err
     chip = ("GPIO chip 'no such chip'", "set trigger_node's chip")
     for named in ("/dev/i2c-250", "dtparam=i2c_arm=on", "spidev250.7", *chip):
-        assert named in table
+        with subtests.test(named):
+            assert named in table
+
+
+@pytest.fixture
+def pressed(
+    capsys: pytest.CaptureFixture[str], manageable_time: None
+) -> Callable[..., dict[str, list[str]]]:
+    """Press every simulated cluster; gives the rows of the table by cluster."""
+
+    def rows(*words: object) -> dict[str, list[str]]:
+        _, out, _ = call(capsys, "doctor", "--press", "--simulated", *words)
+        parts = [re.split(r"  +", line) for line in out.splitlines()]
+        return {row[0].removeprefix("press on "): row[1:] for row in parts if len(row) > 2}
+
+    return rows
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("manageable_time")
-def test_presses_find_wrong_wiring(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    def pressed(*words: object) -> dict[str, str]:
-        _, out, _ = call(capsys, "doctor", "--press", "--simulated", *words)
-        rows = [re.split(r"  +", line) for line in out.splitlines()]
-        return {row[0].removeprefix("press on "): row[1:] for row in rows if len(row) > 2}
-
+def test_a_press_is_felt_by_its_cluster(pressed, subtests: pytest.Subtests) -> None:
     rows = pressed()
     for name in ("brim_lateral", "mid_anterior", "posterior_distal", "distal"):
-        assert rows[name][0] == "ok" and rows[name][1].startswith(f"{name} felt +1")
+        with subtests.test(name):
+            assert rows[name][0] == "ok" and rows[name][1].startswith(f"{name} felt +1")
 
-    # The wires follow the names; then two cables are exchanged.
+
+@pytest.mark.slow
+def test_presses_find_exchanged_cables(pressed, tmp_path: Path) -> None:
+    """The wires follow the names; then two cables are exchanged."""
     names = ["mid_anterior", "brim_lateral", "distal"]
     wired = ("--params", simulated_parameters(tmp_path, cluster_node={
         "names": names, "buses": [1] * 3, "channels": [0, 1, 2],
@@ -191,21 +228,27 @@ def test_presses_find_wrong_wiring(capsys: pytest.CaptureFixture[str], tmp_path:
     assert "exchange the places of mid_anterior and brim_lateral" in rows["mid_anterior"][2]
 
 
-def test_a_press_that_turns_signs_round_is_named() -> None:
-    names, outward = ("distal", "other"), np.array([0.6, 0.0, -0.8])
-    for sign, force, hint in (
-        (1.0, 14.0 * outward, ""),
-        (-1.0, 14.0 * outward, "its normal is the wrong way round"),
-        (1.0, -14.0 * outward, "check the load cell's signs"),
+OUTWARD = np.array([0.6, 0.0, -0.8])
+
+
+@pytest.mark.parametrize(
+    ("sign", "force", "hint"),
+    [
+        (1.0, 14.0 * OUTWARD, ""),
+        (-1.0, 14.0 * OUTWARD, "its normal is the wrong way round"),
+        (1.0, -14.0 * OUTWARD, "check the load cell's signs"),
         (1.0, 14.0 * np.array([0.0, 1.0, 0.0]), "how the load cell is turned"),
-    ):
-        change = np.concatenate([[sign * 15e3, 0.0], force])
-        found = doctor._judge(names, 0, 0, change, outward)
-        assert hint in found.hint and bool(found.hint) == bool(hint)
+    ],
+    ids=["right", "reversed normal", "reversed force", "turned force"],
+)
+def test_a_press_finds_reversed_signs(sign: float, force: np.ndarray, hint: str) -> None:
+    change = np.concatenate([[sign * 15e3, 0.0], force])
+    found = doctor._judge(("distal", "other"), 0, 0, change, OUTWARD)
+    assert hint in found.hint and bool(found.hint) == bool(hint)
 
 
 @pytest.mark.slow
-def test_a_recording_that_the_disk_cannot_hold_ends_with_an_error(tmp_path: Path) -> None:
+def test_a_full_disk_is_an_error(tmp_path: Path) -> None:
     """A limit on the size of files stands for a full disk; what was recorded before is kept."""
     words = ["run", "--simulated", "--record", tmp_path / "full", "--rate", 100, "--duration", 20]
     limited = ["bash", "-c", 'ulimit -f 1200; exec "$@"', "_", *COMMAND]

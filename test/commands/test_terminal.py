@@ -66,7 +66,8 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Terminal]:
     os.close(found.slave)
 
 
-def test_lines_of_nodes_stand_above_the_status_though_they_were_killed(terminal, monkeypatch):
+def test_lines_of_nodes_stand_above_the_status(terminal, monkeypatch):
+    """Half ones too, and those of a node that was killed."""
     monkeypatch.setattr(module, "_CHUNK", 31)
     monkeypatch.setattr(sys, "stderr", terminal.stream)
     with StatusLine() as status:
@@ -92,16 +93,20 @@ def test_lines_of_nodes_stand_above_the_status_though_they_were_killed(terminal,
     assert last == "0:00:00 | 300 triggers, 0 complete" and end == ""
 
 
-def test_a_name_cannot_steer_the_terminal_and_no_number_is_cut_in_two() -> None:
+def test_a_name_cannot_steer_the_terminal() -> None:
     status = GraphStatus()
     status.trial = "s01\x1b[2J"
     assert "recording s01?[2J" in module.status_parts(status)
+
+
+def test_no_number_is_cut_in_two() -> None:
     assert fitted(["abc", "defgh", "ij"], 10) == "abc | ij"
 
 
 @pytest.mark.slow
 @pytest.mark.graph
-def test_a_paused_replay_says_how_to_go_on_and_the_space_bar_does(hold: Path) -> None:
+def test_the_space_bar_resumes_a_paused_replay(hold: Path) -> None:
+    """The replay names it."""
     terminal = Terminal(200)
     words = ["replay", str(hold), "--paused", "--rate", "100"]
     pid = os.fork()

@@ -142,7 +142,7 @@ def check(recording: Recording, data: bytes, folder: Path) -> None:
         assert f"bag.mcap: {what}" in str(error)
 
 
-def test_a_torn_file_gives_exactly_the_whole_chunks_before_the_damage(recording, tmp_path) -> None:
+def test_a_torn_file_gives_exactly_its_whole_chunks(recording, tmp_path) -> None:
     """By a kill or a power cut: cut, zeros or old blocks behind, sectors never written."""
     whole, sizes = recording.data, draw.integers(0, len(recording.data) - 1)
     ends = draw.sampled_from([0, 8, header_end(whole), *recording.ends, len(whole) - 45])
@@ -167,56 +167,73 @@ def test_a_torn_file_gives_exactly_the_whole_chunks_before_the_damage(recording,
     tear()
 
 
-def test_a_lying_length_takes_no_memory(recording, tmp_path: Path) -> None:
+@pytest.mark.parametrize("place", ["record", "name", "data", "unpacked"])
+def test_a_lying_length_takes_no_memory(place: str, recording: Recording, tmp_path: Path) -> None:
     """The last chunk is a zstd one with a length of 2 GiB somewhere."""
     length = 2**31
     frame = zstandard.ZstdCompressor(write_content_size=False).compress(bytes(1000))
-    for place in ("record", "name", "data", "unpacked"):
-        content = (
-            struct.pack("<QQQI", START, START, length if place == "unpacked" else 1000, 0)
-            + struct.pack("<I", length if place == "name" else 4)
-            + b"zstd"
-            + struct.pack("<Q", length if place == "data" else len(frame))
-            + frame
-        )
-        record = struct.pack("<BQ", 6, length if place == "record" else len(content)) + content
-        folder = write(tmp_path / "bag", recording.data[: recording.ends[2]] + record)
-        tracemalloc.start()
-        messages = read(folder)
-        _, peak = tracemalloc.get_traced_memory()
-        tracemalloc.stop()
-        assert messages == recording.first(3) and peak < 2**24
+    content = (
+        struct.pack("<QQQI", START, START, length if place == "unpacked" else 1000, 0)
+        + struct.pack("<I", length if place == "name" else 4)
+        + b"zstd"
+        + struct.pack("<Q", length if place == "data" else len(frame))
+        + frame
+    )
+    record = struct.pack("<BQ", 6, length if place == "record" else len(content)) + content
+    folder = write(tmp_path / "bag", recording.data[: recording.ends[2]] + record)
+    tracemalloc.start()
+    messages = read(folder)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert messages == recording.first(3) and peak < 2**24
 
 
-def test_a_changed_byte_costs_its_chunk_and_nothing_else(recording, compressed, tmp_path) -> None:
-    """Anywhere in a complete file, plain or compressed: what is read is as it was written."""
-    for whole, places in ((recording, 400), (compressed, 100)):
-        rng, costs = np.random.default_rng(5), []
-        count = len(whole.chunks)
-        for place in rng.integers(0, len(whole.data), places).tolist():
-            changed = bytes([whole.data[place] ^ int(rng.integers(1, 256))])
-            folder = write(tmp_path / "bag", whole.data[:place] + changed + whole.data[place + 1 :])
-            with BagReader(folder) as bag:
-                found, notes = list(bag.messages()), bag.notes
-            kept = [chunk for chunk in whole.chunks if chunk[0] in found]
-            expected = sorted((m for chunk in kept for m in chunk), key=lambda m: m.time)
-            assert found == expected, place
-            costs.append(count - len(kept))
-            if costs[-1]:
-                assert f"is damaged: 1 of its {count} chunks cannot be read" in notes[-1]
-            folder = write(tmp_path / "bag", whole.data[: max(place, whole.ends[0])])
-            assert read(folder) == whole.before(max(place, whole.ends[0]))
-        assert max(costs) == 1 and costs.count(0) > 0
+@pytest.mark.parametrize(
+    ("kind", "places"), [("recording", 400), ("compressed", 100)], ids=["plain", "compressed"]
+)
+def test_a_changed_byte_costs_its_chunk_alone(
+    kind: str, places: int, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    """Anywhere in a complete file: what is read is as it was written."""
+    whole: Recording = request.getfixturevalue(kind)
+    rng, costs = np.random.default_rng(5), []
+    count = len(whole.chunks)
+    for place in rng.integers(0, len(whole.data), places).tolist():
+        changed = bytes([whole.data[place] ^ int(rng.integers(1, 256))])
+        folder = write(tmp_path / "bag", whole.data[:place] + changed + whole.data[place + 1 :])
+        with BagReader(folder) as bag:
+            found, notes = list(bag.messages()), bag.notes
+        kept = [chunk for chunk in whole.chunks if chunk[0] in found]
+        expected = sorted((m for chunk in kept for m in chunk), key=lambda m: m.time)
+        assert found == expected, place
+        costs.append(count - len(kept))
+        if costs[-1]:
+            assert f"is damaged: 1 of its {count} chunks cannot be read" in notes[-1]
+        folder = write(tmp_path / "bag", whole.data[: max(place, whole.ends[0])])
+        assert read(folder) == whole.before(max(place, whole.ends[0]))
+    assert max(costs) == 1 and costs.count(0) > 0
 
 
-def test_notes_name_what_was_saved_and_what_is_missing(recording, tmp_path: Path) -> None:
-    spans = ("from the start to 0.10 s", "from 0.17 s to 0.25 s", "from 0.45 s to the end")
-    for k, span in zip((0, 2, 5), spans, strict=True):
-        place = recording.data.index(recording.chunks[k][3].data)
-        data = recording.data[:place] + b"?" + recording.data[place + 1 :]
-        with BagReader(write(tmp_path / "bag", data)) as bag:
-            assert len(list(bag.messages())) == (CHUNKS - 1) * MESSAGES
-            assert span in bag.notes[-1], bag.notes
+@pytest.mark.parametrize(
+    ("chunk", "span"),
+    [
+        (0, "from the start to 0.10 s"),
+        (2, "from 0.17 s to 0.25 s"),
+        (5, "from 0.45 s to the end"),
+    ],
+    ids=["first", "middle", "last"],
+)
+def test_a_note_names_the_missing_span(
+    chunk: int, span: str, recording: Recording, tmp_path: Path
+) -> None:
+    place = recording.data.index(recording.chunks[chunk][3].data)
+    data = recording.data[:place] + b"?" + recording.data[place + 1 :]
+    with BagReader(write(tmp_path / "bag", data)) as bag:
+        assert len(list(bag.messages())) == (CHUNKS - 1) * MESSAGES
+        assert span in bag.notes[-1], bag.notes
+
+
+def test_a_note_names_what_was_saved(recording: Recording, tmp_path: Path) -> None:
     cut = recording.ends[2] + 5
     folder = write(tmp_path / "bag", recording.data[:cut])
     with BagReader(folder) as bag:
@@ -225,25 +242,28 @@ def test_notes_name_what_was_saved_and_what_is_missing(recording, tmp_path: Path
     assert f"cut short (no end): {3 * MESSAGES} messages up to " in note
     assert "(0.3 s) were saved, the newest may be missing (5 bytes cannot be read)" in note
     assert read(folder / "bag.mcap") == recording.before(cut)  # a single file
+
+
+def test_what_is_no_mcap_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(TrialError, match="cannot be read"):
         read(write(tmp_path / "bag", b"no MCAP at all, whatever its name says: " * 9))
 
 
-def test_a_file_without_chunks_or_an_index_is_read(tmp_path: Path) -> None:
+@pytest.mark.parametrize("chunked", [False, True], ids=["bare", "chunked"])
+def test_a_file_without_an_index_is_read(chunked: bool, tmp_path: Path) -> None:
     """As `ros2 bag record` writes it with the profile fastwrite, also if it was cut short."""
     bare = {"use_statistics": False, "repeat_channels": False, "repeat_schemas": False}
     expected = sorted(make_messages(), key=lambda message: message.time)
-    for chunked in (False, True):
-        options = {"use_chunking": chunked, "index_types": IndexType.NONE, **bare}
-        path = written_by_mcap(tmp_path / "bag" / "bag.mcap", **options)
-        assert read(path) == expected
-        data = path.read_bytes()
-        path.write_bytes(data[: len(data) // 2])
-        assert 20 < len(read(path)) < 40
+    options = {"use_chunking": chunked, "index_types": IndexType.NONE, **bare}
+    path = written_by_mcap(tmp_path / "bag" / "bag.mcap", **options)
+    assert read(path) == expected
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    assert 20 < len(read(path)) < 40
 
 
-def test_a_trial_cut_short_gives_the_samples_of_the_whole_one(hold, tmp_path) -> None:
-    """And says so once, however often it is read."""
+def test_a_trial_cut_short_gives_its_samples(hold, tmp_path) -> None:
+    """They are those of the whole one; the note comes once, however often it is read."""
     trial, file = Path(shutil.copytree(hold, tmp_path / "hold")), tmp_path / "hold" / "hold.mcap"
     (trial / "metadata.yaml").unlink()
     file.write_bytes(file.read_bytes()[: Recording(file).ends[-8] - 4000])
@@ -257,14 +277,26 @@ def test_a_trial_cut_short_gives_the_samples_of_the_whole_one(hold, tmp_path) ->
     assert note.startswith("the recording hold.mcap was cut short (no end): ")
 
 
-def test_a_recording_killed_while_it_started_holds_nothing(recording, tmp_path: Path) -> None:
+@pytest.mark.parametrize("size", [0, 1, 8, 12, "header - 1", "header"])
+def test_a_recording_without_messages_holds_nothing(
+    size: int | str, recording: Recording, tmp_path: Path
+) -> None:
+    """It was killed while it started."""
     header = header_end(recording.data)
-    for size in (0, 1, 8, 12, header - 1, header):
-        trial = write(tmp_path / "trial", recording.data[:size])
-        with pytest.raises(TrialError, match="holds nothing: "), BagReader(trial):
-            pass
-        assert holds_nothing(trial), size
-    # A piece of a chunk is something, and so is a copy of what metadata.yaml lists.
-    assert not holds_nothing(write(trial, recording.data[: header + 1000]))
+    end = {"header - 1": header - 1, "header": header}[size] if isinstance(size, str) else size
+    trial = write(tmp_path / "trial", recording.data[:end])
+    with pytest.raises(TrialError, match="holds nothing: "), BagReader(trial):
+        pass
+    assert holds_nothing(trial)
+
+
+def test_a_piece_of_a_chunk_is_something(recording: Recording, tmp_path: Path) -> None:
+    header = header_end(recording.data)
+    assert not holds_nothing(write(tmp_path / "trial", recording.data[: header + 1000]))
+
+
+def test_a_listed_file_is_something_even_empty(tmp_path: Path) -> None:
+    """It is a copy of what metadata.yaml lists."""
+    trial = write(tmp_path / "trial", b"")
     (trial / "metadata.yaml").touch()
-    assert not holds_nothing(write(trial, b""))
+    assert not holds_nothing(trial)

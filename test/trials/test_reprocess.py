@@ -18,6 +18,7 @@ from socket_testbed.errors import CalibrationError, ConfigurationError, TestbedE
 from socket_testbed.geometry.marker_bodies import fit_body
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, write_socket
+from socket_testbed.samples import Samples
 from socket_testbed.settings.acquisition import LoadCellSettings
 from socket_testbed.settings.testbed import TestbedSettings, read_testbed, write_testbed
 from socket_testbed.trials import reprocess, synchronise
@@ -88,55 +89,101 @@ def bare(trial: Path, path: Path, name: str = "testbed.yaml") -> Path:
     return path
 
 
-def test_a_wrong_load_cell_and_tare_are_repaired(hold, miswired, right, tmp_path) -> None:
-    file, notes = store(right, tmp_path / "right.yaml"), []
-    true, recorded = Trial(hold).samples(), Trial(miswired).samples()
-    assert np.abs(recorded.wrench - true.wrench).max() > 100.0
-    before = {path.name: path.read_bytes() for path in miswired.iterdir()}
+@pytest.fixture(scope="module")
+def true(hold: Path) -> Samples:
+    """What the right load cell measured."""
+    return Trial(hold).samples()
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_a_wrong_load_cell_matters(miswired: Path, true: Samples) -> None:
+    assert np.abs(Trial(miswired).samples().wrench - true.wrench).max() > 100.0
+
+
+@pytest.mark.parametrize("tare", ["none", "0:5", "recorded"])
+def test_a_wrong_load_cell_is_repaired(
+    tare: str, miswired: Path, true: Samples, right: LoadCellSettings, tmp_path: Path
+) -> None:
+    """The recorded tare was of the hundredth sample's ratios: it is by the new matrix, too."""
     unloaded = true.wrench[true.time <= 5.0].mean(axis=0)
-    # The recorded tare was of the hundredth sample's ratios: it is by the new matrix, too.
-    for tare, offset in (("none", 0.0), ("0:5", unloaded), ("recorded", true.wrench[100])):
-        trial = st.open_trial(miswired, load_cell=file, tare=tare, notify=notes.append)
-        np.testing.assert_allclose(trial.samples().wrench, true.wrench - offset, rtol=0, atol=1e-9)
-    assert "with the tare 0:5: Mx" in notes[1]
-    assert {path.name: path.read_bytes() for path in miswired.iterdir()} == before
-    # Without stored settings ratios are used as they are; a tare alone needs no matrix.
+    offset = {"none": np.zeros(6), "0:5": unloaded, "recorded": true.wrench[100]}[tare]
+    file, before = store(right, tmp_path / "right.yaml"), contents(miswired)
+    notes: list[str] = []
+    trial = st.open_trial(miswired, load_cell=file, tare=tare, notify=notes.append)
+    np.testing.assert_allclose(trial.samples().wrench, true.wrench - offset, rtol=0, atol=1e-9)
+    assert ("with the tare 0:5: Mx" in notes[0]) == (tare == "0:5")
+    assert contents(miswired) == before
+
+
+def test_ratios_without_settings_stay(
+    hold: Path, true: Samples, right: LoadCellSettings, tmp_path: Path
+) -> None:
+    """Without stored settings a new matrix applies to the ratios as they are."""
     path = bare(hold, tmp_path / "hold")
     doubled = dataclasses.replace(right, matrix=tuple(2.0 * np.array(right.matrix)))
     file = store(doubled, tmp_path / "doubled.yaml")
-    cases = ({"load_cell_file": file}, 2.0, 0.0), ({"tare": "0:5"}, 1.0, unloaded)
-    for given, factor, offset in cases:
-        wrench = Trial(path, **given).samples().wrench
-        np.testing.assert_allclose(wrench, factor * true.wrench - offset, rtol=1e-12, atol=1e-9)
+    wrench = Trial(path, load_cell_file=file).samples().wrench
+    np.testing.assert_allclose(wrench, 2.0 * true.wrench, rtol=1e-12, atol=1e-9)
 
 
-def test_what_cannot_be_repaired_is_refused(hold, miswired, right, tmp_path) -> None:
-    file = store(right, tmp_path / "right.yaml")
-    old = rewrite(hold, tmp_path / "old", lambda name, m: None if name == "/load_cell/raw" else m)
-    unknown, other = bare(miswired, tmp_path / "unknown"), bare(miswired, tmp_path / "other")
-    store(right, other / "testbed.yaml")
-    for path, given, text in (
-        (old, {"tare": "none"}, "old: holds no 'load_cell/raw'"),
-        (unknown, {"load_cell_file": file}, "does not store the load cell's matrix"),
-        (other, {"load_cell_file": file}, "load cell does not match the recorded wrenches"),
-        (hold, {"tare": "100:110"}, "holds no wrench: give seconds since the first sample"),
-        (hold, {"tare": "0:30"}, "--tare 0:30: Fz moves by"),
-    ):
-        with refused(TestbedError, text):
-            Trial(path, **given).samples()
+def test_a_tare_alone_needs_no_matrix(hold: Path, true: Samples, tmp_path: Path) -> None:
+    path = bare(hold, tmp_path / "hold")
+    unloaded = true.wrench[true.time <= 5.0].mean(axis=0)
+    wrench = Trial(path, tare="0:5").samples().wrench
+    np.testing.assert_allclose(wrench, true.wrench - unloaded, rtol=1e-12, atol=1e-9)
 
 
-def test_results_depend_on_load_cell_tare_and_spans_and_models_remember_them(
+@pytest.fixture(scope="module")
+def repairs(
+    hold: Path, miswired: Path, right: LoadCellSettings, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """A folder of trials that cannot be repaired by its file `right.yaml`."""
+    folder = tmp_path_factory.mktemp("repairs")
+    store(right, folder / "right.yaml")
+    rewrite(hold, folder / "old", lambda name, m: None if name == "/load_cell/raw" else m)
+    bare(miswired, folder / "unknown")
+    store(right, bare(miswired, folder / "other") / "testbed.yaml")
+    (folder / "hold").symlink_to(hold)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("name", "tare", "says"),
+    [
+        ("old", "none", "old: holds no 'load_cell/raw'"),
+        ("unknown", "", "does not store the load cell's matrix"),
+        ("other", "", "load cell does not match the recorded wrenches"),
+        ("hold", "100:110", "holds no wrench: give seconds since the first sample"),
+        ("hold", "0:30", "--tare 0:30: Fz moves by"),
+    ],
+    ids=["no ratios", "unknown matrix", "other matrix", "tare after the end", "tare under load"],
+)
+def test_what_cannot_be_repaired_is_refused(name: str, tare: str, says: str, repairs: Path) -> None:
+    given = {"tare": tare} if tare else {"load_cell_file": repairs / "right.yaml"}
+    with refused(TestbedError, says):
+        Trial(repairs / name, **given).samples()
+
+
+def test_a_model_remembers_its_trial_s_repairs(
     hold: Path, right: LoadCellSettings, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """A model is fitted again if they change."""
     (tmp_path / "study").mkdir()
     (tmp_path / "study" / "hold").symlink_to(hold)
     file, model = store(right, tmp_path / "right.yaml"), tmp_path / "models" / "hold.json"
     words = ["fit", tmp_path / "study", "-o", model.parent, "--jobs", "1"]
     words += ["--tare", "0:5", "--unloaded", "0:3"]
-    for given, text in (([], "ok, "), ([], "skipped"), (["--load-cell", file], "ok, ")):
+
+    def assert_fit(state: str, *given: object) -> None:
         _, out, err = call(capsys, *words, *given)
-        assert f"hold: {text}" in out and "recomputed from load_cell/raw" in err
+        assert f"hold: {state}" in out and "recomputed from load_cell/raw" in err
+
+    assert_fit("ok, ")
+    assert_fit("skipped")
+    assert_fit("ok, ", "--load-cell", file)
     trial = json.loads(model.read_text())["trial"]
     found = trial["tare"], trial["load_cell"], trial["unloaded"]
     assert found == ("0:5", str(file), [[0.0, 3.0]])
@@ -158,7 +205,7 @@ def moved_marker(by: float) -> SocketGeometry:
     return dataclasses.replace(GEOMETRY, socket_markers=markers)
 
 
-@pytest.mark.parametrize("by", [0.005, 0.001])
+@pytest.mark.parametrize("by", [0.005, 0.001], ids=["5 mm", "1 mm"])
 def test_a_marker_that_was_registered_wrong_is_repaired(hold, tmp_path, by) -> None:
     """Wrong by 5 mm it has no pose, by 1 mm a wrong one."""
     path, notes = recorded_with(hold, tmp_path / "trial", moved_marker(by)), []
@@ -263,18 +310,36 @@ def test_a_baseline_takes_off_earlier_drift(hold: Path, measured: synchronise.Me
     np.testing.assert_array_equal(corrected.capacitance, expected.capacitance)
 
 
-def test_spans_under_load_are_refused(hold: Path, measured: synchronise.Measurements) -> None:
-    for spans in (((25.0, 30.0),), ((0.0, 5.0), (25.0, 30.0))):
-        with refused(TrialError, "25:30 is not without load", "279 N there: ", " 92 N"):
-            Trial(hold, unloaded=spans).samples()
+@pytest.mark.parametrize(
+    "spans", [((25.0, 30.0),), ((0.0, 5.0), (25.0, 30.0))], ids=["first", "second"]
+)
+def test_a_span_under_load_is_refused(spans: tuple, hold: Path) -> None:
+    with refused(TrialError, "25:30 is not without load", "279 N there: ", " 92 N"):
+        Trial(hold, unloaded=spans).samples()
+
+
+def test_a_dead_channel_hides_no_load(hold: Path, measured: synchronise.Measurements) -> None:
     dead = dataclasses.replace(measured, wrench=measured.wrench * [1, 1, 1, np.nan, 1, 1])
     with refused(TrialError, "25:30 is not without load"):
         correct(Trial(hold, unloaded=((25.0, 30.0),)), dead)
+
+
+def test_a_span_without_samples_is_refused(hold: Path, measured: synchronise.Measurements) -> None:
     with refused(CalibrationError, "from 900 s to 901 s", "too few"):
         correct(Trial(hold, unloaded=((900.0, 901.0),)), measured)
+
+
+def test_one_span_corrects_no_cluster_without_baseline(hold: Path) -> None:
     notes: list[str] = []
     Trial(hold, notify=notes.append, unloaded=((0.0, 3.0),)).samples()
     assert len(notes) == 2 and "distal is not corrected: give a second span" in notes[1]
-    for wrong in (["8:2"], ["nan:1"], ["0:1", "2:3", "4:5"], ["0:5", "3:8"]):
-        with refused(ConfigurationError, "--unloaded"):
-            Trial(hold, unloaded=reprocess.parse_unloaded(wrong))
+
+
+@pytest.mark.parametrize(
+    "spans",
+    [["8:2"], ["nan:1"], ["0:1", "2:3", "4:5"], ["0:5", "3:8"]],
+    ids=["reversed", "not a number", "three", "overlapping"],
+)
+def test_wrong_spans_are_refused(spans: list[str], hold: Path) -> None:
+    with refused(ConfigurationError, "--unloaded"):
+        Trial(hold, unloaded=reprocess.parse_unloaded(spans))

@@ -4,6 +4,7 @@ import re
 import shutil
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -19,95 +20,209 @@ from support.wording import refused
 
 import socket_testbed as st
 from socket_testbed.errors import TrialError
-from socket_testbed.samples import Status
+from socket_testbed.samples import Samples, Status
 from socket_testbed.simulation.trial import read_true_forces, read_truth
 from socket_testbed.trials import bag, messages, topics
 from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage
 from socket_testbed.trials.cdr import Layout, decode, stamp_of
+from socket_testbed.trials.synchronise import Measurements
 from socket_testbed.trials.trial import Trial, recorded_namespace
 
 
-def test_samples_agree_with_the_truth_within_the_sensors_errors(hold: Path) -> None:
-    samples, truth = Trial(hold).samples(), read_truth(hold)
+@pytest.fixture(scope="module", autouse=True)
+def small_blocks() -> Iterator[None]:
+    """Blocks end often, and layouts are forgotten."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bag, "_BLOCK_SIZE", 7)
+        patch.setattr(messages, "_MAX_LAYOUTS", 3)
+        yield
+
+
+@pytest.fixture(scope="module")
+def samples(hold: Path) -> Samples:
+    """The samples of the hold; nobody changes them."""
+    return Trial(hold).samples()
+
+
+CLUSTERS = ["brim_lateral", "mid_anterior", "posterior_distal", "distal"]
+
+
+def test_most_samples_have_pose_and_wrench(samples: Samples) -> None:
+    assert samples.has_pose_and_wrench.mean() > 0.95
+
+
+def test_wrenches_agree_with_the_truth(hold: Path, samples: Samples) -> None:
+    """Within the load cell's errors."""
     rows = samples.has_pose_and_wrench
-    assert rows.mean() > 0.95
-    assert np.abs(samples.wrench[rows] - truth.wrench[rows]).max() < 5.0
-    shift = samples.position[rows] - truth.position[rows]
+    assert np.abs(samples.wrench[rows] - read_truth(hold).wrench[rows]).max() < 5.0
+
+
+def test_positions_agree_with_the_truth(hold: Path, samples: Samples) -> None:
+    """Within the errors of the motion capture, but for a constant shift."""
+    rows = samples.has_pose_and_wrench
+    shift = samples.position[rows] - read_truth(hold).position[rows]
     assert np.abs(shift - shift.mean(axis=0)).max() < 2e-3
+
+
+@pytest.mark.parametrize("cluster", CLUSTERS)
+def test_local_forces_agree_with_the_truth(cluster: str, hold: Path, samples: Samples) -> None:
+    """Within the errors of the clusters."""
     geometry = Trial(hold).geometry
     forces = read_true_forces(hold, samples.stamps, geometry.names)
     assert forces is not None and forces.shape == (len(samples), len(geometry.names), 3)
-    for column, cluster in enumerate(samples.clusters):
-        tile = geometry.clusters[cluster]
-        actual = forces[:, tile] @ geometry.rotations[tile]
-        assert np.abs(samples.local_forces[:, column] - actual).max() < 8.0
-    # True forces are those of the simulated tiles alone.
-    assert read_true_forces(hold, samples.stamps, [*geometry.names[:-1], "another"]) is None
+    tile = geometry.clusters[cluster]
+    actual = forces[:, tile] @ geometry.rotations[tile]
+    found = samples.local_forces[:, samples.clusters.index(cluster)]
+    assert np.abs(found - actual).max() < 8.0
 
 
-def test_a_topic_that_is_missing_or_empty_is_named(hold: Path, tmp_path: Path) -> None:
+def test_other_tiles_have_no_true_forces(hold: Path, samples: Samples) -> None:
+    names = [*Trial(hold).geometry.names[:-1], "another"]
+    assert read_true_forces(hold, samples.stamps, names) is None
+
+
+# --- topics that are missing or empty
+
+
+@dataclass
+class Recording:
+    """What a bag holds: the name of each topic, and the first messages."""
+
+    names: dict[topics.Topic, str]
+    raws: list[RawMessage]
+
+    def without(self, topic: topics.Topic, path: Path, declared: bool) -> Path:
+        """The recording without a topic's messages, or without the topic."""
+        with BagWriter(path) as new:
+            for kept, name in self.names.items():
+                if kept is not topic or declared:
+                    new.add_topic(name, kept)
+            for raw in self.raws:
+                if raw.topic != self.names[topic]:
+                    new.write(raw.topic, raw.time, raw.data)
+        return path
+
+
+@pytest.fixture(scope="module")
+def recording(hold: Path) -> Recording:
     with BagReader(hold) as old:
-        names, raws = topics.match_topics(old.types, "hold"), list(old.messages())
-    for topic in topics.REQUIRED:
-        for declared, says in ((False, f"has no topic '{topic.name}'"), (True, "holds no message")):
-            target = tmp_path / f"{topic.name.replace('/', '_')}_{declared}"
-            with BagWriter(target) as new:
-                for kept, name in names.items():
-                    if kept is not topic or declared:
-                        new.add_topic(name, kept)
-                for raw in raws[:700]:
-                    if raw.topic != names[topic]:
-                        new.write(raw.topic, raw.time, raw.data)
-            if topic not in topics.POSES.values():
-                with refused(TrialError, target.name, says):
-                    Trial(target).samples()
-                continue
-            # Without motion capture there is a map, but no motion.
-            trial = Trial(target, hold / "socket.yaml", hold / "calibration.yaml")
-            assert not trial.samples().has_pose.any()
-            assert any("no limb positions" in note for note in trial.notes)
-            assert st.pressure(trial, "all").regions["peak pressure [kPa]"].notna().all()
+        return Recording(topics.match_topics(old.types, "hold"), list(old.messages())[:700])
 
 
-def test_metadata_that_is_missing_or_promises_other_counts(hold: Path, tmp_path: Path) -> None:
-    target = Path(shutil.copytree(hold, tmp_path / "hold"))
-    file, recording = target / "metadata.yaml", target / "hold.mcap"
-    text, data = file.read_text(), recording.read_bytes()
-    file.unlink()
-    assert len(Trial(target).samples()) == 240
-    lz4 = text.replace("compression_format: ''", "compression_format: lz4")
-    for wrong, says in (
-        (text.replace("message_count: 240", "message_count: 241"), "lists 241 messages"),
-        (text.replace("message_count: 240", "message_count: 239"), "the storage file holds 240"),
-        (text.replace("name: ", "nam: "), "is not rosbag2 metadata"),
-        (lz4, "is compressed with 'lz4'"),
-    ):
-        file.write_text(wrong)
-        with refused(TrialError, str(target), says, "ros2 bag "):
-            Trial(target).samples()
-    # A recording that was cut short may hold fewer.
-    file.write_text(text.replace("message_count: 240", "message_count: 241"))
-    recording.write_bytes(data[:-1])
-    with BagReader(target) as bag:
+POSES = [topic for topic in topics.REQUIRED if topic in topics.POSES.values()]
+OTHERS = [topic for topic in topics.REQUIRED if topic not in POSES]
+
+
+@pytest.mark.parametrize("declared", [False, True], ids=["missing", "empty"])
+@pytest.mark.parametrize("topic", OTHERS, ids=lambda topic: topic.name)
+def test_a_topic_without_messages_is_named(
+    topic: topics.Topic, declared: bool, recording: Recording, tmp_path: Path
+) -> None:
+    target = recording.without(topic, tmp_path / "cut", declared)
+    says = "holds no message" if declared else f"has no topic '{topic.name}'"
+    with refused(TrialError, target.name, says):
+        Trial(target).samples()
+
+
+@pytest.mark.parametrize("declared", [False, True], ids=["missing", "empty"])
+@pytest.mark.parametrize("topic", POSES, ids=lambda topic: topic.name)
+def test_pressure_needs_no_motion_capture(
+    topic: topics.Topic, declared: bool, recording: Recording, hold: Path, tmp_path: Path
+) -> None:
+    """Without motion capture there is a map, but no motion."""
+    target = recording.without(topic, tmp_path / "cut", declared)
+    trial = Trial(target, hold / "socket.yaml", hold / "calibration.yaml")
+    assert not trial.samples().has_pose.any()
+    assert any("no limb positions" in note for note in trial.notes)
+    assert st.pressure(trial, "all").regions["peak pressure [kPa]"].notna().all()
+
+
+# --- metadata
+
+
+@pytest.fixture
+def copied(hold: Path, tmp_path: Path) -> Path:
+    """A copy of the hold, to change."""
+    return Path(shutil.copytree(hold, tmp_path / "hold"))
+
+
+def change_metadata(trial: Path, text: str, other: str) -> None:
+    file = trial / "metadata.yaml"
+    before = file.read_text()
+    assert text in before
+    file.write_text(before.replace(text, other))
+
+
+def test_a_trial_needs_no_bag_metadata(copied: Path) -> None:
+    (copied / "metadata.yaml").unlink()
+    assert len(Trial(copied).samples()) == 240
+
+
+@pytest.mark.parametrize(
+    ("text", "other", "says"),
+    [
+        ("message_count: 240", "message_count: 241", "lists 241 messages"),
+        ("message_count: 240", "message_count: 239", "the storage file holds 240"),
+        ("name: ", "nam: ", "is not rosbag2 metadata"),
+        ("compression_format: ''", "compression_format: lz4", "is compressed with 'lz4'"),
+    ],
+    ids=["too few messages", "too many messages", "other format", "lz4"],
+)
+def test_wrong_bag_metadata_are_refused(text: str, other: str, says: str, copied: Path) -> None:
+    change_metadata(copied, text, other)
+    with refused(TrialError, str(copied), says, "ros2 bag "):
+        Trial(copied).samples()
+
+
+def test_a_recording_cut_short_may_hold_fewer(copied: Path) -> None:
+    change_metadata(copied, "message_count: 240", "message_count: 241")
+    recording = copied / "hold.mcap"
+    recording.write_bytes(recording.read_bytes()[:-1])
+    with BagReader(copied) as bag:
         assert "cut short" in bag.notes[0] and "copy the trial again" in bag.notes[1]
 
 
-def test_topics_are_found_in_the_namespace_of_the_recording(hold: Path, tmp_path: Path) -> None:
+# --- namespaces
+
+
+def test_a_namespace_changes_no_sample(hold: Path, samples: Samples, tmp_path: Path) -> None:
     lab = bags.add_events(hold, tmp_path / "lab", [], "/lab")
     assert (recorded_namespace(lab), recorded_namespace(Trial(hold))) == ("/lab", "/")
-    np.testing.assert_array_equal(lab.samples().values, Trial(hold).samples().values)
+    np.testing.assert_array_equal(lab.samples().values, samples.values)
+
+
+def test_two_topics_of_one_name_are_refused() -> None:
     with refused(TrialError, "two topics"):
         topics.match_topics(dict.fromkeys(["/a/trigger", "/b/trigger"], topics.TRIGGER.type), "bag")
-    types = {"/camera/trigger": "std_msgs/msg/Bool", "/lab/trigger": topics.TRIGGER.type}
-    types |= {f"{arm}/diagnostics": topics.DIAGNOSTICS.type for arm in ("", "/arm")}
-    for listed in (types, dict(reversed(types.items()))):  # another program's counts for nothing
-        assert topics.match_topics(listed, "bag")[topics.TRIGGER] == "/lab/trigger"
 
 
-def test_stamps_that_jump_back_are_counted_and_named(hold: Path, tmp_path: Path) -> None:
-    notes, seen = [], []
+TYPES = {
+    "/camera/trigger": "std_msgs/msg/Bool",
+    "/lab/trigger": topics.TRIGGER.type,
+    "/diagnostics": topics.DIAGNOSTICS.type,
+    "/arm/diagnostics": topics.DIAGNOSTICS.type,
+}
+
+
+@pytest.mark.parametrize(
+    "listed", [TYPES, dict(reversed(TYPES.items()))], ids=["forwards", "backwards"]
+)
+def test_topics_of_other_programs_are_passed_over(listed: dict[str, str]) -> None:
+    assert topics.match_topics(listed, "bag")[topics.TRIGGER] == "/lab/trigger"
+
+
+# --- stamps
+
+
+def test_sound_stamps_need_no_note(hold: Path) -> None:
+    notes: list[str] = []
     Trial(hold, notify=notes.append).samples()
     assert notes == []
+
+
+def test_stamps_that_jump_back_are_counted(hold: Path, tmp_path: Path) -> None:
+    notes: list[str] = []
+    seen: list[int] = []
 
     def change(topic: str, message: Any) -> Any:
         if topic == "/load_cell/wrench":
@@ -136,42 +251,59 @@ def written(source: Path, path: Path, *how: StoragePlugin | CompressionMode) -> 
     return bags.copy_configuration(source, path)
 
 
-def test_a_compressed_trial_gives_the_samples_of_the_plain_one(hold: Path, tmp_path: Path) -> None:
-    expected = Trial(hold).samples().values
-    for storage, mode in product(StoragePlugin, CompressionMode):
-        if (storage, mode) == (StoragePlugin.SQLITE3, CompressionMode.STORAGE):
-            continue  # its storage has no chunks
-        path = written(hold, tmp_path / f"{storage.name}_{mode.name}", storage, mode)
-        np.testing.assert_array_equal(Trial(path).samples().values, expected)
-        (path / "metadata.yaml").unlink()
-        np.testing.assert_array_equal(Trial(path).samples().values, expected)
-    journal = tmp_path / "SQLITE3_NONE" / "SQLITE3_NONE.db3-wal"
+PACKED = [
+    (storage, mode)
+    for storage, mode in product(StoragePlugin, CompressionMode)
+    # The storage of SQLite has no chunks.
+    if (storage, mode) != (StoragePlugin.SQLITE3, CompressionMode.STORAGE)
+]
+
+
+@pytest.mark.parametrize(
+    ("storage", "mode"), PACKED, ids=[f"{storage.name}-{mode.name}" for storage, mode in PACKED]
+)
+def test_compression_changes_no_sample(
+    storage: StoragePlugin, mode: CompressionMode, hold: Path, samples: Samples, tmp_path: Path
+) -> None:
+    path = written(hold, tmp_path / "packed", storage, mode)
+    np.testing.assert_array_equal(Trial(path).samples().values, samples.values)
+    (path / "metadata.yaml").unlink()
+    np.testing.assert_array_equal(Trial(path).samples().values, samples.values)
+
+
+def test_a_journal_is_a_note(hold: Path, tmp_path: Path) -> None:
+    path = written(hold, tmp_path / "packed", StoragePlugin.SQLITE3, CompressionMode.NONE)
+    (path / "metadata.yaml").unlink()
+    journal = path / "packed.db3-wal"
     journal.write_bytes(b"some messages")
-    with BagReader(journal.parent) as reader:
+    with BagReader(path) as reader:
         assert any(f"{journal.name}, which may hold" in note for note in reader.notes)
 
 
-def test_a_compressed_file_that_was_cut_or_is_too_large_names_itself(hold, tmp_path, monkeypatch):
+@pytest.fixture
+def packed(hold: Path, tmp_path: Path) -> Path:
+    """The compressed file of a trial."""
     path = written(hold, tmp_path / "packed", StoragePlugin.MCAP, CompressionMode.FILE)
-    file = path / "packed.mcap.zstd"
-    whole = file.read_bytes()
-    file.write_bytes(whole[: len(whole) // 3])
-    with refused(TrialError, f"{file}: is truncated"):
-        Trial(path).samples()
-    file.write_bytes(zstd.compress(bytes(2**25)))
+    return path / "packed.mcap.zstd"
+
+
+def test_a_compressed_file_that_was_cut_is_named(packed: Path) -> None:
+    whole = packed.read_bytes()
+    packed.write_bytes(whole[: len(whole) // 3])
+    with refused(TrialError, f"{packed}: is truncated"):
+        Trial(packed.parent).samples()
+
+
+def test_a_file_too_large_once_unpacked_is_named(
+    packed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    packed.write_bytes(zstd.compress(bytes(2**25)))
     monkeypatch.setattr(bag, "_MAX_UNPACKED", 2**20)
-    with refused(TrialError, str(file), "too large once unpacked"):
-        Trial(path).samples()
+    with refused(TrialError, str(packed), "too large once unpacked"):
+        Trial(packed.parent).samples()
 
 
 # --- messages in blocks are read as the library decodes them, one by one
-
-
-@pytest.fixture(autouse=True)
-def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Blocks end often, and layouts are forgotten."""
-    monkeypatch.setattr(bag, "_BLOCK_SIZE", 7)
-    monkeypatch.setattr(messages, "_MAX_LAYOUTS", 3)
 
 
 def plainly_read(path: Path) -> dict[str, dict[int, Any]]:
@@ -219,45 +351,85 @@ def mixed(messages: Iterable[RawMessage]) -> Iterator[RawMessage]:
             yield raw._replace(time=raw.time + 1, data=data)
 
 
-def test_measurements_of_mixed_messages(hold: Path, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def mixed_trial(hold: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("mixed") / "mixed"
     with BagReader(hold) as bag:
-        messages = mixed(bag.messages())
-        path = bags.written_by_rosbags(messages, tmp_path / "mixed", StoragePlugin.SQLITE3)
-    bags.copy_configuration(hold, path)
-    expected, found = plainly_read(path), Trial(path).measurements()
-    tables = {topics.WRENCH.name: found.wrench, topics.SOCKET_POSE.name: found.socket}
-    tables[topics.PYLON_POSE.name] = found.pylon
-    tables[topics.TRIGGER.name] = np.empty((len(found.stamps), 0))
+        bags.written_by_rosbags(mixed(bag.messages()), path, StoragePlugin.SQLITE3)
+    return bags.copy_configuration(hold, path)
+
+
+@pytest.fixture(scope="module")
+def expected(mixed_trial: Path) -> dict[str, dict[int, Any]]:
+    """The numbers of mixed messages as the library reads them."""
+    return plainly_read(mixed_trial)
+
+
+@pytest.fixture(scope="module")
+def found(mixed_trial: Path) -> Measurements:
+    """The numbers of mixed messages as the product reads them."""
+    return Trial(mixed_trial).measurements()
+
+
+def tables_of(found: Measurements) -> dict[str, np.ndarray]:
+    """Rows by stamp, for each topic and cluster."""
     readings = np.concatenate([found.capacitance, found.status], axis=2)
-    tables |= dict(zip(found.clusters, readings.swapaxes(0, 1), strict=True))
-    assert expected.keys() == tables.keys()
+    return {
+        topics.WRENCH.name: found.wrench,
+        topics.SOCKET_POSE.name: found.socket,
+        topics.PYLON_POSE.name: found.pylon,
+        topics.TRIGGER.name: np.empty((len(found.stamps), 0)),
+        **dict(zip(found.clusters, readings.swapaxes(0, 1), strict=True)),
+    }
+
+
+SOURCES = [topics.WRENCH, topics.SOCKET_POSE, topics.PYLON_POSE, topics.TRIGGER]
+
+
+def test_mixed_messages_have_the_library_s_stamps(expected: dict, found: Measurements) -> None:
+    assert expected.keys() == tables_of(found).keys() == {*CLUSTERS, *(t.name for t in SOURCES)}
     assert found.stamps.tolist() == sorted({stamp for own in expected.values() for stamp in own})
-    for name, table in tables.items():
-        missing = [np.nan] * table.shape[1]
-        if name in found.clusters:
-            missing[4:] = [Status.MISSING] * 4
-        rows = [expected[name].get(stamp, missing) for stamp in found.stamps.tolist()]
-        np.testing.assert_array_equal(table, np.array(rows).reshape(table.shape), name)
 
 
-def test_a_message_that_cannot_be_decoded_is_named(hold: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", [*(topic.name for topic in SOURCES), *CLUSTERS])
+def test_mixed_messages_have_the_library_s_numbers(
+    name: str, expected: dict, found: Measurements
+) -> None:
+    table = tables_of(found)[name]
+    missing = [np.nan] * table.shape[1]
+    if name in found.clusters:
+        missing[4:] = [Status.MISSING] * 4
+    rows = [expected[name].get(stamp, missing) for stamp in found.stamps.tolist()]
+    np.testing.assert_array_equal(table, np.array(rows).reshape(table.shape))
+
+
+def test_a_message_that_cannot_be_decoded_is_named(
+    hold: Path, samples: Samples, tmp_path: Path
+) -> None:
     with bags.copying(hold, tmp_path / "torn") as (old, new):
         for number, raw in enumerate(old.messages()):
             new.write(raw.topic, raw.time, raw.data[:-9] if number == 500 else raw.data)
     trial = st.open_trial(tmp_path / "torn", notify=None)
-    assert len(trial.samples()) == len(Trial(hold).samples())
+    assert len(trial.samples()) == len(samples)
     (note,) = trial.notes
     assert re.search(r"^1 times .*torn: a message on \S+ cannot be decoded.*: left out$", note)
 
 
-def test_any_other_byte_is_read_as_the_library_reads_it() -> None:
+def test_a_layout_fits_messages_of_its_form() -> None:
+    kind = topics.CAPACITANCE.type
+    message = Maker(7, 0).message(kind)
+    raw = encode(message, kind, True)
+    other = encode(message, kind, False)
+    records, fits = Layout(raw, kind).records([raw[:-1], raw, b"", other, raw])
+    assert fits.tolist() == [False, True, False, False, True] and len(records) == 2
+
+
+def test_changed_bytes_are_read_as_by_the_library() -> None:
     """A message with one byte changed fits if only numbers or what aligns them changed."""
     kind = topics.CAPACITANCE.type
     message = Maker(7, 0).message(kind)
     raw = encode(message, kind, True)
     layout, before = Layout(raw, kind), strings_of(decode(raw, kind), kind)
-    records, fits = layout.records([raw[:-1], raw, b"", encode(message, kind, False), raw])
-    assert fits.tolist() == [False, True, False, False, True] and len(records) == 2
     outcomes = set()
     for at in range(len(raw)):
         changed = bytearray(raw)
