@@ -82,7 +82,7 @@ def test_drop_outs_are_counted_by_measurement(samples: Samples) -> None:
     }.items():
         np.testing.assert_allclose(frame.loc[name].to_numpy(float), row, err_msg=name)
     cells = dict(table.rows)
-    assert cells["Fx"] == ("2", "16.67", "1", "0.75", "–", "–")
+    assert cells["Fx"] == ("2", "16.67", "1", "0.75", *2 * ("\N{EN DASH}",))
     assert "of them in the segment [1]" not in description.drop_outs(samples).frame
 
 
@@ -212,7 +212,7 @@ def test_a_tare_s_span_holds_a_resting_load() -> None:
     ("by", "differ"), [(0.9e-6, ()), (1.2e-6, ("socket",))], ids=["same", "other"]
 )
 def test_markers_differ_by_more_than_a_micrometre(by: float, differ: tuple[str, ...]) -> None:
-    moved = GEOMETRY.socket_markers + [0.0, by, 0.0]
+    moved = GEOMETRY.socket_markers + np.array([0.0, by, 0.0])
     other = replace(GEOMETRY, socket_markers=moved)
     assert reprocess.other_markers(GEOMETRY, other) == differ
     fewer = replace(GEOMETRY, pylon_markers=np.vstack([GEOMETRY.pylon_markers, [[1.0, 1.0, 1.0]]]))
@@ -226,8 +226,8 @@ def test_a_refit_tells_how_far_poses_moved() -> None:
     """
     given = measured()
     turn = Rotation.from_rotvec([0.0, 0.0, 3e-3]).as_matrix()
-    seen = np.tile(GEOMETRY.socket_markers @ turn.T + [2e-3, 0.0, 0.0], (9, 1, 1))
-    seen[0] = GEOMETRY.socket_markers + [0.0, 4e-3, 0.0]
+    seen = np.tile(GEOMETRY.socket_markers @ turn.T + np.array([2e-3, 0.0, 0.0]), (9, 1, 1))
+    seen[0] = GEOMETRY.socket_markers + np.array([0.0, 4e-3, 0.0])
     seen[1] = np.nan
     socket = given.socket.copy()
     socket[2] = np.nan
