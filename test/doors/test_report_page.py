@@ -5,13 +5,17 @@ Pressures are over the whole trial, models are fitted on its first half by hand:
 """
 
 import json
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import pytest
+import trimesh
 from support import scene
+from support.pages import Page
 from support.results_by_hand import tile
 
+from socket_testbed.report.page import write_socket_page
 from socket_testbed.report.write import summarise
 
 NOTHING = "\N{EN DASH}"
@@ -135,6 +139,17 @@ def test_the_limb_moves_as_it_is_suspended(title: str, report) -> None:
     assert value in LIMB[title]
 
 
+def test_uncertain_cells_look_so(report) -> None:
+    """And only they: of cells that name an interval."""
+    cells = [cell for table in report.page.tables.values() for row in table for cell in row]
+    named = sum(cell.endswith(", uncertain") for cell in cells)
+    marked = sum(
+        tag == "td" and attributes.get("class") == "uncertain"
+        for tag, attributes in report.page.tags
+    )
+    assert marked == named > 10
+
+
 def test_the_pressure_is_said_in_words(report) -> None:
     assert summarise(report.results)[0] == (
         "Pressure over the segment, with 95 % intervals: peak pressure 60.0 (57.6 to 62.5) kPa;"
@@ -226,6 +241,7 @@ def test_the_mean_is_grey_where_it_is_uncertain(data: dict[str, Any]) -> None:
 
 def test_the_course_holds_load_and_peak(data: dict[str, Any]) -> None:
     course = data["course"]
+    assert len(course["time"]) == 96  # up to 150 samples are all shown
     row = course["time"].index(12.0)
     assert course["force"][row] == 90.0
     assert [course[name][row] for name in ("low", "peak", "high")] == [57.55, 60.0, 62.45]
@@ -715,3 +731,23 @@ def test_the_settings_are_those_in_use(report) -> None:
     rows = report.page.rows("settings")
     assert rows["identification.frames"] == ["48"]
     assert rows["identification.leave_out"] == ["distal.Fx"]
+
+
+# --- the page of a socket alone
+
+
+def test_a_socket_s_page_has_areas_and_heights(tmp_path: Path) -> None:
+    """16 cm^2 at 120 mm above the distal end, 9 cm^2 on the end."""
+    path = tmp_path / "socket.html"
+    mesh = trimesh.creation.icosphere(1, radius=0.05)
+    write_socket_page(mesh, scene.geometry(), path, "a socket", [("tiles", "12")])
+    page = Page(path.read_text(encoding="utf-8"))
+    extras = json.loads(page.script("page-data"))["extras"]
+    area, height = extras["area [mm^2]"], extras["height [mm]"]
+    assert (area["unit"], height["unit"]) == ("mm²", "mm")
+    assert area["values"][tile("left_prox")] == pytest.approx(1600.0)
+    assert area["values"][tile("ant_mid")] == pytest.approx(900.0)
+    assert height["values"][tile("left_prox")] == pytest.approx(120.0)
+    assert height["values"][tile("ant_mid")] == pytest.approx(60.0)
+    assert height["values"][tile("right_end")] == pytest.approx(0.0, abs=1e-9)
+    assert page.rows("facts")["tiles"] == ["12"]
