@@ -59,93 +59,172 @@ def test_an_example_runs(name: str, folder: Path, monkeypatch) -> None:
     assert failed == 0, "".join(said)
 
 
-def test_the_verbs_write_the_same_bytes(folder, tmp_path, monkeypatch, capsys) -> None:
-    monkeypatch.chdir(tmp_path)
-    for path in (*folder.iterdir(), *(folder / "trials").iterdir()):
-        Path(path.name).symlink_to(path)
-    fitted = st.fit("hold", "20:35", variant="stiffness", leave_out=["Mz"])
-    fitted.save("api.json")
-    st.evaluate("walk", fitted, "all", pressure=True).save("api.errors")
-    st.pareto("hold", "20:35", thetas=3, smoothness=1e-4, leave_out=["Mz"]).save("api.front.csv")
-    about = (0.02, -0.01, 0.4)
-    st.export("hold", "api.csv", "20:35", fitted, force_map=True, pressure=True, about=about)
-    st.export("hold", "api.cycles.csv", cycles="placed:removed")
-    st.force_map("hold", "20:35").save("api.map.csv")
-    found = st.pressure("hold", "20:35", share=0.01)
-    found.save("api.time.csv", over_time=True)
-    of_region = found.over_time()["distal.shear [kPa]"]  # a tile has the name, too
+@pytest.fixture(scope="module")
+def workplace(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, st.TrialFit]:
+    """A folder with links to the examples, and a model of the hold, there in `model.json`."""
+    path = tmp_path_factory.mktemp("verbs")
+    for example in (*folder.iterdir(), *(folder / "trials").iterdir()):
+        (path / example.name).symlink_to(example)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(path)
+        fitted = st.fit("hold", "20:35", variant="stiffness", leave_out=["Mz"])
+        fitted.save("model.json")
+    return path, fitted
+
+
+ABOUT = (0.02, -0.01, 0.4)  # [m]
+SAME = {  # by output: what the API writes, and the line of the verb
+    "json": (
+        lambda out, fitted: fitted.save(out),
+        "fit hold --segment 20:35 --leave-out Mz --variant stiffness",
+    ),
+    "errors": (
+        lambda out, fitted: st.evaluate("walk", fitted, "all", pressure=True).save(out),
+        "evaluate walk --model model.json --segment all --pressure",
+    ),
+    "front.csv": (
+        lambda out, _: st.pareto("hold", "20:35", thetas=3, smoothness=1e-4, leave_out=["Mz"]).save(
+            out
+        ),
+        "pareto hold --segment 20:35 --leave-out Mz --thetas 3 --smoothness 1e-4",
+    ),
+    "csv": (
+        lambda out, fitted: st.export(
+            "hold", out, "20:35", fitted, force_map=True, pressure=True, about=ABOUT
+        ),
+        "export hold --segment 20:35 --model model.json --map --pressure --about 0.02 -0.01 0.4",
+    ),
+    "cycles.csv": (
+        lambda out, _: st.export("hold", out, cycles="placed:removed"),
+        "export hold --cycles placed:removed",
+    ),
+    "map.csv": (
+        lambda out, _: st.force_map("hold", "20:35").save(out),
+        "map hold --segment 20:35",
+    ),
+    "time.csv": (
+        lambda out, _: st.pressure("hold", "20:35", share=0.01).save(out, over_time=True),
+        "pressure hold --segment 20:35 --share 0.01 --over-time",
+    ),
+    "compared.csv": (
+        lambda out, _: st.compare("hold", "walk", segment="15:17", threshold=20.0).save(out),
+        "compare hold walk --segment 15:17 --threshold 20",
+    ),
+    "calibration": (
+        lambda out, _: st.calibrate("bench.csv", "distal", wiring=(2, 3, 0, 1)).save(out),
+        "calibrate bench.csv --cluster distal --wiring 2 3 0 1",
+    ),
+    "socket": (
+        lambda out, _: st.register("take.csv", "landmarks.yaml", "old_socket.yaml", out),
+        "register take.csv --landmarks landmarks.yaml --socket old_socket.yaml",
+    ),
+}
+
+
+@pytest.mark.parametrize("output", SAME)
+def test_a_verb_writes_the_api_s_bytes(output, workplace, monkeypatch, capsys) -> None:
+    path, fitted = workplace
+    monkeypatch.chdir(path)
+    write, line = SAME[output]
+    own, of_verb = Path(f"api.{output}"), Path(f"verb.{output}")
+    write(str(own), fitted)
+    assert run([*line.split(), "-o", str(of_verb)]) == 0
+    assert own.read_bytes() == of_verb.read_bytes()
+
+
+def test_a_tile_s_column_differs_from_its_region(folder) -> None:
+    """Though both have the same name."""
+    found = st.pressure(folder / "trials" / "hold", "20:35", share=0.01)
+    of_region = found.over_time()["distal.shear [kPa]"]
     expected = found.outputs.series.shear.value[:, [p.name for p in found.places].index("distal")]
     np.testing.assert_allclose(of_region, 1e-3 * expected)
-    st.compare("hold", "walk", segment="15:17", threshold=20.0).save("api.compared.csv")
-    st.calibrate("bench.csv", "distal", wiring=(2, 3, 0, 1)).save("api.calibration")
-    st.register("take.csv", "landmarks.yaml", "old_socket.yaml", "api.socket")
-    for line in (
-        "fit hold -o verb.json --segment 20:35 --leave-out Mz --variant stiffness",
-        "evaluate walk --model api.json --segment all --pressure -o verb.errors",
-        "pareto hold --segment 20:35 --leave-out Mz --thetas 3 --smoothness 1e-4 -o verb.front.csv",
-        "export hold --segment 20:35 --model api.json --map --pressure -o verb.csv"
-        " --about 0.02 -0.01 0.4",
-        "export hold --cycles placed:removed -o verb.cycles.csv",
-        "map hold --segment 20:35 -o verb.map.csv",
-        "pressure hold --segment 20:35 --share 0.01 --over-time -o verb.time.csv",
-        "compare hold walk --segment 15:17 --threshold 20 -o verb.compared.csv",
-        "calibrate bench.csv --cluster distal --wiring 2 3 0 1 -o verb.calibration",
-        "register take.csv --landmarks landmarks.yaml --socket old_socket.yaml -o verb.socket",
-    ):
-        assert run(line.split()) == 0
-    written = [path.name for path in tmp_path.glob("api.*")]
-    assert len(written) == 10
-    for name in written:
-        assert Path(name).read_bytes() == Path(name.replace("api", "verb", 1)).read_bytes(), name
 
 
-@pytest.mark.usefixtures("few_variants")
-def test_every_result_has_a_table_a_document_files_and_a_figure(folder, tmp_path) -> None:
-    trial = st.open_trial(folder / "trials" / "hold", notify=lambda note: None)
-    fitted = st.fit(trial, variant="stiffness")
-    results = [
-        fitted,
-        st.evaluate(trial, fitted, pressure=True),
-        st.pareto(trial, thetas=3),
-        st.force_map(trial, "10:12"),
-        st.pressure(trial, "10:12"),
-        st.cycles(trial, "Fz", by="placed:removed"),
-        st.validate(trial),
-        st.compare(trial, folder / "trials" / "walk", segment="15:17"),
-        st.calibrate(folder / "bench.csv", "distal", wiring=(2, 3, 0, 1)),
-        st.paper(trial, thetas=3, frames=40),
-    ]
-    assert {type(found) for found in results} == {*Result.__subclasses__()}
-    for found in results:
-        name = type(found).__name__
-        assert repr(found).startswith(f"{name}(") and len(found.to_dataframe())
-        assert json.loads(found.to_json()) == found.document()
-        found.save(tmp_path / f"{name}.csv")
-        written = (tmp_path / f"{name}.csv").read_text()
-        assert len(written) > 100 and (written[0] == "{") is (name == "TrialFit")
-        if name not in ("TrialFit", "CalibratedCluster"):
-            found.save(tmp_path / "found.json")
-            assert json.loads((tmp_path / "found.json").read_text()) == found.document()
-        if name != "PaperTable":
-            assert found.figure(88, title=False).get_figwidth() * 25.4 == pytest.approx(88)
+FEW_VARIANTS = ("stiffness", "stiffness_bias")  # the others repeat what these show
 
 
-def test_a_notebook_draws_maps_at_an_instant_and_into_its_own_axes(folder) -> None:
-    path = folder / "trials" / "walk"
-    found = st.force_map(str(path), "10:12")  # a path where a trial is taken
-    at = found.at(11.1)
-    row = int(np.flatnonzero(found.time <= 11.1)[-1])
-    assert at.time == found.time[row] and len(at.estimate.forces) == 1
-    assert st.pressure(path, at.segment).time == at.time
-    assert np.allclose(at.estimate.normal_pressure[0], found.estimate.normal_pressure[row])
-    geometry = found.trial.geometry
+@pytest.fixture(scope="module")
+def results(folder: Path) -> dict[str, Result]:
+    """A result of every kind, by the name of its class."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("socket_testbed.identification.validation.VARIANTS", FEW_VARIANTS)
+        trial = st.open_trial(folder / "trials" / "hold", notify=lambda note: None)
+        fitted = st.fit(trial, variant="stiffness")
+        found = [
+            fitted,
+            st.evaluate(trial, fitted, pressure=True),
+            st.pareto(trial, thetas=3),
+            st.force_map(trial, "10:12"),
+            st.pressure(trial, "10:12"),
+            st.cycles(trial, "Fz", by="placed:removed"),
+            st.validate(trial),
+            st.compare(trial, folder / "trials" / "walk", segment="15:17"),
+            st.calibrate(folder / "bench.csv", "distal", wiring=(2, 3, 0, 1)),
+            st.paper(trial, thetas=3, frames=40),
+        ]
+    return {type(result).__name__: result for result in found}
+
+
+RESULTS = sorted(kind.__name__ for kind in Result.__subclasses__())
+
+
+def test_there_is_a_result_of_every_kind(results) -> None:
+    assert sorted(results) == RESULTS and len(results) == 10
+
+
+@pytest.mark.parametrize("name", RESULTS)
+def test_every_result_has_a_table(name: str, results, tmp_path) -> None:
+    found = results[name]
+    assert repr(found).startswith(f"{name}(") and len(found.to_dataframe())
+    found.save(tmp_path / f"{name}.csv")
+    written = (tmp_path / f"{name}.csv").read_text()
+    assert len(written) > 100 and (written[0] == "{") is (name == "TrialFit")
+
+
+@pytest.mark.parametrize("name", RESULTS)
+def test_every_result_has_a_document(name: str, results, tmp_path) -> None:
+    found = results[name]
+    assert json.loads(found.to_json()) == found.document()
+    if name not in ("TrialFit", "CalibratedCluster"):
+        found.save(tmp_path / "found.json")
+        assert json.loads((tmp_path / "found.json").read_text()) == found.document()
+
+
+@pytest.mark.parametrize("name", [name for name in RESULTS if name != "PaperTable"])
+def test_every_result_has_a_figure(name: str, results) -> None:
+    figure = results[name].figure(88, title=False)
+    assert figure.get_figwidth() * 25.4 == pytest.approx(88)
+
+
+@pytest.fixture(scope="module")
+def mapped(folder: Path):
+    """The force map of some seconds."""
+    return st.force_map(str(folder / "trials" / "walk"), "10:12")  # a path where a trial is taken
+
+
+def test_a_map_has_an_instant(mapped, folder) -> None:
+    at = mapped.at(11.1)
+    row = int(np.flatnonzero(mapped.time <= 11.1)[-1])
+    assert at.time == mapped.time[row] and len(at.estimate.forces) == 1
+    assert st.pressure(folder / "trials" / "walk", at.segment).time == at.time
+    assert np.allclose(at.estimate.normal_pressure[0], mapped.estimate.normal_pressure[row])
+    geometry = mapped.trial.geometry
     local = at.draws(400)[0] * [1, 1, -1] * geometry.areas[:, None]
     total = np.einsum("nij,dnj->di", geometry.rotations, local)[:, 2]
     assert total.mean() == pytest.approx(at.estimate.forces[0, :, 2].sum(), rel=0.03)
 
-    for result in (found, at, st.cycles(path, "Fz", by="placed:removed")):
-        result.draw(ax=(ax := Figure().subplots()))
-        assert ax.has_data()
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        pytest.param(lambda found: found, id="map"),
+        pytest.param(lambda found: found.at(11.1), id="instant"),
+        pytest.param(lambda found: st.cycles(found.trial, "Fz", by="placed:removed"), id="cycles"),
+    ],
+)
+def test_a_notebook_draws_into_its_own_axes(mapped, make) -> None:
+    make(mapped).draw(ax=(ax := Figure().subplots()))
+    assert ax.has_data()
 
 
 @pytest.mark.slow
@@ -169,28 +248,61 @@ def test_the_readme_s_lines_run(tmp_path, monkeypatch, capsys) -> None:
     assert "pressure sd [kPa]" in capsys.readouterr().out
 
 
-def test_poses_in_millimetres_are_refused_wherever_they_are_used(folder) -> None:
-    """What else counts as wrong: identification/test_data_check.py."""
+@pytest.fixture(scope="module")
+def in_millimetres(folder: Path):
+    """A trial whose poses are in mm, and a model of it as it was."""
     fitted = st.fit(folder / "trials" / "hold", "20:35")
     trial = st.open_trial(folder / "trials" / "hold")
     trial.samples().position[:] *= 1e3
-    for use in (st.fit, lambda t: st.predict(t, fitted), lambda t: st.evaluate(t, fitted)):
-        with pytest.raises(st.TestbedError, match=r"limb position is .* likely in millimetres"):
-            use(trial)
+    return trial, fitted
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        pytest.param(lambda trial, _: st.fit(trial), id="fit"),
+        pytest.param(st.predict, id="predict"),
+        pytest.param(st.evaluate, id="evaluate"),
+    ],
+)
+def test_poses_in_millimetres_are_refused(in_millimetres, use) -> None:
+    """What else counts as wrong: identification/test_data_check.py."""
+    with pytest.raises(st.TestbedError, match=r"limb position is .* likely in millimetres"):
+        use(*in_millimetres)
+
+
+def test_a_comparison_names_the_trial_in_millimetres(in_millimetres, folder) -> None:
+    trial, _ = in_millimetres
     with pytest.raises(st.TestbedError, match=r"^hold: the limb position is .* likely in"):
         st.compare(folder / "trials" / "walk", trial, segment="15:20")
 
 
-def test_a_model_comes_back_and_is_judged_on_poses_averaged_as_in_its_fit(folder, tmp_path) -> None:
+@pytest.fixture(scope="module")
+def stored(folder: Path, tmp_path_factory: pytest.TempPathFactory):
+    """A trial, a fit to its averaged poses, and the model that comes back from its file."""
     trial = st.open_trial(folder / "trials" / "hold")
     fitted = st.fit(trial, pose_smoothing=2.0, leave_out=["distal.Fy"])
-    fitted.save(tmp_path / "model.json")
-    stored = st.read_model(tmp_path / "model.json")
-    for name in ("settings", "samples", "last_stamp", "errors"):
-        assert getattr(stored, name) == getattr(fitted.fit, name)
-    judged = st.evaluate(trial, stored).to_dataframe()
+    path = tmp_path_factory.mktemp("stored") / "model.json"
+    fitted.save(path)
+    return trial, fitted, st.read_model(path)
+
+
+@pytest.mark.parametrize("name", ["settings", "samples", "last_stamp", "errors"])
+def test_a_model_comes_back(stored, name: str) -> None:
+    _, fitted, model = stored
+    assert getattr(model, name) == getattr(fitted.fit, name)
+
+
+def test_a_model_is_judged_on_averaged_poses(stored) -> None:
+    """As in its fit."""
+    trial, fitted, model = stored
+    judged = st.evaluate(trial, model).to_dataframe()
     pd.testing.assert_frame_equal(judged, fitted.to_dataframe(), rtol=1e-9)
-    raw = st.evaluate(trial, stored, pose_smoothing=0.0)
+    raw = st.evaluate(trial, model, pose_smoothing=0.0)
     assert raw.to_dataframe().loc["Fz", "RMSE"] != judged.loc["Fz", "RMSE"]
-    shown = st.export(trial, tmp_path / "table.csv", model=stored)["predicted.Fz [N]"]
-    np.testing.assert_allclose(shown, st.predict(trial, stored)["Fz [N]"])
+
+
+def test_a_table_shows_the_model_s_prediction(stored, tmp_path) -> None:
+    trial, _, model = stored
+    shown = st.export(trial, tmp_path / "table.csv", model=model)["predicted.Fz [N]"]
+    np.testing.assert_allclose(shown, st.predict(trial, model)["Fz [N]"])

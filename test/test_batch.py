@@ -53,7 +53,7 @@ def table_of(task: Task) -> pd.DataFrame:
     return pd.read_csv(task.folder / "summary.csv", dtype={"subject": str}).set_index("trial")
 
 
-def test_trials_are_found_at_any_depth_by_their_paths(study: Path) -> None:
+def test_trials_are_found_at_any_depth(study: Path) -> None:
     make_trial(study / ".hidden" / "hold")
     make_trial(study / "walk" / "inner")
     (study / "walk" / "metadata.yaml").unlink()  # a broken bag is a trial all the same
@@ -70,49 +70,85 @@ def test_trials_are_found_at_any_depth_by_their_paths(study: Path) -> None:
     assert find_trials(study / "walk") == find_trials(study / "nowhere") == {}
 
 
-def test_finished_trials_are_skipped_and_metadata_are_read_anew(study: Path, task: Task) -> None:
+def test_finished_trials_are_skipped(study: Path, task: Task) -> None:
     assert run(study, task) == (["ok"] * 3, [f"note: {name}: cut short" for name in NAMES])
     first = (task.folder / "summary.csv").read_bytes()
     assert run(study, task)[0] == ["skipped"] * 3
     assert (task.folder / "summary.csv").read_bytes() == first
     assert (task.folder / "summary.parquet").is_file()
     assert run(study, replace(task, again=True))[0] == ["ok"] * 3
+
+
+def test_metadata_of_skipped_trials_are_read_anew(study: Path, task: Task) -> None:
+    run(study, task)
     (study / "walk" / "trial.yaml").write_text('subject: "007"\nmass: 70\n')
     assert run(study, task)[0] == ["skipped"] * 3
     assert table_of(task)["subject"].dropna().to_dict() == {"walk": "007"}
     assert table_of(task)["mass [kg]"].dropna().to_dict() == {"walk": 70.0}
 
 
-def test_a_trial_is_done_again_when_anything_changed(study: Path, task: Task) -> None:
+def put_in_an_older_one(trial: Path, output: Path) -> None:
+    shutil.rmtree(trial)
+    (trial.parent / ".older" / "walk").rename(trial)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        pytest.param(
+            lambda trial, output: (trial / "walk.mcap").write_text("MESSAGES of walk"),
+            id="of-the-same-size",
+        ),
+        pytest.param(
+            lambda trial, output: (trial / "trial.yaml").write_text("mass: 71\nsubject: A"),
+            id="metadata",
+        ),
+        pytest.param(lambda trial, output: output.unlink(), id="output-removed"),
+        pytest.param(put_in_an_older_one, id="an-older-one"),
+    ],
+)
+def test_a_trial_is_done_again_when_changed(study: Path, task: Task, change) -> None:
     task = replace(task, metadata=("mass",))
     trial, output = study / "walk", task.folder / "walk.json"
-    older = make_trial(study / ".older" / "walk", "old")
+    make_trial(study / ".older" / "walk", "old")
     run(study, task)
-    for change in (
-        lambda: (trial / "walk.mcap").write_text("MESSAGES of walk"),  # of the same size
-        lambda: (trial / "trial.yaml").write_text("mass: 71\nsubject: A"),
-        output.unlink,
-        lambda: (shutil.rmtree(trial), older.rename(trial)),  # an older one
-    ):
-        change()
-        assert run(study, task)[0] == ["skipped", "skipped", "ok"]
-        assert output.read_text() == (trial / "walk.mcap").read_text()
-    file = study / "calibration.yaml"  # overrides and settings concern all trials
-    for change in (lambda: file.write_text("1"), lambda: file.write_text("22"), file.unlink):
-        change()
-        assert run(study, task)[0] == ["ok"] * 3
+    change(trial, output)
+    assert run(study, task)[0] == ["skipped", "skipped", "ok"]
+    assert output.read_text() == (trial / "walk.mcap").read_text()
+
+
+def test_every_trial_is_done_with_other_overrides(study: Path, task: Task) -> None:
+    run(study, task)
+    file = study / "calibration.yaml"
+    file.write_text("1")
+    assert run(study, task)[0] == ["ok"] * 3
+    file.write_text("22")
+    assert run(study, task)[0] == ["ok"] * 3
+    file.unlink()
+    assert run(study, task)[0] == ["ok"] * 3
+
+
+def test_every_trial_is_done_with_other_settings(study: Path, task: Task) -> None:
+    run(study, task)
     assert run(study, replace(task, settings={"theta": 0.7}))[0] == ["ok"] * 3
 
 
-def test_one_that_fails_stops_no_other_and_leaves_no_older_result(study: Path, task: Task) -> None:
+@pytest.mark.parametrize("with_ours", [False, True], ids=["before-ours", "after-ours"])
+def test_somebody_s_file_is_replaced_on_request(study: Path, task: Task, with_ours: bool) -> None:
     task.folder.mkdir()
-    for content in ("of somebody", "of somebody again"):  # before there was ours, and after
-        (task.folder / "walk.json").write_text(content)
-        with pytest.raises(TrialError, match="1 of 3 trials failed"):
-            run(study, task)
-        assert (task.folder / "walk.json").read_text() == content
-        assert "exists already" in table_of(task)["error"]["walk"]
-        assert run(study, replace(task, replace=True))[0] == ["skipped", "skipped", "ok"]
+    if with_ours:
+        run(study, task)
+    (task.folder / "walk.json").write_text("of somebody")
+    with pytest.raises(TrialError, match="1 of 3 trials failed"):
+        run(study, task)
+    assert (task.folder / "walk.json").read_text() == "of somebody"
+    assert "exists already" in table_of(task)["error"]["walk"]
+    assert run(study, replace(task, replace=True))[0] == ["skipped", "skipped", "ok"]
+
+
+def test_one_that_fails_stops_no_other(study: Path, task: Task) -> None:
+    """And leaves no older result."""
+    run(study, task)
     (study / "s01" / "hold" / "hold.mcap").write_text("wrong")
     (study / "s02" / "hold" / "hold.mcap").write_text("bug")
     with pytest.raises(TrialError, match="2 of 3 trials failed"):
@@ -124,13 +160,15 @@ def test_one_that_fails_stops_no_other_and_leaves_no_older_result(study: Path, t
     assert "unexpected ZeroDivisionError: oh no" in table["error"]["s02/hold"]
 
 
-def test_the_summary_of_another_verb_is_replaced_on_request_alone(study: Path, task: Task) -> None:
+@pytest.mark.parametrize("verb", ["count", "other"])
+def test_another_verb_s_summary_stays(study: Path, task: Task, verb: str) -> None:
+    """Unless it is to be replaced."""
     other = replace(task, verb="other", replace=True)
     run(study, task)
     run(study, other)
-    for again in (task, replace(other, replace=False)):
-        with pytest.raises(ConfigurationError, match=r"summary\.csv exists already"):
-            run(study, again)
+    again = task if verb == "count" else replace(other, replace=False)
+    with pytest.raises(ConfigurationError, match=r"summary\.csv exists already"):
+        run(study, again)
 
 
 def written_and_interrupted(job: Job) -> Row:
@@ -151,7 +189,7 @@ def test_an_interruption_keeps_complete_results(study: Path, task: Task) -> None
 
 
 @pytest.mark.slow
-def test_a_worker_that_dies_costs_its_own_trial_only(study: Path, task: Task) -> None:
+def test_a_dead_worker_costs_its_own_trial(study: Path, task: Task) -> None:
     (study / "s02" / "hold" / "hold.mcap").write_text("deadly")
     with pytest.raises(TrialError, match="1 of 3 trials failed"):
         run(study, task, processes=2)

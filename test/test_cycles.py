@@ -31,9 +31,16 @@ def series(spans: np.ndarray, rate: float = 200.0) -> pd.DataFrame:
     return pd.DataFrame(columns, index=pd.Index(time, name="time [s]"))
 
 
-def test_mean_and_deviation_are_those_of_the_cycles(walk: Trial) -> None:
+@pytest.fixture(scope="module")
+def table() -> pd.DataFrame:
+    """The series over the steps, without 20 to 40 % of the second ramp."""
     table = series(np.column_stack([STEPS[:-1], STEPS[1:]]))
-    table.loc[8.7:9.4, "ramp [-]"] = np.nan  # 20 to 40 % of the second cycle
+    table.loc[8.7:9.4, "ramp [-]"] = np.nan
+    return table
+
+
+def test_mean_over_cycles_is_known(walk: Trial, table: pd.DataFrame) -> None:
+    """And so is the standard deviation."""
     cycles = st.cycles(walk, table, by="step")
     assert len(cycles) == 6 and cycles.left_out == 1 and cycles.titles == (*table,)
     assert str(cycles).endswith("; 1 left out, longer than twice the median")
@@ -48,10 +55,16 @@ def test_mean_and_deviation_are_those_of_the_cycles(walk: Trial) -> None:
     assert np.allclose(found["sine sd [kPa]"][inner], offsets.std(ddof=1), atol=2e-4)
     assert np.allclose(found["ramp mean [-]"][inner], percent[inner] / 100, atol=1e-3)
     assert found["ramp n [-]"].min() == 5 and (found["sine n [-]"] == 6).all()
-    torn = table[(table.index < 15.0) | (table.index > 15.9)]  # no line across it
+
+
+def test_no_line_is_drawn_across_a_gap(walk: Trial, table: pd.DataFrame) -> None:
+    torn = table[(table.index < 15.0) | (table.index > 15.9)]
     assert st.cycles(walk, torn, by="step").to_dataframe()["sine n [-]"].min() == 5
+
+
+def test_two_cycles_make_no_band(walk: Trial, table: pd.DataFrame) -> None:
     two = st.cycles(walk, table, by="step", segment="4:12")
-    assert len(two) == 2  # which make no band
+    assert len(two) == 2
     assert np.isnan(two.deviation).all() and np.isfinite(two.mean).all()
 
 

@@ -85,7 +85,8 @@ def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("name", READERS)
-def test_a_damaged_file_is_a_named_error_or_gives_finite_numbers(name, good, tmp_path) -> None:
+def test_a_damaged_file_gives_no_wrong_number(name, good, tmp_path) -> None:
+    """It is a named error, or gives finite numbers."""
     file, read, is_text, missing, protected = READERS[name]
     content = (good / file).read_bytes()
     shutil.copytree((good / file).parent, tmp_path / "files")
@@ -127,30 +128,34 @@ def none_differs(found: Any, sound: Any) -> bool:
     return bool(np.isclose(numbers[known], expected[known], rtol=1e-12, atol=0.0).all())
 
 
-def test_an_error_is_one_printable_line_and_comes_back_from_a_worker_process() -> None:
+def test_an_error_is_one_printable_line() -> None:
     error = TestbedError("a\x1b[2J\udc80b\nc" + 10**6 * "x", "hint\0")
     assert str(error).isprintable() and len(str(error)) < 3000
     assert error.fact.startswith("a\N{REPLACEMENT CHARACTER}[2J")
+
+
+def test_an_error_comes_back_from_a_process() -> None:
     found = pickle.loads(pickle.dumps(BusError("no answer", "check the wires", 0x50)))
     assert type(found) is BusError and str(found) == "no answer: check the wires"
     assert found.address == 0x50
 
 
-def test_an_open_quote_does_not_swallow_the_lines_behind_it(good: Path, tmp_path: Path) -> None:
-    for name in ("take", "bench"):
-        file, read, *_ = READERS[name]
-        *lines, end = (good / file).read_text().splitlines()
-        cells = lines[-3].split(",")
-        lines[-3] = ",".join([*cells[:-1], f'"{cells[-1]}'])
-        (tmp_path / file).write_text("\n".join([*lines, end]) + "\n")
-        with refused(TestbedError, "line"):
-            read(tmp_path / file)
+@pytest.mark.parametrize("name", ["take", "bench"])
+def test_an_open_quote_swallows_no_lines(name: str, good: Path, tmp_path: Path) -> None:
+    file, read, *_ = READERS[name]
+    *lines, end = (good / file).read_text().splitlines()
+    cells = lines[-3].split(",")
+    lines[-3] = ",".join([*cells[:-1], f'"{cells[-1]}'])
+    (tmp_path / file).write_text("\n".join([*lines, end]) + "\n")
+    with refused(TestbedError, "line"):
+        read(tmp_path / file)
 
 
-def test_a_value_that_no_sensor_reads_is_missing_and_noted(good: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("value", [1e200, -1e200], ids=["positive", "negative"])
+def test_a_value_that_no_sensor_reads_is_missing(value, good: Path, tmp_path: Path) -> None:
     def change(topic: str, message: Any) -> Any:
         if topic.endswith("wrench"):
-            message.wrench.force.z = 1e200
+            message.wrench.force.z = value
         return message
 
     trial = Trial(rewrite(good / "hold", tmp_path / "hold", change))
@@ -178,11 +183,11 @@ def memory() -> int:
     return 1024 * int(status.partition("VmHWM:")[2].split()[0])
 
 
-def test_a_scan_that_claims_more_than_it_holds_takes_no_memory(tmp_path: Path) -> None:
-    for name, content in CLAIMS.items():
-        (tmp_path / name).write_bytes(content)
-        Path("/proc/self/clear_refs").write_text("5")
-        before = memory()
-        with pytest.raises(ScanError):
-            read_scan(tmp_path / name)
-        assert memory() - before < MEMORY, name
+@pytest.mark.parametrize(("name", "content"), CLAIMS.items(), ids=CLAIMS)
+def test_a_scan_that_claims_much_takes_no_memory(name, content, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(content)
+    Path("/proc/self/clear_refs").write_text("5")
+    before = memory()
+    with pytest.raises(ScanError):
+        read_scan(tmp_path / name)
+    assert memory() - before < MEMORY

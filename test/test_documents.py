@@ -40,72 +40,135 @@ class Lamp(documents.Document):
     inside: "dict[str, Lamp]" = {}  # noqa: RUF012
 
 
-WRONG: list[tuple[Any, str]] = [
-    ({}, "lamp: 'power' is missing: add 'power: ...'"),
-    ({"power": 1, "colur": "red"}, "lamp: unknown key 'colur': did you mean 'colour'?"),
-    ({"power": 101}, "lamp: power is 101: give a number from 0 to 100: what it takes [W]"),
-    ({"power": 1, "colour": "rad"}, "lamp: colour is 'rad': did you mean 'red'?"),
-    ({"power": 1, "names": ["a", []]}, "lamp: names[1] is a list of 0: give a text, in quotes"),
-    ({"power": 1, "at": [1, 2]}, "lamp: at[0] is 1: give a list of 2"),
-    ({"power": 1, "inside": {"a": {"power": 1, "inside": {"c": {}}}}}, "a: inside: c: 'power' is"),
-]
+WRONG: dict[str, tuple[Any, str]] = {
+    "missing": ({}, "lamp: 'power' is missing: add 'power: ...'"),
+    "unknown-key": (
+        {"power": 1, "colur": "red"},
+        "lamp: unknown key 'colur': did you mean 'colour'?",
+    ),
+    "too-large": (
+        {"power": 101},
+        "lamp: power is 101: give a number from 0 to 100: what it takes [W]",
+    ),
+    "too-small": (
+        {"power": -1},
+        "lamp: power is -1: give a number from 0 to 100: what it takes [W]",
+    ),
+    "unknown-word": (
+        {"power": 1, "colour": "rad"},
+        "lamp: colour is 'rad': did you mean 'red'?",
+    ),
+    "no-text": (
+        {"power": 1, "names": ["a", []]},
+        "lamp: names[1] is a list of 0: give a text, in quotes",
+    ),
+    "no-list": ({"power": 1, "at": [1, 2]}, "lamp: at[0] is 1: give a list of 2"),
+    "deep-inside": (
+        {"power": 1, "inside": {"a": {"power": 1, "inside": {"c": {}}}}},
+        "a: inside: c: 'power' is",
+    ),
+}
 
 
-def test_an_error_names_the_field_and_tells_what_belongs_there() -> None:
-    for data, error in WRONG:
-        with refused(ConfigurationError, error):
-            documents.convert(data, Lamp, "lamp")
+@pytest.mark.parametrize(("data", "error"), WRONG.values(), ids=WRONG)
+def test_an_error_names_what_belongs_in_a_field(data: Any, error: str) -> None:
+    with refused(ConfigurationError, error):
+        documents.convert(data, Lamp, "lamp")
+
+
+def test_a_whole_number_is_a_float_or_text() -> None:
+    """As the field asks."""
     lamp = documents.convert({"power": 2, "names": [12, "a"]}, Lamp, "lamp")
     assert isinstance(lamp.power, float) and [str(name) for name in lamp.names] == ["12", "a"]
-    for half in (np.float32(0.5), np.array(0.5)):
-        assert documents.check_number(half, "x") == 0.5
+
+
+@pytest.mark.parametrize("half", [np.float32(0.5), np.array(0.5)], ids=["scalar", "array"])
+def test_a_number_of_numpy_is_a_number(half: Any) -> None:
+    assert documents.check_number(half, "x") == 0.5
 
 
 # --- YAML
 
+MANY_ALIASES = "a: &a [" + "x, " * 999 + "]\nb: [" + "*a, " * 999 + "]"
 BAD_YAML = {
-    "? [a, b]": "a key is not a word at line 1",
-    "a: !!int 1": "tags are not supported at line 1",
-    "a: &b {c: *b}": "an alias stands for nothing before it",
-    # Too deep, once a segmentation fault; from PyYAML 6.0.4 on its parser may refuse it first.
-    "a: " + "[" * 100_000: "at line 1",
-    "a: " + "[" * 60: "too deep",
-    "a: &a [" + "x, " * 999 + "]\nb: [" + "*a, " * 999 + "]": "holds more than 200000 values",
-    "%TAG !a! tag:a:\n" * 9 + "--- {}": "holds a directive %TAG",
-    "a: 1\na: 2": "the key 'a' is repeated at line 2",
-    "\0\x80": "YAML",
-    "x" * (2**24 + 1): "larger than 16 MiB",
+    "list-as-key": ("? [a, b]", "a key is not a word at line 1"),
+    "tag": ("a: !!int 1", "tags are not supported at line 1"),
+    "alias-of-itself": ("a: &b {c: *b}", "an alias stands for nothing before it"),
+    # Once a segmentation fault; from PyYAML 6.0.4 on its parser may refuse it first.
+    "far-too-deep": ("a: " + "[" * 100_000, "at line 1"),
+    "too-deep": ("a: " + "[" * 60, "too deep"),
+    "many-aliases": (MANY_ALIASES, "holds more than 200000 values"),
+    "directive": ("%TAG !a! tag:a:\n" * 9 + "--- {}", "holds a directive %TAG"),
+    "key-again": ("a: 1\na: 2", "the key 'a' is repeated at line 2"),
+    "control-characters": ("\0\x80", "YAML"),
+    "too-large": ("x" * (2**24 + 1), "larger than 16 MiB"),
 }
 
 
-def test_no_file_that_cannot_be_is_more_than_one_line(tmp_path: Path) -> None:
-    path = tmp_path / "damaged.yaml"
-    for text, problem in BAD_YAML.items():
-        path.write_text(text, encoding="utf-8")
-        with refused(ConfigurationError, str(path), problem) as caught:
-            documents.load_yaml(path)
-        assert len(str(caught.value)) < 300
-    path.write_bytes(bytes(range(256)))
-    for name, problem in ((path.name, "UTF-8"), ("none.yaml", "check the path"), ("", "cannot")):
-        with refused(ConfigurationError, str(tmp_path / name), problem):
-            documents.load_yaml(tmp_path / name)
-    for text in ("[" * 10_000, '{"a": NaN}', '{"a": 1e999}'):
-        (tmp_path / "model.json").write_text(text)
-        with refused(ConfigurationError, "is not a model"):
-            documents.load_json(tmp_path / "model.json", "a model")
+@pytest.mark.parametrize("name", BAD_YAML)
+def test_bad_yaml_is_refused_in_one_line(name: str, tmp_path: Path) -> None:
+    path, (text, problem) = tmp_path / "damaged.yaml", BAD_YAML[name]
+    path.write_text(text, encoding="utf-8")
+    with refused(ConfigurationError, str(path), problem) as caught:
+        documents.load_yaml(path)
+    assert len(str(caught.value)) < 300
 
 
-def test_a_number_is_what_ros_reads_as_one_and_not_what_only_yaml_1_1_does(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [
+        pytest.param("damaged.yaml", "UTF-8", id="bytes"),
+        pytest.param("none.yaml", "check the path", id="no-file"),
+        pytest.param("", "cannot", id="folder"),
+    ],
+)
+def test_what_is_no_text_is_refused(name: str, problem: str, tmp_path: Path) -> None:
+    (tmp_path / "damaged.yaml").write_bytes(bytes(range(256)))
+    with refused(ConfigurationError, str(tmp_path / name), problem):
+        documents.load_yaml(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        pytest.param("[" * 10_000, id="too-deep"),
+        pytest.param('{"a": NaN}', id="nan"),
+        pytest.param('{"a": 1e999}', id="infinite"),
+    ],
+)
+def test_bad_json_is_refused(text: str, tmp_path: Path) -> None:
+    (tmp_path / "model.json").write_text(text)
+    with refused(ConfigurationError, "is not a model"):
+        documents.load_json(tmp_path / "model.json", "a model")
+
+
+@pytest.mark.parametrize("text", ["1e-3", "1E-3", "+1.0e-3", ".001", "1.e-3"])
+def test_a_number_is_what_ros_reads(text: str, tmp_path: Path) -> None:
     path = tmp_path / "number.yaml"
-    for text in ("1e-3", "1E-3", "+1.0e-3", ".001", "1.e-3"):
-        path.write_text(f"power: &a {text}\ninside: {{007: {{power: *a}}}}")
-        lamp = documents.read_document(path, Lamp)
-        assert lamp.power == lamp.inside["007"].power == 1e-3
-    wrong = ("1:30", "010", "1_000", "'1.5'", "true", "9" * 18 + "x", "2026-01-01", "9" * 30)
-    for text in (*wrong, ".nan"):
-        path.write_text(f"power: {text}")
-        with refused(ConfigurationError, "power is ", "give a number"):
-            documents.read_document(path, Lamp)
+    path.write_text(f"power: &a {text}\ninside: {{007: {{power: *a}}}}")
+    lamp = documents.read_document(path, Lamp)
+    assert lamp.power == lamp.inside["007"].power == 1e-3
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        pytest.param("1:30", id="sexagesimal"),
+        pytest.param("010", id="octal"),
+        pytest.param("1_000", id="underscore"),
+        pytest.param("'1.5'", id="text"),
+        pytest.param("true", id="boolean"),
+        pytest.param("9" * 18 + "x", id="digits-and-a-letter"),
+        pytest.param("2026-01-01", id="date"),
+        pytest.param("9" * 30, id="30-digits"),
+        pytest.param(".nan", id="nan"),
+    ],
+)
+def test_what_only_yaml_1_1_reads_is_refused(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "number.yaml"
+    path.write_text(f"power: {text}")
+    with refused(ConfigurationError, "power is ", "give a number"):
+        documents.read_document(path, Lamp)
 
 
 # --- every reader
@@ -182,7 +245,7 @@ VALUES = (
 @pytest.mark.parametrize("name", good_documents())
 @given(data=draw.data())
 @settings(max_examples=120, deadline=None, derandomize=True, database=None)
-def test_whatever_stands_in_a_field_is_read_or_refused_by_its_name(name, folder, data) -> None:
+def test_a_field_is_read_or_refused_by_name(name, folder, data) -> None:
     document, read = good_documents()[name]
     document = model(folder) if document is None else document
     place = data.draw(draw.sampled_from([*places(document)]))

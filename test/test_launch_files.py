@@ -133,9 +133,9 @@ def test_a_simulated_testbed_is_launched_with_its_world(launch, capsys) -> None:
         clock = [a.positional for a in actions if len(a.positional) == 2]
         assert ("SOCKET_TESTBED_TIME_SCALE", "0.5") in clock
         assert all(action.given["namespace"] == "/left" for action in launched.values())
-        for name in ("trigger_node", "cluster_node", "load_cell_node"):
-            folder = parameters(launched[name])["simulation"]
-            assert World(Path(folder)).port, "the world is up"
+        simulated = ("trigger_node", "cluster_node", "load_cell_node")
+        (folder,) = {parameters(launched[name])["simulation"] for name in simulated}
+        assert World(Path(folder)).port, "the world is up"
         inherited = environment(f"socket_testbed.simulation.testbed\0{folder}")
         assert {f"{name}={value}" for name, value in clock} <= inherited, "one origin for all"
     finally:
@@ -143,15 +143,18 @@ def test_a_simulated_testbed_is_launched_with_its_world(launch, capsys) -> None:
     assert "Traceback" not in capsys.readouterr().err
 
 
-def test_wrong_arguments_end_a_launch_before_any_node_starts(launch, tmp_path: Path) -> None:
+def test_a_time_scale_without_simulation_is_refused(launch) -> None:
+    words = "time_scale is for simulated hardware: add simulated:=true"
+    with pytest.raises(ConfigurationError, match=words):
+        launch("testbed", time_scale="0.5")
+
+
+def test_a_wrong_parameter_ends_a_launch(launch, tmp_path: Path) -> None:
+    """Before any node starts."""
     given = {"identification": {"leave_out": ["Fzz"]}}
     params = simulated_parameters(tmp_path, estimator_node=given)
-    for arguments, words in (
-        ({"time_scale": "0.5"}, "time_scale is for simulated hardware: add simulated:=true"),
-        ({"params": params, "simulated": "true"}, "Fz"),
-    ):
-        with pytest.raises(ConfigurationError, match=words):
-            launch("testbed", **arguments)
+    with pytest.raises(ConfigurationError, match="Fz"):
+        launch("testbed", params=params, simulated="true")
 
 
 def test_a_trial_is_replayed_in_its_namespace(launch, hold: Path, tmp_path: Path) -> None:
@@ -170,7 +173,7 @@ def test_a_trial_is_replayed_in_its_namespace(launch, hold: Path, tmp_path: Path
     assert handler(actions)["target_action"] is launched["replay_node"]  # its end ends the launch
 
 
-def test_systemd_waits_for_the_three_stops_of_a_graph() -> None:
+def test_systemd_waits_for_three_stops_of_a_graph() -> None:
     text = (CHECKOUT / "config/socket_testbed.service").read_text()
     (limit,) = re.findall(r"^TimeoutStopSec=(\d+)$", text, re.MULTILINE)
     assert float(limit) >= 3 * STOP_TIMEOUT

@@ -2,8 +2,10 @@
 
 import json
 import re
+from typing import Any
 from xml.etree import ElementTree
 
+import pytest
 import yaml
 
 from socket_testbed.files import packaged
@@ -29,7 +31,7 @@ def test_rviz_shows_topics_by_displays_of_their_types() -> None:
     assert len(shown) == 3 and all(display in TYPES[topic] for topic, display in shown.items())
 
 
-def test_plotjuggler_draws_numbers_of_topics_that_it_selects() -> None:
+def test_plotjuggler_draws_numbers_of_topics_it_selects() -> None:
     layout = ElementTree.fromstring(packaged("config", "plotjuggler_layout.xml").read_text())
     selected, curves = ({e.attrib["name"] for e in layout.iter(k)} for k in ("topic", "curve"))
     assert curves and selected <= set(TYPES)
@@ -38,11 +40,18 @@ def test_plotjuggler_draws_numbers_of_topics_that_it_selects() -> None:
         assert field_type(curve) == "float64", curve
 
 
-def test_foxglove_draws_numbers_and_shows_each_of_its_panels() -> None:
-    layout = json.loads(packaged("config", "foxglove_layout.json").read_text())
-    panels = layout["configById"]
-    assert set(re.findall(r'"(\w+!\w+)"', json.dumps(layout["layout"]))) == set(panels)
-    for panel in panels.values():
+@pytest.fixture
+def foxglove() -> dict[str, Any]:
+    return json.loads(packaged("config", "foxglove_layout.json").read_text())
+
+
+def test_foxglove_shows_each_of_its_panels(foxglove: dict[str, Any]) -> None:
+    shown = set(re.findall(r'"(\w+!\w+)"', json.dumps(foxglove["layout"])))
+    assert shown == set(foxglove["configById"])
+
+
+def test_foxglove_draws_numbers_of_known_topics(foxglove: dict[str, Any]) -> None:
+    for panel in foxglove["configById"].values():
         for curve in panel.get("paths", ()):
             assert field_type(curve["value"].replace(".", "/")) == "float64", curve
         named = {panel.get(key, "/trigger") for key in ("topicPath", "topicToRender")}

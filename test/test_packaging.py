@@ -46,7 +46,7 @@ def call(workspace: Path, *words: str, **environment: str) -> str:
 
 
 @pytest.mark.skipif(not shutil.which("colcon", path=PATH), reason="colcon is missing")
-def test_a_plain_colcon_build_gives_a_package_that_works_anywhere(workspace, tmp_path) -> None:
+def test_a_colcon_build_works_anywhere(workspace, tmp_path) -> None:
     call(workspace, "colcon", "build")
     # On a ROS installation our stand-in for tf2_msgs would hide the distribution's package.
     assert {path.name for path in (workspace / "install").iterdir() if path.is_dir()} == {*PACKAGES}
@@ -73,7 +73,7 @@ def test_a_plain_colcon_build_gives_a_package_that_works_anywhere(workspace, tmp
     assert (tmp_path / "trial" / "trial.mcap").is_file()
 
 
-def test_a_wheel_holds_all_that_the_offline_verbs_need(workspace: Path, tmp_path: Path) -> None:
+def test_a_wheel_holds_what_offline_verbs_need(workspace: Path, tmp_path: Path) -> None:
     """They work without ROS, which the graph asks for."""
     pip = (sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet")
     build = ("--no-deps", "--no-build-isolation", "--no-index")

@@ -17,7 +17,7 @@ from socket_testbed.socket_design.motive import MotiveTake, read_motive_csv
 from socket_testbed.socket_design.registration import average_still, register_landmarks
 
 
-def test_a_body_of_more_markers_is_registered_in_the_frame_of_its_first(rng, tmp_path):
+def test_a_body_s_first_markers_give_its_frame(rng, tmp_path):
     bench = takes.make_bench(rng)
     names, markers = [*takes.SOCKET_NAMES, "Extra0", "Extra1"], bench.take.markers
     extra = np.array([[0.02, 0.06, 0.01], [-0.05, 0.01, 0.045]])
@@ -62,7 +62,12 @@ def limb_position(found: takes.Registration, socket: np.ndarray, pylon: np.ndarr
     return geometry.limb_pose(*in_world).translation[0]
 
 
-def test_a_later_trial_gives_the_limb_position_whatever_the_body_s_frame(rng, tmp_path):
+@pytest.fixture
+def tracked(rng) -> tuple[takes.Bench, takes.Bench, Pose]:
+    """A bench, the same with rigid bodies of Motive, and the frame of its socket there.
+
+    Motive's tracking of the socket goes wrong at times.
+    """
     bench = takes.make_bench(rng, noise=0.0, unit="Millimeters")
     frame = random_pose(rng, 0.05)
     tracked = takes.track(bench, "Socket", takes.SOCKET_NAMES, frame)
@@ -72,17 +77,30 @@ def test_a_later_trial_gives_the_limb_position_whatever_the_body_s_frame(rng, tm
     pose = tracked.take.bodies["Socket"]
     pose.rotation[:9] = random_pose(rng, count=9).rotation
     pose.translation[9:20] = np.nan
-    own, motive = takes.register(bench, tmp_path), takes.register(tracked, tmp_path)
-    # A rigid body of Motive keeps its frame, though its tracking goes wrong at times.
+    return bench, tracked, frame
+
+
+def test_a_rigid_body_of_motive_keeps_its_frame(tracked, tmp_path):
+    bench, with_bodies, frame = tracked
+    own, motive = takes.register(bench, tmp_path), takes.register(with_bodies, tmp_path)
     expected = own.geometry.socket_body @ frame
     assert takes.between(expected, motive.geometry.socket_body)[0] < 1e-6
-    for found in (own, motive):
-        for order in ([0, 1, 2], [2, 0, 1]):
-            socket, pylon, q = later(bench, rng)
-            np.testing.assert_allclose(limb_position(found, socket[order], pylon), q, atol=1e-7)
-    pose.translation[20:40] = np.nan
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2], [2, 0, 1]], ids=["in-order", "labels-exchanged"])
+@pytest.mark.parametrize("of_motive", [False, True], ids=["own-frame", "frame-of-motive"])
+def test_a_later_trial_gives_the_limb_position(tracked, rng, tmp_path, of_motive, order):
+    bench, with_bodies, _ = tracked
+    found = takes.register(with_bodies if of_motive else bench, tmp_path)
+    socket, pylon, q = later(bench, rng)
+    np.testing.assert_allclose(limb_position(found, socket[order], pylon), q, atol=1e-7)
+
+
+def test_a_body_that_was_hardly_tracked_is_refused(tracked, tmp_path):
+    _, with_bodies, _ = tracked
+    with_bodies.take.bodies["Socket"].translation[20:40] = np.nan
     with wording.refused(RegistrationError, "tracked its rigid body in 29 of 60 frames"):
-        takes.register(tracked, tmp_path)
+        takes.register(with_bodies, tmp_path)
 
 
 # --- labels and stillness
@@ -113,23 +131,47 @@ def test_frames_are_counted_by_their_fault(rng):
     assert slow.noise == pytest.approx(1e-4 / np.sqrt(10), rel=0.3)  # what frames share counts
 
 
-def test_a_little_motion_is_noted_and_more_is_refused(rng):
-    ramp, shake = np.linspace(0.0, 1.0, 60), (-1.0) ** np.arange(60)
-    for motion, words in (
-        (6e-4 * ramp, "C drifted by 0.4"),
-        (6e-4 * shake, "C moved about by 0.6"),
-        (3e-3 * ramp, "socket: C drifted by 2.0"),
-        (0.03 * (ramp > 0.7), "in 18 of 60 frames a marker, mostly C, is more than 5 mm"),
-        (np.where(ramp < 0.25, 0.0, np.nan), "show all of A, B, C, D (C is occluded in 45"),
-    ):
-        positions = still_markers(rng, noise=2e-5)
-        positions[:, 2, 0] += motion
-        if np.isnan(motion).any() or motion.max() > 1e-3:
-            with wording.refused(RegistrationError, "take.csv: socket", words):
-                average(positions)
-        else:
-            notes = average(positions).notes
-            assert len(notes) == 1 and words in notes[0]
+RAMP, SHAKE = np.linspace(0.0, 1.0, 60), (-1.0) ** np.arange(60)
+
+
+def moving(rng, motion: np.ndarray) -> np.ndarray:
+    """Markers of which C moves along x [m]."""
+    positions = still_markers(rng, noise=2e-5)
+    positions[:, 2, 0] += motion
+    return positions
+
+
+@pytest.mark.parametrize(
+    ("motion", "words"),
+    [
+        pytest.param(6e-4 * RAMP, "C drifted by 0.4", id="drift"),
+        pytest.param(6e-4 * SHAKE, "C moved about by 0.6", id="shake"),
+    ],
+)
+def test_a_little_motion_is_noted(rng, motion: np.ndarray, words: str):
+    (note,) = average(moving(rng, motion)).notes
+    assert words in note
+
+
+@pytest.mark.parametrize(
+    ("motion", "words"),
+    [
+        pytest.param(3e-3 * RAMP, "socket: C drifted by 2.0", id="drift"),
+        pytest.param(
+            0.03 * (RAMP > 0.7),
+            "in 18 of 60 frames a marker, mostly C, is more than 5 mm",
+            id="jump",
+        ),
+        pytest.param(
+            np.where(RAMP < 0.25, 0.0, np.nan),
+            "show all of A, B, C, D (C is occluded in 45",
+            id="occluded",
+        ),
+    ],
+)
+def test_more_motion_is_refused(rng, motion: np.ndarray, words: str):
+    with wording.refused(RegistrationError, "take.csv: socket", words):
+        average(moving(rng, motion))
 
 
 # --- landmarks
@@ -147,31 +189,37 @@ def normalised(fit, pose: Pose) -> float:
     return float(error @ np.linalg.solve(fit.uncertainty.at(TARGET), error))
 
 
-def test_landmarks_give_the_pose_within_its_stated_uncertainty(rng):
+@pytest.mark.parametrize("count", [3, 5], ids=["3-landmarks", "5-landmarks"])
+def test_landmarks_give_poses_within_their_uncertainty(rng, count: int):
     """With a noise from the residuals it is an F of 3, 3k - 6; the fit: test_marker_bodies.py."""
-    for count in (3, 5):
-        known, names, found = takes.CELL[:count], NAMES[:count], []
-        for _ in range(400):
-            pose = random_pose(rng, 1.0)
-            measured = pose.apply(known) + rng.normal(0.0, NOISE, known.shape)
-            fit = register_landmarks(known, measured, names)
-            found.append(normalised(fit, pose) / 3.0)
-        assert kstest(found, f(3, 3 * count - 6).cdf).pvalue > 1e-3
+    known, names, found = takes.CELL[:count], NAMES[:count], []
+    for _ in range(400):
+        pose = random_pose(rng, 1.0)
+        measured = pose.apply(known) + rng.normal(0.0, NOISE, known.shape)
+        fit = register_landmarks(known, measured, names)
+        found.append(normalised(fit, pose) / 3.0)
+    assert kstest(found, f(3, 3 * count - 6).cdf).pvalue > 1e-3
 
 
-def test_landmarks_that_hold_no_frame_are_refused(rng):
-    near = takes.CELL[[0, 1, 2, 1]] + 1e-3 * np.eye(4, 3)
-    line = np.outer(np.arange(5), [0.02, 0.03, 0.0]) + rng.normal(0.0, 1e-3, (5, 3))
-    for known, measured, fact in (
-        (takes.CELL[:2], takes.CELL[:2], "2 landmarks"),
-        (near, near, "LC2 and LC4 are given 1.0 mm apart"),
-        (takes.CELL, line, "were measured on one line"),
-    ):
-        with wording.refused(RegistrationError, fact):
-            register_landmarks(known, random_pose(rng).apply(measured), NAMES[: len(known)])
+NEAR = takes.CELL[[0, 1, 2, 1]] + 1e-3 * np.eye(4, 3)
+ON_A_LINE = np.outer(np.arange(5), [0.02, 0.03, 0.0])
+ON_A_LINE += np.random.default_rng(1).normal(0.0, 1e-3, (5, 3))
 
 
-def test_a_wrong_landmark_is_noted_and_a_mirrored_frame_refused(rng, tmp_path):
+@pytest.mark.parametrize(
+    ("known", "measured", "fact"),
+    [
+        pytest.param(takes.CELL[:2], takes.CELL[:2], "2 landmarks", id="two"),
+        pytest.param(NEAR, NEAR, "LC2 and LC4 are given 1.0 mm apart", id="too-near"),
+        pytest.param(takes.CELL, ON_A_LINE, "were measured on one line", id="on-a-line"),
+    ],
+)
+def test_landmarks_that_hold_no_frame_are_refused(rng, known, measured, fact):
+    with wording.refused(RegistrationError, fact):
+        register_landmarks(known, random_pose(rng).apply(measured), NAMES[: len(known)])
+
+
+def test_a_wrong_landmark_is_noted(rng, tmp_path):
     """That it is refused unless forced: commands/test_register.py."""
     bench = takes.make_bench(rng)
     bench.document["limb"]["Limb:2"][0] += 0.006
@@ -180,19 +228,26 @@ def test_a_wrong_landmark_is_noted_and_a_mirrored_frame_refused(rng, tmp_path):
     bench.document["limb"]["Limb:2"][0] += 0.03
     forced = takes.register(bench, tmp_path, force=True)
     assert np.trace(forced.covariance) > 30.0 * np.trace(found.covariance)
-    for side in ("load_cell", "limb"):
-        bench = takes.make_bench(rng, frames=20, landmarks=4)
-        for point in bench.document[side].values():
-            point[1] *= -1.0  # mirrored, and off a plane
-        with wording.refused(RegistrationError, "mm off"):
-            takes.register(bench, tmp_path)
 
 
-def test_landmarks_in_one_plane_are_noted_and_refused_if_the_limb_is_outside(rng, tmp_path):
+@pytest.mark.parametrize("side", ["load_cell", "limb"])
+def test_a_mirrored_frame_is_refused(rng, tmp_path, side: str):
+    bench = takes.make_bench(rng, frames=20, landmarks=4)
+    for point in bench.document[side].values():
+        point[1] *= -1.0  # mirrored, and off a plane
+    with wording.refused(RegistrationError, "mm off"):
+        takes.register(bench, tmp_path)
+
+
+def test_landmarks_in_one_plane_are_noted(rng, tmp_path):
     bench = takes.make_bench(rng, frames=20, landmarks=3)
     notes = takes.register(bench, tmp_path).notes
     for side in ("load_cell: Cell:0, Cell:1, Cell:2", "limb: Limb:0, Limb:1, Limb:2"):
-        assert any(note.startswith(f"{side} lie in one plane") for note in notes)
+        assert any(note.startswith(f"{side} lie in one plane") for note in notes), side
+
+
+def test_a_limb_outside_the_socket_is_refused(rng, tmp_path):
+    bench = takes.make_bench(rng, frames=20, landmarks=3)
     for point in bench.document["limb"].values():
         point[2] *= -1.0  # the limb goes to the other side of its landmarks
     with wording.refused(RegistrationError, "outside the socket", "signs", "--force"):
@@ -204,7 +259,7 @@ def test_landmarks_in_one_plane_are_noted_and_refused_if_the_limb_is_outside(rng
 
 
 @pytest.mark.slow
-def test_the_covariances_have_the_size_and_direction_of_the_errors(tmp_path):
+def test_the_covariances_are_those_of_the_errors(tmp_path):
     """One bench, measured again and again, with as much noise by the triads as by landmarks."""
     rng, errors, stated = np.random.default_rng(7), [], []
     for _ in range(250):
@@ -259,20 +314,32 @@ def check(take: MotiveTake, scene: takes.Written, within: float = 1e-6) -> None:
     assert take.notes == () and take.frame_rate == 120.0
 
 
-def test_every_version_unit_and_line_end_is_read(scene, tmp_path):
+@pytest.mark.parametrize("version", ["1.2", "1.20", "1.21", "1.22", "1.23", "1.24", "1.25"])
+def test_every_version_is_read(scene, tmp_path, version: str):
+    written = takes.write_take(replace(scene, version=version), tmp_path / "take.csv")
+    check(read_motive_csv(written), scene)
+
+
+@pytest.mark.parametrize("unit", takes.UNITS)
+def test_every_unit_is_read(scene, tmp_path, unit: str):
+    written = takes.write_take(replace(scene, unit=unit), tmp_path / "take.csv")
+    check(read_motive_csv(written), scene, 1e-6 * takes.UNITS[unit])
+
+
+def test_line_feeds_behind_byte_order_marks_are_read(scene, tmp_path):
     path = tmp_path / "take.csv"
-    for version in ("1.2", "1.20", "1.21", "1.22", "1.23", "1.24", "1.25"):
-        check(read_motive_csv(takes.write_take(replace(scene, version=version), path)), scene)
-    for unit, metres in takes.UNITS.items():
-        take = read_motive_csv(takes.write_take(replace(scene, unit=unit), path))
-        check(take, scene, 1e-6 * metres)
     takes.write_lines(takes.motive_lines(scene), path, "\n", "utf-8-sig")
     check(read_motive_csv(path), scene)
+
+
+def test_a_newer_version_is_read_and_noted(scene, tmp_path):
+    path = tmp_path / "take.csv"
     newer = read_motive_csv(takes.write_take(replace(scene, version="1.31"), path))
     assert "1.31" in newer.notes[0] and len(newer) == 30
 
 
-def test_what_is_not_needed_does_not_matter_and_a_lost_body_has_no_pose(scene, tmp_path):
+def with_more(scene: takes.Written) -> list[str]:
+    """Lines with bones, time codes, reversed quaternions and a comma in the name of the take."""
     lines = takes.motive_lines(replace(scene, version="1.24"))
     extra = [",Bone", ",Hips", ",0A", ",Position", ",X", *[",not read"] * 30]
     codes = ["", "", "", "", "TimeCode", *["15:26:46:12.02"] * 30]
@@ -283,7 +350,15 @@ def test_what_is_not_needed_does_not_matter_and_a_lost_body_has_no_pose(scene, t
         lines[i] = ",".join([frame, time, code, *cells]) + bone + ",,,"
     # A comma in the name of the take shifts the pairs of the header.
     lines[0] = lines[0].replace("Take 2024-05-05", "Static, left, 2024-05-05")
-    check(read(lines, tmp_path), scene)
+    return lines
+
+
+def test_what_is_not_needed_does_not_matter(scene, tmp_path):
+    check(read(with_more(scene), tmp_path), scene)
+
+
+def test_a_lost_body_has_no_pose(scene, tmp_path):
+    lines = with_more(scene)
     cells = lines[FIRST_FRAME + 3].split(",")
     lines[FIRST_FRAME + 3] = ",".join([*cells[:3], *[""] * 8, *cells[11:]])
     pose = read(lines, tmp_path).body("Socket")
@@ -291,30 +366,40 @@ def test_what_is_not_needed_does_not_matter_and_a_lost_body_has_no_pose(scene, t
     np.testing.assert_array_equal(np.flatnonzero(lost), [3])
 
 
-def test_a_take_that_was_cut_short_keeps_its_whole_frames(scene, tmp_path):
+@pytest.mark.parametrize("lost", [1, 2, 30, 200], ids="{}-bytes".format)
+def test_a_cut_take_keeps_its_whole_frames(scene, tmp_path, lost: int):
     path = tmp_path / "take.csv"
-    whole = takes.write_take(scene, path).read_bytes()
-    for lost in (1, 2, 30, 200):
-        path.write_bytes(whole[:-lost])
-        take = read_motive_csv(path)
-        # Without its line end it may have lost digits, too; a lone carriage return is an end.
-        kept = 30 if lost == 1 else 29
-        expected = scene.markers["Unlabeled:108"][:kept]
-        np.testing.assert_allclose(take.markers["Unlabeled:108"], expected, atol=1e-6)
-        assert lost == 1 or ("cut short" in take.notes[0] and "30 were exported" in take.notes[1])
+    path.write_bytes(takes.write_take(scene, path).read_bytes()[:-lost])
+    take = read_motive_csv(path)
+    # Without its line end it may have lost digits, too; a lone carriage return is an end.
+    kept = 30 if lost == 1 else 29
+    expected = scene.markers["Unlabeled:108"][:kept]
+    np.testing.assert_allclose(take.markers["Unlabeled:108"], expected, atol=1e-6)
+    assert lost == 1 or ("cut short" in take.notes[0] and "30 were exported" in take.notes[1])
 
 
-def test_missing_and_doubled_names_are_named(scene, tmp_path):
-    lines = takes.motive_lines(scene)
-    take = read(lines, tmp_path)
+def test_a_marker_that_is_missing_is_named(scene, tmp_path):
+    take = read(takes.motive_lines(scene), tmp_path)
     with wording.refused(RegistrationError, "no marker 'Sockt:", "mean 'Socket:Marker1'"):
         take.stack(["Sockt:Marker1"])
+
+
+def test_a_solved_marker_is_not_a_measured_one(scene, tmp_path):
+    take = read(takes.motive_lines(scene), tmp_path)
     with wording.refused(RegistrationError, "not a measured one", "Markers"):
         take.stack(["Socket_2"])
+
+
+def test_a_doubled_name_is_named(scene, tmp_path):
+    lines = takes.motive_lines(scene)
     lines[3] = lines[3].replace("Socket:Marker3", "Socket:Marker1")
     with wording.refused(RegistrationError, "'Socket:Marker1' occurs twice"):
         read(lines, tmp_path).stack(["Socket:Marker1"])
-    # Since format 1.22 solved markers have the names of measured ones.
+
+
+def test_solved_markers_may_have_names_of_measured(scene, tmp_path):
+    """Since format 1.22 they do."""
+    take = read(takes.motive_lines(scene), tmp_path)
     solved = dict(zip(take.markers_of("Socket"), scene.solved.values(), strict=False))
     both = replace(scene, solved=solved, version="1.23")
     check(read(takes.motive_lines(both), tmp_path), both)
@@ -325,39 +410,58 @@ def text(old: str, new: str, line: int = 0):
     return lambda lines: [*lines[:line], lines[line].replace(old, new, 1), *lines[line + 1 :]]
 
 
-BAD = [  # a change of the lines, and what the error says of it
-    (lambda lines: lines[FIRST_FRAME - 1 :], "not a Motive export", "header information"),
-    (lambda lines: lines[:FIRST_FRAME], "holds no frame", "export"),
-    (text("Length Units,Meters", "Length,Meters"), "'Length Units'", "export"),
-    (text("Quaternion", "XYZ"), "type XYZ", "export quaternions"),
-    (text(",Meters", ",Furlongs"), "'Furlongs'", "metres"),
-    (text("Version,1.21", "Version,1.1"), "version 1.1", "1.20 to 1.25"),
-    (lambda lines: [*lines[:9], lines[9] + ",1.0", *lines[10:]], "line 10 has", "export"),
-    (text(",W,", ",Q,", 6), "rigid body 'Socket' has no column Rotation W", "all its"),
-    (text("0.", "O.", 10), "line 11, column 2 (time) holds 'O.025000'", "number"),
-    (text("2,", "1,", 9), "line 10: the frame does not follow", "export"),
-    (text("0.033333,", "0.033333,7", 11), "line 12: the quaternion of 'Socket'", "export"),
-]
+BAD = {  # a change of the lines, and what the error says of it
+    "no-header": (
+        *(lambda lines: lines[FIRST_FRAME - 1 :], "not a Motive export", "header information"),
+    ),
+    "no-frame": (lambda lines: lines[:FIRST_FRAME], "holds no frame", "export"),
+    "no-unit": (text("Length Units,Meters", "Length,Meters"), "'Length Units'", "export"),
+    "angles": (text("Quaternion", "XYZ"), "type XYZ", "export quaternions"),
+    "unknown-unit": (text(",Meters", ",Furlongs"), "'Furlongs'", "metres"),
+    "old-version": (text("Version,1.21", "Version,1.1"), "version 1.1", "1.20 to 1.25"),
+    "more-cells": (
+        *(lambda lines: [*lines[:9], lines[9] + ",1.0", *lines[10:]], "line 10 has", "export"),
+    ),
+    "fewer-cells": (
+        lambda lines: [*lines[:9], lines[9].rpartition(",")[0], *lines[10:]],
+        "line 10 has",
+        "export",
+    ),
+    "no-column": (text(",W,", ",Q,", 6), "rigid body 'Socket' has no column Rotation W", "all its"),
+    "no-number": (text("0.", "O.", 10), "line 11, column 2 (time) holds 'O.025000'", "number"),
+    "frame-again": (text("2,", "1,", 9), "line 10: the frame does not follow", "export"),
+    "no-rotation": (
+        *(text("0.033333,", "0.033333,7", 11), "line 12: the quaternion of 'Socket'", "export"),
+    ),
+}
 
 
-def test_a_bad_file_is_named_with_its_place_and_a_hint(scene, tmp_path):
-    for change, *words in BAD:
-        with wording.refused(RegistrationError, str(tmp_path / "take.csv"), *words):
-            read(change(takes.motive_lines(scene)), tmp_path)
+@pytest.mark.parametrize(("change", "fact", "hint"), BAD.values(), ids=BAD)
+def test_a_bad_file_is_named_with_its_place(scene, tmp_path, change, fact, hint):
+    with wording.refused(RegistrationError, str(tmp_path / "take.csv"), fact, hint):
+        read(change(takes.motive_lines(scene)), tmp_path)
 
 
-def test_the_markers_of_a_real_take_give_the_pose_of_motive(shared_data):
+@pytest.mark.parametrize(
+    ("kind", "labels"),
+    [
+        pytest.param("measured", [1, 0, 2], id="measured-markers"),
+        pytest.param("solved", [2, 0, 1], id="solved-markers"),
+    ],
+)
+def test_a_real_take_gives_motive_s_pose(shared_data, kind: str, labels: list[int]):
     real = read_motive_csv(shared_data / "motive_csv" / "sample_optitrack_take.csv")
     assert len(real) == 250 and real.frame_rate == 120.0 and real.notes == ()
     motive = real.body("Rigid Body 1")
-    measured = real.stack(real.markers_of("Rigid Body 1"))
-    solved = np.stack([*real.solved.values()], axis=1)
+    if kind == "measured":
+        markers = real.stack(real.markers_of("Rigid Body 1"))
+    else:
+        markers = np.stack([*real.solved.values()], axis=1)
     move = random_pose(np.random.default_rng(3), 1.0)  # the body hardly moves: move the scene
     expected = move @ motive
-    for markers, labels in ((measured, [1, 0, 2]), (solved, [2, 0, 1])):
-        arms = markers - motive.translation[:, None]
-        observed = (markers @ move.rotation.T + move.translation)[:, labels]
-        fit = fit_body((arms @ motive.rotation).mean(axis=0), observed)
-        off = np.linalg.norm(fit.pose.translation - expected.translation, axis=1)
-        turn = np.swapaxes(expected.rotation, 1, 2) @ fit.pose.rotation
-        assert off.max() < 5e-5 and Rotation.from_matrix(turn).magnitude().max() < 3e-4
+    arms = markers - motive.translation[:, None]
+    observed = (markers @ move.rotation.T + move.translation)[:, labels]
+    fit = fit_body((arms @ motive.rotation).mean(axis=0), observed)
+    off = np.linalg.norm(fit.pose.translation - expected.translation, axis=1)
+    turn = np.swapaxes(expected.rotation, 1, 2) @ fit.pose.rotation
+    assert off.max() < 5e-5 and Rotation.from_matrix(turn).magnitude().max() < 3e-4

@@ -51,52 +51,94 @@ WRITERS = {
 }
 
 
-def test_every_kind_of_file_gives_the_same_surface_and_is_refused_when_cut_off(cone, tmp_path, rng):
-    for name, write in WRITERS.items():
-        path = write(cone, tmp_path / name)
-        scan = read_scan(path)
-        assert_same_surface(scan.mesh, cone)
-        assert (scan.unit, scan.unit_source) == ("mm", "inferred")
-        assert len(scan.notes) == 2  # of its unit and its brim: nothing was repaired
-        data = path.read_bytes()
-        if name.startswith("text"):  # any name of the solid, and no final line feed
-            path.write_bytes(data.rstrip().replace(b"solid", b"solid vertex", 1))
-            assert_same_surface(read_scan(path).mesh, cone)
-        for share in rng.random(4) if name != "a.obj" else ():  # an OBJ does not state its length
-            path.write_bytes(data[: int(share * len(data))])
-            with pytest.raises(ScanError):
-                read_scan(path)
+@pytest.mark.parametrize(("name", "write"), WRITERS.items(), ids=WRITERS)
+def test_every_kind_of_file_gives_one_surface(cone, tmp_path, name, write):
+    scan = read_scan(write(cone, tmp_path / name))
+    assert_same_surface(scan.mesh, cone)
+    assert (scan.unit, scan.unit_source) == ("mm", "inferred")
+    assert len(scan.notes) == 2  # of its unit and its brim: nothing was repaired
 
 
-def test_a_unit_is_given_or_inferred_in_m_and_mm_alone(path):
-    for unit in meshes.UNITS:
-        for size in (0.45, 2.4):
-            mesh = meshes.scaled(open_cone(*CONE, 0.03, dome=True), size)  # 0.24 m long at size 1
-            write_stl(mesh, path, unit)
-            assert_same_surface(read_scan(path, unit=unit).mesh, mesh)
-            if unit in {"m", "mm"}:
-                assert_same_surface(read_scan(path).mesh, mesh)
-                assert noted(read_scan(path), f"inferred unit {unit}")
-            else:
-                with pytest.raises(ScanError, match=r"neither in m nor in mm.*--unit"):
-                    read_scan(path)
+@pytest.mark.parametrize("name", ["text.stl", "text.PLY"])
+def test_a_text_may_lack_its_final_line_feed(cone, tmp_path, name: str):
+    """And its solid may have any name."""
+    path = WRITERS[name](cone, tmp_path / name)
+    path.write_bytes(path.read_bytes().rstrip().replace(b"solid", b"solid vertex", 1))
+    assert_same_surface(read_scan(path).mesh, cone)
 
 
-def test_a_unit_that_the_file_states_is_taken(cone, tmp_path):
-    stl = write_stl(cone, tmp_path / "a.stl", "cm", b"scanner X; units: cm")
-    obj = export(meshes.scaled(cone, 0.1), tmp_path / "a.obj", header="File units = centimeters")
-    ply = export(meshes.scaled(cone, 0.1), tmp_path / "a.ply")
+@pytest.mark.parametrize("name", [name for name in WRITERS if name != "a.obj"])
+def test_a_file_cut_anywhere_is_refused(cone, tmp_path, rng, name: str):
+    """But an OBJ, which does not state its length."""
+    path = WRITERS[name](cone, tmp_path / name)
+    data = path.read_bytes()
+    for share in rng.random(4):
+        path.write_bytes(data[: int(share * len(data))])
+        with pytest.raises(ScanError):
+            read_scan(path)
+
+
+SIZED = pytest.mark.parametrize("size", [0.45, 2.4], ids=["small", "large"])
+
+
+def sized_cone(size: float) -> trimesh.Trimesh:
+    return meshes.scaled(open_cone(*CONE, 0.03, dome=True), size)  # 0.24 m long at size 1
+
+
+@SIZED
+@pytest.mark.parametrize("unit", meshes.UNITS)
+def test_a_unit_that_is_given_is_taken(path, unit: str, size: float):
+    mesh = sized_cone(size)
+    write_stl(mesh, path, unit)
+    assert_same_surface(read_scan(path, unit=unit).mesh, mesh)
+
+
+@SIZED
+@pytest.mark.parametrize("unit", ["m", "mm"])
+def test_metres_or_millimetres_are_inferred(path, unit: str, size: float):
+    mesh = sized_cone(size)
+    write_stl(mesh, path, unit)
+    assert_same_surface(read_scan(path).mesh, mesh)
+    assert noted(read_scan(path), f"inferred unit {unit}")
+
+
+@SIZED
+@pytest.mark.parametrize("unit", [unit for unit in meshes.UNITS if unit not in {"m", "mm"}])
+def test_other_units_are_not_inferred(path, unit: str, size: float):
+    write_stl(sized_cone(size), path, unit)
+    with pytest.raises(ScanError, match=r"neither in m nor in mm.*--unit"):
+        read_scan(path)
+
+
+def stl_in_cm(cone: trimesh.Trimesh, folder: Path) -> Path:
+    return write_stl(cone, folder / "a.stl", "cm", b"scanner X; units: cm")
+
+
+def obj_in_cm(cone: trimesh.Trimesh, folder: Path) -> Path:
+    scaled = meshes.scaled(cone, 0.1)
+    return export(scaled, folder / "a.obj", header="File units = centimeters")
+
+
+def ply_in_cm(cone: trimesh.Trimesh, folder: Path) -> Path:
+    ply = export(meshes.scaled(cone, 0.1), folder / "a.ply")
     ply.write_bytes(ply.read_bytes().replace(b"\nelement", b"\ncomment unit cm\nelement", 1))
-    for file in (stl, obj, ply):
-        scan = read_scan(file)
-        assert_same_surface(scan.mesh, cone)
-        assert (scan.unit, scan.unit_source) == ("cm", "stated")
-    scan = read_scan(write_stl(cone, stl, "mm", b"units: cm"), unit="mm")
+    return ply
+
+
+@pytest.mark.parametrize("write", [stl_in_cm, obj_in_cm, ply_in_cm], ids=["stl", "obj", "ply"])
+def test_a_unit_that_the_file_states_is_taken(cone, tmp_path, write):
+    scan = read_scan(write(cone, tmp_path))
+    assert_same_surface(scan.mesh, cone)
+    assert (scan.unit, scan.unit_source) == ("cm", "stated")
+
+
+def test_a_given_unit_outweighs_a_stated_one(cone, path):
+    scan = read_scan(write_stl(cone, path, "mm", b"units: cm"), unit="mm")
     assert_same_surface(scan.mesh, cone)
     assert noted(scan, "states the unit cm")
 
 
-def test_of_two_bodies_one_must_be_chosen_by_its_number(cone, path):
+def test_of_two_bodies_one_must_be_chosen(cone, path):
     pin = meshes.shifted(shell(0.02, 0.02, 0.05, EDGE, 0.004), 0.2)
     write_stl(trimesh.util.concatenate([cone, pin]), path)
     with pytest.raises(ScanError, match=rf"has 2 bodies of 0 \({len(cone.faces)} faces, 1"):
@@ -106,20 +148,20 @@ def test_of_two_bodies_one_must_be_chosen_by_its_number(cone, path):
         read_scan(path, body="2")
 
 
-def test_bodies_of_an_obj_go_by_the_names_of_its_objects_or_groups(cone, tmp_path):
+@pytest.mark.parametrize("word", ["o", "g"], ids=["objects", "groups"])
+@pytest.mark.parametrize("name", ["limb", "plate 2"], ids=["limb", "plate-2"])
+def test_bodies_of_an_obj_have_names(cone, tmp_path, word: str, name: str):
     bodies = {"limb": cone, "plate 2": meshes.shifted(cone, 0.2)}
-    for word in ("o", "g"):
-        text, count = "", 1
-        for name, mesh in bodies.items():
-            text += f"{word} {name}\n"
-            text += "".join(f"v {x} {y} {z}\n" for x, y, z in 1e3 * mesh.vertices)
-            text += "".join(f"f {a} {b} {c}\n" for a, b, c in mesh.faces + count)
-            count += len(mesh.vertices)
-        (tmp_path / "scan.obj").write_text(text)
-        for name, mesh in bodies.items():
-            scan = read_scan(tmp_path / "scan.obj", body=name)
-            assert_same_surface(scan.mesh, mesh)
-            assert scan.body == name
+    text, count = "", 1
+    for body, mesh in bodies.items():
+        text += f"{word} {body}\n"
+        text += "".join(f"v {x} {y} {z}\n" for x, y, z in 1e3 * mesh.vertices)
+        text += "".join(f"f {a} {b} {c}\n" for a, b, c in mesh.faces + count)
+        count += len(mesh.vertices)
+    (tmp_path / "scan.obj").write_text(text)
+    scan = read_scan(tmp_path / "scan.obj", body=name)
+    assert_same_surface(scan.mesh, bodies[name])
+    assert scan.body == name
 
 
 PLY = b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
@@ -138,39 +180,71 @@ BAD = {
 }
 
 
-def test_bad_files_are_refused_in_one_line_that_names_them(tmp_path, capfd, caplog):
-    for name, (content, words) in BAD.items():
-        if content is not None:
-            (tmp_path / name).write_bytes(content)
-        with refused(ScanError, words, name):
-            read_scan(tmp_path / name)
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [(name, *rest) for name, rest in BAD.items()],
+    ids=[name.replace(" ", "-") for name in BAD],
+)
+def test_a_bad_file_is_refused_in_one_line(tmp_path, capfd, caplog, name, content, words):
+    """That names it."""
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with refused(ScanError, words, name):
+        read_scan(tmp_path / name)
     assert capfd.readouterr() == ("", "") and not caplog.records
 
 
 # --- repairs: each undoes a known damage and is reported
 
 
-def test_specks_doubles_and_empty_faces_are_removed_and_reported_and_vertices_welded(cone, path):
+def with_specks(cone: trimesh.Trimesh) -> trimesh.Trimesh:
     speck = trimesh.creation.icosphere(1, 0.001)
     specks = [meshes.shifted(speck, 0.2 + 0.01 * i) for i in range(3)]
-    hair = np.random.default_rng(1).uniform(-2e-8, 2e-8, (cone.faces.size, 3))
-    corners = np.arange(cone.faces.size).reshape(-1, 3)
-    loose = trimesh.Trimesh(cone.triangles.reshape(-1, 3) + hair, corners, process=False)
+    return trimesh.util.concatenate([specks[0], cone, *specks[1:]])
+
+
+def with_faces_twice(cone: trimesh.Trimesh) -> trimesh.Trimesh:
     twice = np.vstack([cone.faces[:7], cone.faces[5:15, ::-1], np.roll(cone.faces[20:22], 1, 1)])
+    return with_faces(cone, np.vstack([cone.faces, twice]))
+
+
+def with_empty_faces(cone: trimesh.Trimesh) -> trimesh.Trimesh:
     points = np.column_stack([cone.faces[:9, 0], cone.faces[:9, 0], cone.faces[:9, 1]])
+    return with_faces(cone, np.vstack([points, cone.faces]))
+
+
+def with_a_fin(cone: trimesh.Trimesh) -> trimesh.Trimesh:
     a, b = cone.faces[200][:2]
     vertices = np.vstack([cone.vertices, 0.8 * cone.vertices[a]])
     fin = np.vstack([cone.faces, [[a, b, len(cone.vertices)]]])
-    for scanned, words in (
-        (trimesh.util.concatenate([specks[0], cone, *specks[1:]]), "dropped 240 faces"),
-        (with_faces(cone, np.vstack([cone.faces, twice])), "removed 19 duplicate faces"),
-        (with_faces(cone, np.vstack([points, cone.faces])), "removed 9 faces without area"),
-        (trimesh.Trimesh(vertices, fin, process=False), "dropped 1 faces"),
-        (loose, "inferred unit mm"),  # vertices a hair apart are welded
-    ):
-        scan = read_scan(write_stl(scanned, path))
-        assert_same_surface(scan.mesh, cone)
-        assert noted(scan, words)
+    return trimesh.Trimesh(vertices, fin, process=False)
+
+
+def with_loose_vertices(cone: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Vertices of each face a hair apart from those of the next."""
+    hair = np.random.default_rng(1).uniform(-2e-8, 2e-8, (cone.faces.size, 3))
+    corners = np.arange(cone.faces.size).reshape(-1, 3)
+    return trimesh.Trimesh(cone.triangles.reshape(-1, 3) + hair, corners, process=False)
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        pytest.param(with_specks, "dropped 240 faces", id="specks"),
+        pytest.param(with_faces_twice, "removed 19 duplicate faces", id="doubles"),
+        pytest.param(with_empty_faces, "removed 9 faces without area", id="empty-faces"),
+        pytest.param(with_a_fin, "dropped 1 faces", id="fin"),
+        pytest.param(with_loose_vertices, "inferred unit mm", id="loose-vertices"),
+    ],
+)
+def test_a_damage_is_repaired_without_a_trace(cone, path, damage, words: str):
+    """And reported."""
+    scan = read_scan(write_stl(damage(cone), path))
+    assert_same_surface(scan.mesh, cone)
+    assert noted(scan, words)
+
+
+def test_faces_with_an_infinite_corner_are_removed(cone, path):
     gone = int((cone.faces == 50).any(axis=1).sum())
     cone.vertices[50] = [np.nan, 0.0, np.inf]
     scan = read_scan(write_stl(cone, path))
@@ -178,7 +252,7 @@ def test_specks_doubles_and_empty_faces_are_removed_and_reported_and_vertices_we
     assert noted(scan, f"removed {gone} faces with a corner that is not finite")
 
 
-def test_the_winding_is_made_consistent_with_the_fewest_turns(rng, path):
+def test_the_winding_is_repaired_with_the_fewest_turns(rng, path):
     solid = shell(*CONE, EDGE, 0.005)
     flip = rng.random(len(solid.faces)) < 0.4
     faces = np.where(flip[:, None], solid.faces[:, ::-1], solid.faces)
@@ -188,7 +262,7 @@ def test_the_winding_is_made_consistent_with_the_fewest_turns(rng, path):
     assert noted(scan, f"reversed {flip.sum()} faces")
 
 
-def test_small_holes_are_closed_by_fans_and_a_large_one_through_both_walls_is_left(path):
+def test_a_large_hole_through_walls_is_left(path):
     solid = shell(*CONE, 0.0025, 0.005)
     centres = solid.triangles_center
     small = np.argmin(np.linalg.norm(centres - [0.05, 0.0, 0.1], axis=1))
@@ -198,6 +272,10 @@ def test_small_holes_are_closed_by_fans_and_a_large_one_through_both_walls_is_le
     scan = read_scan(write_stl(with_faces(solid, solid.faces[keep]), path))
     assert noted(scan, "small holes closed: 1, ")
     assert noted(scan, "edges of the surface left open: 2, ")
+
+
+def test_small_holes_are_closed_by_fans(path):
+    solid = shell(*CONE, 0.0025, 0.005)
     vertex = np.argmin(np.linalg.norm(solid.vertices - [-0.05, 0.0, 0.1], axis=1))
     scan = read_scan(write_stl(with_faces(solid, (solid.faces != vertex).all(axis=1)), path))
     assert noted(scan, "small holes closed: 1, ") and scan.mesh.is_watertight
@@ -230,30 +308,51 @@ def check(scan: trimesh.Trimesh, inner: trimesh.Trimesh, up=UP, off: float = 1.0
     assert meshes.angle_between(interior.proximal, up) < off
 
 
-@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
-def test_the_inner_wall_of_a_shell_is_kept_and_a_single_surface_whole(shape):
-    cone, solid = open_cone(*CONE, EDGE, **shape), shell(*CONE, EDGE, WALL, **shape)
-    for scan in (solid, cone, inside_out(cone)):
-        check(scan, cone)
+EVERY_SHAPE = pytest.mark.parametrize(
+    "shape", SHAPES.values(), ids=[name.replace(" ", "-") for name in SHAPES]
+)
 
 
-def test_walls_of_any_thickness_a_slanted_cut_and_a_long_solid_distal_end():
-    for thickness in (0.0015, 0.015):
-        check(shell(*CONE, 0.004, thickness, dome=True), open_cone(*CONE, 0.004, dome=True))
+@EVERY_SHAPE
+def test_the_inner_wall_of_a_shell_is_kept(shape):
+    check(shell(*CONE, EDGE, WALL, **shape), open_cone(*CONE, EDGE, **shape))
+
+
+@EVERY_SHAPE
+@pytest.mark.parametrize("wound", ["inwards", "outwards"])
+def test_a_single_surface_is_kept_whole(shape, wound: str):
+    cone = open_cone(*CONE, EDGE, **shape)
+    check(cone if wound == "inwards" else inside_out(cone), cone)
+
+
+@pytest.mark.parametrize("thickness", [0.0015, 0.015], ids=["thin", "thick"])
+def test_a_wall_may_have_any_thickness(thickness: float):
+    check(shell(*CONE, 0.004, thickness, dome=True), open_cone(*CONE, 0.004, dome=True))
+
+
+def test_a_wall_may_be_cut_at_a_slant():
     inner, cut = open_cone(*CONE, EDGE, arc=4.0), shell(*CONE, EDGE, 0.01, arc=4.0)
     outer = slice(len(inner.vertices), None)  # turned, so that the cavity sees a face of the cut
     cut.vertices[outer] = Rotation.from_rotvec(0.1 * UP).apply(cut.vertices[outer])
     check(cut, inner, off=2.0)
 
-    for shape in ({"hole": 0.01, "dome": True}, {"arc": np.pi}):
-        inner = open_cone(*CONE, EDGE, **shape)
-        low = inner.vertices[:, 2].min() - 1e-6
 
-        def lengthened(points, low=low):
-            """As printed with its adapter: the middle of the body is within the material."""
-            return points - np.outer(0.12 * (points[:, 2] < low), UP)
+@pytest.mark.parametrize(
+    "shape",
+    [
+        pytest.param({"hole": 0.01, "dome": True}, id="dome"),
+        pytest.param({"arc": np.pi}, id="half"),
+    ],
+)
+def test_the_distal_end_may_be_long_and_solid(shape):
+    inner = open_cone(*CONE, EDGE, **shape)
+    low = inner.vertices[:, 2].min() - 1e-6
 
-        check(moved(shell(*CONE, EDGE, WALL, **shape), lengthened), inner)
+    def lengthened(points):
+        """As printed with its adapter: the middle of the body is within the material."""
+        return points - np.outer(0.12 * (points[:, 2] < low), UP)
+
+    check(moved(shell(*CONE, EDGE, WALL, **shape), lengthened), inner)
 
 
 def oval(points):
@@ -269,28 +368,41 @@ def pressed_in(points):
     return points * (1.0 - np.outer(depth, [1.0, 1.0, 0.0]))
 
 
-def test_sockets_that_are_not_round_or_are_shallow():
-    for change in (oval, pressed_in):
-        for shape in ({"dome": True}, {"dome": True, "arc": 3.6}):
-            scan, inner = shell(*CONE, EDGE, WALL, **shape), open_cone(*CONE, EDGE, **shape)
-            found = find_interior(moved(scan, change))
-            meshes.assert_same_faces(found.mesh, moved(inner, change))
-    for height in (0.01, 0.06):
-        cone = (0.05, 0.06, height)
-        scan = moved(shell(*cone, EDGE, WALL, dome=True), oval)
-        check(scan, moved(open_cone(*cone, EDGE, dome=True), oval), off=2.0)
+@pytest.mark.parametrize("change", [oval, pressed_in])
+@pytest.mark.parametrize(
+    "shape",
+    [pytest.param({"dome": True}, id="whole"), pytest.param({"dome": True, "arc": 3.6}, id="open")],
+)
+def test_a_socket_need_not_be_round(change, shape):
+    scan, inner = shell(*CONE, EDGE, WALL, **shape), open_cone(*CONE, EDGE, **shape)
+    found = find_interior(moved(scan, change))
+    meshes.assert_same_faces(found.mesh, moved(inner, change))
 
 
-def test_neither_the_pose_nor_the_order_of_the_faces_matters(rng):
-    cone, solid = open_cone(*CONE, EDGE, arc=4.0), shell(*CONE, EDGE, WALL, arc=4.0)
+@pytest.mark.parametrize("height", [0.01, 0.06], ids=["10-mm", "60-mm"])
+def test_a_socket_may_be_shallow(height: float):
+    cone = (0.05, 0.06, height)
+    scan = moved(shell(*cone, EDGE, WALL, dome=True), oval)
+    check(scan, moved(open_cone(*cone, EDGE, dome=True), oval), off=2.0)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        pytest.param(lambda: open_cone(*CONE, EDGE, arc=4.0), id="surface"),
+        pytest.param(lambda: shell(*CONE, EDGE, WALL, arc=4.0), id="shell"),
+        pytest.param(lambda: inside_out(shell(*CONE, EDGE, WALL, arc=4.0)), id="shell-inside-out"),
+    ],
+)
+def test_neither_pose_nor_order_of_faces_matters(rng, make):
     turn, shift = Rotation.random(random_state=5), rng.normal(0.0, 1.0, 3)
+    mesh, cone = make(), open_cone(*CONE, EDGE, arc=4.0)
     inner = moved(cone, lambda points: turn.apply(points) + shift)
-    for mesh in (cone, solid, inside_out(solid)):
-        shuffled = with_faces(mesh, rng.permutation(mesh.faces))
-        check(moved(shuffled, lambda points: turn.apply(points) + shift), inner, turn.apply(UP))
+    shuffled = with_faces(mesh, rng.permutation(mesh.faces))
+    check(moved(shuffled, lambda points: turn.apply(points) + shift), inner, turn.apply(UP))
 
 
-def test_a_window_is_an_opening_and_its_rim_is_no_wall():
+def test_the_rim_of_a_window_is_no_wall():
     cone = open_cone(*CONE, 0.004, dome=True)
     place = cone.triangles_center - [0.05, 0.0, 0.1]
     inner = with_faces(cone, np.linalg.norm(place, axis=1) > 0.02)
@@ -333,57 +445,117 @@ def test_the_inner_wall_of_a_real_shell(shared_data: Path):
     assert not any("no axis" in note for note in interior.notes)
 
 
-def test_a_real_limb_is_kept_whole_and_separated_from_a_shell_around_it(shared_data: Path):
+@pytest.fixture(scope="module")
+def limb(shared_data: Path):
+    """A real limb, with the area of its file [m^2]."""
     path = shared_data / "ampscan" / "stl_file.stl"
-    raw = trimesh.load_mesh(path)
-    interior = find_interior(read_scan(path).mesh)
-    assert interior.mesh.area == pytest.approx(1e-6 * raw.area, rel=1e-9)
-    mesh = interior.mesh  # its normals point into the limb: test_tile.py
+    return find_interior(read_scan(path).mesh), 1e-6 * trimesh.load_mesh(path).area
+
+
+def test_a_real_limb_is_kept_whole(limb):
+    interior, area = limb
+    assert interior.mesh.area == pytest.approx(area, rel=1e-9)
+    # Its normals point into the limb: test_tile.py.
     assert meshes.angle_between(interior.proximal, UP) < 5.0
     assert "openings: 1, " in interior.notes[1]
+
+
+def test_a_limb_is_separated_from_its_shell(limb):
+    mesh = limb[0].mesh
     meshes.assert_same_faces(find_interior(thickened(mesh, 0.006)).mesh, mesh, 2e-3)
 
 
-def test_the_more_open_end_is_proximal_and_equal_ends_need_a_direction():
-    down = shell(0.06, 0.05, 0.2, EDGE, WALL, closed=False)
-    bottle = shell(0.06, 0.04, 0.2, EDGE, WALL, hole=0.03)
-    for scan, proximal in ((down, -UP), (bottle, UP)):
-        assert meshes.angle_between(find_interior(scan).proximal, proximal) < 1.0
-    tube = shell(0.05, 0.05, 0.2, EDGE, WALL, closed=False)
+@pytest.mark.parametrize(
+    ("make", "proximal"),
+    [
+        pytest.param(
+            lambda: shell(0.06, 0.05, 0.2, EDGE, WALL, closed=False), -UP, id="wider-below"
+        ),
+        pytest.param(lambda: shell(0.06, 0.04, 0.2, EDGE, WALL, hole=0.03), UP, id="bottle"),
+    ],
+)
+def test_the_more_open_end_is_proximal(make, proximal):
+    assert meshes.angle_between(find_interior(make()).proximal, proximal) < 1.0
+
+
+@pytest.fixture(scope="module")
+def tube() -> trimesh.Trimesh:
+    """A shell with two equal ends."""
+    return shell(0.05, 0.05, 0.2, EDGE, WALL, closed=False)
+
+
+def test_equal_ends_need_a_direction(tube):
     with pytest.raises(ScanError, match=r"equally open.*--proximal"):
         find_interior(tube)
-    # A given direction is kept; what the scan says against it is noted.
-    cup, socket = open_cone(0.05, 0.05, 0.2, EDGE, closed=False), open_cone(*CONE, EDGE)
-    whole = shell(*CONE, EDGE, WALL)
-    for scan, inner, direction, words in (
-        (tube, cup, [0.0, 0.0, -2.0], "decides"),
-        (whole, socket, [0.0, 0.0, -3.0], "closed end, 180 deg"),
-        (whole, socket, [1.0, 0.0, 1.0], "45 deg off"),
-    ):
-        interior = find_interior(scan, np.array(direction))
-        np.testing.assert_allclose(interior.proximal, direction / np.linalg.norm(direction))
-        meshes.assert_same_faces(interior.mesh, inner)
-        notes = [note for note in interior.notes if "direction" in note or "decides" in note]
-        assert words in notes[0]
 
 
-def test_scans_without_a_cavity_or_an_opening_are_refused(rng):
-    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.08)
-    plate = trimesh.creation.box((0.1, 0.13, 0.02)).subdivide().subdivide()
-    noise = rng.normal(0.0, 5e-4, plate.vertices.shape)
-    sheet = moved(with_faces(plate, plate.face_normals[:, 2] > 0.5), lambda points: points + noise)
-    hollow = trimesh.util.concatenate([ball, inside_out(trimesh.creation.icosphere(4, 0.07))])
-    for solid, words in (
-        (ball, "has no cavity"),
-        (plate, "has no cavity"),
-        (sheet, "has no cavity"),
-        (with_faces(ball, ball.triangles_center[:, 2] < -0.074), "has no cavity"),  # a dish
-        (hollow, "closed"),
-        (with_faces(ball, ball.triangles_center[:, 2] < 0.0795), "closed|equally open"),
-    ):
-        with pytest.raises(ScanError, match=words):
-            find_interior(solid)
-    bowl = with_faces(ball, ball.triangles_center[:, 2] < 0.0)
-    assert any("no axis" in note for note in find_interior(bowl).notes)
+def check_direction(scan, inner, direction: list[float], words: str) -> None:
+    """A given direction is kept; what the scan says against it is noted."""
+    interior = find_interior(scan, np.array(direction))
+    np.testing.assert_allclose(interior.proximal, direction / np.linalg.norm(direction))
+    meshes.assert_same_faces(interior.mesh, inner)
+    notes = [note for note in interior.notes if "direction" in note or "decides" in note]
+    assert words in notes[0]
+
+
+def test_a_direction_decides_between_equal_ends(tube):
+    inner = open_cone(0.05, 0.05, 0.2, EDGE, closed=False)
+    check_direction(tube, inner, [0.0, 0.0, -2.0], "decides")
+
+
+@pytest.mark.parametrize(
+    ("direction", "words"),
+    [
+        pytest.param([0.0, 0.0, -3.0], "closed end, 180 deg", id="opposite"),
+        pytest.param([1.0, 0.0, 1.0], "45 deg off", id="aslant"),
+    ],
+)
+def test_a_direction_against_the_scan_is_noted(direction: list[float], words: str):
+    check_direction(shell(*CONE, EDGE, WALL), open_cone(*CONE, EDGE), direction, words)
+
+
+def ball(*, below: float = np.inf) -> trimesh.Trimesh:
+    """A ball, or its part below a height [m]."""
+    whole = trimesh.creation.icosphere(subdivisions=4, radius=0.08)
+    return with_faces(whole, whole.triangles_center[:, 2] < below)
+
+
+def plate() -> trimesh.Trimesh:
+    return trimesh.creation.box((0.1, 0.13, 0.02)).subdivide().subdivide()
+
+
+def sheet() -> trimesh.Trimesh:
+    """A noisy scan of a plane."""
+    upper = with_faces(plate(), plate().face_normals[:, 2] > 0.5)
+    noise = np.random.default_rng(1).normal(0.0, 5e-4, upper.vertices.shape)
+    return moved(upper, lambda points: points + noise)
+
+
+def hollow_ball() -> trimesh.Trimesh:
+    return trimesh.util.concatenate([ball(), inside_out(trimesh.creation.icosphere(4, 0.07))])
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        pytest.param(ball, "has no cavity", id="ball"),
+        pytest.param(plate, "has no cavity", id="plate"),
+        pytest.param(sheet, "has no cavity", id="sheet"),
+        pytest.param(lambda: ball(below=-0.074), "has no cavity", id="dish"),
+        pytest.param(hollow_ball, "closed", id="hollow-ball"),
+        pytest.param(lambda: ball(below=0.0795), "closed|equally open", id="pinhole"),
+    ],
+)
+def test_a_scan_of_no_socket_is_refused(make, words: str):
+    with pytest.raises(ScanError, match=words):
+        find_interior(make())
+
+
+def test_a_bowl_without_an_axis_is_noted():
+    assert any("no axis" in note for note in find_interior(ball(below=0.0)).notes)
+
+
+def test_a_closed_scan_must_be_cut_open():
+    """Though a direction is given."""
     with pytest.raises(ScanError, match=r"closed.*cut the scan open"):
-        find_interior(with_faces(ball, ball.triangles_center[:, 2] < 0.0795), UP)
+        find_interior(ball(below=0.0795), UP)

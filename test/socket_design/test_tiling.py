@@ -47,62 +47,101 @@ def asked_at(centre, frame=None, name="distal") -> clusters.ClusterPlace:
     return clusters.ClusterPlace(name, centre, frame, f"{name}'s")
 
 
-def lay(*places: clusters.ClusterPlace) -> tuple[Squares, list[clusters.LaidCluster]]:
+@cache
+def bare_wall() -> tuple[Squares, Surroundings]:
+    """Squares all over the wall, and what surrounds them."""
     rng = np.random.default_rng(2)
     centres, points = spread_points(WALL, 0.001, rng), spread_points(WALL, 0.0025, rng)
     surroundings = Surroundings(points, rim_points(WALL, 0.0005), Z, X)
-    others = squares_at(centres, surroundings, 0.03)
+    return squares_at(centres, surroundings, 0.03), surroundings
+
+
+def lay(*places: clusters.ClusterPlace) -> tuple[Squares, list[clusters.LaidCluster]]:
+    others, surroundings = bare_wall()
     return clusters.lay_clusters(WALL, places, others, surroundings, 0.008)
 
 
-def test_a_cluster_stays_where_it_is_glued_and_as_it_is_turned(rng) -> None:
+@pytest.mark.parametrize("is_turned", [False, True], ids=["upright", "turned"])
+def test_a_cluster_stays_where_it_is_glued(rng, is_turned: bool) -> None:
+    """And as it is turned."""
     for angle, turned in rng.uniform(-math.pi, math.pi, (3, 2)):
         asked = wall(angle, rng.uniform(0.03, 0.09), off=rng.uniform(-0.003, 0.003))
         nearest = trimesh.proximity.closest_point(WALL, asked[None])[0][0]
-        frame = frame_at(angle, turned)
-        for given, expected in ((None, 0.0), (frame, turned)):
-            squares, (laid,) = lay(asked_at(asked, given))
-            assert np.linalg.norm(squares.anchors[0] - nearest) < 1e-9 and laid.moved == 0.0
-            assert laid.turned == pytest.approx(expected, abs=math.radians(1.0))
+        frame = frame_at(angle, turned if is_turned else 0.0)
+        squares, (laid,) = lay(asked_at(asked, frame if is_turned else None))
+        assert np.linalg.norm(squares.anchors[0] - nearest) < 1e-9 and laid.moved == 0.0
+        expected = turned if is_turned else 0.0
+        assert laid.turned == pytest.approx(expected, abs=math.radians(1.0))
         # Its square is turned with it: the sensor's edges are its own.
         assert np.abs(squares.rotations[0] - frame).max() < 0.04
 
 
-def test_a_cluster_over_the_brim_is_laid_beside_it_and_one_that_cannot_be_laid_is_refused() -> None:
-    squares, (laid,) = lay(asked_at(wall(1.0, 0.11)))
-    assert squares.anchors[0, 2] == pytest.approx(0.105, abs=0.0015)
+@pytest.mark.parametrize(
+    ("height", "laid_at"),
+    [pytest.param(0.11, 0.105, id="proximal"), pytest.param(0.01, 0.015, id="distal")],
+)
+def test_a_cluster_over_the_brim_is_moved(height: float, laid_at: float) -> None:
+    squares, (laid,) = lay(asked_at(wall(1.0, height)))
+    assert squares.anchors[0, 2] == pytest.approx(laid_at, abs=0.0015)
     assert 0.004 < laid.moved < 0.008
-    on = wall(0.0, 0.06)
-    for places, words in (
-        ([asked_at(np.array([0.5, 0.0, 0.05]))], "distal's: is 450 mm from the interior"),
-        (
-            [asked_at(on, name="a"), asked_at(wall(0.3, 0.06), name="b")],
-            "b's: overlaps a, their centres are 14.9 mm apart",
+
+
+ON_WALL = wall(0.0, 0.06)
+
+
+@pytest.mark.parametrize(
+    ("places", "words"),
+    [
+        pytest.param(
+            [asked_at(np.array([0.5, 0.0, 0.05]))],
+            "distal's: is 450 mm from the interior",
+            id="far-away",
         ),
-        ([asked_at(on, frame_at(0.8))], "distal's: its z is 4[0-9] deg off the inward normal"),
-    ):
-        with pytest.raises(ConfigurationError, match=words):
-            lay(*places)
+        pytest.param(
+            [asked_at(ON_WALL, name="a"), asked_at(wall(0.3, 0.06), name="b")],
+            "b's: overlaps a, their centres are 14.9 mm apart",
+            id="overlapping",
+        ),
+        pytest.param(
+            [asked_at(ON_WALL, frame_at(0.8))],
+            "distal's: its z is 4[0-9] deg off the inward normal",
+            id="off-the-normal",
+        ),
+    ],
+)
+def test_a_cluster_that_cannot_be_laid_is_refused(places, words: str) -> None:
+    with pytest.raises(ConfigurationError, match=words):
+        lay(*places)
 
 
-def test_placement_by_landmarks_or_points(tmp_path: Path) -> None:
-    turned, path = Rotation.random(random_state=8), tmp_path / "l.yaml"
-    load_cell = 1e-3 * np.array([[0, 0, 0], [50, 0, 0], [10, 20, 0], [0, -60, 300], [0, 100, 200]])
-    scan = 1e3 * (turned.apply(load_cell + np.array([0.3, 0.1, -0.2])))
+LOAD_CELL = 1e-3 * np.array([[0, 0, 0], [50, 0, 0], [10, 20, 0], [0, -60, 300], [0, 100, 200]])
+SCAN = 1e3 * Rotation.random(random_state=8).apply(LOAD_CELL + np.array([0.3, 0.1, -0.2]))  # [mm]
 
-    def place(scan: np.ndarray) -> Pose:
-        pairs = enumerate(zip(scan.tolist(), load_cell.tolist(), strict=True))
-        places = {f"L{i}": {"scan": picked, "load_cell": known} for i, (picked, known) in pairs}
-        path.write_text(yaml.safe_dump({"landmarks": places}))
-        return place_by_landmarks(path, 1e-3).scan_in_load_cell
 
-    for pose in (place(scan), place_by_points(1e-3 * scan[:3]).scan_in_load_cell):
-        assert pose.apply(1e-3 * scan) == pytest.approx(load_cell)
+def place(scan: np.ndarray, path: Path) -> Pose:
+    pairs = enumerate(zip(scan.tolist(), LOAD_CELL.tolist(), strict=True))
+    places = {f"L{i}": {"scan": picked, "load_cell": known} for i, (picked, known) in pairs}
+    path.write_text(yaml.safe_dump({"landmarks": places}))
+    return place_by_landmarks(path, 1e-3).scan_in_load_cell
+
+
+def test_landmarks_place_a_scan(tmp_path: Path) -> None:
+    assert place(SCAN, tmp_path / "l.yaml").apply(1e-3 * SCAN) == pytest.approx(LOAD_CELL)
+
+
+def test_three_points_place_a_scan() -> None:
+    pose = place_by_points(1e-3 * SCAN[:3]).scan_in_load_cell
+    assert pose.apply(1e-3 * SCAN) == pytest.approx(LOAD_CELL)
+
+
+def test_landmarks_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     with pytest.raises(RegistrationError, match=r"l\.yaml"):
-        place(scan + np.random.default_rng(8).normal(0.0, 30.0, scan.shape))
+        off = np.random.default_rng(8).normal(0.0, 30.0, SCAN.shape)
+        place(SCAN + off, tmp_path / "l.yaml")
 
 
-def test_clusters_that_are_there_stay_and_each_further_one_lowers_the_error() -> None:
+def test_each_further_cluster_lowers_the_error() -> None:
+    """Those that are there stay."""
     stay = [GEOMETRY.clusters["distal"], 40]
     allowed = np.arange(len(GEOMETRY)) < 60
     found = clusters.place_clusters(GEOMETRY, 6, stay, allowed)
@@ -171,7 +210,7 @@ def check_tiles(mesh: trimesh.Trimesh, tiling: Tiling) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SURFACES)
-def test_tiles_share_nothing_and_keep_the_contract(name: str) -> None:
+def test_tiles_keep_the_contract(name: str) -> None:
     mesh, tiling = SURFACES[name], tiling_of(name)
     check_tiles(mesh, tiling)
     anchors, frames = tiling.squares.anchors, tiling.squares.rotations
@@ -200,19 +239,22 @@ def test_tiles_share_nothing_and_keep_the_contract(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_tiles_are_laid_around_the_clusters() -> None:
-    for seed, name in enumerate(("dome", "cylinder")):
-        mesh, rng = SURFACES[name], np.random.default_rng(seed)
-        low, high = mesh.bounds[:, 2] + [0.025, -0.025]
-        angles = rng.uniform(0.0, 1.0) + np.arange(3) * 2.0 * math.pi / 3.0
-        heights = rng.uniform(low, high, 3)
-        radius = 0.045 + rng.uniform(-0.003, 0.003, 3)  # beside the wall, as a sensor is thick
-        asked = np.column_stack([radius * np.cos(angles), radius * np.sin(angles), heights])
-        nearest = trimesh.proximity.closest_point(mesh, asked)[0]
-        places = [clusters.ClusterPlace(f"c{i}", p, None, f"c{i}") for i, p in enumerate(asked)]
-        tiling = tile_interior(mesh, Z, X, FEW, clusters=places)
-        assert [laid.name for laid in tiling.clusters] == ["c0", "c1", "c2"]
-        assert np.linalg.norm(tiling.squares.anchors[:3] - nearest, axis=1).max() < 1e-4
-        check_tiles(mesh, tiling)
-        # Sensors anywhere break the rows of the densest tiling: at most two tiles each.
-        assert len(tiling.squares) >= len(tiling_of(name).squares) - 6
+@pytest.mark.parametrize(
+    ("seed", "name"),
+    [pytest.param(0, "dome", id="dome"), pytest.param(1, "cylinder", id="cylinder")],
+)
+def test_tiles_are_laid_around_the_clusters(seed: int, name: str) -> None:
+    mesh, rng = SURFACES[name], np.random.default_rng(seed)
+    low, high = mesh.bounds[:, 2] + [0.025, -0.025]
+    angles = rng.uniform(0.0, 1.0) + np.arange(3) * 2.0 * math.pi / 3.0
+    heights = rng.uniform(low, high, 3)
+    radius = 0.045 + rng.uniform(-0.003, 0.003, 3)  # beside the wall, as a sensor is thick
+    asked = np.column_stack([radius * np.cos(angles), radius * np.sin(angles), heights])
+    nearest = trimesh.proximity.closest_point(mesh, asked)[0]
+    places = [clusters.ClusterPlace(f"c{i}", p, None, f"c{i}") for i, p in enumerate(asked)]
+    tiling = tile_interior(mesh, Z, X, FEW, clusters=places)
+    assert [laid.name for laid in tiling.clusters] == ["c0", "c1", "c2"]
+    assert np.linalg.norm(tiling.squares.anchors[:3] - nearest, axis=1).max() < 1e-4
+    check_tiles(mesh, tiling)
+    # Sensors anywhere break the rows of the densest tiling: at most two tiles each.
+    assert len(tiling.squares) >= len(tiling_of(name).squares) - 6
