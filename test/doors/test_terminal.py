@@ -31,6 +31,7 @@ from socket_testbed.settings.acquisition import (
     ClusterSettings,
     LoadCellSettings,
     MocapSettings,
+    SchedulingSettings,
     TriggerSettings,
 )
 from socket_testbed.settings.identification import IdentificationSettings
@@ -177,6 +178,22 @@ def test_lateness_is_in_milliseconds(case: str, monkeypatch: pytest.MonkeyPatch)
         f" {verdict} for 50 Hz"
     )
     assert bool(found.hint) is (verdict == "too late")
+
+
+@pytest.mark.parametrize("permitted", [True, False], ids=["permitted", "refused"])
+def test_a_priority_that_is_set_counts(permitted: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An ordinary thread is 4 ms late, too late."""
+
+    def lateness(priority: int = 0) -> np.ndarray:
+        assert priority in (0, 20)
+        return np.full(100, 1e-4 if priority else 4e-3)[: 100 if permitted or not priority else 0]
+
+    monkeypatch.setattr(doctor, "measure_lateness", lateness)
+    settings = TriggerSettings(rate=50.0, scheduling=SchedulingSettings(priority=20))
+    found = only(doctor.check_scheduling(make_testbed(trigger_node=settings)))
+    end = "0.1 ms at most): soon enough" if permitted else "priority: too late"
+    assert found.found.endswith(f"{end} for 50 Hz") and bool(found.hint) is not permitted
+    assert ("no permission for a real-time priority" in found.found) is not permitted
 
 
 def test_chips_and_faults_of_clusters_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
