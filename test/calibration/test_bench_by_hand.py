@@ -4,7 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.benches import FULL_SCALE, bench_of, exact_bench, load_path, nominal, sensor_bench
+from support.benches import (
+    FULL_SCALE,
+    bench_of,
+    exact_bench,
+    load_path,
+    nominal,
+    sensor_bench,
+    write_bench,
+)
 
 from socket_testbed.calibration import bench_data, calibrate, drift, fit, model
 from socket_testbed.calibration.bench_data import BenchData
@@ -309,6 +317,21 @@ def test_a_unit_has_its_factor(case: str, tmp_path) -> None:
     assert values == pytest.approx(expected)
 
 
+@pytest.mark.parametrize(
+    ("unit", "steps", "other"),
+    [("s", 1e-4, "ms"), ("ms", 0.5, "s"), ("s", 61.0, "ms"), ("ms", 61e3, "s")],
+)
+def test_implausible_steps_have_another_unit(unit: str, steps: float, other: str, tmp_path) -> None:
+    """1 ms to 60 s between readings."""
+    path = tmp_path / "bench.csv"
+    write_bench(path, replace(exact_bench(), time=steps * np.arange(len(exact_bench()))))
+    path.write_text(path.read_text().replace("time [s]", f"time [{unit}]"))
+    with pytest.raises(CalibrationError) as refusal:
+        bench_data.read_bench(path, {}, {})
+    assert f"has steps of {steps:.3g} {unit} in the median" in refusal.value.fact
+    assert f"--units time={other} if these are {other}" in refusal.value.hint
+
+
 # --- excitation and baselines
 
 
@@ -382,6 +405,8 @@ def test_features_are_of_the_channels_places() -> None:
     """Channels (-x,+y), (+x,+y), (-x,-y), (+x,-y): x is right less left, y is upper less lower."""
     mean, x, y = model.channel_features(np.array([1.0, 4.0, 2.0, 9.0]))
     assert (mean, x, y) == (4.0, 5.0, -3.0)
+    many = model.channel_features(np.tile([1.0, 4.0, 2.0, 9.0], (3, 2, 1)))
+    assert [values.tolist() for values in many] == [[[each] * 2] * 3 for each in (4.0, 5.0, -3.0)]
     terms = model.shear_terms(np.array(2.0), np.array(3.0))
     assert terms.tolist() == [1.0, 2.0, 3.0, 4.0, 6.0, 9.0]
     assert model.SHEAR_TERMS == ("1", "dx", "dy", "dx^2", "dx dy", "dy^2")

@@ -335,7 +335,7 @@ def test_tiles_know_their_clusters() -> None:
 SAME = {
     "itself": (lambda g: g, True),
     "a little off": (lambda g: replace(g, anchors=g.anchors + 0.9e-4), True),
-    "off": (lambda g: replace(g, anchors=g.anchors + 1.1e-4), False),
+    "off": (lambda g: replace(g, anchors=g.anchors + [0.0, 0.0, 1.1e-4]), False),
     "turned a little": (lambda g: replace(g, rotations=g.rotations + 0.9e-3), True),
     "turned": (lambda g: replace(g, rotations=g.rotations + 1.1e-3), False),
     "other names": (lambda g: replace(g, names=g.names[::-1]), False),

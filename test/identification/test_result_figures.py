@@ -1,5 +1,6 @@
 """What fits, fronts, judgements and the paper's comparison say: titles, words and limits by hand."""
 
+from collections import Counter
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -11,10 +12,12 @@ from support.problems import make_samples
 from socket_testbed.errors import IdentificationError
 from socket_testbed.identification import fit, paper, pareto, validation
 from socket_testbed.identification.fit import ChannelErrors
+from socket_testbed.identification.model_file import read_model
 from socket_testbed.identification.pareto import Front, FrontPoint
 from socket_testbed.identification.validation import Judgement
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import ForceMapSettings, IdentificationSettings
+from socket_testbed.settings.testbed import EstimatorSettings
 
 NAN = float("nan")
 GEOMETRY = scene.geometry()
@@ -333,6 +336,72 @@ def test_a_cluster_has_its_measurement_error() -> None:
     assert found[0].tolist() == pytest.approx(
         [np.hypot(0.5, 0.3), np.hypot(0.5, 0.4), np.hypot(0.9, 1.2)]
     )
+
+
+def test_variants_without_a_fit_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fitted(samples: Samples, geometry: object, settings: IdentificationSettings):
+        if settings.variant.startswith("rigid"):
+            raise IdentificationError(f"{settings.variant} fails", "try another")
+        return SimpleNamespace(model=settings.variant)
+
+    monkeypatch.setattr(fit, "fit_contact_model", fitted)
+    notes: list[str] = []
+    samples, settings = scene_samples(), IdentificationSettings()
+    found = validation.fit_variants(samples, GEOMETRY, settings, notes.append)
+    assert found == {"stiffness": "stiffness", "stiffness_bias": "stiffness_bias"}
+    assert [note.partition(":")[0] for note in notes] == [
+        *("rigid is not judged", "rigid_bias is not judged")
+    ]
+    monkeypatch.setattr(validation, "VARIANTS", ("rigid", "rigid_bias"))
+    with pytest.raises(IdentificationError, match="rigid fails"):
+        validation.fit_variants(samples, GEOMETRY, settings, notes.append)
+
+
+@pytest.fixture(scope="module")
+def judged(tmp_path_factory: pytest.TempPathFactory) -> list[Judgement]:
+    """The scene, whose forces are known, with the scene's model in place of fits."""
+    path = scene.model(tmp_path_factory.mktemp("models") / "model.json")
+    settings = EstimatorSettings()
+    forces = scene.forces_in_tiles(scene.STAMPS)
+    truth = np.einsum("nij,knj->kni", GEOMETRY.rotations, forces)
+    model = read_model(path).model
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(validation, "fit_variants", lambda *_: {"stiffness_bias": model})
+        return validation.judge_samples(
+            scene_samples(), GEOMETRY, settings, truth, "scene", lambda _: None
+        )
+
+
+def test_all_three_questions_are_answered(judged: list[Judgement]) -> None:
+    """Three estimators on four clusters and all of them; three predictors twice; four on tiles."""
+    counts = Counter((each.question, each.test, each.fitted_on) for each in judged)
+    assert counts == {
+        ("cluster", "left out", ""): 15,
+        ("wrench", "in-sample", "scene"): 3,
+        ("wrench", "second half", "scene"): 3,
+        ("tiles", "second half", ""): 4,
+    }
+    assert {each.tested_on for each in judged} == {"scene"}
+
+
+def test_halves_are_in_their_order(judged: list[Judgement]) -> None:
+    """All 96 samples are under load: the constant is fitted on the first 48, and off on the rest."""
+    found = {(each.test, each.predictor): each for each in judged if each.question == "wrench"}
+    seen, unseen = (found[half, "best constant"] for half in ("in-sample", "second half"))
+    assert (seen.samples, unseen.samples) == (48, 48)
+    wrench = scene.wrench()
+    mean = wrench[:48].mean(axis=0)
+    for half, judgement in ((wrench[:48], seen), (wrench[48:], unseen)):
+        rmse = np.sqrt(np.mean((half - mean) ** 2, axis=0))
+        assert judgement.moment_rmse == pytest.approx(rmse[:3].mean())
+        assert judgement.force_rmse == pytest.approx(rmse[3:].mean())
+
+
+def test_tiles_are_judged_without_sensors(judged: list[Judgement]) -> None:
+    """The model has a force on one measured tile alone: it misses all of the others."""
+    (found,) = (e for e in judged if (e.question, e.predictor) == ("tiles", "stiffness_bias"))
+    assert found.error == pytest.approx(1.0) and found.samples == 48
+    assert np.isnan(found.coverage).all()
 
 
 # --- beside the paper
