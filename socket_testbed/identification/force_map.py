@@ -504,7 +504,8 @@ def _rice_deviation(size: FloatArray, sigma: FloatArray) -> FloatArray:
     `size`. Its magnitude has the mean sigma sqrt(pi/2) L_1/2(-x), x = size^2 / (2 sigma^2), and
     the mean square size^2 + 2 sigma^2 (Rice, Bell System Technical Journal 24, 1945).
     """
-    half = 0.25 * (size / np.maximum(sigma, _TINY)) ** 2  # x / 2
+    sigma = np.maximum(sigma, _TINY)
+    half = 0.25 * (size / sigma) ** 2  # x / 2
     laguerre = (1.0 + 2.0 * half) * i0e(half) + 2.0 * half * i1e(half)
     mean = sigma * np.sqrt(0.5 * np.pi) * laguerre
     square = 2.0 * (size**2 + sigma**2 - size * mean)

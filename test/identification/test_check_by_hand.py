@@ -1,0 +1,264 @@
+"""Parts of the data check, by hand, and its limits a little below and above."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support import scene
+from support.problems import make_samples
+
+from socket_testbed.identification import data_check
+from socket_testbed.identification.data_check import DataFinding, check_data
+from socket_testbed.samples import Samples, Status
+
+NAN = float("nan")
+GEOMETRY = scene.geometry()
+COUNT = 96
+FX, FZ = 3, 5
+
+
+def scene_samples() -> Samples:
+    limb, tiles = scene.limb(), [*GEOMETRY.clusters.values()]
+    forces = scene.forces_in_tiles(scene.STAMPS)[:, tiles].swapaxes(0, 1)
+    pose = np.hstack([limb.translation, limb.rotation_vector()])
+    return make_samples(pose, scene.wrench(), dict(zip(GEOMETRY.clusters, forces, strict=True)))
+
+
+def facts(samples: Samples, **more: object) -> list[tuple[str, str]]:
+    return [(f.source, f.fact) for f in check_data(samples, GEOMETRY, **more)]
+
+
+def test_a_finding_says_where_to_look() -> None:
+    assert str(DataFinding("Mz", "it is still", "check it")) == "data: look at Mz: it is still; check it"
+
+
+# --- series
+
+
+def test_missing_values_are_interpolated() -> None:
+    course, time = np.array([NAN, 1.0, NAN, 3.0, NAN]), np.array([0.0, 1.0, 1.5, 3.0, 9.0])
+    assert data_check._filled(course, time).tolist() == [1.0, 1.0, 1.5, 3.0, 3.0]
+    assert data_check._filled(course[:1], time[:1]).tolist() == [0.0]
+
+
+def test_correlation_needs_30_values() -> None:
+    line = np.arange(40.0)
+    assert data_check._correlation(line, 3.0 - 2.0 * line) == pytest.approx(-1.0)
+    assert data_check._correlation(line, 0.0 * line) == 0.0
+    known = np.where(line < 30, line, NAN)
+    assert data_check._correlation(known, line) == pytest.approx(1.0)
+    assert np.isnan(data_check._correlation(np.where(line < 29, line, NAN), line))
+
+
+def test_correlation_is_that_of_numpy(rng) -> None:
+    one, other = rng.normal(size=(2, 50)) + [[1.0], [5.0]]
+    expected = np.corrcoef(one, other)[0, 1]
+    assert data_check._correlation(one, other) == pytest.approx(expected)
+
+
+def test_sinking_is_a_cosine() -> None:
+    """Of motion (3, 0, -4) by the load: 0.8 downwards; sideways and upwards 0 and -1."""
+    load = np.arange(40.0)
+    for way, expected in (([3.0, 0, -4], 0.8), ([1.0, 0, 0], 0.0), ([0, 0, 2.0], -1.0)):
+        found = data_check._along(np.outer(load, way), load, np.array([0.0, 0.0, 1.0]))
+        assert found == pytest.approx(expected, abs=1e-9)
+    assert data_check._along(np.full((40, 3), NAN), load, np.array([0.0, 0.0, 1.0])) == 1.0
+
+
+def test_explained_is_a_share_of_variance() -> None:
+    """A line plus a wave of the same variance that is orthogonal to it."""
+    wave = np.sin(2.0 * np.pi * np.arange(64) / 64)
+    other = np.cos(2.0 * np.pi * np.arange(64) / 64)
+    assert data_check._explained(wave + other + 9.0, wave[:, None]) == pytest.approx(0.5)
+    assert data_check._explained(wave, np.column_stack([wave, other])) == pytest.approx(1.0)
+    assert data_check._explained(np.ones(64), wave[:, None]) == 0.0
+    assert data_check._explained(wave[:29], wave[:29, None]) == 0.0
+
+
+_STEPS = np.random.default_rng(0).normal(size=500)
+WAVE = np.convolve(_STEPS, np.ones(15) / 15, "same")  # what is 15 samples apart is independent
+LAGS = {
+    # samples by which the course is late, period [s], lag [s]
+    "none": (0, 0.25, 0.0),
+    "late": (8, 0.25, 2.0),
+    "early": (-8, 0.25, -2.0),
+    "10 s": (40, 0.25, 10.0),
+    "beyond what is searched": (56, 0.25, 0.0),
+    "in steps of 40 ms": (40, 0.02, 0.8),
+}
+
+
+@pytest.mark.parametrize("case", LAGS)
+def test_a_lag_is_of_the_course(case: str) -> None:
+    shift, period, lag = LAGS[case]
+    course = np.roll(WAVE, shift)[50:-50]
+    assert data_check._lag(WAVE[50:-50], course, period) == pytest.approx(lag)
+
+
+def test_an_unclear_lag_is_none(rng) -> None:
+    """A correlation of 0.5 at most, or a gain of 0.03 at most."""
+    noise = rng.normal(size=100)
+    assert data_check._lag(WAVE[:100], noise, 0.25) == 0.0
+    line = np.arange(100.0)
+    assert data_check._lag(line, line, 0.25) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("values", "longest"),
+    [([1.0, 1.0, 2.0, 2.0, 2.0], 3), ([5.0], 1), ([1.0, 2.0, 1.0], 1), ([4.0] * 4 + [1.0], 4)],
+    ids=["end", "one", "none", "start"],
+)
+def test_runs_are_of_equal_values(values: list[float], longest: int) -> None:
+    assert data_check._longest_run(np.array(values)) == longest
+
+
+# --- limits
+
+
+def put(name: str, value: object, *place: object) -> Callable[[Samples], Samples]:
+    def change(samples: Samples) -> Samples:
+        values = getattr(samples, name).copy()
+        values[place] = value
+        return replace(samples, **{name: values})
+
+    return change
+
+
+def scaled(name: str, factor: float, *place: object) -> Callable[[Samples], Samples]:
+    def change(samples: Samples) -> Samples:
+        values = getattr(samples, name).copy()
+        values[place] = factor * values[place]
+        return replace(samples, **{name: values})
+
+    return change
+
+
+def noisy(size: float, column: int) -> Callable[[Samples], Samples]:
+    def change(samples: Samples) -> Samples:
+        wrench = samples.wrench.copy()
+        wrench[:, column] += np.random.default_rng(0).normal(0.0, size, COUNT)
+        return replace(samples, wrench=wrench)
+
+    return change
+
+
+def rolled(seconds: float) -> Callable[[Samples], Samples]:
+    """The limb later by so many seconds; its course goes around without a step."""
+    shift = round(4 * seconds)
+
+    def change(samples: Samples) -> Samples:
+        return replace(
+            samples,
+            position=np.roll(samples.position, shift, axis=0),
+            rotation=np.roll(samples.rotation, shift, axis=0),
+        )
+
+    return change
+
+
+ALL = slice(None)
+LIMITS: dict[str, tuple[Callable[[Samples], Samples], list[tuple[str, str]]]] = {
+    # 5 % of 96 samples are 4.8
+    "4 poses missing": (put("position", NAN, slice(40, 44)), []),
+    "5 poses missing": (
+        put("position", NAN, slice(40, 45)),
+        [("the limb pose", "5 % of its samples are missing or out of range")],
+    ),
+    "5 moments missing": (
+        put("wrench", NAN, slice(40, 45), 0),
+        [("the wrench", "5 % of its samples are missing or out of range")],
+    ),
+    "no Mz": (
+        put("wrench", NAN, ALL, 2),
+        [("Mz", "100 % of its samples are missing or out of range")],
+    ),
+    # 2 s are 8 samples
+    "still for 2 s": (put("wrench", 0.5, slice(40, 48), 2), []),
+    "still for 2.25 s": (
+        put("wrench", 0.5, slice(40, 49), 2),
+        [("Mz", "it does not change for 2.2 s")],
+    ),
+    "pose still for 2 s": (put("position", 0.145, slice(40, 48), 2), []),
+    "pose still for 2.25 s": (
+        put("position", 0.145, slice(40, 49), 2),
+        [("the limb pose", "it stands still")],
+    ),
+    "4 clipped": (put("wrench", 1.9, slice(0, 96, 24), 2), []),
+    "5 clipped": (
+        put("wrench", 1.9, slice(0, 96, 20), 2),
+        [("Mz", "5 % of its values are at one end, 1.9 N m")],
+    ),
+    "noise of 16 N": (noisy(16.0, FX), []),
+    "noise of 26 N": (noisy(26.0, FX), [("Fx", "its noise is 2")]),
+    "noise of 2.5 N m": (noisy(2.5, 2), []),
+    "noise of 3.5 N m": (noisy(3.5, 2), [("Mz", "its noise is 3")]),
+    "late by 3.25 s": (rolled(3.25), []),
+    "late by 3.75 s": (rolled(3.75), [("the limb pose", "late by 3.8 s against the load cell")]),
+    "early by 3.75 s": (
+        rolled(-3.75),
+        [("the limb pose", "early by 3.8 s against the load cell")],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", LIMITS)
+def test_a_limit_is_where_it_is_stated(case: str) -> None:
+    change, expected = LIMITS[case]
+    found = facts(change(scene_samples()))
+    assert [source for source, _ in found] == [source for source, _ in expected], found
+    assert all(part in fact for (_, fact), (_, part) in zip(found, expected, strict=True)), found
+
+
+def test_30_samples_are_enough() -> None:
+    samples = scene_samples()
+    assert facts(samples[:29]) == [("the trial", "29 samples are too few to judge it")]
+    assert "the trial" not in [source for source, _ in facts(samples[:30])]
+
+
+@pytest.mark.parametrize(
+    ("mass", "found"),
+    # 91.3 N: 95 % of the samples have less
+    [(460.0, False), (470.0, True), (1.87, False), (1.85, True)],
+    ids=["light", "too light", "heavy", "too heavy"],
+)
+def test_weights_are_between_limits(mass: float, found: bool) -> None:
+    """0.02 weights of 465 kg, 5 of 1.86 kg."""
+    assert bool(facts(scene_samples(), mass=mass)) is found
+
+
+def test_a_left_out_channel_is_not_checked() -> None:
+    spoiled = put("wrench", 0.5, slice(40, 60), 2)(scene_samples())
+    assert facts(spoiled) and not facts(spoiled, leave_out=("Mz",))
+
+
+def test_a_window_is_not_compared_over_time() -> None:
+    negated = replace(scene_samples(), wrench=-scene_samples().wrench)
+    late = rolled(5.0)(scene_samples())
+    assert facts(negated) and facts(late) and not facts(late, whole=False)
+
+
+def test_lost_time_is_a_share() -> None:
+    """5 % of 23.75 s are 1.19 s: four samples lose 1 s, five 1.25 s."""
+    samples = scene_samples()
+    few, many = (samples[np.r_[0:40, 40 + lost : COUNT]] for lost in (4, 5))
+    assert facts(few) == []
+    assert facts(many) == [("the trigger", "5 % of the time has no sample")]
+
+
+def test_a_cluster_is_compared_in_kilopascal() -> None:
+    """`distal` reads 14 kPa in the mean, and four times as much with the gain spoiled."""
+    tripled = scaled("local_forces", 4.0, ALL, 3, 2)(scene_samples())
+    ((source, fact),) = facts(tripled)
+    assert source == "distal" and fact.startswith("it reads 5") and fact.endswith(" kPa")
+    low, high = fact.split(" say ")[1][:-4].split(" to ")
+    assert float(low) < 14.0 < float(high) < 50.0
+
+
+@pytest.mark.parametrize(
+    ("status", "found"), [(Status.OUT_OF_RANGE, True), (Status.MISSING, True), (Status.OK, False)]
+)
+def test_untrusted_clusters_are_named(status: Status, found: bool) -> None:
+    spoiled = put("status", status, slice(30, 40), 1)(scene_samples())
+    expected = [("mid_anterior", "10 % of its samples are missing or out of range")]
+    assert facts(spoiled) == expected * found
