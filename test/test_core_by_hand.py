@@ -1,8 +1,10 @@
 """Numbers in tables, hints for wrong values, refused outputs, clocks: by hand."""
 
 import os
+import signal
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -214,7 +216,7 @@ def depth(levels: int) -> str:
         # The anchored list has 11 values with itself; 10 aliases of it make 110 more.
         ("a: &a [" + "1, " * 10 + "]\nb: [" + "*a, " * 18_180 + "]", ""),
         ("a: &a [" + "1, " * 10 + "]\nb: [" + "*a, " * 18_181 + "]", "holds more than 200000"),
-        ("a: &a 1\nb: [*a]", ""),
+        ("a: &a 1\nb: [" + "*a, " * 100_000 + "]", ""),
     ],
     ids=["deep", "too deep", "large", "too large", "aliases", "bomb", "scalar"],
 )
@@ -306,6 +308,26 @@ def test_what_killed_processes_left_is_removed_after_a_minute(
     os.utime(mark, (time.time() - age,) * 2)
     with files.TemporaryFolder() as name:
         assert mark.exists() is left and Path(name).name.startswith("socket_testbed_")
+
+
+@pytest.mark.parametrize(("parent", "ended"), [(7, False), (8, True)], ids=["lives", "ended"])
+def test_a_process_ends_with_its_starter(
+    parent: int, ended: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The kernel sends SIGTERM when the starter ends; it may have ended before."""
+    asked: list[tuple[int, int]] = []
+    sent: list[tuple[int, int]] = []
+    libc = SimpleNamespace(prctl=lambda *given: asked.append(given))
+    monkeypatch.setattr(files.ctypes, "CDLL", lambda name: libc)
+    monkeypatch.setattr(files.os, "kill", lambda *given: sent.append(given))
+    monkeypatch.setattr(files.os, "getppid", lambda: parent)
+    monkeypatch.delenv(files.PARENT, raising=False)
+    files.end_with_starter()
+    assert asked == []
+    monkeypatch.setenv("SOCKET_TESTBED_PARENT", "7")
+    files.end_with_starter()
+    assert asked == [(1, signal.SIGTERM)]
+    assert sent == [(os.getpid(), signal.SIGTERM)] * ended
 
 
 # --- clocks
