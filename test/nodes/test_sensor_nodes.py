@@ -51,6 +51,24 @@ def stamp_of(message: Any) -> tuple[int, int]:
     return message.header.stamp.sec, message.header.stamp.nanosec
 
 
+# --- names
+
+
+@pytest.mark.parametrize(
+    ("fixture", "name"),
+    [
+        ("calibrating", "calibration_node"),
+        ("reading", "cluster_node"),
+        ("weighing", "load_cell_node"),
+        ("seeing", "mocap_node"),
+        ("triggering", "trigger_node"),
+    ],
+)
+def test_a_node_has_its_name(fixture: str, name: str, request: pytest.FixtureRequest) -> None:
+    """Diagnostics, parameters and other nodes call it by this."""
+    assert request.getfixturevalue(fixture).get_name() == name
+
+
 # --- the calibration node
 
 
