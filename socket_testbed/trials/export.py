@@ -250,4 +250,6 @@ def _write_c3d(path: Path, table: pd.DataFrame, labels: list[str]) -> None:
     file["data"]["points"] = place
     file["data"]["analogs"] = table[list(WRENCH_CHANNELS)].to_numpy().T[None]
     with atomic_output(path) as staging:
-        file.write(str(staging))
+        written = staging.with_suffix(".c3d")  # the library appends this to any other suffix
+        file.write(str(written))
+        written.replace(staging)

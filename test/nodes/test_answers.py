@@ -5,14 +5,18 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from rclpy.serialization import serialize_message
+from socket_testbed_msgs.msg import ContactModel
 from std_msgs.msg import String
 from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError, TestbedError
+from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.nodes import __main__ as program
 from socket_testbed.nodes import controls as module
 from socket_testbed.nodes.calibration_node import CalibrationNode
-from socket_testbed.nodes.controls import EventMarker, Marked, ServiceControls
+from socket_testbed.nodes.controls import EventMarker, Marked, ServiceControls, StatusListener
+from socket_testbed.trials import topics
 from socket_testbed.trials.events import stamp_by_triggers
 
 # --- services
@@ -338,3 +342,78 @@ def test_a_program_runs_the_node_that_it_is_named_after(
     with pytest.raises(SystemExit) as ended:
         program.main()
     assert ran == [names] and ended.value.code == 3
+
+
+class Stopped:
+    """Stands for a node of a program, and notes what is done with it."""
+
+    did: list[str] = []  # noqa: RUF012
+
+    def __init__(self) -> None:
+        self.settings = SimpleNamespace()
+
+    def close(self) -> None:
+        self.did.append("close")
+
+    def destroy_node(self) -> None:
+        self.did.append("destroy")
+
+    def get_logger(self) -> Any:
+        return SimpleNamespace(warning=self.did.append)
+
+
+@pytest.fixture
+def alone(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """A program without ROS; the nodes that it spins."""
+    spun: list[Any] = []
+    ros = SimpleNamespace(
+        init=lambda: None, ok=lambda: True, try_shutdown=lambda: Stopped.did.append("shutdown")
+    )
+    Stopped.did.clear()
+    monkeypatch.setattr(program, "rclpy", ros)
+    monkeypatch.setattr(program.signal, "signal", lambda *given: None)
+    monkeypatch.setattr(program.sys, "setswitchinterval", lambda seconds: None)
+    monkeypatch.setattr(program, "end_with_starter", lambda: None)
+    monkeypatch.setattr(program, "schedule", lambda settings: ["refused: do this"])
+    monkeypatch.setattr(program, "_spin", spun.append)
+    return spun
+
+
+def test_a_program_ends_its_nodes_cleanly(
+    alone: list[Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(program, "_node_class", lambda name: Stopped)
+    assert program._run(["a_node"]) == 0
+    assert len(alone) == 1 and len(alone[0]) == 1
+    assert Stopped.did == ["refused: do this", "close", "destroy", "shutdown"]
+
+
+def test_a_program_s_error_is_one_line(
+    alone: list[Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert program._run(["cluster_nod"]) == 1
+    assert capsys.readouterr().err == (
+        "error: there is no node 'cluster_nod': did you mean 'cluster_node'?\n"
+    )
+    assert alone == [] and Stopped.did == ["shutdown"]
+
+
+# --- what the status line listens to
+
+
+def test_the_status_line_names_model_and_trial(monkeypatch: pytest.MonkeyPatch) -> None:
+    status = GraphStatus()
+    listener = StatusListener(status, "/lab")
+    try:
+        own = serialize_message(ContactModel(variant="rigid_bias"))
+        listener.add(topics.PARAMETERS, own)
+        listener.add(topics.RECORDED_TRIAL, serialize_message(String(data="s01")))
+        assert status.variant == "rigid_bias"
+        listener.take()
+        assert status.trial == ""  # its recorder has ended
+        monkeypatch.setattr(listener._inbox.node, "count_publishers", lambda name: 1)
+        listener.take()
+        assert status.trial == "s01"
+        assert not listener.set_paused(True)
+    finally:
+        listener.close()

@@ -82,7 +82,7 @@ def test_the_stored_model_is_published(node: estimator_node.EstimatorNode, make:
     assert (rmse.torque.x, rmse.torque.z, rmse.force.x, rmse.force.z) == (0.1, 0.3, 1.0, 3.0)
     node.check()
     assert make.state() == (0, "predicting with the model of hold")
-    assert node.ready()
+    assert node.ready() and node.get_name() == "estimator_node"
 
 
 def test_maps_are_sent_at_once_pictures_and_regions_now_and_then(

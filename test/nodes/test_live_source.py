@@ -4,6 +4,7 @@ Pressures are 1.5 times the means. The node and its subscriptions are stand-ins,
 """
 
 from collections import defaultdict
+from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,12 +14,14 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import String
 from support import scene
 from support.clocks import FakeClock
+from support.nodes import Maker, running_ros
 from support.wording import refused
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.geometry.regions import all_regions
 from socket_testbed.identification.pressure import Quantity
-from socket_testbed.nodes.view_node import LiveSource
+from socket_testbed.nodes import view_node
+from socket_testbed.nodes.view_node import LiveSource, ViewNode
 from socket_testbed.samples import Samples
 from socket_testbed.trials import messages, topics
 
@@ -297,3 +300,48 @@ def test_nothing_is_recorded_without_a_recorder(source: LiveSource, lab: Lab) ->
     lab.recorders = 0
     expected = {"on": False, "words": "nothing is being recorded"}
     assert source.now(None)["recording"] == expected
+
+
+# --- the node itself
+
+
+@pytest.fixture
+def make(monkeypatch: pytest.MonkeyPatch) -> Iterator[Maker]:
+    with running_ros():
+        maker = Maker(monkeypatch)
+        yield maker
+        maker.close()
+
+
+@pytest.mark.parametrize(
+    ("host", "buttons", "allowed"),
+    [("127.0.0.1", "false", True), ("0.0.0.0", "false", False), ("0.0.0.0", "true", True)],
+    ids=["local", "open", "open with buttons"],
+)
+def test_buttons_are_for_this_machine_unless_allowed(
+    host: str, buttons: str, allowed: bool, make: Maker, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing is opened here."""
+
+    def serve(source: Any, own: str, *given: Any) -> Any:
+        return SimpleNamespace(url=f"http://{own}:9", close=lambda: None)
+
+    monkeypatch.setattr(view_node, "PageServer", serve)
+    node = make(ViewNode, host=host, buttons=buttons)
+    assert make.state() == (0, f"the testbed is shown at http://{host}:9")
+    assert node._live.start()["buttons"] is allowed
+
+
+def test_the_page_listens_while_a_browser_asks(make: Maker, clock: FakeClock) -> None:
+    """To five topics, without any retransmission."""
+    node = make(ViewNode, port=0)
+    node.check()
+    assert node._live._inbox is None
+    found = node._live.now(None)
+    assert found["moment"]["words"] == "no force map"
+    inbox = node._live._inbox
+    assert inbox is not None and len(inbox._subscriptions) == 5
+    assert inbox.node.get_name() == "_view_node_inbox"
+    clock.sleep(3.1)
+    node.check()
+    assert node._live._inbox is None

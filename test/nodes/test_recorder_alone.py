@@ -68,6 +68,7 @@ def test_a_requested_trial_holds_what_arrived(make: Maker, folder: Path) -> None
     node = make(RecorderNode, directory=folder)
     node.set_parameters([Parameter("next.name", value="walk 1")])
     path = folder / "walk 1"
+    assert node.get_name() == "recorder_node"
     send_all(node)  # before: not recorded
     assert node._on_record(True) == f"recording {path}"
     assert make.state() == (OK, f"recording {path}")

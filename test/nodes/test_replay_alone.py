@@ -1,5 +1,6 @@
 """A replay without a graph: what it publishes of the hold, where, and with which numbers."""
 
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -55,6 +56,7 @@ def test_every_message_is_replayed_once(
     assert figures["published"] == sum(counts.values())
     assert figures["position"] == figures["duration"] == f"{duration:.1f}"
     assert 59.0 < duration < 61.0 and node.finished.done()
+    assert node.get_name() == "replay_node"
     assert make.state() == (0, f"replaying {hold}")
 
 
@@ -106,3 +108,15 @@ def test_a_pause_says_so(replay: Callable[..., ReplayNode]) -> None:
     node = replay()
     assert (node._on_pause(True), node._on_pause(False)) == ("paused", "resumed")
     assert node._pacer._going.is_set()
+
+
+def test_a_looping_replay_starts_over(make: Maker, hold: Path) -> None:
+    """The clock jumps back."""
+    node = make(ReplayNode, trial=hold, rate=10_000.0, loop="true")
+    deadline = time.monotonic() + HANGS
+    while len(make.sent["/trigger"]) < 250 and time.monotonic() < deadline:
+        time.sleep(1e-2)
+    node._pacer.stop()
+    node._thread.join(HANGS)
+    numbers = [message.sequence for message in make.sent["/trigger"]]
+    assert numbers[240:250] == numbers[:10]

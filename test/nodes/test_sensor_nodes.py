@@ -5,6 +5,7 @@ The instruments are stand-ins whose readings are literals.
 
 import time
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -48,6 +49,24 @@ def make(monkeypatch: pytest.MonkeyPatch) -> Iterator[Maker]:
 
 def stamp_of(message: Any) -> tuple[int, int]:
     return message.header.stamp.sec, message.header.stamp.nanosec
+
+
+# --- names
+
+
+@pytest.mark.parametrize(
+    ("fixture", "name"),
+    [
+        ("calibrating", "calibration_node"),
+        ("reading", "cluster_node"),
+        ("weighing", "load_cell_node"),
+        ("seeing", "mocap_node"),
+        ("triggering", "trigger_node"),
+    ],
+)
+def test_a_node_has_its_name(fixture: str, name: str, request: pytest.FixtureRequest) -> None:
+    """Diagnostics, parameters and other nodes call it by this."""
+    assert request.getfixturevalue(fixture).get_name() == name
 
 
 # --- the calibration node
@@ -596,3 +615,30 @@ def test_a_lost_pulse_is_counted_and_leaves_a_gap(
     sent = wait_for_triggers(make, len(make.sent["trigger"]) + 2)
     steps = np.diff([message.sequence for message in sent])
     assert unseen - 1 <= steps.max() - 1 <= unseen + 1
+
+
+def test_skipped_pulses_are_counted(clock: FakeClock) -> None:
+    """At 10 Hz a pulse takes 0.45 s: the three that were due meanwhile are skipped."""
+    fired: list[float] = []
+
+    def fire() -> None:
+        fired.append(clock.now)
+        clock.sleep(0.45 if len(fired) == 1 else 0.01)
+
+    def wait(seconds: float) -> bool:
+        clock.sleep(seconds)
+        return len(fired) == 3
+
+    always = SimpleNamespace(is_set=lambda: True)
+    own = SimpleNamespace(
+        until_ros_ends=nullcontext,
+        settings=SimpleNamespace(rate=10.0),
+        _followers=SimpleNamespace(await_links=lambda patience: ""),
+        _stopping=SimpleNamespace(is_set=lambda: False, wait=wait),
+        _enabled=always,
+        _trigger=None,
+        _skipped=0,
+        _fire=fire,
+    )
+    trigger_node.TriggerNode._run(own)
+    assert fired == pytest.approx([100.1, 100.55, 100.65]) and own._skipped == 3

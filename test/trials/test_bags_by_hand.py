@@ -1,0 +1,182 @@
+"""Bags of a few messages at known times: durations, parts, counts, and what is wrong with them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import scene
+from support.wording import refused
+
+from socket_testbed.errors import TrialError
+from socket_testbed.trials import bag, cdr, messages, topics
+from socket_testbed.trials.bag import BagReader, BagWriter
+from socket_testbed.trials.trial import Trial, read_configuration, store_configuration
+
+START = scene.START
+SECOND = 10**9  # [ns]
+
+
+def write(path: Path, *times: float) -> Path:
+    """A bag with triggers at some times [s]; their stamps are those of their recording."""
+    pack = messages.trigger_packer()
+    with BagWriter(path) as new:
+        new.add_topic("/lab/trigger", topics.TRIGGER)
+        new.add_topic("/lab/event", topics.EVENT)
+        for number, second in enumerate(times):
+            time = START + round(second * 1e9)
+            new.write("/lab/trigger", time, pack(time, number))
+    return path
+
+
+def test_a_bag_s_duration_is_from_first_to_last(tmp_path: Path) -> None:
+    with BagReader(write(tmp_path / "a", 0.5, 1.0, 3.25)) as found:
+        assert found.duration == pytest.approx(2.75, abs=1e-12)
+        assert found.counts == {"/lab/trigger": 3, "/lab/event": 0}
+        assert found.types["/lab/event"] == "socket_testbed_msgs/msg/Event"
+        assert [raw.time - START for raw in found.messages()] == [5 * 10**8, SECOND, 3.25 * SECOND]
+        assert list(found.messages(["/lab/event"])) == [] and found.notes == []
+    with BagReader(write(tmp_path / "b")) as found:
+        assert found.duration == 0.0
+
+
+def test_parts_of_a_bag_are_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    """Without metadata, 2 comes before 10."""
+    folder = tmp_path / "a"
+    folder.mkdir()
+    for part, second in ((10, 2.0), (2, 1.0), (0, 0.0)):
+        source = write(tmp_path / f"part_{part}", second)
+        (source / f"part_{part}.mcap").rename(folder / f"a_{part}.mcap")
+    with BagReader(folder) as found:
+        assert [raw.time - START for raw in found.messages()] == [0, SECOND, 2 * SECOND]
+        assert found.duration == pytest.approx(2.0)
+        assert found.notes == ["no metadata.yaml: the storage files were read as they are"]
+
+
+def test_blocks_are_by_topic(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bag, "_BLOCK_SIZE", 2)
+    with BagReader(write(tmp_path / "a", 0.0, 1.0, 2.0)) as found:
+        blocks = [(name, len(own)) for name, own in found.blocks(["/lab/trigger"])]
+    assert blocks == [("/lab/trigger", 2), ("/lab/trigger", 1)]
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda text: text.replace("message_count: 3", "message_count: 4"), "lists 4 messages on"),
+        (lambda text: text.replace("message_count: 3", "message_count: 2"), "the storage file hol"),
+        (lambda text: text.replace("a.mcap", "b.mcap"), "b.mcap: is named in metadata.yaml but is"),
+        (lambda text: "nothing: 1", "is not rosbag2 metadata: write it again with 'ros2 bag rei"),
+    ],
+    ids=["more", "fewer", "another file", "no metadata"],
+)
+def test_metadata_must_agree_with_the_file(change, words: str, tmp_path: Path) -> None:
+    file = write(tmp_path / "a", 0.0, 1.0, 2.0) / "metadata.yaml"
+    file.write_text(change(file.read_text()))
+    with refused(TrialError, str(tmp_path / "a"), words), BagReader(tmp_path / "a"):
+        pass
+
+
+def test_what_is_no_bag_is_refused(tmp_path: Path) -> None:
+    with refused(TrialError, "none: no such trial: check the path"), BagReader(tmp_path / "none"):
+        pass
+    empty = "holds no .mcap or .db3 file: give a trial's folder"
+    with refused(TrialError, empty), BagReader(tmp_path):
+        pass
+    with refused(TrialError, "/dev/null: is neither a folder nor a file"):
+        BagReader(Path("/dev/null")).__enter__()
+
+
+def test_trials_are_found_below_a_folder(tmp_path: Path) -> None:
+    """Not hidden ones; one that holds nothing is left out with a note."""
+    for name in ("s02/walk", "s01/hold", ".hidden/x"):
+        write(tmp_path / name, 0.0)
+    (tmp_path / "s03").mkdir()
+    (tmp_path / "s03" / "s03.mcap").touch()
+    (tmp_path / "s01" / "again").symlink_to(tmp_path)
+    notes: list[str] = []
+    found = bag.find_trials(tmp_path, notes.append)
+    assert found == {name: tmp_path / name for name in ("s01/hold", "s02/walk")}
+    assert notes == ["s03 is left out: it holds nothing, its recorder was killed while it started"]
+    assert bag.is_bag(tmp_path / "s01" / "hold") and not bag.is_bag(tmp_path)
+    assert bag.holds_nothing(tmp_path / "s03")
+    assert not bag.holds_nothing(tmp_path / "s01" / "hold")
+    assert bag.find_trials(tmp_path / "s01" / "hold") == {}
+    assert bag.find_trials(tmp_path / "none") == {}
+
+
+@pytest.mark.parametrize(
+    ("name", "is_storage"),
+    [("a.mcap", True), ("a.db3", True), ("a.mcap.zstd", True), ("a.db3.zstd", True), ("a", False)],
+)
+def test_storage_is_known_by_its_suffix(name: str, is_storage: bool) -> None:
+    assert bag.is_storage(Path(name)) is is_storage
+
+
+# --- a trial's files
+
+
+def test_a_file_of_a_trial_needs_its_configuration(tmp_path: Path) -> None:
+    """Beside a storage file lies its folder's, which is not taken by itself."""
+    folder = write(tmp_path / "a", 0.0)
+    own = folder / "a.mcap"
+    with refused(
+        TrialError,
+        f"a.mcap: no socket.yaml is stored in this trial: give the trial's folder, {folder}, or the"
+        " missing files with --geometry and --calibration",
+    ):
+        _ = Trial(own).geometry
+    with refused(
+        TrialError,
+        "a: no calibration.yaml is stored in this trial: give the missing files with --geometry",
+    ):
+        _ = Trial(folder).calibration
+
+
+def test_a_configuration_is_stored_as_it_was(tmp_path: Path) -> None:
+    found = read_configuration()
+    assert [*found] == ["socket.yaml", "calibration.yaml", "testbed.yaml"]
+    store_configuration(tmp_path, found)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == found
+
+
+# --- layouts of messages
+
+
+def test_times_are_in_nanoseconds() -> None:
+    message = cdr.make_message(topics.TRIGGER.type, header={"stamp": {"sec": 3, "nanosec": 7}})
+    assert cdr.stamp_of(message) == 3_000_000_007
+    raws = [cdr.encode(message, topics.TRIGGER.type)] * 2
+    records, fits = cdr.Layout(raws[0], topics.TRIGGER.type).records(raws)
+    assert cdr.stamps_of(records).tolist() == [3_000_000_007] * 2 and fits.tolist() == [True, True]
+
+
+def test_a_message_of_another_length_has_another_layout() -> None:
+    def wrench(frame: str) -> bytes:
+        content = {"header": {"frame_id": frame}}
+        return cdr.encode(cdr.make_message(topics.WRENCH.type, **content), topics.WRENCH.type)
+
+    layout = cdr.Layout(wrench("abcd"), topics.WRENCH.type)
+    assert layout.record(wrench("abcd")) is not None
+    assert layout.record(wrench("abce")) is None and layout.record(wrench("abcdefghijkl")) is None
+    raws = [wrench(name) for name in ("abcd", "abce", "abcd", "abcdefghijkl")]
+    records, fits = layout.records(raws)
+    assert len(records) == 2 and fits.tolist() == [True, False, True, False]
+
+
+def test_a_blank_message_is_zero_and_fills_in() -> None:
+    content, numbers = cdr.blank(topics.LOAD_CELL_RAW.type)
+    numbers["ratios"] = np.arange(6.0)
+    numbers["status"] = 2
+    message = cdr.decode(content, topics.LOAD_CELL_RAW.type)
+    assert message.ratios.tolist() == [0, 1, 2, 3, 4, 5] and message.status == 2
+    assert message.tare.force.x == 0.0 and cdr.nanoseconds(message.tared) == 0
+
+
+@pytest.mark.parametrize("cut", [1, 4, 9])
+def test_a_short_message_is_refused(cut: int) -> None:
+    raw = cdr.encode(cdr.make_message(topics.TRIGGER.type), topics.TRIGGER.type)
+    with pytest.raises(ValueError, match="too short"):
+        cdr.Layout(raw[:-cut], topics.TRIGGER.type)
+    with pytest.raises(ValueError, match=r"not a .*Trigger: the message has another length"):
+        cdr.Layout(raw + bytes(4), topics.TRIGGER.type)
+    cdr.Layout(raw + bytes(3), topics.TRIGGER.type)
