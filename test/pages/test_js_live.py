@@ -3,13 +3,14 @@
 The pages are opened as a browser opens them, against a server whose answers the tests set.
 """
 
+import re
 from typing import Any
 
 import numpy as np
 import pytest
 from support.hand_made import hand_bars, hand_cards, hand_course, hand_moment, hand_socket
 from support.hand_outputs import made_bars, made_cards, made_course, made_moment, made_socket
-from support.tabs import LIVE_PAGE, LostError, StatusError, Tab
+from support.tabs import LIVE_PAGE, STATIC, LostError, StatusError, Tab
 
 from socket_testbed.pages.document import wrench_rows
 
@@ -96,6 +97,22 @@ def test_trial_opens_at_its_start_and_rests() -> None:
     assert tab.requested == ["start", "now?t=12.5"]
     assert tab.text("#when") == "at 12.50 s"
     assert tab.picture("#map").heatmap().value(90.0, 60.0) == 20.0
+
+
+@pytest.mark.parametrize(
+    ("latency", "period"),
+    [
+        pytest.param(100, 0.15, id="quick: every 150 ms from question to question"),
+        pytest.param(180, 0.2, id="slow: 20 ms after each answer"),
+    ],
+)
+def test_slow_answers_slow_the_page(latency, period) -> None:
+    tab = opened(running())
+    tab.wait(0.16)
+    tab.run(f"browser.latency = {latency}")
+    before = len(tab.requested)
+    tab.wait(20 * period)
+    assert len(tab.requested) - before == pytest.approx(20, abs=1)
 
 
 def test_trial_has_a_player_and_no_buttons() -> None:
@@ -387,6 +404,21 @@ def test_sensors_and_wrench_are_tables() -> None:
     ]
 
 
+def test_tables_are_replaced_by_the_newest() -> None:
+    bench = running(sensors=[["●", "clock", "fine", "4 Hz"], ["●", "mocap", "fine", "4 Hz"]])
+    tab = opened(bench)
+    bench.now = {"sensors": [["■", "clock", "silent", ""]]}
+    tab.wait(0.2)
+    assert tab.rows("#sensors") == [["■", "clock", "silent", ""]]
+
+
+def test_trial_without_sensors_shows_its_wrench() -> None:
+    bench = trial()
+    bench.now = {"wrench": [["", "measured", "predicted"], ["Fz [N]", "1.00", "none"]]}
+    tab = opened(bench)
+    assert tab.rows("#wrench")[1] == ["Fz [N]", "1.00", "none"] and not tab.rows("#sensors")
+
+
 @pytest.mark.parametrize("make", [running, trial], ids=["testbed", "trial"])
 def test_lost_server_is_named_until_it_answers(make) -> None:
     bench = make()
@@ -406,11 +438,47 @@ def test_lost_server_is_named_until_it_answers(make) -> None:
     assert (tab.text("#said"), tab.get("#said", "className")) == ("", "")
 
 
-def test_what_a_button_said_stays() -> None:
-    tab = opened(running())
+@pytest.mark.parametrize("lost", [False, True], ids=["from the start", "after a loss"])
+def test_what_a_button_said_stays(lost) -> None:
+    bench = running()
+    tab = opened(bench)
+    bench.failure = LostError() if lost else None
+    tab.wait(0.2)
+    bench.failure = None
+    tab.wait(3.0)
     tab.click("#fit")
     tab.wait(1.0)
     assert tab.text("#said") == "fit: done"
+
+
+# --- the page itself
+
+
+def test_buttons_say_what_they_do() -> None:
+    tab = opened(running())
+    names = ("play", "record", "mark", "tare", "fit", "trigger-off", "trigger-on")
+    assert {name: tab.text(f"#{name}") for name in names} == {
+        "play": "Play",
+        "record": "● Record",
+        "mark": "⚑ Mark",
+        "tare": "Tare",
+        "fit": "Fit the contact model",
+        "trigger-off": "Stop the measurement",
+        "trigger-on": "Start the measurement",
+    }
+    assert tab.options("#speed") == ["0.1", "0.25", "0.5", "1", "2", "5", "20"]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("card", "bad", "interval", "failed", "legend", "full", "grey"),
+        *("bar-row", "track", "bar", "whisker", "said"),
+    ],
+)
+def test_what_scripts_make_has_a_style(name) -> None:
+    style = (STATIC / "page.css").read_text(encoding="utf-8")
+    assert re.search(rf"[.]{name}\b(?!-)", style)
 
 
 # --- what the documents say

@@ -107,6 +107,7 @@ def test_wall_and_end_have_own_axes() -> None:
     picture = drawn()
     found = [(trace["xaxis"], trace["yaxis"]) for trace in picture.of_type("heatmap")]
     assert found == [("x", "y"), ("x", "y"), ("x2", "y2"), ("x2", "y2")]
+    assert {trace["zsmooth"] for trace in picture.of_type("heatmap")} == {"best"}
     assert picture.heatmap().trace["x"] == [-180, -90, 0, 90, 180]
     assert picture.heatmap().trace["y"] == [30, 60, 90]
 
@@ -178,6 +179,11 @@ def test_scale_never_shrinks() -> None:
         for highest in (20.0, 120.0, 20.0, 500.0, 20.0)
     ]
     assert ends == [50, 200, 200, 500, 500]
+
+
+def test_tension_does_not_widen_the_scale() -> None:
+    picture = drawn(hand_moment(pressure=[-60.0, 0.0, 0.0, 0.0, 30.0]))
+    assert (picture.heatmap().trace["zmin"], picture.heatmap().trace["zmax"]) == (0, 50)
 
 
 def test_chosen_scale_holds_for_any_pressure() -> None:

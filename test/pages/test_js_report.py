@@ -125,6 +125,7 @@ def test_click_on_the_time_line_shows_that_moment() -> None:
 
 def test_mean_and_peak_are_buttons() -> None:
     tab = report()
+    assert tab.texts("button") == ["At the peak", "Mean over the segment"]
     tab.click('button[data-moment="mean"]')
     assert shown(tab) == ("mean over plateau", 15.0, 10.0)  # the slider stays
     assert all(line["x0"] in (10.0, 25.0) for line in tab.picture("#course").layout["shapes"])

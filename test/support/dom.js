@@ -7,6 +7,7 @@
   const browser = {
     now: 0,  // [ms]
     ink: "rgb(17, 34, 51)",  // the text colour of every element
+    latency: 0,  // [ms] of every answer
     agrees: true,  // to the questions of `confirm`
     doings: [],  // questions and requests that change something, in order
     requested: [],  // paths of the other requests, in order
@@ -265,6 +266,7 @@
       browser.doings.push([method, path, headers["Content-Type"] ?? "", JSON.parse(body)]);
     }
     const {status, text, lost} = JSON.parse(callPython("answer", JSON.stringify([method, path, body])));
+    browser.now += browser.latency;
     if (lost) { throw new TypeError("Failed to fetch"); }
     return {ok: status >= 200 && status < 300, status, text: async () => text, json: async () => JSON.parse(text)};
   }
