@@ -22,7 +22,7 @@ _SLOW_WITHIN = 400.0  # [s]; with a module's fixtures, on a machine that others 
 LONG = {
     *("commands", "test_api.py", "test_damaged_files.py"),
     *("test_trials.py", "test_export.py", "test_mcap_file.py"),
-    *("test_registration.py", "test_tiling.py"),
+    *("socket_design/test_registration.py", "socket_design/test_tiling.py"),
     *("test_report.py", "test_server.py", "test_player.py", "test_natnet_client.py"),
 }
 
@@ -75,7 +75,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     here = Path(__file__).parent
     first: set[Path] = set()
     for item in items:
-        if not LONG.isdisjoint(item.path.relative_to(here).parts):
+        place = item.path.relative_to(here)
+        if not LONG.isdisjoint([place.as_posix(), *place.parts]):
             item.add_marker("long")
         if item.get_closest_marker("slow") and not item.get_closest_marker("timeout"):
             item.add_marker(pytest.mark.timeout(_SLOW_WITHIN))
