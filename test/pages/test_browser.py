@@ -66,27 +66,33 @@ class Tab:
         self.page.context.close()
 
 
-def test_a_report_opens_and_moves_in_time(browser: Browser, hold: Path, tmp_path: Path) -> None:
-    page = tmp_path / "hold.html"
+@pytest.fixture(scope="module")
+def report(hold: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, float]:
+    """Address of a report and the peak that its map shows [kPa]."""
+    page = tmp_path_factory.mktemp("report") / "hold.html"
     results = st.write_report(st.open_trial(hold), page, thetas=3)
-    peak = 1e-3 * results.pressure.outputs.peak_map.normal_pressure.max()
-    for width in (900, 390):
-        tab = Tab(browser, page.as_uri(), width)
-        tab.reads(rf"Peak\s+{peak:.1f} kPa\s*95 %: ")
-        assert tab.pressure() == pytest.approx(peak, rel=0.15)
-        at_peak = tab.pressure()
-        tab.page.get_by_role("button", name="Mean over").click()
-        tab.reads("mean over plateau")
-        assert tab.pressure() < at_peak
-        tab.page.locator("#cursor").fill("0")
-        tab.reads(r"at 0\.00 s")
-        tab.page.locator("#model > summary").click()
-        tab.page.locator("#chart-wrench .main-svg").first.wait_for()
-        assert all(url.startswith(("file:", "blob:", "data:")) for url in tab.asked)
-        tab.close()
+    return page.as_uri(), 1e-3 * results.pressure.outputs.peak_map.normal_pressure.max()
 
 
-def test_a_trial_opens_at_its_peak_and_is_played_and_sought(browser: Browser, hold: Path) -> None:
+@pytest.mark.parametrize("width", [900, 390], ids=["window", "phone"])
+def test_a_report_moves_in_time(width: int, browser: Browser, report: tuple[str, float]) -> None:
+    url, peak = report
+    tab = Tab(browser, url, width)
+    tab.reads(rf"Peak\s+{peak:.1f} kPa\s*95 %: ")
+    assert tab.pressure() == pytest.approx(peak, rel=0.15)
+    at_peak = tab.pressure()
+    tab.page.get_by_role("button", name="Mean over").click()
+    tab.reads("mean over plateau")
+    assert tab.pressure() < at_peak
+    tab.page.locator("#cursor").fill("0")
+    tab.reads(r"at 0\.00 s")
+    tab.page.locator("#model > summary").click()
+    tab.page.locator("#chart-wrench .main-svg").first.wait_for()
+    assert all(url.startswith(("file:", "blob:", "data:")) for url in tab.asked)
+    tab.close()
+
+
+def test_a_trial_is_played_from_its_peak(browser: Browser, hold: Path) -> None:
     trial = st.open_trial(hold)
     peak = Player(trial).start()["start"]
     with st.view(trial) as served:
@@ -121,7 +127,8 @@ class Bench(Player):
         return "done"
 
 
-def test_buttons_call_their_services_and_say_what_came_of_it(browser: Browser, hold: Path) -> None:
+def test_buttons_call_their_services(browser: Browser, hold: Path) -> None:
+    """And state what came of it."""
     bench = Bench(st.open_trial(hold))
     with PageServer(bench, "127.0.0.1", 0) as server:
         tab = Tab(browser, server.url)

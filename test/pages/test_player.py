@@ -1,7 +1,9 @@
 """A trial on the page: what is shown of an instant is what the verbs say of it."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,72 +13,156 @@ from support.wording import refused
 
 import socket_testbed as st
 from socket_testbed.errors import TrialError
+from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.pages.player import Player
 from socket_testbed.samples import Status
 from socket_testbed.trials.cdr import stamp_of
 from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.trial import Trial
 
 MEAN = "mean pressure [kPa]"
 
 
-def test_an_instant_is_that_of_the_verbs(hold: Path, hold_model: Path) -> None:
+@dataclass
+class Played:
+    """A trial on the page, and what the verbs say of it."""
+
+    trial: Trial
+    player: Player
+    predicted: np.ndarray
+    estimate: MapEstimate
+
+    def row(self, time: float) -> int:
+        """The newest sample at a time [s]."""
+        return int(np.flatnonzero(self.trial.samples().time <= time + 1e-6)[-1])
+
+    def shown(self, time: float) -> dict[str, Any]:
+        """What the page is sent of an instant [s]."""
+        sent = json.dumps(self.player.now(time), allow_nan=False)
+        found: dict[str, Any] = json.loads(sent)
+        return found
+
+
+@pytest.fixture(scope="module")
+def played(hold: Path, hold_model: Path) -> Played:
     trial = st.open_trial(hold)
-    played = Player(trial, st.predict(trial, hold_model).to_numpy())
-    samples, estimate = trial.samples(), st.force_map(trial, "all").estimate
-    predicted, tiles = st.predict(trial, hold_model).to_numpy(), [*trial.geometry.clusters.values()]
-    measured = -samples.local_forces[:, :, 2] / trial.geometry.areas[tiles]
-    for time in (0.0, 59.75, 12.34):
-        row = int(np.flatnonzero(samples.time <= time + 1e-6)[-1])
-        shown = json.loads(json.dumps(played.now(time), allow_nan=False))
-        moment = shown["moment"]
-        assert moment["time"] == pytest.approx(samples.time[row], abs=1e-3)
-        reach = 1.96 * estimate.normal_pressure_standard_deviation
-        known = {"pressure": estimate.normal_pressure, "reach": reach, "shear": estimate.shear}
-        for name, values in known.items():
-            np.testing.assert_allclose(moment[name], 1e-3 * values[row], atol=5.1e-3)
-        pressure, reach, grey = (np.array(moment[name]) for name in ("pressure", "reach", "grey"))
-        doubt = reach / np.maximum(np.abs(pressure), 5.0) - 1.0
-        np.testing.assert_allclose(grey, np.clip(doubt / 1.5, 0.0, 1.0), atol=0.02)
-        np.testing.assert_allclose(moment["measured"], 1e-3 * measured[row], atol=0.051)
-        wrenches = [samples.wrench[row], predicted[row, :6]]
-        values = [list(map(float, cells[1:])) for cells in shown["wrench"][1:]]
-        np.testing.assert_allclose(np.transpose(values), wrenches, atol=5.1e-3)
+    predicted = st.predict(trial, hold_model).to_numpy()
+    estimate = st.force_map(trial, "all").estimate
+    return Played(trial, Player(trial, predicted), predicted, estimate)
+
+
+at_times = pytest.mark.parametrize(
+    "time", [0.0, 59.75, 12.34], ids=["first", "last", "between samples"]
+)
+
+
+@at_times
+def test_the_map_shows_the_newest_estimate(time: float, played: Played) -> None:
+    row, moment = played.row(time), played.shown(time)["moment"]
+    assert moment["time"] == pytest.approx(played.trial.samples().time[row], abs=1e-3)
+    estimate = played.estimate
+    reach = 1.96 * estimate.normal_pressure_standard_deviation
+    np.testing.assert_allclose(
+        moment["pressure"], 1e-3 * estimate.normal_pressure[row], atol=5.1e-3
+    )
+    np.testing.assert_allclose(moment["reach"], 1e-3 * reach[row], atol=5.1e-3)
+    np.testing.assert_allclose(moment["shear"], 1e-3 * estimate.shear[row], atol=5.1e-3)
+
+
+@at_times
+def test_the_map_is_greyer_where_intervals_reach_far(time: float, played: Played) -> None:
+    moment = played.shown(time)["moment"]
+    pressure, reach, grey = (np.array(moment[name]) for name in ("pressure", "reach", "grey"))
+    doubt = reach / np.maximum(np.abs(pressure), 5.0) - 1.0
+    np.testing.assert_allclose(grey, np.clip(doubt / 1.5, 0.0, 1.0), atol=0.02)
+
+
+@at_times
+def test_the_page_shows_what_clusters_measured(time: float, played: Played) -> None:
+    samples, geometry = played.trial.samples(), played.trial.geometry
+    tiles = [*geometry.clusters.values()]
+    measured = -samples.local_forces[:, :, 2] / geometry.areas[tiles]
+    found = played.shown(time)["moment"]["measured"]
+    np.testing.assert_allclose(found, 1e-3 * measured[played.row(time)], atol=0.051)
+
+
+@at_times
+def test_the_page_shows_the_wrench_beside_its_prediction(time: float, played: Played) -> None:
+    row, shown = played.row(time), played.shown(time)
+    wrenches = [played.trial.samples().wrench[row], played.predicted[row, :6]]
+    values = [list(map(float, cells[1:])) for cells in shown["wrench"][1:]]
+    np.testing.assert_allclose(np.transpose(values), wrenches, atol=5.1e-3)
+
+
+@at_times
+def test_cards_show_the_pressure_of_the_verb(time: float, played: Played) -> None:
+    row, shown = played.row(time), played.shown(time)
     span = Segment("span", time, time, slice(row, row + 1))
-    found = st.pressure(trial, span).regions
+    found = st.pressure(played.trial, span).regions
     (peak, _, data), bars = shown["cards"], shown["bars"]
     assert peak["value"] == f"{found.loc['socket', 'peak pressure [kPa]']:.1f} kPa"
-    assert "measured by" in peak["words"] and data["value"] == "good"
+    assert data["value"] == "good"
     for title, rows in bars["values"].items():
         values = [row[0] for row in rows]
         np.testing.assert_allclose(values, found.loc[bars["regions"], title], atol=0.051)
-    start, course = played.start(), played.start()["course"]
+
+
+def test_a_peak_under_a_cluster_is_called_measured(played: Played) -> None:
+    (peak, *_) = played.shown(12.34)["cards"]
+    assert "measured by" in peak["words"]
+
+
+def test_a_page_opens_at_the_course_s_peak(played: Played) -> None:
+    start = played.player.start()
+    course = start["course"]
     highest = int(np.argmax(course["peak"]))
     assert start["start"] == pytest.approx(course["time"][highest], abs=1e-3)
     assert np.all(np.diff([course["low"], course["peak"], course["high"]], axis=0) >= 0.0)
 
 
-def test_a_page_opens_at_the_peak_between_the_drawn_samples(hold: Path, monkeypatch) -> None:
+def test_a_peak_between_the_drawn_samples_is_found(hold: Path, monkeypatch) -> None:
     monkeypatch.setattr("socket_testbed.pages.player._COURSE_SAMPLES", 3)
     start = Player(st.open_trial(hold)).start()
     assert start["start"] == pytest.approx(st.pressure(hold, "all").peak_time)
     assert len(start["course"]["time"]) == 4
+
+
+def test_a_peak_that_nothing_measured_is_called_estimated(hold: Path, played: Played) -> None:
     trial = st.open_trial(hold)
     trial.samples().status[:, trial.samples().clusters.index("distal")] = Status.MISSING
-    (peak, *_) = Player(trial).now(start["start"])["cards"]
-    assert "distal, estimated" in peak["words"]  # its cluster measured nothing
+    (peak, *_) = Player(trial).now(played.player.start()["start"])["cards"]
+    assert "distal, estimated" in peak["words"]
 
 
-def test_events_are_marks_and_nothing_is_shown_in_a_gap(hold: Path, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def gappy(hold: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The hold without the samples around 26 s."""
     lost = range(*st.open_trial(hold).samples().stamps[[99, 107]].tolist())
-    path = rewrite(hold, tmp_path / "gappy", lambda _, m: None if stamp_of(m) in lost else m)
-    played = Player(add_events(path, tmp_path / "marked", [("push", 30.0, 30.0)]))
-    (event,) = [e for e in played.start()["course"]["events"] if e["label"] == "push"]
+    folder = tmp_path_factory.mktemp("gappy")
+    return rewrite(hold, folder / "gappy", lambda _, m: None if stamp_of(m) in lost else m)
+
+
+@pytest.fixture(scope="module")
+def marked(gappy: Path, tmp_path_factory: pytest.TempPathFactory) -> Player:
+    """The trial with a gap, with an event at 30 s."""
+    folder = tmp_path_factory.mktemp("marked")
+    return Player(add_events(gappy, folder / "marked", [("push", 30.0, 30.0)]))
+
+
+def test_events_are_marks(marked: Player) -> None:
+    (event,) = [e for e in marked.start()["course"]["events"] if e["label"] == "push"]
     assert event["time"] == pytest.approx(30.0, abs=0.3)
-    with refused(TrialError, "no sample at 26.2 s"):
-        st.force_map(path, "all").at(26.2)
-    shown = played.now(26.2)
+
+
+def test_nothing_is_shown_in_a_gap(marked: Player) -> None:
+    shown = marked.now(26.2)
     assert "pressure" not in shown["moment"] and shown["cards"][0]["value"] == "none"
-    assert "pressure" in played.now(20.0)["moment"]
+    assert "pressure" in marked.now(20.0)["moment"]
+
+
+def test_no_map_is_given_in_a_gap(gappy: Path) -> None:
+    with refused(TrialError, "no sample at 26.2 s"):
+        st.force_map(gappy, "all").at(26.2)
 
 
 def test_page_opens_at_the_peak_and_jumps(hold: Path) -> None:

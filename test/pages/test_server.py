@@ -57,64 +57,125 @@ def answer(
     return found.status, found.headers, text
 
 
-def test_the_page_is_served_by_its_own_names(server: PageServer) -> None:
-    for name in ("127.0.0.1", "LocalHost", "lab-pi.example.org"):
-        host = name + ":{port}"
-        assert answer(server, Host=host)[0] == 200
-        assert answer(server, Host=host, Origin=f"http://{host.lower()}")[0] == 200
+@pytest.mark.parametrize("name", ["127.0.0.1", "LocalHost", "lab-pi.example.org"])
+def test_the_page_is_served_by_its_own_names(name: str, server: PageServer) -> None:
+    host = name + ":{port}"
+    assert answer(server, Host=host)[0] == 200
+    assert answer(server, Host=host, Origin=f"http://{host.lower()}")[0] == 200
+
+
+def test_the_page_loads_nothing_from_elsewhere(server: PageServer) -> None:
     _, headers, text = answer(server)
     policy = headers["Content-Security-Policy"]
     assert "default-src 'self'" in policy and "frame-ancestors 'none'" in policy
     assert "*" not in policy and b"http" not in text
+
+
+def test_the_page_s_script_is_served(server: PageServer) -> None:
     assert answer(server, "/live.js")[0] == 200
-    assert answer(server, "/../server.py")[0] == answer(server, "/etc/passwd")[0] == 404
 
 
-def test_requests_of_other_sites_are_refused(server: PageServer) -> None:
-    own = "127.0.0.1:{port}"
-    for headers in (
-        {"Host": "attacker.example:{port}"},  # a name that was made to point to this machine
-        {"Host": "127.0.0.1"},  # another port
-        {"Host": "10.1.2.3:{port}"},  # it did not arrive there
-        {"Host": own, "Origin": "http://attacker.example"},
-        {"Host": own, "Origin": "http://127.0.0.1:1"},  # another program's page
-        {"Host": own, "Origin": f"https://{own}"},
-        {"Host": own, "Origin": "null"},  # a file, or a page in a sandbox
-    ):
-        for path, method, body in (("/", "GET", None), ("/do", "POST", b'{"do": "fit"}')):
-            assert answer(server, path, method, body, **headers)[0] == 403, headers
+@pytest.mark.parametrize("path", ["/../server.py", "/etc/passwd"])
+def test_no_other_file_is_served(path: str, server: PageServer) -> None:
+    assert answer(server, path)[0] == 404
 
 
-def test_the_source_is_asked_and_buttons_say_what_came_of_them(server: PageServer) -> None:
-    assert json.loads(answer(server, "/start")[2]) == {"title": "still"}
-    assert json.loads(answer(server, "/now")[2]) == {"asked": None}
-    assert json.loads(answer(server, "/now?t=7.5")[2]) == {"asked": 7.5}
-    for given, expected in (
+OWN = "127.0.0.1:{port}"
+FOREIGN = {
+    "name made to point here": {"Host": "attacker.example:{port}"},
+    "other port": {"Host": "127.0.0.1"},
+    "other address": {"Host": "10.1.2.3:{port}"},  # it did not arrive there
+    "other site's page": {"Host": OWN, "Origin": "http://attacker.example"},
+    "other program's page": {"Host": OWN, "Origin": "http://127.0.0.1:1"},
+    "other scheme": {"Host": OWN, "Origin": f"https://{OWN}"},
+    "file or sandbox": {"Host": OWN, "Origin": "null"},
+}
+
+
+@pytest.mark.parametrize(
+    ("path", "method", "body"),
+    [("/", "GET", None), ("/do", "POST", b'{"do": "fit"}')],
+    ids=["page", "button"],
+)
+@pytest.mark.parametrize("site", FOREIGN)
+def test_requests_of_other_sites_are_refused(
+    site: str, path: str, method: str, body: bytes | None, server: PageServer
+) -> None:
+    assert answer(server, path, method, body, **FOREIGN[site])[0] == 403
+
+
+@pytest.mark.parametrize(
+    ("path", "expected"),
+    [
+        ("/start", {"title": "still"}),
+        ("/now", {"asked": None}),
+        ("/now?t=7.5", {"asked": 7.5}),
+    ],
+    ids=["start", "now", "instant"],
+)
+def test_the_source_is_asked(path: str, expected: dict[str, Any], server: PageServer) -> None:
+    assert json.loads(answer(server, path)[2]) == expected
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
         ({"do": "mark", "label": "step"}, {"said": "mark {'label': 'step'}"}),
         ({"do": "tare"}, {"said": "the load cell is loaded: take the limb out", "failed": True}),
-    ):
-        status, _, text = answer(server, "/do", "POST", json.dumps(given).encode())
-        assert (status, json.loads(text)) == (200, expected)
+    ],
+    ids=["done", "failed"],
+)
+def test_a_button_states_what_came_of_it(
+    given: dict[str, str], expected: dict[str, Any], server: PageServer
+) -> None:
+    status, _, text = answer(server, "/do", "POST", json.dumps(given).encode())
+    assert (status, json.loads(text)) == (200, expected)
+
+
+def test_a_slow_reader_holds_nobody_up(server: PageServer) -> None:
     with socket.create_connection(("127.0.0.1", port_of(server))) as slow:  # reads no further
         slow.sendall(b"GET /now?t=8 HTTP/1.1\r\nHost: 127.0.0.1:%d\r\n\r\n" % port_of(server))
         assert slow.recv(1) and not server.asking.locked()
-    # Nonsense is refused, and the page goes on.
-    assert answer(server, "/now?t=soon")[0] == answer(server, "/now?t=nan")[0] == 400
-    for body in (b"", b"tare", b"[]", b"{}", b"7", b"\xff", b'{"do"'):
-        assert answer(server, "/do", "POST", body)[0] == 400, body
-    assert answer(server, "/do", "POST")[0] == 400
+    assert answer(server)[0] == 200
+
+
+@pytest.mark.parametrize("time", ["soon", "nan", "inf"])
+def test_an_instant_that_is_no_number_is_refused(time: str, server: PageServer) -> None:
+    assert answer(server, f"/now?t={time}")[0] == 400
+
+
+@pytest.mark.parametrize(
+    "body",
+    [b"", b"tare", b"[]", b"{}", b"7", b"\xff", b'{"do"', None],
+    ids=["empty", "word", "list", "no button", "number", "no text", "cut", "none"],
+)
+def test_nonsense_is_refused(body: bytes | None, server: PageServer) -> None:
+    """And the page goes on."""
+    assert answer(server, "/do", "POST", body)[0] == 400
+    assert answer(server)[0] == 200
+
+
+def test_another_method_is_refused(server: PageServer) -> None:
     assert answer(server, "/do", "PUT", b"{}")[0] == 501
     assert answer(server)[0] == 200
 
 
-def test_it_is_found_where_it_listens_if_the_address_is_free(server: PageServer) -> None:
-    for host, port, why in (("127.0.0.1", port_of(server), "in use"), ("192.0.2.1", 0, "")):
-        with refused(ConfigurationError, f"cannot listen on {host}:{port}", why):
-            PageServer(Still(), host, port)
-    for host in ("127.0.0.1", "localhost", "0.0.0.0"):
-        found = PageServer(Still(), host, 0)
-        assert found.url.startswith("http://") and "0.0.0.0" not in found.url
-        # Served to all, it is found by the address that a request arrives at.
-        assert answer(found, Host="127.0.0.1:{port}")[0] == 200
-        assert answer(found, Host="127.0.0.2:{port}")[0] == 403
-        found.close()
+def test_a_taken_port_is_refused(server: PageServer) -> None:
+    port = port_of(server)
+    with refused(ConfigurationError, f"cannot listen on 127.0.0.1:{port}", "in use"):
+        PageServer(Still(), "127.0.0.1", port)
+
+
+def test_another_machine_s_address_is_refused() -> None:
+    with refused(ConfigurationError, "cannot listen on 192.0.2.1:0"):
+        PageServer(Still(), "192.0.2.1", 0)
+
+
+@pytest.mark.parametrize("host", ["127.0.0.1", "localhost", "0.0.0.0"])
+def test_a_server_is_found_where_it_listens(host: str) -> None:
+    """Served to all, it is found by the address that a request arrives at."""
+    found = PageServer(Still(), host, 0)
+    assert found.url.startswith("http://") and "0.0.0.0" not in found.url
+    assert answer(found, Host="127.0.0.1:{port}")[0] == 200
+    assert answer(found, Host="127.0.0.2:{port}")[0] == 403
+    found.close()

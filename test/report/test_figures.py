@@ -2,7 +2,7 @@
 
 import dataclasses
 import re
-from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,24 +22,41 @@ from socket_testbed.report.write import SECTIONS
 NASTY, UNIT = "a$_b <i>", "pressure [kPa]"
 
 
-def test_a_thinned_line_keeps_its_peaks_its_order_and_its_gaps(rng):
-    many = style.MAX_POINTS
-    for count, most in ((10, 100), (1001, many), (12_345, 10), (12_345, many)):
-        x, y = np.arange(count) / 4.0, rng.normal(size=count)
-        thin_x, thin_y = style.thin(x, y, most)
-        assert len(thin_x) <= most
-        assert (np.diff(thin_x) >= 0.0).all()
-        assert (thin_y.min(), thin_y.max()) == (y.min(), y.max())
-        np.testing.assert_array_equal(thin_y, y[np.round(thin_x * 4.0).astype(int)])
+@pytest.mark.parametrize(
+    ("count", "most"),
+    [(10, 100), (1001, style.MAX_POINTS), (12_345, 10), (12_345, style.MAX_POINTS)],
+    ids=["short", "medium", "to ten", "long"],
+)
+def test_a_thinned_line_keeps_its_peaks(count: int, most: int, rng):
+    x, y = np.arange(count) / 4.0, rng.normal(size=count)
+    thin_x, thin_y = style.thin(x, y, most)
+    assert len(thin_x) <= most
+    assert (np.diff(thin_x) >= 0.0).all()
+    assert (thin_y.min(), thin_y.max()) == (y.min(), y.max())
+    np.testing.assert_array_equal(thin_y, y[np.round(thin_x * 4.0).astype(int)])
+
+
+@pytest.fixture
+def gappy(rng) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times and the ends of a band, the lower of which has a gap."""
     time, (low, high) = np.arange(10_001.0), rng.normal(size=(2, 10_001))
     low[4000:6000] = np.nan
+    return time, low, high
+
+
+def test_a_thinned_line_keeps_its_gaps(gappy):
+    time, low, _ = gappy
     x, kept = style.thin(time, low, 500)
     assert np.isnan(kept[(x >= 4100) & (x < 5900)]).all()
+
+
+def test_a_thinned_band_keeps_its_ends(gappy):
+    time, low, high = gappy
     _, lowest, highest = style.thin_band(time, low, high, 500)
     assert np.nanmin(lowest) == np.nanmin(low) and highest.max() == high.max()
 
 
-def test_print_and_pages_have_one_colour_scale() -> None:
+def test_print_has_the_page_s_colour_scale() -> None:
     script = (
         (CHECKOUT / "socket_testbed/pages/static/socket.js")
         .read_text()
@@ -54,40 +71,54 @@ def scales_of(figure) -> list[tuple[float, float]]:
     return [axis.get_ylim() for axis in figure.axes if axis.get_ylabel() == UNIT]
 
 
-def test_tiles_have_the_colours_of_their_values_on_one_scale_unless_their_ranges_differ(rng):
-    geometry = dataclasses.replace(random_socket(rng, rings=3, columns=6), clusters={NASTY: 4})
-    for larger in (1.5, 9.0):
-        values = {"x": rng.uniform(0.0, 1.0, 18), "y": rng.uniform(0.0, larger, 18)}
-        figure = tile_map_figure(geometry, values, UNIT)
-        rows = [np.concatenate([*values.values()])] if larger < 2.0 else [*values.values()]
-        ends = [(row.min(), row.max()) for row in rows]
-        np.testing.assert_allclose(scales_of(figure), ends)
-        maps = [axis for axis in figure.axes if axis.get_xlim()[0] < -180.0]
-        for axis, row, scale in zip(maps, values.values(), [*ends, *ends], strict=False):
-            squares = next(c for c in axis.collections if isinstance(c, PolyCollection))
-            expected = colormaps[style.SCALE](PowerNorm(1.0, *scale)(row))
-            np.testing.assert_allclose(squares.get_facecolors(), expected)
-        assert figure.get_supxlabel() == f"1 {NASTY}"
+@pytest.fixture
+def socket(rng):
+    return dataclasses.replace(random_socket(rng, rings=3, columns=6), clusters={NASTY: 4})
+
+
+@pytest.mark.parametrize("larger", [1.5, 9.0], ids=["one scale", "own scales"])
+def test_tiles_have_the_colours_of_their_values(larger: float, socket, rng):
+    """On one scale unless their ranges differ."""
+    values = {"x": rng.uniform(0.0, 1.0, 18), "y": rng.uniform(0.0, larger, 18)}
+    figure = tile_map_figure(socket, values, UNIT)
+    rows = [np.concatenate([*values.values()])] if larger < 2.0 else [*values.values()]
+    ends = [(row.min(), row.max()) for row in rows]
+    np.testing.assert_allclose(scales_of(figure), ends)
+    maps = [axis for axis in figure.axes if axis.get_xlim()[0] < -180.0]
+    for axis, row, scale in zip(maps, values.values(), [*ends, *ends], strict=False):
+        squares = next(c for c in axis.collections if isinstance(c, PolyCollection))
+        expected = colormaps[style.SCALE](PowerNorm(1.0, *scale)(row))
+        np.testing.assert_allclose(squares.get_facecolors(), expected)
+    assert figure.get_supxlabel() == f"1 {NASTY}"
+
+
+def test_tiles_without_a_value_are_hatched(socket, rng):
     values = rng.uniform(5.0, 30.0, 18)
     values[3] = np.nan
-    figure = tile_map_figure(geometry, {"mean": values}, UNIT, from_zero=True)
+    figure = tile_map_figure(socket, {"mean": values}, UNIT, from_zero=True)
     hatched = sum(len(c.get_paths()) for a in figure.axes for c in a.collections if c.get_hatch())
     assert hatched == 1 and "hatched: no value" in figure.get_supxlabel()
     np.testing.assert_allclose(scales_of(figure), [(0.0, np.nanmax(values))])
 
 
-def test_a_map_with_intervals_is_smooth_and_greyer_where_they_reach_far():
+COLOUR = np.array(colormaps[style.SCALE](PowerNorm(0.5, 0.0, 40.0)(20.0))[:3])
+
+
+@pytest.mark.parametrize(
+    ("reach", "expected"),
+    [(0.0, COLOUR), (60.0, 0.15 * COLOUR + 0.85 * 150 / 255)],
+    ids=["known", "unknown"],
+)
+def test_a_map_is_greyer_where_intervals_reach_far(reach: float, expected: np.ndarray):
+    """And smooth."""
     geometry = ring_socket()
-    values, known = np.full(len(geometry), 20.0), {"x": np.zeros(len(geometry))}
-    unknown = {"x": np.full(len(geometry), 60.0)}
-    colour = colormaps[style.SCALE](PowerNorm(0.5, 0.0, 40.0)(20.0))[:3]
-    for reach, expected in ((known, colour), (unknown, 0.15 * np.array(colour) + 0.85 * 150 / 255)):
-        figure = tile_map_figure(geometry, {"x": values}, UNIT, limits=(0.0, 40.0), reach=reach)
-        for panel in figure.axes[:2]:  # wall and end
-            image = np.asarray(panel.images[0].get_array())
-            shown = image[image[..., 3] == 1.0][:, :3]
-            assert len(shown) > 100
-            np.testing.assert_allclose(shown, np.broadcast_to(expected, shown.shape), atol=5e-3)
+    values, reaches = ({"x": np.full(len(geometry), own)} for own in (20.0, reach))
+    figure = tile_map_figure(geometry, values, UNIT, limits=(0.0, 40.0), reach=reaches)
+    for panel in figure.axes[:2]:  # wall and end
+        image = np.asarray(panel.images[0].get_array())
+        shown = image[image[..., 3] == 1.0][:, :3]
+        assert len(shown) > 100
+        np.testing.assert_allclose(shown, np.broadcast_to(expected, shown.shape), atol=5e-3)
 
 
 # --- as they are printed: width, size of type, room for every word
@@ -143,16 +174,24 @@ def check_words(name: str, figure) -> None:
             assert overlap(box, beside) < 1.5, (name, text, other)
 
 
+ALIKE = {"tile_stiffness_stiffness", "tile_stiffness_stiffness_bias", "tile_stiffness_given"}
+
+
 @pytest.mark.slow
-def test_every_figure_is_as_wide_as_stated_and_every_word_legible(figures, tmp_path):
-    alike = {"tile_stiffness_stiffness", "tile_stiffness_stiffness_bias", "tile_stiffness_given"}
-    for name, width, titles in product({*figures} - alike, style.WIDTHS, (True, False)):
-        figure = figures[name](style.FigureStyle(width, titles))
-        check_words(name, figure)
-        assert titles or not figure.get_suptitle()  # then the caption says what is shown
-        if titles:
-            style.save_figure(figure, tmp_path / "figure.pdf")
-            content = (tmp_path / "figure.pdf").read_bytes()
-            box = re.search(rb"/MediaBox \[([\d. ]+)\]", content)[1].split()
-            assert float(box[2]) / 72.0 * 25.4 == pytest.approx(width, abs=1.0)
-            assert b"/Type3" not in content  # text is text
+@pytest.mark.parametrize("titles", [True, False], ids=["titles", "captions"])
+@pytest.mark.parametrize("width", style.WIDTHS, ids=lambda width: f"{width:g} mm")
+def test_every_word_is_legible(
+    width: float, titles: bool, figures: dict, tmp_path: Path, subtests: pytest.Subtests
+):
+    """In figures as wide as stated; without a title the caption says what is shown."""
+    for name in {*figures} - ALIKE:
+        with subtests.test(name):
+            figure = figures[name](style.FigureStyle(width, titles))
+            check_words(name, figure)
+            assert titles or not figure.get_suptitle()
+            if titles:
+                style.save_figure(figure, tmp_path / "figure.pdf")
+                content = (tmp_path / "figure.pdf").read_bytes()
+                box = re.search(rb"/MediaBox \[([\d. ]+)\]", content)[1].split()
+                assert float(box[2]) / 72.0 * 25.4 == pytest.approx(width, abs=1.0)
+                assert b"/Type3" not in content  # text is text

@@ -7,6 +7,7 @@ import numpy as np
 
 MADE = datetime(2026, 2, 3, 4, 5, 6, tzinfo=UTC)
 THETAS = np.linspace(0.0, 1.0, 5)
+LABELS = ["stiffness", "stiffness_bias", "rigid_bias", "given"]  # of the models in a report
 NASTY = "<b>a & \"b\" 'c' $\\frac$"
 
 
