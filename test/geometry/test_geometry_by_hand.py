@@ -46,6 +46,13 @@ def test_an_axis_along_x_has_minus_z_anterior() -> None:
     assert axis.end == pytest.approx([0.0, 0.05, 0.1])
 
 
+def test_a_slanted_axis_has_minus_z_across() -> None:
+    """3 degrees from x: anterior is 3 degrees from -z, towards the proximal end's shadow."""
+    slant = np.radians(3.0)
+    axis = regions.axis_between(np.eye(3), np.array([np.cos(slant), 0.0, np.sin(slant)]))
+    assert axis.anterior == pytest.approx([np.sin(slant), 0.0, -np.cos(slant)])
+
+
 def test_anterior_is_across_the_axis() -> None:
     points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     axis = regions.axis_between(points, np.array([0.0, 0.0, 1.0]), np.array([0.0, 3.0, 4.0]))
@@ -282,6 +289,36 @@ def test_exchanged_labels_are_named() -> None:
     assert fit.residual[0] == pytest.approx(0.0, abs=1e-9)
 
 
+def test_a_mirrored_frame_is_refused() -> None:
+    with pytest.raises(FieldError, match="frame is not a right-handed orthonormal frame"):
+        pose.check_rotation(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, -1.0)), "frame")
+
+
+def test_equal_sides_match_twice() -> None:
+    """A triangle with two equal sides: its labels could be either way round."""
+    isosceles = marker_bodies.distances(triangle(80.0, 60.0, 40.0))
+    assert len(marker_bodies._matches(isosceles, isosceles, 2e-3)) == 2
+    own = marker_bodies.distances(BODY)
+    assert marker_bodies._matches(own, own, 2e-3) == [((0, 0), (1, 1), (2, 2))]
+
+
+SURE = {
+    # pairs of markers of the body and seen, markers seen, size of the body, verdict
+    "all": (((0, 0), (1, 1), (2, 2)), 3, 3, True),
+    "all, exchanged": (((0, 1), (1, 0), (2, 2)), 3, 3, True),
+    "three of four": (((0, 0), (1, 1), (2, 2)), 3, 4, True),
+    "three of four, exchanged": (((0, 1), (1, 0), (2, 2)), 3, 4, False),
+    "four of five, exchanged": (((0, 1), (1, 0), (2, 2), (3, 3)), 4, 5, True),
+    "half of those seen": (((0, 0), (1, 1), (2, 2)), 6, 6, False),
+}
+
+
+@pytest.mark.parametrize("case", SURE)
+def test_chance_is_excluded(case: str) -> None:
+    match, seen, size, sure = SURE[case]
+    assert marker_bodies._is_sure(match, seen, size) is sure
+
+
 def test_noise_is_per_degree_of_freedom() -> None:
     """RMS of 1 mm of 3 markers: 3 mm^2 over 3; of 4 markers: 4 mm^2 over 6; together 7 / 9."""
     order = np.array([[0, 1, 2, -1], [0, 1, 2, 3], [-1] * 4])
@@ -322,6 +359,13 @@ def test_a_turned_cluster_is_written_in_degrees(tmp_path) -> None:
     assert found.bodies == "made by hand"
     bare = replace(GEOMETRY, registration="").bodies
     assert bare.startswith("the marker bodies are nominal")
+
+
+def test_a_turn_is_kept_to_a_nanodegree() -> None:
+    turned = replace(GEOMETRY, turned={"distal": float(np.radians(-12.3456789))})
+    document = turned.to_document()
+    assert document["clusters"]["distal"] == {"tile": "post_end", "turned": -12.3456789}
+    assert socket_from_document(document, "").turned["distal"] == pytest.approx(-0.215472745)
 
 
 def test_tiles_know_their_clusters() -> None:

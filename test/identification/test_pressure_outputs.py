@@ -203,6 +203,15 @@ def test_nothing_measured_is_refused() -> None:
 # --- outputs of the span
 
 
+@pytest.mark.parametrize("title", scene.ANSWERS["anterior"])
+@pytest.mark.parametrize("place", ["anterior", "lateral"])
+def test_a_column_has_its_unit(place: str, title: str, found: PressureOutputs) -> None:
+    """Its values and ends, by the answers of the scene."""
+    columns = pressure.columns_of(found.regions, [title])
+    own = [float(values[NAMES.index(place)]) for values in columns.values()]
+    assert own == pytest.approx(scene.ANSWERS[place][title], rel=2e-5, abs=1e-4)
+
+
 def test_the_peak_is_at_its_sample(found: PressureOutputs) -> None:
     assert found.peak_row == scene.PEAK_ROW
     assert found.peak_map.normal_pressure.shape == (1, 12)
