@@ -211,14 +211,12 @@ def depth(levels: int) -> str:
     [
         (depth(49), ""),
         (depth(50), "too deep"),
-        ("a: [" + "1, " * 199_996 + "1]", ""),
-        ("a: [" + "1, " * 199_999 + "1]", "holds more than 200000 values"),
         # The anchored list has 11 values with itself; 10 aliases of it make 110 more.
         ("a: &a [" + "1, " * 10 + "]\nb: [" + "*a, " * 18_180 + "]", ""),
         ("a: &a [" + "1, " * 10 + "]\nb: [" + "*a, " * 18_181 + "]", "holds more than 200000"),
         ("a: &a 1\nb: [" + "*a, " * 100_000 + "]", ""),
     ],
-    ids=["deep", "too deep", "large", "too large", "aliases", "bomb", "scalar"],
+    ids=["deep", "too deep", "aliases", "bomb", "scalar"],
 )
 def test_yaml_has_limits(text: str, problem: str, tmp_path: Path) -> None:
     path = tmp_path / "a.yaml"
@@ -345,7 +343,8 @@ def test_a_slow_testbed_s_seconds_are_longer(monkeypatch: pytest.MonkeyPatch) ->
     clocks.sleep(2.0)
     assert slept == [8.0] and clocks.real(2.0) == 8.0
     monkeypatch.setattr(clocks, "_scale", 1.0)
-    assert clocks.monotonic_ns() == 40_000_000_004
+    monkeypatch.setattr(clocks.time, "monotonic_ns", lambda: 2**60 + 1)
+    assert clocks.monotonic_ns() == 2**60 + 1  # to the nanosecond, which a float could not hold
 
 
 def test_processes_of_a_graph_share_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:

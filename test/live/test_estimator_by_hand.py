@@ -115,7 +115,7 @@ def fit(**changes: Any) -> Any:
 
 def test_it_begins_by_waiting(online: OnlineEstimator) -> None:
     words = "no model yet: waiting for steady data or estimator/fit"
-    assert online.state == (OK, words)
+    assert online.state == (OK, words) and online.newest == 0
     counts = ("triggers", "samples", "predictions", "fits", "refused", "incomplete")
     assert online.figures() == dict.fromkeys((*counts, "window", "maps"), 0)
 
@@ -275,6 +275,15 @@ def test_errors_are_relative_and_weighed_by_theta(theta: float, old: float) -> N
     found = fit_worker._judge(model(1.0), model(0.5), own, chosen)
     assert found.samples == 5
     assert (found.old, found.new) == pytest.approx((old, 0.5 * old), rel=1e-5)
+
+
+def test_a_wrench_that_is_always_zero_is_refused() -> None:
+    """A load cell that is not connected may send zeros."""
+    rows = np.zeros(60, dtype=int)
+    still = replace(sample(0)[rows], stamps=250_000_000 * np.arange(60))
+    steady = fit_worker.Steady(EstimatorSettings().plateau, least_samples=10)
+    with refused(IdentificationError, "the wrench never exceeds 0 N and 0 N m in 60 samples"):
+        fit_worker.fit_samples(still, scene.geometry(), IdentificationSettings(), steady)
 
 
 def test_too_few_samples_are_not_checked() -> None:

@@ -359,6 +359,7 @@ def opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
     class Hardware:
         def __init__(self, settings: Any, chip: Any, capacitance: Any, faults: Any) -> None:
+            assert settings.names and chip.__name__ == "SimulatedFdc1004"
             sensed.append(capacitance)
 
         def open_bus(self, number: int) -> None: ...

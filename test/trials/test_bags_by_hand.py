@@ -7,6 +7,7 @@ import pytest
 from support import scene
 from support.wording import refused
 
+from socket_testbed.documents import load_yaml
 from socket_testbed.errors import TrialError
 from socket_testbed.trials import bag, cdr, messages, topics
 from socket_testbed.trials.bag import BagReader, BagWriter
@@ -74,6 +75,27 @@ def test_metadata_must_agree_with_the_file(change, words: str, tmp_path: Path) -
     file.write_text(change(file.read_text()))
     with refused(TrialError, str(tmp_path / "a"), words), BagReader(tmp_path / "a"):
         pass
+
+
+def test_a_bag_offers_the_topics_as_they_were_published(tmp_path: Path) -> None:
+    """ROS replays them with the quality of service that subscribers expect."""
+    with BagWriter(tmp_path / "a") as new:
+        new.add_topic("/parameters", topics.PARAMETERS)
+        new.add_topic("/wrench", topics.WRENCH)
+    content = load_yaml(tmp_path / "a" / "metadata.yaml")["rosbag2_bagfile_information"]
+    assert content["version"] == 9 and content["storage_identifier"] == "mcap"
+    found = {}
+    for entry in content["topics_with_message_count"]:
+        (offered,) = entry["topic_metadata"]["offered_qos_profiles"]
+        found[entry["topic_metadata"]["name"]] = offered
+    latched, usual = found["/parameters"], found["/wrench"]
+    assert (latched["depth"], latched["durability"]) == (1, "transient_local")
+    assert (usual["depth"], usual["durability"]) == (100, "volatile")
+    for own in (latched, usual):
+        assert (own["history"], own["reliability"]) == ("keep_last", "reliable")
+        assert own["liveliness"] == "automatic" and not own["avoid_ros_namespace_conventions"]
+        assert own["deadline"] == own["lifespan"] == own["liveliness_lease_duration"]
+        assert own["deadline"] == {"sec": 2_147_483_647, "nsec": 4_294_967_295}
 
 
 def test_what_is_no_bag_is_refused(tmp_path: Path) -> None:

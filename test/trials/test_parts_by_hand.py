@@ -204,6 +204,32 @@ def test_without_a_plateau_the_loaded_part_is_offered() -> None:
         segment.select_segment(samples(fz=0.0), "plateau", SETTINGS)
 
 
+def test_a_hold_is_a_plateau_while_the_load_is_placed() -> None:
+    """The plateau before the rise is longer, but without the load; `auto` takes the hold too."""
+    held = samples(fz=step(-190.0, at=140, before=-90.0))
+    for name in ("hold", "auto"):
+        found = segment.select_segment(held, name, SETTINGS)
+        assert str(found) == "hold 37.00 s to 59.75 s", name
+    assert segment.select_segment(held, "plateau", SETTINGS).end == pytest.approx(33.0)
+
+
+def test_auto_takes_the_loaded_part_without_a_hold() -> None:
+    swinging = np.where(np.arange(240) % 16 < 8, -100.0, -300.0)
+    swinging[:40] = swinging[200:] = 0.0
+    found = segment.select_segment(samples(fz=swinging), "auto", SETTINGS)
+    assert str(found) == "loaded 10.00 s to 49.75 s"
+    with refused(TrialError, "no hold of 5 s or more", "give --segment 10.00:49.75"):
+        segment.select_segment(samples(fz=swinging), "hold", SETTINGS)
+
+
+def test_events_delimit_a_segment() -> None:
+    marked = [Event("placed", 10.0, "found"), Event("removed", 20.0, "found")]
+    found = segment.select_segment(
+        samples(), "event:placed+1:removed-0.5", SETTINGS, events=lambda: marked
+    )
+    assert (found.kind, found.start, found.end) == ("event:placed+1:removed-0.5", 11.0, 19.5)
+
+
 def test_a_span_s_hint_names_other_values() -> None:
     with refused(ConfigurationError, "--tare is 'x': give", "such as 12.5:60, or none"):
         segment.parse_span("x", "--tare", ", or none")
