@@ -391,8 +391,16 @@ def test_a_world_keeps_its_last_states(tmp_path: Path) -> None:
     made = World(tmp_path, create=True)
     for k in range(40):
         made.push(float(k), np.full((1, 4), float(k)), np.zeros(6), np.ones((2, 7)))
-    found = [made.capacitance(0, 0, moment) for moment in (0.0, 8.0, 38.25, 50.0)]
-    assert found == pytest.approx([8.0, 8.0, 38.25, 39.0])
+    found = [made.capacitance(0, 0, moment) for moment in (0.0, 8.0, 8.5, 38.25, 50.0)]
+    assert found == pytest.approx([8.0, 8.0, 8.5, 38.25, 39.0])
+
+
+def test_the_oldest_states_stay_linear_once_passed(world: World) -> None:
+    """A look before them, where the world is constant, holds for no later time."""
+    for k in range(40):
+        world.push(200.0 + k, np.full((1, 4), float(k)), np.zeros(6), np.ones((2, 7)))
+    assert world.capacitance(0, 0, 190.0) == 8.0
+    assert world.capacitance(0, 0, 208.5) == pytest.approx(8.5)
 
 
 def test_another_process_reads_the_world(world: World, tmp_path: Path) -> None:
