@@ -24,16 +24,12 @@ RIGHT_COLUMN, LEFT_COLUMN, ANTERIOR = 11.6667, 5.48529, 23.6667
 
 @pytest.fixture(scope="module")
 def compared(trial: Trial, tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """Compares the scene on a right leg with itself on another, by region, once each."""
-    found: dict[Any, Comparison] = {}
-
-    def compare(side: Any) -> Comparison:
-        if side not in found:
-            other = scene.write(tmp_path_factory.mktemp("other") / "other", side=side)
-            found[side] = st.compare(trial, other, segment="all", by_region=True)
-        return found[side]
-
-    return compare
+    """Compares the scene on a right leg with itself on a leg of any side, by region."""
+    found = {}
+    for side in ("left", "right", None):
+        other = scene.write(tmp_path_factory.mktemp("other") / "other", side=side)  # type: ignore[arg-type]
+        found[side] = st.compare(trial, other, segment="all", by_region=True)
+    return found.__getitem__
 
 
 def means(found: Comparison, region: str) -> list[float]:
