@@ -226,5 +226,7 @@ class World:
             state, rate = self._state[after].copy(), np.zeros(_STATE_SIZE)
             if start <= moment < end:
                 rate = (self._state[later] - state) / (end - start)
+            else:
+                end = start  # constant: holds for no other time
             if before % 2 == 0 and before == self._changes[0]:
                 return _Segment(start, end, state, rate)
