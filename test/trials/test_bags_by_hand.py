@@ -40,6 +40,14 @@ def test_a_bag_s_duration_is_from_first_to_last(tmp_path: Path) -> None:
         assert found.duration == 0.0
 
 
+def test_messages_are_in_the_order_of_their_times(tmp_path: Path) -> None:
+    """Within a chunk, and over chunks that overlap."""
+    for name, times in (("a", (0.3, 0.1, 0.2)), ("b", (0.0, 5.0, 1.0, 6.0, 2.0))):
+        with BagReader(write(tmp_path / name, *times)) as found:
+            read = [raw.time - START for raw in found.messages()]
+        assert read == [round(second * 1e9) for second in sorted(times)]
+
+
 def test_parts_of_a_bag_are_in_the_order_of_their_numbers(tmp_path: Path) -> None:
     """Without metadata, 2 comes before 10."""
     folder = tmp_path / "a"

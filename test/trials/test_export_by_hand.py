@@ -49,6 +49,8 @@ def test_opensim_s_markers_are_laid_out_by_the_book() -> None:
 def test_a_single_frame_has_a_rate_of_one() -> None:
     text = export._markers_text(markers([12.0]), ["a_1", "a_2"], "a.trc")
     assert text.splitlines()[2] == "1\t1\t1\t2\tmm\t1\t1\t1"
+    text = export._markers_text(markers([12.0, 12.25]), ["a_1", "a_2"], "a.trc")
+    assert text.splitlines()[2] == "4\t4\t2\t2\tmm\t4\t1\t2"
 
 
 def test_opensim_s_loads_are_laid_out_by_the_book() -> None:
