@@ -319,6 +319,14 @@ def test_chance_is_excluded(case: str) -> None:
     assert marker_bodies._is_sure(match, seen, size) is sure
 
 
+def test_three_exchanged_labels_are_no_pose() -> None:
+    """Three of four markers may fit by chance if their labels do not agree."""
+    seen = QUAD[[1, 0, 2, 3]] + [1.0, 0.0, 0.0]
+    seen[3] = np.nan
+    assert not marker_bodies.fit_body(QUAD, seen[None]).found.any()
+    assert marker_bodies.fit_body(QUAD, seen[[1, 0, 2, 3]][None]).found.all()
+
+
 def test_noise_is_per_degree_of_freedom() -> None:
     """RMS of 1 mm of 3 markers: 3 mm^2 over 3; of 4 markers: 4 mm^2 over 6; together 7 / 9."""
     order = np.array([[0, 1, 2, -1], [0, 1, 2, 3], [-1] * 4])
