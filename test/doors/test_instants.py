@@ -87,3 +87,6 @@ def test_results_are_shown_in_one_line(trial: Trial, mapped: st.TrialMap) -> Non
         "TrialPressure(scene, all 0.00 s to 23.75 s; 23 regions, peak pressure 57.6 to 62.5 kPa)"
     )
     assert found.map.estimate.normal_pressure[48, ANT_MID] == pytest.approx(60e3)
+    assert repr(st.cycles(trial, "Fz", by="placed:removed")) == (
+        "Cycles(1 cycle from each 'placed' to the next 'removed', 11.75 s (11.75 to 11.75 s))"
+    )
