@@ -5,6 +5,7 @@ deviations away: pressures of 1 kPa, shear along x of 0.5 kPa.
 """
 
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -90,3 +91,60 @@ def test_results_are_shown_in_one_line(trial: Trial, mapped: st.TrialMap) -> Non
     assert repr(st.cycles(trial, "Fz", by="placed:removed")) == (
         "Cycles(1 cycle from each 'placed' to the next 'removed', 11.75 s (11.75 to 11.75 s))"
     )
+
+
+# --- the document of pressures
+
+
+@pytest.fixture(scope="module")
+def document(trial: Trial) -> dict[str, Any]:
+    return json.loads(st.pressure(trial, "all", share=0.05).to_json())
+
+
+def test_a_pressure_s_document_says_what_it_is_of(document: dict[str, Any]) -> None:
+    assert document["trial"] == "scene" and document["samples"] == 96
+    assert document["segment"] == {"kind": "all", "start": 0.0, "end": 23.75}
+    assert document["threshold [kPa]"] == 5.0
+    assert document["largest reach of an interval [-]"] == 0.05
+    assert document["integrated time [s]"] == pytest.approx(23.75)
+    assert document["source"] == "made by hand"
+
+
+def test_a_pressure_s_document_holds_its_regions(document: dict[str, Any]) -> None:
+    own = document["regions"]["anterior"]
+    assert own["tiles"] == ["ant_prox", "ant_mid", "ant_end"] and own["nearest tile"] == "ant_mid"
+    peak = own["peak pressure [kPa]"]
+    ends = [peak[end] for end in ("low", "value", "high")]
+    assert ends == pytest.approx([57.55, 60.0, 62.45]) and peak["uncertain"] is False
+    assert own["share of load [%]"]["high"] == pytest.approx(34.5745, rel=1e-5)
+    pulled = document["regions"]["lateral middle"]
+    assert pulled["nearest tile"] is None
+    assert pulled["centre of pressure x [mm]"]["value"] is None
+    assert pulled["centre of pressure x [mm]"]["uncertain"] is True
+
+
+def test_a_pressure_s_document_holds_tiles_and_limb(document: dict[str, Any]) -> None:
+    assert document["tiles"]["left_prox"]["shear direction [deg]"]["value"] == pytest.approx(90.0)
+    assert document["tiles"]["ant_mid"]["mean pressure [kPa]"]["low"] == pytest.approx(38.04)
+    assert document["limb"]["stiffness Fx [N/mm]"]["value"] == pytest.approx(40.0, rel=0.01)
+
+
+def test_regions_can_be_given(trial: Trial) -> None:
+    """(40 - 1) / 2 kPa; the standard regions stay."""
+    found = st.pressure(trial, "all", regions={"own": ["ant_mid", "right_mid"]})
+    assert found.regions.loc["own", "mean pressure [kPa]"] == pytest.approx(19.5)
+    assert "tibia" not in found.regions.index and "anterior" in found.regions.index
+
+
+@pytest.mark.parametrize(
+    ("choices", "fact"),
+    [
+        ({"threshold": -0.1}, "--threshold"),
+        ({"threshold": 500.1}, "--threshold"),
+        ({"share": -0.1}, "--share"),
+        ({"share": 5.1}, "--share"),
+    ],
+)
+def test_a_pressure_has_limits(choices: dict[str, float], fact: str, trial: Trial) -> None:
+    with pytest.raises(ConfigurationError, match=fact):
+        st.pressure(trial, "all", **choices)  # type: ignore[arg-type]
