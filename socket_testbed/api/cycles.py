@@ -66,7 +66,7 @@ class Cycles(Result):
         durations = self.durations
         paused = f"; {self.left_out} left out, longer than twice the median" * bool(self.left_out)
         return (
-            f"{len(self)} cycles from each '{start}' to the next {following},"
+            f"{len(self)} cycle{'s'[: len(self) > 1]} from each '{start}' to the next {following},"
             f" {np.median(durations):.2f} s ({durations.min():.2f} to {durations.max():.2f} s)"
             f"{paused}"
         )
