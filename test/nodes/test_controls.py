@@ -3,7 +3,6 @@
 import signal
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import Mock
@@ -37,33 +36,59 @@ from socket_testbed.trials.trial import Trial
 EPOCH = 1_795_000_000_000_000_000  # [ns]
 
 
-def test_an_event_has_the_time_of_its_call_at_any_scale(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Late triggers count little; those of a testbed before, at another scale, not at all."""
-    rng, node, heard = np.random.default_rng(1), Mock(), []
-    node.count_publishers.return_value, node.count_subscribers.return_value = 0, 1
-    publisher = node.create_publisher.return_value
-    publisher.get_subscription_count.return_value = 1
-    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: 100.0))
+# --- the stamp of an event
 
-    def wait(condition: Callable[[], bool], _: float) -> bool:
-        while heard and not condition():
-            marker._triggers.append(heard.pop(0))
+
+class Heard:
+    """A marker of events that hears triggers while it waits."""
+
+    def __init__(self) -> None:
+        self.waiting: list[tuple[float, int]] = []
+        node = Mock()
+        node.count_publishers.return_value, node.count_subscribers.return_value = 0, 1
+        self.publisher = node.create_publisher.return_value
+        self.publisher.get_subscription_count.return_value = 1
+        self.marker = module.EventMarker(node, self.wait)
+
+    def wait(self, condition: Callable[[], bool], _: float) -> bool:
+        while self.waiting and not condition():
+            self.marker._triggers.append(self.waiting.pop(0))
         return condition()
 
-    marker = module.EventMarker(node, wait)
-    for scale, late in product((1.0, 0.25, 0.0625, 1.0), (0, 8)):
-        sent = 0.05 / scale * np.arange(400)  # 20 Hz in testbed time
-        delays = 0.002 * rng.exponential(size=400)
-        delays[:late] = 0.9  # as while a busy machine discovers a subscriber
-        delays[8::6] += rng.uniform(0.1, 0.25 + 0.05 / scale, size=66)
-        arrivals = np.maximum.accumulate(100.0 + sent + delays)
-        stamps = EPOCH + np.round(sent * scale * 1e9).astype(np.int64)
-        heard[:] = zip(arrivals.tolist(), stamps.tolist(), strict=True)
-        marker.mark("push", 96.0)
-        found = stamp_of(publisher.publish.call_args.args[0])
-        assert found == pytest.approx(EPOCH - 4e9 * scale, abs=1e7 * scale), (scale, late)
-    # One, or a burst alone, is in real time.
+
+@pytest.fixture(scope="module")
+def heard() -> Heard:
+    """One for all scales in their order: it hears the triggers of testbeds before, too."""
+    return Heard()
+
+
+@pytest.mark.parametrize("late", [0, 8], ids=["punctual", "late"])
+@pytest.mark.parametrize(
+    "scale", [1.0, 0.25, 0.0625, 1.0], ids=["real", "quarter", "sixteenth", "real again"]
+)
+def test_an_event_has_the_time_of_its_call(
+    scale: float, late: int, heard: Heard, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Late triggers count little; those of a testbed before, at another scale, not at all."""
+    monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: 100.0))
+    rng = np.random.default_rng(1)
+    sent = 0.05 / scale * np.arange(400)  # 20 Hz in testbed time
+    delays = 0.002 * rng.exponential(size=400)
+    delays[:late] = 0.9  # as while a busy machine discovers a subscriber
+    delays[8::6] += rng.uniform(0.1, 0.25 + 0.05 / scale, size=66)
+    arrivals = np.maximum.accumulate(100.0 + sent + delays)
+    stamps = EPOCH + np.round(sent * scale * 1e9).astype(np.int64)
+    heard.waiting[:] = zip(arrivals.tolist(), stamps.tolist(), strict=True)
+    heard.marker.mark("push", 96.0)
+    found = stamp_of(heard.publisher.publish.call_args.args[0])
+    assert found == pytest.approx(EPOCH - 4e9 * scale, abs=1e7 * scale)
+
+
+def test_one_trigger_is_in_real_time() -> None:
     assert stamp_by_triggers(99.0, [(100.0, EPOCH)]) == EPOCH - 10**9
+
+
+def test_a_burst_alone_is_in_real_time() -> None:
     two = [(100.0, EPOCH), (100.0 + 1e-5, EPOCH + 250_000_000)]
     assert stamp_by_triggers(100.0, two) == pytest.approx(two[1][1], abs=1e5)
 
@@ -90,7 +115,8 @@ def fed(*batches: list[tuple[topics.Topic, bytes]]) -> GraphStatus:
     return status
 
 
-def test_complete_samples_are_counted_and_go_on_when_time_jumps_back() -> None:
+@pytest.mark.parametrize("times", [1, 2], ids=["once", "time jumps back"])
+def test_complete_samples_are_counted(times: int) -> None:
     capacitance, pose = messages.capacitance_packer(("p", "q")), messages.pose_packer()
     trigger, wrench = messages.trigger_packer(), messages.wrench_packer()
     sent: list[tuple[topics.Topic, bytes]] = []
@@ -107,10 +133,9 @@ def test_complete_samples_are_counted_and_go_on_when_time_jumps_back() -> None:
         ]
         if k % 5 != 3:
             sent.append((topics.PYLON_POSE, pose(stamp, np.eye(7)[6])))
-    for times in (1, 2):
-        status = fed(*([message] for message in sent * times))
-        assert (status.triggers, status.complete) == (times * 40, times * 8)
-        assert status.elapsed == pytest.approx(1e-9 * 39 * PERIOD)
+    status = fed(*([message] for message in sent * times))
+    assert (status.triggers, status.complete) == (times * 40, times * 8)
+    assert status.elapsed == pytest.approx(1e-9 * 39 * PERIOD)
 
 
 def test_predictions_are_judged_over_the_last_seconds() -> None:
@@ -223,11 +248,10 @@ def test_a_trial_is_recorded_as_stated(live: LiveTestbed, act: Callable[..., str
 
 
 @pytest.mark.graph
-def test_triggers_stop_and_tares_outlive_kills(live: LiveTestbed, act: Callable[..., str]) -> None:
-    act("stop recording")  # a tare would be refused
+def test_triggers_stop_when_asked(live: LiveTestbed, act: Callable[..., str]) -> None:
+    """While they rest, faults are seen all the same."""
     act("trigger-off")
     live.wait_for("trigger_node", "WARN", "not enabled: call trigger/enable")
-    # While it rests, faults are seen all the same.
     live.switch("clusters.nack", 1)
     live.wait_for("cluster_node", "ERROR", "channel 0")
     count = len(live.triggers)
@@ -240,16 +264,33 @@ def test_triggers_stop_and_tares_outlive_kills(live: LiveTestbed, act: Callable[
     stamps = [stamp_of(message) for message in live.triggers[count:]]
     assert 1e-9 * np.median(np.diff(stamps)) == pytest.approx(0.05, abs=2e-3)
 
-    # 50 ms at 240 frames and 500 conversions a second, half of it after the trigger.
-    figure = live.probe.figure
-    for node, name, least, most in (
+
+@pytest.mark.graph
+@pytest.mark.parametrize(
+    ("node", "name", "least", "most"),
+    [
         ("mocap_node", "averaged_frames", 10, 14),
         ("load_cell_node", "averaged_conversions", 22, 28),
-    ):
-        live.probe.wait(lambda node=node, name=name, least=least: figure(node, name) >= least, name)
-        assert figure(node, name) <= most
-    assert figure("mocap_node", "delay") > 0.02
+    ],
+    ids=["motion capture", "load cell"],
+)
+def test_a_mean_is_over_its_window(
+    node: str, name: str, least: int, most: int, live: LiveTestbed
+) -> None:
+    """50 ms at 240 frames and 500 conversions a second, half of it after the trigger."""
+    live.probe.wait(lambda: live.probe.figure(node, name) >= least, name)
+    assert live.probe.figure(node, name) <= most
 
+
+@pytest.mark.graph
+def test_the_delay_is_half_the_window(live: LiveTestbed) -> None:
+    live.probe.wait(lambda: live.probe.figure("mocap_node", "delay") > 0.02, "the delay")
+
+
+@pytest.mark.graph
+def test_a_tare_outlives_a_kill(live: LiveTestbed, act: Callable[..., str]) -> None:
+    """91 N of pylon are taken off, and stay off."""
+    act("stop recording")  # a tare would be refused
     force_tare(live)
     live.kill("testbed")
     count = len(live.wrenches)
@@ -257,5 +298,4 @@ def test_triggers_stop_and_tares_outlive_kills(live: LiveTestbed, act: Callable[
         lambda: any(np.isfinite(m.wrench.force.z) for m in live.wrenches[count + 5 :]),
         "wrenches again",
     )
-    # 91 N of pylon were taken off, and stay off.
     assert np.nanmax(np.abs([m.wrench.force.z for m in live.wrenches[count:]])) < 5.0

@@ -4,8 +4,10 @@ import dataclasses
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -40,52 +42,112 @@ pytestmark = pytest.mark.graph
 NO_FIT = testbed.EstimatorSettings(auto_fit=False)
 
 
-def test_a_replay_predicts_as_offline(hold: Path, hold_model: Path, tmp_path: Path) -> None:
-    """Wrenches and poses are recomputed where another geometry or tare is given."""
+# --- what a replay estimates
+
+
+@dataclass
+class Replayed:
+    """A trial with another geometry and tare, and what the nodes published of it."""
+
+    trial: Trial
+    bag: Path
+
+    def read(self, topic: topics.Topic) -> list[Any]:
+        """Values of a topic by the trial's stamps; there are no others."""
+        reader, stamps = Reader(topic), self.trial.samples().stamps.tolist()
+        with BagReader(self.bag) as bag:
+            found = dict(reader.read(raw.data) for raw in bag.messages([f"/{topic.name}"]))
+        assert set(found) == set(stamps)
+        return [found[stamp] for stamp in stamps]
+
+
+@pytest.fixture(scope="module")
+def replayed(hold: Path, hold_model: Path, tmp_path_factory: pytest.TempPathFactory) -> Replayed:
+    folder = tmp_path_factory.mktemp("replayed")
     own = Trial(hold).geometry
     turned = dataclasses.replace(own, socket_markers=own.socket_markers[:, [1, 2, 0]])
-    write_socket(turned, tmp_path / "turned.yaml")
-    trial, path = Trial(hold, tmp_path / "turned.yaml", tare="0:5"), tmp_path / "replayed"
+    write_socket(turned, folder / "turned.yaml")
+    trial, path = Trial(hold, folder / "turned.yaml", tare="0:5"), folder / "replayed"
     settings = dataclasses.replace(NO_FIT, model=str(hold_model))
     record_estimates(trial, testbed.ReplaySettings(trial=str(hold), rate=50.0), settings, path)
-    found = {}
-    with BagReader(path) as bag:
+    return Replayed(trial, path)
+
+
+def test_a_replay_publishes_its_model_once(replayed: Replayed) -> None:
+    with BagReader(replayed.bag) as bag:
         assert bag.counts[f"/{topics.PARAMETERS.name}"] == 1
-        for topic in (
-            topics.ESTIMATED_WRENCH,
-            topics.LOCAL_FORCES,
-            topics.WRENCH,
-            topics.SOCKET_POSE,
-            topics.FORCE_MAP,
-            topics.REGIONS,
-        ):
-            reader = Reader(topic)
-            found[topic] = dict(reader.read(r.data) for r in bag.messages([f"/{topic.name}"]))
+
+
+def test_a_replay_draws_two_markers_a_tile(replayed: Replayed) -> None:
+    with BagReader(replayed.bag) as bag:
         (*_, picture) = bag.messages([f"/{topics.PRESSURE_MAP.name}"])
-    assert len(decode(picture.data, picture.type).markers) == 2 * len(own)
-    names, outputs = list(found.pop(topics.REGIONS).values())[-1]
-    assert names == tuple(place.name for place in all_regions(own))
+    drawn = decode(picture.data, picture.type).markers
+    assert len(drawn) == 2 * len(replayed.trial.geometry)
+
+
+@pytest.fixture(scope="module")
+def regions(replayed: Replayed) -> tuple[tuple[str, ...], Any]:
+    """Names and outputs of the regions, as published last."""
+    reader = Reader(topics.REGIONS)
+    with BagReader(replayed.bag) as bag:
+        found = [reader.read(raw.data) for raw in bag.messages([f"/{topics.REGIONS.name}"])]
+    return found[-1][1]
+
+
+def test_a_replay_publishes_plausible_regions(replayed: Replayed, regions: Any) -> None:
+    names, outputs = regions
+    assert names == tuple(place.name for place in all_regions(replayed.trial.geometry))
     assert outputs.share.value[-1] == pytest.approx(1.0) and 1e3 < outputs.peak.value[-1] < 1e5
-    for found_of in (outputs.mean, outputs.peak, outputs.shear, outputs.share):
-        assert (found_of.low <= found_of.value).all() and (found_of.value <= found_of.high).all()
-    model, samples, repaired = read_model(hold_model).model, trial.samples(), trial.measurements()
-    stamps = samples.stamps.tolist()
-    assert all(set(of) == set(stamps) for of in found.values())
-    wrench, forces, measured, socket, maps = ([of[s] for s in stamps] for of in found.values())
-    np.testing.assert_array_equal(measured, repaired.wrench)
-    np.testing.assert_array_equal(socket, repaired.socket)
-    np.testing.assert_allclose(wrench, model.wrench(samples.pose), atol=1e-9)
-    np.testing.assert_allclose(forces, model.forces(samples.pose), atol=1e-9)
-    # The force map is that of a running mean of the evidence, and asks for no marker.
-    running = ForceMap(own, samples.clusters)
-    for row, (_, fields) in enumerate(maps):
-        expected = running.update(samples[row : row + 1])
-        for name in ("forces", "standard_deviations", "normal_pressure"):
-            np.testing.assert_allclose(fields[name], getattr(expected, name), atol=1e-9)
 
 
-def test_a_replay_keeps_no_more_ahead_than_writers_send_again(hold: Path) -> None:
-    """So a follower that stands still for a moment misses nothing."""
+@pytest.mark.parametrize("output", ["mean", "peak", "shear", "share"])
+def test_a_replay_s_intervals_hold_their_values(output: str, regions: Any) -> None:
+    found = getattr(regions[1], output)
+    assert (found.low <= found.value).all() and (found.value <= found.high).all()
+
+
+def test_a_replay_recomputes_wrenches(replayed: Replayed) -> None:
+    """By the tare that was given."""
+    expected = replayed.trial.measurements().wrench
+    np.testing.assert_array_equal(replayed.read(topics.WRENCH), expected)
+
+
+def test_a_replay_recomputes_poses(replayed: Replayed) -> None:
+    """By the geometry that was given."""
+    expected = replayed.trial.measurements().socket
+    np.testing.assert_array_equal(replayed.read(topics.SOCKET_POSE), expected)
+
+
+def test_a_replay_predicts_as_offline(replayed: Replayed, hold_model: Path) -> None:
+    model, pose = read_model(hold_model).model, replayed.trial.samples().pose
+    wrench, forces = map(replayed.read, (topics.ESTIMATED_WRENCH, topics.LOCAL_FORCES))
+    np.testing.assert_allclose(wrench, model.wrench(pose), atol=1e-9)
+    np.testing.assert_allclose(forces, model.forces(pose), atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def running(replayed: Replayed) -> list[MapEstimate]:
+    """The force map of a running mean of the evidence, by sample."""
+    samples = replayed.trial.samples()
+    force_map = ForceMap(replayed.trial.geometry, samples.clusters)
+    return [force_map.update(samples[row : row + 1]) for row in range(len(samples))]
+
+
+@pytest.mark.parametrize("name", ["forces", "standard_deviations", "normal_pressure"])
+def test_a_replay_maps_as_offline(
+    name: str, replayed: Replayed, running: list[MapEstimate]
+) -> None:
+    """The map asks for no marker."""
+    maps = replayed.read(topics.FORCE_MAP)
+    for (_, fields), expected in zip(maps, running, strict=True):
+        np.testing.assert_allclose(fields[name], getattr(expected, name), atol=1e-9)
+
+
+# --- how a replay goes
+
+
+def test_a_replay_waits_for_its_follower(hold: Path) -> None:
+    """It keeps no more ahead than writers send again: one that stands still misses nothing."""
     stamps = Trial(hold).samples().stamps.tolist()
     replay = testbed.ReplaySettings(trial=str(hold), rate=1000.0, wait_for=("follower",))
     with Probe() as probe, Graph() as graph:
@@ -101,16 +163,21 @@ def test_a_replay_keeps_no_more_ahead_than_writers_send_again(hold: Path) -> Non
             return len(triggers) >= count
 
         graph.start("replay_node", replay)
-        for worked_off in (0, 1, 60):
+
+        def assert_ahead(worked_off: int) -> None:
             ahead = worked_off + topics.PUBLISHER_DEPTH // 2 + 1
             newest = stamps[worked_off - 1] if worked_off else 0
             probe.wait(partial(has_come, ahead, newest), "what may be ahead")
             assert len(triggers) == ahead
+
+        assert_ahead(0)
+        assert_ahead(1)
+        assert_ahead(60)
         probe.wait(partial(has_come, len(stamps), stamps[-1]), "the rest")
         graph.wait("replay_node")
 
 
-def test_a_trial_that_ends_within_a_sample_keeps_nobody_waiting(hold: Path, tmp_path: Path) -> None:
+def test_an_incomplete_last_sample_keeps_nobody_waiting(hold: Path, tmp_path: Path) -> None:
     """As 'ros2 bag record' leaves it."""
     with copying(hold, tmp_path / "cut") as (old, new):
         raws = list(old.messages())[: 7 * 60]
@@ -122,7 +189,7 @@ def test_a_trial_that_ends_within_a_sample_keeps_nobody_waiting(hold: Path, tmp_
     assert code == 0 and "not processed" not in err
 
 
-def test_a_node_that_cannot_start_says_why_in_one_line() -> None:
+def test_a_node_that_cannot_start_states_why() -> None:
     """A program with a node's name runs that node, as `ros2 run socket_testbed NODE` does."""
     words = ["/bin/calibration_node", "--ros-args", "-p", "calibration:=nowhere.yaml"]
     script = f"import sys; sys.argv = {words}; from socket_testbed.nodes.__main__ import main"
@@ -141,36 +208,51 @@ def test_a_killed_command_leaves_no_node(hold: Path) -> None:
         replay.communicate(timeout=HANGS)
 
 
-def test_a_map_of_another_socket_is_named_and_not_drawn() -> None:
-    """Even if it has as many tiles."""
+@pytest.fixture
+def source() -> Iterator[tuple[Probe, LiveSource]]:
+    """The source of a live page of the ring socket, which listens while a browser asks."""
+    rclpy.init()
+    with Probe() as probe:
+        node = TestbedNode("page", Settings)
+        source = LiveSource(node, ring_socket(), None)
+        source.now(None)
+        yield probe, source
+        node.destroy_node()
+    rclpy.shutdown()
+
+
+def test_a_map_of_another_socket_is_named(source: tuple[Probe, LiveSource]) -> None:
+    """And not drawn, even if it has as many tiles."""
+    probe, page = source
     own = ring_socket()
     other = dataclasses.replace(own, names=tuple(reversed(own.names)))
     vectors, numbers = np.ones((1, len(own), 3)), np.full((1, len(own)), 5e3)
     estimate = MapEstimate(vectors, vectors, *[numbers] * 4, "measured: wrench")
-    rclpy.init()
-    with Probe() as probe:
-        node = TestbedNode("page", Settings)
-        source = LiveSource(node, own, None)
-        source.now(None)  # it listens while a browser asks
-        publisher = probe.publisher(topics.FORCE_MAP)
+    publisher = probe.publisher(topics.FORCE_MAP)
 
-        def shows(geometry, drawn: bool) -> bool:
-            publisher.publish(force_map_packer(geometry.names)(1, estimate))
-            found = source.now(None)
-            another = "another socket" in found["cards"][-1]["words"]
-            return ("pressure" in found["moment"], another) == (drawn, not drawn)
+    def shows(geometry, drawn: bool) -> bool:
+        publisher.publish(force_map_packer(geometry.names)(1, estimate))
+        found = page.now(None)
+        another = "another socket" in found["cards"][-1]["words"]
+        return ("pressure" in found["moment"], another) == (drawn, not drawn)
 
-        probe.wait(lambda: shows(own, True), "the map")
-        probe.wait(lambda: shows(other, False), "that it is of another socket")
-        values = [KeyValue(key=ELAPSED, value="59.6"), KeyValue(key=FREE, value="1e9")]
-        source._sensors["/recorder_node"] = DiagnosticStatus(values=values), source._asked_at
-        source._trial = "walk", 0.0
-        assert "0:60" not in source._recording()["words"]
-        source._asked_at -= 60.0  # no browser has asked for a while
-        source.unsubscribe_if_idle()
-        assert source._inbox is None
-        node.destroy_node()
-    rclpy.shutdown()
+    probe.wait(lambda: shows(own, True), "the map")
+    probe.wait(lambda: shows(other, False), "that it is of another socket")
+
+
+def test_a_minute_is_not_sixty_seconds(source: tuple[Probe, LiveSource]) -> None:
+    _, page = source
+    values = [KeyValue(key=ELAPSED, value="59.6"), KeyValue(key=FREE, value="1e9")]
+    page._sensors["/recorder_node"] = DiagnosticStatus(values=values), page._asked_at
+    page._trial = "walk", 0.0
+    assert "0:60" not in page._recording()["words"]
+
+
+def test_a_page_that_nobody_asks_listens_no_more(source: tuple[Probe, LiveSource]) -> None:
+    _, page = source
+    page._asked_at -= 60.0
+    page.unsubscribe_if_idle()
+    assert page._inbox is None
 
 
 # --- one graph for what follows: its nodes would answer beside those above
@@ -186,7 +268,7 @@ def estimating() -> Iterator[tuple[Graph, Probe]]:
         yield graph, probe
 
 
-def test_the_calibration_node_says_which_cluster_it_does_not_know(estimating) -> None:
+def test_the_calibration_node_names_an_unknown_cluster(estimating) -> None:
     _, probe = estimating
     stresses = probe.listen(topics.STRESS)
     publisher = probe.publisher(topics.CAPACITANCE)
@@ -207,26 +289,40 @@ def test_the_calibration_node_says_which_cluster_it_does_not_know(estimating) ->
     assert unknown.status == 2 and np.isnan(unknown.normal)
 
 
-def test_parameters_are_described_checked_and_changed_at_run_time(estimating) -> None:
+def test_parameters_are_described(estimating) -> None:
     _, probe = estimating
     request = DescribeParameters.Request(names=["identification.theta"])
     service = "estimator_node/describe_parameters"
     (described,) = probe.call(DescribeParameters, service, request).descriptors
     (bounds,) = described.floating_point_range
     assert "wrench" in described.description and (bounds.from_value, bounds.to_value) == (0.0, 1.0)
-    for name, value, reason in (
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
         ("theta", 1.5, ""),  # the middleware's own words
+        ("theta", -0.5, ""),
         ("solver", "osqqp", "did you mean 'osqp'?"),
         ("leave_out", ["distal.Fq"], "no channel 'distal.Fq'"),
         ("leave_out", None, "cannot be deleted: set it to another value"),
-    ):
-        (refusal,) = probe.refusals("estimator_node", **{f"identification__{name}": value})
-        assert refusal and reason in refusal
-    for theta in (0.25, 1, 0.5):
-        assert not probe.refusals("estimator_node", identification__theta=theta)
+    ],
+    ids=["too high", "too low", "misspelt", "unknown channel", "deleted"],
+)
+def test_a_wrong_parameter_is_refused(estimating, name: str, value: Any, reason: str) -> None:
+    _, probe = estimating
+    (refusal,) = probe.refusals("estimator_node", **{f"identification__{name}": value})
+    assert refusal and reason in refusal
 
 
-def test_a_fit_when_asked_answers_and_predicts(hold: Path, estimating) -> None:
+@pytest.mark.parametrize("theta", [0.25, 1, 0.5])
+def test_a_parameter_changes_at_run_time(estimating, theta: float) -> None:
+    """A whole number is a number."""
+    _, probe = estimating
+    assert not probe.refusals("estimator_node", identification__theta=theta)
+
+
+def test_a_fit_that_was_asked_for_predicts(hold: Path, estimating) -> None:
     """The map needs no model."""
     graph, probe = estimating
     outputs = (topics.FORCE_MAP, topics.PARAMETERS, topics.ESTIMATED_WRENCH)

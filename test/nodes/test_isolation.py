@@ -49,11 +49,16 @@ def test_testbeds_in_namespaces_leave_each_other_alone() -> None:
             own |= {stamp_of(message) for message in list(of[TRIGGER])}
             assert {stamp for stamp in measured if stamp >= min(own)} <= own
         assert not asked[0] & asked[1]
-        for enabled in (False, True):
+
+        def assert_unmoved(enabled: bool) -> None:
+            """The right one's triggers go on when the left one's are switched."""
             request = SetBool.Request(data=enabled)
             assert probe.call(SetBool, "/left/trigger/enable", request).success
             count = len(right_heard[TRIGGER])
-            probe.wait(lambda count=count: len(right_heard[TRIGGER]) > count + 5, "triggers")
+            probe.wait(lambda: len(right_heard[TRIGGER]) > count + 5, "triggers")
+
+        assert_unmoved(enabled=False)
+        assert_unmoved(enabled=True)
 
         # Frames are called the same in both: on one topic nobody could tell them apart.
         probe.wait(lambda: all(static) and all(of[TF] for of in heard), "the transforms of both")
@@ -113,18 +118,22 @@ def done(words: str) -> bool:
     return subprocess.run(words.split(), check=False, capture_output=True).returncode == 0
 
 
-def test_another_host_finds_a_graph_only_where_it_is_opened(cable: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("reach", "found"), [("LOCALHOST", False), ("SUBNET", True)], ids=["closed", "open"]
+)
+def test_another_host_finds_only_an_open_graph(
+    reach: str, found: bool, cable: str, tmp_path: Path
+) -> None:
     program = tmp_path / "look.py"
     program.write_text(LOOK)
-    for reach, found in (("LOCALHOST", False), ("SUBNET", True)):
-        own = {name: of for name, of in os.environ.items() if "PROFILES_FILE" not in name}
-        run = [sys.executable, "-m", "socket_testbed", "run", "--simulated", "--duration", "30"]
-        outside = own | {RANGE: "SUBNET", "ROS_STATIC_PEERS": HERE}
-        with subprocess.Popen(run, env=own | {RANGE: reach}) as testbed:
-            try:
-                patience = str(HANGS if found else 16.0)  # it ends when it finds a node
-                look = [*cable.split(), sys.executable, str(program), patience]
-                said = subprocess.check_output(look, env=outside, text=True)
-                assert ("_node" in said) is found, (reach, said)
-            finally:
-                testbed.terminate()
+    own = {name: of for name, of in os.environ.items() if "PROFILES_FILE" not in name}
+    run = [sys.executable, "-m", "socket_testbed", "run", "--simulated", "--duration", "30"]
+    outside = own | {RANGE: "SUBNET", "ROS_STATIC_PEERS": HERE}
+    with subprocess.Popen(run, env=own | {RANGE: reach}) as testbed:
+        try:
+            patience = str(HANGS if found else 16.0)  # it ends when it finds a node
+            look = [*cable.split(), sys.executable, str(program), patience]
+            said = subprocess.check_output(look, env=outside, text=True)
+            assert ("_node" in said) is found
+        finally:
+            testbed.terminate()

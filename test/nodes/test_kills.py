@@ -13,7 +13,7 @@ pytestmark = [pytest.mark.graph, pytest.mark.slow]
 COMPUTING = ("calibration_node", "estimator_node")
 
 
-def test_any_node_may_be_killed_and_comes_back(tmp_path: Path) -> None:
+def test_a_killed_node_comes_back(tmp_path: Path) -> None:
     """Each in turn, the recorder last, which goes on in a second trial."""
     path = tmp_path / "trial"
     with LiveTestbed(path) as live:

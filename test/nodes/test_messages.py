@@ -56,22 +56,32 @@ Event: std_msgs/Header header; string label
 """
 
 
-def test_the_messages_are_the_contract_s_with_a_unit_a_field() -> None:
-    contract = dict(line.split(": ") for line in CONTRACT.strip().splitlines())
-    assert {path.stem for path in FOLDER.glob("*.msg")} == set(contract)
-    for name, content in contract.items():
-        text = (FOLDER / f"{name}.msg").read_text().splitlines()
-        lines = [line.partition("#")[0].split() for line in text]
-        fields = [tuple(words) for words in lines if len(words) == 2 and "=" not in words[1]]
-        assert fields == [tuple(field.split()) for field in content.split(";")]
-        constants = [words[1].split("=") for words in lines if len(words) == 2 and "=" in words[1]]
-        assert all(Status[state] == int(number) for state, number in constants)
-        names = [field for _, field in fields]
-        assert list(getattr(msg, name).get_fields_and_field_types()) == names
-        offline = cdr.typestore().types[f"socket_testbed_msgs/msg/{name}"].__dataclass_fields__
-        assert [f for f in offline if f.islower() and f != "__msgtype__"] == names
-        for line in text:
-            assert not line or line.startswith("#") or re.search(r"#.*\[[^\]]+\]", line), line
+FIELDS = dict(line.split(": ") for line in CONTRACT.strip().splitlines())
+
+
+def test_the_messages_are_those_of_the_contract() -> None:
+    assert {path.stem for path in FOLDER.glob("*.msg")} == set(FIELDS)
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_a_message_has_the_contract_s_fields(name: str) -> None:
+    """In its file, in ROS and offline."""
+    text = (FOLDER / f"{name}.msg").read_text().splitlines()
+    lines = [line.partition("#")[0].split() for line in text]
+    fields = [tuple(words) for words in lines if len(words) == 2 and "=" not in words[1]]
+    assert fields == [tuple(field.split()) for field in FIELDS[name].split(";")]
+    constants = [words[1].split("=") for words in lines if len(words) == 2 and "=" in words[1]]
+    assert all(Status[state] == int(number) for state, number in constants)
+    names = [field for _, field in fields]
+    assert list(getattr(msg, name).get_fields_and_field_types()) == names
+    offline = cdr.typestore().types[f"socket_testbed_msgs/msg/{name}"].__dataclass_fields__
+    assert [f for f in offline if f.islower() and f != "__msgtype__"] == names
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_every_field_has_a_unit(name: str) -> None:
+    for line in (FOLDER / f"{name}.msg").read_text().splitlines():
+        assert not line or line.startswith("#") or re.search(r"#.*\[[^\]]+\]", line), line
 
 
 # By topic: what packs the values that are read of a message m, with a stamp.
@@ -122,8 +132,8 @@ def flat(values: Any) -> Iterator[float]:
 
 
 @pytest.mark.parametrize("topic", PACK, ids=lambda topic: topic.name)
-def test_what_ros_sends_is_read_and_what_is_packed_is_what_ros_sends(topic: topics.Topic) -> None:
-    """Even after a message with other names, other counts, or in another frame."""
+def test_packed_messages_are_those_of_ros(topic: topics.Topic) -> None:
+    """And read as such, even after one with other names, other counts, or in another frame."""
     reader = messages.Reader(topic)
     for seed in range(24):
         message = ros_message(topic, seed)
@@ -178,23 +188,37 @@ def pose_of(transform: Any) -> Pose:
     return Pose(turn.as_matrix(), np.array([t.x, t.y, t.z]))
 
 
-def test_a_cluster_s_frame_is_its_tile_s_turned_as_it_is_glued() -> None:
-    geometry = dataclasses.replace(GEOMETRY, turned={"distal": 0.6})
-    found = {name: (parent, pose) for parent, name, pose in fixed_frames(geometry)}
-    assert set(found) == {"load_cell", *GEOMETRY.clusters}
-    for name, tile in GEOMETRY.clusters.items():
-        parent, pose = found[name]
-        assert parent == "load_cell"
-        # {L}: z is the inward normal, the origin the tile's centre.
-        np.testing.assert_allclose(pose.apply(np.zeros(3)), GEOMETRY.anchors[tile])
-        inward = pose.apply(np.array([0.0, 0.0, 1.0])) - GEOMETRY.anchors[tile]
-        np.testing.assert_allclose(inward, GEOMETRY.rotations[tile][:, 2])
-        # A stress along the axes of the cluster's frame is the force that the fit reckons with.
-        normal, shear_x, shear_y = stress = np.array([2e4, 3e3, -1e3])
-        force = geometry.areas[tile] * pose.rotation @ (shear_x, shear_y, -normal)
-        expected = geometry.rotations[tile] @ geometry.cluster_force(name, stress)
-        np.testing.assert_allclose(force, expected)
-    parent, load_cell = found["load_cell"]
+TURNED = dataclasses.replace(GEOMETRY, turned={"distal": 0.6})
+FRAMES = {name: (parent, pose) for parent, name, pose in fixed_frames(TURNED)}
+
+
+def test_each_cluster_has_a_frame() -> None:
+    assert set(FRAMES) == {"load_cell", *GEOMETRY.clusters}
+
+
+@pytest.mark.parametrize("name", GEOMETRY.clusters)
+def test_a_cluster_s_frame_is_its_tile_s(name: str) -> None:
+    """{L}: z is the inward normal, the origin the tile's centre."""
+    parent, pose = FRAMES[name]
+    tile = GEOMETRY.clusters[name]
+    assert parent == "load_cell"
+    np.testing.assert_allclose(pose.apply(np.zeros(3)), GEOMETRY.anchors[tile])
+    inward = pose.apply(np.array([0.0, 0.0, 1.0])) - GEOMETRY.anchors[tile]
+    np.testing.assert_allclose(inward, GEOMETRY.rotations[tile][:, 2])
+
+
+@pytest.mark.parametrize("name", GEOMETRY.clusters)
+def test_a_cluster_s_stress_is_its_force(name: str) -> None:
+    """The force that the fit reckons with; the distal cluster is glued on turned."""
+    pose, tile = FRAMES[name][1], GEOMETRY.clusters[name]
+    normal, shear_x, shear_y = stress = np.array([2e4, 3e3, -1e3])
+    force = TURNED.areas[tile] * pose.rotation @ (shear_x, shear_y, -normal)
+    expected = TURNED.rotations[tile] @ TURNED.cluster_force(name, stress)
+    np.testing.assert_allclose(force, expected)
+
+
+def test_the_load_cell_is_in_the_socket() -> None:
+    parent, load_cell = FRAMES["load_cell"]
     assert parent == "socket"
     both: Pose = GEOMETRY.socket_body @ load_cell
     np.testing.assert_allclose(both.rotation, np.eye(3), atol=1e-9)
@@ -214,7 +238,7 @@ class Listened:
         return SimpleNamespace(publish=self.sent[name].append, get_subscription_count=lambda: 1)
 
 
-def test_the_transforms_compose_to_the_limb_in_the_socket() -> None:
+def test_the_transforms_compose_to_the_limb_s_pose() -> None:
     rng, node = np.random.default_rng(0), Listened()
     turns = Rotation.from_rotvec(rng.normal(size=(2, 3)))
     vectors = np.hstack([rng.normal(size=(2, 3)), turns.as_quat()])

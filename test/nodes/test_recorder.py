@@ -68,8 +68,8 @@ def record(probe: Probe, wanted: bool) -> str:
     return answer.message
 
 
-def test_a_replay_is_the_recording_in_its_order_and_time(hold: Path, tmp_path: Path) -> None:
-    """With the time of /clock, where that is asked for."""
+def test_a_recorded_replay_is_the_recording(hold: Path, tmp_path: Path) -> None:
+    """In its order and time: that of /clock, where that is asked for."""
     recorded, ticks = tmp_path / "again", []
     with Graph() as graph, Probe() as probe:
         probe.node.create_subscription(Clock, "/clock", ticks.append, 1000)
@@ -103,7 +103,8 @@ def test_a_replay_is_the_recording_in_its_order_and_time(hold: Path, tmp_path: P
     np.testing.assert_array_equal(Trial(path).samples().values, Trial(hold).samples().values)
 
 
-def test_a_killed_recorder_keeps_what_had_come_and_goes_on_beside(tmp_path: Path) -> None:
+def test_a_killed_recorder_keeps_what_had_come(tmp_path: Path) -> None:
+    """And goes on in a trial beside."""
     trial, beside = tmp_path / "trial", tmp_path / "trial_2"
     settings = ("record:=true", f"directory:={trial}")
     with Probe() as probe:
@@ -141,7 +142,7 @@ def test_a_killed_recorder_keeps_what_had_come_and_goes_on_beside(tmp_path: Path
     assert (beside / "trial_2.mcap").is_file() and (beside / "socket.yaml").is_file()
 
 
-def test_a_full_disk_ends_the_recording_and_keeps_it(tmp_path: Path) -> None:
+def test_a_full_disk_keeps_the_recording(tmp_path: Path) -> None:
     trial = tmp_path / "trial"
     settings = ("record:=true", f"directory:={trial}", "flush_period:=0.1")
     with Probe() as probe, recorder(*settings, limit="200"):
@@ -161,8 +162,8 @@ def test_a_full_disk_ends_the_recording_and_keeps_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_recording_to_which_nothing_comes_is_reported_and_ends_whole(tmp_path: Path) -> None:
-    """Ten seconds without a testbed, then a load cell alone."""
+def test_a_silent_recording_is_reported(tmp_path: Path) -> None:
+    """Ten seconds without a testbed, then a load cell alone; it ends whole."""
     trial = tmp_path / "trial"
     command = [*COMMAND, "record", str(trial)]
     with Probe() as probe, Running(command, stderr=subprocess.PIPE, text=True) as process:
@@ -179,7 +180,7 @@ def test_a_recording_to_which_nothing_comes_is_reported_and_ends_whole(tmp_path:
     assert recorded(trial)[0] == [0]
 
 
-def test_the_next_trial_has_the_name_and_metadata_that_were_set(tmp_path: Path) -> None:
+def test_the_next_trial_is_stored_as_stated(tmp_path: Path) -> None:
     """No other program chooses what is stored or where."""
     stated, trials = tmp_path / "stated.yaml", tmp_path / "trials"
     stated.write_text("subject: S01\nliner: gel\n")
