@@ -1,5 +1,6 @@
 """What a comparison says besides its numbers: legs, loads, times and what may be compared."""
 
+import inspect
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,6 +14,7 @@ from socket_testbed.api import comparison
 from socket_testbed.api.comparison import Comparison
 from socket_testbed.api.trials import unique_names
 from socket_testbed.errors import ConfigurationError
+from socket_testbed.simulation.limb import SCENARIOS, TISSUES
 from socket_testbed.trials.trial import Trial
 
 # --- legs
@@ -253,6 +255,25 @@ def test_a_simulation_is_as_stated(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert paper[4].force_creep == 4.0 and paper[4].moment_creep == 0.9
     ranges = [np.ptp(next(iter(each[6].clusters.values())).mean_range) for each in made]
     assert ranges[1] > ranges[0]
+
+
+DEFAULTS = {
+    **dict.fromkeys(("fit", "evaluate", "force_map", "pressure", "pareto", "paper"), "plateau"),
+    **dict.fromkeys(("compare", "write_report", "select_segment"), "plateau"),
+    **dict.fromkeys(("cycles", "validate", "export"), "all"),
+}
+
+
+@pytest.mark.parametrize("verb", DEFAULTS)
+def test_a_verb_has_its_usual_segment(verb: str) -> None:
+    given = inspect.signature(getattr(st, verb)).parameters
+    name = "specification" if verb == "select_segment" else "segment"
+    assert given[name].default == DEFAULTS[verb]
+
+
+def test_scenarios_and_tissues_have_their_names() -> None:
+    assert SCENARIOS == ("static_hold", "ramp", "multi_direction", "protocol")
+    assert TISSUES == ("soft", "stiff")
 
 
 def test_metadata_is_kept_unless_given(tmp_path: Path) -> None:

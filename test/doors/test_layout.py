@@ -1,18 +1,20 @@
 """Where things stand in figures and on the page of a socket, against hand values."""
 
 import json
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
-from support import scene
+from support import results_by_hand, scene
 from support.pages import Page
 
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.pressure import Quantity
-from socket_testbed.report import tiles
+from socket_testbed.report import fronts, tiles
 from socket_testbed.report.page import ReportFigure, line_chart, write_socket_page
 from socket_testbed.report.pressure import draw_regions, group_regions
 from socket_testbed.report.style import (
@@ -156,6 +158,29 @@ def test_events_are_numbered_where_there_is_space(courses: Figure) -> None:
         (1.0, "1"), (5.0, "2"), (9.0, "1")
     ]  # fmt: skip
     assert courses.get_supxlabel() == "bands: 95 % intervals, events: 1 step, 2 push"
+
+
+# --- fronts
+
+
+@pytest.mark.parametrize(
+    ("knee", "words"), [(None, "a: no knee"), (1, "a: knee at \N{GREEK SMALL LETTER THETA} = 0.25")]
+)
+def test_a_front_names_its_knee(knee: int | None, words: str) -> None:
+    front: Any = SimpleNamespace(
+        variant="a", theta=np.array([0.0, 0.25, 1.0]), knee=SimpleNamespace(index=knee)
+    )
+    assert fronts._describe(front) == words
+
+
+def test_axes_of_a_wide_front_have_round_ticks() -> None:
+    """1, 2 and 5 of each power of ten; a narrow one has even steps."""
+    made = results_by_hand.fronts_by_hand()["stiffness"]  # both errors from 0.1 to 1
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ConstrainedLayoutEngine, "execute", lambda *_: None)
+        (axes,) = fronts.pareto_figure([made], "", DEFAULT_STYLE).axes
+    shown = [tick for tick in axes.get_xticks() if 0.09 < tick < 1.1]
+    assert shown == pytest.approx([0.1, 0.2, 0.5, 1.0])
 
 
 # --- maps of tiles

@@ -89,6 +89,13 @@ def test_a_finer_step_gives_more_points() -> None:
     assert (len(patch.x), len(patch.y)) == (60, 17)
 
 
+def test_a_coarse_step_keeps_a_least_number_of_points() -> None:
+    """16 by 4 on the wall, where 2 round(50 pi / 30) by round(90 / 30) would be fewer."""
+    patch, end = wall.patches(scene.geometry(), 1.0)
+    assert (len(patch.x), len(patch.y)) == (16, 4)
+    assert (len(end.x), len(end.y)) == (25, 25)
+
+
 def test_nearby_tiles_are_smoothed() -> None:
     """Weights 1 and exp(-0.5 / 0.49) = 0.360448, one edge away: (1 + 3 * 0.360448) / 1.360448."""
     found = wall._smooth(np.array([[0.0, 1.0], [0.0, 100.0]]), np.array([1.0, 3.0]))

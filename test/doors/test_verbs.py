@@ -1,5 +1,6 @@
 """What verbs print and accept beside their tables: numbers, progress, status, faults, the demo."""
 
+import functools
 import io
 import sys
 from contextlib import redirect_stderr, redirect_stdout
@@ -15,6 +16,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from support import results_by_hand, scene
 from support.clocks import FakeClock
 
+from socket_testbed import api
 from socket_testbed.__main__ import run
 from socket_testbed.commands import demo, live, options, pages, terminal, trials
 from socket_testbed.commands.terminal import Progress, decimals, fitted, status_parts, table
@@ -485,3 +487,107 @@ def test_a_report_s_row_judges_both_halves() -> None:
     assert row["rigid median_wrench_skill_in_sample [-]"] == 0.75
     assert row["rigid median_wrench_skill_held_out [-]"] == 0.25
     assert row["rigid Fz_rmse [N]"] == 2.0 and row["rigid Fz_mae [N]"] == 1.5
+
+
+@pytest.mark.parametrize(
+    ("alone", "replace", "replaced"),
+    [(True, False, False), (True, True, True), (False, False, True)],
+    ids=["alone", "replacing", "of a folder"],
+)
+def test_a_report_of_many_replaces_and_is_silent(
+    alone: bool, replace: bool, replaced: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The batch itself decides what is repeated."""
+    made: dict[str, Any] = {}
+
+    @functools.wraps(api.write_report)
+    def write_report(trial: Any, page: Path, **chosen: Any) -> None:
+        made.update(chosen, page=page)
+
+    monkeypatch.setattr(api, "write_report", write_report)
+    trial: Any = None
+    given = {"alone": alone, "replace": replace, "output": Path("a.html"), "thetas": 7, "jobs": 2}
+    pages._report(trial, given)
+    assert made == {
+        "page": Path("a.html"), "thetas": 7, "replace": replaced,
+        "progress": Progress if alone else None,
+    }  # fmt: skip
+
+
+# --- a folder of trials
+
+
+@pytest.fixture
+def batch(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[tuple[Any, ...]]:
+    """What is asked of a batch of two trials, instead of running it."""
+    asked: list[tuple[Any, ...]] = []
+    found = {"a": tmp_path / "a", "b": tmp_path / "b"}
+    monkeypatch.setattr(options, "find_trials", lambda folder, note: found)
+    monkeypatch.setattr(options, "run_batch", lambda *given: asked.append(given))
+    monkeypatch.setattr(options, "plan_jobs", lambda *given: given)
+    return asked
+
+
+VERB: Any = options.TrialVerb("judge", ".judged.csv", None, None, None, ("side",))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("again", "replace"), [(True, False), (False, True)], ids=["again", "replace"]
+)
+def test_a_batch_is_done_as_stated(
+    again: bool, replace: bool, batch: list[Any], tmp_path: Path
+) -> None:
+    """Outputs depend on settings and stated metadata, not on files or options of the output."""
+    options.on_trials(
+        VERB, tmp_path, output=tmp_path / "out", jobs=2, again=again, replace=replace,
+        theta=0.25, params=None,
+    )  # fmt: skip
+    ((task, (opened, output, suffix, files), _, _, jobs, dask),) = batch
+    assert (task.verb, task.folder) == ("judge", tmp_path / "out")
+    assert (task.again, task.replace) == (again, replace)
+    assert task.settings == {"theta": 0.25} and task.metadata == ("side", "mass")
+    assert [*opened] == ["a", "b"] and opened["b"].path == tmp_path / "b"
+    assert (output, suffix, files) == (tmp_path / "out", ".judged.csv", {})
+    assert (jobs, dask) == (2, None)
+
+
+@pytest.mark.parametrize(
+    "choices",
+    [{}, {"output": "out", "json": True}, {"output": "out", "figure": "a.png"},
+     {"output": "out", "jobs": 0}],
+    ids=["no output", "JSON", "figure", "no job"],
+)  # fmt: skip
+def test_a_folder_of_trials_has_a_folder_of_outputs(
+    choices: dict[str, Any], batch: list[Any], tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigurationError):
+        options.on_trials(VERB, tmp_path, **_paths(choices))
+    assert not batch
+
+
+def _paths(choices: dict[str, Any]) -> dict[str, Any]:
+    return {
+        name: Path(value) if isinstance(value, str) else value for name, value in choices.items()
+    }
+
+
+@pytest.mark.parametrize("option", ["jobs", "dask", "again"])
+def test_a_single_trial_has_no_options_of_a_folder(
+    option: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(options, "find_trials", lambda folder, note: {})
+    value: dict[str, Any] = {"jobs": 2, "dask": "tcp://a:1", "again": True}
+    with pytest.raises(ConfigurationError, match=f"--{option} is for a folder of trials"):
+        options.on_trials(VERB, tmp_path, **{option: value[option]})
+
+
+def test_a_job_s_row_begins_with_its_data(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And the work is given the output of the job."""
+    monkeypatch.setattr(options, "report_data", lambda trial, good, leave_out: "fine")
+    verb: Any = SimpleNamespace(
+        work=lambda trial, given: (trial, given["output"], given["theta"]),
+        row=lambda found: {"found": found},
+    )
+    job: Any = SimpleNamespace(trial="t", files={"theta": 1.0}, output="own")
+    row = options._run_job(verb, {"output": "folder", "theta": 0.5}, job)
+    assert row == {"data": "fine", "found": ("t", "own", 1.0)} and next(iter(row)) == "data"
