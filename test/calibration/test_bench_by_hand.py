@@ -159,7 +159,11 @@ def test_a_branch_is_a_fifth_of_full_scale(travel: float, moves: bool) -> None:
 
 def test_groups_are_counted_in_words() -> None:
     groups = calibrate.Groups("cycle", np.array([1, 0, 1, 2]))
-    assert str(groups) == "3 cycles" and [rows.tolist() for rows in groups.rows] == [[1], [0, 2], [3]]
+    assert str(groups) == "3 cycles" and [rows.tolist() for rows in groups.rows] == [
+        [1],
+        [0, 2],
+        [3],
+    ]
 
 
 def test_few_cycles_make_ten_blocks() -> None:
@@ -188,7 +192,9 @@ def calibrated() -> BenchCalibration:
 
 
 @pytest.mark.parametrize(
-    ("gain", "refused"), [(99.0, True), (100.0, False), (-5e3, True)], ids=["small", "enough", "neg"]
+    ("gain", "refused"),
+    [(99.0, True), (100.0, False), (-5e3, True)],
+    ids=["small", "enough", "neg"],
 )
 def test_a_gain_is_at_least_100(gain: float, refused: bool, calibrated: BenchCalibration) -> None:
     cluster = replace(calibrated.cluster, normal=np.array([0.0, gain]))
@@ -380,7 +386,9 @@ def test_a_baseline_is_the_median() -> None:
 
 
 @pytest.mark.parametrize(
-    ("stress", "flagged"), [(999.0, False), (1001.0, True), (-1001.0, True)], ids=["-", "up", "down"]
+    ("stress", "flagged"),
+    [(999.0, False), (1001.0, True), (-1001.0, True)],
+    ids=["-", "up", "down"],
 )
 def test_drift_is_flagged_from_one_kilopascal(stress: float, flagged: bool) -> None:
     assert drift.Drift(np.zeros(4), np.array([0.0, stress, 0.0])).flagged is flagged

@@ -30,7 +30,10 @@ def facts(samples: Samples, **more: object) -> list[tuple[str, str]]:
 
 
 def test_a_finding_says_where_to_look() -> None:
-    assert str(DataFinding("Mz", "it is still", "check it")) == "data: look at Mz: it is still; check it"
+    assert (
+        str(DataFinding("Mz", "it is still", "check it"))
+        == "data: look at Mz: it is still; check it"
+    )
 
 
 # --- series
@@ -262,3 +265,97 @@ def test_untrusted_clusters_are_named(status: Status, found: bool) -> None:
     spoiled = put("status", status, slice(30, 40), 1)(scene_samples())
     expected = [("mid_anterior", "10 % of its samples are missing or out of range")]
     assert facts(spoiled) == expected * found
+
+
+def turned_limb(samples: Samples) -> Samples:
+    rotation = samples.rotation.copy()
+    rotation[:, 2] = np.where(np.arange(COUNT) % 2, 0.8, -0.8)
+    return replace(samples, rotation=rotation)
+
+
+HINTS: dict[str, tuple[Callable[[Samples], Samples], str, str]] = {
+    # change, source, hint
+    "few": (lambda s: s[:29], "the trial", "record 30 or more"),
+    "lost": (
+        lambda s: s[np.r_[0:40, 52:COUNT]],
+        "the trigger",
+        "see 'info' for the gaps, and the trigger's rate",
+    ),
+    "missing": (
+        put("position", NAN, slice(40, 52)),
+        "the limb pose",
+        "see 'info' for the gaps, and 'doctor' for the wiring",
+    ),
+    "still pose": (
+        put("position", 0.145, slice(30, 60)),
+        "the limb pose",
+        "check the cameras and the bodies' names",
+    ),
+    "still": (put("wrench", 0.5, slice(40, 60), 2), "Mz", "check the sensor and its driver"),
+    "clipped": (
+        put("wrench", 1.9, slice(0, 96, 8), 2),
+        "Mz",
+        "check the sensor's range: it is clipped",
+    ),
+    "noisy": (noisy(40.0, FX), "Fx", "check shields, connectors and the supply"),
+    "spike": (put("wrench", 4e3, 44, FX), "single values", "check cables and connectors"),
+    "late": (rolled(5.0), "the limb pose", "check the clocks and the delays of the sources"),
+    "negated": (
+        lambda s: replace(s, wrench=-s.wrench),
+        "the wrench",
+        "check the sign of the load cell's channels",
+    ),
+    "weak clusters": (
+        scaled("local_forces", 1e-4, ALL),
+        "the clusters",
+        "check that stresses are in Pa and forces in N, and the calibration",
+    ),
+    "strong clusters": (
+        scaled("local_forces", 1.9, ALL, ALL, 2),
+        "the wrench",
+        "check that forces are in N and stresses in Pa, the load cell's channels, and the"
+        " calibration",
+    ),
+    "sideways": (
+        lambda s: replace(s, position=s.position[:, [2, 1, 0]]),
+        "the limb pose",
+        "check the axes and the registration of the marker bodies",
+    ),
+    "turned": (
+        turned_limb,
+        "the limb pose",
+        "check the order of the quaternion (x, y, z, w), and the marker bodies",
+    ),
+    "disagreeing": (
+        scaled("local_forces", 4.0, ALL, 3, 2),
+        "distal",
+        "check its calibration and its place, and whether clusters are exchanged",
+    ),
+    "reversed": (
+        lambda s: put("local_forces", -72.0 - s.local_forces[:, 1, 2], ALL, 1, 2)(s),
+        "mid_anterior",
+        "check the sign of its normal channel, or whether clusters are exchanged",
+    ),
+    "pull": (
+        put("local_forces", 45.0, ALL, 3, 2),
+        "distal",
+        "check its calibration, or leave it out (--leave-out distal.Fz)",
+    ),
+    "lever": (
+        put("wrench", 80.0, ALL, 0),
+        "the wrench",
+        "check that moments are in N m and forces in N, and the load cell's channels",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", HINTS)
+def test_a_finding_says_what_to_check(case: str) -> None:
+    change, source, hint = HINTS[case]
+    found = check_data(change(scene_samples()), GEOMETRY)
+    assert (source, hint) in [(each.source, each.hint) for each in found], found
+
+
+def test_a_mass_is_checked_with_the_force() -> None:
+    (found,) = check_data(scene_samples(), GEOMETRY, mass=1e3)
+    assert found.hint == "check that forces are in N, and the mass"

@@ -93,7 +93,9 @@ USED = {
 def test_seen_samples_are_of_its_trial(case: str, stored: StoredModel) -> None:
     own, trial, fingerprint, rows = USED[case]
     stamps = scene.STAMPS
-    model = replace(stored, fingerprint=own, first_stamp=int(stamps[10]), last_stamp=int(stamps[19]))
+    model = replace(
+        stored, fingerprint=own, first_stamp=int(stamps[10]), last_stamp=int(stamps[19])
+    )
     limb, count = scene.limb(), len(stamps)
     samples = model_samples(limb.translation, limb.rotation_vector(), count)
     assert np.flatnonzero(model.used(trial, fingerprint, samples)).tolist() == rows
@@ -152,7 +154,10 @@ REFUSED: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
         "is of the format",
     ),
     "no format": (lambda d: d.pop("format"), "is not a model"),
-    "an unknown cluster": (parameter("clusters", ["heel"]), "parameters: clusters: no cluster 'heel'"),
+    "an unknown cluster": (
+        parameter("clusters", ["heel"]),
+        "parameters: clusters: no cluster 'heel'",
+    ),
     "an offset of another": (
         parameter("force_bias", {"heel": [0.0, 0.0, 0.0]}),
         "parameters: force_bias",

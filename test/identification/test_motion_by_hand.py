@@ -178,9 +178,7 @@ def test_a_missing_direction_leaves_it_unknown() -> None:
 
 def limb_samples() -> Samples:
     limb = scene.limb()
-    return make_samples(
-        np.hstack([limb.translation, limb.rotation_vector()]), scene.wrench(), {}
-    )
+    return make_samples(np.hstack([limb.translation, limb.rotation_vector()]), scene.wrench(), {})
 
 
 def test_64_samples_are_needed() -> None:

@@ -61,7 +61,9 @@ def test_a_larger_tile_bears_more() -> None:
 
 
 def test_another_sockets_clusters_have_no_limits() -> None:
-    assert np.isinf(plausibility.channel_limits(GEOMETRY, ("distal", "heel"))).tolist() == [True] * 12
+    assert (
+        np.isinf(plausibility.channel_limits(GEOMETRY, ("distal", "heel"))).tolist() == [True] * 12
+    )
 
 
 UNITS: dict[str, tuple[Callable[[Samples], Samples], str, str]] = {
@@ -102,7 +104,11 @@ UNITS: dict[str, tuple[Callable[[Samples], Samples], str, str]] = {
         "the limb position is 0.15 m from the load cell and moves by 0.22 m",
         "millimetres",
     ),
-    "nowhere": (lambda s: put(s, "position", 1e3, ALL), "1.73e+03 m", "check the marker bodies and"),
+    "nowhere": (
+        lambda s: put(s, "position", 1e3, ALL),
+        "1.73e+03 m",
+        "check the marker bodies and",
+    ),
     "unknown": (lambda s: put(s, "position", np.nan, ALL), "", ""),
 }
 
@@ -245,9 +251,7 @@ def test_an_outlier_is_not_measured() -> None:
 
 def test_outliers_are_named_with_their_times() -> None:
     spoiled = put(put(plain(), "wrench", 501.0, [4, 8], MX), "position", [0.3, 0.0, 0.4], 3)
-    notes = [
-        *plausibility.outlier_notes(spoiled, plausibility.find_outliers(spoiled, GEOMETRY))
-    ]
+    notes = [*plausibility.outlier_notes(spoiled, plausibility.find_outliers(spoiled, GEOMETRY))]
     assert notes == [
         "limb position has an outlier (0.5 m at 0.75 s): left out",
         "Mx has 2 outliers (501 N m at 1.00 s, 501 N m at 2.00 s): left out",
@@ -352,15 +356,11 @@ IMPLAUSIBLE: dict[str, tuple[Callable[[Samples], Samples], list[tuple[str, str]]
         ],
     ),
     "heavier load": (
-        lambda s: put(
-            put(s, "wrench", -400.0, ALL, FZ), "local_forces", 19.9, ALL, DISTAL, 2
-        ),
+        lambda s: put(put(s, "wrench", -400.0, ALL, FZ), "local_forces", 19.9, ALL, DISTAL, 2),
         [],
     ),
     "pull under a heavier load": (
-        lambda s: put(
-            put(s, "wrench", -400.0, ALL, FZ), "local_forces", 20.1, ALL, DISTAL, 2
-        ),
+        lambda s: put(put(s, "wrench", -400.0, ALL, FZ), "local_forces", 20.1, ALL, DISTAL, 2),
         [
             (
                 "distal.Fz",

@@ -371,7 +371,12 @@ DRAWN = {
     # Half a turn is no distance: +-0.1 about pi.
     "direction": ("direction", 3.1, 3.1 + 0.01 * np.arange(-20.0, 21.0), 2.91, 3.29),
     "direction beyond": ("direction", 3.1, 3.1 + 0.01 * np.arange(-20, 21) - 2 * np.pi, 2.91, 3.29),
-    "direction before": ("direction", -3.1, 0.01 * np.arange(-20, 21) + 2 * np.pi - 3.1, *(-3.29, -2.91)),
+    "direction before": (
+        "direction",
+        -3.1,
+        0.01 * np.arange(-20, 21) + 2 * np.pi - 3.1,
+        *(-3.29, -2.91),
+    ),
     # Unknown draws do not count; 10 known ones, 0 to 9: places 0.225 and 8.775.
     "unknown draws": ("share", 4.0, np.r_[np.arange(10.0), [np.nan] * 5], 0.225, 8.775),
     "between draws": ("mean", 4.0, np.arange(10.0)[::-1], 0.225, 8.775),
