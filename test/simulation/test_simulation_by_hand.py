@@ -14,6 +14,7 @@ from support import scene
 from support.clocks import FakeClock
 from support.problems import GEOMETRY
 
+from socket_testbed.errors import TestbedError as SimulationError
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.simulation import sensors
 from socket_testbed.simulation import testbed as live
@@ -203,6 +204,14 @@ def test_tissue_presses_creeps_and_slips(case: str, limb: LoadedLimb) -> None:
     np.testing.assert_allclose(forces[1] / limb.tissue.areas, after, rtol=1e-6)
     np.testing.assert_allclose(traction[0], after, rtol=1e-6)
     assert not traction[1].any() and not tangential.any()
+
+
+def test_a_limb_that_is_pulled_out_is_an_error() -> None:
+    """Nothing holds it against 10 kN upwards; the sideways forces are balanced nevertheless."""
+    loaded = LoadedLimb(GEOMETRY, np.array([0, 0, 0, 0, 0, -50.0]), fixed(uniform=0.25))
+    with pytest.raises(SimulationError, match="no equilibrium under the load") as error:
+        loaded.step(np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1e4]), 1.0)
+    assert "10000.0] [N m, N]" in error.value.fact
 
 
 # --- sensors
