@@ -381,7 +381,7 @@ def test_a_baseline_is_the_median() -> None:
     readings = np.array([[1.0, 2, 3, 4], [1.2, 2, 3, 4], [9.0, 2, 3, 4], [np.nan, 2, 3, 4]])
     found = drift.average_baseline(7.0, readings, "rest.csv")
     assert found.time == 7.0 and found.capacitance.tolist() == [1.2, 2.0, 3.0, 4.0]
-    with pytest.raises(CalibrationError, match="rest.csv: 2 complete readings are too few"):
+    with pytest.raises(CalibrationError, match=r"rest\.csv: 2 complete readings are too few"):
         drift.average_baseline(7.0, readings[1:], "rest.csv")
 
 
@@ -402,7 +402,7 @@ def test_a_run_of_several_files_is_not_corrected() -> None:
     np.testing.assert_allclose(lifted, 0.05)
     with pytest.raises(CalibrationError, match="2 bench files cannot share the drift"):
         drift.correct_bench(bench_data.join_benches([one, one]), before, after)
-    with pytest.raises(CalibrationError, match="bench.csv: has no time"):
+    with pytest.raises(CalibrationError, match=r"bench\.csv: has no time"):
         drift.correct_bench(replace(one, time=np.full(len(one), np.nan)), before, after)
 
 

@@ -1,4 +1,4 @@
-"""Places in the scene's socket, poses and marker bodies by hand; limits a little below and above."""
+"""Places in the scene's socket, poses and marker bodies by hand; limits below and above."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -170,8 +170,12 @@ def test_thirds_begin_above_their_edges(height: float, third: str) -> None:
 
 
 def test_a_tile_is_in_its_smallest_region() -> None:
-    places = [Region("anterior", np.arange(6)), Region("brim", np.array([0, 1])),
-              Region("socket", np.arange(12)), Region("unmeasured wall", np.array([7]))]  # fmt: skip
+    places = [
+        Region("anterior", np.arange(6)),
+        Region("brim", np.array([0, 1])),
+        Region("socket", np.arange(12)),
+        Region("unmeasured wall", np.array([7])),
+    ]
     assert regions.part_of(places, 1) == "brim" and regions.part_of(places, 5) == "anterior"
     assert regions.part_of(places, 7) == "socket"
 

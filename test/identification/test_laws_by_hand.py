@@ -40,7 +40,7 @@ def test_a_force_changes_relative_to_itself() -> None:
 
 
 def test_forces_act_at_their_anchors() -> None:
-    """10 N along y at 0.2 m along x are 2 N m about z; 5 N along x at 0.1 m along z, 0.5 about y."""
+    """10 N along y at x = 0.2 m are 2 N m about z; 5 N along x at z = 0.1 m are 0.5 about y."""
     mapping = contact.wrench_map(np.array([[0.2, 0.0, 0.0], [0.0, 0.0, 0.1]]))
     wrench = mapping @ [0.0, 10.0, 0.0, 5.0, 0.0, 0.0]
     assert wrench == pytest.approx([0.0, 0.5, 2.0, 5.0, 10.0, 0.0])

@@ -1,4 +1,4 @@
-"""What fits, fronts, judgements and the paper's comparison say: titles, words and limits by hand."""
+"""What fits, fronts, judgements and the paper's comparison say: titles, words and limits."""
 
 from collections import Counter
 from dataclasses import replace
@@ -194,8 +194,14 @@ def test_a_document_of_a_front_has_its_keys() -> None:
 
 KNEES = {
     # errors, verdict
-    "deep": (((0.9, 0.1), (0.46, 0.46), (0.1, 0.9)), "knee of depth 0.10: the front spans 0.8 by 0.8"),
-    "shallow": (((0.9, 0.1), (0.49, 0.49), (0.1, 0.9)), "no knee: the front spans 0.8 by 0.8 and is straight"),
+    "deep": (
+        ((0.9, 0.1), (0.46, 0.46), (0.1, 0.9)),
+        "knee of depth 0.10: the front spans 0.8 by 0.8",
+    ),
+    "shallow": (
+        ((0.9, 0.1), (0.49, 0.49), (0.1, 0.9)),
+        "no knee: the front spans 0.8 by 0.8 and is straight",
+    ),
     "short": (
         ((0.9, 0.1), (0.8995, 0.2), (0.8991, 0.9)),
         "no knee: the front spans 0.0009 by 0.8, nothing to trade off",
@@ -385,7 +391,7 @@ def test_all_three_questions_are_answered(judged: list[Judgement]) -> None:
 
 
 def test_halves_are_in_their_order(judged: list[Judgement]) -> None:
-    """All 96 samples are under load: the constant is fitted on the first 48, and off on the rest."""
+    """All 96 samples are under load: the constant is fitted on the first 48, off on the rest."""
     found = {(each.test, each.predictor): each for each in judged if each.question == "wrench"}
     seen, unseen = (found[half, "best constant"] for half in ("in-sample", "second half"))
     assert (seen.samples, unseen.samples) == (48, 48)
