@@ -8,6 +8,7 @@ import platform
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -59,8 +60,9 @@ def measured(work: Callable[..., object], *arguments: Any) -> tuple[float, float
 
 def apart(work: Callable[..., object], *arguments: Any) -> tuple[float, float]:
     """The same in a process of its own."""
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        return pool.apply(measured, (work, *arguments))
+    # An executor waits for its process; a pool ends it while it still reads, with a traceback.
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as executor:
+        return executor.submit(measured, work, *arguments).result()
 
 
 def processes() -> dict[int, tuple[int, float]]:
