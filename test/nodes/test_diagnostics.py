@@ -26,13 +26,6 @@ def ros() -> Iterator[None]:
         yield
 
 
-@pytest.fixture
-def make(monkeypatch: pytest.MonkeyPatch) -> Iterator[Maker]:
-    maker = Maker(monkeypatch)
-    yield maker
-    maker.close()
-
-
 class Plain(base.TestbedNode[ReplaySettings]):
     """A node that only reports."""
 

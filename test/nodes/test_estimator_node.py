@@ -35,12 +35,10 @@ class NoFits:
 
 
 @pytest.fixture
-def make(monkeypatch: pytest.MonkeyPatch) -> Iterator[Maker]:
+def make(make: Maker, monkeypatch: pytest.MonkeyPatch) -> Maker:
     scene.stand_in(monkeypatch)
     monkeypatch.setattr(estimator_node, "FitWorker", NoFits)
-    maker = Maker(monkeypatch)
-    yield maker
-    maker.close()
+    return make
 
 
 @pytest.fixture

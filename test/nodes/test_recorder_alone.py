@@ -35,13 +35,6 @@ def ros() -> Iterator[None]:
 
 
 @pytest.fixture
-def make(monkeypatch: pytest.MonkeyPatch) -> Iterator[Maker]:
-    maker = Maker(monkeypatch)
-    yield maker
-    maker.close()
-
-
-@pytest.fixture
 def folder(tmp_path: Path) -> Path:
     return tmp_path / "trials"
 

@@ -25,11 +25,9 @@ def ros() -> Iterator[None]:
 
 
 @pytest.fixture
-def make(monkeypatch: pytest.MonkeyPatch) -> Iterator[Maker]:
+def make(make: Maker, monkeypatch: pytest.MonkeyPatch) -> Maker:
     monkeypatch.setattr(replay_node, "_DISCOVERY_TIME", 0.0)
-    maker = Maker(monkeypatch)
-    yield maker
-    maker.close()
+    return make
 
 
 @pytest.fixture

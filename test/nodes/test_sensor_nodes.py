@@ -40,13 +40,6 @@ def ros() -> Iterator[None]:
         yield
 
 
-@pytest.fixture
-def make(monkeypatch: pytest.MonkeyPatch) -> Iterator[Maker]:
-    maker = Maker(monkeypatch)
-    yield maker
-    maker.close()
-
-
 def stamp_of(message: Any) -> tuple[int, int]:
     return message.header.stamp.sec, message.header.stamp.nanosec
 
