@@ -23,6 +23,7 @@ LONG = {
     *("commands", "test_api.py", "test_damaged_files.py"),
     *("test_trials.py", "test_export.py", "test_mcap_file.py"),
     *("socket_design/test_registration.py", "socket_design/test_tiling.py"),
+    *("doors/test_tiling.py", "doors/test_figures.py", "doors/test_result_figures.py"),
     *("test_report.py", "test_server.py", "test_player.py", "test_natnet_client.py"),
 }
 
