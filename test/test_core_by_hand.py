@@ -31,7 +31,7 @@ from socket_testbed.tables import Table
         (float("-inf"), ".3g", "\N{EN DASH}"),
     ],
 )
-def test_a_number_has_its_digits_or_is_a_dash(value: float, spec: str, text: str) -> None:
+def test_a_number_has_digits_or_a_dash(value: float, spec: str, text: str) -> None:
     assert tables.number(value, spec) == text
     assert tables.number(1234.56) == "1.23e+03"
 
@@ -296,7 +296,7 @@ def test_a_held_folder_is_seen(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("age", "left"), [(50.0, True), (70.0, False)], ids=["young", "old"])
-def test_what_killed_processes_left_is_removed_after_a_minute(
+def test_remains_of_killed_processes_are_removed(
     age: float, left: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
@@ -390,7 +390,7 @@ def clock_at(wall: int) -> clocks.SteadyClock:
     ("late", "known"),
     [(-0.0019, True), (-0.0021, False), (0.0, True), (0.499, True), (0.501, False)],
 )
-def test_a_trigger_s_time_is_known_if_it_arrives_soon(
+def test_a_soon_trigger_s_time_is_known(
     late: float, known: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """2 ms before it by two processes' clocks, or half a second after it."""
@@ -415,7 +415,7 @@ def test_five_triggers_of_one_delay_give_the_shift(
     assert trigger.shift == pytest.approx(-60.0 if found else 0.0)
 
 
-def test_the_period_is_the_middle_of_the_last_five() -> None:
+def test_the_period_is_the_last_five_s_middle() -> None:
     period, now, found = clocks.TriggerPeriod(), 0, []
     for number, step in enumerate((0, 5, 5, 5, 5, 5, 9, 9, 9)):
         now += step * 10**9

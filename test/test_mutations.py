@@ -30,7 +30,7 @@ def __repr__():
 '''
 
 
-def test_each_site_is_changed_in_place_and_nothing_else(tmp_path):
+def test_each_site_is_changed_alone(tmp_path):
     (tmp_path / "module.py").write_text(SOURCE)
     source, original = SOURCE.encode(), ast.dump(ast.parse(SOURCE))
     mutants = [each for site in find_sites(tmp_path, "module.py") for each in site]

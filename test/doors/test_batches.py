@@ -295,9 +295,7 @@ def test_a_fit_is_told_with_its_skills(fitted: Batch) -> None:
     )
 
 
-def test_a_failed_trial_is_named_and_the_others_done(
-    study: Path, by_hand: None, tmp_path: Path
-) -> None:
+def test_a_failed_trial_stops_no_other(study: Path, by_hand: None, tmp_path: Path) -> None:
     @functools.wraps(api.fit)
     def made(trial: Any, **options: Any) -> HandFit:
         if trial.name == "scene":

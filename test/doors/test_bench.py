@@ -397,7 +397,7 @@ FINE = np.zeros(4, dtype=np.uint8)
 
 
 @pytest.mark.parametrize("case", RANGES)
-def test_a_reading_beyond_either_end_is_out_of_range(case: str) -> None:
+def test_readings_beyond_either_end_are_out_of_range(case: str) -> None:
     *place, known = RANGES[case]
     stress, status = CLUSTER.apply(inputs(*place), FINE)
     assert int(status) == known

@@ -109,7 +109,7 @@ def test_register_words_are_picofarads(channel: int, case: str) -> None:
     assert not found.shifted and not found.fault
 
 
-def test_a_code_at_the_upper_rail_shifts_the_range() -> None:
+def test_a_code_at_a_rail_shifts_the_range() -> None:
     """25 pF up: CAPDAC 8 of channel 2, 2 << 13 | 4 << 10 | 8 << 5; then 1 pF is 26 pF."""
     wire = Wire({4: 0x7FFF, 5: 0xFF00})
     chip = chip_on(wire)

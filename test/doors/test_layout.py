@@ -47,7 +47,7 @@ def test_a_thinned_band_keeps_its_outermost_ends() -> None:
     assert lowest.tolist() == [-5.0, 1.0, 3.0] and highest.tolist() == [10.0, 11.0, 13.0]
 
 
-def test_a_chart_for_the_page_holds_lines_and_spans() -> None:
+def test_a_page_s_chart_holds_lines_and_spans() -> None:
     values = np.array([1.0, np.nan, 3.123456])
     lines = {"measured": values, "model": values + 1.0}
     segment = Segment("all", 0.5, 1.5, slice(1, 2))

@@ -100,7 +100,7 @@ def test_the_verb_writes_the_same_document(
 
 
 @pytest.mark.parametrize(("name", "in_sample"), [("scene", True), ("another", False)])
-def test_errors_on_the_fit_s_own_trial_are_in_sample(
+def test_errors_on_the_own_trial_are_in_sample(
     name: str, in_sample: bool, trial, tmp_path: Path
 ) -> None:
     found = st.evaluate(trial, scene.model(tmp_path / "model.json", name), "all")

@@ -195,7 +195,7 @@ def test_the_file_of_courses_holds_the_known_pressures(report) -> None:
     assert lateral == pytest.approx([17.5, 15.8013, 19.1987], rel=1e-4)
 
 
-def test_the_file_of_the_map_holds_the_known_stresses(report) -> None:
+def test_the_map_s_file_holds_known_stresses(report) -> None:
     table = csv(report, "force_map", "tile")
     row = table.loc["ant_mid"]
     assert row["cluster"] == "mid_anterior"
@@ -204,7 +204,7 @@ def test_the_file_of_the_map_holds_the_known_stresses(report) -> None:
     assert table.loc["right_mid", "pressure [kPa]"] == pytest.approx(-1.0)
 
 
-def test_the_file_of_the_overview_tells_mean_from_peak(report) -> None:
+def test_the_overview_s_file_tells_mean_from_peak(report) -> None:
     row = csv(report, "pressure_map", "tile").loc["right_prox"]
     assert row["mean over the segment [kPa]"] == pytest.approx(30.0)
     assert row["at the peak, 12.00 s [kPa]"] == pytest.approx(45.0)
@@ -662,7 +662,7 @@ def test_the_motion_is_the_known_one(name: str, report) -> None:
 # --- data
 
 
-def test_the_load_of_the_segment_is_the_known_one(report) -> None:
+def test_the_segment_s_load_is_known(report) -> None:
     """|(14, 5.1153, -59.375)| N and |(0.2327, 0.1631, 0.5268)| N m over 11.75 s."""
     assert report.page.tables["plateaus"][0] == [
         *("part", "duration [s]", "mean force [N]", "its sigma [N]"),

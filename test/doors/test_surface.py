@@ -89,7 +89,7 @@ def test_a_finer_step_gives_more_points() -> None:
     assert (len(patch.x), len(patch.y)) == (60, 17)
 
 
-def test_a_coarse_step_keeps_a_least_number_of_points() -> None:
+def test_a_coarse_step_keeps_enough_points() -> None:
     """16 by 4 on the wall, where 2 round(50 pi / 30) by round(90 / 30) would be fewer."""
     patch, end = wall.patches(scene.geometry(), 1.0)
     assert (len(patch.x), len(patch.y)) == (16, 4)

@@ -120,7 +120,7 @@ def test_an_error_ends_its_check_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     [("6.6.20-v8", False), ("6.6.28-v8", True), ("6.12.1", True), ("5.15.84", False)],
     ids=str,
 )
-def test_an_old_kernel_of_a_pi_5_is_named(release: str, sound: bool) -> None:
+def test_a_pi_5_s_old_kernel_is_named(release: str, sound: bool) -> None:
     found = doctor.kernel_finding("Raspberry Pi 5 Model B Rev 1.0", release)
     assert found.what == "kernel" and bool(found.hint) is not sound
     assert found.hint in ("", "update it to 6.6.28 or newer")

@@ -354,7 +354,7 @@ def test_a_narrow_interior_has_no_inner_share() -> None:
     )
 
 
-def test_a_tile_on_a_round_wall_has_its_square_s_area(tmp_path: Path) -> None:
+def test_a_round_wall_s_tile_has_its_area(tmp_path: Path) -> None:
     """On a radius of 50 mm the wall under 45 mm is 2 * 50 mm * asin(0.45) = 46.68 mm wide.
 
     At its edges it is 50 mm - sqrt(50^2 - 22.5^2) mm = 5.3 mm off the tile's plane.
@@ -374,7 +374,7 @@ def test_a_tile_on_a_round_wall_has_its_square_s_area(tmp_path: Path) -> None:
     assert design.tiling.flatness.max() == pytest.approx(5.3e-3, abs=6e-4)
 
 
-def test_a_strip_as_wide_as_a_tile_has_no_inside() -> None:
+def test_a_narrow_strip_has_no_inside() -> None:
     """Nothing on a strip of 45 mm is more than 22.5 mm from its rims."""
     strip = box(DEPTH, WIDTH, 0.045, floor=False)
     place = ClusterPlace("front", np.array([0.042, 0.0, 0.0225]), None, "front")

@@ -557,7 +557,7 @@ def test_a_batch_is_done_as_stated(
      {"output": "out", "jobs": 0}],
     ids=["no output", "JSON", "figure", "no job"],
 )  # fmt: skip
-def test_a_folder_of_trials_has_a_folder_of_outputs(
+def test_a_folder_has_a_folder_of_outputs(
     choices: dict[str, Any], batch: list[Any], tmp_path: Path
 ) -> None:
     with pytest.raises(ConfigurationError):
@@ -572,7 +572,7 @@ def _paths(choices: dict[str, Any]) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("option", ["jobs", "dask", "again"])
-def test_a_single_trial_has_no_options_of_a_folder(
+def test_a_trial_has_no_options_of_folders(
     option: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(options, "find_trials", lambda folder, note: {})

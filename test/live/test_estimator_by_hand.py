@@ -129,9 +129,7 @@ def test_without_automatic_fits_it_waits_for_a_request(
     assert online.state == (OK, "no model yet: estimator/fit")
 
 
-def test_the_first_fit_is_tried_once_there_is_enough(
-    online: OnlineEstimator, fitter: Fitter
-) -> None:
+def test_the_first_fit_waits_for_enough(online: OnlineEstimator, fitter: Fitter) -> None:
     """Twelve samples are enough, ten new ones are due; then the model is refitted after three."""
     for k in range(11):
         send(online, 0.1 * k)

@@ -192,7 +192,7 @@ def test_hardware_runs_in_real_time() -> None:
     assert Testbed(simulation=Simulation(time_scale=0.25)).time_scale == 0.25
 
 
-def test_hardware_needs_a_described_load_cell_and_a_server(tmp_path: Path) -> None:
+def test_hardware_needs_load_cell_and_server(tmp_path: Path) -> None:
     """The package describes a simulated load cell only."""
     simulated = bringup.testbed_settings(None, Simulation())
     assert simulated.load_cell_node.full_scale == (1000.0, 1000.0, 2000.0, 50.0, 50.0, 50.0)
@@ -318,7 +318,7 @@ def test_a_simulated_testbed_starts_with_its_world(tmp_path: Path) -> None:
     assert graph.clock["SOCKET_TESTBED_TIME_SCALE"] == "0.5"
 
 
-def test_a_simulation_that_does_not_come_up_is_an_error(
+def test_a_simulation_that_fails_is_an_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     graph, passed = Graph(tmp_path), iter((0.0, 119.0, 121.0, 130.0))
@@ -384,7 +384,7 @@ def test_simulated_clusters_sense_the_world(
     assert noisy.std() == pytest.approx(0.5, rel=0.1)
 
 
-def test_the_wall_clock_is_the_system_s_or_the_world_s(tmp_path: Path, world: World) -> None:
+def test_the_wall_clock_is_system_or_world(tmp_path: Path, world: World) -> None:
     assert hardware.wall_clock(acquisition.TriggerSettings()) is time.time_ns
     world.faults.switch("clock.step", 3600.0)
     simulated = hardware.wall_clock(acquisition.TriggerSettings(simulation=str(tmp_path)))

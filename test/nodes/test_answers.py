@@ -333,7 +333,7 @@ def test_a_node_is_found_by_its_name() -> None:
     ],
     ids=["module", "program"],
 )
-def test_a_program_runs_the_node_that_it_is_named_after(
+def test_a_program_runs_the_node_it_names(
     words: list[str], names: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ran: list[list[str]] = []

@@ -83,7 +83,7 @@ def test_the_stored_model_is_published(node: estimator_node.EstimatorNode, make:
     assert node.ready() and node.get_name() == "estimator_node"
 
 
-def test_maps_are_sent_at_once_pictures_and_regions_now_and_then(
+def test_pictures_and_regions_are_sent_less_often(
     node: estimator_node.EstimatorNode, make: Maker
 ) -> None:
     """At 20 Hz: every map, of the pictures 10 a second, of the regions 2 a second."""

@@ -51,7 +51,7 @@ def test_unseen_followers_are_named(pair: Followers) -> None:
     assert pair.await_links(0.0) == expected
 
 
-def test_a_follower_that_waits_is_named_with_its_need(node: Waiting, pair: Followers) -> None:
+def test_a_waiting_follower_is_named_with_its_need(node: Waiting, pair: Followers) -> None:
     say(node, "/lab/cluster_node", waiting_for="trigger")
     say(node, "/other/mocap_node", waiting_for="")
     assert pair.await_links(0.0) == "/lab/cluster_node (trigger)"
@@ -140,7 +140,7 @@ class Clock:
 
 
 @pytest.mark.parametrize(("rate", "real"), [(1.0, 2.0), (4.0, 0.5)], ids=["real time", "fast"])
-def test_a_message_is_due_at_its_time_over_the_rate(
+def test_the_rate_divides_a_message_s_time(
     rate: float, real: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """2 s after the first message; /clock ticks every 20 ms meanwhile."""

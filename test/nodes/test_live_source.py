@@ -144,7 +144,7 @@ def test_the_wrenches_are_measured_then_predicted(source: LiveSource, lab: Lab) 
     assert rows[1] == ["Mx [N m]", "0.55", "0.00"] and rows[6] == ["Fz [N]", "-90.00", "5.00"]
 
 
-def test_the_course_is_force_and_peak_with_its_ends(source: LiveSource, lab: Lab) -> None:
+def test_the_course_is_force_and_peak(source: LiveSource, lab: Lab) -> None:
     """90 N downwards press along the socket."""
     for second in (0, 1, 29):
         lab.send(STAMP + second * 10**9)

@@ -578,7 +578,7 @@ def test_another_testbed_s_trigger_is_an_error(
     assert level == ERROR and text.startswith("another trigger is active on this ROS_DOMAIN_ID:")
 
 
-def test_a_step_of_the_system_clock_is_a_warning(
+def test_a_step_of_the_clock_is_a_warning(
     triggering: trigger_node.TriggerNode, make: Maker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     wait_for_triggers(make, 1)
@@ -589,7 +589,7 @@ def test_a_step_of_the_system_clock_is_a_warning(
     assert text.endswith("restart after the trial to adopt the new time")
 
 
-def test_a_lost_pulse_is_counted_and_leaves_a_gap(
+def test_a_lost_pulse_leaves_a_gap(
     triggering: trigger_node.TriggerNode, make: Maker, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     wait_for_triggers(make, 2)

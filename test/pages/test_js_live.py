@@ -254,7 +254,7 @@ def test_hidden_page_requests_nothing() -> None:
 # --- a running testbed
 
 
-def test_testbed_is_asked_for_the_newest_every_150_ms() -> None:
+def test_testbed_is_asked_every_150_ms() -> None:
     tab = opened(running())
     tab.wait(0.01)
     tab.wait(3.0)

@@ -245,7 +245,7 @@ def test_document_puts_the_surface_in_space() -> None:
 # --- a socket, and a comparison
 
 
-def test_page_of_a_socket_shows_tiles_areas_and_heights() -> None:
+def test_socket_page_shows_tiles_areas_and_heights() -> None:
     box = trimesh.creation.box((0.1, 0.1, 0.2))
     with small_viewer() as folder:
         path = folder / "socket.html"
@@ -304,7 +304,7 @@ def test_compared_trials_share_a_scale() -> None:
     assert tab.texts("h3") == ["Peak", "Data"]
 
 
-def test_differences_are_red_where_higher_and_grey_where_unclear() -> None:
+def test_differences_are_red_where_higher_grey_where_unclear() -> None:
     picture = comparison().picture("#map-2")
     change = picture.heatmap()
     # The largest difference is 30 kPa.

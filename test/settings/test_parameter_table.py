@@ -247,7 +247,7 @@ def test_an_empty_list_has_a_type_in_ros() -> None:
     assert testbed.ReplaySettings(wait_for=("a",)).to_flat("x.")["x.wait_for"] == ["a"]
 
 
-def test_a_switch_of_older_files_is_accepted_while_off() -> None:
+def test_a_retired_switch_is_accepted_while_off() -> None:
     kind = identification.IdentificationSettings
     assert kind.from_flat({"noise_correction": False, "theta": 0.2}, "here").theta == 0.2
     for value in (True, 0):

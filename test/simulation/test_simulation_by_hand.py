@@ -206,7 +206,7 @@ def test_tissue_presses_creeps_and_slips(case: str, limb: LoadedLimb) -> None:
     assert not traction[1].any() and not tangential.any()
 
 
-def test_a_limb_that_is_pulled_out_is_an_error() -> None:
+def test_a_pulled_out_limb_is_an_error() -> None:
     """Nothing holds it against 10 kN upwards; the sideways forces are balanced nevertheless."""
     loaded = LoadedLimb(GEOMETRY, np.array([0, 0, 0, 0, 0, -50.0]), fixed(uniform=0.25))
     with pytest.raises(SimulationError, match="no equilibrium under the load") as error:

@@ -48,7 +48,7 @@ def test_messages_are_in_the_order_of_their_times(tmp_path: Path) -> None:
         assert read == [round(second * 1e9) for second in sorted(times)]
 
 
-def test_parts_of_a_bag_are_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+def test_parts_of_bags_follow_their_numbers(tmp_path: Path) -> None:
     """Without metadata, 2 comes before 10."""
     folder = tmp_path / "a"
     folder.mkdir()
@@ -85,7 +85,7 @@ def test_metadata_must_agree_with_the_file(change, words: str, tmp_path: Path) -
         pass
 
 
-def test_a_bag_offers_the_topics_as_they_were_published(tmp_path: Path) -> None:
+def test_a_bag_offers_topics_as_published(tmp_path: Path) -> None:
     """ROS replays them with the quality of service that subscribers expect."""
     with BagWriter(tmp_path / "a") as new:
         new.add_topic("/parameters", topics.PARAMETERS)

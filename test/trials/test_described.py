@@ -102,7 +102,7 @@ def test_loads_of_parts_are_magnitudes(samples: Samples) -> None:
     assert table.caption == "Load of parts of the trial"
 
 
-def test_noise_is_by_axis_in_the_unit_of_its_row() -> None:
+def test_noise_is_in_its_row_s_unit() -> None:
     """White noise: moments 0.01, 0.02, 0.03 N m, positions 1, 2, 3 mm, turns 4, 5, 6 mrad."""
     rng, count = np.random.default_rng(0), 8000
     noise = rng.normal(size=(count, 15)) * [
@@ -243,7 +243,7 @@ def test_a_refit_tells_how_far_poses_moved() -> None:
     np.testing.assert_array_equal(found.pylon, given.pylon)
 
 
-def test_a_body_has_no_more_markers_than_its_model() -> None:
+def test_a_body_has_its_model_s_markers() -> None:
     seen = np.zeros((9, 4, 3))
     with refused(TrialError, "s01: 4 markers of the socket were recorded, and the geometry has 3"):
         given = replace(measured(), markers={"socket": seen})

@@ -204,7 +204,7 @@ def test_without_a_plateau_the_loaded_part_is_offered() -> None:
         segment.select_segment(samples(fz=0.0), "plateau", SETTINGS)
 
 
-def test_a_hold_is_a_plateau_while_the_load_is_placed() -> None:
+def test_a_hold_is_under_the_placed_load() -> None:
     """The plateau before the rise is longer, but without the load; `auto` takes the hold too."""
     held = samples(fz=step(-190.0, at=140, before=-90.0))
     for name in ("hold", "auto"):
@@ -305,7 +305,7 @@ def test_three_quick_steps_are_a_walk(stride: float, count: int, walks: bool) ->
     assert labels.count("stance") == labels.count("swing") == count * walks
 
 
-def test_stance_begins_at_a_tenth_and_swing_at_a_twentieth(
+def test_stance_and_swing_have_their_thresholds(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Ramps of 2 s between 0 and 400 N: at 0.2 s of the rise, 1.9 s into the fall."""
@@ -416,7 +416,7 @@ def ticks(speed: float, count: int = 9) -> list[tuple[float, int]]:
 @pytest.mark.parametrize(
     ("speed", "found"), [(1.0, 1.0), (0.5, 0.5), (1.09, 1.0), (0.91, 1.0), (1.12, 1.12)]
 )
-def test_the_clock_s_speed_is_real_time_unless_it_is_clear(speed: float, found: float) -> None:
+def test_an_unclear_clock_s_speed_is_real_time(speed: float, found: float) -> None:
     assert events.trigger_speed(ticks(speed)) == pytest.approx(found * 1e9)
 
 

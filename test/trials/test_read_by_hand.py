@@ -63,7 +63,7 @@ def test_messages_of_several_layouts_are_read_in_parts() -> None:
     assert error.hint == "check that it was recorded or sent with this version's messages"
 
 
-def test_more_layouts_than_it_remembers_are_read_all_the_same() -> None:
+def test_forgotten_layouts_are_read_again() -> None:
     data = [capacitances(["a"] * (1 + k % 12), k) for k in range(36)]
     reader = Reader(topics.CAPACITANCE)
     found = {int(s): len(v.names) for _, stamps, v in reader.parts(data) for s in stamps}
@@ -156,7 +156,7 @@ DAY = 24 * 3600.0
 
 
 @pytest.mark.parametrize(("apart", "lost"), [(DAY, 0), (DAY + 1.0, 1)], ids=["a day", "more"])
-def test_stamps_more_than_a_day_off_are_left_out(apart: float, lost: int) -> None:
+def test_stamps_a_day_off_are_left_out(apart: float, lost: int) -> None:
     notes: list[str] = []
     own = series(wrench=[0.0, 1.0, 1.0 + apart], trigger=[0.0, 1.0, 1.0])
     synchronise._drop_strays(own, notes.append)
@@ -183,7 +183,7 @@ def test_the_last_of_doubled_values_counts() -> None:
     assert status.tolist() == [[1], [2], [3]]
 
 
-def test_markers_are_counted_up_to_the_last_one_seen() -> None:
+def test_markers_count_up_to_the_last_seen() -> None:
     seen = np.full((3, 5, 3), np.nan)
     assert synchronise.marker_count(seen) == 0
     seen[2, 3, 1] = 1.0
@@ -208,7 +208,7 @@ def mapped(tmp_path_factory: pytest.TempPathFactory) -> Any:
         yield pressure.mapped_trial(trial, EstimatorSettings())
 
 
-def test_the_course_is_even_with_the_peak_and_more(mapped: Any) -> None:
+def test_the_course_holds_the_peak_besides(mapped: Any) -> None:
     """Five of 96 samples, the peak at row 48, and row 7."""
     found = mapped.course(5, [7])
     rows = (found.samples.stamps - scene.START) // 250_000_000
