@@ -6,6 +6,7 @@ distances towards right and towards anterior. Models are those of `support.resul
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -19,6 +20,7 @@ from support import scene
 
 import socket_testbed as st
 from socket_testbed.report import quality
+from socket_testbed.report.pressure import force_map_figure
 from socket_testbed.report.style import COLUMN, DEFAULT_STYLE, FigureStyle
 from socket_testbed.report.tiles import draw_wall, socket_figure
 from socket_testbed.report.write import SECTIONS
@@ -255,6 +257,20 @@ def test_a_force_map_is_beside_its_deviation(force_map: st.TrialMap) -> None:
     assert image_at(pressure, "ant_mid") == pytest.approx(YELLOW, abs=0.1)
     assert image_at(deviation, "left_mid") == pytest.approx(VIOLET, abs=0.2)
     assert image_at(deviation, "ant_mid") == pytest.approx(YELLOW, abs=0.1)
+
+
+def test_pressures_alone_are_greyed(force_map: st.TrialMap) -> None:
+    """8 kPa +- 39 kPa at left_prox is the greyest pressure, and the highest deviation."""
+    estimate = force_map.mean
+    deviation = estimate.normal_pressure_standard_deviation.copy()
+    deviation[0, scene.TILES.index("left_prox")] = 20e3
+    spoiled = replace(estimate, normal_pressure_standard_deviation=deviation)
+    figure = force_map_figure(scene.geometry(), spoiled, "", DEFAULT_STYLE, "right")
+    pressure, _ = panels(figure, "normal pressure")
+    beside, _ = panels(figure, "its standard deviation")
+    assert np.ptp(image_at(pressure, "left_prox")) < 0.15
+    assert np.ptp(image_at(pressure, "ant_mid")) > 0.5
+    assert image_at(beside, "left_prox") == pytest.approx(YELLOW, abs=0.1)
 
 
 @pytest.fixture(scope="module")

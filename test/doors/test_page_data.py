@@ -188,6 +188,8 @@ def test_many_events_of_a_label_are_not_marked() -> None:
     listed = [(float(k), "step") for k in range(21)] + [(3.0, "placed")]
     found = document.course(nothing, nothing, peak, listed)
     assert found["events"] == [{"time": 3.0, "label": "placed"}]
+    found = document.course(nothing, nothing, peak, listed[:20])
+    assert len(found["events"]) == 20
 
 
 def test_a_trial_opens_at_its_peak(start: dict[str, Any]) -> None:

@@ -19,6 +19,7 @@ from support import scene
 import socket_testbed as st
 from socket_testbed.__main__ import run
 from socket_testbed.api.pressure import TrialMap, TrialPressure
+from socket_testbed.samples import Status
 
 PLACES = [*scene.ANSWERS]
 TITLES = [*scene.ANSWERS["socket"]]
@@ -131,6 +132,21 @@ def test_bare_tiles_are_the_unmeasured_wall(found: TrialPressure) -> None:
     own = found.regions.loc["unmeasured wall"]
     assert own["mean pressure [kPa]"] == pytest.approx(690.5 / 79.0)
     assert own["peak pressure [kPa]"] == pytest.approx(30.0)  # 1.5 times post_prox
+
+
+@pytest.mark.parametrize(
+    ("rows", "bare"),
+    [(slice(0, 0), False), (slice(0, 50), False), (slice(0, 96), True)],
+    ids=["measured", "partly", "never"],
+)
+def test_a_tile_is_bare_if_never_measured(
+    rows: slice, bare: bool, scene_folder: Path, by_hand: None
+) -> None:
+    """`distal` on post_end misses some of the 96 samples."""
+    trial = st.open_trial(scene_folder)
+    trial.samples().status[rows, trial.samples().clusters.index("distal")] = Status.MISSING
+    regions = st.pressure(trial, "all").document()["regions"]
+    assert ("post_end" in regions["unmeasured wall"]["tiles"]) is bare
 
 
 # --- tiles

@@ -19,7 +19,7 @@ from support.wording import check_line, refused
 from socket_testbed import clocks
 from socket_testbed.drivers.load_cell import ads131m0x, converter_reader
 from socket_testbed.drivers.load_cell.converter_reader import ConversionClock, ConverterReader
-from socket_testbed.drivers.load_cell.load_cell import LoadCell, check_settings, in_words
+from socket_testbed.drivers.load_cell.load_cell import LoadCell, check_settings, in_words, unrest
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import LoadCellSettings, averaging_span
@@ -367,6 +367,24 @@ def test_an_unsteady_cell_is_not_tared(duration: float, text: str) -> None:
     bench.run(duration)
     with refused(DeviceError, "cannot tare: ", text):
         bench.cell.tare(STAMP)
+
+
+@pytest.mark.parametrize(
+    ("channel", "swing", "text"),
+    [
+        pytest.param(
+            1, 0.5, "My moves by 0.5 N m (standard deviation), more than 0.2 N m", id="moment"
+        ),
+        pytest.param(1, 0.1, "", id="small-moment"),
+        pytest.param(5, 3.0, "Fz moves by 3 N (standard deviation), more than 2 N", id="force"),
+        pytest.param(5, 1.0, "", id="small-force"),
+    ],
+)
+def test_moments_and_forces_have_their_limits(channel: int, swing: float, text: str) -> None:
+    """Half of the values are above, half below: the swing is the standard deviation."""
+    wrenches = np.zeros((10, 6))
+    wrenches[:, channel] = swing * np.tile([1.0, -1.0], 5)
+    assert unrest(wrenches, LoadCellSettings()) == text
 
 
 def test_a_rail_within_the_last_second_prevents_tare() -> None:

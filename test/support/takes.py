@@ -51,7 +51,7 @@ def motive_lines(take: Written) -> list[str]:
             columns += [*(positions / scale).T]
     header = (
         f"Format Version,{take.version},Take Name,Take 2024-05-05 03.49.50 PM"
-        f",Capture Frame Rate,{RATE:.6f},Export Frame Rate,{RATE:.6f}"
+        f",Capture Frame Rate,{2.0 * RATE:.6f},Export Frame Rate,{RATE:.6f}"
         f",Total Exported Frames,{len(take)},Rotation Type,Quaternion"
         f",Length Units,{take.unit},Coordinate Space,Global"
     )
