@@ -24,6 +24,8 @@ LONG = {
     *("test_trials.py", "test_export.py", "test_mcap_file.py"),
     *("socket_design/test_registration.py", "socket_design/test_tiling.py"),
     *("doors/test_tiling.py", "doors/test_figures.py", "doors/test_result_figures.py"),
+    *("doors/test_report_page.py", "doors/test_comparison.py", "doors/test_donnings.py"),
+    *("doors/test_comparison_notes.py", "identification/test_data_check.py"),
     *("test_report.py", "test_server.py", "test_player.py", "test_natnet_client.py"),
 }
 
