@@ -61,10 +61,16 @@ benchmark: setup
 	$(BIN)/python benchmarks/benchmark_drivers.py
 	$(BIN)/python benchmarks/benchmark_force_map.py
 
+# The message generators of ROS fail in a path with a space or a letter beyond ASCII. They run in
+# `here`, a link to the checkout from a temporary folder, which goes when the shell ends.
+LINK := linked=$$(mktemp -d) && trap 'rm -r "$$linked"' EXIT \
+	&& here=$$linked/checkout && ln -s "$(CURDIR)" "$$here" \
+	&& export AMENT_PREFIX_PATH="$$here/$(VENV)" CMAKE_PREFIX_PATH="$$here/$(VENV)" \
+		PATH="$$here/$(BIN):$$PATH"
+
 # The same sources as an ordinary colcon workspace, here with the ROS wheels.
 colcon: $(VENV)/.packages
-	AMENT_PREFIX_PATH=$(CURDIR)/$(VENV) CMAKE_PREFIX_PATH=$(CURDIR)/$(VENV) \
-		PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/colcon build
+	@$(LINK) && cd "$$here" && $(BIN)/colcon build
 
 $(VENV)/.packages: $(wildcard requirements/*.txt) scripts/fix_ros_wheels.py
 	@test -n "$(PYTHON)" || { echo "error: no Python 3.11, 3.12 or 3.13 with venv: install one, or give PYTHON=..."; exit 1; }
@@ -82,14 +88,12 @@ MESSAGES := msg_defs requirements/tf2_msgs
 $(VENV)/.messages: $(VENV)/.packages $(foreach m,$(MESSAGES),$(m)/CMakeLists.txt $(m)/package.xml $(wildcard $(m)/msg/*.msg))
 	@echo "building the messages"
 	@rm -rf $(VENV)/messages
-	@export AMENT_PREFIX_PATH=$(CURDIR)/$(VENV) CMAKE_PREFIX_PATH=$(CURDIR)/$(VENV) \
-		PATH="$(CURDIR)/$(BIN):$$PATH"; \
-	( for package in $(MESSAGES); do \
-		build=$(VENV)/messages/$$(basename $$package); \
-		cmake -S $$package -B $$build -DBUILD_TESTING=OFF \
-			-DCMAKE_INSTALL_PREFIX=$(CURDIR)/$(VENV) -DPython3_EXECUTABLE=$(CURDIR)/$(BIN)/python \
-		&& cmake --build $$build -j 2 && cmake --install $$build || exit 1; \
-	done ) > $(VENV)/messages.log 2>&1 || { tail -n 30 $(VENV)/messages.log; exit 1; }
+	@$(LINK) && ( for package in $(MESSAGES); do \
+		build=$$here/$(VENV)/messages/$$(basename $$package); \
+		cmake -S "$$here/$$package" -B "$$build" -DBUILD_TESTING=OFF \
+			-DCMAKE_INSTALL_PREFIX="$$here/$(VENV)" -DPython3_EXECUTABLE="$$here/$(BIN)/python" \
+		&& cmake --build "$$build" -j 2 && cmake --install "$$build" || exit 1; \
+	done; grep -rIlZ "$$linked" $(VENV)/share | xargs -0 sed -i "s|$$here|$(CURDIR)|g" ) > $(VENV)/messages.log 2>&1 || { tail -n 30 $(VENV)/messages.log; exit 1; }
 	@touch $@
 
 $(VENV)/.package: $(VENV)/.packages setup.py setup.cfg

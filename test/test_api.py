@@ -5,6 +5,7 @@ import json
 import os
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import nbformat
@@ -228,24 +229,29 @@ def test_a_notebook_draws_into_its_own_axes(mapped, make) -> None:
 
 
 @pytest.mark.slow
-def test_the_example_notebook_runs(tmp_path: Path) -> None:
+def test_the_example_notebook_runs_twice(tmp_path: Path) -> None:
     path = CHECKOUT / "examples" / "first_trial.ipynb"
-    notebook = nbformat.read(path, as_version=4)
-    NotebookClient(notebook, kernel_name="python3", timeout=300).execute(
-        env={**os.environ, "PYTHONPATH": str(CHECKOUT)}, cwd=str(tmp_path)
-    )
+    for _ in range(2):
+        notebook = nbformat.read(path, as_version=4)
+        NotebookClient(notebook, kernel_name="python3", timeout=300).execute(
+            env={**os.environ, "PYTHONPATH": str(CHECKOUT)}, cwd=str(tmp_path)
+        )
     assert (tmp_path / "hold.html").is_file()
 
 
 @pytest.mark.slow
-def test_the_readme_s_lines_run(tmp_path, monkeypatch, capsys) -> None:
+def test_the_readme_s_lines_run_twice(tmp_path, monkeypatch, capsys) -> None:
+    """They show a model that predicts every channel of the wrench, as the table says."""
     mpl.use("Agg")
     monkeypatch.chdir(tmp_path)
     begin = "import socket_testbed"
     program = (CHECKOUT / "README.md").read_text().partition(f"```python\n{begin}")[2]
-    exec(compile(begin + program.partition("```")[0], "README.md", "exec"), {})
+    for _ in range(2):
+        names: dict[str, Any] = {}
+        exec(compile(begin + program.partition("```")[0], "README.md", "exec"), names)
     assert Path("push.png").stat().st_size > 5000
     assert "pressure sd [kPa]" in capsys.readouterr().out
+    assert (names["found"].to_dataframe().skill[:6] > 0.9).all()
 
 
 @pytest.fixture(scope="module")

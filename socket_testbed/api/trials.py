@@ -16,7 +16,6 @@ from socket_testbed.errors import ConfigurationError, TrialError, closest
 from socket_testbed.files import (
     CALIBRATION_FILE,
     SOCKET_FILE,
-    check_new_folder,
     file_or_packaged,
     packaged,
 )
@@ -325,6 +324,7 @@ def simulate(
     seed: int = 0,
     geometry: PathLike | None = None,
     calibration: PathLike | None = None,
+    replace: bool = False,
     progress: Progress | None = None,
 ) -> Trial:
     """Write a simulated trial with its ground truth.
@@ -344,6 +344,7 @@ def simulate(
         geometry: A `socket.yaml` (default: the package's own).
         calibration: A `calibration.yaml` (default: the package's own, `config/like_paper.yaml` with
             `like_paper`).
+        replace: Replace an older simulated trial in that folder, and nothing else.
         progress: See `Progress`.
 
     Returns:
@@ -351,15 +352,15 @@ def simulate(
 
     Raises:
         ConfigurationError: The scenario or tissue is unknown, a number is out of its range, or the
-            folder exists.
+            folder exists and is not to be replaced.
 
     >>> st.simulate("trials/short", "ramp", duration=30, seed=1)
     Trial('trials/short')
     """
     from socket_testbed.simulation.limb import SCENARIOS, TISSUES
     from socket_testbed.simulation.sensors import LIKE_PAPER
+    from socket_testbed.simulation.trial import check_trial_folder, write_simulated_trial
     from socket_testbed.simulation.trial import simulate as simulate_trial
-    from socket_testbed.simulation.trial import write_simulated_trial
 
     folder, socket_file, calibration_file = Path(path), as_path(geometry), as_path(calibration)
     for kind, name, known in (("scenario", scenario, SCENARIOS), ("tissue", tissue, TISSUES)):
@@ -369,7 +370,7 @@ def simulate(
     check_number(rate, "--rate", 0.1, 1000.0)
     check_number(seed, "--seed", 0)
     check_number(duration * rate, "--duration times --rate", 2, _MAX_TRIGGERS)
-    check_new_folder(folder)
+    check_trial_folder(folder, replace)
     if like_paper and calibration_file is None:
         calibration_file = packaged("config", "like_paper.yaml")
     simulated = simulate_trial(
@@ -383,5 +384,5 @@ def simulate(
         progress=started(progress, "simulating"),
         tissue=tissue,
     )
-    write_simulated_trial(simulated, folder, socket_file, calibration_file)
+    write_simulated_trial(simulated, folder, socket_file, calibration_file, replace)
     return open_trial(folder)

@@ -116,7 +116,8 @@ class BoxSolution:
         certificate: Its residuals.
         determined: Whether the optimum is unique; only `solve_box_qp` determines it, otherwise it
             is True.
-        solver: Name of the solver that was called; `WARM_START` if none was.
+        solver: Name of the solver that was called, and whether it gave no answer; `WARM_START` if
+            none was called.
         iterations: Number of iterations of the solver; None if it was not called or does not
             report them.
         exchanges: Number of exchanges of the active set while pivoting.
@@ -182,7 +183,7 @@ def solve_box_qp(
     worst = found.certificate.worst
     if not worst <= tolerance:
         raise UncertifiedSolutionError(
-            f"{problem.name}: the answer of {solver} misses the KKT tolerance"
+            f"{problem.name}: the answer of {found.solver} misses the KKT tolerance"
             f" ({worst:.1e} > {tolerance:.0e})",
             "try more smoothness, another solver or a longer segment",
             worst,
@@ -195,14 +196,15 @@ def solve_box_qp(
 def solve_cold(problem: BoxQP, solver: str) -> BoxSolution:
     """Solve a box QP without a warm start: the solver, then pivoting from its answer.
 
-    The certificate of the solution is for the caller to judge.
+    Where the solver has no finite answer, pivoting starts from the point nearest to zero. The
+    certificate of the solution is for the caller to judge.
 
     Args:
         problem: The program.
         solver: Name of the solver, any that qpsolvers finds.
 
     Raises:
-        UncertifiedSolutionError: If the solver fails or gives no finite answer.
+        UncertifiedSolutionError: If the solver fails.
     """
     P = problem.P if solver in qpsolvers.dense_solvers else csc_matrix(problem.P)
     program = qpsolvers.Problem(P, problem.q, lb=problem.lower, ub=problem.upper)
@@ -216,13 +218,12 @@ def solve_cold(problem: BoxQP, solver: str) -> BoxSolution:
         raise UncertifiedSolutionError(
             f"{problem.name}: {solver} failed ({error})", "try another solver"
         ) from error
-    if answer.x is None or not np.isfinite(answer.x).all():
-        raise UncertifiedSolutionError(
-            f"{problem.name}: {solver} gave no answer", "try another solver"
-        )
-    found = pivot_regularised(problem, np.clip(answer.x, problem.lower, problem.upper))
+    start, name = answer.x, solver
+    if start is None or not np.isfinite(start).all():
+        start, name = np.zeros_like(problem.q), f"{solver} without an answer"
+    found = pivot_regularised(problem, np.clip(start, problem.lower, problem.upper))
     iterations = getattr(answer.extras.get("info"), "iter", None)
-    return replace(found, solver=solver, iterations=None if iterations is None else int(iterations))
+    return replace(found, solver=name, iterations=None if iterations is None else int(iterations))
 
 
 def pivot_regularised(problem: BoxQP, start: FloatArray) -> BoxSolution:

@@ -16,7 +16,7 @@ from scipy.interpolate import make_interp_spline
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.calibration.model import Calibration
 from socket_testbed.drivers.load_cell.load_cell import Bridges
-from socket_testbed.errors import TrialError
+from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import atomic_output, check_new_folder, make_folder, packaged
 from socket_testbed.geometry.marker_bodies import fit_body, nearest_rotations
 from socket_testbed.geometry.pose import Pose
@@ -211,23 +211,28 @@ def write_simulated_trial(
     path: Path,
     geometry_file: Path | None = None,
     calibration_file: Path | None = None,
+    replace: bool = False,
 ) -> None:
-    """Write a simulated trial as a new rosbag2 folder with its ground truth.
+    """Write a simulated trial as a rosbag2 folder with its ground truth.
 
     Args:
         trial: The simulated trial.
-        path: The new folder; one that exists raises a `ConfigurationError`.
+        path: The folder.
         geometry_file: The `socket.yaml` to store with it, that of the simulation; None for the
             package's own.
         calibration_file: The `calibration.yaml` to store with it, that of the simulation; None for
             the package's own.
+        replace: As in `check_trial_folder`.
+
+    Raises:
+        ConfigurationError: If the folder exists and is not to be replaced, or cannot be written.
     """
-    check_new_folder(path)
+    check_trial_folder(path, replace)
     parameters = packaged("config", "simulated.yaml")
     configuration = read_configuration(geometry_file, calibration_file, parameters)
     ratios = Bridges(read_testbed(parameters).load_cell_node).ratios_at(trial.wrench)
     make_folder(path.parent)
-    with atomic_output(path) as staging:
+    with atomic_output(path, replace) as staging:
         with BagWriter(staging) as bag:
             for topic in _DELAYS:
                 bag.add_topic("/" + topic.name, topic)
@@ -235,6 +240,26 @@ def write_simulated_trial(
                 bag.write("/" + topic.name, stamp + _DELAYS[topic], message)
         store_configuration(staging, configuration)
         save_truth(staging / TRUTH_FILE, trial.stamps, trial.truth)
+
+
+def check_trial_folder(path: Path, replace: bool) -> None:
+    """Check the folder of a new simulated trial before any work.
+
+    Args:
+        path: The folder.
+        replace: Whether an older simulated trial there may be replaced; nothing else ever is.
+
+    Raises:
+        ConfigurationError: If the folder exists and is not to be replaced, or is not a simulated
+            trial, or cannot be made there.
+    """
+    if not (replace and path.exists()):
+        check_new_folder(path)
+    elif not (path / TRUTH_FILE).is_file():
+        raise ConfigurationError(
+            f"{path} is not a simulated trial, and only such a one is replaced",
+            "name another folder",
+        )
 
 
 def save_truth(path: Path, stamps: IntArray, truth: GroundTruth, **more: FloatArray) -> None:

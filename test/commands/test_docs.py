@@ -2,6 +2,7 @@
 
 import itertools
 import re
+import shlex
 import sys
 from pathlib import Path
 
@@ -26,9 +27,10 @@ def commands(page: Path) -> list[str]:
     """The commands of a page that run anywhere, in their order, without comments."""
     blocks = re.findall(r"```bash\n(.*?)```", page.read_text(), flags=re.DOTALL)
     text = "".join(block for block in blocks if "make " not in block).replace("\\\n", "")
-    text = text.replace(" examples/", f" {CHECKOUT}/examples/")
+    text = text.replace(" examples/", f" {shlex.quote(str(CHECKOUT))}/examples/")
     lines = [re.sub(r"\s+#.*", "", line) for line in text.splitlines()]
-    return [line.replace(".venv/bin/", f"{Path(sys.executable).parent}/") for line in lines if line]
+    programs = shlex.quote(f"{Path(sys.executable).parent}/")
+    return [line.replace(".venv/bin/", programs) for line in lines if line]
 
 
 def run(script: list[str], folder: Path) -> str:
@@ -40,8 +42,10 @@ def run(script: list[str], folder: Path) -> str:
 
 @pytest.fixture(scope="module")
 def readme_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("readme")
-    assert "mean moment RMSE" in run(commands(PAGES[0]), folder)
+    """The README's commands, followed twice in a folder such as people have."""
+    folder = tmp_path_factory.mktemp("Projekt Schäfte")
+    for _ in range(2):
+        assert "mean moment RMSE" in run(commands(PAGES[0]), folder)
     return folder
 
 

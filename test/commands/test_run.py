@@ -5,13 +5,14 @@ import re
 import signal
 import socket
 import subprocess
+import sys
 import urllib.request
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support import HANGS
+from support import CHECKOUT, HANGS
 from support.clocks import careful_time_scale
 from support.graph import Probe
 from support.testbeds import Recorded, simulated_parameters
@@ -91,6 +92,21 @@ def test_a_busy_machine_gets_a_slower_testbed(
 ) -> None:
     monkeypatch.setattr(live, "measure_speed", lambda: MachineSpeed(lateness, speed))
     assert (live._time_scale("auto"), capsys.readouterr().err) == (scale, said)
+
+
+@pytest.mark.slow
+def test_the_readme_s_subscriber_hears_the_map(tmp_path: Path) -> None:
+    """At once: there is no model yet."""
+    code = (CHECKOUT / "README.md").read_text().partition("```python\nimport rclpy")[2]
+    program = "import rclpy" + code.partition("```")[0]
+    call = [sys.executable, "-u", "-c", program]
+    with (
+        start(folder=tmp_path),
+        Running(call, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as subscriber,
+    ):
+        assert subscriber.stdout is not None
+        line = subscriber.stdout.readline()
+    assert re.fullmatch(r"\w+: \d+\.\d kPa( -?\d+\.\d){3} N\n", line.replace(",", "")), line
 
 
 @pytest.mark.slow
