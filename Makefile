@@ -61,16 +61,14 @@ benchmark: setup
 	$(BIN)/python benchmarks/benchmark_drivers.py
 	$(BIN)/python benchmarks/benchmark_force_map.py
 
-# The message generators of ROS fail in a path with a space or a letter beyond ASCII. They run in
-# `here`, a link to the checkout from a temporary folder, which goes when the shell ends.
-LINK := linked=$$(mktemp -d) && trap 'rm -r "$$linked"' EXIT \
-	&& here=$$linked/checkout && ln -s "$(CURDIR)" "$$here" \
-	&& export AMENT_PREFIX_PATH="$$here/$(VENV)" CMAKE_PREFIX_PATH="$$here/$(VENV)" \
-		PATH="$$here/$(BIN):$$PATH"
-
-# The same sources as an ordinary colcon workspace, here with the ROS wheels.
+# The same sources as an ordinary colcon workspace, here with the ROS wheels. colcon calls the
+# generators of ROS in the folder itself, where they fail over a space or an umlaut.
 colcon: $(VENV)/.packages
-	@$(LINK) && cd "$$here" && $(BIN)/colcon build
+	@LC_ALL=C; case "$(CURDIR)" in *[!A-Za-z0-9._/+-]*) \
+		echo "error: colcon cannot build in $(CURDIR): move the checkout to a path of plain letters without spaces"; \
+		exit 1;; esac
+	AMENT_PREFIX_PATH=$(CURDIR)/$(VENV) CMAKE_PREFIX_PATH=$(CURDIR)/$(VENV) \
+		PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/colcon build
 
 $(VENV)/.packages: $(wildcard requirements/*.txt) scripts/fix_ros_wheels.py
 	@test -n "$(PYTHON)" || { echo "error: no Python 3.11, 3.12 or 3.13 with venv: install one, or give PYTHON=..."; exit 1; }
@@ -83,17 +81,24 @@ $(VENV)/.packages: $(wildcard requirements/*.txt) scripts/fix_ros_wheels.py
 	@touch $@
 
 # The message packages, built by CMake as colcon would, into the environment as a ROS prefix: our
-# own, and tf2_msgs, which no index of wheels has.
+# own, and tf2_msgs, which no index of wheels has. The generators of ROS fail in a path with a space
+# or an umlaut: they run behind a link from a temporary folder, which goes when the shell ends.
 MESSAGES := msg_defs requirements/tf2_msgs
 $(VENV)/.messages: $(VENV)/.packages $(foreach m,$(MESSAGES),$(m)/CMakeLists.txt $(m)/package.xml $(wildcard $(m)/msg/*.msg))
 	@echo "building the messages"
 	@rm -rf $(VENV)/messages
-	@$(LINK) && ( for package in $(MESSAGES); do \
+	@linked=$$(mktemp -d) && trap 'rm -r "$$linked"' EXIT \
+	&& here=$$linked/checkout && ln -s "$(CURDIR)" "$$here" \
+	&& export AMENT_PREFIX_PATH="$$here/$(VENV)" CMAKE_PREFIX_PATH="$$here/$(VENV)" \
+		PATH="$$here/$(BIN):$$PATH" \
+	&& ( for package in $(MESSAGES); do \
 		build=$$here/$(VENV)/messages/$$(basename $$package); \
 		cmake -S "$$here/$$package" -B "$$build" -DBUILD_TESTING=OFF \
 			-DCMAKE_INSTALL_PREFIX="$$here/$(VENV)" -DPython3_EXECUTABLE="$$here/$(BIN)/python" \
 		&& cmake --build "$$build" -j 2 && cmake --install "$$build" || exit 1; \
-	done; grep -rIlZ "$$linked" $(VENV)/share | xargs -0 sed -i "s|$$here|$(CURDIR)|g" ) > $(VENV)/messages.log 2>&1 || { tail -n 30 $(VENV)/messages.log; exit 1; }
+	done; \
+	grep -rIlZ "$$linked" $(VENV)/share | xargs -0 sed -i "s|$$here|$(CURDIR)|g" ) \
+		> $(VENV)/messages.log 2>&1 || { tail -n 30 $(VENV)/messages.log; exit 1; }
 	@touch $@
 
 $(VENV)/.package: $(VENV)/.packages setup.py setup.cfg
