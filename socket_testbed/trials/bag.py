@@ -51,6 +51,7 @@ from socket_testbed.trials.topics import POSES, REQUIRED, TOPICS, Topic, match_t
 _MAX_UNPACKED = 2**28  # [bytes]; size limit of an unpacked file, or
 _MAX_RATIO = 500  # times the packed size; recorders reach 20
 _BLOCK_SIZE = 4096  # messages decoded at once
+_MAX_LISTED = 3  # names in a note
 _MAX_PARTS_APART = 30 * MAX_APART  # [ns]; beyond it a clock was not set
 _SAME_START = 10**7  # [ns]; between the starts of a part and of what metadata.yaml lists
 _FOREVER = interfaces.QosTime(2147483647, 4294967295)
@@ -272,6 +273,10 @@ class BagReader:
             files = [own, *others] if own.is_file() else others
             listed_parts.append(self._open_part(stated, files, promised=True))
         if listed_parts and all(part.storage is not None for part in listed_parts):
+            if stored:
+                self.notes.append(
+                    f"not named in metadata.yaml, and not read: {listed([*stored], _MAX_LISTED)}"
+                )
             return listed_parts, True
         more = [self._open_part(ListedFile(name), files) for name, files in stored.items()]
         if not (listed_parts or more):
@@ -384,7 +389,9 @@ class BagReader:
         first = min((reader.first_known for _, reader in near), default=0)
         if bare := [file.name for file, reader in self._readers if not reader.checked]:
             have = "has" if len(bare) == 1 else "have"
-            self.notes.append(f"{listed(bare, 3)} {have} no checksums: damage cannot be detected")
+            self.notes.append(
+                f"{listed(bare, _MAX_LISTED)} {have} no checksums: damage cannot be detected"
+            )
         for file, reader in self._readers:
             self.notes += reader.notes(first)
             if reader.message_count and (file, reader) not in near:
@@ -395,9 +402,10 @@ class BagReader:
         counts = self.counts
         promised = metadata.counts if metadata is not None else {}
         if promised and all(counts.get(name, 0) == count for name, count in promised.items()):
-            self.notes += _read_instead(parts, "with all messages that it lists")
+            self.notes += _read_instead(parts, complete=True)
             return
-        self.notes += _read_instead(parts, "in the order of their times")
+        if metadata is not None:
+            self.notes += _read_instead(parts, complete=False)
         self.notes += _missing_spans(parts, ordered, first, self.path)
         lacks = any(part.storage is None or part.storage.lacks for part in parts)
         self._compare(promised, lacks)
@@ -425,7 +433,7 @@ class BagReader:
         ]
         if differences:
             self.notes.append(
-                f"metadata.yaml lists {listed(differences, 3)}: {COPY_AGAIN}, or write"
+                f"metadata.yaml lists {listed(differences, _MAX_LISTED)}: {COPY_AGAIN}, or write"
                 " metadata.yaml again with 'ros2 bag reindex'"
             )
 
@@ -449,12 +457,25 @@ def _with_left_out(parts: list[_Part], folder: Path) -> list[_Part]:
     return complete
 
 
-def _read_instead(parts: list[_Part], how: str) -> Iterator[str]:
-    """A note on files that were read although metadata.yaml does not list them."""
-    lost = [part.name for part in parts if part.promised and part.storage is None]
-    found = [part.name for part in parts if not part.promised and part.storage is not None]
-    if lost and found:
-        yield (f"metadata.yaml names {listed(lost, 3)}: read instead, {how}: {listed(found, 3)}")
+def _read_instead(parts: list[_Part], complete: bool) -> Iterator[str]:
+    """A note on files that were read although metadata.yaml does not list them.
+
+    Args:
+        parts: The parts.
+        complete: Whether all messages that metadata.yaml lists were read.
+    """
+    found = [part for part in parts if not part.promised and part.storage is not None]
+    starts = [part.start for part in found]
+    lost = [
+        part.name
+        for part in parts
+        if part.promised and part.storage is None and (complete or _may_be_renamed(part, starts))
+    ]
+    if found:
+        names = listed([part.name for part in found], _MAX_LISTED)
+        place = f", read in place of {listed(lost, _MAX_LISTED)}" if lost else ", read as well"
+        rest = "; all messages that it lists were read" if complete else ""
+        yield f"metadata.yaml does not name {names}{place}{rest}"
 
 
 def _missing_spans(parts: list[_Part], ordered: bool, first: int, folder: Path) -> Iterator[str]:
@@ -466,7 +487,7 @@ def _missing_spans(parts: list[_Part], ordered: bool, first: int, folder: Path) 
         first: Recording time of the trial's first message since the epoch [ns].
         folder: The bag's folder, which is left out of the notes.
     """
-    found = [part.start for part in parts if part.held and not part.promised]
+    found = [part.start for part in parts if part.storage is not None and not part.promised]
     lacking = [
         part
         for part in parts
@@ -494,7 +515,7 @@ def _missing_spans(parts: list[_Part], ordered: bool, first: int, folder: Path) 
             None if time is None or abs(time - first) > _MAX_PARTS_APART else time
             for time in (start, end)
         )
-        names = listed([part.name for part in own], 3)
+        names = listed([part.name for part in own], _MAX_LISTED)
         verb = fact if len(own) == 1 else fact.replace("is ", "are ").replace("was ", "were ")
         span = span_in_words(start, end, first)
         messages = sum((part.stated.messages or 0) - part.held for part in own)

@@ -25,7 +25,7 @@ import numpy as np
 import pandas as pd
 from mcap.writer import Writer
 
-from socket_testbed.arrays import BREAK, FloatArray, gaps, runs, usual_period
+from socket_testbed.arrays import BREAK, BoolArray, FloatArray, gaps, runs, usual_period
 from socket_testbed.calibration.bench_data import STRESSES
 from socket_testbed.calibration.model import Calibration
 from socket_testbed.errors import ConfigurationError, TrialError, listed
@@ -207,7 +207,7 @@ def missing_notes(
         fate: What becomes of one in the file, and of several, such as `are left out`.
     """
     finite = np.isfinite(values)
-    lacking = ~finite.all(axis=1)
+    lacking: BoolArray = np.any(~finite, axis=1)
     if not lacking.any():
         return ()
     count, partly = int(lacking.sum()), int((finite.any(axis=1) & lacking).sum())
@@ -229,8 +229,8 @@ def _pause_notes(time: FloatArray) -> tuple[str, ...]:
     if not pauses:
         return ()
     return (
-        f"OpenSim draws a spline across the pause from {listed(pauses, _MAX_PAUSES)}: analyse the"
-        " times before and after apart",
+        f"OpenSim draws a spline across the pause{'s' * (len(pauses) > 1)} from"
+        f" {listed(pauses, _MAX_PAUSES)}: analyse the times before and after apart",
     )
 
 

@@ -108,8 +108,8 @@ def test_a_whole_bag_needs_no_note(bag: Path) -> None:
 def test_a_renamed_part_is_read(bag: Path) -> None:
     (bag / "bag_1.mcap").rename(bag / "a new name.mcap")
     note = (
-        "metadata.yaml names bag_1.mcap: read instead, with all messages that it lists: a new"
-        " name.mcap"
+        "metadata.yaml does not name a new name.mcap, read in place of bag_1.mcap; all messages"
+        " that it lists were read"
     )
     assert read(bag) == (ALL, [note])
 
@@ -121,8 +121,8 @@ def test_renamed_parts_are_read_by_their_times(bag: Path) -> None:
     times, (note,) = read(bag)
     assert times == ALL
     assert note == (
-        "metadata.yaml names bag_0.mcap, bag_1.mcap, bag_2.mcap and 1 more: read instead, with all"
-        " messages that it lists: walk 9.mcap, walk 8.mcap, walk 7.mcap and 1 more"
+        "metadata.yaml does not name walk 9.mcap, walk 8.mcap, walk 7.mcap and 1 more, read in"
+        " place of bag_0.mcap, bag_1.mcap, bag_2.mcap and 1 more; all messages that it lists were read"
     )
 
 
@@ -132,7 +132,10 @@ def test_of_renamed_parts_the_missing_one_is_named(bag: Path) -> None:
     (bag / "walk_2.mcap").unlink()
     times, notes = read(bag)
     assert times == [0.0, 1.0, 2.0, 3.0, 6.0, 7.0]
-    assert notes[0].startswith("metadata.yaml names bag_0.mcap, bag_1.mcap, bag_2.mcap and 1 more")
+    assert notes[0] == (
+        "metadata.yaml does not name walk_0.mcap, walk_1.mcap, walk_3.mcap, read in place of"
+        " bag_0.mcap, bag_1.mcap, bag_3.mcap"
+    )
     assert notes[1] == (
         "bag_2.mcap is named in metadata.yaml but is not there; missing: 4.00 s to 5.00 s of the"
         f" trial, 2 messages ({COPY})"
@@ -148,8 +151,8 @@ def test_a_public_bag_is_read_renamed(shared_data: Path, tmp_path: Path) -> None
         assert found.counts == {"/topic": 10, "/rosout": 10, "/parameter_events": 0}
         assert found.duration == pytest.approx(4.531096768, abs=1e-9)
         assert found.notes == [
-            "metadata.yaml names talker.mcap: read instead, with all messages that it lists:"
-            " hello.mcap"
+            "metadata.yaml does not name hello.mcap, read in place of talker.mcap; all messages"
+            " that it lists were read"
         ]
 
 
@@ -323,8 +326,9 @@ def test_a_recovered_file_replaces_the_damaged_one(bag: Path) -> None:
     (bag / "bag_2.mcap").write_bytes(b"")
     times, (note,) = read(bag)
     assert times == ALL
-    assert note.endswith(
-        "names bag_2.mcap: read instead, with all messages that it lists: recovered.mcap"
+    assert note == (
+        "metadata.yaml does not name recovered.mcap, read in place of bag_2.mcap; all messages that"
+        " it lists were read"
     )
 
 
@@ -336,10 +340,10 @@ def test_hidden_files_are_no_parts(bag: Path) -> None:
     assert find_trials(bag.parent)["bag"] == bag
 
 
-def test_files_that_nobody_listed_stay_unread(bag: Path) -> None:
-    """Metadata, with all that they list, are enough."""
+def test_files_that_nobody_listed_are_named(bag: Path) -> None:
+    """The metadata, with all that they list, are enough."""
     (bag / "more.mcap").write_bytes(write_mcap(bag.parent / "more", 9.0))
-    assert read(bag) == (ALL, [])
+    assert read(bag) == (ALL, ["not named in metadata.yaml, and not read: more.mcap"])
 
 
 # --- a file in place of the folder

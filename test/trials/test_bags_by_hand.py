@@ -88,7 +88,7 @@ def test_blocks_are_by_topic(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         ),
         (
             lambda text: text.replace("a.mcap", "b.mcap"),
-            "metadata.yaml names b.mcap: read instead, with all messages that it lists: a.mcap",
+            "metadata.yaml does not name a.mcap, read in place of b.mcap; all messages that it",
         ),
         (
             lambda text: "nothing: 1",

@@ -117,6 +117,8 @@ def test_a_long_pause_is_named_by_its_times() -> None:
         "OpenSim draws a spline across the pause from 0.50 s to 1.50 s: analyse the times before"
         " and after apart",
     )
+    (note,) = export._pause_notes(np.array([0.0, 0.25, 0.5, 1.5, 1.75, 2.0, 4.0]))
+    assert "the pauses from 0.50 s to 1.50 s, 2.00 s to 4.00 s: analyse" in note
 
 
 # --- C3D
