@@ -122,7 +122,8 @@ def test_renamed_parts_are_read_by_their_times(bag: Path) -> None:
     assert times == ALL
     assert note == (
         "metadata.yaml does not name walk 9.mcap, walk 8.mcap, walk 7.mcap and 1 more, read in"
-        " place of bag_0.mcap, bag_1.mcap, bag_2.mcap and 1 more; all messages that it lists were read"
+        " place of bag_0.mcap, bag_1.mcap, bag_2.mcap and 1 more; all messages that it lists were"
+        " read"
     )
 
 
