@@ -308,6 +308,48 @@ def test_a_damaged_database_costs_itself_alone(tmp_path: Path) -> None:
     assert "; missing: 2.00 s to 3.00 s of the trial, 2 messages (" in notes[1]
 
 
+def test_a_truncated_database_gives_what_was_before(tmp_path: Path) -> None:
+    """Of 400 triggers at 10 Hz those in whole pages, from the first one on."""
+    write_sqlite(tmp_path / "a", *(0.1 * number for number in range(400)))
+    file = tmp_path / "a" / "a.db3"
+    content = file.read_bytes()
+    place = content.index(trigger(30.0, 300).data)
+    file.write_bytes(content[:place])
+    times, notes = read(tmp_path / "a")
+    assert 200 < len(times) <= 300
+    assert times == pytest.approx([0.1 * number for number in range(len(times))], abs=1e-6)
+    assert notes[1] == (
+        f"the recording a.db3 was cut short or is damaged: {len(times)} messages up to"
+        f" {times[-1]:.1f} s were saved"
+    )
+    assert notes[2].startswith(f"a.db3 was cut short; missing: {times[-1]:.2f} s to 39.90 s of the")
+    assert notes[3].startswith(f"metadata.yaml lists 400 messages, {len(times)} of them can be")
+    assert file.read_bytes() == content[:place]
+
+
+def test_a_journal_gives_the_newest_messages(tmp_path: Path) -> None:
+    """A killed recorder leaves them beside the file."""
+    write_sqlite(tmp_path / "a", *ALL[:7])
+    file = tmp_path / "a" / "a.db3"
+    journal = file.with_name("a.db3-wal")
+    database = sqlite3.connect(file)
+    database.execute("PRAGMA journal_mode = WAL")
+    raw = trigger(7.0, 7)
+    row = (database.execute("SELECT id FROM topics").fetchone()[0], raw.time, raw.data)
+    database.execute("INSERT INTO messages (topic_id, timestamp, data) VALUES (?, ?, ?)", row)
+    database.commit()
+    killed = tmp_path / "killed"
+    shutil.copytree(tmp_path / "a", killed)  # the recorder still runs
+    database.close()
+    (killed / "metadata.yaml").unlink()
+    assert not journal.exists()
+    before = (killed / "a.db3").read_bytes()
+    times, notes = read(killed)
+    assert times == ALL
+    assert "the newest messages of a.db3 come from a.db3-wal" in notes
+    assert (killed / "a.db3").read_bytes() == before
+
+
 # --- copies, and files of other programs
 
 
