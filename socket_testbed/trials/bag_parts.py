@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from socket_testbed.documents import load_yaml
+from socket_testbed.documents import GET_LFS, IS_LFS_POINTER, LFS_POINTER, load_yaml
 from socket_testbed.errors import TrialError
 
 BAG_METADATA = "metadata.yaml"  # of a closed bag
@@ -21,7 +21,6 @@ ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 COPY_AGAIN = "copy the trial again if it is whole elsewhere"
 GIVE_BAG = "give an MCAP or SQLite bag of ROS 2"
-GET_LFS = "fetch the content with 'git lfs pull'"
 HOLDS_NOTHING = (
     "holds nothing: its recorder ended before any data reached the disk",
     "remove it, or copy the trial again if it is complete elsewhere",
@@ -31,10 +30,9 @@ MAX_APART = 24 * 3600 * 10**9  # [ns]; of a time from the middle one of a trial
 _STORAGE_NAME = re.compile(r"\.(mcap|db3)(\.zstd?)?$", re.IGNORECASE)
 _NUMBERED = re.compile(r"(?P<bag>.*_)(?P<number>\d{1,3})(?P<suffix>\.\w+)")
 _PACKED_SUFFIX = re.compile(r"\.zstd?$", re.IGNORECASE)
-_LFS_POINTER = b"version https://git-lfs"
 # Starts of files that people take for a recording: what they are, and how to get the recording.
 _OTHERS = {
-    _LFS_POINTER: ("is a Git LFS pointer, not the file itself", GET_LFS),
+    LFS_POINTER: (IS_LFS_POINTER, GET_LFS),
     b"#ROSBAG V": ("is a bag of ROS 1", "convert it with 'rosbags-convert'"),
     b"<": ("is a web page or XML, not a recording", "download the recording itself"),
     b"PK\x03\x04": ("is a ZIP archive", "unpack it"),
