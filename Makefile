@@ -29,8 +29,9 @@ test: lint
 quick: setup
 	$(PYTEST) -n 2 -m "not graph and not long and not slow"
 
-# The rest: packages, the documents' commands, kills, whole reports, real scans, statistics.
+# The rest: packages, the documents' commands, kills, whole reports, real scans, statistics, OpenSim.
 test-slow: setup
+	$(PIP) install -r requirements/opensim.txt
 	$(PYTEST) -n 3 -m slow
 
 # Small changes that no test notices, as in MUTANTS="socket_testbed/geometry --count 10".

@@ -319,6 +319,10 @@ def _fault(problem: str, place: Any) -> yaml.MarkedYAMLError:
 
 # --- JSON and text
 
+LFS_POINTER = b"version https://git-lfs"  # the start of what Git leaves of a file not fetched
+IS_LFS_POINTER = "is a Git LFS pointer, not the file itself"
+GET_LFS = "fetch the content with 'git lfs pull'"
+
 
 def load_json(path: Path, kind: str) -> Any:
     """Read a JSON file with finite numbers.
@@ -345,11 +349,14 @@ def read_text(path: Path, kind: str = "a file", largest: int = _MAX_SIZE) -> str
         largest: The largest size allowed [bytes].
 
     Raises:
-        ConfigurationError: If the file is missing, unreadable or too large, or is not UTF-8.
+        ConfigurationError: If the file is missing, unreadable or too large, is not UTF-8, or is a
+            Git LFS pointer.
     """
     try:
         with path.open("rb") as stream:
             content = stream.read(largest + 1)
+        if content.startswith(LFS_POINTER):
+            raise ConfigurationError(f"{path}: {IS_LFS_POINTER}", GET_LFS)
         if len(content) > largest:
             raise ValueError(f"larger than {largest // 2**20} MiB")
         return content.decode("utf-8-sig")

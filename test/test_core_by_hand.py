@@ -239,6 +239,12 @@ def test_an_unreadable_text_says_why(tmp_path: Path) -> None:
         documents.read_text(path)
     with refused(ConfigurationError, "a.txt: is not a model (not UTF-8 text): save it"):
         documents.read_text(path, "a model")
+    path.write_bytes(b"version https://git-lfs.github.com/spec/v1\noid sha256:1\nsize 9\n")
+    pointer = (
+        "a.txt: is a Git LFS pointer, not the file itself: fetch the content with 'git lfs pull'"
+    )
+    with refused(ConfigurationError, pointer):
+        documents.read_text(path)
     path.write_bytes(b"\xef\xbb\xbfab")
     assert documents.read_text(path) == "ab"
     path.write_text("x" * 2**20)

@@ -59,8 +59,9 @@ def export(
             load cell's origin).
 
     Returns:
-        The table as written. Its `attrs` describe the `segment` and the `rows`. A row per sample,
-        no named index; missing values are NaN. Columns:
+        The table as written. Its `attrs` describe the `segment` and the `rows`; their `notes` say
+        what was left out of the file, or is NaN there, one line each. A row per sample, no named
+        index; missing values are NaN. Columns:
 
         - `stamp [ns]` of the trigger since the epoch, `time [s]` since the trial's first sample;
         - the wrench in {S}, such as `Mx [N m]` and `Fz [N]`; position and rotation vector of the
@@ -76,7 +77,7 @@ def export(
 
         With `cycles` it has a row per percent, as in `Cycles.to_dataframe`; for OpenSim and C3D a
         row per sample, indexed by `time [s]`, with forces [N], points [m] and moments [N m], or
-        markers [mm].
+        markers [mm]. External loads have a row per sample with a wrench.
 
     Raises:
         ConfigurationError: The suffix is unknown or its format does not hold what is asked for,
@@ -102,6 +103,7 @@ def export(
         table = write_gait_file(trial, chosen.rows, path, about)
         table.attrs |= {"segment": str(chosen), "rows": f"{len(table)} samples"}
         return table
+    notes: tuple[str, ...] = ()
     as_bag = path.suffix.lower() == ".mcap"
     if as_bag and cycles:
         raise ConfigurationError(f"{path}: a bag holds samples", "give .csv for cycles")
@@ -132,8 +134,8 @@ def export(
         found = cycles_of(trial, table, by=cycles, segment=chosen)
         table, rows = found.to_dataframe(), str(found)
     if as_bag:
-        write_standard_bag(measured, chosen.rows, table, path)
+        notes = write_standard_bag(measured, chosen.rows, table, path)
     else:
         write_table(table, path)
-    table.attrs |= {"segment": str(chosen), "rows": rows}
+    table.attrs |= {"segment": str(chosen), "rows": rows, "notes": notes}
     return table

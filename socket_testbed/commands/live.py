@@ -42,7 +42,7 @@ from socket_testbed.settings.testbed import (
 from socket_testbed.simulation.limb import Scenario, TissueKind
 from socket_testbed.simulation.testbed import Simulation
 from socket_testbed.simulation.world import FAULTS, World
-from socket_testbed.trials.bag import BAG_METADATA
+from socket_testbed.trials.bag_parts import BAG_METADATA
 from socket_testbed.trials.metadata import METADATA_FILE, write_metadata
 from socket_testbed.trials.topics import Service, full_name, full_namespace
 from socket_testbed.trials.trial import read_configuration, recorded_namespace

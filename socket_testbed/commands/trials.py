@@ -83,6 +83,8 @@ def export(
     written = api.export(opened, output, force_map=map, **given(options, api.export))
     segment, rows = written.attrs["segment"], written.attrs["rows"]
     print(f"{opened.name}: {segment}, {rows}, {len(written.columns)} columns in {output}")
+    for note in written.attrs["notes"]:
+        print(f"note: {note}")
 
 
 @takes("commands.options.open_given", without="unloaded")

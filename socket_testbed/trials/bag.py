@@ -1,38 +1,59 @@
 """Bags: rosbag2 folders (MCAP or SQLite) and their message types, without ROS.
 
 Storage files are read directly: a reader that trusts `metadata.yaml` silently yields nothing if
-the two disagree on a topic's quality of service. Their message counts are compared instead.
+the two disagree on a topic's quality of service. Their message counts are compared instead. Every
+part that can be read is read, whatever its name; notes name the parts that are missing.
 """
 
 from __future__ import annotations
 
+import math
 import os
-import re
 import zlib
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
+from itertools import groupby
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self, TypeAlias
 
 from backports import zstd
 from rosbags import interfaces
-from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.rosbag2 import StoragePlugin, Writer
 
-from socket_testbed.documents import load_yaml
-from socket_testbed.errors import TrialError
+from socket_testbed.errors import TrialError, listed
 from socket_testbed.files import TemporaryFolder, hold, sync
+from socket_testbed.trials.bag_parts import (
+    BAG_METADATA,
+    COPY_AGAIN,
+    GIVE_BAG,
+    HOLDS_NOTHING,
+    MAX_APART,
+    ZSTD_MAGIC,
+    BagMetadata,
+    ListedFile,
+    find_storage,
+    is_storage,
+    missing_numbers,
+    number_of_parts,
+    plain_name,
+    read_metadata,
+    span_in_words,
+    storage_kind,
+    what_else,
+)
 from socket_testbed.trials.cdr import typestore
-from socket_testbed.trials.mcap_file import COPY_AGAIN, GIVE_BAG, McapFile, is_empty
+from socket_testbed.trials.mcap_file import McapFile, is_empty
+from socket_testbed.trials.sqlite_file import SqliteFile
 from socket_testbed.trials.topics import POSES, REQUIRED, TOPICS, Topic, match_topics
 
-_COMPRESSED_SUFFIX = ".zstd"
-_STORAGE_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
-_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # an uncompressed message begins with a zero
 _MAX_UNPACKED = 2**28  # [bytes]; size limit of an unpacked file, or
 _MAX_RATIO = 500  # times the packed size; recorders reach 20
 _BLOCK_SIZE = 4096  # messages decoded at once
+_MAX_LISTED = 3  # names in a note
+_MAX_PARTS_APART = 30 * MAX_APART  # [ns]; beyond it a clock was not set
+_SAME_START = 10**7  # [ns]; between the starts of a part and of what metadata.yaml lists
 _FOREVER = interfaces.QosTime(2147483647, 4294967295)
 _CHUNK_SIZE = 2**20 - 2**10  # [bytes]; the library closes a chunk at 1 MiB
 _CHUNK_SPAN = 10**9  # [ns]; damage loses a whole chunk
@@ -56,33 +77,84 @@ class RawMessage(NamedTuple):
     data: bytes
 
 
+Storage: TypeAlias = McapFile | SqliteFile
+"""An open storage file."""
+
+
+class _Part(NamedTuple):
+    """A storage file of a bag, readable or not.
+
+    Attributes:
+        name: Its name.
+        stated: What metadata.yaml states of it; its name alone without metadata.
+        promised: Whether metadata.yaml lists it.
+        there: Whether there is a file.
+        storage: The open file; None if it cannot be read.
+        error: Why it cannot be read; None if it can.
+    """
+
+    name: str
+    stated: ListedFile
+    promised: bool
+    there: bool = True
+    storage: Storage | None = None
+    error: TrialError | None = None
+
+    @property
+    def held(self) -> int:
+        """Number of its messages that can be read."""
+        return self.storage.message_count if self.storage is not None else 0
+
+    @property
+    def start(self) -> int | None:
+        """Recording time of its first message since the epoch [ns]; None if nothing shows it."""
+        return self.storage.start_time if self.storage and self.held else self.stated.start
+
+    @property
+    def end(self) -> int | None:
+        """Recording time of its last message since the epoch [ns]; None if nothing shows it."""
+        return self.storage.end_time - 1 if self.storage and self.held else self.stated.end
+
+    @property
+    def is_cut(self) -> bool:
+        """Whether it has no end, so that its newest messages may be missing."""
+        return self.storage is not None and not self.storage.ended
+
+
 class BagReader:
     """A bag (folder or one storage file), read in recording order; a context manager.
 
-    Every intact chunk of a truncated or damaged recording is read.
+    Every part that can be read is read, with every intact chunk of a truncated or damaged one.
 
     Attributes:
         path: The folder or storage file.
-        notes: Damage and other remarks for the user, one line each; complete after entry.
+        notes: Damage, missing parts, differences from the metadata and other remarks for the user,
+            one line each; complete after entry.
 
     Raises:
-        TrialError: On entry, if the bag is missing, unreadable, truncated before its first complete
-            chunk, or its message counts differ from its metadata.
+        TrialError: On entry, if the bag is missing, or nothing in it can be read.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self._stack = ExitStack()
-        self._readers: list[tuple[Path, Any]] = []  # of rosbags, or an McapFile
+        self._readers: list[tuple[Path, Storage]] = []
         self.notes: list[str] = []
 
     def __enter__(self) -> Self:
-        metadata = _read_metadata(self.path)
+        if not (self.path.is_dir() or self.path.is_file()):
+            fact = "is neither a folder nor a file" if self.path.exists() else "no such trial"
+            raise TrialError(f"{self.path}: {fact}", "check the path")
         with self._stack:  # closes the files after an error
-            for file in self._storage_files(metadata):
-                self._readers.append((file, self._open(file)))
-            if metadata is not None:
-                self._compare(metadata[1])
+            metadata = self._read_metadata()
+            parts, ordered = self._open_parts(metadata)
+            self._readers = [(self.path / p.name, p.storage) for p in parts if p.storage]
+            if not any(part.held for part in parts):
+                # The error of a file that is there says more.
+                for part in sorted(parts, key=lambda part: not part.there):
+                    if part.error is not None:
+                        raise part.error
+            self._describe(parts, ordered, metadata)
             self._stack = self._stack.pop_all()
         return self
 
@@ -106,10 +178,21 @@ class BagReader:
     @property
     def duration(self) -> float:
         """Time from the first to the last message [s]; 0 for an empty bag."""
-        spans = [(r.start_time, r.end_time) for _, r in self._readers if r.message_count]
-        if not spans:
+        readers = [reader for _, reader in self._of_one_time()]
+        if not readers:
             return 0.0
-        return (max(end for _, end in spans) - min(start for start, _ in spans) - 1) * 1e-9
+        first = min(reader.start_time for reader in readers)
+        return (max(reader.end_time for reader in readers) - first - 1) * 1e-9
+
+    def _of_one_time(self) -> list[tuple[Path, Storage]]:
+        """The parts with messages that start within 30 days of the middle one."""
+        held = [(file, reader) for file, reader in self._readers if reader.message_count]
+        starts = sorted(reader.start_time for _, reader in held)
+        return [
+            (file, reader)
+            for file, reader in held
+            if abs(reader.start_time - starts[len(starts) // 2]) <= _MAX_PARTS_APART
+        ]
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
         """The messages of some topics, given by full name, or of all (None), in recording order.
@@ -127,7 +210,7 @@ class BagReader:
                 for connection, time, data in reader.messages(connections):
                     left[connection.id] -= 1
                     content = bytes(data)
-                    if content.startswith(_ZSTD_MAGIC):
+                    if content.startswith(ZSTD_MAGIC):
                         content = zstd.decompress(content)
                     yield RawMessage(connection.topic, connection.msgtype, time, content)
             except Exception as error:  # the library may raise any exception
@@ -152,76 +235,321 @@ class BagReader:
                 yield topic, blocks.pop(topic)
         yield from blocks.items()
 
-    def _storage_files(self, metadata: tuple[list[str], Any] | None) -> list[Path]:
-        if self.path.is_file():
-            return [self.path]
-        if metadata is None:
-            found = sorted(filter(is_storage, self.path.iterdir()), key=_by_number)
-            files = [file for file in found if file.suffix != _COMPRESSED_SUFFIX] or found
+    def _read_metadata(self) -> BagMetadata | None:
+        """What metadata.yaml promises; None, with a note, if it is missing or unreadable."""
+        file = self.path / BAG_METADATA
+        if not self.path.is_dir():
+            return None
+        if not file.is_file():
             self.notes.append("no metadata.yaml: the storage files were read as they are")
-        else:
-            files = [self.path / name for name in metadata[0]]
-        if not files:
-            raise TrialError(f"{self.path}: holds no .mcap or .db3 file", "give a trial's folder")
-        for file in files:
-            if not file.is_file():
-                hint = "copy all of the folder, or make metadata.yaml again with 'ros2 bag reindex'"
-                raise TrialError(f"{file}: is named in metadata.yaml but is not there", hint)
-        return files
-
-    def _open(self, file: Path) -> Reader | McapFile:
-        path = self._unpack(file) if file.suffix == _COMPRESSED_SUFFIX else file
-        if path.suffix == ".mcap":
-            recording = McapFile(self._stack.enter_context(path.open("rb")), file)
-            self.notes += recording.notes
-            return recording
-        journal = file.with_name(file.name + "-wal")  # of SQLite
-        if journal.exists() and journal.stat().st_size:
-            self.notes.append(
-                f"{journal.name}, which may hold the newest messages, is not read:"
-                f" 'sqlite3 {file} vacuum' takes them in"
-            )
-        self.notes.append(f"{path.name} has no checksums: damage cannot be detected")
+            return None
         try:
-            return self._stack.enter_context(Reader(path))
-        except Exception as error:  # the library may raise any exception
-            raise _damaged(file, error) from None
+            metadata = read_metadata(file)
+        except TrialError as error:
+            if not find_storage(self.path):
+                raise
+            fact = error.fact.removeprefix(f"{self.path}/").replace(": ", " ", 1)
+            self.notes.append(f"{fact}; the storage files were read as they are: {error.hint}")
+            return None
+        if metadata.compression not in {"", "zstd"}:
+            raise TrialError(
+                f"{self.path}: is compressed with '{metadata.compression}'",
+                "unpack it with 'ros2 bag convert', to zstd or to no compression",
+            )
+        return metadata
+
+    def _open_parts(self, metadata: BagMetadata | None) -> tuple[list[_Part], bool]:
+        """All parts, readable or not, and whether they are known to be in recording order."""
+        if self.path.is_file():
+            self._note_other_parts()
+            return [self._open_part(ListedFile(self.path.name), [self.path])], True
+        stored: dict[str, list[Path]] = defaultdict(list)
+        for file in find_storage(self.path):
+            stored[plain_name(file.name)].append(file)
+        listed_parts = []
+        for stated in metadata.files if metadata is not None else ():
+            own = self.path / stated.name
+            others = [other for other in stored.pop(plain_name(own.name), []) if other != own]
+            files = [own, *others] if own.is_file() else others
+            listed_parts.append(self._open_part(stated, files, promised=True))
+        if listed_parts and all(part.storage is not None for part in listed_parts):
+            if stored:
+                self.notes.append(
+                    f"not named in metadata.yaml, and not read: {listed([*stored], _MAX_LISTED)}"
+                )
+            return listed_parts, True
+        more = [self._open_part(ListedFile(name), files) for name, files in stored.items()]
+        if not (listed_parts or more):
+            raise TrialError(f"{self.path}: holds no .mcap or .db3 file", "give a trial's folder")
+        parts = self._without_copies([*listed_parts, *more])
+        if listed_parts and len(parts) == len(listed_parts):
+            return parts, True
+        if not listed_parts:
+            parts = _with_left_out(parts, self.path)
+        starts = [part.start for part in parts if part.start is not None]
+        if not listed_parts and starts == sorted(starts):
+            return parts, True
+        parts.sort(key=lambda part: math.inf if part.start is None else part.start)
+        return parts, False
+
+    def _note_other_parts(self) -> None:
+        """Refuse metadata.yaml itself, and note that a single file is one of several parts."""
+        folder = self.path.parent
+        if self.path.name == BAG_METADATA:
+            fact = f"{self.path}: describes a bag, and is no recording"
+            raise TrialError(fact, f"give its folder, {folder}")
+        names = [plain_name(file.name) for file in find_storage(folder)]
+        if (count := number_of_parts(plain_name(self.path.name), names)) > 1:
+            self.notes.append(
+                f"{self.path.name} is one of {count} parts of a recording: give its folder for all"
+            )
+
+    def _open_part(
+        self, stated: ListedFile, files: Sequence[Path], promised: bool = False
+    ) -> _Part:
+        """The first readable one of some files that may hold a part, packed or not."""
+        error = None
+        for file in files:
+            try:
+                return _Part(file.name, stated, promised, storage=self._open(file))
+            except OSError as failure:
+                fact = f"{file}: cannot be read ({failure.strerror})"
+                error = error or TrialError(fact, "check the permissions")
+            except TrialError as failure:
+                error = error or failure
+        if error is None:
+            error = TrialError(
+                f"{self.path / stated.name}: is named in metadata.yaml but is not there",
+                "copy all of the folder, or make metadata.yaml again with 'ros2 bag reindex'",
+            )
+        return _Part(stated.name, stated, promised, bool(files), error=error)
+
+    def _without_copies(self, parts: list[_Part]) -> list[_Part]:
+        """The parts without the shorter ones of those that begin at the same nanosecond."""
+        longest: dict[int | None, _Part] = {}
+        for part in parts:
+            before = longest.get(part.start)
+            if part.held and (before is None or _holds_more(part, before)):
+                longest[part.start] = part
+        kept = []
+        for part in parts:
+            if not part.held or longest[part.start] is part:
+                kept.append(part)
+            else:
+                self.notes.append(
+                    f"{part.name} is left out: it begins as {longest[part.start].name}, of which it"
+                    " is a copy or a piece"
+                )
+        return kept
+
+    def _open(self, file: Path) -> Storage:
+        """A storage file, whatever its name says; unpacked if it is compressed."""
+        if not file.stat().st_size:
+            fact, hint = HOLDS_NOTHING
+            raise TrialError(f"{file}: {fact}", hint)
+        if (other := what_else(file)) is not None:
+            raise other
+        path, kind = file, storage_kind(file)
+        if kind == ".zstd":
+            path = self._unpack(file)
+            kind = storage_kind(path)
+        if kind == ".mcap":
+            return McapFile(self._stack.enter_context(path.open("rb")), file)
+        if kind == ".db3":
+            return SqliteFile(self._stack, path, file)
+        raise TrialError(f"{file}: cannot be read (it is neither MCAP nor SQLite)", GIVE_BAG)
 
     def _unpack(self, file: Path) -> Path:
-        """A storage file, unpacked into a folder that lives as long as this reader."""
+        """A storage file, unpacked into a folder that lives as long as this reader.
+
+        Of a truncated one all complete blocks are unpacked.
+        """
         folder = self._stack.enter_context(TemporaryFolder())
-        unpacked = Path(folder) / file.stem
+        unpacked = Path(folder) / plain_name(file.name)
         left = max(_MAX_UNPACKED, _MAX_RATIO * file.stat().st_size)
         try:
-            with zstd.open(file, "rb") as source, unpacked.open("wb") as target:
-                while content := source.read(2**20):
+            with (
+                zstd.open(file, "rb") as source,
+                unpacked.open("wb") as target,
+                suppress(EOFError),
+            ):
+                while content := source.read1():
                     left -= target.write(content)
                     if left < 0:
                         raise ValueError("it is too large once unpacked")
-        except EOFError:
-            raise TrialError(f"{file}: is truncated", "copy the trial again") from None
         except (OSError, ValueError, zstd.ZstdError) as error:
             raise _damaged(file, error) from None
+        if not unpacked.stat().st_size:
+            raise TrialError(f"{file}: is truncated", "copy the trial again")
         return unpacked
 
-    def _compare(self, promised: Mapping[str, int]) -> None:
-        """Compare the counts in metadata.yaml with those of the files."""
-        counts = self.counts
-        # A truncated or damaged recording has fewer messages, which its note reports.
-        lacks = any(isinstance(r, McapFile) and r.lacks for _, r in self._readers)
-        for name, count in promised.items():
-            held = counts.get(name, 0)
-            if held != count and not (lacks and held < count):
-                raise TrialError(
-                    f"{self.path}: metadata.yaml lists {count} messages on {name},"
-                    f" the storage file holds {held}",
-                    "copy the trial again, or write metadata.yaml again with 'ros2 bag reindex'",
-                )
-        if sum(promised.values()) > sum(counts.values()):
+    def _describe(self, parts: list[_Part], ordered: bool, metadata: BagMetadata | None) -> None:
+        """Note what the parts lack, which are missing, and how their counts differ."""
+        near = self._of_one_time()
+        first = min((reader.first_known for _, reader in near), default=0)
+        if bare := [file.name for file, reader in self._readers if not reader.checked]:
+            have = "has" if len(bare) == 1 else "have"
             self.notes.append(
-                f"metadata.yaml lists {sum(promised.values())} messages: copy the trial again if it"
-                " is complete elsewhere"
+                f"{listed(bare, _MAX_LISTED)} {have} no checksums: damage cannot be detected"
             )
+        for file, reader in self._readers:
+            self.notes += reader.notes(first)
+            if reader.message_count and (file, reader) not in near:
+                self.notes.append(
+                    f"{file.name} was recorded at times far from the other parts, which do not"
+                    " count in the duration: check the clock of the recording"
+                )
+        counts = self.counts
+        promised = metadata.counts if metadata is not None else {}
+        if promised and all(counts.get(name, 0) == count for name, count in promised.items()):
+            self.notes += _read_instead(parts, complete=True)
+            return
+        if metadata is not None:
+            self.notes += _read_instead(parts, complete=False)
+        self.notes += _missing_spans(parts, ordered, first, self.path)
+        lacks = any(part.storage is None or part.storage.lacks for part in parts)
+        self._compare(promised, lacks)
+
+    def _compare(self, promised: Mapping[str, int], lacks: bool) -> None:
+        """Note how the counts in metadata.yaml differ from those of the files.
+
+        Args:
+            promised: The counts in metadata.yaml, by topic.
+            lacks: Whether another note says what is missing.
+        """
+        counts = self.counts
+        total, held = sum(promised.values()), sum(counts.get(name, 0) for name in promised)
+        if lacks and held <= total:
+            if held < total:
+                self.notes.append(
+                    f"metadata.yaml lists {total} messages, {held} of them can be read:"
+                    f" {COPY_AGAIN}"
+                )
+            return
+        differences = [
+            f"{count} messages on {name}, the files hold {counts.get(name, 0)}"
+            for name, count in promised.items()
+            if counts.get(name, 0) != count
+        ]
+        if differences:
+            self.notes.append(
+                f"metadata.yaml lists {listed(differences, _MAX_LISTED)}: {COPY_AGAIN}, or write"
+                " metadata.yaml again with 'ros2 bag reindex'"
+            )
+
+
+def _holds_more(part: _Part, other: _Part) -> bool:
+    """Whether a part of two that begin alike is the longer one, or else the copied one."""
+    return (part.held, -len(part.name)) > (other.held, -len(other.name))
+
+
+def _with_left_out(parts: list[_Part], folder: Path) -> list[_Part]:
+    """The parts, and where the numbers in their names leave one out a part that is not there."""
+    left_out = missing_numbers([part.stated.name for part in parts])
+    complete = []
+    for part in parts:
+        complete.append(part)
+        for name, before in left_out.items():
+            if before == part.stated.name:
+                fact = f"{folder / name}: is not there, as the numbers of the other parts show"
+                error = TrialError(fact, "copy all of the folder")
+                complete.append(_Part(name, ListedFile(name), False, False, error=error))
+    return complete
+
+
+def _read_instead(parts: list[_Part], complete: bool) -> Iterator[str]:
+    """A note on files that were read although metadata.yaml does not list them.
+
+    Args:
+        parts: The parts.
+        complete: Whether all messages that metadata.yaml lists were read.
+    """
+    found = [part for part in parts if not part.promised and part.storage is not None]
+    starts = [part.start for part in found]
+    lost = [
+        part.name
+        for part in parts
+        if part.promised and part.storage is None and (complete or _may_be_renamed(part, starts))
+    ]
+    if found:
+        names = listed([part.name for part in found], _MAX_LISTED)
+        place = f", read in place of {listed(lost, _MAX_LISTED)}" if lost else ", read as well"
+        rest = "; all messages that it lists were read" if complete else ""
+        yield f"metadata.yaml does not name {names}{place}{rest}"
+
+
+def _missing_spans(parts: list[_Part], ordered: bool, first: int, folder: Path) -> Iterator[str]:
+    """A note on each part that is missing, unreadable or cut short, with its span of the trial.
+
+    Args:
+        parts: The parts.
+        ordered: Whether they are in recording order, so that neighbours limit a missing one.
+        first: Recording time of the trial's first message since the epoch [ns].
+        folder: The bag's folder, which is left out of the notes.
+    """
+    found = [part.start for part in parts if part.storage is not None and not part.promised]
+    lacking = [
+        part
+        for part in parts
+        if (part.is_cut and part.held != part.stated.messages)
+        or (
+            part.error is not None
+            and part.stated.messages != 0
+            and not (found and _may_be_renamed(part, found))
+        )
+    ]
+    for fact, group in groupby(parts, key=lambda part: part in lacking and _fact(part, folder)):
+        own = list(group)
+        if not fact:
+            continue
+        start = own[0].end if own[0].is_cut else own[0].stated.start
+        end = own[-1].stated.end
+        if ordered:
+            before = reversed(parts[: parts.index(own[0])])
+            after = parts[parts.index(own[-1]) + 1 :]
+            if start is None:
+                start = next((part.end for part in before if part.end is not None), None)
+            if end is None:
+                end = next((part.start for part in after if part.start is not None), None)
+        start, end = (
+            None if time is None or abs(time - first) > _MAX_PARTS_APART else time
+            for time in (start, end)
+        )
+        names = listed([part.name for part in own], _MAX_LISTED)
+        verb = fact if len(own) == 1 else fact.replace("is ", "are ").replace("was ", "were ")
+        span = span_in_words(start, end, first)
+        messages = sum((part.stated.messages or 0) - part.held for part in own)
+        count = f", {messages} messages" if messages > 0 else ""
+        if own[0].error is not None:
+            hint = own[0].error.hint
+            yield f"{names} {verb}; missing: {span or 'an unknown span'}{count} ({hint})"
+        elif start is not None and end is not None and end > start:
+            yield f"{names} {verb}; missing: {span}{count} ({COPY_AGAIN})"
+
+
+def _fact(part: _Part, folder: Path) -> str:
+    """Why a part lacks messages, without its name."""
+    if part.error is None:
+        return "was cut short"
+    return part.error.fact.removeprefix(f"{folder}/").partition(": ")[2]
+
+
+def _may_be_renamed(part: _Part, found: Sequence[int | None]) -> bool:
+    """Whether a part that is not there may be one of the files that nobody listed.
+
+    Args:
+        part: The part.
+        found: The times at which those files start, since the epoch [ns].
+    """
+    start = part.stated.start
+    return (
+        part.promised
+        and not part.there
+        and (
+            start is None
+            or any(other is not None and abs(other - start) <= _SAME_START for other in found)
+        )
+    )
 
 
 def required_topics(bag: BagReader) -> dict[Topic, str]:
@@ -249,43 +577,6 @@ def required_topics(bag: BagReader) -> dict[Topic, str]:
             continue
         raise TrialError(f"{bag.path}: {fact}", hint)
     return {topic: topics[topic] for topic in TOPICS if topic in topics}
-
-
-def _by_number(file: Path) -> list[tuple[int, str]]:
-    """Orders the parts of a bag as written: bag_2 before bag_10."""
-    parts = re.split(r"(\d+)", file.name)
-    return [(int(part) if part.isdecimal() else 0, part) for part in parts]
-
-
-def _read_metadata(bag: Path) -> tuple[list[str], dict[str, int]] | None:
-    """Names of a bag's files and message counts by topic; None without metadata.yaml."""
-    if not (bag.is_dir() or bag.is_file()):
-        fact = "is neither a folder nor a file" if bag.exists() else "no such trial"
-        raise TrialError(f"{bag}: {fact}", "check the path")
-    file = bag / BAG_METADATA
-    if not file.exists():
-        return None
-    try:
-        content = load_yaml(file)["rosbag2_bagfile_information"]
-        counts = {
-            str(entry["topic_metadata"]["name"]): int(entry["message_count"])
-            for entry in content.get("topics_with_message_count") or []
-        }
-        files = [Path(str(name)).name for name in content.get("relative_file_paths") or []]
-        compression = str(content.get("compression_format") or "zstd")
-    except Exception:  # the libraries may raise any exception
-        raise TrialError(
-            f"{file}: is not rosbag2 metadata", "write it again with 'ros2 bag reindex'"
-        ) from None
-    if compression != "zstd":
-        raise TrialError(
-            f"{bag}: is compressed with '{compression}'",
-            "unpack it with 'ros2 bag convert', to zstd or to no compression",
-        )
-    return files, counts
-
-
-BAG_METADATA = "metadata.yaml"  # of a closed bag
 
 
 def is_bag(folder: Path) -> bool:
@@ -348,11 +639,6 @@ def _walk(folder: Path, above: tuple[Path, ...]) -> Iterator[Path]:
             yield path
         else:
             yield from _walk(path, (*above, real))
-
-
-def is_storage(file: Path) -> bool:
-    """Whether a file's name is that of a bag's storage."""
-    return file.name.endswith(_STORAGE_SUFFIXES)
 
 
 def _damaged(file: Path, error: Exception) -> TrialError:

@@ -3,8 +3,9 @@
 - `.mot`, `.sto`: the wrench of the limb on the socket as an OpenSim external load, in the frame of
   the load cell and about its origin or a given point: `socket_force_v*` [N], the point
   `socket_force_p*` [m], and `socket_torque_*` [N m]. In OpenSim, express it in the body that
-  carries the load cell.
-- `.trc`: the markers of the bodies in the motion-capture frame [mm].
+  carries the load cell. Samples without a wrench are left out: OpenSim would stop reading there.
+- `.trc`: the markers of the bodies in the motion-capture frame [mm]; an unseen one is `nan`, as
+  OpenSim writes it.
 - `.c3d`: both; the wrench as six analog channels, a gap as empty frames. Requires the library
   ezc3d.
 - `.mcap`: `load_cell/wrench` (geometry_msgs/WrenchStamped), `mocap/*/pose` (PoseStamped), and a
@@ -24,10 +25,10 @@ import numpy as np
 import pandas as pd
 from mcap.writer import Writer
 
-from socket_testbed.arrays import FloatArray, gaps, usual_period
+from socket_testbed.arrays import BREAK, BoolArray, FloatArray, gaps, runs, usual_period
 from socket_testbed.calibration.bench_data import STRESSES
 from socket_testbed.calibration.model import Calibration
-from socket_testbed.errors import ConfigurationError, TrialError
+from socket_testbed.errors import ConfigurationError, TrialError, listed
 from socket_testbed.files import atomic_output, write_text
 from socket_testbed.samples import LOCAL_CHANNELS, WRENCH_CHANNELS, Samples, moments_about
 from socket_testbed.tables import split_unit
@@ -100,38 +101,58 @@ def write_gait_file(
         The written table, a row per sample, indexed by `time [s]` since the trial's first sample.
         `.mot` and `.sto`: the force of the limb on the socket [N], its point [m] and moment [N m],
         in {S}. `.trc`: the markers in the motion-capture frame [mm]. `.c3d`: the markers, then the
-        wrench as six channels [N m, N]. Missing values are NaN.
+        wrench as six channels [N m, N]. Missing values are NaN; `.mot` and `.sto` have none, as
+        their rows are those with a wrench. Its `attrs["notes"]` say what is missing, a line each.
 
     Raises:
-        TrialError: For `.trc` and `.c3d`, if the trial has no markers; for `.c3d` also if the rate
-            changes within the rows or they are too many frames for the format.
+        TrialError: For `.mot` and `.sto`, if no sample has a wrench; for `.trc` and `.c3d`, if the
+            trial has no markers; for `.c3d` also if the rate changes within the rows or they are
+            too many frames for the format.
         ConfigurationError: For `.c3d`, if the library ezc3d is not installed.
     """
     samples = trial.samples()
     time = pd.Index(samples.time[rows], name="time [s]")
     wrench = moments_about(samples.wrench[rows], about)
     suffix = path.suffix.lower()
+    seconds = time.to_numpy()
     if suffix in {".mot", ".sto"}:
         places = np.broadcast_to(np.zeros(3) if about is None else about, (len(wrench), 3))
         loads = np.hstack([wrench[:, 3:], places, wrench[:, :3]])
-        table = pd.DataFrame(loads, columns=_LOAD_COLUMNS, index=time)
+        whole = np.isfinite(wrench).all(axis=1)
+        if not whole.any():
+            fact = f"{trial.path}: no sample of the segment has a wrench"
+            raise TrialError(fact, "export another segment, or the markers as .trc")
+        table = pd.DataFrame(loads[whole], columns=_LOAD_COLUMNS, index=time[whole])
         write_text(path, _storage(table))
+        notes = missing_notes(seconds, wrench, "a wrench", _LEFT_OUT)
+        table.attrs["notes"] = (*notes, *_pause_notes(seconds[whole]))
         return table
     labels, points = _markers(trial)
     columns = [f"{label}_{axis}" for label in labels for axis in "xyz"]
     table = pd.DataFrame(points[rows].reshape(len(time), -1), columns=columns, index=time)
+    seen = table.to_numpy().mean(axis=1, keepdims=True)  # NaN if a marker is unseen
+    notes = missing_notes(seconds, seen, "all markers", _UNSEEN)
     if suffix == ".trc":
         write_text(path, _markers_text(table, labels, path.name))
-        return table
-    table[list(WRENCH_CHANNELS)] = wrench
-    _write_c3d(path, table, labels)
+    else:
+        table[list(WRENCH_CHANNELS)] = wrench
+        empty = _write_c3d(path, table, labels)
+        if empty:
+            frames = "1 empty frame stands" if empty == 1 else f"{empty} empty frames stand"
+            notes += (f"{frames} for times without samples",)
+        notes += missing_notes(seconds, wrench, "a wrench", _AS_NAN)
+    table.attrs["notes"] = notes
     return table
 
 
 def write_standard_bag(
     measured: Measurements, rows: slice, table: pd.DataFrame, path: Path
-) -> None:
+) -> tuple[str, ...]:
     """Write some samples as one MCAP file of standard messages, without missing values.
+
+    Returns:
+        What is left out, one line each. Measured components of a wrench that lacks another one are
+        still among the numbers of `table`.
 
     Args:
         measured: All measurements of the trial; wrenches [N m, N] and poses [m] are written.
@@ -165,6 +186,61 @@ def write_standard_bag(
                     data = _CDR_HEADER + struct.pack("<d", values[row])
                     writer.add_message(channel, stamp, data, stamp)
         writer.finish()  # type: ignore[no-untyped-call]
+    return tuple(
+        note
+        for topic, _, vectors in standard
+        for note in missing_notes(
+            measured.time[rows], vectors, f"a complete {topic.name}", _LEFT_OUT
+        )
+    )
+
+
+def missing_notes(
+    time: FloatArray, values: FloatArray, what: str, fate: tuple[str, str]
+) -> tuple[str, ...]:
+    """A note on samples that lack values, with their number and the longest gap; none without any.
+
+    Args:
+        time: Times of the samples, ascending, shape (N,) [s].
+        values: Their values in any unit, NaN where missing, shape (N, m).
+        what: What they lack, such as `a wrench`.
+        fate: What becomes of one in the file, and of several, such as `are left out`.
+    """
+    finite = np.isfinite(values)
+    lacking: BoolArray = np.any(~finite, axis=1)
+    if not lacking.any():
+        return ()
+    count, partly = int(lacking.sum()), int((finite.any(axis=1) & lacking).sum())
+    # A gap reaches from the last complete sample to the next one, or to the end.
+    ends = [(max(first - 1, 0), min(last, len(time) - 1)) for first, last in runs(lacking)]
+    longest = max(time[after] - time[before] for before, after in ends)
+    return (
+        f"{_samples(count)} without {what} {fate[min(count, 2) - 1]}"
+        + (f" ({partly} of them measured in part)" if partly else "")
+        + f", the longest gap {_seconds(longest)} s",
+    )
+
+
+def _pause_notes(time: FloatArray) -> tuple[str, ...]:
+    """A note on the pauses that OpenSim would bridge, if any, by times of samples, shape (N,)."""
+    pauses = [
+        f"{time[row]:.2f} s to {time[row + 1]:.2f} s" for row in np.flatnonzero(gaps(time, BREAK))
+    ]
+    if not pauses:
+        return ()
+    return (
+        f"OpenSim draws a spline across the pause{'s' * (len(pauses) > 1)} from"
+        f" {listed(pauses, _MAX_PAUSES)}: analyse the times before and after apart",
+    )
+
+
+def _samples(count: int) -> str:
+    return "1 sample" if count == 1 else f"{count} samples"
+
+
+def _seconds(duration: float) -> str:
+    """A duration [s] to a tenth of a second, or a shorter one to two digits."""
+    return f"{duration:.1f}" if duration >= 1.0 else f"{duration:.2g}"
 
 
 def _topic_name(title: str) -> str:
@@ -188,6 +264,10 @@ def _markers(trial: Trial) -> tuple[list[str], FloatArray]:
     return list(found), np.stack([*found.values()], axis=1)
 
 
+_LEFT_OUT = ("is left out", "are left out")
+_AS_NAN = ("is NaN in the file", "are NaN in the file")
+_UNSEEN = ("holds NaN for those unseen", "hold NaN for those unseen")
+_MAX_PAUSES = 3  # in a note
 _MAX_OFF = 1.5  # frames; of a sample from its time, by jitter
 _MAX_FRAMES = 65_535  # of a C3D file, whose header counts them in 16 bits
 
@@ -196,12 +276,15 @@ def _storage(table: pd.DataFrame) -> str:
     """The text of an OpenSim storage file."""
     columns = len(table.columns) + 1
     header = ["socket", "version=1", f"nRows={len(table)}", f"nColumns={columns}", "inDegrees=no"]
-    rows = table.to_csv(sep="\t", index_label="time", float_format="%.6f", na_rep="nan")
+    rows = table.to_csv(sep="\t", index_label="time", float_format="%.6f")
     return "\n".join([*header, "endheader", rows])
 
 
 def _markers_text(table: pd.DataFrame, labels: list[str], name: str) -> str:
-    """The text of a TRC file; unseen markers are blank."""
+    """The text of a TRC file.
+
+    Unseen markers are `nan`: OpenSim refuses a row whose last one is blank.
+    """
     count = len(table)
     rate = f"{1.0 / usual_period(table.index.to_numpy()):.6g}" if count > 1 else "1"
     fields = "DataRate CameraRate NumFrames NumMarkers Units OrigDataRate OrigDataStartFrame"
@@ -216,10 +299,13 @@ def _markers_text(table: pd.DataFrame, labels: list[str], name: str) -> str:
         "",
     ]
     rows = table.set_index([pd.RangeIndex(1, count + 1), table.index.map("{:.6f}".format)])
-    return "\n".join([*lines, rows.to_csv(sep="\t", float_format="%.4f", header=False)])
+    return "\n".join(
+        [*lines, rows.to_csv(sep="\t", float_format="%.4f", na_rep="nan", header=False)]
+    )
 
 
-def _write_c3d(path: Path, table: pd.DataFrame, labels: list[str]) -> None:
+def _write_c3d(path: Path, table: pd.DataFrame, labels: list[str]) -> int:
+    """Write markers and wrench as C3D; returns the number of frames added for gaps in time."""
     try:
         import ezc3d
     except ImportError:
@@ -253,3 +339,4 @@ def _write_c3d(path: Path, table: pd.DataFrame, labels: list[str]) -> None:
         written = staging.with_suffix(".c3d")  # the library appends this to any other suffix
         file.write(str(written))
         written.replace(staging)
+    return len(table) - len(time)

@@ -28,8 +28,15 @@ from mcap.records import Channel, Chunk, ChunkIndex, Schema
 from mcap.stream_reader import get_chunk_data_stream
 
 from socket_testbed.errors import TrialError
+from socket_testbed.trials.bag_parts import (
+    COPY_AGAIN,
+    GIVE_BAG,
+    HOLDS_NOTHING,
+    MAX_APART,
+    describe_strays,
+)
+from socket_testbed.trials.bag_parts import MCAP_MAGIC as _MAGIC
 
-_MAGIC = b"\x89MCAP0\r\n"
 _RECORD = struct.Struct("<BQ")  # opcode, length of the content [bytes]
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, times of recording and publishing [ns]
 _MESSAGE_OPCODE = int(Opcode.MESSAGE)  # looked up once, compared for every record
@@ -39,9 +46,6 @@ _CHUNK_OVERHEAD = 8 + 8 + 8 + 4 + 4 + 8  # [bytes] of a chunk without its data a
 _MAX_CHUNK_SIZE = 2**28  # [bytes]; recorders write 1 MiB, a larger length is corrupt
 _MAX_LOOSE_SIZE = 2**20  # [bytes] of messages outside chunks that are grouped into one
 _FIRST_PRIVATE_OPCODE = 0x80  # applications may use opcodes from here on
-
-COPY_AGAIN = "copy the trial again if it is whole elsewhere"
-GIVE_BAG = "give an MCAP or SQLite bag of ROS 2"
 
 
 class _Place(NamedTuple):
@@ -85,7 +89,9 @@ class _Chunk:
         sound: Whether it can be read completely; otherwise it counts as empty.
         checked: Whether a checksum confirms its content.
         counts: Number of its messages by channel.
+        strays: Number of its messages whose recording time is far from those of the file.
         first_time: Earliest recording time of its messages since the epoch [ns]; 0 without any.
+        middle_time: Median recording time of its messages since the epoch [ns]; 0 without any.
         last_time: Latest recording time of its messages since the epoch [ns]; 0 without any.
     """
 
@@ -110,8 +116,26 @@ class _Chunk:
         except Exception:  # the libraries may raise any exception
             self.sound, self.definitions, channels, times = False, [], [], []
         self.counts = Counter(channels)
-        self.first_time = min(times, default=0)
-        self.last_time = max(times, default=0)
+        self.strays = 0
+        times.sort()
+        self.first_time: int = times[0] if times else 0
+        self.middle_time: int = times[(len(times) - 1) // 2] if times else 0
+        self.last_time: int = times[-1] if times else 0
+        self._times = times if self.last_time - self.first_time > MAX_APART else []
+
+    def keep_within(self, low: int, high: int, before: int) -> None:
+        """Limit the first and the last time to a range, and count the messages outside it.
+
+        Args:
+            low: Start of the range, since the epoch [ns].
+            high: End of the range, since the epoch [ns].
+            before: Stands for both times if no message lies within the range, since the epoch [ns].
+        """
+        if low <= self.first_time and self.last_time <= high:
+            return
+        inside = [time for time in self._times if low <= time <= high]
+        self.strays = self.counts.total() - len(inside)
+        self.first_time, self.last_time = (inside[0], inside[-1]) if inside else (before, before)
 
 
 class McapFile:
@@ -123,13 +147,16 @@ class McapFile:
 
     Attributes:
         path: The open file's own path.
+        checked: Whether checksums confirm all of its messages.
         lacks: Whether messages may be missing.
+        ended: Whether the file has an end, as a closed recording has.
         start_time: Recording time of the first message since the epoch [ns]; 0 without any.
         end_time: Recording time of the last message, and 1 ns more, since the epoch [ns]; 0 without
             any.
+        first_known: As `start_time`, but of the first message that the file is known to have held,
+            readable or not.
         message_count: Number of readable messages.
         connections: The topics.
-        notes: What was not read or cannot be checked, one line each.
 
     Raises:
         TrialError: If a truncated or damaged file holds no complete chunk of messages, or its
@@ -137,15 +164,18 @@ class McapFile:
     """
 
     def __init__(self, file: BinaryIO, name: Path) -> None:
-        self.path, self._file = Path(file.name), file
+        self.path, self._file, self._name = Path(file.name), file, name.name
         index = _Index(file)
         found = _find_chunks(file, index)
+        self._found, self._index, self.ended = found, index, index.ended
         self._chunks = [chunk for chunk in found.chunks if chunk.sound]
         damaged = len(self._chunks) < len(found.chunks)
         self.lacks = damaged or not found.whole
         if self.lacks and not self._chunks:
             raise self._unreadable(name, index.ended)
 
+        self.checked = all(chunk.checked for chunk in self._chunks)
+        self._keep_within_a_day()
         # As in rosbags, the end is one nanosecond after the last message.
         self.start_time = min((chunk.first_time for chunk in self._chunks), default=0)
         self.end_time = max((chunk.last_time for chunk in self._chunks), default=-1) + 1
@@ -156,11 +186,39 @@ class McapFile:
         if sum(connection.msgcount for connection in self.connections) < self.message_count:
             raise TrialError(f"{name}: is damaged, its topics are lost", COPY_AGAIN)
 
-        self.notes = self._describe_checksums()
-        if self.lacks and (index.ended or damaged):
-            self.notes.append(self._describe_damage(found, index))
+        starts = [self.start_time, index.start_time]
+        self.first_known = int(min(time for time in starts if self._is_near(time)))
+        self._damaged = damaged
+
+    def _keep_within_a_day(self) -> None:
+        """Find the messages whose time is days from the file's middle one, such as 2^64 - 1."""
+        middles = sorted(chunk.middle_time for chunk in self._chunks)
+        middle = middles[(len(middles) - 1) // 2] if middles else 0
+        self._low, self._high = middle - MAX_APART, middle + MAX_APART
+        within = (c.first_time for c in self._chunks if self._is_near(c.first_time))
+        before = min(within, default=middle)
+        for chunk in self._chunks:
+            chunk.keep_within(self._low, self._high, before)
+            before = chunk.last_time
+
+    def _is_near(self, time: float) -> bool:
+        """Whether a recording time [ns] is within a day of the file's middle one."""
+        return not self._chunks or self._low <= time <= self._high
+
+    def notes(self, first: int) -> list[str]:
+        """What was not read or was changed, one line each.
+
+        Args:
+            first: The bag's first recording time, from which seconds count, since the epoch [ns].
+        """
+        notes = []
+        if strays := sum(chunk.strays for chunk in self._chunks):
+            notes.append(describe_strays(self._name, strays))
+        if self.lacks and (self.ended or self._damaged):
+            notes.append(self._describe_damage(self._found, self._index, first))
         elif self.lacks:
-            self.notes.append(self._describe_cut(found))
+            notes.append(self._describe_cut(self._found, first))
+        return notes
 
     def messages(
         self, connections: Collection[Connection]
@@ -176,7 +234,7 @@ class McapFile:
         next_times = (*(chunk.first_time for chunk in chunks[1:]), math.inf)
         waiting: list[tuple[int, int, Connection, bytes]] = []  # chunks may overlap in time
         for chunk, next_time in zip(chunks, next_times, strict=False):
-            waiting += self._messages_of(chunk.place, wanted)
+            waiting += self._messages_of(chunk, wanted)
             waiting.sort(key=itemgetter(0, 1))
             ready = bisect_left(waiting, next_time, key=itemgetter(0))
             for time, _, connection, data in waiting[:ready]:
@@ -184,28 +242,31 @@ class McapFile:
             del waiting[:ready]
 
     def _messages_of(
-        self, place: _Place, wanted: Mapping[int, Connection]
+        self, chunk: _Chunk, wanted: Mapping[int, Connection]
     ) -> Iterator[tuple[int, int, Connection, bytes]]:
         """The messages of a chunk.
 
         Yields:
             Recording time since the epoch [ns], start of the chunk in the file [bytes], topic, and
-            serialised message.
+            serialised message. A time that is days from the others is that of the message before.
         """
-        content, _ = _unpack(self._file, place)
+        content, _ = _unpack(self._file, chunk.place)
+        before = chunk.first_time
         for opcode, start, end in _records(content):
             if opcode == _MESSAGE_OPCODE:
                 channel, _, time, _ = _MESSAGE.unpack_from(content, start)
+                if chunk.strays:
+                    time = before = time if self._is_near(time) else before
                 if channel in wanted:
-                    yield time, place.start, wanted[channel], content[start + _MESSAGE.size : end]
+                    data = content[start + _MESSAGE.size : end]
+                    yield time, chunk.place.start, wanted[channel], data
 
     def _unreadable(self, name: Path, ended: bool) -> TrialError:
         """The error for a file without a complete chunk of messages."""
         self._file.seek(0)
         magic = self._file.read(len(_MAGIC)).rstrip(b"\0")
         if is_empty(self.path):
-            fact = "holds nothing: its recorder ended before any data reached the disk"
-            hint = "remove it, or copy the trial again if it is complete elsewhere"
+            fact, hint = HOLDS_NOTHING
         elif ended:
             fact, hint = "is damaged, nothing in it can be read", COPY_AGAIN
         elif not _MAGIC.startswith(magic):
@@ -213,36 +274,29 @@ class McapFile:
             hint = GIVE_BAG
         else:
             fact = "is truncated (it has no end, and no complete chunk of messages)"
-            hint = "record the trial again; 'mcap recover' may still find a part of it"
+            hint = f"{COPY_AGAIN}; 'mcap recover' may still find a part of it"
         return TrialError(f"{name}: {fact}", hint)
 
-    def _describe_checksums(self) -> list[str]:
-        """A note if some chunks carry no checksum, else nothing."""
-        if all(chunk.checked for chunk in self._chunks):
-            return []
-        return [f"{self.path.name} has no checksums: damage cannot be detected"]
-
-    def _describe_cut(self, found: _Found) -> str:
+    def _describe_cut(self, found: _Found, first: int) -> str:
         """A note on the saved and the lost messages of a recording without an end."""
         torn = found.size - self._chunks[-1].place.index_end  # [bytes] of the unread end
         until = datetime.fromtimestamp((self.end_time - 1) * 1e-9).strftime("%H:%M:%S")
         unread = f" ({torn} bytes cannot be read)" if torn else ""
         return (
-            f"the recording {self.path.name} was cut short (no end): {self.message_count} messages"
-            f" up to {until} ({(self.end_time - 1 - self.start_time) * 1e-9:.1f} s) were saved, "
+            f"the recording {self._name} was cut short (no end): {self.message_count} messages"
+            f" up to {until} ({(self.end_time - 1 - first) * 1e-9:.1f} s) were saved, "
             + ("none is missing" if found.complete else f"the newest may be missing{unread}")
         )
 
-    def _describe_damage(self, found: _Found, index: _Index) -> str:
+    def _describe_damage(self, found: _Found, index: _Index, start: int) -> str:
         """A note on the chunks that cannot be read, and on the times that they covered."""
-        start = min(self.start_time, index.start_time)
         gaps = found.gaps(start)
         if not found.complete and not (index.sound and index.places) and found.chunks[-1].sound:
             gaps.append(f"anything after {_seconds_since(start, found.chunks[-1].last_time)}")
         lost = len(found.chunks) - len(self._chunks)
         counted = f"{lost} of its {len(found.chunks)} chunks cannot be read, " if lost else ""
         what = f"{counted}missing: {', '.join(gaps)}" if gaps else "no message is missing"
-        return f"the recording {self.path.name} is damaged: {what} ({COPY_AGAIN})"
+        return f"the recording {self._name} is damaged: {what} ({COPY_AGAIN})"
 
 
 class _Found(NamedTuple):

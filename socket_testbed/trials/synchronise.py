@@ -23,6 +23,7 @@ from socket_testbed.geometry.socket import SocketGeometry
 from socket_testbed.samples import Samples, Status
 from socket_testbed.trials import topics
 from socket_testbed.trials.bag import BagReader, required_topics
+from socket_testbed.trials.bag_parts import MAX_APART
 from socket_testbed.trials.messages import Reader, VectorPacker, pose_packer, wrench_packer
 
 
@@ -84,7 +85,6 @@ _MISSING_TOPICS = {
         "give --geometry with the trial's own",
     ),
 }
-_MAX_APART = 24 * 3600 * 10**9  # [ns]; of a stamp from the middle one
 _MAX_VALUE = 1e6  # [N m, N, m, pF]; beyond any sensor of the testbed
 
 _Columns: TypeAlias = list[NDArray[Any]]
@@ -233,7 +233,7 @@ def _drop_strays(
     stamps = np.sort(np.concatenate([columns[0] for columns in series.values()]))
     middle, strays = int(stamps[len(stamps) // 2]), []
     for key, columns in series.items():
-        near = np.abs(columns[0] - middle) <= _MAX_APART
+        near = np.abs(columns[0] - middle) <= MAX_APART
         if not near.all():
             strays.append(f"{key[1]} ({int((~near).sum())})")
             series[key] = [column[near] for column in columns]

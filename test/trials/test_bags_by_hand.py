@@ -15,6 +15,7 @@ from socket_testbed.trials.trial import Trial, read_configuration, store_configu
 
 START = scene.START
 SECOND = 10**9  # [ns]
+POINTER = "version https://git-lfs.github.com/spec/v1\noid sha256:1234\nsize 12345\n"
 
 
 def write(path: Path, *times: float) -> Path:
@@ -58,7 +59,13 @@ def test_parts_of_bags_follow_their_numbers(tmp_path: Path) -> None:
     with BagReader(folder) as found:
         assert [raw.time - START for raw in found.messages()] == [0, SECOND, 2 * SECOND]
         assert found.duration == pytest.approx(2.0)
-        assert found.notes == ["no metadata.yaml: the storage files were read as they are"]
+        assert found.notes == [
+            "no metadata.yaml: the storage files were read as they are",
+            "a_1.mcap is not there, as the numbers of the other parts show; missing: 0.00 s to"
+            " 1.00 s of the trial (copy all of the folder)",
+            "a_3.mcap, a_4.mcap, a_5.mcap and 4 more are not there, as the numbers of the other"
+            " parts show; missing: 1.00 s to 2.00 s of the trial (copy all of the folder)",
+        ]
 
 
 def test_blocks_are_by_topic(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -71,18 +78,44 @@ def test_blocks_are_by_topic(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda text: text.replace("message_count: 3", "message_count: 4"), "lists 4 messages on"),
-        (lambda text: text.replace("message_count: 3", "message_count: 2"), "the storage file hol"),
-        (lambda text: text.replace("a.mcap", "b.mcap"), "b.mcap: is named in metadata.yaml but is"),
-        (lambda text: "nothing: 1", "is not rosbag2 metadata: write it again with 'ros2 bag rei"),
+        (
+            lambda text: text.replace("message_count: 3", "message_count: 4"),
+            "metadata.yaml lists 4 messages on /lab/trigger, the files hold 3: copy the trial",
+        ),
+        (
+            lambda text: text.replace("message_count: 3", "message_count: 2"),
+            "metadata.yaml lists 2 messages on /lab/trigger, the files hold 3: copy the trial",
+        ),
+        (
+            lambda text: text.replace("a.mcap", "b.mcap"),
+            "metadata.yaml does not name a.mcap, read in place of b.mcap; all messages that it",
+        ),
+        (
+            lambda text: "nothing: 1",
+            "metadata.yaml is not rosbag2 metadata; the storage files were read as they are: write"
+            " it again with 'ros2 bag reindex'",
+        ),
+        (
+            lambda text: text[:40],
+            "metadata.yaml is not rosbag2 metadata; the storage files were read as they are: write"
+            " it again with 'ros2 bag reindex'",
+        ),
+        (
+            lambda text: POINTER,
+            "metadata.yaml is a Git LFS pointer, not the file itself; the storage files were"
+            " read as they are: fetch the content with 'git lfs pull'",
+        ),
     ],
-    ids=["more", "fewer", "another file", "no metadata"],
+    ids=["more", "fewer", "another file", "no metadata", "cut", "pointer"],
 )
-def test_metadata_must_agree_with_the_file(change, words: str, tmp_path: Path) -> None:
+def test_metadata_that_disagree_are_a_note(change, words: str, tmp_path: Path) -> None:
+    """All of the file is read, whatever metadata.yaml says."""
     file = write(tmp_path / "a", 0.0, 1.0, 2.0) / "metadata.yaml"
     file.write_text(change(file.read_text()))
-    with refused(TrialError, str(tmp_path / "a"), words), BagReader(tmp_path / "a"):
-        pass
+    with BagReader(tmp_path / "a") as found:
+        assert [raw.time - START for raw in found.messages()] == [0, SECOND, 2 * SECOND]
+        (note,) = found.notes
+    assert note.startswith(words)
 
 
 def test_a_bag_offers_topics_as_published(tmp_path: Path) -> None:
@@ -136,7 +169,10 @@ def test_trials_are_found_below_a_folder(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "is_storage"),
-    [("a.mcap", True), ("a.db3", True), ("a.mcap.zstd", True), ("a.db3.zstd", True), ("a", False)],
+    [
+        *((f"a{suffix}", True) for suffix in (".mcap", ".db3", ".MCAP", ".mcap.zstd", ".db3.zst")),
+        *((name, False) for name in ("a", "._a.mcap", "a.mcap.part", "a.zst")),
+    ],
 )
 def test_storage_is_known_by_its_suffix(name: str, is_storage: bool) -> None:
     assert bag.is_storage(Path(name)) is is_storage

@@ -40,7 +40,7 @@ def test_opensim_s_markers_are_laid_out_by_the_book() -> None:
         "Frame#\tTime\ta_1\t\t\ta_2\t\t",
         "\t\tX1\tY1\tZ1\tX2\tY2\tZ2",
         "",
-        "1\t12.000000\t0.0000\t10.0000\t20.0000\t\t\t",
+        "1\t12.000000\t0.0000\t10.0000\t20.0000\tnan\tnan\tnan",
         "2\t12.250000\t1.0000\t11.0000\t21.0000\t101.0000\t111.0000\t121.0000",
         "3\t12.500000\t2.0000\t12.0000\t22.0000\t102.0000\t112.0000\t122.0000",
     ]
@@ -54,10 +54,10 @@ def test_a_single_frame_has_a_rate_of_one() -> None:
 
 
 def test_opensim_s_loads_are_laid_out_by_the_book() -> None:
-    table = pd.DataFrame({"a": [1.0, NAN], "b": [-2.5, 3.0]}, index=[0.25, 0.5])
+    table = pd.DataFrame({"a": [1.0, 2.0], "b": [-2.5, 3.0]}, index=[0.25, 0.5])
     assert export._storage(table).splitlines() == [
         *("socket", "version=1", "nRows=2", "nColumns=3", "inDegrees=no", "endheader"),
-        *("time\ta\tb", "0.250000\t1.000000\t-2.500000", "0.500000\tnan\t3.000000"),
+        *("time\ta\tb", "0.250000\t1.000000\t-2.500000", "0.500000\t2.000000\t3.000000"),
     ]
 
 
@@ -73,6 +73,52 @@ def test_opensim_s_loads_are_laid_out_by_the_book() -> None:
 )
 def test_a_column_s_topic_is_its_name_and_unit(title: str, topic: str) -> None:
     assert export._topic_name(title) == topic
+
+
+# --- what is missing
+
+TIMES = [0.25 * k for k in range(8)]
+
+
+@pytest.mark.parametrize(
+    ("missing", "words"),
+    [
+        ([], None),
+        ([3], "1 sample without a wrench is left out, the longest gap 0.5 s"),
+        ([1, 3, 4], "3 samples without a wrench are left out, the longest gap 0.75 s"),
+        ([0, 1, 2], "3 samples without a wrench are left out, the longest gap 0.75 s"),
+        ([2, 3, 4, 5, 6], "5 samples without a wrench are left out, the longest gap 1.5 s"),
+        ([5, 6, 7], "3 samples without a wrench are left out, the longest gap 0.75 s"),
+    ],
+    ids=["none", "one", "two gaps", "first", "long", "last"],
+)
+def test_missing_samples_have_a_note(missing: list[int], words: str | None) -> None:
+    """Their number, and the longest time between those with a wrench, or to the end."""
+    values = np.ones((8, 6))
+    values[missing] = NAN
+    notes = export.missing_notes(np.array(TIMES), values, "a wrench", export._LEFT_OUT)
+    assert notes == (() if words is None else (words,))
+
+
+def test_a_part_of_a_wrench_is_none() -> None:
+    values = np.ones((8, 6))
+    values[2] = values[3, :5] = NAN
+    (note,) = export.missing_notes(np.array(TIMES), values, "a wrench", export._AS_NAN)
+    assert note == (
+        "2 samples without a wrench are NaN in the file (1 of them measured in part), the longest"
+        " gap 0.75 s"
+    )
+
+
+def test_a_long_pause_is_named_by_its_times() -> None:
+    """Three periods are no pause; OpenSim's spline would leave all measured values in a longer."""
+    assert export._pause_notes(np.array([0.0, 0.25, 0.5, 1.25, 1.5, 1.75])) == ()
+    assert export._pause_notes(np.array([0.0, 0.25, 0.5, 1.5, 1.75, 2.0])) == (
+        "OpenSim draws a spline across the pause from 0.50 s to 1.50 s: analyse the times before"
+        " and after apart",
+    )
+    (note,) = export._pause_notes(np.array([0.0, 0.25, 0.5, 1.5, 1.75, 2.0, 4.0]))
+    assert "the pauses from 0.50 s to 1.50 s, 2.00 s to 4.00 s: analyse" in note
 
 
 # --- C3D
@@ -159,7 +205,11 @@ def test_a_standard_bag_leaves_out_missing_values(trial: Trial, tmp_path: Path) 
     measured.wrench[49, 0] = np.nan
     table = pd.DataFrame({"a.b [N]": [1.5, NAN, 2.5], "count [1]": [1, 2, 3]})
     path = tmp_path / "a.mcap"
-    export.write_standard_bag(measured, slice(48, 51), table, path)
+    notes = export.write_standard_bag(measured, slice(48, 51), table, path)
+    assert notes == (
+        "1 sample without a complete load_cell/wrench is left out (1 of them measured in part),"
+        " the longest gap 0.5 s",
+    )
     types, found = get_typestore(Stores.ROS2_JAZZY), dict[str, list[Any]]()
     with path.open("rb") as file:
         for schema, channel, message in make_reader(file).iter_messages():

@@ -1,0 +1,249 @@
+"""The storage files of a bag: which there are, what each one is, and what its metadata promise.
+
+A recorder splits a long bag into numbered parts. People rename and unpack them, copy some of them,
+or fetch the pointers of Git LFS in their place: every part that can be read is read.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from socket_testbed.documents import GET_LFS, IS_LFS_POINTER, LFS_POINTER, load_yaml
+from socket_testbed.errors import TrialError
+
+BAG_METADATA = "metadata.yaml"  # of a closed bag
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+SQLITE_MAGIC = b"SQLite format 3\0"
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+
+COPY_AGAIN = "copy the trial again if it is whole elsewhere"
+GIVE_BAG = "give an MCAP or SQLite bag of ROS 2"
+HOLDS_NOTHING = (
+    "holds nothing: its recorder ended before any data reached the disk",
+    "remove it, or copy the trial again if it is complete elsewhere",
+)
+MAX_APART = 24 * 3600 * 10**9  # [ns]; of a time from the middle one of a trial
+
+_STORAGE_NAME = re.compile(r"\.(mcap|db3)(\.zstd?)?$", re.IGNORECASE)
+_NUMBERED = re.compile(r"(?P<bag>.*_)(?P<number>\d{1,3})(?P<suffix>\.\w+)")
+_PACKED_SUFFIX = re.compile(r"\.zstd?$", re.IGNORECASE)
+# Starts of files that people take for a recording: what they are, and how to get the recording.
+_OTHERS = {
+    LFS_POINTER: (IS_LFS_POINTER, GET_LFS),
+    b"#ROSBAG V": ("is a bag of ROS 1", "convert it with 'rosbags-convert'"),
+    b"<": ("is a web page or XML, not a recording", "download the recording itself"),
+    b"PK\x03\x04": ("is a ZIP archive", "unpack it"),
+    b"\x1f\x8b": ("is compressed with gzip", "unpack it with 'gunzip'"),
+}
+
+
+class ListedFile(NamedTuple):
+    """A storage file as metadata.yaml lists it.
+
+    Attributes:
+        name: Its name, without folders.
+        start: Recording time of its first message since the epoch [ns]; None if not stated.
+        end: Recording time of its last message since the epoch [ns]; None if not stated.
+        messages: Number of its messages; None if not stated.
+    """
+
+    name: str
+    start: int | None = None
+    end: int | None = None
+    messages: int | None = None
+
+
+class BagMetadata(NamedTuple):
+    """What a bag's metadata.yaml promises.
+
+    Attributes:
+        files: The storage files, in the order of their recording.
+        counts: Number of messages by the topic's full name.
+        compression: Name of the program that compressed files or messages; empty for none.
+    """
+
+    files: tuple[ListedFile, ...]
+    counts: dict[str, int]
+    compression: str
+
+
+def is_storage(file: Path) -> bool:
+    """Whether a file's name is that of a bag's storage, compressed or not.
+
+    Hidden files do not count: some systems put `._hold.mcap` beside `hold.mcap` on a copy.
+    """
+    return bool(_STORAGE_NAME.search(file.name)) and not file.name.startswith(".")
+
+
+def is_packed_name(name: str) -> bool:
+    """Whether a file's name ends as that of a file compressed with zstd."""
+    return bool(_PACKED_SUFFIX.search(name))
+
+
+def plain_name(name: str) -> str:
+    """A storage file's name without the suffix of its compression: `a.mcap.zstd` gives `a.mcap`."""
+    return _PACKED_SUFFIX.sub("", name)
+
+
+def read_metadata(file: Path) -> BagMetadata:
+    """What a bag's metadata.yaml promises.
+
+    Raises:
+        TrialError: If the file is none of rosbag2.
+    """
+    try:
+        if (other := what_else(file)) is not None:
+            raise other
+        content = load_yaml(file)["rosbag2_bagfile_information"]
+        counts = {
+            str(entry["topic_metadata"]["name"]): int(entry["message_count"])
+            for entry in content.get("topics_with_message_count") or []
+        }
+        files = tuple(_listed_files(content))
+        return BagMetadata(files, counts, str(content.get("compression_format") or ""))
+    except TrialError:
+        raise
+    except Exception:  # the libraries may raise any exception
+        raise TrialError(
+            f"{file}: is not rosbag2 metadata", "write it again with 'ros2 bag reindex'"
+        ) from None
+
+
+def _listed_files(content: Any) -> Iterator[ListedFile]:
+    """The files of a bag's metadata, with their times if its version has them."""
+    entries = {_base_name(entry["path"]): entry for entry in content.get("files") or []}
+    for name in dict.fromkeys(map(_base_name, content.get("relative_file_paths") or [])):
+        entry = entries.get(name)
+        if entry is None:
+            yield ListedFile(name)
+            continue
+        messages = int(entry["message_count"])
+        if not messages:  # its times are those of no message
+            yield ListedFile(name, messages=0)
+            continue
+        start = int(entry["starting_time"]["nanoseconds_since_epoch"])
+        end = start + int(entry["duration"]["nanoseconds"])
+        yield ListedFile(name, start, end, messages)
+
+
+def _base_name(path: object) -> str:
+    """The name of a file without its folders, which Windows separates by another character."""
+    return re.split(r"[/\\]", str(path))[-1]
+
+
+def find_storage(bag: Path) -> list[Path]:
+    """The storage files in a bag's folder, as numbered: bag_2 before bag_10.
+
+    An unpacked file comes before its compressed one.
+    """
+    found = [file for file in bag.iterdir() if is_storage(file) and file.is_file()]
+    return sorted(found, key=lambda file: (_by_number(plain_name(file.name)), len(file.name)))
+
+
+def _by_number(name: str) -> list[tuple[int, str]]:
+    """Orders names by the numbers in them."""
+    parts = re.split(r"(\d+)", name)
+    return [(int(part) if part.isdecimal() else 0, part) for part in parts]
+
+
+def what_else(file: Path) -> TrialError | None:
+    """The error for a file that is no recording but something known, such as a Git LFS pointer."""
+    with file.open("rb") as stream:
+        start = stream.read(64).lstrip(b"\xef\xbb\xbf \t\r\n")
+    for beginning, (fact, hint) in _OTHERS.items():
+        if start.startswith(beginning):
+            return TrialError(f"{file}: {fact}", hint)
+    return None
+
+
+def storage_kind(file: Path) -> str:
+    """What a storage file is by its first bytes: `.mcap`, `.db3`, `.zstd`, or else by its name."""
+    with file.open("rb") as stream:
+        start = stream.read(len(SQLITE_MAGIC))
+    for magic, kind in ((MCAP_MAGIC, ".mcap"), (SQLITE_MAGIC, ".db3"), (ZSTD_MAGIC, ".zstd")):
+        if start.startswith(magic):
+            return kind
+    return ".zstd" if is_packed_name(file.name) else Path(file.name).suffix.lower()
+
+
+def missing_numbers(names: Sequence[str]) -> dict[str, str]:
+    """Names of the parts that a bag's numbered parts leave out, such as `bag_1` between 0 and 2.
+
+    Args:
+        names: Names of the parts, without the suffix of their compression, as numbered.
+
+    Returns:
+        For each name left out the name of the part before it; empty if the names are not those of
+        one numbered bag.
+    """
+    found = [match for name in names if (match := _NUMBERED.fullmatch(name))]
+    bags = {(match["bag"], match["suffix"]) for match in found}
+    if len(found) < len(names) or len(bags) != 1:
+        return {}
+    ((bag, suffix),) = bags
+    numbers = {int(match["number"]): match[0] for match in found}
+    left_out: dict[str, str] = {}
+    before = ""
+    for number in range(min(numbers), max(numbers) + 1):
+        if number in numbers:
+            before = numbers[number]
+        else:
+            left_out[f"{bag}{number}{suffix}"] = before
+    return left_out
+
+
+def number_of_parts(name: str, names: Sequence[str]) -> int:
+    """Number of names that differ from a part's name at most in its number.
+
+    Args:
+        name: The part's name, without the suffix of its compression.
+        names: All names in its folder, without the suffixes of their compression.
+    """
+    own = _NUMBERED.fullmatch(name)
+    found = {
+        other
+        for other in names
+        if (match := _NUMBERED.fullmatch(other))
+        and own
+        and (match["bag"], match["suffix"]) == (own["bag"], own["suffix"])
+    }
+    return len(found)
+
+
+def span_in_words(start: int | None, end: int | None, first: int) -> str:
+    """A missing span of a trial in words; empty if nothing shows it.
+
+    Args:
+        start: Recording time from which messages are missing, since the epoch [ns]; None if nothing
+            shows it.
+        end: Recording time up to which messages are missing, since the epoch [ns]; None if nothing
+            shows it.
+        first: Recording time of the first message that was read, since the epoch [ns].
+    """
+    if end is not None and end <= first:
+        if start is None:
+            return "anything before the first message"
+        return f"{1e-9 * (first - start):.2f} s before the first message"
+    if start is None:
+        return ""
+    begin = f"{1e-9 * (start - first):.2f} s"
+    if end is None:
+        return f"anything after {begin} of the trial"
+    return f"{begin} to {1e-9 * (end - first):.2f} s of the trial"
+
+
+def describe_strays(name: str, count: int) -> str:
+    """A note on the messages of a file whose recording time is days from the others.
+
+    Args:
+        name: The file's name.
+        count: Number of those messages.
+    """
+    what = "1 message of {} has" if count == 1 else f"{count} messages of {{}} have"
+    return (
+        f"{what.format(name)} a recording time days from the others, which is replaced by that of a"
+        " neighbour"
+    )
