@@ -143,10 +143,11 @@ def test_a_simulated_testbed_is_launched_with_its_world(launch, capsys) -> None:
     assert "Traceback" not in capsys.readouterr().err
 
 
-def test_a_time_scale_without_simulation_is_refused(launch) -> None:
+@pytest.mark.parametrize("scale", ["0.5", "2.0"], ids=["slower", "faster"])
+def test_a_time_scale_without_simulation_is_refused(launch, scale: str) -> None:
     words = "time_scale is for simulated hardware: add simulated:=true"
     with pytest.raises(ConfigurationError, match=words):
-        launch("testbed", time_scale="0.5")
+        launch("testbed", time_scale=scale)
 
 
 def test_a_wrong_parameter_ends_a_launch(launch, tmp_path: Path) -> None:
