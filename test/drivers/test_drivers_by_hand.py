@@ -3,19 +3,21 @@
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
+import gpiod
 import numpy as np
 import pytest
 from support.clocks import FakeClock
 from support.wording import refused
 
-from socket_testbed.drivers import ERROR
+from socket_testbed.drivers import ERROR, WARN, gpio
 from socket_testbed.drivers.clusters.fdc1004 import Fdc1004
 from socket_testbed.drivers.clusters.reader import ClusterReader, ClusterReading
 from socket_testbed.drivers.clusters.reader import check_settings as check_clusters
-from socket_testbed.drivers.gpio import GpioTrigger
+from socket_testbed.drivers.gpio import GpiodLines, GpioTrigger
 from socket_testbed.drivers.load_cell.converter_reader import ConverterReader
-from socket_testbed.drivers.load_cell.load_cell import Bridges, Tare
+from socket_testbed.drivers.load_cell.load_cell import Bridges, LoadCell, Tare
 from socket_testbed.drivers.load_cell.load_cell import check_settings as check_load_cell
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.files import packaged
@@ -74,6 +76,15 @@ def test_an_edge_out_of_time_is_none(edge: float, clock: FakeClock) -> None:
         fired(clock, edge)
 
 
+def test_a_refused_chip_names_its_groups(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gpio, "_chip", lambda *given: "/dev/gpiochip4")
+    monkeypatch.setattr(gpiod, "request_lines", Mock(side_effect=PermissionError))
+    with pytest.raises(DeviceError) as found:
+        GpiodLines("a chip", {17: "output"}, "trigger_node", "chip", "source to timer")
+    hint = "add the user to the group of this file (gpio or dialout), then log in again"
+    assert str(found.value) == f"/dev/gpiochip4: permission denied: {hint}"
+
+
 # --- the clusters
 
 
@@ -127,6 +138,43 @@ def inputs_seen(faults: dict[str, float], number: int) -> list[float]:
 )
 def test_a_fault_moves_its_chip_s_inputs(fault: dict[str, float], seen: list[float]) -> None:
     assert inputs_seen(fault, 2) == seen
+
+
+@pytest.mark.parametrize(
+    ("fault", "resets"), [(2.0, [True, False, True]), (1.0, [False] * 3)], ids=["own", "another's"]
+)
+def test_a_chip_browns_out_every_300_ms(fault: float, resets: list[bool], clock: FakeClock) -> None:
+    """At 0 s, not 0.2 s later, and again 0.35 s after the first time."""
+    chip = SimulatedFdc1004(lambda n, moment: 1.0, {"clusters.brown_out": fault}, 2)
+    found = []
+    for moment in (1000.0, 1000.2, 1000.35):
+        clock.now = moment
+        chip.write(bytes([0x08, 0x12, 0x34]))
+        assert chip.parts_at(0x50) == [chip]
+        chip.write(bytes([0x08]))
+        found.append(chip.read(2) != bytes([0x12, 0x34]))
+    assert found == resets
+
+
+def test_a_chip_without_settings_is_read_last(clock: FakeClock) -> None:
+    """The first cluster was reset meanwhile: the second one, on channel 1, does not wait for it."""
+    settings = ClusterSettings(
+        names=("a", "b"), buses=(1, 1), channels=(0, 1), multiplexers=(0x70, 0x70)
+    )
+    faults: dict[str, float] = {}
+    hardware = SimulatedClusterHardware(settings, SimulatedFdc1004, lambda *_: 5.0, faults)
+    reader = ClusterReader(settings, Fdc1004, hardware.open_bus)
+    reader.read(clock.now)
+    faults["clusters.nack"] = 1.0
+    reader.read(clock.now)
+    faults.clear()
+    clock.now += 1.0
+    multiplexer = hardware.multiplexers[1, 0x70]
+    opened: list[int] = []
+    keep = multiplexer.write
+    multiplexer.write = lambda data: (opened.append(data[-1]), keep(data))  # type: ignore[assignment]
+    assert (reader.read(clock.now).status == Status.OK).all()
+    assert opened[0] == 0b10 and 0b01 in opened
 
 
 CLUSTER_LINES: dict[str, tuple[dict[str, Any], str]] = {
@@ -276,6 +324,57 @@ def test_a_silent_converter_says_why(case: str, clock: FakeClock) -> None:
     assert polled(clock, faults, wired) == (ERROR, line)
 
 
+def test_a_reader_that_comes_too_late_says_so(clock: FakeClock) -> None:
+    """Three periods after the last time: the conversions in between cannot be dated."""
+    chip = simulated_load_cell(lambda moment: np.zeros(6), CELL, {}, seed=1)
+    reader = ConverterReader(CELL, lambda: chip)
+    for _ in range(int(0.4 / reader.period)):
+        clock.now += 3.0 * reader.period
+        reader.poll()
+    level, error = reader.fault_at(clock.now)
+    assert (level, str(error)) == (
+        ERROR,
+        "spidev0.0: conversions are read too late to date them: relieve the computer, or raise"
+        " load_cell_node's oversampling",
+    )
+
+
+def test_a_recovered_converter_warns_for_a_moment(clock: FakeClock) -> None:
+    faults: dict[str, float] = {}
+    chip = simulated_load_cell(lambda moment: np.zeros(6), CELL, faults, seed=1)
+    reader = ConverterReader(CELL, lambda: chip)
+
+    def poll(duration: float) -> None:
+        for _ in range(int(duration / reader.period)):
+            clock.now += reader.period
+            reader.poll()
+
+    poll(0.3)
+    faults["load_cell.unplugged"] = 1.0
+    poll(2.0 * reader.period)
+    faults.clear()
+    poll(0.3)
+    level, error = reader.fault_at(clock.now)
+    line = "spidev0.0: no answer (every bit reads 0), but has recovered: check MISO, CS and the"
+    assert (level, str(error)) == (WARN, f"{line} supply of the converter")
+    poll(0.8)
+    assert reader.fault_at(clock.now) == (0, None)
+
+
+def test_a_clipped_bridge_is_no_overload(clock: FakeClock) -> None:
+    """Its few conversions at the rail are no load, of 100 % of an axis or more."""
+    faults: dict[str, float] = {}
+    chip = simulated_load_cell(lambda moment: np.zeros(6), CELL, faults, seed=1)
+    cell = LoadCell(CELL, ConverterReader(CELL, lambda: chip))
+    bridge = CELL.inputs[2]
+    for number in range(int(0.3 / cell.converter.period)):
+        faults["load_cell.rail"] = 1.0 + bridge if number in (50, 51) else 0.0
+        clock.now += cell.converter.period
+        cell.converter.poll()
+    line = f"bridge 3 (input {bridge}) is at its rail at times"
+    assert cell.health(clock.now) == (WARN, f"{line}: unload the cell, or lower the gain")
+
+
 CELL_LINES: dict[str, tuple[dict[str, Any], str]] = {
     "channels": ({"channels": 7}, "channels is 7: give 6 (ADS131M06) or 8 (ADS131M08)"),
     "gain": ({"gain": 3}, "gain is 3: give a power of two"),
@@ -304,7 +403,7 @@ CELL_LINES: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("case", CELL_LINES)
-def test_a_wrong_load_cell_is_refused_in_a_line(case: str) -> None:
+def test_a_wrong_load_cell_gets_a_line(case: str) -> None:
     change, line = CELL_LINES[case]
     with pytest.raises(ConfigurationError) as found:
         check_load_cell(replace(CELL, **change))

@@ -38,3 +38,16 @@ def test_the_end_is_high_at_its_high_tile(tile: str) -> None:
         heights[name] = z
     assert max(heights, key=heights.__getitem__) == tile
     assert heights[tile] > 96.0 and min(heights.values()) < 94.0
+
+
+@pytest.mark.parametrize(
+    ("height", "lowest"), [(0.150, 45.0), (0.100, 0.0)], ids=["high wall", "low wall"]
+)
+def test_the_wall_begins_above_the_end(height: float, lowest: float) -> None:
+    """15 mm, half an edge, below its lowest tiles; not below the end, 90 mm above the load cell."""
+    geometry = scene.geometry()
+    anchors = geometry.anchors.copy()
+    anchors[4:8, 2] = height
+    wall, _ = patches(replace(geometry, anchors=anchors))
+    assert (wall.name, wall.y[0]) == ("wall", pytest.approx(lowest, abs=1e-6))
+    assert 1e3 * np.nanmin(wall.points[..., 2]) == pytest.approx(90.0 + lowest, abs=1e-6)
