@@ -143,10 +143,24 @@ def test_a_simulated_testbed_is_launched_with_its_world(launch, capsys) -> None:
     assert "Traceback" not in capsys.readouterr().err
 
 
-def test_a_time_scale_without_simulation_is_refused(launch) -> None:
+def test_a_launch_s_files_outweigh_the_parameters(launch, tmp_path: Path) -> None:
+    own = {name: tmp_path / f"own_{name}.yaml" for name in ("socket", "calibration")}
+    for name, file in own.items():
+        file.write_bytes(packaged("config", f"{name}.yaml").read_bytes())
+    files = {"geometry": own["socket"], "calibration": own["calibration"]}
+    params = simulated_parameters(tmp_path, mocap_node={"server": "192.0.2.1"})
+    launched = nodes(launch("testbed", params=params, **files))
+    found = {name: parameters(action) for name, action in launched.items()}
+    assert found["mocap_node"]["geometry"] == str(own["socket"])
+    assert found["estimator_node"]["geometry"] == str(own["socket"])
+    assert found["calibration_node"]["calibration"] == str(own["calibration"])
+
+
+@pytest.mark.parametrize("scale", ["0.5", "2.0"], ids=["slower", "faster"])
+def test_a_time_scale_without_simulation_is_refused(launch, scale: str) -> None:
     words = "time_scale is for simulated hardware: add simulated:=true"
     with pytest.raises(ConfigurationError, match=words):
-        launch("testbed", time_scale="0.5")
+        launch("testbed", time_scale=scale)
 
 
 def test_a_wrong_parameter_ends_a_launch(launch, tmp_path: Path) -> None:
