@@ -98,7 +98,8 @@ class MocapNode(SensorNode[MocapSettings]):
         sample = self._tracker.sample(moment, window)
         faults = dict.fromkeys(body.fault for body in sample if body.fault)
         if faults:
-            self.fault.note(self._client.clock_fault or "; ".join(faults))
+            cause = self._client.clock_fault or self._client.bodies_fault
+            self.fault.note(cause or "; ".join(faults))
         return sample
 
     def _on_recorded(self, message: String) -> None:

@@ -38,6 +38,8 @@ CASES = {
     "mocap.reorder": (0.3, "mocap_node", "WARN|ERROR", "order|lost|datagram"),
     "mocap.corrupt": (0.3, "mocap_node", "WARN|ERROR", "datagram|lost"),
     "mocap.occlude": (2, "mocap_node", "WARN", "occluded|socket"),
+    "mocap.exchange": (1, "mocap_node", "WARN", "instead of|do not fit its triad"),
+    "mocap.scale": (1000, "mocap_node", "WARN", "millimetres"),
     "clock.step": (3600.0, "trigger_node", "WARN", r"system clock was set by \+3600"),
 }
 # Nothing to see while they are on: the values are right all the same.

@@ -22,6 +22,7 @@ from socket_testbed.settings.acquisition import MAX_STALE, MocapSettings
 _HISTORY = MAX_STALE  # [s]
 _MAX_VOTES, _MIN_VOTES = 20, 3  # fits that determine the usual order of the labels
 _NOWHERE = np.full(7, np.nan)  # the pose of a body that has none
+_UNITS = {"millimetres": 1000.0, "centimetres": 100.0, "inches": 1.0 / 0.0254}  # in a metre
 _MAX_STEP = 0.01  # [m]; of a marker between two frames, if its body was not fitted
 
 
@@ -269,11 +270,29 @@ class _TrackedBody:
             fault = f"marker {members} of rigid body '{self._name}' is occluded"
             few = self._count == MIN_MARKERS or (~hidden).sum() < MIN_MARKERS
             return fault if few else f"{fault}, and the others do not make its pose certain"
+        if (unit := self._foreign_unit(seen)) is not None:
+            return (
+                f"the markers of rigid body '{self._name}' are {unit[1]:g} times as far apart as in"
+                f" the geometry file, so Motive streams in {unit[0]}: set its streaming units to"
+                " metres (Data Streaming, Units; or Scale 1)"
+            )
         kind = "triad" if self._count == MIN_MARKERS else "distances"
         return (
             f"the markers of rigid body '{self._name}' do not fit its {kind}: check the geometry"
             " file, or that no other marker is taken for one of them"
         )
+
+    def _foreign_unit(self, seen: FloatArray) -> tuple[str, float] | None:
+        """The unit other than metres in which a frame fits, and how many are a metre; if any.
+
+        The order of the labels does not matter.
+        """
+        found = np.sort(distances(seen).reshape(len(seen), -1))
+        own = np.sort(self._distances, axis=None)
+        for unit, per_metre in _UNITS.items():
+            if (np.abs(found / per_metre - own) <= EDGE_TOLERANCE).all(axis=-1).any():
+                return unit, per_metre
+        return None
 
 
 def _interpolate(poses: Pose, pair: list[int], weight: float) -> tuple[FloatArray, int]:
