@@ -269,7 +269,7 @@ def _read_rows(
     """The cells of complete frames by line number."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     rows = {
-        number: [cell.strip() for cell in _cells(line, separator)]
+        number: [cell.strip() for cell in _cells(line, separator, number)]
         for number, line in enumerate(lines[first:], start=first + 1)
         if line.strip(f'{separator} "')
     }
@@ -307,9 +307,14 @@ def _read_numbers(rows: dict[int, list[str]], columns: _Columns) -> FloatArray:
     return table
 
 
-def _cells(line: str, separator: str) -> list[str]:
+def _cells(line: str, separator: str, number: int) -> list[str]:
     """The cells of a line; in quotes, they may hold the separator."""
-    return next(csv.reader([line], delimiter=separator)) if '"' in line else line.split(separator)
+    if '"' not in line:
+        return line.split(separator)
+    try:
+        return next(csv.reader([line], delimiter=separator, strict=True))
+    except csv.Error as error:
+        raise RegistrationError(f"line {number} is not CSV ({error})", _AGAIN) from None
 
 
 def _number(cell: str) -> float:

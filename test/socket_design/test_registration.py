@@ -336,37 +336,38 @@ def test_line_feeds_behind_byte_order_marks_are_read(scene, tmp_path):
 
 
 def saved_again(
-    lines: list[str], separator: str, comma: bool, quoting: int, newline: str = "\r\n"
-) -> bytes:
+    lines: list[str], separator: str, comma: bool, quoting: int = csv.QUOTE_MINIMAL
+) -> str:
     """A take as a spreadsheet program writes it: all rows of one width, perhaps decimal commas."""
     rows = list(csv.reader(lines))
     width = max(map(len, rows))
     written = io.StringIO()
-    writer = csv.writer(written, delimiter=separator, quoting=quoting, lineterminator=newline)
+    writer = csv.writer(written, delimiter=separator, quoting=quoting, lineterminator="\r\n")
     for row in rows:
         cells = [re.sub(r"^(-?\d+)\.(\d+)$", r"\1,\2", c) if comma else c for c in row]
         writer.writerow(cells + [""] * (width - len(row)))
-    return written.getvalue().encode("utf-8-sig")
+    return written.getvalue()
 
 
 @pytest.mark.parametrize(
     ("separator", "comma", "quoting", "above"),
     [
-        pytest.param(",", False, csv.QUOTE_MINIMAL, b"", id="filled-rows"),
-        pytest.param(",", False, csv.QUOTE_ALL, b"", id="quoted"),
-        pytest.param(",", True, csv.QUOTE_MINIMAL, b"", id="quoted-decimal-commas"),
-        pytest.param(";", False, csv.QUOTE_MINIMAL, b"", id="semicolons"),
-        pytest.param(";", True, csv.QUOTE_MINIMAL, b"", id="decimal-commas"),
-        pytest.param(";", True, csv.QUOTE_ALL, b"sep=;\r\n", id="stated"),
-        pytest.param("\t", False, csv.QUOTE_MINIMAL, b"", id="tabs"),
-        pytest.param("\t", True, csv.QUOTE_MINIMAL, b"", id="tabs-decimal-commas"),
+        pytest.param(",", False, csv.QUOTE_MINIMAL, "", id="filled-rows"),
+        pytest.param(",", False, csv.QUOTE_ALL, "", id="quoted"),
+        pytest.param(",", True, csv.QUOTE_MINIMAL, "", id="quoted-decimal-commas"),
+        pytest.param(";", False, csv.QUOTE_MINIMAL, "", id="semicolons"),
+        pytest.param(";", True, csv.QUOTE_MINIMAL, "", id="decimal-commas"),
+        pytest.param(";", True, csv.QUOTE_ALL, "sep=;\r\n", id="stated"),
+        pytest.param("\t", False, csv.QUOTE_MINIMAL, "", id="tabs"),
+        pytest.param("\t", True, csv.QUOTE_MINIMAL, "", id="tabs-decimal-commas"),
     ],
 )
 def test_a_take_saved_by_a_spreadsheet_is_read(
-    scene, tmp_path, separator: str, comma: bool, quoting: int, above: bytes
+    scene, tmp_path, separator: str, comma: bool, quoting: int, above: str
 ):
     path = tmp_path / "take.csv"
-    path.write_bytes(above + saved_again(takes.motive_lines(scene), separator, comma, quoting))
+    text = saved_again(takes.motive_lines(scene), separator, comma, quoting)
+    path.write_text(above + text, encoding="utf-8-sig", newline="")
     found = read_motive_csv(path)
     names = {";": "semicolons separate", "\t": "tabs separate"}
     assert [names[separator] in note for note in found.notes] == [True] * (separator != ",")
@@ -498,7 +499,7 @@ def test_a_bad_file_is_named_with_its_place(scene, tmp_path, change, fact, hint)
 def test_a_real_take_saved_again_is_the_same(shared_data, tmp_path, separator: str):
     source, path = shared_data / "motive_csv" / "sample_optitrack_take.csv", tmp_path / "take.csv"
     lines = source.read_text(encoding="utf-8").splitlines()
-    path.write_bytes(saved_again(lines, separator, comma=True, quoting=csv.QUOTE_MINIMAL))
+    path.write_text(saved_again(lines, separator, comma=True), newline="")
     real, again = read_motive_csv(source), read_motive_csv(path)
     assert len(again) == 250
     for name, positions in real.markers.items():
