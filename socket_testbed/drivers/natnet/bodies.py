@@ -155,12 +155,22 @@ def _fit(body: RigidBodyDefinition, markers: list[LabelledMarker]) -> bool | Non
     if len(seen) < min(MIN_MARKERS, count) or len(seen) < 2:
         return None
     places = np.array([marker.position for marker in seen])
-    own = np.array(body.markers)
-    found = distances(places)
-    if len(seen) == count:  # whatever the order of the labels
-        return _agree(np.sort(found, axis=None), np.sort(distances(own), axis=None))
-    return _agree(found, distances(own[[marker.member - 1 for marker in seen]]))
+    if len(seen) == count:
+        return fits_definition(places, body)
+    expected = distances(np.array(body.markers)[[marker.member - 1 for marker in seen]])
+    return bool(np.abs(distances(places) - expected).max() <= EDGE_TOLERANCE)
 
 
-def _agree(found: FloatArray, expected: FloatArray) -> bool:
-    return bool(np.abs(found - expected).max() <= EDGE_TOLERANCE)
+def fits_definition(markers: FloatArray, body: RigidBodyDefinition) -> bool:
+    """Whether all markers of a body are as far apart as defined, whatever the order of the labels.
+
+    Args:
+        markers: The markers in any frame, shape (k, 3) [m], all seen.
+        body: The server's definition, with any number of markers.
+    """
+    if len(markers) != len(body.markers):
+        return False
+    found, defined = (
+        np.sort(distances(each), axis=None) for each in (markers, np.array(body.markers))
+    )
+    return bool(np.abs(found - defined).max() <= EDGE_TOLERANCE)

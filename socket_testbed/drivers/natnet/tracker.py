@@ -14,7 +14,12 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, line_weights
-from socket_testbed.drivers.natnet.messages import BodiesByName, MocapFrame
+from socket_testbed.drivers.natnet.bodies import fits_definition
+from socket_testbed.drivers.natnet.messages import (
+    BodiesByName,
+    MocapFrame,
+    RigidBodyDefinition,
+)
 from socket_testbed.geometry.marker_bodies import EDGE_TOLERANCE, MIN_MARKERS, distances, fit_body
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.settings.acquisition import MAX_STALE, MocapSettings
@@ -31,7 +36,7 @@ class SeenBody(NamedTuple):
 
     Attributes:
         markers: Its k markers in the world, in the order of the geometry file, or as labelled if
-            they do not fit that geometry, shape (k, 3) [m]; NaN if not seen.
+            they fit only the server's definition, shape (k, 3) [m]; NaN if not seen.
         pose: Its pose in the world as `Pose.vector`: position of the body's origin [m], then
             quaternion (x, y, z, w) [-], shape (7,); all NaN if unknown.
         frames: Number of frames used for the pose; 0 without a pose.
@@ -125,6 +130,7 @@ class _Frame(NamedTuple):
     time: float  # mid-exposure on the steady clock [s]
     markers: FloatArray  # of the body by label, shape (k, 3) [m]; NaN if not seen
     unknown: str  # why the body is not among the server's; empty if it is
+    definition: RigidBodyDefinition | None  # of the server; None if not known
 
 
 class _TrackedBody:
@@ -152,7 +158,7 @@ class _TrackedBody:
                 slot = rank if len(own) == self._count else marker.member - 1
                 if marker.seen and 0 <= slot < self._count:
                     markers[slot] = marker.position
-        self._frames.append(_Frame(time, np.array(markers), self._unknown(models)))
+        self._frames.append(_Frame(time, np.array(markers), self._unknown(models), definition))
         while self._frames[0].time < time - _HISTORY:
             self._frames.popleft()
 
@@ -185,9 +191,12 @@ class _TrackedBody:
         fitted = self._fitted_pair(fit.found, offsets, after)
         a, b = pair = list(fitted or (after - 1, after))
         weight = -offsets[a] / (offsets[b] - offsets[a])
+        fault = self._fault(seen[pair]) if fitted is None else ""
+        if fitted is None:
+            seen[[k for k in pair if not self._owns(frames[k])]] = np.nan
         markers = self._between(seen[pair], fit.order[pair], weight, fitted is not None)
         if fitted is None:
-            return SeenBody(markers, _NOWHERE, fault=self._fault(seen[pair]))
+            return SeenBody(markers, _NOWHERE, fault=fault)
         inside = (np.abs(offsets) <= 0.5 * window) & (window > 0.0)
         noise = weight**2 + (1.0 - weight) ** 2
         mean = _mean(fit.pose, offsets, inside & fit.found, noise)
@@ -243,12 +252,25 @@ class _TrackedBody:
             )
         return ""
 
+    def _owns(self, frame: _Frame) -> bool:
+        """Whether complete markers are the body's, in metres, though they may not fit the geometry.
+
+        They are not if they do not fit the server's definition either, such as after an exchange of
+        ids.
+        """
+        definition = frame.definition
+        if not np.isfinite(frame.markers).all() or definition is None or not definition.markers:
+            return True
+        fits = fits_definition(frame.markers, definition)
+        return fits and self._foreign_unit(frame.markers[None]) is None
+
     def _in_order(self, markers: FloatArray, order: IntArray) -> FloatArray:
         """A frame's markers in the body's order, shape (k, 3) [m]; NaN if the order is unknown.
 
-        Complete markers that do not fit the geometry are kept as labelled, so that poses can be
-        fitted later with the right geometry. Incomplete markers without a fit are put in the usual
-        order of the labels, unless their distances contradict it.
+        Complete markers that do not fit the geometry are kept as labelled if they fit the server's
+        definition, so that poses can be fitted later with the right geometry. Incomplete markers
+        without a fit are put in the usual order of the labels, unless their distances contradict
+        it.
         """
         if (order >= 0).any():
             return np.where((order >= 0)[:, None], markers[order], np.nan)
