@@ -194,11 +194,6 @@ class NatNetClient:
         )
 
     @property
-    def bodies_fault(self) -> str:
-        """What is wrong with the rigid bodies of the frames; empty if nothing is."""
-        return self._bodies.warning(clocks.monotonic())
-
-    @property
     def server(self) -> str:
         """The server's description of itself; empty if not connected."""
         return str(self._server or "")
