@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _FORCES = {"N": 1.0, "kN": 1e3}  # a stress may be given as a force on the cluster's area
 _COUNTS = {
     "counts": 1.0 / PER_PICOFARAD,  # a reading of the FDC1004, of 24 bits
-    "counts24": 1.0 / PER_PICOFARAD,  # the same, however small or large
+    "counts24": 1.0 / PER_PICOFARAD,  # 24-bit counts, however small or large
     "words": 2.0**8 / PER_PICOFARAD,  # its upper 16 bits, the register MEASn_MSB alone
 }
 _BITS = {"counts": 24, "words": 16}  # of a reading, with its sign
