@@ -231,11 +231,13 @@ class NatNetClient:
 
     def _doubts(self, now: float) -> str:
         """What is wrong though frames arrive; empty if nothing is."""
-        if warning := self._statistics.warning(now):
-            return f"{warning}: check the Wi-Fi"
+        warning = self._statistics.warning(now)
+        doubts = [f"{warning}: check the Wi-Fi"] if warning else []
         if self._models is None:
-            return f"{self.server} has not sent its rigid bodies yet"
-        return self._bodies.warning(now)
+            doubts.append(f"{self.server} has not sent its rigid bodies yet")
+        elif wrong := self._bodies.warning(now):
+            doubts.append(wrong)
+        return "; ".join(doubts)
 
     def _why_no_server(self) -> str:
         if self._network:
