@@ -371,6 +371,30 @@ def read_text(path: Path, kind: str = "a file", largest: int = _MAX_SIZE) -> str
     raise ConfigurationError(f"{path}: {fact}", hint)
 
 
+_STATED_SEPARATOR = re.compile(r'\s*"?sep=(.)"?[;,\t ]*(?:\r\n|\r|\n|$)', flags=re.IGNORECASE)
+SEPARATORS = ",;\t"
+"""Separators of the columns of a table of text, the usual one first."""
+
+
+def split_separator(text: str) -> tuple[str, str]:
+    """The separator of a table's columns, and the text without the line that states it.
+
+    Spreadsheet programs state it as `sep=;` in the first line, which is left blank, so that the
+    numbers of the lines stay. If none is stated, or the next line does not have it, it is the one
+    of `SEPARATORS` that is most frequent in the first line that is not blank.
+
+    Args:
+        text: The table, such as the content of a CSV file.
+    """
+    stated = _STATED_SEPARATOR.match(text)
+    if stated:
+        text = re.sub(r"[^\r\n]", "", stated[0]) + text[stated.end() :]
+    first = re.split(r"[\r\n]", text.lstrip(), maxsplit=1)[0]
+    if stated and stated[1] in first:
+        return stated[1], text
+    return max(SEPARATORS, key=first.count), text
+
+
 _DECIMAL = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", flags=re.ASCII)
 
 

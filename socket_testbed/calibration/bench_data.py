@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.documents import read_text
+from socket_testbed.documents import read_text, split_separator
 from socket_testbed.drivers.clusters.fdc1004 import PER_PICOFARAD
 from socket_testbed.errors import CalibrationError
 
@@ -20,13 +20,19 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _FORCES = {"N": 1.0, "kN": 1e3}  # a stress may be given as a force on the cluster's area
+_COUNTS = {
+    "counts": 1.0 / PER_PICOFARAD,  # a reading of the FDC1004, of 24 bits
+    "counts24": 1.0 / PER_PICOFARAD,  # 24-bit counts, however small or large
+    "words": 2.0**8 / PER_PICOFARAD,  # its upper 16 bits, the register MEASn_MSB alone
+}
+_BITS = {"counts": 24, "words": 16}  # of a reading, with its sign
 STRESSES = ("normal", "shear_x", "shear_y")
 INPUTS = ("c0", "c1", "c2", "c3")
 UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "sec": 1.0},
     "cycle": {},
     **{name: {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, **_FORCES} for name in STRESSES},
-    **{name: {"pF": 1.0, "fF": 1e-3, "nF": 1e3, "counts": 1.0 / PER_PICOFARAD} for name in INPUTS},
+    **{name: {"pF": 1.0, "fF": 1e-3, "nF": 1e3, **_COUNTS} for name in INPUTS},
 }
 """Units of each quantity with their factors to s, Pa (or N) and pF; a cycle has no unit."""
 
@@ -115,7 +121,8 @@ def read_bench(
     The file has a header and one row per reading, with the columns `normal`, `shear_x`, `shear_y`
     and `c0` to `c3` (the converter's inputs), and optionally `time` and `cycle`. Units are given in
     the header, such as `normal [kPa]`, or in a separate row below it. Columns are separated by
-    commas, semicolons or tabs; other columns are ignored.
+    commas, semicolons or tabs, or as a first line such as `sep=;` states; other columns are
+    ignored, as are lines that begin with `#` or `%`.
 
     Args:
         path: The file.
@@ -204,6 +211,8 @@ class _Column:
     def values(self) -> FloatArray:
         """Stresses [Pa] or capacitances [pF], checked for plausibility, shape (N,)."""
         numbers = self.numbers()
+        if self.unit in _BITS:
+            self._refuse_foreign_counts(numbers)
         low, high = (limit / self.scale for limit in _RANGES[self.quantity])
         outside = np.flatnonzero((numbers < low) | (numbers > high))
         if len(outside):
@@ -214,6 +223,31 @@ class _Column:
                 " another",
             )
         return numbers * self.scale
+
+    def _refuse_foreign_counts(self, numbers: FloatArray) -> None:
+        """Refuse counts that are not signed readings of the FDC1004 with the bits of the unit."""
+        bits = _BITS[self.unit]
+        largest, row = float(numbers.max()), int(numbers.argmax())
+        where = f"{largest:.0f} {self.unit} in line {self.cells.index[row]}"
+        if largest >= 2**bits:
+            raise self.error(
+                f"is {where}, beyond the {bits} bits of a reading",
+                "divide by 256 if the register MEASn_LSB was appended with its empty lower byte",
+            )
+        if largest >= 2 ** (bits - 1):
+            negative = (largest - 2**bits) * self.scale
+            raise self.error(
+                f"is {where}, an unsigned reading of {negative:.3g} pF",
+                f"subtract {2**bits} from readings of {2 ** (bits - 1)} and above, and add 3.125 pF"
+                " for each step of CAPDAC, so that no capacitance is negative; --units"
+                f" {self.quantity}=counts24 takes sums that hold CAPDAC already",
+            )
+        if self.unit == "counts" and largest < 2**16:
+            raise self.error(
+                f"is at most {largest:.0f} counts, {largest * self.scale:.2g} pF: likely the upper"
+                " 16 bits of the readings",
+                f"give --units {self.quantity}=words if they are; counts24 takes them as they are",
+            )
 
     def times(self) -> FloatArray:
         """Increasing times, shape (N,) [s]."""
@@ -238,10 +272,9 @@ def _read_cells(path: Path) -> tuple[list[str], pd.DataFrame]:
     """Titles, including units from a row below them, and the cells as text, indexed by line."""
     import pandas as pd  # imported late: every verb imports this module
 
-    text = read_text(path, largest=_MAX_FILE_SIZE)
-    above = len(text) - len(text.lstrip())
-    first = text[above:].partition("\n")[0]
-    separator = max("\t;,", key=first.count)
+    text = read_text(path, largest=_MAX_FILE_SIZE).replace("\r\n", "\n").replace("\r", "\n")
+    separator, text = split_separator(_without_comments(text))
+    above = len(text) - len(text.lstrip(" \n"))
     try:
         cells = pd.read_csv(
             io.StringIO(text[above:]),
@@ -280,6 +313,40 @@ def _read_cells(path: Path) -> tuple[list[str], pd.DataFrame]:
             f"{path}: has no data rows", "give a row per reading below the units"
         )
     return titles, cells
+
+
+# Errors of spreadsheet programs are no comments.
+_COMMENT = re.compile(r'[ \t]*"?[ \t]*(?:#(?!N/A|DIV/0!|REF!|VALUE!|NAME\?|NUM!|NULL!)|%)')
+_NUMBER_FIRST = re.compile(r'[ \t]*"?[-+.]?\d')
+
+
+def _without_comments(text: str) -> str:
+    """The text with comment lines left blank, so that the numbers of the lines stay.
+
+    Comments begin with `#` or `%`. The last one above the data is the header, without its mark, if
+    the first line of the data begins with a number and has as many columns.
+
+    Args:
+        text: The file's text, whose lines end with a line feed.
+    """
+    lines = text.split("\n")
+    comments = [_COMMENT.match(line) for line in lines]
+    kept = ["" if comment else line for line, comment in zip(lines, comments, strict=True)]
+    first = next((k for k, line in enumerate(kept) if line.strip() and not _is_sep(line)), 0)
+    above = [k for k in range(first) if comments[k]]
+    if above and _NUMBER_FIRST.match(lines[first]):
+        title, mark = lines[above[-1]], comments[above[-1]]
+        title = ('"' if mark and '"' in mark[0] else "") + title[
+            mark.end() if mark else 0 :
+        ].lstrip()
+        separator = split_separator(text)[0] if _is_sep(lines[0]) else split_separator(title)[0]
+        if title.count(separator) == lines[first].count(separator) > 0:
+            kept[above[-1]] = title
+    return "\n".join(kept)
+
+
+def _is_sep(line: str) -> bool:
+    return split_separator(line)[1] != line
 
 
 _ALL_UNITS = {unit for units in UNITS.values() for unit in units}

@@ -204,7 +204,6 @@ def _independent_parts(moments: FloatArray) -> FloatArray:
 
 
 _MIN_RESPONSE = 0.1  # of the inputs' variance; less is noise
-_CLIP_PERCENTILES = (1.0, 99.0)  # [%]; limits the effect of spikes
 
 
 def find_wiring(capacitance: FloatArray, stress: FloatArray) -> IntArray:
@@ -224,9 +223,20 @@ def find_wiring(capacitance: FloatArray, stress: FloatArray) -> IntArray:
 
 
 def _response(capacitance: FloatArray, stress: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Design matrix of the scaled stresses, (N, 4), and the inputs with spikes clipped, (N, 4)."""
-    design = np.column_stack([np.ones(len(stress)), scaled_stress(stress)])
-    return design, np.clip(capacitance, *np.percentile(capacitance, _CLIP_PERCENTILES, axis=0))
+    """Design matrix of the scaled stresses, (N, 4), and the inputs without glitches, (N, 4).
+
+    A polynomial of total degree 2 in the stresses is fitted to each input by least trimmed squares.
+    A reading is a glitch if it is farther from it than an outlier may be, and takes its value.
+    """
+    n, x, y = scaled_stress(stress).T
+    design = np.column_stack([np.ones_like(n), n, x, y])
+    basis = np.column_stack([design, n**2, x**2, y**2, n * x, n * y, x * y])
+    expected = basis @ np.column_stack([_fit_least_trimmed(basis, c) for c in capacitance.T])
+    off = np.abs(capacitance - expected)
+    limits = np.maximum(
+        _OUTLIER_LIMIT * robust_deviation(off), _MIN_RESIDUAL * np.ptp(expected, axis=0)
+    )
+    return design, np.where(off > limits, expected, capacitance)
 
 
 def require_wiring(bench: BenchData, wiring: IntArray) -> None:

@@ -112,14 +112,16 @@ class MocapNode(SensorNode[MocapSettings]):
             self._refused = f"no take is recorded: {error}"
 
     def health(self) -> tuple[int, str]:
-        """Health of the stream, the latest fault, or health of Motive's recording."""
+        """Health of the stream and the latest fault, or health of Motive's recording."""
         gone = self._trial and not base.recorded_trial(self, self._trial)
         self._gone = self._gone + 1 if gone else 0
         if self._gone == _GONE_AFTER:
             self._on_recorded(String())  # the recorder ended without a word
         level, message = self._client.health(clocks.monotonic())
         if level < base.ERROR and (faults := [f for f in (self.fault.text(), self._refused) if f]):
-            return base.WARN, "; ".join(faults)
+            # What the stream lacks comes first: it explains why a body has no pose.
+            cause = [message] if level == base.WARN and not self._client.clock_fault else []
+            return base.WARN, "; ".join([*cause, *faults])
         if level == base.OK and (fault := self._client.recording_fault):
             return base.WARN, fault
         return level, message

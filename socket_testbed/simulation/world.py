@@ -42,6 +42,8 @@ FAULTS = {
     "mocap.restart": "each new number restarts the server, with no clients and a new clock",
     "mocap.occlude": "1 + the marker occluded on both bodies",
     "mocap.swap": "probability that two labels of a body are swapped in a frame [-]",
+    "mocap.exchange": "the ids of the two bodies are exchanged, and no frame flags it",
+    "mocap.scale": "factor on all lengths of the stream, 1000 for millimetres [-]",
     "limb.out": "-1: the limb is out of the socket; n: also, a thumb presses the n-th cluster",
     "clock.step": "offset of the system clock [s]",
 }

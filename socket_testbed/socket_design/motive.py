@@ -7,6 +7,9 @@ The name rows are between the header and the row of axes ('Frame, Time, X, Y, Z,
 and 1.21 have a fixed order: type, name, id, property. Later ones label each row in its second
 column, with an additional row 'Parent' since 1.25. Columns without a type, such as the time code,
 and those of bones are ignored.
+
+A take that a spreadsheet program saved again is read as well: with semicolons or tabs between the
+columns, with decimal commas, with numbers in quotes, and with rows filled up to one width.
 """
 
 from __future__ import annotations
@@ -22,7 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray
-from socket_testbed.documents import decimal, read_text
+from socket_testbed.documents import decimal, read_text, split_separator
 from socket_testbed.errors import RegistrationError, closest, naming
 from socket_testbed.geometry.pose import Pose
 
@@ -101,6 +104,7 @@ class MotiveTake:
         return RegistrationError(f"{self.path}: {fact}", hint)
 
 
+_SEPARATOR_NAMES = {";": "semicolons", "\t": "tabs"}
 _OLDEST, _NEWEST = 1.2, 1.25  # versions of the format
 _METRES = {"meters": 1.0, "centimeters": 1e-2, "millimeters": 1e-3}
 _AGAIN = "export the take from Motive again"
@@ -138,10 +142,14 @@ def read_motive_csv(path: Path) -> MotiveTake:
 
 def _parse(text: str, path: Path) -> MotiveTake:
     """Parse a take; errors do not name the file."""
-    header, titles, first = _read_titles(text)
+    separator, text = split_separator(text)
+    header, titles, first = _read_titles(text, separator)
     values, notes = _read_header(header)
+    if separator != ",":
+        used = _SEPARATOR_NAMES.get(separator, f"'{separator}'")
+        notes.append(f"{used} separate its columns: a spreadsheet program has saved it again")
     columns, doubled = _find_columns(titles)
-    rows = _read_rows(text, first, len(titles[0]), notes)
+    rows = _read_rows(text, separator, first, len(titles[0]), notes)
     exported = values.get("Total Exported Frames", "")
     if exported.isdecimal() and int(exported) != len(rows):
         notes.append(f"holds {len(rows)} frames, {exported} were exported")
@@ -159,7 +167,7 @@ def _parse(text: str, path: Path) -> MotiveTake:
         bodies[name] = Pose.from_quaternion(position, quaternion)
     return MotiveTake(
         path=path,
-        version=values["Format Version"],
+        version=values["Format Version"].replace(",", "."),
         frame_rate=_number(values["Export Frame Rate"]),
         units=values["Length Units"],
         frames=table[:, 0].astype(np.int64),
@@ -172,14 +180,14 @@ def _parse(text: str, path: Path) -> MotiveTake:
     )
 
 
-def _read_titles(text: str) -> tuple[list[str], list[list[str]], int]:
+def _read_titles(text: str, separator: str) -> tuple[list[str], list[list[str]], int]:
     """The header, the title rows padded to one width, and the number of lines above the data."""
-    reader = csv.reader(io.StringIO(text), strict=True)
+    reader = csv.reader(io.StringIO(text), delimiter=separator, strict=True)
     rows: list[list[str]] = []
     try:
         for cells in reader:
             row = [cell.strip() for cell in cells]
-            if not rows and row[:1] != ["Format Version"]:
+            if not rows and any(row) and row[0] != "Format Version":
                 break
             rows += [row] if any(row) else []
             if row[:1] == ["Frame"]:
@@ -213,6 +221,11 @@ def _read_header(cells: list[str]) -> tuple[dict[str, str], list[str]]:
         (rotation == "Quaternion", f"rotations of the type {rotation}", "export quaternions"),
         (units.lower() in _METRES, f"lengths in '{units}'", f"export {metres}"),
         (space == "Global", f"coordinates in the space '{space}'", "export global coordinates"),
+        (
+            math.isfinite(_number(version)),
+            f"the format version '{version}', which is not a number",
+            f"{_AGAIN}: a spreadsheet program has taken it for a date",
+        ),
         (_number(version) >= _OLDEST, f"the format version {version}", "use 1.20 to 1.25"),
         (_number(values["Export Frame Rate"]) > 0.0, "no frame rate in its header", _AGAIN),
     ):
@@ -250,13 +263,15 @@ def _find_columns(titles: list[list[str]]) -> tuple[_Columns, frozenset[str]]:
     return columns, frozenset(name for _, name in doubled)
 
 
-def _read_rows(text: str, first: int, width: int, notes: list[str]) -> dict[int, list[str]]:
+def _read_rows(
+    text: str, separator: str, first: int, width: int, notes: list[str]
+) -> dict[int, list[str]]:
     """The cells of complete frames by line number."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     rows = {
-        number: [cell.strip() for cell in line.split(",")]
+        number: [cell.strip() for cell in _cells(line, separator, number)]
         for number, line in enumerate(lines[first:], start=first + 1)
-        if line.strip(", ")
+        if line.strip(f'{separator} "')
     }
     last = max(rows, default=0)
     # Without a line end, even a last line of full width may lack digits of its last number.
@@ -292,10 +307,20 @@ def _read_numbers(rows: dict[int, list[str]], columns: _Columns) -> FloatArray:
     return table
 
 
-def _number(cell: str) -> float:
-    """The number in a cell; NaN if it holds none."""
+def _cells(line: str, separator: str, number: int) -> list[str]:
+    """The cells of a line; in quotes, they may hold the separator."""
+    if '"' not in line:
+        return line.split(separator)
     try:
-        return decimal(cell)
+        return next(csv.reader([line], delimiter=separator, strict=True))
+    except csv.Error as error:
+        raise RegistrationError(f"line {number} is not CSV ({error})", _AGAIN) from None
+
+
+def _number(cell: str) -> float:
+    """The number in a cell, perhaps with a decimal comma; NaN if it holds none."""
+    try:
+        return decimal(cell if "." in cell else cell.replace(",", "."))
     except ValueError:
         return math.nan
 

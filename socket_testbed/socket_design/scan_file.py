@@ -11,7 +11,7 @@ import io
 import logging
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from trimesh.geometry import faces_to_edges
 from trimesh.graph import connected_component_labels
 from trimesh.grouping import group_rows, unique_rows
 
-from socket_testbed.arrays import FloatArray, IntArray
+from socket_testbed.arrays import BoolArray, FloatArray, IntArray
 from socket_testbed.errors import ScanError, closest
 
 
@@ -257,7 +257,8 @@ _AGAIN = "export the scan again"
 _CUT_OFF = "the file is cut off or damaged: copy or export it again"
 _MAX_NAMES = 100  # of objects or groups that are read separately
 _NUMBER = r"[ \t]+[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|nan|inf)"
-_CORNER = r"[ \t]+[1-9]\d{0,9}(?:/-?\d*){0,2}"
+_CORNER = r"[ \t]+-?[1-9]\d{0,9}(?:/-?\d*){0,2}"
+_COUNTED = ("v", "vt", "vn")  # what a corner's indices number, in this order
 _OBJ_LINE = re.compile(
     rf"v(?:{_NUMBER}){{3,8}}|f(?:{_CORNER}){{3,}}", flags=re.IGNORECASE | re.ASCII
 )
@@ -279,6 +280,7 @@ def _load(path: Path) -> tuple[dict[str, trimesh.Trimesh], str]:
         data = path.read_bytes()
     except OSError as error:
         raise ScanError(f"{path}: cannot be read ({error.strerror})", "check the path") from None
+    data = _plain_obj(path, data) if kind == "obj" else data
     comment = checks[kind](path, data)
     named = data if kind == "obj" else b""
     objects, groups = (
@@ -340,17 +342,72 @@ def _check_ply(path: Path, data: bytes) -> str:
 
 
 def _check_obj(path: Path, data: bytes) -> str:
-    """Refuse an OBJ with invalid lines of vertices or faces; return its comments."""
-    text = data.decode("utf-8", "replace")
-    # Like the reader, end lines only at a line feed.
-    for number, line in enumerate(text.replace("\\\n", " ").split("\n"), start=1):
+    """The comments of an OBJ of lines as `_plain_obj` gives them."""
+    return "\n".join(re.findall(r"^\s*#(.*)$", data.decode("utf-8", "replace"), re.MULTILINE))
+
+
+def _plain_obj(path: Path, data: bytes) -> bytes:
+    """An OBJ in the words that every reader knows.
+
+    Lines end with a line feed and are not continued, vertices and faces have no comment behind
+    them, and indices count from the first vertex, not back from the last one.
+
+    Raises:
+        ScanError: A line of a vertex or a face is invalid, or counts back beyond the first vertex.
+    """
+    text = data.decode("utf-8", "replace").replace("\r\n", "\n").replace("\r", "\n")
+    counts = dict.fromkeys(_COUNTED, 0)
+    plain: list[str] = []
+    for number, line in _whole_lines(text):
         words = line.strip()
-        if words[:1] in {"v", "f"} and not words[1:2].strip() and not _OBJ_LINE.fullmatch(words):
+        kind = words.split(maxsplit=1)[0] if words else ""
+        if kind in {*_COUNTED, "f"}:
+            words = words.partition("#")[0].rstrip()
+        if kind in {"v", "f"} and not _OBJ_LINE.fullmatch(words):
             raise ScanError(
                 f"{path}: line {number} is not a vertex or a face ('{words[:40]}')",
                 f"{_AGAIN}, as OBJ with plain indices or as binary STL",
             )
-    return "\n".join(re.findall(r"^\s*#(.*)$", text, re.MULTILINE))
+        if kind in counts:
+            counts[kind] += 1
+        elif kind == "f" and "-" in words:
+            corners = [_absolute(corner, counts) for corner in words.split()[1:]]
+            if None in corners:
+                raise ScanError(
+                    f"{path}: line {number} counts back beyond the first vertex ('{words[:40]}')",
+                    _CUT_OFF,
+                )
+            words = " ".join(["f", *filter(None, corners)])
+        plain.append(words.rstrip("\\"))  # the reader would join a comment to the next line
+    return "\n".join([*plain, ""]).encode()
+
+
+def _whole_lines(text: str) -> Iterator[tuple[int, str]]:
+    """Lines and their numbers, from 1; a line that ends with a backslash is joined to the next."""
+    begun, first = "", 0
+    for number, line in enumerate(text.split("\n"), start=1):
+        first = first if begun else number
+        is_comment = not begun and line.lstrip().startswith("#")
+        if line.rstrip().endswith("\\") and not is_comment:
+            begun += line.rstrip()[:-1] + " "
+            continue
+        yield first, begun + line
+        begun = ""
+    if begun:
+        yield first, begun
+
+
+def _absolute(corner: str, counts: dict[str, int]) -> str | None:
+    """A corner such as `-1/-1/-1` with indices from the first; None if one is before it."""
+    indices = []
+    for index, count in zip(corner.split("/"), counts.values(), strict=False):
+        value = int(index or 0)
+        if value < 0:
+            value += count + 1
+            if value < 1:
+                return None
+        indices.append(str(value) if index else "")
+    return "/".join(indices)
 
 
 _MAX_COORDINATE = 1e9  # in any unit, so that squares and products do not overflow
@@ -368,7 +425,10 @@ def _clean(
     _note(notes, (~finite).sum(), "removed {} faces with a corner that is not finite")
     if not finite.any():
         raise ScanError(f"{path}: no face has finite corners", _AGAIN)
-    vertices, faces = weld(corners, faces[finite])
+    near = finite.copy()
+    near[finite] = ~find_specks(corners.reshape(-1, 3, 3)[finite])
+    _note(notes, (finite & ~near).sum(), "dropped {} faces of specks or spikes far off the rest")
+    vertices, faces = weld(corners, faces[near])
     plain = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
     _note(notes, (~plain).sum(), "removed {} faces without area, of fewer than three vertices")
     first = np.zeros(len(faces), dtype=bool)
@@ -378,11 +438,91 @@ def _clean(
     mesh = plain_mesh(vertices, faces[kept])
     if not mesh.area > _MIN_AREA * np.ptp(vertices, axis=0).max() ** 2:
         raise ScanError(f"{path}: no face has an area", f"{_AGAIN}, as a surface")
-    return mesh, names[finite][kept].tolist()
+    return mesh, names[near][kept].tolist()
 
 
 _MIN_AREA = 1e-6  # [-]; of a surface, over its squared extent
 _MIN_BODY_AREA = 0.01  # [-]; over the area of the largest piece
+_MAX_GAP = 2.0  # [-]; between pieces of one scan, over the extent of the larger one
+_MAX_SPIKES = 10  # faces around a vertex
+_SPIKE = 10.0  # [-]; length of a face, over the extent of all others
+
+
+def find_specks(triangles: FloatArray) -> BoolArray:
+    """Faces so far off that the extent of the others would drown in that of all, shape (F,).
+
+    Specks lie beyond a gap, along x, y or z, of twice the extent of the rest, and have less than a
+    hundredth of its area. Spikes are at most ten faces, each ten times as long as all the rest: one
+    vertex is wrong.
+
+    Args:
+        triangles: Corners of the F faces in any unit and frame, shape (F, 3, 3), all finite.
+    """
+    low, high = triangles.min(axis=1), triangles.max(axis=1)
+    specks = _find_spikes(low, high)
+    edges = np.diff(triangles, axis=1)
+    areas = 0.5 * np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
+    for _ in range(_MAX_PASSES):
+        found = 0
+        for axis in range(3):
+            rest = np.flatnonzero(~specks)
+            far = rest[_beyond_gaps(low[rest], high[rest], areas[rest], axis)]
+            specks[far] = True
+            found += len(far)
+        if not found:
+            break
+    return specks
+
+
+_MAX_PASSES = 3  # over the three axes
+
+
+def _find_spikes(low: FloatArray, high: FloatArray) -> BoolArray:
+    """Spikes among faces with these lowest and highest coordinates, shape (F, 3) each."""
+    lengths = (high - low).max(axis=1)
+    spikes = np.zeros(len(lengths), dtype=bool)
+    longest = np.argsort(-lengths, kind="stable")[: min(_MAX_SPIKES, len(lengths) - 1)]
+    # Without the n longest faces, all the others must be short against each of these.
+    for count in range(len(longest), 0, -1):
+        spikes[:] = False
+        spikes[longest[:count]] = True
+        extent = float((high[~spikes].max(axis=0) - low[~spikes].min(axis=0)).max())
+        if lengths[longest[count - 1]] > _SPIKE * extent > 0.0:
+            return spikes
+    return np.zeros(len(lengths), dtype=bool)
+
+
+def _beyond_gaps(low: FloatArray, high: FloatArray, areas: FloatArray, axis: int) -> BoolArray:
+    """Faces of little area beyond a wide gap along an axis, shape (F,).
+
+    Args:
+        low: Lowest coordinates of each face, shape (F, 3).
+        high: Highest coordinates of each face, shape (F, 3).
+        areas: Area of each face, shape (F,).
+        axis: The axis, 0 to 2.
+    """
+    order = np.argsort(low[:, axis], kind="stable")
+    reach = np.maximum.accumulate(high[order, axis])
+    starts = np.flatnonzero(np.concatenate([[True], low[order[1:], axis] > reach[:-1]]))
+    # Segments without a gap: their corners in space, and their areas.
+    begin, end = np.minimum.reduceat(low[order], starts), np.maximum.reduceat(high[order], starts)
+    sizes = np.add.reduceat(areas[order], starts)
+    first = last = int(sizes.argmax())
+    while True:  # add the segments near the largest one
+        rest = slice(first, last + 1)
+        widest = _MAX_GAP * float((end[rest].max(axis=0) - begin[rest].min(axis=0)).max())
+        if first > 0 and begin[first, axis] - end[first - 1, axis] <= widest:
+            first -= 1
+        elif last + 1 < len(starts) and begin[last + 1, axis] - end[last, axis] <= widest:
+            last += 1
+        else:
+            break
+    outside = np.ones(len(starts), dtype=bool)
+    outside[first : last + 1] = False
+    far = np.zeros(len(low), dtype=bool)
+    if sizes[outside].sum() < _MIN_BODY_AREA * sizes[~outside].sum():
+        far[order] = np.repeat(outside, np.diff(np.append(starts, len(order))))
+    return far
 
 
 def _choose_body(

@@ -367,6 +367,23 @@ def test_an_input_that_does_not_respond_is_named() -> None:
         fit.require_wiring(replace(readings, capacitance=flat), WIRING)
 
 
+@pytest.mark.parametrize("inputs", [[0], [1, 2], [0, 1, 2, 3]], ids=["one", "two", "all"])
+@pytest.mark.parametrize("value", [0.02, 16.0 - 2.0**-19, 95.0], ids=["low", "rail", "high"])
+def test_six_glitches_do_not_hide_the_response(inputs: list[int], value: float) -> None:
+    """Of 351 readings; without them the coefficients are those of the sound ones."""
+    readings = sensor_bench(repeats=3)
+    readings = readings[np.linspace(0, len(readings) - 1, 351).astype(int)]
+    rows = np.random.default_rng(0).choice(351, 6, replace=False)
+    capacitance = readings.capacitance.copy()
+    capacitance[np.ix_(rows, inputs)] = value
+    glitched = replace(readings, capacitance=capacitance)
+    fit.require_wiring(glitched, WIRING)
+    found = calibrate.calibrate_bench(glitched, WIRING, wiring_stated=False, drop_outliers=True)
+    assert sorted(outlier.row for outlier in found.outliers) == sorted(rows.tolist())
+    sound = calibrate.calibrate_bench(readings, WIRING, wiring_stated=False, drop_outliers=False)
+    np.testing.assert_allclose(found.cluster.normal, sound.cluster.normal, rtol=1e-3)
+
+
 def test_another_wiring_is_stated() -> None:
     readings = sensor_bench()
     fit.require_wiring(readings, WIRING)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from support.benches import exact_bench, write_bench
+from support.benches import HEADER, exact_bench, write_bench
 from support.wording import refused
 
 from socket_testbed.calibration.bench_data import read_bench, read_unloaded
@@ -16,7 +16,7 @@ from socket_testbed.errors import TestbedError
 
 QUANTITIES = ("time", "normal", "shear_x", "shear_y", "c0", "c1", "c2", "c3")
 STRESS = {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "N": 1.0 / 9e-4, "kN": 1e3 / 9e-4}
-CAPACITANCE = {"pF": 1.0, "fF": 1e-3, "nF": 1e3, "counts": 2.0**-19}
+CAPACITANCE = {"pF": 1.0, "fF": 1e-3, "nF": 1e3, "counts": 2.0**-19, "words": 2.0**-11}
 SCALES = [{"s": 1.0, "ms": 1e-3, "sec": 1.0}, *[STRESS] * 3, *[CAPACITANCE] * 4]
 
 
@@ -58,6 +58,53 @@ def test_every_way_of_writing_reads_alike(units, order, style, dialect, ending, 
     np.testing.assert_allclose(found.time, bench.time, rtol=1e-12)
     last = [number for number, line in enumerate(lines, 1) if line.strip(separator)][-1]
     assert found.line[-1] == last and found.place(len(found) - 1) == f"bench.csv line {last}"
+
+
+def lines_of(tmp_path: Path, separator: str = ",") -> list[str]:
+    path = write_bench(tmp_path / "plain.csv", exact_bench()[np.arange(0, 200, 9)])
+    text = path.read_text()
+    if separator != ",":
+        text = text.replace(",", separator).replace(".", ",")
+    return text.splitlines()
+
+
+def hashed(lines: list[str]) -> list[str]:
+    return ["# bench of 3 March, by X", *lines[:5], "# the cable moved", *lines[5:], "#end"]
+
+
+@pytest.mark.parametrize(
+    ("separator", "dress", "line"),
+    [
+        pytest.param(",", hashed, 3, id="comments"),
+        pytest.param(",", lambda lines: ["% made by a script", *lines], 3, id="percent"),
+        pytest.param(",", lambda lines: ["# X", "#", f"# {lines[0]}", *lines[1:]], 4, id="savetxt"),
+        pytest.param(",", lambda lines: ['"# bench, of March"', *lines], 3, id="quoted"),
+        pytest.param(",", lambda lines: [lines[0], "#", *lines[1:]], 3, id="below-the-header"),
+        pytest.param(";", lambda lines: ["# bench;;;;;;;", *lines], 3, id="saved-again"),
+        pytest.param(",", lambda lines: ["sep=,", *lines], 3, id="comma-stated"),
+        pytest.param(";", lambda lines: ["sep=;", *lines], 3, id="semicolon-stated"),
+        pytest.param("\t", lambda lines: ["SEP=\t", *lines], 3, id="tab-stated"),
+        pytest.param(";", lambda lines: ['"sep=;"', *lines], 3, id="stated-in-quotes"),
+        pytest.param(";", lambda lines: ["# X", "sep=;", *lines], 4, id="stated-below-a-comment"),
+        pytest.param(",", lambda lines: ["sep=;", *lines], 3, id="wrongly-stated"),
+    ],
+)
+@pytest.mark.parametrize("ending", ["\n", "\r\n", "\r"], ids=["lf", "crlf", "cr"])
+def test_comments_and_stated_separators_are_read(tmp_path, separator, dress, line, ending):
+    path = tmp_path / "bench.csv"
+    lines = dress(lines_of(tmp_path, separator))
+    path.write_bytes((ending.join(lines) + ending).encode())
+    found, plain = read_bench(path, {}, {}), read_bench(tmp_path / "plain.csv", {}, {})
+    np.testing.assert_array_equal(found.capacitance, plain.capacitance)
+    np.testing.assert_array_equal(found.stress, plain.stress)
+    assert found.line[0] == line
+
+
+@pytest.mark.parametrize("word", ["#N/A", "#REF!", "#DIV/0!"])
+def test_an_error_of_a_spreadsheet_is_no_comment(tmp_path, word: str):
+    path = edit(write_bench(tmp_path / "bench.csv", exact_bench()), with_cell(3, 0, word))
+    with refused(TestbedError, f"'time [s]' holds '{word}' in line 4"):
+        read_bench(path, {}, {})
 
 
 @settings(max_examples=80, deadline=None)
@@ -129,6 +176,56 @@ def test_a_bad_file_is_named_with_its_hint(tmp_path, change, facts, hint):
     with refused(TestbedError, "bench.csv") as caught:
         read_bench(path, {}, {})
     assert all(fact in caught.value.fact for fact in facts) and hint in caught.value.hint
+
+
+def write_counts(path: Path, per_picofarad: float, offset: float, bits: int, unit: str) -> Path:
+    """A bench file of readings as registers hold them, of capacitances less an offset [pF]."""
+    bench = exact_bench()[np.arange(0, 200, 9)]
+    counts = np.round((bench.capacitance - offset) * per_picofarad) % 2**bits
+    header = (*HEADER[:4], *(f"c{k} [{unit}]" for k in range(4)))
+    return write_bench(path, dataclasses.replace(bench, capacitance=counts), header)
+
+
+@pytest.mark.parametrize(
+    ("per_picofarad", "offset", "bits", "unit", "fact", "hint"),
+    [
+        pytest.param(
+            2**11, 0.0, 16, "counts", "likely the upper 16 bits", "c0=words", id="upper-words"
+        ),
+        pytest.param(
+            2**11,
+            7.0,
+            16,
+            "counts",
+            "likely the upper 16 bits",
+            "c0=words",
+            id="unsigned-as-counts",
+        ),
+        pytest.param(
+            2**19, 7.0, 24, "counts", "an unsigned reading of -", "subtract 16777216", id="unsigned"
+        ),
+        pytest.param(
+            2**11, 7.0, 16, "words", "an unsigned reading of -", "subtract 65536", id="words"
+        ),
+        pytest.param(
+            2**27, 0.0, 32, "counts", "beyond the 24 bits", "divide by 256", id="both-registers"
+        ),
+    ],
+)
+def test_other_counts_of_the_converter_are_named(
+    tmp_path, per_picofarad, offset, bits, unit, fact, hint
+):
+    path = write_counts(tmp_path / "bench.csv", per_picofarad, offset, bits, unit)
+    with refused(TestbedError, f"'c0 [{unit}]' is ", fact) as caught:
+        read_bench(path, {}, {})
+    assert hint in caught.value.hint
+
+
+def test_words_are_2048_per_picofarad(tmp_path):
+    """The upper 16 of 24 bits, of which 2^19 are a picofarad."""
+    path = tmp_path / "bench.csv"
+    path.write_text("c0 [words],c1 [words],c2 [counts24],c3 [counts]\n2048,10240,26214.4,2621440\n")
+    np.testing.assert_allclose(read_unloaded(path, {}, {}), [[1.0, 5.0, 0.05, 5.0]])
 
 
 @pytest.mark.parametrize("title", ["sigma [Pa]", "sigma"], ids=["with-unit", "without-unit"])

@@ -2,6 +2,8 @@
 
 import itertools
 import socket
+from dataclasses import replace
+from typing import Any
 from unittest.mock import Mock
 
 import pytest
@@ -13,6 +15,7 @@ from socket_testbed import clocks
 from socket_testbed.drivers.natnet.client import NatNetClient
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.settings.acquisition import MocapSettings
+from socket_testbed.simulation.devices import natnet_server
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
 
 ACCURACY = 1e-3  # [m]; of a marker that moves at 0.3 m/s, with the loopback's delays
@@ -53,7 +56,7 @@ def group() -> tuple[str, int]:
 
 
 @pytest.mark.parametrize(
-    "version", [(3, 0), (4, 0), (4, 1), (4, 4)], ids=["3.0", "4.0", "4.1", "4.4"]
+    "version", [(3, 0), (4, 0), (4, 1), (4, 5)], ids=["3.0", "4.0", "4.1", "4.5"]
 )
 def test_frames_have_their_exposure_on_the_steady_clock(version: tuple[int, int]):
     with Link(version=version) as link:
@@ -65,6 +68,75 @@ def test_frames_have_their_exposure_on_the_steady_clock(version: tuple[int, int]
         # They begin anew with the server that restarted.
         assert sum(a >= b for a, b in itertools.pairwise(numbers)) <= 1
         assert all(a < b for a, b in itertools.pairwise(moments))
+
+
+@pytest.mark.parametrize(
+    ("server", "layout"),
+    [
+        pytest.param({"version": (4, 5)}, "", id="refuses-bitstream"),
+        pytest.param({"version": (4, 6)}, "", id="newer"),
+        pytest.param({"layout": (4, 1)}, "in the layout of NatNet 4.1", id="older"),
+        pytest.param({"layout": (3, 1)}, "in the layout of NatNet 3.1", id="without-sizes"),
+        pytest.param({"layout": (4, 0)}, "in the layout of NatNet 3.1", id="named-without-sizes"),
+        pytest.param(
+            {"version": (3, 1), "layout": (4, 5)}, "in the layout of NatNet 4.5", id="with-sizes"
+        ),
+    ],
+)
+def test_a_server_that_refuses_bitstream_gives_frames(server: dict[str, Any], layout: str):
+    refuses = ("Bitstream", "SubscribeToData")
+    with Link(crowded=True, refused=refuses, **server) as link:
+        link.until_level(0, layout)
+        until_known = link.client.figures()["bad_datagrams"]
+        assert min(link.worst() for _ in range(5)) < ACCURACY
+        assert link.client.figures()["bad_datagrams"] == until_known
+
+
+def test_exchanged_ids_are_read_again(link):
+    """And exchanged back. No frame flags either."""
+    for value, ids in ((1.0, "socket 2 instead of 1, pylon 1 instead of 2"), (0.0, "socket 1")):
+        link.faults["mocap.exchange"] = value
+        link.until_level(1, f"Motive has changed the ids of its rigid bodies ({ids}")
+        assert min(link.worst() for _ in range(5)) < ACCURACY
+    link.until_level(0)
+    assert link.client.figures()["sessions"] == 1
+
+
+@pytest.mark.parametrize(
+    ("scale", "unit"),
+    [
+        pytest.param(1000.0, "millimetres", id="mm"),
+        pytest.param(100.0, "centimetres", id="cm"),
+        pytest.param(1.0 / 0.0254, "inches", id="in"),
+    ],
+)
+def test_a_stream_in_another_unit_is_named(link, scale: float, unit: str):
+    link.faults["mocap.scale"] = scale
+    link.until_level(1, "the stream is not in metres, but in millimetres or the like: set Motive's")
+    until(lambda: unit in link.tracker.sample(clocks.monotonic() - 0.03)[0].fault, unit)
+    link.faults["mocap.scale"] = 1.0
+    link.until_level(0)
+
+
+@pytest.mark.parametrize(
+    ("bodies", "text"),
+    [
+        pytest.param(True, "the frames hold rigid bodies but none of their markers", id="bodies"),
+        pytest.param(False, "the frames hold no rigid body", id="nothing"),
+    ],
+)
+def test_frames_without_labelled_markers_are_explained(link, monkeypatch, bodies: bool, text: str):
+    content = link.server._scene.content
+
+    def emptied(*given):
+        found = content(*given)
+        unlabelled = [natnet_server.Marker(0, k, m.position) for k, m in enumerate(found.markers)]
+        return replace(found, bodies=found.bodies if bodies else (), markers=unlabelled)
+
+    monkeypatch.setattr(link.server._scene, "content", emptied)
+    link.until_level(1, text)
+    monkeypatch.undo()
+    link.until_level(0)
 
 
 def test_a_version_before_3_0_is_too_old():
@@ -216,7 +288,7 @@ def test_a_take_is_stopped_once_the_network_returns(recording):
 
 
 def test_a_group_is_heard_again_after_faults(group):
-    with Link(multicast=group, version=(4, 2)) as link:
+    with Link(multicast=group, crowded=True) as link:
         link.until_level(0)
         link.faults["mocap.unplugged"] = 1.0
         link.until_level(2)

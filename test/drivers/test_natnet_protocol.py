@@ -1,5 +1,6 @@
 """NatNet datagrams: read back as written, and never read past their end."""
 
+from dataclasses import replace
 from struct import pack
 
 import numpy as np
@@ -12,7 +13,7 @@ from socket_testbed.drivers.natnet import messages
 from socket_testbed.drivers.natnet.connection import Answer
 from socket_testbed.simulation.devices import natnet_server as server
 
-VERSIONS = [(3, 0), (3, 1), (4, 0), (4, 1), (4, 2), (4, 3), (4, 4)]
+VERSIONS = [(3, 0), (3, 1), (4, 0), (4, 1), (4, 2), (4, 3), (4, 4), (4, 5)]
 EVERY_VERSION = pytest.mark.parametrize("version", VERSIONS, ids=[f"{a}.{b}" for a, b in VERSIONS])
 INFO = messages.ServerInfo("Motive", (3, 1, 0, 0), (4, 1), 10_000_000, 1511, True, "239.255.42.99")
 RNG = np.random.default_rng(1)
@@ -57,18 +58,26 @@ FRAME_3_1 += pack("<IIdQQQhi", 0, 0, 1.5, 1000, 1001, 1002, 1, 0)
 FRAME_4_1 = pack("<i", 18)
 for _part in (_SETS, pack("<3f", 9, 9, 9), _RIGID, _SKELETON, _ASSET, _LABELLED, _PLATE, _PLATE):
     FRAME_4_1 += pack("<ii", 1, len(_part)) + _part
-FRAME_4_1 += pack("<IIdQQQIIhi", 0, 0, 1.5, 1000, 1001, 1002, 0, 0, 2, 0)
+_END = pack("<IIdQQQIIhi", 0, 0, 1.5, 1000, 1001, 1002, 0, 0, 2, 0)
+_IMU, _GPIO = pack("<i10f", 11, *range(10)), pack("<iI", 12, 5)
+_BEFORE_END = FRAME_4_1
+FRAME_4_1 += _END
+FRAME_4_5 = _BEFORE_END + pack("<ii", 1, 44) + _IMU + pack("<ii", 2, 16) + 2 * _GPIO + _END
+# A section that nobody knows yet, whose elements have one byte.
+FRAME_4_6 = FRAME_4_5[: -len(_END)] + pack("<ii", 3, 3) + b"abc" + _END
 
 _KINDS = {messages.FRAME: "frame", messages.MODELDEF: "models", messages.SERVERINFO: "server"}
 DATAGRAMS = [
     *((version, message.data) for (version, _), message in ENCODED.items()),
     ((3, 1), messages.encode_message(messages.FRAME, FRAME_3_1)),
     ((4, 1), messages.encode_message(messages.FRAME, FRAME_4_1)),
+    ((4, 5), messages.encode_message(messages.FRAME, FRAME_4_5)),
 ]
 DATAGRAM_NAMES = [
     *(f"{_KINDS[kind]}-{major}.{minor}" for (major, minor), kind in ENCODED),
     "full-frame-3.1",
     "full-frame-4.1",
+    "full-frame-4.5",
 ]
 
 
@@ -107,14 +116,66 @@ def test_the_server_s_description_is_read_as_written(version):
 
 @pytest.mark.parametrize(
     ("payload", "version"),
-    [pytest.param(FRAME_3_1, (3, 1), id="3.1"), pytest.param(FRAME_4_1, (4, 1), id="4.1")],
+    [
+        pytest.param(FRAME_3_1, (3, 1), id="3.1"),
+        pytest.param(FRAME_4_1, (4, 1), id="4.1"),
+        pytest.param(FRAME_4_5, (4, 5), id="4.5"),
+        pytest.param(FRAME_4_1, (4, 6), id="4.1-for-4.6"),
+        pytest.param(FRAME_4_6, (4, 6), id="4.6"),
+    ],
 )
 def test_a_frame_with_every_section_is_read(payload, version):
     frame = messages.parse_frame(payload, version)
-    sized = version == (4, 1)
+    sized = version >= (4, 1)
     assert (frame.number, frame.mid_exposure, frame.bodies) == (17 + sized, 1000, (5,))
     assert frame.markers == ((5, 2, (4.0, 5.0, 6.0), True),)
     assert (frame.recording, frame.models_changed) == (not sized, sized)
+
+
+@pytest.mark.parametrize(
+    ("section", "fact"),
+    [
+        pytest.param(pack("<ii", 1, 45) + _IMU, "frame of ", id="one-too-long"),
+        pytest.param(pack("<ii", 1, 43) + _IMU, "frame of ", id="one-too-short"),
+        pytest.param(pack("<ii", 1, 44) + _IMU[:-9], "frame of ", id="truncated"),
+        pytest.param(pack("<ii", 1, 5000) + _IMU, "a count of 5000 before", id="beyond-the-end"),
+        pytest.param(pack("<ii", 1, -1) + _IMU, "a count of -1 before", id="negative"),
+        pytest.param(b"", "1 sections after the devices", id="missing"),
+    ],
+)
+def test_an_unknown_section_whose_size_lies_is_malformed(section: bytes, fact: str) -> None:
+    with refused(messages.MalformedDatagram, fact):
+        messages.parse_frame(_BEFORE_END + section + pack("<ii", 1, 8) + _GPIO + _END, (4, 5))
+
+
+@pytest.mark.parametrize("streamed", [(4, 1), (4, 2), (4, 4)], ids=["4.1", "4.2", "4.4"])
+def test_definitions_of_another_version_are_read(streamed: tuple[int, int]) -> None:
+    for version in ((4, 1), (4, 4), (4, 5)):
+        models = parse(ENCODED[streamed, messages.MODELDEF].data, version)
+        assert {name: (m.id, len(m.markers)) for name, m in models.items()} == {
+            "socket": (3, 3),
+            "Prothese \u00e4": (9, 4),
+        }
+
+
+@pytest.mark.parametrize(("version", "known"), [((4, 4), False), ((4, 5), True), ((5, 0), True)])
+def test_a_longer_definition_keeps_name_and_id(version: tuple[int, int], known: bool) -> None:
+    body = b"socket\0" + pack("<ii", 3, -1) + bytes(99)  # anchors, say, since 4.5
+    payload = pack("<iii", 1, 1, len(body)) + body
+    if not known:
+        with refused(messages.MalformedDatagram, "ends elsewhere"):
+            messages.parse_model_definitions(payload, version)
+        return
+    models = messages.parse_model_definitions(payload, version)
+    assert models == {"socket": messages.RigidBodyDefinition("socket", 3, ())}
+
+
+@pytest.mark.parametrize("version", [(3, 1), (4, 1), (4, 5), (4, 6)])
+def test_a_crowded_frame_has_the_same_bodies(version: tuple[int, int]) -> None:
+    crowded = server.encode_frame(replace(CONTENT, crowded=True), version).data
+    plain = server.encode_frame(CONTENT, version).data
+    assert len(crowded) > len(plain) + 100
+    assert repr(parse(crowded, version)) == repr(parse(plain, version))
 
 
 @pytest.mark.parametrize(

@@ -183,6 +183,25 @@ def test_another_triad_is_reported(scale: float) -> None:
     assert errors_of(socket, 0, 5.5 * PERIOD)[2] < 1e-5  # its markers are kept
 
 
+@pytest.mark.parametrize(
+    ("ids", "scale", "fault"),
+    [
+        pytest.param(IDS[::-1], 1.0, "do not fit its triad", id="exchanged"),
+        pytest.param(IDS, 1000.0, "streams in millimetres", id="millimetres"),
+    ],
+)
+def test_markers_of_another_body_or_unit_are_missing(ids, scale: float, fault: str) -> None:
+    """They are neither the body's as the server defines it, nor in metres."""
+    references = tuple(scale * triad for triad in TRIADS)
+    tracker = BodyTracker(SETTINGS, *TRIADS)
+    for moment in frames():
+        frame = frame_at(moment, references=references, ids=ids)
+        tracker.add(frame, moment, models_of(*NAMES, references=references))
+    for found in tracker.sample(5.5 * PERIOD):
+        assert_no_pose(found, fault)
+        assert np.isnan(found.markers).all()
+
+
 def test_ready_means_that_frames_are_on_both_sides() -> None:
     tracker = tracker_of(frames(10))
     assert tracker.ready(9.0 * PERIOD) and not tracker.ready(9.1 * PERIOD)

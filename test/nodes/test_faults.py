@@ -38,12 +38,13 @@ CASES = {
     "mocap.reorder": (0.3, "mocap_node", "WARN|ERROR", "order|lost|datagram"),
     "mocap.corrupt": (0.3, "mocap_node", "WARN|ERROR", "datagram|lost"),
     "mocap.occlude": (2, "mocap_node", "WARN", "occluded|socket"),
+    "mocap.scale": (1000, "mocap_node", "WARN", "millimetres"),
     "clock.step": (3600.0, "trigger_node", "WARN", r"system clock was set by \+3600"),
 }
 # Nothing to see while they are on: the values are right all the same.
 SILENT = {"mocap.swap": 0.2}
 # They strike once, at a moment.
-MOMENTARY = {"mocap.restart", "clusters.shifted"}
+MOMENTARY = {"mocap.restart", "mocap.exchange", "clusters.shifted"}
 PRESSED = {"limb.out", "clusters.exchanged"}  # test_run presses
 
 
@@ -96,4 +97,13 @@ def test_a_server_that_restarts_is_named(live: LiveTestbed) -> None:
     live.switch("mocap.restart", time.monotonic())
     live.wait_for("mocap_node", "ERROR|WARN", since=seen)  # however briefly
     live.wait_for("mocap_node", "OK")
+    live.wait_for_triggers(5)
+
+
+def test_exchanged_ids_cost_a_moment(live: LiveTestbed) -> None:
+    for value in (1.0, 0.0):
+        seen = len(live.probe.said("mocap_node"))
+        live.switch("mocap.exchange", value)
+        live.wait_for("mocap_node", "WARN", "changed the ids of its rigid bodies", since=seen)
+        live.wait_for("mocap_node", "OK")
     live.wait_for_triggers(5)

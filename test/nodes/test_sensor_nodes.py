@@ -470,6 +470,8 @@ def test_an_unseen_body_is_counted_and_explained(
     assert np.isnan(make.sent["mocap/pylon/pose"][-1].pose.position.x)
     assert seeing.figures()["missing"] == 1
     assert seeing.health() == (WARN, "pylon: a marker is hidden")
+    bodies.state = WARN, "the stream is in millimetres"  # what explains it comes first
+    assert seeing.health() == (WARN, "the stream is in millimetres; pylon: a marker is hidden")
     bodies.clock_fault = "the clock is unknown"  # the cause of all others
     seeing.idle()
     assert seeing.health() == (WARN, "the clock is unknown")

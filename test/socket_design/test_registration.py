@@ -1,5 +1,8 @@
 """From static takes to a registered socket: the files, stillness, landmarks, uncertainty."""
 
+import csv
+import io
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -332,6 +335,56 @@ def test_line_feeds_behind_byte_order_marks_are_read(scene, tmp_path):
     check(read_motive_csv(path), scene)
 
 
+def saved_again(
+    lines: list[str], separator: str, comma: bool, quoting: int = csv.QUOTE_MINIMAL
+) -> str:
+    """A take as a spreadsheet program writes it: all rows of one width, perhaps decimal commas."""
+    rows = list(csv.reader(lines))
+    width = max(map(len, rows))
+    written = io.StringIO()
+    writer = csv.writer(written, delimiter=separator, quoting=quoting, lineterminator="\r\n")
+    for row in rows:
+        cells = [re.sub(r"^(-?\d+)\.(\d+)$", r"\1,\2", c) if comma else c for c in row]
+        writer.writerow(cells + [""] * (width - len(row)))
+    return written.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("separator", "comma", "quoting", "above"),
+    [
+        pytest.param(",", False, csv.QUOTE_MINIMAL, "", id="filled-rows"),
+        pytest.param(",", False, csv.QUOTE_ALL, "", id="quoted"),
+        pytest.param(",", True, csv.QUOTE_MINIMAL, "", id="quoted-decimal-commas"),
+        pytest.param(";", False, csv.QUOTE_MINIMAL, "", id="semicolons"),
+        pytest.param(";", True, csv.QUOTE_MINIMAL, "", id="decimal-commas"),
+        pytest.param(";", True, csv.QUOTE_ALL, "sep=;\r\n", id="stated"),
+        pytest.param("\t", False, csv.QUOTE_MINIMAL, "", id="tabs"),
+        pytest.param("\t", True, csv.QUOTE_MINIMAL, "", id="tabs-decimal-commas"),
+    ],
+)
+def test_a_take_saved_by_a_spreadsheet_is_read(
+    scene, tmp_path, separator: str, comma: bool, quoting: int, above: str
+):
+    path = tmp_path / "take.csv"
+    text = saved_again(takes.motive_lines(scene), separator, comma, quoting)
+    path.write_text(above + text, encoding="utf-8-sig", newline="")
+    found = read_motive_csv(path)
+    names = {";": "semicolons separate", "\t": "tabs separate"}
+    assert [names[separator] in note for note in found.notes] == [True] * (separator != ",")
+    assert found.version == "1.21"
+    check(replace(found, notes=()), scene)
+
+
+def test_a_version_taken_for_a_date_is_named(scene, tmp_path):
+    lines = takes.motive_lines(scene)
+    lines[0] = lines[0].replace("1.21", "21. Jan")
+    with wording.refused(
+        RegistrationError, "the format version '21. Jan', which is not a number"
+    ) as error:
+        read(lines, tmp_path)
+    assert "a spreadsheet program has taken it for a date" in error.value.hint
+
+
 def test_a_newer_version_is_read_and_noted(scene, tmp_path):
     path = tmp_path / "take.csv"
     newer = read_motive_csv(takes.write_take(replace(scene, version="1.31"), path))
@@ -440,6 +493,17 @@ BAD = {  # a change of the lines, and what the error says of it
 def test_a_bad_file_is_named_with_its_place(scene, tmp_path, change, fact, hint):
     with wording.refused(RegistrationError, str(tmp_path / "take.csv"), fact, hint):
         read(change(takes.motive_lines(scene)), tmp_path)
+
+
+@pytest.mark.parametrize("separator", [";", "\t"], ids=["semicolons", "tabs"])
+def test_a_real_take_saved_again_is_the_same(shared_data, tmp_path, separator: str):
+    source, path = shared_data / "motive_csv" / "sample_optitrack_take.csv", tmp_path / "take.csv"
+    lines = source.read_text(encoding="utf-8").splitlines()
+    path.write_text(saved_again(lines, separator, comma=True), newline="")
+    real, again = read_motive_csv(source), read_motive_csv(path)
+    assert len(again) == 250
+    for name, positions in real.markers.items():
+        np.testing.assert_array_equal(again.markers[name], positions)
 
 
 @pytest.mark.parametrize(

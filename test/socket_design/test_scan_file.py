@@ -164,6 +164,57 @@ def test_bodies_of_an_obj_have_names(cone, tmp_path, word: str, name: str):
     assert scan.body == name
 
 
+def obj_lines(mesh: trimesh.Trimesh, corner: str = "{0}") -> list[str]:
+    """Lines of an OBJ in mm; a corner is written of its index and of the number of vertices."""
+    lines = [f"v {x} {y} {z}" for x, y, z in 1e3 * mesh.vertices]
+    lines += ["vt 0.5 0.5"] * len(mesh.vertices)
+    for face in mesh.faces + 1:
+        corners = [corner.format(k, k - len(mesh.vertices) - 1) for k in face]
+        lines.append("f " + " ".join(corners))
+    return lines
+
+
+def continued(lines: list[str]) -> list[str]:
+    return [line.replace(" ", " \\\n", 1) if k % 3 else line for k, line in enumerate(lines)]
+
+
+@pytest.mark.parametrize(
+    ("corner", "dress"),
+    [
+        pytest.param("{1}", list, id="relative"),
+        pytest.param("{1}/{1}", list, id="relative-textured"),
+        pytest.param("{1}//", list, id="relative-slashes"),
+        pytest.param("{0}/{1}", list, id="mixed"),
+        pytest.param("{0}", lambda lines: [f"{line} # of X" for line in lines], id="comments"),
+        pytest.param("{1}", lambda lines: [f"  {line}\t#" for line in lines], id="indented"),
+        pytest.param("{0}", continued, id="continued"),
+        pytest.param("{1}", lambda lines: ["# C:\\scans\\", *continued(lines)], id="folder"),
+    ],
+)
+@pytest.mark.parametrize("ending", ["\n", "\r\n", "\r"], ids=["lf", "crlf", "cr"])
+def test_every_way_of_writing_an_obj_reads_alike(cone, tmp_path, corner, dress, ending: str):
+    text = "\n".join(dress(obj_lines(cone, corner))) + "\n"
+    (tmp_path / "scan.obj").write_bytes(text.replace("\n", ending).encode())
+    scan = read_scan(tmp_path / "scan.obj")
+    assert_same_surface(scan.mesh, cone)
+    assert len(scan.notes) == 2
+
+
+def test_relative_indices_count_from_their_line(cone, tmp_path):
+    """Each of two objects follows its own vertices, and a name may hold a hash."""
+    far = meshes.shifted(cone, 0.2)
+    lines = ["o limb #1", *obj_lines(cone, "{1}"), "o plate", *obj_lines(far, "{1}")]
+    (tmp_path / "scan.obj").write_text("\n".join(lines))
+    assert_same_surface(read_scan(tmp_path / "scan.obj", body="limb #1").mesh, cone)
+    assert_same_surface(read_scan(tmp_path / "scan.obj", body="plate").mesh, far)
+
+
+def test_the_line_of_a_bad_face_counts_continued_ones(tmp_path):
+    (tmp_path / "scan.obj").write_bytes(b"v 0 \\\r\n0 0\r\nv 1 0 0\r\nf 1 2 x\r\n")
+    with refused(ScanError, "line 4 is not a vertex or a face ('f 1 2 x')"):
+        read_scan(tmp_path / "scan.obj")
+
+
 PLY = b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
 PLY += b"property float z\nelement face 2\nproperty list uchar int vertex_indices\nend_header\n"
 
@@ -174,7 +225,9 @@ BAD = {
     "cut.stl": (bytes(80) + struct.pack("<I", 100) + bytes(3000), "is not a valid STL file"),
     "cut.ply": (PLY + b"0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", "fewer lines than elements"),
     "far.obj": (TRIANGLE + b"1 2 4\n", "not a valid OBJ"),
-    "back.obj": (TRIANGLE + b"-1 -2 -3\n", "line 4 is not a vertex"),  # trimesh counts otherwise
+    "back.obj": (TRIANGLE + b"-1 -2 -4\n", "line 4 counts back beyond the first vertex"),
+    "zero.obj": (TRIANGLE + b"0 1 2\n", "line 4 is not a vertex"),
+    "joined.obj": (TRIANGLE + b"1 \\\r\n2 x\r\n", "line 4 is not a vertex"),
     "line.obj": (b"v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no face has an area"),
     "nan.obj": (b"v nan 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "no face has finite corners"),
 }
@@ -242,6 +295,52 @@ def test_a_damage_is_repaired_without_a_trace(cone, path, damage, words: str):
     scan = read_scan(write_stl(damage(cone), path))
     assert_same_surface(scan.mesh, cone)
     assert noted(scan, words)
+
+
+def with_triangles(cone: trimesh.Trimesh, *places: list[float]) -> trimesh.Trimesh:
+    """The cone between triangles of 2 mm at these places [m]."""
+    corner = 0.002 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    specks = [
+        with_faces(trimesh.Trimesh(corner + place), np.array([[0, 1, 2]])) for place in places
+    ]
+    return trimesh.util.concatenate([*specks[:1], cone, *specks[1:]])
+
+
+SCATTERED = np.random.default_rng(2).uniform(-1000.0, 1000.0, (50, 3))
+
+
+@pytest.mark.parametrize(
+    "places",
+    [
+        pytest.param([[1000.0, 0.0, 0.0]], id="along-x"),
+        pytest.param([[0.0, 0.0, -1000.0]], id="along-z"),
+        pytest.param([[600.0, 600.0, 600.0]], id="diagonal"),
+        pytest.param([[1e5, 0.0, 0.0], [0.0, -30.0, 0.0]], id="two"),
+        pytest.param(SCATTERED.tolist(), id="scattered"),
+    ],
+)
+def test_specks_far_off_are_dropped_first(cone, path, places):
+    """Before the extent determines the unit, what is welded, and whether there is an area."""
+    scan = read_scan(write_stl(with_triangles(cone, *places), path))
+    assert_same_surface(scan.mesh, cone)
+    assert noted(scan, f"dropped {len(places)} faces of specks or spikes far off the rest")
+    assert noted(scan, "inferred unit mm: the body is 0.24 m long")
+
+
+def test_a_vertex_far_off_takes_only_its_faces(cone, path):
+    gone = int((cone.faces == 50).any(axis=1).sum())
+    around = (cone.faces == 50).any(axis=1)
+    rest = with_faces(cone, cone.faces[~around])
+    cone.vertices[50] = [0.0, 0.0, 1000.0]
+    scan = read_scan(write_stl(cone, path))
+    assert noted(scan, f"dropped {gone} faces of specks or spikes")
+    assert scan.mesh.area == pytest.approx(rest.area, rel=1e-6)
+
+
+def test_bodies_far_apart_are_no_specks(cone, path):
+    write_stl(trimesh.util.concatenate([cone, meshes.shifted(cone, 100.0)]), path)
+    with pytest.raises(ScanError, match="has 2 bodies of 0"):
+        read_scan(path)
 
 
 def test_faces_with_an_infinite_corner_are_removed(cone, path):

@@ -17,6 +17,7 @@ from socket_testbed import clocks
 from socket_testbed.clocks import Backoff
 from socket_testbed.drivers import ERROR, OK, RECENT, WARN
 from socket_testbed.drivers.natnet import connection, messages
+from socket_testbed.drivers.natnet.bodies import BodyWatch
 from socket_testbed.drivers.natnet.clock import EchoClock
 from socket_testbed.errors import DeviceError
 from socket_testbed.settings.acquisition import MocapSettings
@@ -30,6 +31,9 @@ _ECHO_FAST, _ECHO_NO_FRAMES, _ECHO_INTERVAL = 0.01, 0.1, 0.5  # [s]
 _ECHO_UNCERTAIN = 0.13  # [s]; with an uncertain clock; not in step with Wi-Fi beacons (0.1 s)
 _MAX_PENDING = 64  # echoes
 _MODELS_RETRY, _MODELS_INTERVAL = 0.1, 1.0  # [s]
+_MAX_MISREAD = 3  # frames in a row that only another layout explains
+# One version of each layout of frames; 4.6 stands for all that are not known.
+_LAYOUTS: tuple[messages.Version, ...] = (messages.NEWEST, (4, 1), (3, 1), (4, 6))
 _SUBSCRIPTIONS = ("SubscribeToData,RigidBody,All", "SubscribeToData,LabeledMarkers,All")
 
 _SPAN = 1.0  # [s]; for the frame rate
@@ -144,6 +148,9 @@ class NatNetClient:
         self._server: messages.ServerInfo | None = None  # None: not connected
         self._models: messages.BodiesByName | None = None  # None: not known yet
         self._version: messages.Version | None = None  # of its frames; None: not negotiated
+        self._misread = 0  # frames in a row that only another layout explains
+        self._other_layout = False  # whether its frames have another layout than it says
+        self._bodies = BodyWatch()
         self._echoes = EchoClock(0)  # maps its clock
         self._clock_error = 0.0  # error bound of the last frame's time [s]
         self._pending: deque[int] = deque(maxlen=_MAX_PENDING)  # echoes by sending time [ns]
@@ -214,13 +221,23 @@ class NatNetClient:
             return WARN, fault
         if self._statistics.silence(now) > _SILENCE_TIMEOUT:
             reason = warning or "its clock is not known yet"
-            return ERROR, missing or f"no frame from {self._where} can be used: {reason}"
-        if warning:
-            return WARN, f"{warning}: check the Wi-Fi"
-        if self._models is None:
-            return WARN, f"{server} has not sent its rigid bodies yet"
+            hint = _newer(server.version) if warning else ""
+            return ERROR, missing or f"no frame from {self._where} can be used: {reason}{hint}"
+        if wrong := self._doubts(now):
+            return WARN, wrong
         known = f"{1e3 * self._echoes.uncertainty:.3g} ms"
-        return OK, f"frames of {server} arrive, its clock is known within {known}"
+        layout = f" in the layout of NatNet {_text(self._version)}" if self._other_layout else ""
+        return OK, f"frames of {server} arrive{layout}, its clock is known within {known}"
+
+    def _doubts(self, now: float) -> str:
+        """What is wrong though frames arrive; empty if nothing is."""
+        warning = self._statistics.warning(now)
+        doubts = [f"{warning}: check the Wi-Fi"] if warning else []
+        if self._models is None:
+            doubts.append(f"{self.server} has not sent its rigid bodies yet")
+        elif wrong := self._bodies.warning(now):
+            doubts.append(wrong)
+        return "; ".join(doubts)
 
     def _why_no_server(self) -> str:
         if self._network:
@@ -394,19 +411,32 @@ class NatNetClient:
             for text in _SUBSCRIPTIONS:
                 self._command(text)
 
-        self._command(f"Bitstream,{wanted[0]}.{wanted[1]}", settle)
+        def unanswered() -> None:
+            self._version = self._version or info.version
+
+        self._command(f"Bitstream,{_text(wanted)}", settle, unanswered)
 
     def _command(
-        self, text: str, then: Callable[[connection.Answer], None] = lambda answer: None
+        self,
+        text: str,
+        then: Callable[[connection.Answer], None] = lambda answer: None,
+        unanswered: Callable[[], None] = lambda: None,
     ) -> None:
-        """Send a command until it is answered, within this session."""
+        """Send a command until it is answered, within this session.
+
+        Args:
+            text: The command.
+            then: Called once with the answer.
+            unanswered: Called each time that ten attempts had no answer.
+        """
         session = self._sessions
 
         def done(answer: connection.Answer) -> None:
             if session != self._sessions or self._server is None:
                 return
             if answer.raw is None:
-                self._command(text, then)
+                unanswered()
+                self._command(text, then, unanswered)
             else:
                 then(answer)
 
@@ -414,9 +444,22 @@ class NatNetClient:
 
     def _handle_models(self, payload: bytes, now: float) -> None:
         if self._version is not None:
-            self._models = messages.parse_model_definitions(payload, self._version)
+            models = self._parse_models(payload, self._version)
+            self._bodies.renewed(self._models, models, now)
+            self._models = models
             self._models_wanted = False
             self._next_models = now + _MODELS_INTERVAL
+
+    def _parse_models(self, payload: bytes, version: messages.Version) -> messages.BodiesByName:
+        """The rigid bodies; frames without sizes do not tell whether markers have names here."""
+        try:
+            return messages.parse_model_definitions(payload, version)
+        except messages.MalformedDatagram:
+            if version >= messages.SIZED:
+                raise
+            return messages.parse_model_definitions(
+                payload, (3, 1) if version >= (4, 0) else (4, 0)
+            )
 
     def _handle_echo(self, payload: bytes, now: float) -> None:
         stamp, ticks = messages.parse_echo(payload)
@@ -428,14 +471,17 @@ class NatNetClient:
     def _handle_frame(self, payload: bytes, now: float) -> None:
         if self._version is None:
             return
-        frame = messages.parse_frame(payload, self._version)
+        frame = self._parse_frame(payload, self._version)
         self._last_frame = now
         self._connecting.succeeded()
         if not self._is_next(frame.number, now):
             return
         self._takes.observe(frame.recording, now)
         known = {body.id for body in (self._models or {}).values()}
-        if frame.models_changed or not known.issuperset(frame.bodies):
+        if self._models is not None:
+            self._bodies.observe(frame, self._models, now)
+        changed = frame.models_changed or not known.issuperset(frame.bodies)
+        if changed or self._bodies.stale(now):
             self._models_wanted = True  # at most once a second
         if (exposed := self._echoes.to_steady(frame.mid_exposure)) is None:
             return
@@ -448,6 +494,24 @@ class NatNetClient:
             self._on_frame(frame, moment, self._models)
             self._statistics.count(_FRAMES, now)
 
+    def _parse_frame(self, payload: bytes, version: messages.Version) -> messages.MocapFrame:
+        """A frame, in the layout of its version or, if that fits no frame, in the one that does.
+
+        Some servers, and some settings of Motive, stream another layout than they announce.
+        """
+        try:
+            frame = messages.parse_frame(payload, version)
+        except messages.MalformedDatagram:
+            read = _first_that_fits(payload)
+            self._misread = self._misread + 1 if read else 0
+            if read is None or self._misread < _MAX_MISREAD:  # a damaged frame may fit by chance
+                raise
+            self._version, frame = read
+            self._other_layout = True
+            self._models, self._models_wanted = None, True
+        self._misread = 0
+        return frame
+
     def _is_next(self, number: int, now: float) -> bool:
         """Whether a frame is newer than all before it."""
         step = 1 if self._number is None else number - self._number
@@ -458,3 +522,25 @@ class NatNetClient:
             self._statistics.count(_LOST, now, min(step - 1, _MAX_LOST))
         self._number = number
         return True
+
+
+def _first_that_fits(payload: bytes) -> tuple[messages.Version, messages.MocapFrame] | None:
+    """A frame in the first layout that fits it, and a version of that layout; None if none does."""
+    for version in _LAYOUTS:
+        with suppress(messages.MalformedDatagram):
+            return version, messages.parse_frame(payload, version)
+    return None
+
+
+def _text(version: messages.Version | None) -> str:
+    return ".".join(str(part) for part in version or ())
+
+
+def _newer(version: messages.Version) -> str:
+    """A hint, for a server newer than the layouts that are known; empty if it is not."""
+    if version <= messages.NEWEST:
+        return ""
+    return (
+        f"; NatNet {_text(version)} is newer than {_text(messages.NEWEST)}, the last that is known:"
+        " let Motive stream unicast, which offers older layouts (setting bitstream)"
+    )

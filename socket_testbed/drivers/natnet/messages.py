@@ -1,4 +1,4 @@
-"""NatNet 3.0 to 4.4: requests, replies, rigid bodies and frames.
+"""NatNet 3.0 to 4.5: requests, replies, rigid bodies and frames; later ones as far as they agree.
 
 Every read is checked: a datagram whose counts contradict its size raises `MalformedDatagram`.
 """
@@ -6,6 +6,7 @@ Every read is checked: a datagram whose counts contradict its size raises `Malfo
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from math import isfinite
@@ -33,7 +34,10 @@ Version: TypeAlias = tuple[int, int]  # of NatNet: major, minor
 Position: TypeAlias = tuple[float, float, float]
 
 OLDEST = (3, 0)  # of Motive 2.0; older frames have no exposure time
-_NEWEST = (4, 4)  # last known layout
+NEWEST = (4, 5)  # of Motive 3.5; the last known layout
+_LATER_SECTIONS = 2  # after the devices: IMUs, GPIOs
+SIZED = (4, 1)  # the first version whose sections and definitions begin with their size
+_BODIES_KNOWN = (4, 4)  # last version whose definition of a rigid body is known to its end
 
 _HEADER = Struct("<HH")
 _I32 = Struct("<i")
@@ -266,7 +270,7 @@ class RigidBodyDefinition:
         name: Its name in Motive.
         id: Its streaming id, which is the `model` of its labelled markers.
         markers: Positions (x, y, z) of its k markers in its own frame, in the server's order, shape
-            (k, 3) [m].
+            (k, 3) [m]; empty if the server's layout is not known.
     """
 
     name: str
@@ -292,11 +296,15 @@ def parse_model_definitions(payload: bytes, version: Version) -> BodiesByName:
     bodies: BodiesByName = {}
     for _ in range(reader.count(8)):
         kind, stop = reader.integer(), None
-        if version >= (4, 1):
+        if version >= SIZED:
             size = reader.count(1)
             stop = reader.offset + size
         if kind == _RIGID_BODY:
-            body = _rigid_body(reader, version)
+            body = (
+                _rigid_body(reader, version)
+                if stop is None
+                else _sized_rigid_body(reader, version, size)
+            )
             bodies[body.name] = body
         elif stop is None:
             if kind not in _DEFINITIONS:
@@ -306,10 +314,31 @@ def parse_model_definitions(payload: bytes, version: Version) -> BodiesByName:
                 for _ in range(reader.count(20)):
                     _rigid_body(reader, version)
         if stop is not None:
-            if reader.offset > stop or (kind == _RIGID_BODY and reader.offset != stop):
-                raise reader.bad(f"a definition of {size} bytes ends elsewhere")
             reader.offset = stop
     return bodies
+
+
+def _sized_rigid_body(reader: Reader, version: Version, size: int) -> RigidBodyDefinition:
+    """A rigid body of a definition of so many bytes, in any layout that ends there.
+
+    A server may answer in the layout of another version than that of its frames. Of a layout that
+    is not known, the name and the id are read, which come first; the markers are then empty.
+
+    Raises:
+        MalformedDatagram: No layout fits, of a version whose layout is known.
+    """
+    begin = reader.offset
+    for layout in dict.fromkeys((version, (4, 2), (4, 1))):
+        reader.offset = begin
+        with suppress(MalformedDatagram):
+            body = _rigid_body(reader, layout)
+            if reader.offset == begin + size:
+                return body
+    reader.offset = begin
+    name, identity = reader.text(), reader.integer()
+    if version <= _BODIES_KNOWN or reader.offset > begin + size:
+        raise reader.bad(f"a definition of {size} bytes ends elsewhere")
+    return RigidBodyDefinition(name, identity, ())
 
 
 def _rigid_body(reader: Reader, version: Version) -> RigidBodyDefinition:
@@ -365,6 +394,9 @@ class MocapFrame:
 def parse_frame(payload: bytes | memoryview, version: Version) -> MocapFrame:
     """Parse the payload of a frame, of NatNet 3.0 or later.
 
+    From 4.1 on, each section has its size, so that those between the devices and the suffix are
+    skipped: of IMUs and GPIOs (4.5), and any number of unknown ones of later versions.
+
     Args:
         payload: Payload of the message.
         version: Version of the stream, which determines the layout: as negotiated with the server.
@@ -372,7 +404,7 @@ def parse_frame(payload: bytes | memoryview, version: Version) -> MocapFrame:
     Raises:
         MalformedDatagram: Its counts contradict its size, or the version is older than 3.0.
     """
-    sized = version >= (4, 1)
+    sized = version >= SIZED
     reader = Reader(bytes(payload), "frame")
     if version < OLDEST:
         raise reader.bad(f"NatNet {version[0]}.{version[1]} is too old")
@@ -394,22 +426,32 @@ def parse_frame(payload: bytes | memoryview, version: Version) -> MocapFrame:
     )
     for _ in range(2):  # force plates, devices
         _skip_section(reader, sized, _CHANNELS)
-    _, _, _, ticks, *_, flags, end = reader.unpack(_SUFFIX_4_1 if sized else _SUFFIX_3)
-    # A wrong count misses the end tag. A newer version may hold more.
-    if end != 0 or (version <= _NEWEST and reader.offset != reader.end):
+    suffix = _SUFFIX_4_1 if sized else _SUFFIX_3
+    later = 0
+    while sized and reader.end - reader.offset > suffix.size:
+        _skip_section(reader, sized, ())
+        later += 1
+    # A cut frame may end with zeros that look like a suffix, so known versions need their number.
+    if version <= NEWEST and later != (_LATER_SECTIONS if version >= NEWEST else 0):
+        raise reader.bad(f"{later} sections after the devices")
+    _, _, _, ticks, *_, flags, end = reader.unpack(suffix)
+    if end != 0 or reader.offset != reader.end:  # a wrong count or size misses the end tag
         raise reader.bad(f"end tag {end} and {reader.end - reader.offset} bytes left")
     changed = bool(flags & _MODELS_CHANGED)
     return MocapFrame(number, bodies, markers, ticks, bool(flags & _RECORDING), changed)
 
 
 def _skip_section(reader: Reader, sized: bool, elements: _Layout) -> None:
-    """Skip a section: by its size from 4.1 on, element by element before."""
+    """Skip a section: by its size from 4.1 on, element by element before.
+
+    An empty layout is that of an unknown section, whose elements may have any size.
+    """
     if not sized:
         reader.pass_over(elements)
         return
     count = reader.count(smallest := _min_size(elements))
     size = reader.count(1)
-    if size < count * smallest:
+    if size < count * smallest or (elements and size and not count):
         raise reader.bad(f"a section of {size} bytes for {count}")
     reader.skip(size)
 

@@ -14,7 +14,12 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from socket_testbed import clocks
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, line_weights
-from socket_testbed.drivers.natnet.messages import BodiesByName, MocapFrame
+from socket_testbed.drivers.natnet.bodies import fits_definition
+from socket_testbed.drivers.natnet.messages import (
+    BodiesByName,
+    MocapFrame,
+    RigidBodyDefinition,
+)
 from socket_testbed.geometry.marker_bodies import EDGE_TOLERANCE, MIN_MARKERS, distances, fit_body
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.settings.acquisition import MAX_STALE, MocapSettings
@@ -22,6 +27,7 @@ from socket_testbed.settings.acquisition import MAX_STALE, MocapSettings
 _HISTORY = MAX_STALE  # [s]
 _MAX_VOTES, _MIN_VOTES = 20, 3  # fits that determine the usual order of the labels
 _NOWHERE = np.full(7, np.nan)  # the pose of a body that has none
+_UNITS = {"millimetres": 1000.0, "centimetres": 100.0, "inches": 1.0 / 0.0254}  # in a metre
 _MAX_STEP = 0.01  # [m]; of a marker between two frames, if its body was not fitted
 
 
@@ -30,7 +36,7 @@ class SeenBody(NamedTuple):
 
     Attributes:
         markers: Its k markers in the world, in the order of the geometry file, or as labelled if
-            they do not fit that geometry, shape (k, 3) [m]; NaN if not seen.
+            they fit only the server's definition, shape (k, 3) [m]; NaN if not seen.
         pose: Its pose in the world as `Pose.vector`: position of the body's origin [m], then
             quaternion (x, y, z, w) [-], shape (7,); all NaN if unknown.
         frames: Number of frames used for the pose; 0 without a pose.
@@ -124,6 +130,7 @@ class _Frame(NamedTuple):
     time: float  # mid-exposure on the steady clock [s]
     markers: FloatArray  # of the body by label, shape (k, 3) [m]; NaN if not seen
     unknown: str  # why the body is not among the server's; empty if it is
+    definition: RigidBodyDefinition | None  # of the server; None if not known
 
 
 class _TrackedBody:
@@ -151,7 +158,7 @@ class _TrackedBody:
                 slot = rank if len(own) == self._count else marker.member - 1
                 if marker.seen and 0 <= slot < self._count:
                     markers[slot] = marker.position
-        self._frames.append(_Frame(time, np.array(markers), self._unknown(models)))
+        self._frames.append(_Frame(time, np.array(markers), self._unknown(models), definition))
         while self._frames[0].time < time - _HISTORY:
             self._frames.popleft()
 
@@ -184,9 +191,12 @@ class _TrackedBody:
         fitted = self._fitted_pair(fit.found, offsets, after)
         a, b = pair = list(fitted or (after - 1, after))
         weight = -offsets[a] / (offsets[b] - offsets[a])
+        fault = self._fault(seen[pair]) if fitted is None else ""
+        if fitted is None:
+            seen[[k for k in pair if not self._owns(frames[k])]] = np.nan
         markers = self._between(seen[pair], fit.order[pair], weight, fitted is not None)
         if fitted is None:
-            return SeenBody(markers, _NOWHERE, fault=self._fault(seen[pair]))
+            return SeenBody(markers, _NOWHERE, fault=fault)
         inside = (np.abs(offsets) <= 0.5 * window) & (window > 0.0)
         noise = weight**2 + (1.0 - weight) ** 2
         mean = _mean(fit.pose, offsets, inside & fit.found, noise)
@@ -242,12 +252,25 @@ class _TrackedBody:
             )
         return ""
 
+    def _owns(self, frame: _Frame) -> bool:
+        """Whether complete markers are the body's, in metres, though they may not fit the geometry.
+
+        They are not if they do not fit the server's definition either, such as after an exchange of
+        ids.
+        """
+        definition = frame.definition
+        if not np.isfinite(frame.markers).all() or definition is None or not definition.markers:
+            return True
+        fits = fits_definition(frame.markers, definition)
+        return fits and self._foreign_unit(frame.markers[None]) is None
+
     def _in_order(self, markers: FloatArray, order: IntArray) -> FloatArray:
         """A frame's markers in the body's order, shape (k, 3) [m]; NaN if the order is unknown.
 
-        Complete markers that do not fit the geometry are kept as labelled, so that poses can be
-        fitted later with the right geometry. Incomplete markers without a fit are put in the usual
-        order of the labels, unless their distances contradict it.
+        Complete markers that do not fit the geometry are kept as labelled if they fit the server's
+        definition, so that poses can be fitted later with the right geometry. Incomplete markers
+        without a fit are put in the usual order of the labels, unless their distances contradict
+        it.
         """
         if (order >= 0).any():
             return np.where((order >= 0)[:, None], markers[order], np.nan)
@@ -269,11 +292,29 @@ class _TrackedBody:
             fault = f"marker {members} of rigid body '{self._name}' is occluded"
             few = self._count == MIN_MARKERS or (~hidden).sum() < MIN_MARKERS
             return fault if few else f"{fault}, and the others do not make its pose certain"
+        if (unit := self._foreign_unit(seen)) is not None:
+            return (
+                f"the markers of rigid body '{self._name}' are {unit[1]:g} times as far apart as in"
+                f" the geometry file, so Motive streams in {unit[0]}: set its streaming units to"
+                " metres (Data Streaming, Units; or Scale 1)"
+            )
         kind = "triad" if self._count == MIN_MARKERS else "distances"
         return (
             f"the markers of rigid body '{self._name}' do not fit its {kind}: check the geometry"
             " file, or that no other marker is taken for one of them"
         )
+
+    def _foreign_unit(self, seen: FloatArray) -> tuple[str, float] | None:
+        """The unit other than metres in which a frame fits, and how many are a metre; if any.
+
+        The order of the labels does not matter.
+        """
+        found = np.sort(distances(seen).reshape(len(seen), -1))
+        own = np.sort(self._distances, axis=None)
+        for unit, per_metre in _UNITS.items():
+            if (np.abs(found / per_metre - own) <= EDGE_TOLERANCE).all(axis=-1).any():
+                return unit, per_metre
+        return None
 
 
 def _interpolate(poses: Pose, pair: list[int], weight: float) -> tuple[FloatArray, int]:

@@ -1,11 +1,11 @@
-"""A NatNet server, 3.0 to 4.4, on real sockets, with simulated cameras and network faults."""
+"""A NatNet server, 3.0 to 4.5, on real sockets, with simulated cameras and network faults."""
 
 from __future__ import annotations
 
 import select
 import socket
 import threading
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from struct import pack, pack_into
@@ -34,7 +34,7 @@ _TIMEOUT = 10.0  # [s]; of a silent client
 _CHANGE_FRAMES = 24  # frames that flag changed rigid bodies
 _VERSIONS = {  # of the stream on request
     f"{major}.{minor}": (major, minor)
-    for major, minor in ((3, 0), (3, 1), (4, 0), (4, 1), (4, 2), (4, 3), (4, 4))
+    for major, minor in ((3, 0), (3, 1), (4, 0), (4, 1), (4, 2), (4, 3), (4, 4), (4, 5))
 }
 
 
@@ -72,7 +72,7 @@ class Marker:
 
 @dataclass(frozen=True)
 class Content:
-    """A frame; all sections except rigid bodies and labelled markers are empty.
+    """A frame; unless it is crowded, sections besides bodies and labelled markers are empty.
 
     Attributes:
         number: Number of the frame; it increases within a session of the server.
@@ -82,6 +82,7 @@ class Content:
         markers: The labelled markers of all bodies.
         recording: Whether the server records a take.
         models_changed: Whether the rigid bodies have changed.
+        crowded: Whether every other section holds something, from a marker set to a GPIO.
     """
 
     number: int
@@ -90,6 +91,7 @@ class Content:
     markers: Sequence[Marker] = ()
     recording: bool = False
     models_changed: bool = False
+    crowded: bool = False
 
 
 @dataclass(frozen=True)
@@ -143,23 +145,26 @@ def encode_frame(content: Content, version: Version) -> Message:
 
     Args:
         content: The frame.
-        version: Version of the stream, 3.0 to 4.4, which determines the layout.
+        version: Version of the stream, 3.0 or later, which determines the layout; one after 4.5
+            has another section, of a kind that no client knows.
     """
-    sized = version >= (4, 1)
-    bodies: Parts = [
-        pack("<i8fh", body.id, *body.position, *body.quaternion, 1e-4, True)
-        for body in content.bodies
-    ]
-    markers: Parts = [
-        pack("<i4fhf", m.model << 16 | m.member, *m.position, 0.014, m.flags, 2e-4)
-        for m in content.markers
-    ]
+    sized = version >= messages.SIZED
+    bodies: Parts = [_encode_body(body) for body in content.bodies]
+    markers: Parts = [_encode_marker(marker) for marker in content.markers]
+
+    def other(element: bytes) -> tuple[int, Parts]:
+        return (1, [element]) if content.crowded else (0, [])
+
     sections: list[tuple[int, Parts]] = [
-        *[(0, Parts())] * 2,  # marker sets, other markers
+        other(_MARKER_SET),
+        other(_OTHER_MARKER),
         (len(bodies), bodies),
-        *[(0, Parts())] * (2 if sized else 1),  # skeletons; assets
+        other(_SKELETON),
+        *([other(_ASSET)] if sized else []),
         (len(markers), markers),
-        *[(0, Parts())] * 2,  # force plates, devices
+        other(_FORCE_PLATE),
+        other(_DEVICE),
+        *[other(element) for since, element in _LATER if version >= since],
     ]
     parts: Parts = [pack("<i", content.number)]
     for number, section in sections:
@@ -172,6 +177,30 @@ def encode_frame(content: Content, version: Version) -> Message:
     return Message.of(messages.FRAME, *parts, end)
 
 
+def _encode_body(body: Body) -> bytes:
+    return pack("<i8fh", body.id, *body.position, *body.quaternion, 1e-4, True)
+
+
+def _encode_marker(marker: Marker) -> bytes:
+    identity = marker.model << 16 | marker.member
+    return pack("<i4fhf", identity, *marker.position, 0.014, marker.flags, 2e-4)
+
+
+# An element of each section that a crowded frame holds besides its bodies and markers.
+_BONE = _encode_body(Body(1, np.ones(3), np.array([0.0, 0.0, 0.0, 1.0])))
+_MARKER_SET = b"all\0" + pack("<i3f", 1, 0.1, 0.2, 0.3)
+_OTHER_MARKER = pack("<3f", 0.1, 0.2, 0.3)
+_SKELETON = pack("<ii", 7, 1) + _BONE
+_ASSET = pack("<ii", 8, 1) + _BONE + pack("<i", 1) + _encode_marker(Marker(8, 1, np.ones(3)))
+_FORCE_PLATE = pack("<iii2f", 9, 1, 2, 10.0, 20.0)
+_DEVICE = pack("<iii2f", 10, 1, 2, 1.0, 2.0)
+_IMU = pack("<i10f", 11, *range(10))
+_GPIO = pack("<iI", 12, 5)
+_UNKNOWN = bytes(range(1, 24))
+_LATER: tuple[tuple[Version, bytes], ...] = (((4, 5), _IMU), ((4, 5), _GPIO), ((4, 6), _UNKNOWN))
+"""Elements of the sections that follow the devices, with the version that has them first."""
+
+
 def encode_model_definitions(
     definitions: Iterable[RigidBodyDefinition], version: Version
 ) -> Message:
@@ -179,7 +208,7 @@ def encode_model_definitions(
 
     Args:
         definitions: The rigid bodies.
-        version: Version of the stream, 3.0 to 4.4, which determines the layout.
+        version: Version of the stream, 3.0 to 4.5, which determines the layout.
     """
     parts: Parts = []
     number = 0
@@ -217,7 +246,9 @@ def _text(text: str) -> bytes:
 
 
 class Scene:
-    """Generates frames with noise and the faults `mocap.occlude` and `mocap.swap`.
+    """Generates frames with noise and the faults of markers and bodies.
+
+    The faults are `mocap.occlude`, `mocap.swap`, `mocap.exchange` and `mocap.scale`.
 
     Args:
         bodies: Gives the bodies at a time of the steady clock [s]: the name of each, its m true
@@ -226,12 +257,20 @@ class Scene:
         faults: Faults of `simulation.world`, read at each frame.
         noise: Standard deviation of each coordinate of a marker [m].
         rng: Random numbers of the noise and the swaps.
+        crowded: Whether frames hold every other section, see `Content.crowded`, and an unlabelled
+            marker.
     """
 
     def __init__(
-        self, bodies: Bodies, faults: Mapping[str, float], noise: float, rng: np.random.Generator
+        self,
+        bodies: Bodies,
+        faults: Mapping[str, float],
+        noise: float,
+        rng: np.random.Generator,
+        crowded: bool = False,
     ) -> None:
         self._bodies = bodies
+        self._crowded = crowded
         self._faults = faults
         self._noise = noise
         self._rng = rng
@@ -252,7 +291,7 @@ class Scene:
         """
         found = []
         for name, markers, position, quaternion in self._bodies(moment):
-            in_body = Rotation.from_quat(quaternion).inv().apply(markers - position)
+            in_body = Rotation.from_quat(quaternion).inv().apply(markers - position) * self._scale
             places = tuple((float(x), float(y), float(z)) for x, y, z in in_body)
             found.append(RigidBodyDefinition(name, self._identify(name), places))
         return found
@@ -279,14 +318,26 @@ class Scene:
         for name, true, position, quaternion in scene:
             identity = self._identify(name)
             markers, hidden = self._observe(name, np.asarray(true, dtype=float))
-            bodies.append(Body(identity, position, quaternion))
+            bodies.append(Body(identity, position * self._scale, quaternion))
             for k, (marker, is_hidden) in enumerate(zip(markers, hidden, strict=True)):
                 flags = HAS_MODEL | (OCCLUDED if is_hidden else SOLVED)
-                labelled.append(Marker(identity, k + 1, marker, flags))
-        return Content(number, ticks, bodies, labelled, recording, self._changed > 0)
+                labelled.append(Marker(identity, k + 1, marker * self._scale, flags))
+        if self._crowded:
+            labelled.append(Marker(0, 1, np.ones(3) * self._scale, SOLVED))
+        changed = self._changed > 0
+        return Content(number, ticks, bodies, labelled, recording, changed, self._crowded)
+
+    @property
+    def _scale(self) -> float:
+        """Factor on all lengths [-]."""
+        return self._faults.get("mocap.scale", 0.0) or 1.0
 
     def _identify(self, name: str) -> int:
-        return self._ids.setdefault(name, len(self._ids) + 1)
+        """Streaming id of a body, from 1 in the order of their first frame."""
+        identity = self._ids.setdefault(name, len(self._ids) + 1)
+        if self._faults.get("mocap.exchange", 0.0) and identity <= 2:
+            return 3 - identity
+        return identity
 
     def _observe(self, name: str, true: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Markers by label, and which of them are hidden."""
@@ -365,12 +416,17 @@ class NatNetServer:
     Args:
         bodies: Gives the bodies at a time of the steady clock [s], see `Scene`.
         rate: Rate of the frames [Hz].
-        version: NatNet version of the server, major and minor; its frames can be 3.0 to 4.4.
+        version: NatNet version of the server, major and minor; its frames can be 3.0 to 4.5 on
+            request.
         address: IPv4 address and command port; port 0 selects a free one.
         multicast: Multicast group and its data port; None to stream to each client.
         faults: Faults of `simulation.world`, read live; None for none.
         noise: Standard deviation of each coordinate of a marker [m].
         seed: Seed of the random numbers.
+        refused: Names of commands that it does not know, such as "Bitstream".
+        crowded: Whether frames hold every section, from a marker set to a GPIO, as of a server with
+            skeletons, assets (trained marker sets), force plates and devices.
+        layout: Version of the frames' layout if it is not that of the server; None if it is.
 
     Attributes:
         takes: Names of the recorded takes in order, including the current one.
@@ -382,12 +438,15 @@ class NatNetServer:
         self,
         bodies: Bodies,
         rate: float = 240.0,
-        version: Version = (4, 1),
+        version: Version = messages.NEWEST,
         address: Address = ("127.0.0.1", 0),
         multicast: Address | None = None,
         faults: Mapping[str, float] | None = None,
         noise: float = 0.0,
         seed: int = 0,
+        refused: Collection[str] = (),
+        crowded: bool = False,
+        layout: Version | None = None,
     ) -> None:
         self.takes: list[str] = []
         self.recording = False
@@ -395,10 +454,12 @@ class NatNetServer:
         self._take = ""
         self._rate = rate
         self._version = version
+        self._layout = layout or version
+        self._refused = frozenset(refused)
         self._multicast = multicast
         self._faults: Mapping[str, float] = {} if faults is None else faults
         self._rng, network_rng, scene_rng = np.random.default_rng(seed).spawn(3)
-        self._scene = Scene(bodies, self._faults, noise, scene_rng)
+        self._scene = Scene(bodies, self._faults, noise, scene_rng, crowded)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._socket.bind(address)
@@ -478,9 +539,9 @@ class NatNetServer:
         match kind:
             case messages.CONNECT:  # in any of the three forms that clients send
                 if self._multicast is None:
-                    self._clients[address] = _Client(now, self._version)
+                    self._clients[address] = _Client(now, self._layout)
                 group, port = self._multicast or ("", 1511)
-                who, app, is_group = "simulated Motive", (3, 1, 0, 0), bool(group)
+                who, app, is_group = "simulated Motive", (3, 5, 0, 0), bool(group)
                 info = ServerInfo(who, app, self._version, _CLOCK, port, is_group, group)
                 answer = encode_server_info(info)
             case messages.REQUEST:
@@ -490,7 +551,7 @@ class NatNetServer:
                 if reply is not None:
                     answer = Message.of(messages.RESPONSE, reply)
             case messages.REQUEST_MODELDEF:
-                version = client.version if client else self._version
+                version = client.version if client else self._layout
                 answer = encode_model_definitions(self._scene.definitions(now), version)
             case messages.ECHOREQUEST if len(payload) >= 8:
                 ticks = pack("<Q", self._ticks(now))
@@ -506,6 +567,8 @@ class NatNetServer:
         """The reply to a command; None for an unknown one."""
         if self._version < (4, 0):
             client = None  # it has no settings
+        if name in self._refused:
+            return None
         match name:
             case "StartRecording":
                 if not self.recording:
@@ -531,7 +594,7 @@ class NatNetServer:
         self._clients = {a: c for a, c in self._clients.items() if now - c.last <= _TIMEOUT}
         targets = self._clients
         if self._multicast is not None:
-            targets = {self._multicast: _Client(now, self._version)}
+            targets = {self._multicast: _Client(now, self._layout)}
         if not targets:
             return
         ticks = (self._ticks(moment), self._ticks(moment + 0.5 * _LATENCY), self._ticks(now))
