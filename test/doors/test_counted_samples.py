@@ -49,6 +49,10 @@ def test_the_paper_counts_samples_of_the_objective(
     monkeypatch.setattr(tradeoff, "pareto", lambda *_, **__: traded)
     found = st.paper(lacking, "all")
     assert found.samples == found.document()["samples"] == 89
+    remark = found.table.loc["RMSE of Mx [N m]", ("", "remark")]
+    assert "; 96 samples, 1000; " in remark and "4.00 Hz" not in remark
+    half = st.paper(lacking, "0:11.75").table.loc["RMSE of Mx [N m]", ("", "remark")]
+    assert "; 48 samples, 1000; " in half
     results._show_paper(found)
     assert capsys.readouterr().out.startswith("scene: all 0.00 s to 23.75 s, 89 samples\n")
 

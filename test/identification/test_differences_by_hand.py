@@ -63,3 +63,13 @@ def test_single_trials_differ_by_their_ends_alone() -> None:
         [2.99 - 3.16228, 2.99 + 4.47214], abs=1e-4
     )
     assert not {"spread", "detectable"} & {*found}
+
+
+def test_freedom_is_that_of_known_conditions() -> None:
+    """Three trials of `b` and two of `a`: two degrees of freedom where `a` is unknown."""
+    conditions = Conditions(("a", "b"), np.array([0, 0, 1, 1, 1]))
+    values = np.array([[1.0, np.nan], [2.0, 1.0], [3.0, 5.0], [4.0, 6.0], [5.0, 7.0]])
+    found = conditions.columns(values, values, values)
+    assert found["degrees of freedom"].tolist() == [[3.0, 2.0], [3.0, 2.0]]
+    # Squares about the means: 0.5 + 2 over 3, and 2 over 2.
+    assert found["spread"][0] == pytest.approx([np.sqrt(2.5 / 3.0), 1.0])

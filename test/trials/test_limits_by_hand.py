@@ -1,4 +1,4 @@
-"""Values beyond any sensor count as missing, whichever their sign."""
+"""Values beyond any sensor, doubled stamps, ends of segments, and changed metadata."""
 
 from typing import Any
 
@@ -7,7 +7,9 @@ import pytest
 from support import scene
 from support.bags import rewrite
 
+from socket_testbed.trials import events, synchronise, topics
 from socket_testbed.trials.bag import BagReader
+from socket_testbed.trials.metadata import TrialMetadata, change_metadata
 from socket_testbed.trials.synchronise import Measurements, read_measurements
 
 
@@ -65,3 +67,36 @@ def test_impossible_values_are_counted_by_topic(
         f"{topic} holds {count} values beyond 1e+06, which count as missing: check the recording"
     )
     assert len(spoilt[1]) == 3
+
+
+def test_every_replaced_value_is_counted() -> None:
+    """Four values at one stamp and two at another: four are lost."""
+    stamps = (1e9 * np.array([5.0, 5.0, 5.0, 5.0, 6.0, 6.0, 7.0])).astype(np.int64)
+    (note,) = synchronise._stamp_notes({(topics.TRIGGER, "trigger"): [stamps]})
+    assert note == (
+        "the stamps of trigger are doubled, 2 times (at 0.00 s, at 1.00 s): 4 earlier values are"
+        " replaced by later ones"
+    )
+
+
+@pytest.mark.parametrize(
+    ("specification", "span"),
+    [
+        ("event:placed:removed-2", (2.0, 8.0)),  # 1 s would be before the start
+        ("event:placed:removed", (2.0, 3.0)),
+        ("event:placed:removed+2", (2.0, 5.0)),
+    ],
+    ids=["earlier", "at it", "later"],
+)
+def test_an_end_with_its_offset_is_after_the_start(
+    specification: str, span: tuple[float, float]
+) -> None:
+    times = (("placed", 2.0), ("removed", 3.0), ("removed", 10.0))
+    known = [events.Event(label, time, "found") for label, time in times]
+    assert events.event_span(specification, known) == span
+
+
+def test_a_field_removed_and_set_is_set() -> None:
+    stored = TrialMetadata(subject="S01", liner="gel")
+    found = change_metadata(stored, {"subject": "S02"}, ["subject", "liner"])
+    assert found == TrialMetadata(subject="S02")
