@@ -87,7 +87,7 @@ def test_events_of_the_segment_alone_are_drawn(monkeypatch: pytest.MonkeyPatch) 
     assert figure.get_supxlabel() == "bands: 95 % intervals, events: 1 first, 2 last"
 
 
-def test_a_map_is_grey_by_its_95_percent_reach(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_map_is_grey_by_its_interval(monkeypatch: pytest.MonkeyPatch) -> None:
     """2 kPa of standard deviation reach 3.92 kPa; the deviation itself is certain."""
     asked: dict[str, Any] = {}
     monkeypatch.setattr(pressure, "tile_map_figure", lambda *_, **given: asked.update(given))

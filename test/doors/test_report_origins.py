@@ -71,13 +71,13 @@ def moving(report) -> SegmentPressure:
     return replace(found, outputs=outputs)
 
 
-def test_the_peak_s_tile_is_that_at_its_time(moving: SegmentPressure) -> None:
+def test_the_tile_named_is_the_peak_s(moving: SegmentPressure) -> None:
     first = moving.outputs.estimate.normal_pressure[0]
     assert np.argmax(first) == tile("post_mid")
     assert pressure.describe_pressure(moving).endswith("The peak is on ant_mid at 12.00 s.")
 
 
-def test_the_page_s_peak_is_that_at_its_time(report, moving: SegmentPressure) -> None:
+def test_the_cards_name_the_peak_s_tile(report, moving: SegmentPressure) -> None:
     results: Results = replace(report.results, pressure=moving)
     data = pressure.page_data(results)
     assert data["start"] == 12.0
@@ -85,7 +85,7 @@ def test_the_page_s_peak_is_that_at_its_time(report, moving: SegmentPressure) ->
     assert not any("post_mid" in str(card) for card in data["cards"])
 
 
-def test_the_drawn_map_at_the_peak_is_the_peak_s(report, moving: SegmentPressure) -> None:
+def test_a_map_is_drawn_at_the_peak(report, moving: SegmentPressure) -> None:
     drawn = pressure._overview(replace(report.results, pressure=moving)).data.set_index("tile")
     assert drawn["at the peak, 12.00 s [kPa]"]["post_mid"] == pytest.approx(37.5)
     assert drawn["at the peak, 12.00 s [kPa]"]["ant_mid"] == pytest.approx(60.0)

@@ -154,7 +154,7 @@ def test_a_drawn_result_has_the_asked_title(title: bool, tmp_path: Path) -> None
     assert made == [("a title" if title else "", 88)]
 
 
-def test_cycles_of_an_export_are_those_of_its_segment(
+def test_exported_cycles_are_those_of_the_segment(
     scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[Any] = []
@@ -169,7 +169,7 @@ def test_cycles_of_an_export_are_those_of_its_segment(
     assert asked == [("span 12.00 s to 14.00 s", "step", 9)]
 
 
-def test_a_given_calibration_stays_in_a_paper_like_trial(tmp_path: Path) -> None:
+def test_a_paper_like_trial_keeps_its_calibration(tmp_path: Path) -> None:
     """Without one it is the package's, whose ranges admit offsets as large as in the paper."""
     own = st.simulate(tmp_path / "usual", duration=1).path / "calibration.yaml"
     given = st.simulate(tmp_path / "given", duration=1, like_paper=True, calibration=own)

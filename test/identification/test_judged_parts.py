@@ -52,9 +52,7 @@ def test_judgements_of_others_are_medians_by_trial() -> None:
     assert table.loc["t", "wrench, other trial: rigid force skill [-]"] == 0.1
 
 
-def test_another_trial_is_tested_by_this_one_s_models(
-    loaded: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_others_are_tested_by_these_models(loaded: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(validation, "fit_variants", lambda *_: {})
     trial: Any = SimpleNamespace(geometry=scene.geometry())
     first, second = (
@@ -92,9 +90,7 @@ def test_a_better_wrench_is_told_in_percent(
 
 
 @pytest.mark.parametrize("worse", ["rest positions", "stiffnesses"])
-def test_a_point_has_the_worst_residual_of_both_stages(
-    worse: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_point_has_its_stages_worst_residual(worse: str, monkeypatch: pytest.MonkeyPatch) -> None:
     geometry, _, samples, settings = make_case(2)
     solve = pareto.solve_box_qp
     seen = set()

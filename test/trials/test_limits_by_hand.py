@@ -88,9 +88,7 @@ def test_every_replaced_value_is_counted() -> None:
     ],
     ids=["earlier", "at it", "later"],
 )
-def test_an_end_with_its_offset_is_after_the_start(
-    specification: str, span: tuple[float, float]
-) -> None:
+def test_an_end_is_after_its_start(specification: str, span: tuple[float, float]) -> None:
     times = (("placed", 2.0), ("removed", 3.0), ("removed", 10.0))
     known = [events.Event(label, time, "found") for label, time in times]
     assert events.event_span(specification, known) == span
