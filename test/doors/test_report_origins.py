@@ -1,0 +1,92 @@
+"""Where the report says that its files come from, and which tile it says has the peak."""
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import scene
+from support.pages import MADE
+from support.results_by_hand import tile
+
+from socket_testbed.identification.force_map import MapEstimate
+from socket_testbed.report import pressure, quality
+from socket_testbed.report.results import Results
+from socket_testbed.samples import Samples
+from socket_testbed.trials.pressure import SegmentPressure
+from socket_testbed.trials.trial import Trial
+
+GIVEN, STORED = "given on the command line", "stored in the trial"
+
+
+@pytest.mark.parametrize(
+    ("given", "origins"),
+    [
+        ((), (STORED, STORED)),
+        (("socket",), (GIVEN, STORED)),
+        (("calibration",), (STORED, GIVEN)),
+        (("socket", "calibration"), (GIVEN, GIVEN)),
+    ],
+    ids=["stored", "socket", "calibration", "both"],
+)
+def test_each_file_has_its_origin_and_hash(
+    given: tuple[str, ...], origins: tuple[str, str], report, scene_folder: Path
+) -> None:
+    files = {f"{name}_file": scene_folder.parent / f"{name}.yaml" for name in given}
+    results = replace(report.results, trial=Trial(scene_folder, **files))
+    rows = dict(quality.provenance(results, "by hand", MADE))
+    for row, name, origin in zip(
+        ("geometry", "calibration"), ("socket.yaml", "calibration.yaml"), origins, strict=True
+    ):
+        digest = hashlib.sha256((scene_folder / name).read_bytes()).hexdigest()[:16]
+        assert rows[row] == f"{name}, {origin}, SHA-256 {digest}..."
+
+
+def test_what_replaces_measurements_is_named(report, scene_folder: Path) -> None:
+    trial = Trial(scene_folder, tare="1:2", unloaded=((0.0, 3.0),))
+    rows = dict(quality.provenance(replace(report.results, trial=trial), "by hand", MADE))
+    assert rows["tare"] == "1:2" and rows["unloaded"] == "[[0.0, 3.0]]"
+    assert rows["load cell"] == "recorded" and rows["trial"] == "scene"
+    assert rows["geometry, source"] == "a scene made by hand"
+    assert rows["report made"] == "2026-02-03 04:05:06 UTC"
+
+
+class _Moving(scene.HandMap):
+    """The forces of the scene, but at its first sample `post_mid` has the highest pressure."""
+
+    def estimate(self, samples: Samples) -> MapEstimate:
+        found = super().estimate(samples)
+        moved = found.normal_pressure.copy()
+        moved[samples.stamps == scene.START, tile("post_mid")] = 50e3  # below the peak of 60 kPa
+        return replace(found, normal_pressure=moved)
+
+
+@pytest.fixture
+def moving(report) -> SegmentPressure:
+    """Pressures whose highest tile changes over the segment."""
+    found = report.results.pressure
+    socket = scene.geometry()
+    outputs = replace(found.outputs, force_map=_Moving(socket, tuple(socket.clusters)))
+    return replace(found, outputs=outputs)
+
+
+def test_the_tile_named_is_the_peak_s(moving: SegmentPressure) -> None:
+    first = moving.outputs.estimate.normal_pressure[0]
+    assert np.argmax(first) == tile("post_mid")
+    assert pressure.describe_pressure(moving).endswith("The peak is on ant_mid at 12.00 s.")
+
+
+def test_the_cards_name_the_peak_s_tile(report, moving: SegmentPressure) -> None:
+    results: Results = replace(report.results, pressure=moving)
+    data = pressure.page_data(results)
+    assert data["start"] == 12.0
+    assert any("ant_mid" in str(card) or "mid_anterior" in str(card) for card in data["cards"])
+    assert not any("post_mid" in str(card) for card in data["cards"])
+
+
+def test_a_map_is_drawn_at_the_peak(report, moving: SegmentPressure) -> None:
+    drawn = pressure._overview(replace(report.results, pressure=moving)).data.set_index("tile")
+    assert drawn["at the peak, 12.00 s [kPa]"]["post_mid"] == pytest.approx(37.5)
+    assert drawn["at the peak, 12.00 s [kPa]"]["ant_mid"] == pytest.approx(60.0)
+    assert drawn["mean over the segment [kPa]"]["post_mid"] == pytest.approx(25.0)

@@ -1,0 +1,107 @@
+"""Which part of a trial is judged, and how judgements, fits and residuals are brought together."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from support import scene
+from support.problems import make_case, make_samples
+from support.results_by_hand import rigid_model
+
+from socket_testbed.api import validation as api
+from socket_testbed.identification import fit, pareto, validation
+from socket_testbed.identification.solver import Certificate
+from socket_testbed.settings.identification import IdentificationSettings
+from socket_testbed.settings.testbed import EstimatorSettings
+
+COUNT = 80
+
+
+@pytest.fixture
+def loaded() -> Any:
+    """Samples under a load that grows by the second."""
+    force = np.outer(np.arange(COUNT) + 50.0, [0.0, 0.0, 0.0, 0.0, 0.0, -1.0])
+    return make_samples(np.zeros((COUNT, 6)), force, {"distal": np.zeros((COUNT, 3))})
+
+
+def test_tiles_are_judged_on_the_second_half(loaded: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    judged: list[Any] = []
+    monkeypatch.setattr(validation, "judge_map", lambda *_: [])
+    monkeypatch.setattr(validation, "fit_variants", lambda *_: {})
+
+    def judge_tiles(samples: Any, socket: Any, truth: Any, *_: Any) -> list[Any]:
+        judged.append((samples, truth))
+        return []
+
+    monkeypatch.setattr(validation, "judge_tiles", judge_tiles)
+    truth = np.arange(COUNT)[:, None, None] * np.ones((1, 12, 3))
+    validation.judge_samples(loaded, scene.geometry(), EstimatorSettings(), truth, "s", print)
+    ((samples, true),) = judged
+    assert samples.stamps.tolist() == loaded.stamps[COUNT // 2 :].tolist()
+    assert true[:, 0, 0].tolist() == [*range(COUNT // 2, COUNT)]
+
+
+def test_judgements_of_others_are_medians_by_trial() -> None:
+    found = [
+        validation.Judgement("wrench", "rigid", "other trial", f"t{skill}", "t", force_skill=skill)
+        for skill in (0.1, 0.2, -9.0)
+    ]
+    table = validation.judgements_by_trial(found)
+    assert table.loc["t", "wrench, other trial: rigid force skill [-]"] == 0.1
+
+
+def test_others_are_tested_by_these_models(loaded: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(validation, "fit_variants", lambda *_: {})
+    trial: Any = SimpleNamespace(geometry=scene.geometry())
+    first, second = (
+        api._Recording(name, trial, EstimatorSettings(), loaded) for name in ("first", "second")
+    )
+    found = first.judge_others([second])
+    assert {(each.fitted_on, each.tested_on) for each in found} == {("first", "second")}
+    assert {each.test for each in found} == {"other trial"} and len(found) == 2
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (0.6, "springs of sharpness 20 /m: 25 % less error on the unseen half than the bed's own"),
+        (0.77, ""),  # less than 5 % better
+    ],
+    ids=["better", "hardly"],
+)
+def test_a_better_wrench_is_told_in_percent(
+    error: float, words: str, loaded: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The bed's own springs have an error of 0.8."""
+    errors = {1000.0: 0.8, 100.0: 0.9, 20.0: error, "regression": 0.95}
+    monkeypatch.setattr(
+        fit,
+        "fit_contact_model",
+        lambda samples, socket, settings: SimpleNamespace(model=settings.contact_sharpness),
+    )
+    monkeypatch.setattr(fit, "_regression", lambda model, samples: "regression")
+    monkeypatch.setattr(fit, "_wrench_error", lambda model, samples: errors[model])
+    socket, settings = scene.geometry(), IdentificationSettings()
+    model, said = fit._with_wrench_model(rigid_model(socket), loaded, loaded, socket, settings)
+    assert said.startswith(words) and bool(said) is bool(words)
+    assert model.of_wrench == (20.0 if words else None)
+
+
+@pytest.mark.parametrize("worse", ["rest positions", "stiffnesses"])
+def test_a_point_has_its_stages_worst_residual(worse: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    geometry, _, samples, settings = make_case(2)
+    solve = pareto.solve_box_qp
+    seen = set()
+
+    def certified(program: Any, *given: Any) -> Any:
+        first = "1" in program.name or "rest" in program.name
+        seen.add(first)
+        residual = 3e-9 if first is (worse == "rest positions") else 1e-12
+        return replace(solve(program, *given), certificate=Certificate(0.0, residual, 0.0))
+
+    monkeypatch.setattr(pareto, "solve_box_qp", certified)
+    fronts = pareto.pareto_front(samples, geometry, settings, [0.5])
+    assert seen == {True, False}
+    assert [front.residual.tolist() for front in fronts.values()] == [[3e-9], [3e-9]]
