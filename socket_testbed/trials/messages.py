@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 WORLD_FRAME = "world"  # of the motion capture
 LOAD_CELL_FRAME = "load_cell"  # the paper's {S}
 
+_SECOND = 1_000_000_000  # [ns]
 _MAX_LAYOUTS = 8  # remembered per topic; messages of other layouts are decoded one by one
 
 Values: TypeAlias = Callable[[cdr.Record, Any], Any]
@@ -77,8 +78,10 @@ class Reader:
         for layout, sample in self._known:
             if (record := layout.record(data)) is not None:
                 stamp = record["header"]["stamp"]  # `stamps_of` takes 10 us
-                nanoseconds = int(stamp["sec"]) * 1_000_000_000 + int(stamp["nanosec"])
-                return nanoseconds, self._values(record, sample)
+                seconds, nanoseconds = int(stamp["sec"]), int(stamp["nanosec"])
+                if nanoseconds >= _SECOND:
+                    raise self._refusal(f"its stamp has {nanoseconds} ns")
+                return _SECOND * seconds + nanoseconds, self._values(record, sample)
         self._known = [self._learn(data), *self._known[: _MAX_LAYOUTS - 1]]
         return self.read(data)
 
@@ -113,12 +116,18 @@ class Reader:
 
     def _learn(self, data: bytes) -> tuple[cdr.Layout, Any]:
         try:
-            return cdr.Layout(data, self._topic.type), cdr.decode(data, self._topic.type)
+            layout = cdr.Layout(data, self._topic.type)
+            sample = cdr.decode(data, self._topic.type)
+            check_lengths(sample, self._topic.type)
+            return layout, sample
         except Exception as error:  # the library may raise any exception
-            raise TrialError(
-                f"{self._where}: a message on {self._topic.name} cannot be decoded ({error})",
-                "check that it was recorded or sent with this version's messages",
-            ) from None
+            raise self._refusal(error) from None
+
+    def _refusal(self, why: object) -> TrialError:
+        return TrialError(
+            f"{self._where}: a message on {self._topic.name} cannot be decoded ({why})",
+            "check that it was recorded or sent with this version's messages",
+        )
 
 
 class Template:
@@ -315,11 +324,16 @@ def markers_packer(counts: Mapping[str, int]) -> Callable[[int, Sequence[FloatAr
     """
     bodies = [{"name": name, "markers": [None] * count} for name, count in counts.items()]
     template = Template(topics.MARKERS.type, WORLD_FRAME, bodies=bodies)
-    numbers = cdr.elements(template.numbers, "bodies")
+    # A body without markers has no numbers.
+    numbers = {
+        place: template.numbers["bodies"][str(place)]
+        for place, count in enumerate(counts.values())
+        if count
+    }
 
     def pack(stamp: int, markers: Sequence[FloatArray]) -> bytes:
-        for own, seen in zip(numbers, markers, strict=True):
-            own["markers"] = seen
+        for place, own in numbers.items():
+            own["markers"] = markers[place]
         return template.serialised(stamp)
 
     return pack
@@ -425,6 +439,37 @@ def _named_wrench(values: FloatArray) -> dict[str, Any]:
 def named(values: FloatArray) -> dict[str, float]:
     """Components by name, x, y, z and w, of a vector or point, (3,), or quaternion, (4,)."""
     return dict(zip("xyzw", values.tolist(), strict=False))
+
+
+_PARALLEL: dict[str, dict[str, Sequence[str]]] = {
+    topics.LOCAL_FORCES.type: {"names": ["forces"]},
+    topics.FORCE_MAP.type: {"names": _MAP_FIELDS},
+    topics.REGIONS.type: {"names": _REGION_COLUMNS},
+    topics.PARAMETERS.type: {
+        "names": ["stiffness", "rest_positions"],
+        "bias_names": ["force_bias"],
+    },
+}
+"""Fields of a message type with an element for each name, by the field that holds the names."""
+
+
+def check_lengths(message: Any, message_type: str) -> None:
+    """Refuse a message in which an array does not have an element for each name.
+
+    The definition of the message does not tie them together, so every reader checks.
+
+    Args:
+        message: The message, from rosbags or ROS.
+        message_type: Its type, as `package/msg/Type`.
+
+    Raises:
+        ValueError: If an array is longer or shorter than its names.
+    """
+    for names, parallel in _PARALLEL.get(message_type, {}).items():
+        expected = len(getattr(message, names))
+        for field in parallel:
+            if (count := len(getattr(message, field))) != expected:
+                raise ValueError(f"{count} {field} for {expected} {names}")
 
 
 VALUES: dict[str, Values] = {

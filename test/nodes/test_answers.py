@@ -54,7 +54,7 @@ class Lab:
     def create_publisher(self, *given: Any) -> Any:
         return SimpleNamespace()
 
-    def create_subscription(self, *given: Any) -> Any:
+    def create_subscription(self, *given: Any, raw: bool) -> Any:
         return SimpleNamespace()
 
 
@@ -233,6 +233,7 @@ class Graph:
         self.subscribers, self.recorders = subscribers, recorders
         self.sent: list[Any] = []
         self.acknowledged = True
+        self.heard: dict[str, Any] = {}
 
     def create_publisher(self, kind: Any, name: str, qos: Any) -> Any:
         return SimpleNamespace(
@@ -242,7 +243,10 @@ class Graph:
             wait_for_all_acked=lambda timeout: self.acknowledged,
         )
 
-    def create_subscription(self, kind: Any, name: str, callback: Any, qos: Any) -> Any:
+    def create_subscription(
+        self, kind: Any, name: str, callback: Any, qos: Any, raw: bool
+    ) -> Any:
+        self.heard[name] = callback
         return SimpleNamespace()
 
     def destroy_subscription(self, subscription: Any) -> None: ...
@@ -265,7 +269,8 @@ def at_once(condition: Any, duration: float) -> bool:
 def test_an_event_tells_its_trial_and_subscribers() -> None:
     graph = Graph(subscribers=3, recorders=1)
     marker = EventMarker(graph, at_once)
-    marker._on_trial(String(data="s01"))
+    graph.heard["recorder/trial"](b"another program's")
+    graph.heard["recorder/trial"](serialize_message(String(data="s01")))
     marked = marker.mark("push", time.monotonic() - 2.0)
     assert marked == Marked(3, "s01", False)
     (event,) = graph.sent

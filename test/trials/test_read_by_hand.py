@@ -12,7 +12,7 @@ from socket_testbed.errors import TrialError
 from socket_testbed.identification.pressure import Quantity
 from socket_testbed.identification.suspension import Suspension
 from socket_testbed.settings.testbed import EstimatorSettings
-from socket_testbed.trials import messages, pressure, synchronise, topics
+from socket_testbed.trials import cdr, messages, pressure, synchronise, topics
 from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.trial import Trial
 
@@ -74,6 +74,42 @@ def test_forgotten_layouts_are_read_again() -> None:
 def test_a_damaged_message_is_refused() -> None:
     with refused(TrialError, "this graph: a message on trigger cannot be decoded ("):
         Reader(topics.TRIGGER).read(b"no message")
+
+
+@pytest.mark.parametrize(
+    ("topic", "content", "why"),
+    [
+        (topics.LOCAL_FORCES, {"forces": [None] * 3}, "3 forces for 2 names"),
+        (topics.FORCE_MAP, {"forces": [None] * 2}, "0 standard_deviations for 2 names"),
+        (topics.REGIONS, {"mean": [0.0] * 2, "mean_low": [0.0]}, "1 mean_low for 2 names"),
+    ],
+    ids=["forces", "map", "regions"],
+)
+def test_arrays_of_unequal_lengths_are_refused(
+    topic: topics.Topic, content: dict[str, Any], why: str
+) -> None:
+    """The names are of two tiles."""
+    message = cdr.make_message(topic.type, names=["a", "b"], **content)
+    data = cdr.encode(message, topic.type)
+    with refused(TrialError, f"this graph: a message on {topic.name} cannot be decoded ({why})"):
+        Reader(topic).read(data)
+
+
+def test_a_stamp_of_a_second_s_nanoseconds_is_refused() -> None:
+    """It is no time, and could not be passed on: its seconds could overflow."""
+    stamp = {"sec": 2**31 - 1, "nanosec": 2**32 - 1}
+    message = cdr.make_message(topics.TRIGGER.type, header={"stamp": stamp})
+    with refused(TrialError, "this graph: a message on trigger cannot be decoded (its stamp has"):
+        Reader(topics.TRIGGER).read(cdr.encode(message, topics.TRIGGER.type))
+
+
+@pytest.mark.parametrize("counts", [(3, 0), (0, 3), (0, 0)], ids=["last", "first", "both"])
+def test_a_body_without_markers_is_packed(counts: tuple[int, int]) -> None:
+    seen = [np.full((count, 3), 0.25) for count in counts]
+    data = messages.markers_packer(dict(zip("ab", counts, strict=True)))(7, seen)
+    stamp, found = Reader(topics.MARKERS).read(data)
+    assert stamp == 7 and [name for name, _ in found] == ["a", "b"]
+    assert [markers.tolist() for _, markers in found] == [markers.tolist() for markers in seen]
 
 
 def test_raw_ratios_are_read_in_millivolts_per_volt() -> None:
