@@ -174,7 +174,9 @@ class Testbed:
         return str(path)
 
 
-def testbed_settings(params: Path | None, simulation: Simulation | None) -> TestbedSettings:
+def testbed_settings(
+    params: Path | None, simulation: Simulation | None, namespace: str = "/"
+) -> TestbedSettings:
     """Settings of the nodes.
 
     The package describes a simulated load cell; a real one needs its owner's description.
@@ -183,11 +185,14 @@ def testbed_settings(params: Path | None, simulation: Simulation | None) -> Test
         params: A `testbed.yaml`, which replaces defaults; None for the defaults alone.
         simulation: The simulated load and tissue, whose load cell the defaults then describe; None
             on hardware.
+        namespace: Namespace of the testbed, which chooses among the sections of the file.
     """
     settings = TestbedSettings()
     if simulation is not None:
         settings = read_testbed(packaged("config", "simulated.yaml"))
-    return settings if params is None else read_testbed(params, settings)
+    if params is None:
+        return settings
+    return read_testbed(params, settings, full_namespace(namespace))
 
 
 def testbed_files(
