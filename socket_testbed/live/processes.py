@@ -24,6 +24,7 @@ from socket_testbed.documents import dump_yaml
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.files import PARENT, TemporaryFolder, packaged
 from socket_testbed.settings.fields import Settings, parameter_values
+from socket_testbed.trials.topics import full_namespace
 
 # Each testbed has its own transforms, in the namespace of its other topics.
 REMAPPINGS = (("/tf", "tf"), ("/tf_static", "tf_static"))
@@ -100,6 +101,19 @@ def launched(node: GraphNode, folder: Path, again: bool = False) -> dict[str, An
         "additional_env": {RESTARTED: "1"} if again else {},
         "sigterm_timeout": f"{STOP_TIMEOUT:g}",  # a recorder may need longer than the default
     }
+
+
+def launch_namespace(given: str, pushed: str) -> str:
+    """Absolute namespace of the nodes of a launch file.
+
+    Nodes that are started again later, outside the group, keep it.
+
+    Args:
+        given: The namespace given to the launch file; relative or empty: inside `pushed`.
+        pushed: The namespace of the group that includes the launch file (PushRosNamespace); empty
+            for none.
+    """
+    return full_namespace(given if given.startswith("/") else f"{pushed}/{given}")
 
 
 def require_ros() -> None:
