@@ -342,7 +342,8 @@ def _page(
         port=usual.port if port is None else port,
     )
     listen(settings.host, settings.port).close()  # fails before any node starts
-    return GraphNode("view_node", settings, full_namespace(testbed.namespace), optional=True)
+    namespace = full_namespace(testbed.namespace)
+    return GraphNode("view_node", settings, namespace, testbed.use_sim_time, optional=True)
 
 
 @takes("annotate", without="remove")

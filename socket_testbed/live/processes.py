@@ -26,9 +26,6 @@ from socket_testbed.files import PARENT, TemporaryFolder, packaged
 from socket_testbed.settings.fields import Settings, parameter_values
 from socket_testbed.trials.topics import full_namespace
 
-# Each testbed has its own transforms, in the namespace of its other topics.
-REMAPPINGS = (("/tf", "tf"), ("/tf_static", "tf_static"))
-
 # Environment variables of the processes:
 RESTARTED = "SOCKET_TESTBED_RESTARTED"  # set if this process replaces another
 RANGE, _LOCAL = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
@@ -95,7 +92,6 @@ def launched(node: GraphNode, folder: Path, again: bool = False) -> dict[str, An
         "executable": node.name,
         "name": node.name,
         "namespace": node.namespace,
-        "remappings": REMAPPINGS,
         "parameters": [str(write_parameters([node], folder / f"{node.name}.yaml"))],
         "output": "screen",
         "additional_env": {RESTARTED: "1"} if again else {},
@@ -386,8 +382,7 @@ class Graph:
 
 def _ros_arguments(namespace: str) -> list[str]:
     """ROS arguments of nodes in a namespace, except their parameters."""
-    rules = (f"__ns:={namespace}", *(f"{a}:={b}" for a, b in REMAPPINGS))
-    return ["--ros-args", *(word for rule in rules for word in ("-r", rule))]
+    return ["--ros-args", "-r", f"__ns:={namespace}"]
 
 
 def _failure(name: str, code: int) -> TestbedError:

@@ -37,7 +37,7 @@ from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
 from socket_testbed.live.processes import RESTARTED
 from socket_testbed.settings.fields import Settings, parameter_values
 from socket_testbed.trials.messages import LOAD_CELL_FRAME, Reader, check_lengths
-from socket_testbed.trials.topics import DIAGNOSTICS, RECORDED_TRIAL, Topic
+from socket_testbed.trials.topics import CLOCK, DIAGNOSTICS, RECORDED_TRIAL, Topic
 
 OK, WARN, ERROR = drivers.OK, drivers.WARN, drivers.ERROR
 
@@ -469,8 +469,9 @@ class TestbedNode(Node, Generic[S]):
             self.check()
             waiting = self._waiting_for()
             self._checks += 1
-            # A replay advances with the progress that its followers report.
-            replayed = self.count_publishers("/clock") > 0
+            # A replay advances with the progress that its followers report; a slowed simulation
+            # also publishes /clock, and does not.
+            replayed = clocks.time_scale() == 1.0 and self.count_publishers(CLOCK.name) > 0
             due = self._checks * _CHECK_PERIOD >= REPORT_PERIOD
             if replayed or due or waiting != self._waiting:
                 self._waiting = waiting

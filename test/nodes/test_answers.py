@@ -243,9 +243,7 @@ class Graph:
             wait_for_all_acked=lambda timeout: self.acknowledged,
         )
 
-    def create_subscription(
-        self, kind: Any, name: str, callback: Any, qos: Any, raw: bool
-    ) -> Any:
+    def create_subscription(self, kind: Any, name: str, callback: Any, qos: Any, raw: bool) -> Any:
         self.heard[name] = callback
         return SimpleNamespace()
 

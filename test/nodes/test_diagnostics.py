@@ -195,7 +195,7 @@ def test_topics_have_the_contract_s_names_and_types() -> None:
     assert computed == {"clusters/stress", "/diagnostics", *(n for n in NAMES if "estimate/" in n)}
     transforms = topics.TF, topics.TF_STATIC
     assert [(t.name, t.type, t.latched) for t in transforms] == [
-        ("/tf", "tf2_msgs/msg/TFMessage", False),
+        ("tf", "tf2_msgs/msg/TFMessage", False),
         ("/tf_static", "tf2_msgs/msg/TFMessage", True),
     ]
     assert topics.RECORDED_TRIAL.name == "recorder/trial" and topics.RECORDED_TRIAL.latched

@@ -18,6 +18,7 @@ from support.clocks import FakeClock
 from support.nodes import Maker, running_ros
 from support.wording import refused
 
+from socket_testbed import clocks
 from socket_testbed.calibration.model import write_calibration
 from socket_testbed.drivers.clusters.reader import ClusterReading
 from socket_testbed.drivers.load_cell.load_cell import WrenchReading
@@ -457,7 +458,7 @@ def test_the_mocap_node_publishes_poses_and_markers(
 
 def test_the_bodies_are_on_tf(seeing: mocap_node.MocapNode, make: Maker) -> None:
     seeing.measure(STAMP, time.monotonic())
-    (message,) = make.sent["/tf"]
+    (message,) = make.sent["tf"]
     assert [t.child_frame_id for t in message.transforms] == ["socket", "limb"]
     assert message.transforms[0].transform.translation.z == 3.0
 
@@ -553,6 +554,20 @@ def test_triggers_have_the_rate_and_a_sequence(
     assert make.state() == (OK, "triggering at 50 Hz")
     figures = triggering.figures()
     assert figures["triggers"] >= 8 and figures["unseen"] == figures["stray_edges"] == 0
+
+
+def test_a_slowed_testbed_publishes_its_clock(make: Maker, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The steady clock runs at half the speed: its time is that of the stamps."""
+    monkeypatch.setattr(clocks, "_scale", 0.5)
+    node = make(trigger_node.TriggerNode, source="timer", rate=50.0)
+    before, _, after = node._epoch.now(), node._tick(), node._epoch.now()
+    clock = make.sent["/clock"][-1].clock
+    assert before <= clock.sec * 10**9 + clock.nanosec <= after
+
+
+def test_in_real_time_there_is_no_clock(triggering: trigger_node.TriggerNode, make: Maker) -> None:
+    wait_for_triggers(make, 1)
+    assert "/clock" not in make.sent
 
 
 def test_a_disabled_trigger_says_so(triggering: trigger_node.TriggerNode, make: Maker) -> None:
