@@ -375,6 +375,21 @@ def test_a_recorded_trial_refuses_a_tare(
     assert [forced for _, forced in cell.tares] == [False, True]
 
 
+def test_a_pressed_cluster_refuses_a_tare(
+    weighing: load_cell_node.LoadCellNode, cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Unless its stress is older than a second."""
+    clock = FakeClock().install(monkeypatch)
+    weighing._on_stress(5, {"distal": (np.array([12.3e3, 0.0, 0.0]), 0)})
+    words = "cannot tare: distal (12.3 kPa) is pressed by more than 5 kPa: take the limb out"
+    with refused(DeviceError, words, "force_tare"):
+        weighing._tare()
+    weighing._tare(forced=True)
+    clock.sleep(1.1)
+    weighing._tare()
+    assert [forced for _, forced in cell.tares] == [True, False]
+
+
 # --- the motion-capture node
 
 SOCKET = np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.6, 0.8])
