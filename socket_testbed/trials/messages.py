@@ -29,6 +29,7 @@ LOAD_CELL_FRAME = "load_cell"  # the paper's {S}
 
 _SECOND = 1_000_000_000  # [ns]
 _MAX_LAYOUTS = 8  # remembered per topic; messages of other layouts are decoded one by one
+_MAX_REMEMBERED = 2**18  # [bytes] of the messages of these layouts, which take up to 60 times that
 
 Values: TypeAlias = Callable[[cdr.Record, Any], Any]
 """Values of messages of one layout, from their numbers and one decoded sample: names and lengths
@@ -77,13 +78,23 @@ class Reader:
         """
         for layout, sample in self._known:
             if (record := layout.record(data)) is not None:
-                stamp = record["header"]["stamp"]  # `stamps_of` takes 10 us
-                seconds, nanoseconds = int(stamp["sec"]), int(stamp["nanosec"])
-                if nanoseconds >= _SECOND:
-                    raise self._refusal(f"its stamp has {nanoseconds} ns")
-                return _SECOND * seconds + nanoseconds, self._values(record, sample)
-        self._known = [self._learn(data), *self._known[: _MAX_LAYOUTS - 1]]
-        return self.read(data)
+                return self._stamped(record, sample)
+        layout, sample = self._learn(data)
+        if len(data) <= _MAX_REMEMBERED:
+            self._known = [(layout, sample), *self._known[: _MAX_LAYOUTS - 1]]
+            while sum(known.dtype.itemsize for known, _ in self._known) > _MAX_REMEMBERED:
+                self._known.pop()
+        record = layout.record(data)
+        assert record is not None
+        return self._stamped(record, sample)
+
+    def _stamped(self, record: cdr.Record, sample: Any) -> tuple[int, Any]:
+        """Stamp since the epoch [ns] and values of one message of the sample's layout."""
+        stamp = record["header"]["stamp"]  # `stamps_of` takes 10 us
+        seconds, nanoseconds = int(stamp["sec"]), int(stamp["nanosec"])
+        if nanoseconds >= _SECOND:
+            raise self._refusal(f"its stamp has {nanoseconds} ns")
+        return _SECOND * seconds + nanoseconds, self._values(record, sample)
 
     def parts(self, messages: Sequence[bytes]) -> Iterator[tuple[IntArray, IntArray, Any]]:
         """Many serialised messages in parts, each of one layout.

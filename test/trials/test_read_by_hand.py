@@ -71,6 +71,15 @@ def test_forgotten_layouts_are_read_again() -> None:
     assert [len(reader.read(own)[1].names) for own in data] == [1 + k % 12 for k in range(36)]
 
 
+def test_large_messages_are_read_and_forgotten() -> None:
+    """A layout takes 60 times the memory of its message: 12000 clusters' message is of 0.9 MB."""
+    reader = Reader(topics.CAPACITANCE)
+    for count in (3, 12_000, 3000, 2900):
+        _, found = reader.read(capacitances([f"c{k}" for k in range(count)]))
+        assert len(found.names) == count and found.capacitance[-1, -1] == 4.0 * count - 1.0
+    assert sum(layout.dtype.itemsize for layout, _ in reader._known) <= 2**18
+
+
 def test_a_damaged_message_is_refused() -> None:
     with refused(TrialError, "this graph: a message on trigger cannot be decoded ("):
         Reader(topics.TRIGGER).read(b"no message")
