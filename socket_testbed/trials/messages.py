@@ -130,6 +130,7 @@ class Reader:
             layout = cdr.Layout(data, self._topic.type)
             sample = cdr.decode(data, self._topic.type)
             check_lengths(sample, self._topic.type)
+            self._values(np.ndarray((), layout.dtype, data), sample)
             return layout, sample
         except Exception as error:  # the library may raise any exception
             raise self._refusal(error) from None
@@ -370,10 +371,17 @@ _MAP_FIELDS = (
 )
 
 
+def _array(records: cdr.Record, field: str) -> FloatArray:
+    """Numbers (..., n) or vectors (..., n, 3) of a field; an empty sequence of vectors has none."""
+    if field not in (records.dtype.names or ()):
+        return np.empty((*records.shape, 0, 3))
+    return np.asarray(records[field].astype(np.float64))
+
+
 def _force_map(records: cdr.Record, sample: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
     """Names of the n tiles, and the fields of N maps for a `MapEstimate`."""
     records = np.atleast_1d(records)
-    fields: dict[str, Any] = {name: records[name].astype(np.float64) for name in _MAP_FIELDS}
+    fields: dict[str, Any] = {name: _array(records, name) for name in _MAP_FIELDS}
     return tuple(sample.names), {**fields, "source": sample.source}
 
 
@@ -496,7 +504,7 @@ VALUES: dict[str, Values] = {
     topics.STRESS.type: _stress,
     topics.MARKERS.type: _markers,
     # Forces in {S}, shape (..., n, 3) [N]
-    topics.LOCAL_FORCES.type: lambda records, sample: records["forces"].astype(np.float64),
+    topics.LOCAL_FORCES.type: lambda records, sample: _array(records, "forces"),
     topics.FORCE_MAP.type: _force_map,
     topics.REGIONS.type: _regions,
     topics.EVENT.type: lambda records, sample: str(sample.label),

@@ -71,6 +71,14 @@ def test_forgotten_layouts_are_read_again() -> None:
     assert [len(reader.read(own)[1].names) for own in data] == [1 + k % 12 for k in range(36)]
 
 
+@pytest.mark.parametrize("kind", sorted(messages.VALUES))
+def test_an_empty_message_has_values(kind: str) -> None:
+    """Another program may send one: names, sequences and numbers are blank."""
+    topic = next(topic for topic in topics.TOPICS if topic.type == kind)
+    stamp, _ = Reader(topic).read(cdr.encode(cdr.make_message(kind), kind))
+    assert stamp == 0
+
+
 def test_large_messages_are_read_and_forgotten() -> None:
     """A layout takes 60 times the memory of its message: 12000 clusters' message is of 0.9 MB."""
     reader = Reader(topics.CAPACITANCE)
