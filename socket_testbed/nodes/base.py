@@ -83,7 +83,11 @@ def message_type(topic: Topic) -> Any:
 
 
 def decoded(topic: Topic, data: bytes) -> Any:
-    """The ROS message of a topic from its bytes (CDR).
+    """The ROS message of a topic.
+
+    Args:
+        topic: The topic, which gives the message type.
+        data: The message, serialised (CDR).
 
     Raises:
         TrialError: If they are not such a message, as another program may send.
@@ -131,7 +135,9 @@ def reported_values(status: DiagnosticStatus) -> dict[str, str]:
 def reported_number(values: Mapping[str, str], key: str) -> float:
     """A number among the values of a diagnostic status; NaN where it is missing or a text.
 
-    /diagnostics is shared with other programs, whose values may be anything.
+    Args:
+        values: Values by key; /diagnostics is shared with other programs, so they may be any text.
+        key: The key of the number, whose unit it has.
     """
     try:
         return float(values[key])

@@ -50,7 +50,12 @@ class Section:
         return None if anywhere or "*" in self.namespace else self.namespace
 
     def fits(self, namespace: str, node: str) -> bool:
-        """Whether it is for a node, by its name and absolute namespace."""
+        """Whether it is for a node.
+
+        Args:
+            namespace: The node's absolute namespace.
+            node: Its name.
+        """
         wanted = _expression(f"{self.namespace.rstrip('/')}/{self.node}")
         return re.fullmatch(wanted, f"{namespace.rstrip('/')}/{node}") is not None
 
