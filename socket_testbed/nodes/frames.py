@@ -72,8 +72,8 @@ class FrameBroadcaster:
             return
         transforms = []
         for topic, vector in poses.items():
-            if np.isfinite(vector).all():
-                pose = Pose.from_vector(vector)
+            pose = Pose.from_vector(vector)
+            if np.isfinite(pose.rotation).all() and np.isfinite(pose.translation).all():
                 name, in_body = self._bodies[topic]
                 transforms.append(_transform(stamp, messages.WORLD_FRAME, name, pose @ in_body))
         if transforms:
