@@ -20,8 +20,7 @@ from contextlib import ExitStack, suppress
 from pkgutil import resolve_name
 from typing import Any
 
-_PROGRAM = sys.argv[0].rpartition("/")[2]
-if __name__ == "__main__" or _PROGRAM.endswith("_node"):
+if __name__ == "__main__" or sys.argv[0].endswith("_node"):
     # Ctrl-C during the other imports, which take a second, ends the program without a traceback.
     signal.signal(signal.SIGINT, lambda number, frame: os._exit(0))
 
@@ -51,13 +50,16 @@ _SWITCH_INTERVAL = 5e-4  # [s]; longest wait of a thread for one that computes
 
 def main() -> None:
     """Run the named nodes until one finishes or the process is asked to end, and exit."""
-    words = sys.argv[1:]
-    if _PROGRAM in TestbedSettings().nodes():
-        words = [_PROGRAM, *words]
+    program, *words = sys.argv
+    name = program.rpartition("/")[2]
+    if name in TestbedSettings().nodes():
+        words = [name, *words]
     code = _run(_split(words)[0])
-    for number in _ENDING:  # a second one would strike while the interpreter ends
-        signal.signal(number, signal.SIG_IGN)
-    sys.exit(code)
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    # At once: the interpreter would wait for the threads of a node that was interrupted while it
+    # started, and a second Ctrl-C would strike meanwhile.
+    os._exit(code)
 
 
 def _split(words: list[str]) -> tuple[list[str], list[str]]:

@@ -1,5 +1,6 @@
 """Buttons and events without a graph: which service is called with what, and what is answered."""
 
+import sys
 import time
 from types import SimpleNamespace
 from typing import Any
@@ -342,6 +343,7 @@ def test_a_program_runs_the_node_it_names(
     ran: list[list[str]] = []
     monkeypatch.setattr(program.sys, "argv", words)
     monkeypatch.setattr(program, "_run", lambda found: ran.append(found) or 3)
+    monkeypatch.setattr(program.os, "_exit", sys.exit)
     with pytest.raises(SystemExit) as ended:
         program.main()
     assert ran == [names] and ended.value.code == 3
