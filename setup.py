@@ -39,6 +39,9 @@ setup(
         "completion": requirements("completion"),
     },
     zip_safe=True,
+    url="https://arxiv.org/abs/2606.04222",  # the method
+    author="socket_testbed maintainers",
+    author_email="maintainers@example.org",
     maintainer="socket_testbed maintainers",
     maintainer_email="maintainers@example.org",
     description="Software of an instrumented prosthetic-socket testbed.",

@@ -225,11 +225,12 @@ def show_costs(spent: dict[str, float], count: int, rate: float) -> None:
     """Print the processor time of each process, and of all nodes together."""
     helpers = ("bare relay", "browsers", "socket_testbed.simulation.testbed")
     spent["all nodes"] = sum(each for who, each in spent.items() if who not in helpers)
+    relay = spent.setdefault("bare relay", 0.0)  # 0 if it used less than a tick of the kernel
     print(f"{'process':36} {'ms a trigger':>12} {f'% at {rate:g} Hz':>12} / relay")
     for who, seconds in sorted(spent.items(), key=lambda entry: entry[1]):
-        each = seconds / count
-        ratio = seconds / spent["bare relay"]
-        print(f"{who:36} {1e3 * each:12.2f} {100 * each * rate:12.1f} {ratio:7.2f}")
+        each = seconds / max(count, 1)
+        ratio = f"{seconds / relay:7.2f}" if relay else f"{'-':>7}"
+        print(f"{who:36} {1e3 * each:12.2f} {100 * each * rate:12.1f} {ratio}")
 
 
 def show_arrivals(path: Path, triggers: Arrivals, estimates: Arrivals) -> None:

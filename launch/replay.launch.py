@@ -21,7 +21,7 @@ from launch_ros.actions import Node
 from launch import LaunchContext, LaunchDescription
 from socket_testbed.files import TemporaryFolder
 from socket_testbed.live.bringup import replay_nodes
-from socket_testbed.live.processes import launch_environment, launched
+from socket_testbed.live.processes import launch_environment, launch_namespace, launched
 from socket_testbed.settings.testbed import ReplaySettings, estimator_settings
 from socket_testbed.trials.trial import Trial
 
@@ -30,7 +30,7 @@ TEMPORARY = TemporaryFolder()  # until this program ends
 ARGUMENTS = {
     "rate": ("1.0", "speed relative to the recording"),
     "loop": ("false", "restart at the end"),
-    "namespace": ("", "of nodes and topics, such as left; empty: as recorded"),
+    "namespace": ("", "of nodes and topics, such as left; empty: that of a group, or as recorded"),
     "geometry": ("", "the socket, a socket.yaml; empty: the trial's own"),
     "calibration": ("", "a calibration.yaml; empty: the trial's own"),
     "params": ("", "node parameters, a testbed.yaml; empty: the trial's own"),
@@ -44,9 +44,12 @@ def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler]:
         for name in ("geometry", "calibration", "params")
     )
     trial = Trial(Path(given["trial"]).resolve(), geometry, calibration)
+    namespace, pushed = given["namespace"], context.launch_configurations.get("ros_namespace", "")
+    if namespace or pushed:
+        namespace = launch_namespace(namespace, pushed)
     replay = ReplaySettings(
         trial=str(trial.path),
-        namespace=given["namespace"],
+        namespace=namespace,
         rate=yaml.safe_load(given["rate"]),
         loop=yaml.safe_load(given["loop"]),
     )

@@ -41,6 +41,7 @@ from socket_testbed.live.processes import (
     GraphNode,
     is_wrong_input,
     launch_environment,
+    launch_namespace,
     launched,
     wait_again,
 )
@@ -55,7 +56,7 @@ ARGUMENTS = {
     "geometry": ("", "a socket.yaml; empty: as in params, or the package's own"),
     "calibration": ("", "a calibration.yaml; empty: as in params, or the package's own"),
     "record": ("", "folder of a new trial; empty: as in params, or no recording"),
-    "namespace": ("", "of nodes and topics, such as left; empty: none"),
+    "namespace": ("", "of nodes and topics, such as left; relative to that of a group"),
     "time_scale": ("1.0", "speed of the simulated testbed relative to real time, at most 1"),
 }
 
@@ -68,13 +69,15 @@ def bring_up(context: LaunchContext) -> list[Node | RegisterEventHandler | SetEn
     elif scale != 1.0:
         raise ConfigurationError("time_scale is for simulated hardware", "add simulated:=true")
     params = Path(given["params"]) if given["params"] else None
-    settings = testbed_settings(params, simulation)
+    pushed = context.launch_configurations.get("ros_namespace", "")
+    namespace = launch_namespace(given["namespace"], pushed)
+    settings = testbed_settings(params, simulation, namespace)
     testbed = Testbed(
         settings,
         *testbed_files(settings, given["geometry"], given["calibration"]),
         simulation=simulation,
         record=new_trial(settings, Path(given["record"]) if given["record"] else None),
-        namespace=given["namespace"],
+        namespace=namespace,
     )
     testbed.check_devices()
     if testbed.record is not None:
@@ -98,8 +101,11 @@ def started(node: GraphNode, backoff: Backoff, again: bool = False) -> Node:
 def on_exit(
     node: GraphNode, backoff: Backoff, since: float, event: ProcessExited, context: LaunchContext
 ) -> list[EmitEvent | TimerAction]:
-    """Restart a node that ended, as `run` does, unless wrong input ends the launch."""
-    if context.is_shutdown:
+    """Restart a node that failed, as `run` does, unless wrong input ends the launch.
+
+    A node that ended cleanly, because somebody asked it to, stays ended.
+    """
+    if context.is_shutdown or event.returncode == 0:
         return []
     if is_wrong_input(event.returncode, BEGAN) and not node.optional:
         reason = f"{node.name} failed: see what it printed"

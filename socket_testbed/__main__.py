@@ -8,7 +8,16 @@ import signal
 import sys
 from pkgutil import resolve_name
 
-from socket_testbed.commands.arguments import Parser, add_options, read_function, release_paths
+if __name__ == "__main__" or sys.argv[0].endswith("socket-testbed"):
+    # Ctrl-C during the other imports ends the program without a traceback, as it does later.
+    signal.signal(signal.SIGINT, lambda number, frame: os._exit(130))
+
+from socket_testbed.commands.arguments import (
+    Parser,
+    add_options,
+    read_function,
+    release_paths,
+)
 from socket_testbed.errors import TestbedError, likely
 from socket_testbed.version import __version__
 
@@ -50,7 +59,10 @@ EXAMPLES = {verb: example for group in _GROUPS.values() for verb, (_, example) i
 
 def main() -> None:
     """Run a verb and exit: 0 on success, 1 on an error, 2 on a wrong call."""
-    sys.exit(run())
+    code = run()
+    for number in (signal.SIGINT, signal.SIGTERM):  # a second one while the interpreter ends
+        signal.signal(number, signal.SIG_IGN)
+    sys.exit(code)
 
 
 def _parse(words: list[str]) -> argparse.Namespace:

@@ -245,7 +245,8 @@ class Samples:
     @property
     def values(self) -> FloatArray:
         """All channels in the order of `channels`, shape (N, 6 + 3c) [N m, N]."""
-        return np.hstack([self.wrench, self.local_forces.reshape(len(self), -1)])
+        forces = self.local_forces.reshape(len(self), 3 * len(self.clusters))
+        return np.hstack([self.wrench, forces])
 
     def to_dataframe(self) -> pd.DataFrame:
         """The samples as a pandas table, with units in the column names.

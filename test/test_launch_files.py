@@ -34,6 +34,12 @@ class Stub:
         return context[self.positional[0]]
 
 
+class Context(dict[str, str]):
+    """The context of a launch: the arguments, and what groups around it have set."""
+
+    launch_configurations: dict[str, str]
+
+
 @pytest.fixture
 def launch(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[Stub]]:
     """Runs a launch file with arguments; returns the actions that it gives."""
@@ -47,7 +53,7 @@ def launch(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[Stub]]:
         monkeypatch.setitem(sys.modules, module, Anything(module))
     kept = []
 
-    def run(name: str, **arguments: object) -> list[Stub]:
+    def run(name: str, pushed: str = "", **arguments: object) -> list[Stub]:
         program = runpy.run_path(str(CHECKOUT / "launch" / f"{name}.launch.py"))
         kept.append(program)
         (actions,) = program["generate_launch_description"]().positional
@@ -56,7 +62,8 @@ def launch(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[Stub]]:
         arguments_of = [a for a in actions if len(a.positional) == 1]
         assert all(action.given["description"] for action in arguments_of)
         declared = {a.positional[0]: a.given.get("default_value") for a in arguments_of}
-        context = {key: str(value) for key, value in (declared | arguments).items()}
+        context = Context({key: str(value) for key, value in (declared | arguments).items()})
+        context.launch_configurations = {"ros_namespace": pushed} if pushed else {}
         (bring_up,) = (a.given["function"] for a in actions if "function" in a.given)
         return bring_up(context)
 
@@ -109,7 +116,8 @@ def test_the_testbed_is_launched_as_run_starts_it(launch, tmp_path: Path) -> Non
         assert RESTARTED not in action.given["additional_env"]
         (end,) = on_exit(SimpleNamespace(returncode=1), running)  # wrong input, if it is needed
         assert ("event" in end.given) != node.optional
-        assert not on_exit(SimpleNamespace(returncode=0), SimpleNamespace(is_shutdown=True))
+        assert not on_exit(SimpleNamespace(returncode=1), SimpleNamespace(is_shutdown=True))
+        assert not on_exit(SimpleNamespace(returncode=0), running), "it ended cleanly"
         assert not found.pop("use_sim_time")
         expected = node.settings.to_flat()
         assert set(found) == set(expected)
@@ -185,6 +193,29 @@ def test_a_trial_is_replayed_in_its_namespace(launch, hold: Path, tmp_path: Path
     assert found["calibration_node"]["use_sim_time"] and found["estimator_node"]["use_sim_time"]
     assert found["calibration_node"]["calibration"] == str(own)
     assert handler(actions)["target_action"] is launched["replay_node"]  # its end ends the launch
+
+
+@pytest.mark.parametrize(
+    ("given", "pushed", "expected"),
+    [
+        ("", "", "/"),
+        ("left", "", "/left"),
+        ("", "/lab", "/lab"),
+        ("left", "/lab", "/lab/left"),
+        ("/left", "/lab", "/left"),
+    ],
+    ids=["none", "given", "group", "in group", "absolute"],
+)
+def test_a_group_s_namespace_precedes_a_relative_one(
+    given: str, pushed: str, expected: str, launch, hold: Path, tmp_path: Path
+) -> None:
+    params = simulated_parameters(tmp_path, mocap_node={"server": "192.0.2.1"})
+    actions = launch("testbed", pushed, params=params, namespace=given)
+    assert {action.given["namespace"] for action in nodes(actions).values()} == {expected}
+    launched = nodes(launch("replay", pushed, trial=hold, namespace=given))
+    assert {action.given["namespace"] for action in launched.values()} == {expected}
+    followers = parameters(launched["replay_node"])["wait_for"]
+    assert followers[0] == f"{expected.rstrip('/')}/calibration_node"
 
 
 def test_systemd_waits_for_three_stops_of_a_graph() -> None:

@@ -8,6 +8,7 @@ from importlib.metadata import distributions
 from pathlib import Path
 
 import pytest
+from catkin_pkg.package import parse_package
 from support.verbs import program
 
 from socket_testbed import __version__
@@ -43,6 +44,32 @@ def call(workspace: Path, *words: str, **environment: str) -> str:
     code, out, err = program(*words, folder=workspace, **variables)
     assert code == 0, out + err
     return out + err
+
+
+@pytest.mark.parametrize("folder", [".", "msg_defs"], ids=PACKAGES)
+def test_a_package_is_described_as_ros_wants_it(folder: str) -> None:
+    """In the place of xmllint, which fetches the schema: the reader of ROS checks the same."""
+    warnings: list[str] = []
+    package = parse_package(ROOT / folder / "package.xml", warnings=warnings)
+    assert package.package_format == 3 and package.version == __version__ and not warnings
+    assert package.urls and package.authors and package.licenses == ["Apache-2.0"]
+
+
+@pytest.mark.parametrize(
+    ("part", "more"),
+    [("socket_testbed", []), ("socket_testbed/commands", ["D417"])],
+    ids=["package", "commands"],
+)
+def test_docstrings_satisfy_ament(
+    part: str, more: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In the convention of Google, as ruff checks them; a verb describes only its own options."""
+    pep257 = pytest.importorskip("ament_pep257.main")
+    ignored = ["D105", "D107", "D205", "D401", *more]
+    exclude = [] if more else [str(path) for path in (ROOT / part / "commands").glob("*.py")]
+    words = ["--convention", "google", "--add-ignore", *ignored, "--exclude", *exclude]
+    code = pep257.main([*words, "--", str(ROOT / part)])
+    assert code == 0, capsys.readouterr()
 
 
 @pytest.mark.skipif(not shutil.which("colcon", path=PATH), reason="colcon is missing")

@@ -44,6 +44,12 @@ def test_values_are_in_the_channels_order(samples: Samples) -> None:
     assert samples.values[1].tolist() == [10, 11, 12, 13, 14, 15, 100, 101, 102, 103, 104, 105]
 
 
+def test_no_samples_have_no_values(samples: Samples) -> None:
+    none = samples[:0]
+    assert none.values.shape == none.trusted_values.shape == (0, 12)
+    assert none.without(["Fz"]).values.shape == (0, 12) and none.to_dataframe().shape[0] == 0
+
+
 def test_untrusted_forces_are_unknown(samples: Samples) -> None:
     """Neither extrapolated (row 2, brim) nor saturated or missing ones (rows 1 and 3, distal)."""
     known = np.isfinite(samples.trusted_forces).all(axis=2)

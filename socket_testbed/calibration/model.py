@@ -24,6 +24,7 @@ from socket_testbed.samples import Status
 
 MIN_GAIN = 100.0  # [Pa/pF]; a smaller gain has another unit
 
+_ROUNDING = 1e-9  # [pF]; of a feature at the end of the range; a converter resolves 1e-6
 _OK, _SATURATED, _MISSING, _OUT_OF_RANGE = (np.uint8(status) for status in Status)
 
 SHEAR_TERMS = ("1", "dx", "dy", "dx^2", "dx dy", "dy^2")
@@ -106,7 +107,8 @@ class ClusterCalibration:
         stress[..., 1:] = np.einsum("...ij,...j->...i", self.shear, terms)
 
         limits = np.stack([self.mean_range, self.difference_range, self.difference_range], axis=-2)
-        outside = ((features < limits[..., 0]) | (features > limits[..., 1])).any(axis=-1)
+        low, high = limits[..., 0] - _ROUNDING, limits[..., 1] + _ROUNDING
+        outside = ((features < low) | (features > high)).any(axis=-1)
         worst = status.max(axis=-1)
         # A saturated input is also NaN, but must be reported as saturated.
         causes = [worst >= _MISSING, worst == _SATURATED, np.isnan(mean), outside]

@@ -47,6 +47,9 @@ from socket_testbed.trials.metadata import METADATA_FILE, write_metadata
 from socket_testbed.trials.topics import Service, full_name, full_namespace
 from socket_testbed.trials.trial import read_configuration, recorded_namespace
 
+# Beginnings of the descriptions of faults that take the number of a thing, from 1.
+_COUNTED = ("number of the cluster", "1 + the", "-1: the limb")
+
 # --duration counts from the first trigger, at the latest from this time after the start [s].
 _START_TIMEOUT = READY_TIMEOUT + 30.0
 
@@ -94,7 +97,12 @@ def _fault(text: str) -> tuple[str, float]:
     try:
         least = {"limb.out": -1.0, "clock.step": -1e6}.get(name, 0.0)
         most = 1.0 if FAULTS[name].startswith("probability") else 1e6
-        return name, check_number(float(value), f"--fault {name}", least, most)
+        number = check_number(float(value), f"--fault {name}", least, most)
+        if FAULTS[name].startswith(_COUNTED) and (number == 0.0 or number != round(number)):
+            raise ConfigurationError(
+                f"--fault {text}: nothing has this number", f"{name} takes {FAULTS[name]}"
+            )
+        return name, number
     except ValueError:
         raise ConfigurationError(
             f"--fault {text}: '{value}' is not a number", f"{name} takes {FAULTS[name]}"
@@ -342,7 +350,8 @@ def _page(
         port=usual.port if port is None else port,
     )
     listen(settings.host, settings.port).close()  # fails before any node starts
-    return GraphNode("view_node", settings, full_namespace(testbed.namespace), optional=True)
+    namespace = full_namespace(testbed.namespace)
+    return GraphNode("view_node", settings, namespace, testbed.use_sim_time, optional=True)
 
 
 @takes("annotate", without="remove")

@@ -22,6 +22,7 @@ from socket_testbed.files import CONFIGURATION_FILES, check_outputs
 from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
 from socket_testbed.trials.description import describe_samples, drop_outs, loads_table, noise_table
 from socket_testbed.trials.metadata import NO_SIDE, TrialMetadata
+from socket_testbed.trials.tares import read_tares, tares_in_words
 from socket_testbed.trials.trial import Trial
 
 _MAX_TIMES = 8  # printed per event label
@@ -110,6 +111,9 @@ def info(trial: Path, **options: Any) -> None:
     print(f"socket: {geometry.source or 'not stated'}; {len(geometry)} tiles")
     print(f"registration: {geometry.bodies}")
     print(f"calibration: {opened.calibration.origin}")
+    with opened.open() as bag:
+        tares = read_tares(bag)
+    print("\n".join(tares_in_words(tares, int(samples.stamps[0]))))
 
 
 def _topics(trial: Trial) -> str:

@@ -35,12 +35,15 @@ class Pose:
         Args:
             translation: Positions of the body's origin in the frame, shape (3,) or (N, 3) [m].
             quaternion: Quaternions (x, y, z, w) from the body to the frame, of any length, shape
-                (4,) or (N, 4) [-]; a NaN or zero one gives a NaN rotation.
+                (4,) or (N, 4) [-]; one that is not finite or is zero gives a NaN rotation.
         """
-        usable = np.isfinite(quaternion).all(axis=-1) & (quaternion != 0.0).any(axis=-1)
+        # Scaled by their largest component, so that no square under- or overflows.
+        largest = np.abs(quaternion).max(axis=-1)
+        usable = np.isfinite(largest) & (largest > 0.0)
         rotation = np.full((*quaternion.shape[:-1], 3, 3), np.nan)
         if usable.any():
-            rotation[usable] = Rotation.from_quat(quaternion[usable]).as_matrix()
+            scaled = quaternion[usable] / largest[usable][..., None]
+            rotation[usable] = Rotation.from_quat(scaled).as_matrix()
         return cls(rotation, translation)
 
     @classmethod

@@ -56,7 +56,7 @@ _MAX_SAMPLES = 500  # samples of a trial, evenly spread
 _CHUNK = 256  # samples
 _DRAW_BATCH = 2048  # samples per batch of joint draws
 _TINY = 1e-12  # [N]
-_MAX_PATTERNS = 64  # cached patterns of present channels
+_MAX_PATTERNS = 16  # cached patterns of present channels; each takes about 1 MB
 
 
 @dataclass(frozen=True)

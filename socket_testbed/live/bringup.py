@@ -109,6 +109,11 @@ class Testbed:
         """Testbed seconds per real second [-]; 1 on hardware."""
         return self.simulation.time_scale if self.simulation else 1.0
 
+    @property
+    def use_sim_time(self) -> bool:
+        """Whether its nodes take the time from /clock: if it is slower than real time."""
+        return self.time_scale != 1.0
+
     def check_devices(self) -> None:
         """Check the device settings before anything starts.
 
@@ -142,8 +147,11 @@ class Testbed:
         namespace = full_namespace(self.namespace)
         process = "testbed" if self.one_process else ""
         nodes = [
-            GraphNode("trigger_node", trigger, namespace),
-            *(GraphNode(name, own, namespace, process=process) for name, own in acquiring.items()),
+            GraphNode("trigger_node", trigger, namespace, self.use_sim_time),
+            *(
+                GraphNode(name, own, namespace, self.use_sim_time, process)
+                for name, own in acquiring.items()
+            ),
         ]
         if self.record is None:
             return nodes
@@ -161,7 +169,7 @@ class Testbed:
             parameters=str(stored),
             metadata=self._store_metadata(folder / METADATA_FILE),
         )
-        return [GraphNode("recorder_node", recorder, namespace), *nodes]
+        return [GraphNode("recorder_node", recorder, namespace, self.use_sim_time), *nodes]
 
     def _store_metadata(self, path: Path) -> str:
         """Write the new trial's metadata; returns the path, or "" if nothing is stated."""
@@ -174,7 +182,9 @@ class Testbed:
         return str(path)
 
 
-def testbed_settings(params: Path | None, simulation: Simulation | None) -> TestbedSettings:
+def testbed_settings(
+    params: Path | None, simulation: Simulation | None, namespace: str = "/"
+) -> TestbedSettings:
     """Settings of the nodes.
 
     The package describes a simulated load cell; a real one needs its owner's description.
@@ -183,11 +193,14 @@ def testbed_settings(params: Path | None, simulation: Simulation | None) -> Test
         params: A `testbed.yaml`, which replaces defaults; None for the defaults alone.
         simulation: The simulated load and tissue, whose load cell the defaults then describe; None
             on hardware.
+        namespace: Namespace of the testbed, which chooses among the sections of the file.
     """
     settings = TestbedSettings()
     if simulation is not None:
         settings = read_testbed(packaged("config", "simulated.yaml"))
-    return settings if params is None else read_testbed(params, settings)
+    if params is None:
+        return settings
+    return read_testbed(params, settings, full_namespace(namespace))
 
 
 def testbed_files(

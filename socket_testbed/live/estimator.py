@@ -5,6 +5,7 @@ It does not depend on ROS: the estimator node converts its messages and publishe
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import OrderedDict, deque
 from collections.abc import Callable, Mapping
@@ -38,20 +39,25 @@ from socket_testbed.trials.topics import PYLON_POSE, SOCKET_POSE, STRESS, WRENCH
 MEASURED = (STRESS, WRENCH, SOCKET_POSE, PYLON_POSE)  # the parts of a sample
 
 _FIRST_FIT_INTERVAL = 10  # samples between attempts at the first model
+_MAX_RATE = 500.0  # [Hz]; of the trigger
+_MAX_PARTS = 500  # single samples in a window before they are joined, which takes less memory
 _CHECK_PERIOD = 2_000_000_000  # [ns]; between checks of the data
 
 
 class SampleWindow:
-    """The newest samples.
+    """The newest samples, in bounded memory.
 
     Args:
-        duration: Samples older than this before the newest one are dropped [s].
+        duration: Samples whose stamps are further than this from the last one are dropped [s]: the
+            older ones, and any with a stamp in the future.
     """
 
     def __init__(self, duration: float) -> None:
         self._duration = round(duration * 1e9)
+        self._most = math.ceil(_MAX_RATE * duration)
         self._parts: deque[Samples] = deque()  # what was joined last, and the samples since
         self._count = 0  # of their samples
+        self._last = 0  # stamp of the last sample [ns]
 
     def __len__(self) -> int:
         return self._count
@@ -60,8 +66,11 @@ class SampleWindow:
         """Add one sample, usually the newest; it may be a little older than those before."""
         self._parts.append(sample)
         self._count += 1
-        while self._parts[0].stamps[-1] < sample.stamps[0] - self._duration:
+        self._last = int(sample.stamps[0])
+        while abs(int(self._parts[0].stamps[-1]) - self._last) > self._duration:
             self._count -= len(self._parts.popleft())
+        if len(self._parts) > _MAX_PARTS or self._count > self._most:
+            self.samples()
 
     def clear(self) -> None:
         """Drop all samples."""
@@ -79,8 +88,9 @@ class SampleWindow:
         names = [field.name for field in fields(Samples) if field.name != "clusters"]
         joined = {n: np.concatenate([getattr(s, n) for s in self._parts]) for n in names}
         found = Samples(clusters=self._parts[0].clusters, **joined)
+        found = found[-self._most :]
+        found = found[np.abs(found.stamps - self._last) <= self._duration]
         found = found[np.argsort(found.stamps, kind="stable")]
-        found = found[found.stamps >= found.stamps[-1] - self._duration]
         self._parts, self._count = deque([found]), len(found)
         return found
 
@@ -326,7 +336,7 @@ class OnlineEstimator:
         self._since_attempt += 1
         if self._fit_is_due():
             self._start_fit(steady=True)
-        if stamp - self._last_check >= _CHECK_PERIOD and not self._checking:
+        if abs(stamp - self._last_check) >= _CHECK_PERIOD and not self._checking:
             self._check(stamp)
 
     def _fit_is_due(self) -> bool:

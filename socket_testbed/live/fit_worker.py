@@ -105,8 +105,13 @@ class FitWorker:
     def _open(self) -> None:
         spawn = multiprocessing.get_context("spawn")
         self._pool = ProcessPoolExecutor(1, spawn, initializer=_lower_priority)
-        # Load the libraries now rather than during the first fit.
-        self._loaded = self._pool.submit(os.getpid)
+        # The process inherits the mask: Ctrl-C would end it with a traceback before `close` does.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+        try:
+            # Load the libraries now rather than during the first fit.
+            self._loaded = self._pool.submit(os.getpid)
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
     @property
     def ready(self) -> bool:

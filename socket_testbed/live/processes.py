@@ -24,9 +24,7 @@ from socket_testbed.documents import dump_yaml
 from socket_testbed.errors import ConfigurationError, TestbedError
 from socket_testbed.files import PARENT, TemporaryFolder, packaged
 from socket_testbed.settings.fields import Settings, parameter_values
-
-# Each testbed has its own transforms, in the namespace of its other topics.
-REMAPPINGS = (("/tf", "tf"), ("/tf_static", "tf_static"))
+from socket_testbed.trials.topics import full_namespace
 
 # Environment variables of the processes:
 RESTARTED = "SOCKET_TESTBED_RESTARTED"  # set if this process replaces another
@@ -94,12 +92,24 @@ def launched(node: GraphNode, folder: Path, again: bool = False) -> dict[str, An
         "executable": node.name,
         "name": node.name,
         "namespace": node.namespace,
-        "remappings": REMAPPINGS,
         "parameters": [str(write_parameters([node], folder / f"{node.name}.yaml"))],
         "output": "screen",
         "additional_env": {RESTARTED: "1"} if again else {},
         "sigterm_timeout": f"{STOP_TIMEOUT:g}",  # a recorder may need longer than the default
     }
+
+
+def launch_namespace(given: str, pushed: str) -> str:
+    """Absolute namespace of the nodes of a launch file.
+
+    Nodes that are started again later, outside the group, keep it.
+
+    Args:
+        given: The namespace given to the launch file; relative or empty: inside `pushed`.
+        pushed: The namespace of the group that includes the launch file (PushRosNamespace); empty
+            for none.
+    """
+    return full_namespace(given if given.startswith("/") else f"{pushed}/{given}")
 
 
 def require_ros() -> None:
@@ -372,8 +382,7 @@ class Graph:
 
 def _ros_arguments(namespace: str) -> list[str]:
     """ROS arguments of nodes in a namespace, except their parameters."""
-    rules = (f"__ns:={namespace}", *(f"{a}:={b}" for a, b in REMAPPINGS))
-    return ["--ros-args", *(word for rule in rules for word in ("-r", rule))]
+    return ["--ros-args", "-r", f"__ns:={namespace}"]
 
 
 def _failure(name: str, code: int) -> TestbedError:

@@ -17,9 +17,12 @@ import signal
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
+
+if __name__ == "__main__" or sys.argv[0].endswith("_node"):
+    # Ctrl-C during the other imports, which take a second, ends the program without a traceback.
+    signal.signal(signal.SIGINT, lambda number, frame: os._exit(0))
 
 try:
     import rclpy
@@ -40,6 +43,7 @@ except ModuleNotFoundError as error:
     )
 
 _NOT_PRELOADED = ("view_node",)  # its imports need as much memory as all others together
+_ENDING = (signal.SIGINT, signal.SIGTERM)  # signals that end the nodes cleanly
 _POLL_INTERVAL = 0.2  # [s]
 _SWITCH_INTERVAL = 5e-4  # [s]; longest wait of a thread for one that computes
 
@@ -47,9 +51,15 @@ _SWITCH_INTERVAL = 5e-4  # [s]; longest wait of a thread for one that computes
 def main() -> None:
     """Run the named nodes until one finishes or the process is asked to end, and exit."""
     program, *words = sys.argv
-    if Path(program).name in TestbedSettings().nodes():
-        words = [Path(program).name, *words]
-    sys.exit(_run(_split(words)[0]))
+    name = program.rpartition("/")[2]
+    if name in TestbedSettings().nodes():
+        words = [name, *words]
+    code = _run(_split(words)[0])
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    # At once: the interpreter would wait for the threads of a node that was interrupted while it
+    # started, and a second Ctrl-C would strike meanwhile.
+    os._exit(code)
 
 
 def _split(words: list[str]) -> tuple[list[str], list[str]]:
@@ -69,13 +79,17 @@ def _node_class(name: str) -> Callable[[], TestbedNode[Any]]:
 
 
 def _run(names: list[str]) -> int:
-    # ROS shuts its context down on SIGINT. An additional KeyboardInterrupt could strike inside a
-    # callback, where nothing can catch it.
-    signal.signal(signal.SIGINT, lambda number, frame: None)
+    # ROS shuts its context down on these signals. An additional KeyboardInterrupt could strike
+    # inside a callback, where nothing can catch it.
+    asked: list[int] = []
+    for number in _ENDING:
+        signal.signal(number, lambda number, frame: asked.append(number))
     sys.setswitchinterval(_SWITCH_INTERVAL)
     rclpy.init()
     end_with_starter()
     try:
+        if asked:  # before ROS handled them
+            return 0
         with ExitStack() as stack:
             ready = None
             if names == [SPARE]:

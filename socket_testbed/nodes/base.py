@@ -7,6 +7,7 @@ reports its state on /diagnostics, at 1 Hz and at once on a change of level, und
 from __future__ import annotations
 
 import dataclasses
+import math
 import os
 import platform
 import re
@@ -26,6 +27,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from std_msgs.msg import Header
@@ -34,8 +36,8 @@ from socket_testbed import clocks, drivers
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
 from socket_testbed.live.processes import RESTARTED
 from socket_testbed.settings.fields import Settings, parameter_values
-from socket_testbed.trials.messages import LOAD_CELL_FRAME, Reader
-from socket_testbed.trials.topics import DIAGNOSTICS, RECORDED_TRIAL, Topic
+from socket_testbed.trials.messages import LOAD_CELL_FRAME, Reader, check_lengths
+from socket_testbed.trials.topics import CLOCK, DIAGNOSTICS, RECORDED_TRIAL, Topic
 
 OK, WARN, ERROR = drivers.OK, drivers.WARN, drivers.ERROR
 
@@ -80,6 +82,27 @@ def message_type(topic: Topic) -> Any:
     return getattr(import_module(f"{package}.{kind}"), name)
 
 
+def decoded(topic: Topic, data: bytes) -> Any:
+    """The ROS message of a topic.
+
+    Args:
+        topic: The topic, which gives the message type.
+        data: The message, serialised (CDR).
+
+    Raises:
+        TrialError: If they are not such a message, as another program may send.
+    """
+    try:
+        message = deserialize_message(data, message_type(topic))
+        check_lengths(message, topic.type)
+        return message
+    except Exception as error:  # the middleware may raise any exception
+        raise TrialError(
+            f"a message on {topic.name} cannot be decoded ({error})",
+            "end the program that sends it, or set another ROS_DOMAIN_ID",
+        ) from None
+
+
 def stamp_to_ros(stamp: int) -> Time:
     """A time since the epoch [ns] as a builtin_interfaces/Time."""
     seconds, nanoseconds = divmod(stamp, 1_000_000_000)
@@ -102,6 +125,24 @@ def is_acknowledged(publisher: Publisher) -> bool:
     Does not wait: rclpy would hold the GIL, and so block all threads of the process.
     """
     return bool(publisher.wait_for_all_acked(Duration()))
+
+
+def reported_values(status: DiagnosticStatus) -> dict[str, str]:
+    """Values by key of a diagnostic status, of any program's node."""
+    return {entry.key: entry.value for entry in status.values}
+
+
+def reported_number(values: Mapping[str, str], key: str) -> float:
+    """A number among the values of a diagnostic status; NaN where it is missing or a text.
+
+    Args:
+        values: Values by key; /diagnostics is shared with other programs, so they may be any text.
+        key: The key of the number, whose unit it has.
+    """
+    try:
+        return float(values[key])
+    except (KeyError, ValueError):
+        return math.nan
 
 
 class Inbox:
@@ -293,6 +334,8 @@ class TestbedNode(Node, Generic[S]):
     ) -> None:
         """Subscribe to a topic, with a deep queue.
 
+        A message of another program that cannot be decoded is reported and dropped.
+
         Args:
             topic: The topic, which gives the message type.
             callback: Called with each message, in order.
@@ -301,12 +344,18 @@ class TestbedNode(Node, Generic[S]):
             raw: Whether the callback gets serialised messages (bytes, CDR).
         """
 
-        def receive(message: Any) -> None:
+        def receive(data: bytes) -> None:
             with self.until_ros_ends():
-                callback(message)
+                try:
+                    message = data if raw else decoded(topic, data)
+                except TrialError as error:
+                    self._drop(str(error))
+                else:
+                    callback(message)
 
+        # Always as bytes: a typed subscription would end the node with a message like that.
         subscription = self.create_subscription(
-            message_type(topic), name or topic.name, receive, subscriber_qos(topic), raw=raw
+            message_type(topic), name or topic.name, receive, subscriber_qos(topic), raw=True
         )
         if needed:
             self._inputs.append(subscription)
@@ -330,11 +379,15 @@ class TestbedNode(Node, Generic[S]):
             try:
                 stamp, values = reader.read(data)
             except TrialError as error:
-                self.get_logger().warning(str(error), throttle_duration_sec=_REPEAT_PERIOD)
+                self._drop(str(error))
             else:
                 callback(stamp, values)
 
         self.listen(topic, receive, needed=needed, raw=True)
+
+    def _drop(self, text: str) -> None:
+        """Report that a message was dropped, not too often."""
+        self.get_logger().warning(text, throttle_duration_sec=_REPEAT_PERIOD)
 
     def serve(self, kind: Any, name: str, answer: Callable[..., str], slow: bool = False) -> None:
         """Offer a SetBool or Trigger service.
@@ -422,8 +475,9 @@ class TestbedNode(Node, Generic[S]):
             self.check()
             waiting = self._waiting_for()
             self._checks += 1
-            # A replay advances with the progress that its followers report.
-            replayed = self.count_publishers("/clock") > 0
+            # A replay advances with the progress that its followers report; a slowed simulation
+            # also publishes /clock, and does not.
+            replayed = clocks.time_scale() == 1.0 and self.count_publishers(CLOCK.name) > 0
             due = self._checks * _CHECK_PERIOD >= REPORT_PERIOD
             if replayed or due or waiting != self._waiting:
                 self._waiting = waiting

@@ -15,11 +15,9 @@ import rclpy
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.serialization import deserialize_message
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
-from socket_testbed_msgs.msg import ContactModel, Event
-from std_msgs.msg import String
+from socket_testbed_msgs.msg import Event
 from std_srvs.srv import SetBool, Trigger
 
 from socket_testbed import clocks
@@ -28,7 +26,6 @@ from socket_testbed.live.graph_status import GraphStatus
 from socket_testbed.nodes import base
 from socket_testbed.settings.testbed import NextTrialSettings
 from socket_testbed.trials import events
-from socket_testbed.trials.cdr import stamp_of
 from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.topics import (
     ESTIMATED_WRENCH,
@@ -162,9 +159,8 @@ class EventMarker:
         self._triggers: list[tuple[float, int]] = []  # arrival [s] and stamp [ns]
         self._trial: str | None = None
         self._publisher = node.create_publisher(Event, EVENT.name, base.publisher_qos(EVENT))
-        node.create_subscription(
-            String, RECORDED_TRIAL.name, self._on_trial, base.subscriber_qos(RECORDED_TRIAL)
-        )
+        self._read_trigger = Reader(TRIGGER).read
+        self._subscribe(RECORDED_TRIAL, self._on_trial)
 
     def mark(self, label: str, called: float) -> Marked:
         """Publish an event, and wait until all subscribers have acknowledged it.
@@ -178,9 +174,7 @@ class EventMarker:
             TestbedError: If nobody subscribes, or does not acknowledge it.
         """
         self._triggers.clear()
-        subscription = self._node.create_subscription(
-            base.message_type(TRIGGER), TRIGGER.name, self._on_trigger, base.subscriber_qos(TRIGGER)
-        )
+        subscription = self._subscribe(TRIGGER, self._on_trigger)
         try:
             if not self._wait(self._is_linked, _LINK_TIMEOUT):
                 raise TestbedError(
@@ -235,13 +229,24 @@ class EventMarker:
             " (on another computer: docs/hardware.md, Network)"
         )
 
-    def _on_trigger(self, message: Any) -> None:
-        """Note the arrival on the monotonic clock [s] and the stamp [ns] of a trigger."""
-        self._triggers.append((time.monotonic(), stamp_of(message)))
+    def _subscribe(self, topic: Topic, callback: Callable[[bytes], None]) -> Any:
+        """Subscribe to serialised messages; those of another program's layout are dropped."""
 
-    def _on_trial(self, message: String) -> None:
+        def receive(data: bytes) -> None:
+            with suppress(TrialError):
+                callback(data)
+
+        kind, qos = base.message_type(topic), base.subscriber_qos(topic)
+        return self._node.create_subscription(kind, topic.name, receive, qos, raw=True)
+
+    def _on_trigger(self, data: bytes) -> None:
+        """Note the arrival on the monotonic clock [s] and the stamp [ns] of a trigger."""
+        arrival = time.monotonic()
+        self._triggers.append((arrival, self._read_trigger(data)[0]))
+
+    def _on_trial(self, data: bytes) -> None:
         """Note the name of the trial being recorded; empty if none."""
-        self._trial = message.data
+        self._trial = base.decoded(RECORDED_TRIAL, data).data
 
 
 class ServiceControls:
@@ -372,7 +377,7 @@ class StatusListener:
         """Process the messages received since the last call."""
         for topic in self._topics:
             for data in self._inbox.take(topic):
-                with suppress(TrialError, RuntimeError):  # another program's layout
+                with suppress(TrialError):  # another program's layout
                     self.add(topic, data)
         self._status.trial = base.recorded_trial(self._inbox.node, self._announced)
 
@@ -384,12 +389,12 @@ class StatusListener:
             data: The message, serialised (CDR).
 
         Raises:
-            TrialError: If a measurement or a predicted wrench cannot be decoded.
+            TrialError: If the message cannot be decoded.
         """
         if topic is PARAMETERS:
-            self._status.variant = deserialize_message(data, ContactModel).variant
+            self._status.variant = base.decoded(topic, data).variant
         elif topic is RECORDED_TRIAL:
-            self._announced = deserialize_message(data, String).data
+            self._announced = base.decoded(topic, data).data
         else:
             self._status.add(topic, *self._readers[topic].read(data))
 

@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+import re
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 
-from socket_testbed.nodes.base import HEARS, LINKS, NEWEST_STAMP, WAITING_FOR, TestbedNode
+from socket_testbed.nodes.base import (
+    HEARS,
+    LINKS,
+    NEWEST_STAMP,
+    WAITING_FOR,
+    TestbedNode,
+    reported_values,
+)
 from socket_testbed.trials.topics import DIAGNOSTICS, full_name
 
 _POLL_INTERVAL = 0.02  # [s]
+_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")  # ROS raises an error for any other
+_MAX_DIGITS = 19  # of a stamp [ns]
 _SILENT = {WAITING_FOR: "", LINKS: "", HEARS: ""}  # another program's diagnostics lack these
 
 
@@ -60,8 +70,8 @@ class Followers:
             reports = self._reports.values()
             heard = Counter(name for report in reports for name in report[HEARS].split())
             own = [(name, known, count) for name, (known, count) in self._node.links().items()]
-            links = [link.split("=") for report in reports for link in report[LINKS].split()]
-            theirs = [(name, int(n), self._node.count_subscribers(name)) for name, n in links]
+            links = [link for report in reports for link in _links(report)]
+            theirs = [(name, known, self._node.count_subscribers(name)) for name, known in links]
             found = all(known >= max(heard[name], count) for name, known, count in own + theirs)
             return found and not any(report[WAITING_FOR] for report in reports)
 
@@ -126,9 +136,22 @@ class Followers:
         for status in message.status:
             if status.name not in self._reports:
                 continue
-            values = _SILENT | {entry.key: entry.value for entry in status.values}
+            values = _SILENT | reported_values(status)
             with self._news:
                 self._reports[status.name] = values
-                if NEWEST_STAMP in values:
-                    self._newest[status.name] = int(values[NEWEST_STAMP])
+                if (newest := _whole(values.get(NEWEST_STAMP, ""))) is not None:
+                    self._newest[status.name] = newest
                 self._news.notify_all()
+
+
+def _links(report: Mapping[str, str]) -> Iterator[tuple[str, int]]:
+    """Topic and number of matched subscribers of each link that a node reports."""
+    for link in report[LINKS].split():
+        name, _, number = link.partition("=")
+        if _NAME.fullmatch(name) and (known := _whole(number)) is not None:
+            yield name, known
+
+
+def _whole(text: str) -> int | None:
+    """A whole number [1, ns] up to 2^63; None for any other text."""
+    return int(text) if text.isascii() and text.isdigit() and len(text) <= _MAX_DIGITS else None

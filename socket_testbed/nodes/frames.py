@@ -2,8 +2,9 @@
 
     world -> socket -> load_cell -> each cluster      world -> limb
 
-Moving frames follow the motion capture, on /tf; fixed frames come from the socket's geometry, on
-/tf_static. mocap_node publishes them live, replay_node during a replay.
+Moving frames follow the motion capture, on tf; fixed frames come from the socket's geometry, on
+tf_static, both in the namespace of the testbed. mocap_node publishes them live, replay_node in a
+replay.
 """
 
 from __future__ import annotations
@@ -26,13 +27,13 @@ LIMB_FRAME = "limb"  # origin at the lumped mass
 
 
 class FrameBroadcaster:
-    """Publishes the transforms, on /tf and once on /tf_static.
+    """Publishes the transforms, on tf and once on tf_static.
 
     Args:
         node: The node that publishes.
         geometry: The socket: poses of its marker body and clusters in {S}, and of the limb in the
             pylon's marker body.
-        namespace: Absolute namespace of both topics; empty: they follow the node's remappings.
+        namespace: Absolute namespace of both topics; empty for the node's own.
     """
 
     def __init__(
@@ -43,7 +44,11 @@ class FrameBroadcaster:
             topics.PYLON_POSE: (LIMB_FRAME, geometry.limb),
         }
         self._publisher, static = (
-            node.create_publisher(TFMessage, namespace + topic.name, base.publisher_qos(topic))
+            node.create_publisher(
+                TFMessage,
+                topics.full_name(topic.name, namespace) if namespace else topic.name,
+                base.publisher_qos(topic),
+            )
             for topic in (topics.TF, topics.TF_STATIC)
         )
         now = node.get_clock().now().nanoseconds
@@ -67,8 +72,8 @@ class FrameBroadcaster:
             return
         transforms = []
         for topic, vector in poses.items():
-            if np.isfinite(vector).all():
-                pose = Pose.from_vector(vector)
+            pose = Pose.from_vector(vector)
+            if np.isfinite(pose.rotation).all() and np.isfinite(pose.translation).all():
                 name, in_body = self._bodies[topic]
                 transforms.append(_transform(stamp, messages.WORLD_FRAME, name, pose @ in_body))
         if transforms:

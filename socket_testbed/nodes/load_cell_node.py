@@ -1,11 +1,12 @@
 """Load-cell node: measures the wrench, averaged around each trigger.
 
-Subscribes: trigger, recorder/trial. Publishes: load_cell/wrench, load_cell/raw, event,
-/diagnostics. Services: load_cell/tare, load_cell/force_tare.
+Subscribes: trigger, clusters/stress, recorder/trial. Publishes: load_cell/wrench, load_cell/raw,
+event, /diagnostics. Services: load_cell/tare, load_cell/force_tare.
 """
 
 from __future__ import annotations
 
+import math
 import threading
 from functools import partial
 from typing import Any
@@ -16,7 +17,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger as TriggerService
 
 from socket_testbed import clocks
-from socket_testbed.drivers.load_cell.load_cell import check_settings, in_words
+from socket_testbed.drivers.load_cell.load_cell import check_settings, in_words, pressed
 from socket_testbed.errors import DeviceError
 from socket_testbed.live.hardware import make_load_cell
 from socket_testbed.nodes.base import OK, WARN, header_to_ros, recorded_trial
@@ -27,11 +28,15 @@ from socket_testbed.trials.topics import (
     EVENT,
     LOAD_CELL_RAW,
     RECORDED_TRIAL,
+    STRESS,
     TARE,
     WRENCH,
     Service,
 )
 
+# Older stresses of the clusters do not count at a tare:
+_RECENT = 1.0  # [s]
+_RECENT_PERIODS = 3.0  # [-]; of the trigger
 _CONVERSION_TIMEOUT = 0.05  # [s]; for the conversions after a trigger
 
 
@@ -43,8 +48,10 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
     [V/V], the tare that was subtracted [N, N m] and when it was taken [ns], and a status. Both are
     NaN where nothing was measured. Publishes on event that the load cell was tared.
 
-    Services: load_cell/tare tares at rest, unless the load exceeds the setting `tare_load` [N] or a
-    trial is being recorded; load_cell/force_tare tares at rest even then.
+    Services: load_cell/tare tares at rest, unless the load exceeds the setting `tare_load` [N], a
+    cluster is pressed by more than `tare_pressure` [Pa] or a trial is being recorded;
+    load_cell/force_tare tares at rest even then. Subscribes to clusters/stress, the clusters'
+    normal stresses [Pa], to know.
     """
 
     def __init__(self) -> None:
@@ -62,6 +69,8 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         )
         self._polling.start()
         self.follow_triggers()
+        self._stresses: tuple[dict[str, Any], float] = {}, -math.inf  # newest, arrival [s]
+        self.follow(STRESS, self._on_stress, needed=False)
         self._events = self.advertise(EVENT)
         self._trial = ""  # being recorded
         self.listen(RECORDED_TRIAL, self._on_recorded, needed=False)
@@ -116,8 +125,8 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
         """Tare, and publish it as an event for the recorder, with the removed wrench [N, N m].
 
         Raises:
-            DeviceError: If a trial is being recorded and the tare is not forced, or the load cell
-                cannot be tared now.
+            DeviceError: If a trial is being recorded or a cluster is pressed, and the tare is not
+                forced, or the load cell cannot be tared now.
         """
         trial = recorded_trial(self, self._trial)
         if trial and not forced:
@@ -125,10 +134,24 @@ class LoadCellNode(SensorNode[LoadCellSettings]):
                 f"cannot tare: the trial {trial} is being recorded",
                 "stop the recording, or force it (load_cell/force_tare)",
             )
-        stamp = self.trigger_time.stamp(clocks.monotonic())
+        stresses, arrival = self._stresses
+        now = clocks.monotonic()
+        if now - arrival > max(_RECENT, _RECENT_PERIODS * self.period):
+            stresses = {}
+        if (found := pressed(stresses, self.settings)) and not forced:
+            raise DeviceError(
+                f"cannot tare: {found}",
+                "take the limb out of the socket; if nothing touches them, force it"
+                " (load_cell/force_tare)",
+            )
+        stamp = self.trigger_time.stamp(now)
         removed = f"removed {in_words(self._cell.tare(stamp, forced))}"
         self._events.publish(Event(header=header_to_ros(stamp), label=f"{TARE} {removed}"))
         return f"tared: {removed}"
+
+    def _on_stress(self, stamp: int, stresses: dict[str, Any]) -> None:
+        """Note the newest stresses by cluster [Pa], and when they arrived [s]."""
+        self._stresses = stresses, clocks.monotonic()
 
     def _on_recorded(self, message: String) -> None:
         """Note the name of the trial being recorded; empty if none."""

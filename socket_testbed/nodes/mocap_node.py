@@ -1,7 +1,7 @@
 """Motion-capture node: measures the bodies' markers and poses at each trigger, from NatNet.
 
 Subscribes: trigger, recorder/trial. Publishes: mocap/socket/pose, mocap/pylon/pose,
-mocap/markers, /tf, /tf_static, /diagnostics.
+mocap/markers, tf, tf_static, /diagnostics.
 
 A pose is the mean over the frames in a window centred on the trigger, and is published half a
 window later; the markers are interpolated at the trigger.
@@ -31,7 +31,7 @@ class MocapNode(SensorNode[MocapSettings]):
 
     Publishes, with the stamp of the trigger and in the frame world of the motion capture:
     mocap/socket/pose and mocap/pylon/pose, positions [m] and quaternions of the marker bodies;
-    mocap/markers, their markers [m]; on /tf the socket and the limb, see `frames`. Subscribes to
+    mocap/markers, their markers [m]; on tf the socket and the limb, see `frames`. Subscribes to
     recorder/trial, whose trials Motive can record as takes.
     """
 

@@ -180,7 +180,8 @@ class RecorderNode(TestbedNode[RecorderSettings]):
             ) from None
         clock = self.get_clock()
         self._now = SteadyClock().now
-        if clock.ros_time_is_active:
+        # A slowed simulation's steady clock has the time of its /clock, and does not tick.
+        if clock.ros_time_is_active and clocks.time_scale() == 1.0:
             self._now = lambda: clock.now().nanoseconds
         self._bag, self._path = bag, path
         self._began, self._warned = clocks.monotonic(), False

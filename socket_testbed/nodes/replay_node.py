@@ -3,7 +3,7 @@
 Wrenches and poses affected by another load cell, tare or geometry are recomputed.
 
 Subscribes: /diagnostics. Publishes: the topics of the trial under their recorded names or in
-another namespace, /clock, /tf, /tf_static, /diagnostics. Service: replay/pause.
+another namespace, /clock, tf, tf_static, /diagnostics. Service: replay/pause.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ class ReplayNode(base.TestbedNode[ReplaySettings]):
         decoded = (topics.TRIGGER, topics.WRENCH, *topics.POSES.values())
         self._readers = {topic: Reader(topic, self._trial.path) for topic in decoded}
         self._frames = self._broadcaster()
-        self._clock_publisher = self.create_publisher(Clock, "/clock", 10)
+        self._clock_publisher = self.create_publisher(Clock, topics.CLOCK.name, 10)
         self._pacer = Pacer(settings.rate, self._tick, settings.paused)
         self._followers = Followers(self, settings.wait_for, self._pacer.stopped)
         self.serve(SetBool, topics.Service.PAUSE_REPLAY, self._on_pause)
@@ -201,7 +201,10 @@ class ReplayNode(base.TestbedNode[ReplaySettings]):
             self.get_logger().warning(f"transforms are left out: {error}")
             return None
         recorded = topics.namespace_of(*next(iter(self._topics.items())))
-        return FrameBroadcaster(self, geometry, "" if self.settings.namespace else recorded)
+        wanted = self.settings.namespace
+        return FrameBroadcaster(
+            self, geometry, topics.full_namespace(wanted) if wanted else recorded or "/"
+        )
 
     def _on_pause(self, paused: bool) -> str:
         """Pause or resume."""

@@ -1,6 +1,7 @@
 """Trigger node: one trigger for all sensors, with the timestamp of all measurements.
 
-Subscribes: trigger, /diagnostics. Publishes: trigger, /diagnostics. Service: trigger/enable.
+Subscribes: trigger, /diagnostics. Publishes: trigger, /diagnostics; /clock while a simulated
+testbed runs slower than real time. Service: trigger/enable.
 
 The stamp is the system clock at the start of the testbed, advanced by the steady clock, because the
 system clock may be set during a trial. The sequence counts pulses: an unseen pulse leaves a gap.
@@ -11,6 +12,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 
+from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool
 
 from socket_testbed import clocks
@@ -18,15 +20,24 @@ from socket_testbed.clocks import SteadyClock
 from socket_testbed.drivers.gpio import Trigger
 from socket_testbed.errors import DeviceError
 from socket_testbed.live.hardware import make_trigger, wall_clock
-from socket_testbed.nodes.base import ERROR, OK, TRIGGERS, WARN, RecentFault, TestbedNode
+from socket_testbed.nodes.base import (
+    ERROR,
+    OK,
+    TRIGGERS,
+    WARN,
+    RecentFault,
+    TestbedNode,
+    stamp_to_ros,
+)
 from socket_testbed.nodes.followers import Followers
 from socket_testbed.settings.acquisition import READY_TIMEOUT, TriggerSettings
 from socket_testbed.trials.messages import trigger_packer
-from socket_testbed.trials.topics import TRIGGER, Service
+from socket_testbed.trials.topics import CLOCK, TRIGGER, Service
 
 _FOREIGN_DURATION = 5.0  # [s]; how long another testbed is reported
 _LINGER = 0.05  # [s]; a busy node may not have received the last trigger when its publisher ends
 _MAX_REMEMBERED = 200  # own triggers, to recognise foreign ones
+_TICK_PERIOD = 0.02  # [s]; of /clock, in real time
 _STEP_THRESHOLD = 0.01  # [s]; smallest reported step of the system clock
 
 
@@ -35,7 +46,8 @@ class TriggerNode(TestbedNode[TriggerSettings]):
 
     Publishes: trigger, with the time of the edge (or timer) as its stamp since the epoch [ns], and
     a sequence number that counts pulses. Subscribes: trigger, to detect another testbed. Service:
-    trigger/enable starts and stops the pulses.
+    trigger/enable starts and stops the pulses. Publishes /clock, with the time of the stamps since
+    the epoch, 50 times per real second while the testbed runs slower than real time.
     """
 
     def __init__(self) -> None:
@@ -60,6 +72,9 @@ class TriggerNode(TestbedNode[TriggerSettings]):
         self.follow(TRIGGER, self._on_trigger, needed=False)
         self._followers = Followers(self, settings.wait_for, self._stopping.is_set)
         self.serve(SetBool, Service.ENABLE_TRIGGER, self._on_enable)
+        if clocks.time_scale() != 1.0:
+            self._clock_publisher = self.create_publisher(Clock, CLOCK.name, 10)
+            self.repeat(_TICK_PERIOD, self._tick)
         self._thread = threading.Thread(target=self._run, name="trigger")
         self._thread.start()
 
@@ -78,6 +93,11 @@ class TriggerNode(TestbedNode[TriggerSettings]):
             "skipped": self._skipped,
             "stray_edges": self._trigger.stray if self._trigger is not None else 0,
         }
+
+    def _tick(self) -> None:
+        """Publish the time of the testbed."""
+        with self.until_ros_ends():
+            self._clock_publisher.publish(Clock(clock=stamp_to_ros(self._epoch.now())))
 
     def _on_trigger(self, stamp: int, sequence: int) -> None:
         """Detect another testbed that triggers the same nodes, by a stamp [ns] not our own."""

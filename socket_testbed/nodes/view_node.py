@@ -43,6 +43,7 @@ from socket_testbed.trials.metadata import FIELDS, SIDES
 _STALE_AFTER = 2.0  # [s]; older data is not shown as current
 _SILENT_AFTER = 3.0 * base.REPORT_PERIOD  # [s]; a node without a report for longer is silent
 _IDLE_AFTER = 3.0  # [s]; without a request for longer, no browser is open
+_LONGEST = 1e9  # [s]; of a recording
 _DEPTHS = {
     topics.FORCE_MAP: 1,
     topics.WRENCH: 50,
@@ -277,11 +278,13 @@ class LiveSource:
         recorder, arrival = self._sensors.get(f"{self._prefix}recorder_node", (None, now))
         words = f"recording {trial}" if trial else "nothing is being recorded"
         if recorder is not None:
-            figures = {entry.key: entry.value for entry in recorder.values}
-            if trial:
-                elapsed = float(figures[base.ELAPSED]) + now - max(arrival, since)
+            figures = base.reported_values(recorder)
+            elapsed = base.reported_number(figures, base.ELAPSED) + now - max(arrival, since)
+            if trial and 0.0 <= elapsed < _LONGEST:
                 words += f" for {duration_text(elapsed)}"
-            words += f", {1e-9 * float(figures[base.FREE]):.1f} GB free"
+            free = base.reported_number(figures, base.FREE)
+            if math.isfinite(free):
+                words += f", {1e-9 * free:.1f} GB free"
         return {"on": bool(trial), "words": words}
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
@@ -292,8 +295,9 @@ class LiveSource:
             if status.name.rpartition("/")[0] + "/" != self._prefix or status.name == self._own:
                 continue
             self._sensors[status.name] = status, now
-            values = {entry.key: entry.value for entry in status.values}
-            count = next((float(values[key]) for key in base.COUNTS if key in values), math.nan)
+            values = base.reported_values(status)
+            counts = (base.reported_number(values, key) for key in base.COUNTS)
+            count = next(filter(math.isfinite, counts), math.nan)
             before, since, _ = self._rates.setdefault(status.name, (count, now, math.nan))
             if count < before:  # it was restarted
                 self._rates[status.name] = count, now, math.nan

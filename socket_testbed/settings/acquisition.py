@@ -144,7 +144,13 @@ class LoadCellSettings(Settings):
     tare_duration: float = setting(1.0, "averaging time of a tare [s]", 0.1, MAX_TARE)
     tare_force: float = setting(2.0, "largest deviation of a force while taring [N]", 1e-3, 1e3)
     tare_moment: float = setting(0.2, "largest deviation of a moment while taring [N m]", 1e-4, 1e2)
-    tare_load: float = setting(100.0, "largest force that an unforced tare removes [N]", 1.0, 1e5)
+    tare_load: float = setting(
+        40.0, "largest force that an unforced tare removes; a tenth of the lightest person's weight"
+        " [N]", 1.0, 1e5,
+    )  # fmt: skip
+    tare_pressure: float = setting(
+        5e3, "largest normal stress of a cluster at an unforced tare [Pa]", 100.0, 1e7
+    )
     tare_file: str = fixed("", "file that keeps the tare across restarts; empty: none [-]")
     scheduling: SchedulingSettings = SchedulingSettings()
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-from socket_testbed.documents import Document, dump_yaml, read_document, refuse_unknown
+from socket_testbed.documents import dump_yaml
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import write_text
 from socket_testbed.settings.acquisition import (
@@ -26,6 +26,7 @@ from socket_testbed.settings.identification import (
     PlateauSettings,
     check_solver,
 )
+from socket_testbed.settings.parameter_file import read_parameters
 
 
 @dataclass(frozen=True)
@@ -181,33 +182,32 @@ _RUN_SPECIFIC = (
 )
 
 
-class _Node(Document):
-    ros__parameters: dict[str, Any]
-
-
-def read_testbed(path: Path, defaults: TestbedSettings | None = None) -> TestbedSettings:
+def read_testbed(
+    path: Path, defaults: TestbedSettings | None = None, namespace: str = "/"
+) -> TestbedSettings:
     """Read `testbed.yaml`: node parameters in the ROS format, one section per node.
 
-    Unlike ROS, this refuses undeclared keys.
+    Unlike ROS, this refuses undeclared keys. Sections for any node (`/**`) give their parameters to
+    every node that has them.
 
     Args:
         path: The file; an empty one gives the defaults.
         defaults: Settings of the nodes that the file does not name; None for those of the classes.
             A node that the file names does not use them: its other fields have the classes'
             defaults.
+        namespace: Absolute namespace of the nodes.
 
     Raises:
-        ConfigurationError: If the file cannot be read, or a key or a value is wrong.
+        ConfigurationError: If the file cannot be read, a key or a value is wrong, or it holds only
+            nodes of other namespaces.
     """
     defaults = defaults or TestbedSettings()
-    kinds = {name: type(settings) for name, settings in defaults.nodes().items()}
-    document = read_document(path, dict[str, _Node])
-    refuse_unknown(document, kinds, str(path))
+    nodes = defaults.nodes()
+    known = {name: type(settings).flat() for name, settings in nodes.items()}
     given: dict[str, Any] = {}
-    for node, section in document.items():
-        values = _flatten(section.ros__parameters)
-        values.pop("use_sim_time", None)
-        given[node] = kinds[node].from_flat(values, f"{path}: {node}")
+    for node, (values, named) in read_parameters(path, known, namespace).items():
+        others = {} if named else nodes[node].to_flat()
+        given[node] = type(nodes[node]).from_flat(others | values, f"{path}: {node}")
     return replace(defaults, **given)
 
 
@@ -253,13 +253,3 @@ def write_testbed(nodes: dict[str, Settings], path: Path) -> None:
         }
         document[node] = {"ros__parameters": written}
     write_text(path, dump_yaml(document))
-
-
-def _flatten(section: dict[str, Any]) -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in section.items():
-        if isinstance(value, dict):
-            flat |= {f"{key}.{name}": entry for name, entry in _flatten(value).items()}
-        else:
-            flat[key] = value
-    return flat

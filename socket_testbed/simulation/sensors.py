@@ -277,12 +277,13 @@ class MarkerBodies:
         Args:
             position: Limb positions q in {S}, shape (N, 3) [m].
             rotation: Rotation vectors of the limb in {S}, shape (N, 3) [rad].
-            load: Loads on the load cell [M; F] in {S}, under which the stand yields, shape (N, 6)
-                [N m, N].
+            load: Loads of the limb on the load cell [M; F] in {S}, in whose direction the stand
+                yields, shape (N, 6) [N m, N].
             swayed: Displacement of the stand in the world, shape (3,) [m]; 0 for none.
         """
         count = len(position)
-        shift = self._rng.normal(0.0, _STAND_TREMOR, (count, 3)) - _STAND_COMPLIANCE * load[:, 3:]
+        force = load[:, 3:] @ _SOCKET_IN_WORLD.rotation.T  # in the world
+        shift = self._rng.normal(0.0, _STAND_TREMOR, (count, 3)) + _STAND_COMPLIANCE * force
         origin = _SOCKET_IN_WORLD.translation + (shift + swayed)
         world = Pose(np.tile(_SOCKET_IN_WORLD.rotation, (count, 1, 1)), origin)
         limb = Pose(Rotation.from_rotvec(rotation).as_matrix(), position)

@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 WORLD_FRAME = "world"  # of the motion capture
 LOAD_CELL_FRAME = "load_cell"  # the paper's {S}
 
+_SECOND = 1_000_000_000  # [ns]
 _MAX_LAYOUTS = 8  # remembered per topic; messages of other layouts are decoded one by one
+_MAX_REMEMBERED = 2**18  # [bytes] of the messages of these layouts, which take up to 60 times that
 
 Values: TypeAlias = Callable[[cdr.Record, Any], Any]
 """Values of messages of one layout, from their numbers and one decoded sample: names and lengths
@@ -76,11 +78,23 @@ class Reader:
         """
         for layout, sample in self._known:
             if (record := layout.record(data)) is not None:
-                stamp = record["header"]["stamp"]  # `stamps_of` takes 10 us
-                nanoseconds = int(stamp["sec"]) * 1_000_000_000 + int(stamp["nanosec"])
-                return nanoseconds, self._values(record, sample)
-        self._known = [self._learn(data), *self._known[: _MAX_LAYOUTS - 1]]
-        return self.read(data)
+                return self._stamped(record, sample)
+        layout, sample = self._learn(data)
+        if len(data) <= _MAX_REMEMBERED:
+            self._known = [(layout, sample), *self._known[: _MAX_LAYOUTS - 1]]
+            while sum(known.dtype.itemsize for known, _ in self._known) > _MAX_REMEMBERED:
+                self._known.pop()
+        record = layout.record(data)
+        assert record is not None
+        return self._stamped(record, sample)
+
+    def _stamped(self, record: cdr.Record, sample: Any) -> tuple[int, Any]:
+        """Stamp since the epoch [ns] and values of one message of the sample's layout."""
+        stamp = record["header"]["stamp"]  # `stamps_of` takes 10 us
+        seconds, nanoseconds = int(stamp["sec"]), int(stamp["nanosec"])
+        if nanoseconds >= _SECOND:
+            raise self._refusal(f"its stamp has {nanoseconds} ns")
+        return _SECOND * seconds + nanoseconds, self._values(record, sample)
 
     def parts(self, messages: Sequence[bytes]) -> Iterator[tuple[IntArray, IntArray, Any]]:
         """Many serialised messages in parts, each of one layout.
@@ -113,12 +127,19 @@ class Reader:
 
     def _learn(self, data: bytes) -> tuple[cdr.Layout, Any]:
         try:
-            return cdr.Layout(data, self._topic.type), cdr.decode(data, self._topic.type)
+            layout = cdr.Layout(data, self._topic.type)
+            sample = cdr.decode(data, self._topic.type)
+            check_lengths(sample, self._topic.type)
+            self._values(np.ndarray((), layout.dtype, data), sample)
+            return layout, sample
         except Exception as error:  # the library may raise any exception
-            raise TrialError(
-                f"{self._where}: a message on {self._topic.name} cannot be decoded ({error})",
-                "check that it was recorded or sent with this version's messages",
-            ) from None
+            raise self._refusal(error) from None
+
+    def _refusal(self, why: object) -> TrialError:
+        return TrialError(
+            f"{self._where}: a message on {self._topic.name} cannot be decoded ({why})",
+            "check that it was recorded or sent with this version's messages",
+        )
 
 
 class Template:
@@ -315,11 +336,16 @@ def markers_packer(counts: Mapping[str, int]) -> Callable[[int, Sequence[FloatAr
     """
     bodies = [{"name": name, "markers": [None] * count} for name, count in counts.items()]
     template = Template(topics.MARKERS.type, WORLD_FRAME, bodies=bodies)
-    numbers = cdr.elements(template.numbers, "bodies")
+    # A body without markers has no numbers.
+    numbers = {
+        place: template.numbers["bodies"][str(place)]
+        for place, count in enumerate(counts.values())
+        if count
+    }
 
     def pack(stamp: int, markers: Sequence[FloatArray]) -> bytes:
-        for own, seen in zip(numbers, markers, strict=True):
-            own["markers"] = seen
+        for place, own in numbers.items():
+            own["markers"] = markers[place]
         return template.serialised(stamp)
 
     return pack
@@ -345,10 +371,17 @@ _MAP_FIELDS = (
 )
 
 
+def _array(records: cdr.Record, field: str) -> FloatArray:
+    """Numbers (..., n) or vectors (..., n, 3) of a field; an empty sequence of vectors has none."""
+    if field not in (records.dtype.names or ()):
+        return np.empty((*records.shape, 0, 3))
+    return np.asarray(records[field].astype(np.float64))
+
+
 def _force_map(records: cdr.Record, sample: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
     """Names of the n tiles, and the fields of N maps for a `MapEstimate`."""
     records = np.atleast_1d(records)
-    fields: dict[str, Any] = {name: records[name].astype(np.float64) for name in _MAP_FIELDS}
+    fields: dict[str, Any] = {name: _array(records, name) for name in _MAP_FIELDS}
     return tuple(sample.names), {**fields, "source": sample.source}
 
 
@@ -427,6 +460,37 @@ def named(values: FloatArray) -> dict[str, float]:
     return dict(zip("xyzw", values.tolist(), strict=False))
 
 
+_PARALLEL: dict[str, dict[str, Sequence[str]]] = {
+    topics.LOCAL_FORCES.type: {"names": ["forces"]},
+    topics.FORCE_MAP.type: {"names": _MAP_FIELDS},
+    topics.REGIONS.type: {"names": _REGION_COLUMNS},
+    topics.PARAMETERS.type: {
+        "names": ["stiffness", "rest_positions"],
+        "bias_names": ["force_bias"],
+    },
+}
+"""Fields of a message type with an element for each name, by the field that holds the names."""
+
+
+def check_lengths(message: Any, message_type: str) -> None:
+    """Refuse a message in which an array does not have an element for each name.
+
+    The definition of the message does not tie them together, so every reader checks.
+
+    Args:
+        message: The message, from rosbags or ROS.
+        message_type: Its type, as `package/msg/Type`.
+
+    Raises:
+        ValueError: If an array is longer or shorter than its names.
+    """
+    for names, parallel in _PARALLEL.get(message_type, {}).items():
+        expected = len(getattr(message, names))
+        for field in parallel:
+            if (count := len(getattr(message, field))) != expected:
+                raise ValueError(f"{count} {field} for {expected} {names}")
+
+
 VALUES: dict[str, Values] = {
     topics.TRIGGER.type: lambda records, sample: records["sequence"],
     # [M; F], shape (..., 6) [N m, N]
@@ -440,7 +504,7 @@ VALUES: dict[str, Values] = {
     topics.STRESS.type: _stress,
     topics.MARKERS.type: _markers,
     # Forces in {S}, shape (..., n, 3) [N]
-    topics.LOCAL_FORCES.type: lambda records, sample: records["forces"].astype(np.float64),
+    topics.LOCAL_FORCES.type: lambda records, sample: _array(records, "forces"),
     topics.FORCE_MAP.type: _force_map,
     topics.REGIONS.type: _regions,
     topics.EVENT.type: lambda records, sample: str(sample.label),

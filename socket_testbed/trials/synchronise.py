@@ -205,7 +205,8 @@ def _columns(topic: topics.Topic, values: Any) -> Iterator[tuple[str, _Columns]]
     elif topic is topics.MARKERS:
         for name, markers in values:
             seen = np.full((len(markers), MAX_MARKERS, 3), np.nan)
-            seen[:, : markers.shape[1]] = markers
+            own = markers[:, :MAX_MARKERS]  # another program's body may have more
+            seen[:, : own.shape[1]] = own
             yield name, [seen.reshape(len(markers), -1)]
     else:
         yield topic.name, [] if topic is topics.TRIGGER else [values]

@@ -87,10 +87,14 @@ class Service(StrEnum):
 
 PUBLISHER_DEPTH = 100  # [messages]; of all publishers except latched ones
 
+# Time of a replay, or of a simulation that runs slower than real time; then nodes use it.
+CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock")
+
 # Transforms for RViz and others. They follow from the poses and the geometry in a trial, so they
-# are not recorded, and a replay recomputes them.
-TF = Topic("/tf", "tf2_msgs/msg/TFMessage")
-TF_STATIC = Topic("/tf_static", "tf2_msgs/msg/TFMessage", latched=True)
+# are not recorded, and a replay recomputes them. Each testbed has its own, in the namespace of its
+# other topics.
+TF = Topic("tf", "tf2_msgs/msg/TFMessage")
+TF_STATIC = Topic("tf_static", "tf2_msgs/msg/TFMessage", latched=True)
 
 # Name of the trial being recorded; empty if none. Not a measurement, so not recorded.
 RECORDED_TRIAL = Topic("recorder/trial", "std_msgs/msg/String", latched=True)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from hashlib import sha256
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from socket_testbed.calibration.model import Calibration, read_calibration
-from socket_testbed.errors import ConfigurationError, TrialError
+from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
 from socket_testbed.files import (
     CALIBRATION_FILE,
     PARAMETERS_FILE,
@@ -21,7 +23,7 @@ from socket_testbed.files import (
 )
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.plausibility import find_outliers
-from socket_testbed.samples import Samples
+from socket_testbed.samples import Samples, Status
 from socket_testbed.settings.testbed import EstimatorSettings, TestbedSettings, read_testbed
 from socket_testbed.trials import reprocess, synchronise, topics
 from socket_testbed.trials.bag import BagReader, required_topics
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
 
     from socket_testbed.identification.data_check import DataFinding
 
+_CHECKED = 20  # [messages]; at the start of a trial
 _FINGERPRINT_SPAN = 30.0  # [s]; a copy that was cut later has the same fingerprint
 
 
@@ -141,6 +144,7 @@ class Trial:
         with self.open() as bag:
             measured = synchronise.read_measurements(bag, self._notify, self.remade)
         self._kept.fingerprint = _fingerprint(measured)
+        measured = self._without_strangers(measured)
         where = str(self.path)
         if topics.LOAD_CELL_RAW in self.remade:
             given = reprocess.read_load_cell(self.load_cell_file) if self.load_cell_file else None
@@ -172,6 +176,40 @@ class Trial:
         if self._kept.samples is None:
             return self.measurements_and_samples()[1]
         return self._kept.samples
+
+    def _without_strangers(self, measured: synchronise.Measurements) -> synchronise.Measurements:
+        """Leave out clusters that few messages name and that the configuration does not know.
+
+        If most messages name it, the configuration is wrong instead, which is an error.
+        """
+        counts = (measured.status != Status.MISSING).any(axis=2).sum(axis=0).tolist()
+        rare = [
+            n
+            for n, k in zip(measured.clusters, counts, strict=True)
+            if 2 * k < len(measured.stamps)
+        ]
+        if not rare:
+            return measured
+        try:
+            known = self.calibration.clusters.keys() & self.geometry.clusters.keys()
+        except TestbedError:  # the caller may need neither
+            return measured
+        strangers = [name for name in rare if name not in known]
+        kept = [i for i, name in enumerate(measured.clusters) if name not in strangers]
+        if not strangers or not kept:
+            return measured
+        for name in strangers:
+            count = counts[measured.clusters.index(name)]
+            self._notify(
+                f"{count} of {len(measured.stamps)} samples name a cluster '{name}', which the"
+                " calibration or the socket does not know: left out"
+            )
+        return replace(
+            measured,
+            clusters=tuple(measured.clusters[i] for i in kept),
+            capacitance=measured.capacitance[:, kept],
+            status=measured.status[:, kept],
+        )
 
     def sound(self, leave_out: tuple[str, ...] = ()) -> Samples:
         """The samples with outliers as NaN, found in channels that are not left out; cached.
@@ -214,7 +252,7 @@ class Trial:
         return measured, self._kept.samples
 
     def check(self) -> tuple[str, ...]:
-        """Refuse an unusable trial before long work or the start of a graph, by its first message.
+        """Refuse an unusable trial before long work or the start of a graph, by its first messages.
 
         Returns:
             The names of the trial's clusters.
@@ -226,8 +264,12 @@ class Trial:
         """
         with self.open() as bag:
             name = required_topics(bag)[topics.CAPACITANCE]
-            first = next(bag.messages([name]))
-        clusters: tuple[str, ...] = Reader(topics.CAPACITANCE, self.path).read(first.data)[1].names
+            first = [raw.data for raw in islice(bag.messages([name]), _CHECKED)]
+        reader = Reader(topics.CAPACITANCE, self.path)
+        counts = Counter({v.names: len(places) for places, _, v in reader.parts(first)})
+        if not counts:
+            raise reader.refused[0]
+        clusters: tuple[str, ...] = counts.most_common(1)[0][0]
         self._require_clusters(clusters)
         return clusters
 

@@ -109,6 +109,19 @@ def test_a_full_reading_gives_a_stress(capacitance: np.ndarray, expected: Status
 
 
 @pytest.mark.parametrize(
+    ("read", "ends"),
+    [
+        pytest.param([8.5, 8.6, 5.6, 10.1], {"mean_range": np.array([4.0, 8.2])}, id="mean"),
+        pytest.param([8.3, 8.7, 8.2, 7.5], {"difference_range": np.array([-0.15, 3.0])}, id="x"),
+    ],
+)
+def test_a_reading_at_the_end_is_in_range(read: list[float], ends: dict[str, np.ndarray]):
+    """Rounding puts its mean, 32.8 / 4 pF, or its difference, -0.15 pF, 1e-15 pF outside."""
+    _, status = make_cluster(**ends).apply(np.array(read), ALL_OK)
+    assert status == Status.OK
+
+
+@pytest.mark.parametrize(
     ("statuses", "capacitance", "expected"),
     [
         pytest.param((1, 0, 0, 0), (np.nan, 8.0, 8.0, 8.0), Status.SATURATED, id="saturated"),

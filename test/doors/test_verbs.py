@@ -182,7 +182,9 @@ def test_a_fault_has_its_value(word: str, value: float) -> None:
 @pytest.mark.parametrize(
     "word",
     ["mocap.drop=1.1", "trigger.late=-1", "limb.out=-2", "clock.step=-1e7", "clock.step=1e7",
-     "mocap.drop=much", "mocap.drop", "mocap.drop=", "=1"],
+     "mocap.drop=much", "mocap.drop", "mocap.drop=", "=1", "limb.out=0", "limb.out=1.5",
+     "limb.out=-0.5", "clusters.nack=0", "clusters.rail=-1", "clusters.shifted=2.5",
+     "load_cell.rail=0", "mocap.occlude=0.5", "clusters.nack=nan"],
 )  # fmt: skip
 def test_a_wrong_fault_is_refused(word: str) -> None:
     with pytest.raises(ConfigurationError, match="--fault"):

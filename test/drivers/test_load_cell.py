@@ -19,7 +19,13 @@ from support.wording import check_line, refused
 from socket_testbed import clocks
 from socket_testbed.drivers.load_cell import ads131m0x, converter_reader
 from socket_testbed.drivers.load_cell.converter_reader import ConversionClock, ConverterReader
-from socket_testbed.drivers.load_cell.load_cell import LoadCell, check_settings, in_words, unrest
+from socket_testbed.drivers.load_cell.load_cell import (
+    LoadCell,
+    check_settings,
+    in_words,
+    pressed,
+    unrest,
+)
 from socket_testbed.errors import ConfigurationError, DeviceError
 from socket_testbed.samples import Status
 from socket_testbed.settings.acquisition import LoadCellSettings, averaging_span
@@ -348,9 +354,29 @@ def test_a_broken_tare_file_is_refused(storing: LoadCellSettings) -> None:
         Bench(storing)
 
 
+@pytest.mark.parametrize(
+    ("stresses", "words"),
+    [
+        ({}, ""),
+        ({"distal": 5e3}, ""),
+        ({"distal": np.nan}, ""),
+        ({"distal": 5.01e3}, "distal (5.01 kPa) is pressed by more than 5 kPa"),
+        ({"a": 12e3, "b": -2e4, "c": 7e3}, "a (12 kPa), c (7 kPa) are pressed by more than 5 kPa"),
+    ],
+    ids=["none", "at limit", "missing", "one", "two"],
+)
+def test_pressed_clusters_are_named(stresses: dict[str, float], words: str) -> None:
+    given = {name: (np.array([normal, 0.0, 0.0]), 0) for name, normal in stresses.items()}
+    assert pressed(given, SETTINGS) == words
+
+
+def test_a_missing_cluster_is_not_pressed() -> None:
+    assert pressed({"distal": (np.array([1e5, 0.0, 0.0]), Status.MISSING)}, SETTINGS) == ""
+
+
 def test_a_loaded_cell_is_tared_by_force_only() -> None:
     bench = loaded_bench(SETTINGS)
-    with refused(DeviceError, "the cell bears 301 N, more than 100 N", "force_tare"):
+    with refused(DeviceError, "the cell bears 301 N, more than 40 N", "force_tare"):
         bench.cell.tare(STAMP)
     assert bench.cell.tare(STAMP, forced=True) is not None
 

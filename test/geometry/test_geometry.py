@@ -23,6 +23,13 @@ def homogeneous(pose: Pose) -> np.ndarray:
     return matrix
 
 
+@pytest.mark.parametrize("length", [5e-324, 1e-200, 1e200, 1e300, 1.7e308])
+def test_a_quaternion_of_extreme_length_is_a_rotation(length: float) -> None:
+    """A half turn about x; squares of its components under- or overflow."""
+    pose = Pose.from_vector(np.array([0.1, 0.2, 0.3, length, 0.0, 0.0, 0.0]))
+    assert pose.rotation == pytest.approx(np.diag([1.0, -1.0, -1.0]))
+
+
 def test_quaternions_of_any_length_are_rotations(rng):
     quaternions = rng.normal(size=(200, 4)) * 10.0 ** rng.integers(-6, 7, (200, 1))
     quaternions[[3, 50, 199]] = [[0.0] * 4, [np.nan, 0.0, 0.0, 1.0], [np.inf, 0.0, 0.0, 1.0]]

@@ -48,6 +48,22 @@ def test_a_window_keeps_its_duration(newest: float, kept: list[float]) -> None:
     assert (window.samples().stamps * 1e-9).tolist() == pytest.approx(kept)
 
 
+def test_a_future_stamp_does_not_stop_a_window() -> None:
+    """Nothing older than a sample that claims to be of tomorrow was ever dropped."""
+    window = SampleWindow(10.0)
+    for second in (0, 86_400, *range(1, 30)):
+        window.add(sample(second * SECOND))
+    assert (window.samples().stamps // SECOND).tolist() == list(range(19, 30))
+
+
+def test_samples_with_one_stamp_fill_a_bounded_window() -> None:
+    """No trigger is faster than 500 Hz: 0.1 s hold 50 samples."""
+    window = SampleWindow(0.1)
+    for _ in range(200):
+        window.add(sample(SECOND))
+    assert len(window) == len(window.samples()) == 50
+
+
 def test_an_empty_window_says_where_to_look() -> None:
     window = SampleWindow(10.0)
     window.add(sample(0))

@@ -192,6 +192,12 @@ def test_hardware_runs_in_real_time() -> None:
     assert Testbed(simulation=Simulation(time_scale=0.25)).time_scale == 0.25
 
 
+@pytest.mark.parametrize("scale", [1.0, 0.25], ids=["real", "slow"])
+def test_the_nodes_of_a_slow_testbed_follow_its_clock(scale: float, tmp_path: Path) -> None:
+    testbed = Testbed(simulation=Simulation(time_scale=scale), record=tmp_path / "s01")
+    assert {node.use_sim_time for node in testbed.nodes(tmp_path)} == {scale != 1.0}
+
+
 def test_hardware_needs_load_cell_and_server(tmp_path: Path) -> None:
     """The package describes a simulated load cell only."""
     simulated = bringup.testbed_settings(None, Simulation())

@@ -135,3 +135,24 @@ def test_doctor_judges_lateness_by_kept_conversions(
     cell = acquisition.LoadCellSettings(oversampling=oversampling)
     (found,) = doctor.check_scheduling(Testbed(TestbedSettings(load_cell_node=cell)))
     assert f": {verdict} for 4 Hz" in found.found
+
+
+@pytest.mark.parametrize(
+    ("module", "arguments", "expected"),
+    [
+        ("socket_testbed.nodes", ["trigger_node"], 0),
+        ("socket_testbed", ["run", "--simulated"], 130),
+    ],
+    ids=["node", "verb"],
+)
+def test_ctrl_c_during_the_imports_leaves_nothing(
+    module: str, arguments: list[str], expected: int, tmp_path: Path
+) -> None:
+    """It strikes when a library is imported: no traceback, no line."""
+    strike = "import os, signal; os.kill(os.getpid(), signal.SIGINT); import no_such_module"
+    for name in ("rclpy", "argcomplete", "msgspec"):
+        (tmp_path / f"{name}.py").write_text(strike)
+    path = f"{tmp_path}:{os.environ.get('PYTHONPATH', '')}"
+    code, out, err = program(sys.executable, "-m", module, *arguments, PYTHONPATH=path)
+    assert code == expected and not out
+    assert not err or err == "socket-testbed run: interrupted\n"

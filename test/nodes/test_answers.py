@@ -1,5 +1,6 @@
 """Buttons and events without a graph: which service is called with what, and what is answered."""
 
+import sys
 import time
 from types import SimpleNamespace
 from typing import Any
@@ -54,7 +55,7 @@ class Lab:
     def create_publisher(self, *given: Any) -> Any:
         return SimpleNamespace()
 
-    def create_subscription(self, *given: Any) -> Any:
+    def create_subscription(self, *given: Any, raw: bool) -> Any:
         return SimpleNamespace()
 
 
@@ -233,6 +234,7 @@ class Graph:
         self.subscribers, self.recorders = subscribers, recorders
         self.sent: list[Any] = []
         self.acknowledged = True
+        self.heard: dict[str, Any] = {}
 
     def create_publisher(self, kind: Any, name: str, qos: Any) -> Any:
         return SimpleNamespace(
@@ -242,7 +244,8 @@ class Graph:
             wait_for_all_acked=lambda timeout: self.acknowledged,
         )
 
-    def create_subscription(self, kind: Any, name: str, callback: Any, qos: Any) -> Any:
+    def create_subscription(self, kind: Any, name: str, callback: Any, qos: Any, raw: bool) -> Any:
+        self.heard[name] = callback
         return SimpleNamespace()
 
     def destroy_subscription(self, subscription: Any) -> None: ...
@@ -265,7 +268,8 @@ def at_once(condition: Any, duration: float) -> bool:
 def test_an_event_tells_its_trial_and_subscribers() -> None:
     graph = Graph(subscribers=3, recorders=1)
     marker = EventMarker(graph, at_once)
-    marker._on_trial(String(data="s01"))
+    graph.heard["recorder/trial"](b"another program's")
+    graph.heard["recorder/trial"](serialize_message(String(data="s01")))
     marked = marker.mark("push", time.monotonic() - 2.0)
     assert marked == Marked(3, "s01", False)
     (event,) = graph.sent
@@ -339,6 +343,7 @@ def test_a_program_runs_the_node_it_names(
     ran: list[list[str]] = []
     monkeypatch.setattr(program.sys, "argv", words)
     monkeypatch.setattr(program, "_run", lambda found: ran.append(found) or 3)
+    monkeypatch.setattr(program.os, "_exit", sys.exit)
     with pytest.raises(SystemExit) as ended:
         program.main()
     assert ran == [names] and ended.value.code == 3

@@ -15,7 +15,7 @@ from socket_testbed.errors import TestbedError
 from socket_testbed.nodes import base
 from socket_testbed.settings.acquisition import TriggerSettings
 from socket_testbed.settings.testbed import ReplaySettings, WindowSettings
-from socket_testbed.trials import messages, topics
+from socket_testbed.trials import cdr, messages, topics
 
 OK, WARN, ERROR = 0, 1, 2
 
@@ -195,7 +195,7 @@ def test_topics_have_the_contract_s_names_and_types() -> None:
     assert computed == {"clusters/stress", "/diagnostics", *(n for n in NAMES if "estimate/" in n)}
     transforms = topics.TF, topics.TF_STATIC
     assert [(t.name, t.type, t.latched) for t in transforms] == [
-        ("/tf", "tf2_msgs/msg/TFMessage", False),
+        ("tf", "tf2_msgs/msg/TFMessage", False),
         ("/tf_static", "tf2_msgs/msg/TFMessage", True),
     ]
     assert topics.RECORDED_TRIAL.name == "recorder/trial" and topics.RECORDED_TRIAL.latched
@@ -206,6 +206,13 @@ def test_services_have_the_contract_s_names() -> None:
         *("load_cell/tare", "load_cell/force_tare", "estimator/fit", "trigger/enable"),
         *("recorder/record", "replay/pause"),
     }
+
+
+def unequal_model() -> bytes:
+    """A model of two tiles with one stiffness."""
+    kind, vector = topics.PARAMETERS.type, [None]
+    message = cdr.make_message(kind, names=["a", "b"], stiffness=vector, rest_positions=vector * 2)
+    return cdr.encode(message, kind)
 
 
 def test_a_followed_message_arrives_decoded(node: Plain, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -222,6 +229,32 @@ def test_a_followed_message_arrives_decoded(node: Plain, monkeypatch: pytest.Mon
     given["callback"](b"another program's")
     given["callback"](messages.trigger_packer()(5_000_000_009, 12))
     assert found == [(5_000_000_009, 12)] and given["raw"]
+
+
+@pytest.mark.parametrize(
+    ("topic", "data"),
+    [
+        (topics.DIAGNOSTICS, b"another program's"),
+        (topics.RECORDED_TRIAL, b"\0\1\0\0\xff\xff\xff\xff"),
+        (topics.PARAMETERS, unequal_model()),
+    ],
+    ids=["diagnostics", "name", "lengths"],
+)
+def test_a_foreign_message_is_dropped(
+    topic: topics.Topic, data: bytes, node: Plain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A typed subscription would end the node."""
+    given: dict[str, Any] = {}
+
+    def subscribe(kind: Any, name: str, callback: Any, qos: Any, raw: bool) -> Any:
+        given.update(callback=callback, raw=raw)
+        return SimpleNamespace(topic_name=name, get_publisher_count=lambda: 1)
+
+    monkeypatch.setattr(node, "create_subscription", subscribe)
+    found: list[Any] = []
+    node.listen(topic, found.append)
+    given["callback"](data)
+    assert given["raw"] and not found
 
 
 # --- parameters

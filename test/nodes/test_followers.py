@@ -120,6 +120,31 @@ def test_other_programs_are_not_followed(node: Waiting, pair: Followers) -> None
     assert pair.catch_up(0, 0.0) == 0
 
 
+@pytest.mark.parametrize(
+    "said",
+    [
+        {"newest_stamp": "never"},
+        {"newest_stamp": "1.5e9"},
+        {"newest_stamp": "-4"},
+        {"newest_stamp": "9" * 40},
+        {"links": "trigger"},
+        {"links": "/lab/trigger=many"},
+        {"links": "/lab/tr-igger=1 =2 /=3"},
+    ],
+    ids=["word", "fraction", "negative", "huge", "no number", "text", "no names"],
+)
+def test_another_program_s_values_are_ignored(
+    said: dict[str, str], node: Waiting, pair: Followers
+) -> None:
+    """A node of theirs has the name of ours: its values may be anything."""
+    node.there = {"/lab/trigger": 1}
+    for name in ("/lab/cluster_node", "/other/mocap_node"):
+        say(node, name, waiting_for="", **said)
+    assert pair.await_links(0.0) == ""
+    pair.sent(1)
+    assert pair.catch_up(0, 0.0) == 0
+
+
 def test_a_wait_says_whether_its_condition_holds(pair: Followers) -> None:
     assert not pair.wait(lambda: False, 1e-3)
     assert pair.wait(lambda: True, 0.0)

@@ -285,6 +285,15 @@ def test_the_recording_is_told_with_its_duration(
     assert source.now(None)["recording"] == expected
 
 
+@pytest.mark.parametrize("text", ["", "soon", "nan", "1e300"])
+def test_a_recorder_s_texts_are_no_figures(text: str, source: LiveSource, lab: Lab) -> None:
+    """Another program's node may have the recorder's name."""
+    lab.heard[topics.RECORDED_TRIAL](String(data="s01"))
+    lab.say("/lab/recorder_node", 0, "recording", elapsed=text, free="soon", samples=text)
+    lab.say("/lab/recorder_node", 0, "recording")
+    assert source.now(None)["recording"] == {"on": True, "words": "recording s01"}
+
+
 def test_the_duration_counts_from_the_newest_trial(
     source: LiveSource, lab: Lab, clock: FakeClock
 ) -> None:

@@ -245,6 +245,7 @@ def test_the_transforms_compose_to_the_limb_s_pose() -> None:
     broadcaster = FrameBroadcaster(node, GEOMETRY, "/lab")
     broadcaster.move(7, {topics.SOCKET_POSE: vectors[0], topics.PYLON_POSE: vectors[1]})
     broadcaster.move(8, {topics.SOCKET_POSE: vectors[0], topics.PYLON_POSE: np.nan * vectors[1]})
+    broadcaster.move(9, {topics.SOCKET_POSE: np.zeros(7)})  # no rotation has this quaternion
     seen, hidden = (message.transforms for message in node.sent["/lab/tf"])
     assert [t.child_frame_id for t in seen] == ["socket", "limb"]
     assert [t.child_frame_id for t in hidden] == ["socket"]

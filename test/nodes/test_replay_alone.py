@@ -83,7 +83,7 @@ def test_the_clock_is_that_of_the_recording(
 def test_a_namespace_renames_the_topics(replay: Callable[..., ReplayNode], make: Maker) -> None:
     replay(namespace="left")
     assert len(make.sent["/left/trigger"]) == 240 and not make.sent["/trigger"]
-    assert make.sent["tf"] or make.sent["/tf"]
+    assert make.sent["/left/tf"] and not make.sent["/tf"]
 
 
 def test_recomputed_wrenches_replace_the_recorded_ones(

@@ -18,6 +18,7 @@ from support.clocks import FakeClock
 from support.nodes import Maker, running_ros
 from support.wording import refused
 
+from socket_testbed import clocks
 from socket_testbed.calibration.model import write_calibration
 from socket_testbed.drivers.clusters.reader import ClusterReading
 from socket_testbed.drivers.load_cell.load_cell import WrenchReading
@@ -374,6 +375,21 @@ def test_a_recorded_trial_refuses_a_tare(
     assert [forced for _, forced in cell.tares] == [False, True]
 
 
+def test_a_pressed_cluster_refuses_a_tare(
+    weighing: load_cell_node.LoadCellNode, cell: Cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Unless its stress is older than a second."""
+    clock = FakeClock().install(monkeypatch)
+    weighing._on_stress(5, {"distal": (np.array([12.3e3, 0.0, 0.0]), 0)})
+    words = "cannot tare: distal (12.3 kPa) is pressed by more than 5 kPa: take the limb out"
+    with refused(DeviceError, words, "force_tare"):
+        weighing._tare()
+    weighing._tare(forced=True)
+    clock.sleep(1.1)
+    weighing._tare()
+    assert [forced for _, forced in cell.tares] == [True, False]
+
+
 # --- the motion-capture node
 
 SOCKET = np.array([1.0, 2.0, 3.0, 0.0, 0.0, 0.6, 0.8])
@@ -457,7 +473,7 @@ def test_the_mocap_node_publishes_poses_and_markers(
 
 def test_the_bodies_are_on_tf(seeing: mocap_node.MocapNode, make: Maker) -> None:
     seeing.measure(STAMP, time.monotonic())
-    (message,) = make.sent["/tf"]
+    (message,) = make.sent["tf"]
     assert [t.child_frame_id for t in message.transforms] == ["socket", "limb"]
     assert message.transforms[0].transform.translation.z == 3.0
 
@@ -555,6 +571,20 @@ def test_triggers_have_the_rate_and_a_sequence(
     assert make.state() == (OK, "triggering at 50 Hz")
     figures = triggering.figures()
     assert figures["triggers"] >= 8 and figures["unseen"] == figures["stray_edges"] == 0
+
+
+def test_a_slowed_testbed_publishes_its_clock(make: Maker, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The steady clock runs at half the speed: its time is that of the stamps."""
+    monkeypatch.setattr(clocks, "_scale", 0.5)
+    node = make(trigger_node.TriggerNode, source="timer", rate=50.0)
+    before, _, after = node._epoch.now(), node._tick(), node._epoch.now()
+    clock = make.sent["/clock"][-1].clock
+    assert before <= clock.sec * 10**9 + clock.nanosec <= after
+
+
+def test_in_real_time_there_is_no_clock(triggering: trigger_node.TriggerNode, make: Maker) -> None:
+    wait_for_triggers(make, 1)
+    assert "/clock" not in make.sent
 
 
 def test_a_disabled_trigger_says_so(triggering: trigger_node.TriggerNode, make: Maker) -> None:

@@ -32,10 +32,10 @@ class Bench:
             if isinstance(self.reply, Exception):
                 raise self.reply
             return self.reply
-        if path == "start":
-            return self.start
         if self.failure is not None:
             raise self.failure
+        if path == "start":
+            return self.start
         return {"moment": hand_moment()} | self.now
 
 
@@ -436,6 +436,30 @@ def test_lost_server_is_named_until_it_answers(make) -> None:
     bench.failure = None
     tab.wait(2.3)
     assert (tab.text("#said"), tab.get("#said", "className")) == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("failure", "reason"),
+    [
+        (LostError(), "Failed to fetch"),
+        (StatusError(503, "the page is closed\n"), "the page is closed"),
+    ],
+    ids=["lost", "closed"],
+)
+@pytest.mark.parametrize("begun", [False, True], ids=["start", "later"])
+def test_a_failed_request_is_asked_again(failure: Exception, reason: str, begun: bool) -> None:
+    """The page of a trial stayed at 'loading', and a status of 503 was an error in JSON."""
+    bench = trial()
+    bench.failure = None if begun else failure
+    tab = opened(bench)
+    bench.failure = failure
+    tab.press("ArrowRight")
+    tab.wait(0.2)
+    expected = f"no answer from the testbed ({reason}): is the program still running?"
+    assert (tab.text("#said"), tab.get("#said", "className")) == (expected, "failed")
+    bench.failure = None
+    tab.wait(2.3)
+    assert (tab.text("#title"), tab.text("#said")) == ("hold", "")
 
 
 @pytest.mark.parametrize("lost", [False, True], ids=["from the start", "after a loss"])

@@ -62,7 +62,8 @@ TABLE = {
         tare_duration = 1.0 0.1..60
         tare_force = 2.0 0.001..1000
         tare_moment = 0.2 0.0001..100
-        tare_load = 100.0 1..100000
+        tare_load = 40.0 1..100000
+        tare_pressure = 5000.0 100..1e+07
         tare_file = '' fixed
     """,
     "mocap_node": """

@@ -107,9 +107,11 @@ class Parameters:
     def __init__(self, folder: Path) -> None:
         self.path = folder / "testbed.yaml"
 
-    def read(self, content: str, *base: testbed.TestbedSettings) -> testbed.TestbedSettings:
+    def read(
+        self, content: str, *base: testbed.TestbedSettings, namespace: str = "/"
+    ) -> testbed.TestbedSettings:
         self.path.write_text(content)
-        return testbed.read_testbed(self.path, *base)
+        return testbed.read_testbed(self.path, *base, namespace=namespace)
 
 
 @pytest.fixture
@@ -143,6 +145,93 @@ def test_a_node_in_a_later_file_is_replaced(parameters: Parameters):
     first = parameters.read("trigger_node: {ros__parameters: {rate: 9, pulse: 1e-3}}")
     second = parameters.read("trigger_node: {ros__parameters: {rate: 7}}", first)
     assert second.trigger_node == TriggerSettings(rate=7.0)
+
+
+RATE_9 = "ros__parameters: {rate: 9}"
+
+
+@pytest.mark.parametrize(
+    ("content", "namespace"),
+    [
+        pytest.param(f"/**: {{{RATE_9}}}", "/", id="any-node"),
+        pytest.param(f"/**: {{{RATE_9}}}", "/left", id="any-node-in-left"),
+        pytest.param(f"/*: {{{RATE_9}}}", "/", id="one-level"),
+        pytest.param(f"/**/trigger_node: {{{RATE_9}}}", "/left", id="any-namespace"),
+        pytest.param(f"/*/trigger_node: {{{RATE_9}}}", "/left", id="one-namespace"),
+        pytest.param(f"trigger_node: {{{RATE_9}}}", "/left", id="bare"),
+        pytest.param(f"/trigger_node: {{{RATE_9}}}", "/", id="dumped"),
+        pytest.param(f"/trigger_node: {{{RATE_9}}}", "/left", id="dumped-for-left"),
+        pytest.param(f"/left/trigger_node: {{{RATE_9}}}", "/left", id="in-left"),
+        pytest.param(f"/left/trigger_node: {{{RATE_9}}}", "/", id="left-for-none"),
+        pytest.param(f"left/trigger_node: {{{RATE_9}}}", "/left", id="without-slash"),
+        pytest.param(f"/lab: {{left: {{trigger_node: {{{RATE_9}}}}}}}", "/lab/left", id="nested"),
+        pytest.param(f"/left/**: {{{RATE_9}}}", "/left", id="all-in-left"),
+        pytest.param(
+            f"/left/trigger_node: {{{RATE_9}}}\n"
+            "/right/trigger_node: {ros__parameters: {rate: 5}}",
+            "/left",
+            id="two-testbeds",
+        ),
+        pytest.param(
+            f"/**: {{ros__parameters: {{rate: 5}}}}\ntrigger_node: {{{RATE_9}}}", "/", id="last"
+        ),
+    ],
+)
+def test_a_file_of_ros_is_read(parameters: Parameters, content: str, namespace: str):
+    found = parameters.read(content, namespace=namespace)
+    assert found.trigger_node.rate == 9.0
+    assert found.cluster_node == testbed.TestbedSettings().cluster_node
+
+
+def test_what_ros_dumps_comes_back(parameters: Parameters):
+    """As `ros2 param dump /left/replay_node` writes it."""
+    found = parameters.read(
+        """
+        /left/replay_node:
+          ros__parameters:
+            geometry: ''
+            rate: 2.5
+            loop: true
+            qos_overrides:
+              /clock:
+                subscription: {depth: 1, history: keep_last, reliability: best_effort}
+            start_type_description_service: true
+            use_sim_time: false
+            wait_for:
+            - ''
+        """
+    )
+    assert found.replay_node == testbed.ReplaySettings(rate=2.5, loop=True)
+
+
+def test_a_section_for_all_nodes_changes_what_it_names(parameters: Parameters):
+    """The other parameters of a node stay as they were."""
+    base = testbed.TestbedSettings(trigger_node=TriggerSettings(rate=9.0, pulse=1e-3))
+    found = parameters.read("/**: {ros__parameters: {use_sim_time: true, rate: 7.0}}", base)
+    assert found.trigger_node == TriggerSettings(rate=7.0, pulse=1e-3)
+    assert found.replay_node.rate == 7.0 and found.view_node == base.view_node
+
+
+@pytest.mark.parametrize(
+    ("content", "error"),
+    [
+        pytest.param(
+            "/**: {ros__parameters: {rat: 1}}", "/**: unknown key 'rat': did you mean", id="name"
+        ),
+        pytest.param("/left/trigger_nod: {ros__parameters: {}}", "'trigger_node'", id="node"),
+        pytest.param("/left: 3", "/left is not a mapping: write 'ros__parameters:'", id="number"),
+        pytest.param("/left: {trigger_node: {}}", "/left/trigger_node: 'ros__pa", id="empty"),
+        pytest.param("a: {ros__parameters: [1]}", "a: ros__parameters is not a ma", id="list"),
+        pytest.param(
+            "/b/trigger_node: {ros__parameters: {}}\n/c/trigger_node: {ros__parameters: {}}",
+            "holds nodes in /b, /c, not /left: give that namespace",
+            id="places",
+        ),
+    ],
+)
+def test_a_wrong_file_of_ros_is_refused(parameters: Parameters, content: str, error: str):
+    with refused(ConfigurationError, f"{parameters.path}: ", error):
+        parameters.read(content, namespace="/left")
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from socket_testbed.errors import TrialError
 from socket_testbed.identification.pressure import Quantity
 from socket_testbed.identification.suspension import Suspension
 from socket_testbed.settings.testbed import EstimatorSettings
-from socket_testbed.trials import messages, pressure, synchronise, topics
+from socket_testbed.trials import cdr, messages, pressure, synchronise, topics
 from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.trial import Trial
 
@@ -71,9 +71,62 @@ def test_forgotten_layouts_are_read_again() -> None:
     assert [len(reader.read(own)[1].names) for own in data] == [1 + k % 12 for k in range(36)]
 
 
+@pytest.mark.parametrize("kind", sorted(messages.VALUES))
+def test_an_empty_message_has_values(kind: str) -> None:
+    """Another program may send one: names, sequences and numbers are blank."""
+    topic = next(topic for topic in topics.TOPICS if topic.type == kind)
+    stamp, _ = Reader(topic).read(cdr.encode(cdr.make_message(kind), kind))
+    assert stamp == 0
+
+
+def test_large_messages_are_read_and_forgotten() -> None:
+    """A layout takes 60 times the memory of its message: 12000 clusters' message is of 0.9 MB."""
+    reader = Reader(topics.CAPACITANCE)
+    for count in (3, 12_000, 3000, 2900):
+        _, found = reader.read(capacitances([f"c{k}" for k in range(count)]))
+        assert len(found.names) == count and found.capacitance[-1, -1] == 4.0 * count - 1.0
+    assert sum(layout.dtype.itemsize for layout, _ in reader._known) <= 2**18
+
+
 def test_a_damaged_message_is_refused() -> None:
     with refused(TrialError, "this graph: a message on trigger cannot be decoded ("):
         Reader(topics.TRIGGER).read(b"no message")
+
+
+@pytest.mark.parametrize(
+    ("topic", "content", "why"),
+    [
+        (topics.LOCAL_FORCES, {"forces": [None] * 3}, "3 forces for 2 names"),
+        (topics.FORCE_MAP, {"forces": [None] * 2}, "0 standard_deviations for 2 names"),
+        (topics.REGIONS, {"mean": [0.0] * 2, "mean_low": [0.0]}, "1 mean_low for 2 names"),
+    ],
+    ids=["forces", "map", "regions"],
+)
+def test_arrays_of_unequal_lengths_are_refused(
+    topic: topics.Topic, content: dict[str, Any], why: str
+) -> None:
+    """The names are of two tiles."""
+    message = cdr.make_message(topic.type, names=["a", "b"], **content)
+    data = cdr.encode(message, topic.type)
+    with refused(TrialError, f"this graph: a message on {topic.name} cannot be decoded ({why})"):
+        Reader(topic).read(data)
+
+
+def test_a_stamp_of_a_second_s_nanoseconds_is_refused() -> None:
+    """It is no time, and could not be passed on: its seconds could overflow."""
+    stamp = {"sec": 2**31 - 1, "nanosec": 2**32 - 1}
+    message = cdr.make_message(topics.TRIGGER.type, header={"stamp": stamp})
+    with refused(TrialError, "this graph: a message on trigger cannot be decoded (its stamp has"):
+        Reader(topics.TRIGGER).read(cdr.encode(message, topics.TRIGGER.type))
+
+
+@pytest.mark.parametrize("counts", [(3, 0), (0, 3), (0, 0)], ids=["last", "first", "both"])
+def test_a_body_without_markers_is_packed(counts: tuple[int, int]) -> None:
+    seen = [np.full((count, 3), 0.25) for count in counts]
+    data = messages.markers_packer(dict(zip("ab", counts, strict=True)))(7, seen)
+    stamp, found = Reader(topics.MARKERS).read(data)
+    assert stamp == 7 and [name for name, _ in found] == ["a", "b"]
+    assert [markers.tolist() for _, markers in found] == [markers.tolist() for markers in seen]
 
 
 def test_raw_ratios_are_read_in_millivolts_per_volt() -> None:

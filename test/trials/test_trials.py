@@ -25,7 +25,7 @@ from socket_testbed.simulation.trial import read_true_forces, read_truth
 from socket_testbed.trials import bag, messages, topics
 from socket_testbed.trials.bag import BagReader, BagWriter, RawMessage
 from socket_testbed.trials.cdr import Layout, decode, stamp_of
-from socket_testbed.trials.synchronise import Measurements
+from socket_testbed.trials.synchronise import Measurements, read_measurements
 from socket_testbed.trials.trial import Trial, recorded_namespace
 
 
@@ -453,3 +453,43 @@ def test_changed_bytes_are_read_as_by_the_library() -> None:
             np.testing.assert_array_equal(numbers, numbers_of(message, kind))
         outcomes.add(same)
     assert outcomes == {True, False}
+
+
+def test_a_stray_cluster_is_left_out(hold: Path, tmp_path: Path) -> None:
+    """Messages of another program name 'heel', which the trial's calibration does not know.
+
+    The first message is one of them, on which a replay decides.
+    """
+    count = 0
+
+    def stray(topic: str, message: Any) -> Any:
+        nonlocal count
+        if topic.endswith("clusters/capacitance"):
+            count += 1
+            if count in (1, 7):
+                message.clusters[0].name = "heel"
+        return message
+
+    trial = Trial(bags.rewrite(hold, tmp_path / "stray", stray))
+    samples, sound = trial.samples(), Trial(hold).samples()
+    assert sorted(samples.clusters) == sorted(sound.clusters) and trial.check() == sound.clusters
+    order = [samples.clusters.index(name) for name in sound.clusters]
+    status, forces = samples.status[:, order], samples.local_forces[:, order]
+    assert (status[:, 0] != sound.status[:, 0]).nonzero()[0].tolist() == [0, 6]
+    np.testing.assert_array_equal(forces[:, 1:], sound.local_forces[:, 1:])
+    words = "2 of 240 samples name a cluster 'heel', which the calibration or the socket does not"
+    assert [note for note in trial.notes if note.startswith(words)]
+
+
+def test_a_body_of_many_markers_is_cut(hold: Path, tmp_path: Path) -> None:
+    """Another program's rigid body has 40 markers."""
+
+    def crowded(topic: str, message: Any) -> Any:
+        if topic.endswith("mocap/markers"):
+            message.bodies[0].markers = message.bodies[0].markers[:1] * 40
+        return message
+
+    path = bags.rewrite(hold, tmp_path / "crowded", crowded)
+    with Trial(path).open() as opened:
+        read = read_measurements(opened, print, [topics.MARKERS])
+    assert {len(markers) for markers in read.markers.values()} == {240}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -133,6 +134,26 @@ def in_words(wrench: FloatArray) -> str:
     return ", ".join(f"{axis} {value:.4g} {unit}" for axis, value, unit in values)
 
 
+def pressed(stresses: Mapping[str, tuple[FloatArray, int]], settings: LoadCellSettings) -> str:
+    """The clusters that are pressed too much for a tare, in words; empty if none is.
+
+    Args:
+        stresses: By cluster the normal stress (positive in compression) and shears along x and y of
+            its own frame, shape (3,) [Pa], NaN if missing, and the `Status`.
+        settings: The largest normal stress, `tare_pressure` [Pa].
+    """
+    found = [
+        f"{name} ({1e-3 * stress[0]:.3g} kPa)"
+        for name, (stress, status) in stresses.items()
+        if status in (Status.OK, Status.OUT_OF_RANGE) and stress[0] > settings.tare_pressure
+    ]
+    if not found:
+        return ""
+    verb = "is" if len(found) == 1 else "are"
+    limit = f"{1e-3 * settings.tare_pressure:g} kPa"
+    return f"{', '.join(found)} {verb} pressed by more than {limit}"
+
+
 def unrest(wrenches: FloatArray, settings: LoadCellSettings) -> str:
     """The channel that moves too much for a tare, in words; empty if all are at rest.
 
@@ -234,7 +255,7 @@ class Tare:
             if self._path is not None:
                 content = {
                     "offsets_mV_per_V": offsets.tolist(),
-                    "time": _iso_time(time),
+                    "time": iso_time(time),
                     "taken_with": self._taken_with,
                 }
                 make_folder(self._path.parent)
@@ -242,7 +263,7 @@ class Tare:
             self.no_load = offsets.copy(), 1000 * (time // 1000)
 
 
-def _iso_time(time: int) -> str:
+def iso_time(time: int) -> str:
     """A time since the epoch [ns] in ISO 8601 format, to a microsecond."""
     return datetime.fromtimestamp((time // 1000) / 1e6, UTC).isoformat()
 
@@ -306,7 +327,7 @@ class LoadCell:
         """
         offsets, time = self._tare.no_load
         tare = in_words(self._bridges.wrenches(offsets))
-        tared = _iso_time(time) if time else "never"
+        tared = iso_time(time) if time else "never"
         return {**self.converter.counts(), "tare": tare, "tared": tared}
 
     def end_time(self, moment: float, span: float = 0.0) -> float:

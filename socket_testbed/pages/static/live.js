@@ -2,13 +2,18 @@
 "use strict";
 
 const PERIOD = 150;  // [ms]; minimum between pictures
+const RETRY = 2000;  // [ms]; after a request without an answer
 const JUMP = 5;  // [s]; of the arrow keys
 const ASK = {
   tare: "Tare the load cell? The limb must be out of the socket and nothing may touch it.",
   "trigger-off": "Stop the measurement? No sensor is read until it is started again.",
 };
 
-async function get(path) { return (await fetch(path)).json(); }
+async function get(path) {
+  const answer = await fetch(path);
+  if (!answer.ok) { throw new Error((await answer.text()).trim()); }
+  return answer.json();
+}
 
 function say(text, failed) {
   byId("said").textContent = text;
@@ -29,6 +34,23 @@ async function press(what, given = {}) {
   }
 }
 
+async function lose(error) {
+  say(`no answer from the testbed (${error.message}): is the program still running?`, true);
+  await new Promise((later) => setTimeout(later, RETRY));
+}
+
+async function begin() {
+  for (let lost = false; ; lost = true) {
+    try {
+      const start = await get("start");
+      if (lost) { say(""); }
+      return start;
+    } catch (error) {
+      await lose(error);
+    }
+  }
+}
+
 function fill(table, rows) {
   table.replaceChildren(...rows.map((cells) => {
     const row = document.createElement("tr");
@@ -38,7 +60,7 @@ function fill(table, rows) {
 }
 
 (async function () {
-  const start = await get("start"), live = start.live === true;
+  const start = await begin(), live = start.live === true;
   document.title = start.title;
   byId("title").textContent = start.title;
   byId("facts").textContent = Object.entries(start.facts).map(([name, fact]) => `${name} ${fact}`).join(", ");
@@ -114,9 +136,8 @@ function fill(table, rows) {
           byId("record").textContent = found.recording.on ? "■ Stop recording" : "● Record";
         }
       } catch (error) {
-        say(`no answer from the testbed (${error.message}): is the program still running?`, true);
         moved = lost = true;
-        await new Promise((later) => setTimeout(later, 2000));
+        await lose(error);
       }
     }
     await new Promise((later) => setTimeout(later, Math.max(20, PERIOD - performance.now() + began)));
