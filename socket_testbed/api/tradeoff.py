@@ -168,12 +168,13 @@ class PaperTable(Result):
 
         The figures are the paper's mean and median RMSE, the RMSE of every channel, the standard
         deviation `sigma` of the residual of every wrench channel, and the thetas of the marks of
-        the fronts, such as `theta, knee [-]`.
+        the fronts, such as `theta, knee [-]`; then the conditions and settings that the paper
+        prints, such as `load [N]`.
 
         Columns, in two levels: `this trial` and `the paper`, each `without offsets` and
         `with offsets` (the variants `stiffness` and `stiffness_bias`), in the unit of the row; and
-        a `remark` (below an empty first level): why the two are not comparable, or that the printed
-        number is not known here. NaN for a number that is not known. `save` writes one level, with
+        a `remark` (below an empty first level): why the two are not comparable, or that the paper
+        does not print the number. NaN for a number that is not known. `save` writes one level, with
         titles such as `with offsets` and `paper: with offsets`.
         """
         return self.table.copy()
@@ -244,5 +245,5 @@ def paper(
     last = fits[PAPER_VARIANTS[-1]]
     settings = last.fit.settings
     rows = trial.sound(settings.leave_out)[last.segment.rows]
-    table = beside_published(errors, fronts, rows, settings)
+    table = beside_published(errors, fronts, rows, settings, trial.geometry)
     return PaperTable(trial, last.segment, last.fit.samples, settings, table)

@@ -336,8 +336,9 @@ def simulate(
         path: Folder of the new trial.
         scenario: The load history: `static_hold`, `ramp`, `multi_direction` or `protocol`.
         tissue: Tissue of the limb: `soft` like the published experiment's silicone, or `stiff`.
-        like_paper: Whether to make load-cell creep and vibration and cluster offsets as large as in
-            the published experiment, with a calibration whose ranges admit them.
+        like_paper: Whether to make the errors of load cell and clusters as large as in the
+            published experiment, with a calibration whose ranges admit them; the settings stored
+            with the trial leave out the three channels that the paper leaves out.
         duration: Duration [s].
         rate: Trigger rate [Hz].
         seed: Seed of the random numbers: of the limb, its load and all errors.
@@ -357,7 +358,7 @@ def simulate(
     Trial('trials/short')
     """
     from socket_testbed.simulation.limb import SCENARIOS, TISSUES
-    from socket_testbed.simulation.sensors import LIKE_PAPER
+    from socket_testbed.simulation.sensors import LIKE_PAPER, LIKE_PAPER_LEFT_OUT
     from socket_testbed.simulation.trial import simulate as simulate_trial
     from socket_testbed.simulation.trial import write_simulated_trial
 
@@ -383,5 +384,6 @@ def simulate(
         progress=started(progress, "simulating"),
         tissue=tissue,
     )
-    write_simulated_trial(simulated, folder, socket_file, calibration_file)
+    left_out = LIKE_PAPER_LEFT_OUT if like_paper else ()
+    write_simulated_trial(simulated, folder, socket_file, calibration_file, left_out)
     return open_trial(folder)

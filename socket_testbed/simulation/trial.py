@@ -17,7 +17,13 @@ from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.calibration.model import Calibration
 from socket_testbed.drivers.load_cell.load_cell import Bridges
 from socket_testbed.errors import TrialError
-from socket_testbed.files import atomic_output, check_new_folder, make_folder, packaged
+from socket_testbed.files import (
+    PARAMETERS_FILE,
+    atomic_output,
+    check_new_folder,
+    make_folder,
+    packaged,
+)
 from socket_testbed.geometry.marker_bodies import fit_body, nearest_rotations
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
@@ -43,6 +49,11 @@ _DELAYS = {
     topics.CAPACITANCE: 17_000_000,
 }
 _MAX_FRAMES = 50_000  # at once
+_LEAVE_OUT = """estimator_node:
+  ros__parameters:
+    # Implausible, so left out of the objective.
+    identification.leave_out: [{}]
+"""
 _START = 1_767_258_000_000_000_000  # [ns]; 2026-01-01 09:00 UTC
 
 
@@ -144,16 +155,18 @@ def simulate(
 
     capacitance = {}
     for cluster in geometry.clusters:
-        sensor = sensors.ClusterSensor(calibration.clusters[cluster], errors, cluster_rng)
+        own = errors.clusters.get(cluster)
+        sensor = sensors.ClusterSensor(calibration.clusters[cluster], errors, cluster_rng, own)
         stress = sensors.cluster_stress(geometry, cluster, forces)
         size = errors.stress_vibration * shake_rng.uniform(0.5, 1.5, 3)
+        size = size if own is None else np.array(own.vibration)
         stress += sensors.vibration(size, time, shake_rng)
         capacitance[cluster] = sensor.read(stress, time, cluster_rng)
     felt = load + sensors.wrench_offset(errors, cell_rng)
     noise = errors.wrench_noise(averaging_span(LoadCellSettings.average_over, 1.0 / rate))
     felt += cell_rng.normal(0.0, 1.0, load.shape) * noise
     felt += sensors.wrench_creep(errors, load, time, cell_rng)
-    felt += sensors.vibration(errors.force_vibration * sensors.VIBRATION_SHAPE, time, shake_rng)
+    felt += sensors.vibration(np.array(errors.wrench_vibration), time, shake_rng)
 
     window = averaging_span(mocap_window, 1.0 / rate)
     markers, poses = _motion_capture(geometry, truth, rate, window, errors, marker_rng)
@@ -211,6 +224,7 @@ def write_simulated_trial(
     path: Path,
     geometry_file: Path | None = None,
     calibration_file: Path | None = None,
+    leave_out: Sequence[str] = (),
 ) -> None:
     """Write a simulated trial as a new rosbag2 folder with its ground truth.
 
@@ -221,10 +235,15 @@ def write_simulated_trial(
             package's own.
         calibration_file: The `calibration.yaml` to store with it, that of the simulation; None for
             the package's own.
+        leave_out: Channels, such as `distal.Fx`, that the settings stored with it leave out of the
+            identification; those of clusters that the trial lacks are not stored.
     """
     check_new_folder(path)
     parameters = packaged("config", "simulated.yaml")
     configuration = read_configuration(geometry_file, calibration_file, parameters)
+    left_out = [name for name in leave_out if name.rpartition(".")[0] in trial.capacitance]
+    if left_out:
+        configuration[PARAMETERS_FILE] += _LEAVE_OUT.format(", ".join(left_out)).encode()
     ratios = Bridges(read_testbed(parameters).load_cell_node).ratios_at(trial.wrench)
     make_folder(path.parent)
     with atomic_output(path) as staging:
