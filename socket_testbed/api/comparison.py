@@ -38,6 +38,7 @@ from socket_testbed.identification.pressure import THRESHOLD, Quantity, decimals
 from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
 from socket_testbed.tables import NOTHING, split_unit
 from socket_testbed.trials.metadata import FIELDS, NO_SIDE
+from socket_testbed.trials.segment import Segment, Span, specification_of
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -299,7 +300,7 @@ def _decimals(row: Mapping[str, Any], column: str) -> int:
 def compare(
     *items: Trial | PathLike,
     conditions: Mapping[str, Sequence[Trial | PathLike]] | None = None,
-    segment: str = "plateau",
+    segment: str | Span | Segment = "plateau",
     threshold: float = 1e-3 * THRESHOLD,
     by_region: bool = False,
     params: PathLike | None = None,
@@ -319,7 +320,7 @@ def compare(
         items: Two to twelve trials, or their folders.
         conditions: Instead of `items`, the trials of two to twelve named conditions, such as the
             repeated donnings of each liner.
-        segment: As `specification` in `st.select_segment`, for every trial.
+        segment: As in `fit`, for every trial.
         threshold: As in `st.pressure`.
         by_region: Whether to compare trials by region alone; their sockets may then differ.
         params: A `testbed.yaml` to use instead of each trial's own.
@@ -343,6 +344,7 @@ def compare(
     >>> found.save("comparison.csv")
     >>> st.write_comparison(found, "comparison.html")
     """
+    specification = specification_of(segment)
     trials, numbers = open_compared(items, conditions)
     names = unique_names(trials)
     compared = Conditions(tuple(conditions or names), numbers)
@@ -352,7 +354,7 @@ def compare(
     found = []
     for done, (name, trial) in enumerate(zip(names, trials, strict=True), start=1):
         with naming(name, TrialError, IdentificationError):
-            found.append(pressure(trial, segment, threshold=threshold, params=params))
+            found.append(pressure(trial, specification, threshold=threshold, params=params))
         report(done, len(trials))
     first, sides = trials[0], {trial.metadata.side for trial in trials}
     one_socket = all(trial.geometry.same_tiles(first.geometry) for trial in trials)
@@ -364,7 +366,7 @@ def compare(
             "the trials were recorded with different priors of the force map (force_map.*): give"
             " one with --params"
         )
-    over = f"segment {segment}, in contact above {threshold:g} kPa"
+    over = f"segment {specification}, in contact above {threshold:g} kPa"
     return Comparison(
         conditions=compared.grouped(names),
         title=_detectable(values, compared) + over,

@@ -10,12 +10,12 @@ import numpy as np
 import pandas as pd
 
 from socket_testbed.api.result import Result
-from socket_testbed.api.trials import PathLike, as_trial, select
+from socket_testbed.api.trials import PathLike, as_trial
 from socket_testbed.arrays import BREAK, FloatArray, IntArray, gaps
 from socket_testbed.errors import ConfigurationError, TrialError, closest
 from socket_testbed.tables import split_unit
 from socket_testbed.trials.events import PLACED, cycle_spans
-from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -169,7 +169,7 @@ def cycles(
     quantity: str | Sequence[str] | pd.DataFrame | None = None,
     *,
     by: str = PLACED,
-    segment: str | Segment = "all",
+    segment: str | Span | Segment = "all",
 ) -> Cycles:
     """Normalise quantities to 0 to 100 % of each cycle, interpolating linearly between samples.
 
@@ -203,7 +203,7 @@ def cycles(
     """
     trial = as_trial(trial)
     time, titles, values = _series(trial, quantity)
-    chosen = select(trial, segment, trial.estimator)
+    chosen = trial.select(segment, trial.estimator)
     all_spans = cycle_spans(trial.events(), by)
     start, end = max(chosen.start, float(time[0])), min(chosen.end, float(time[-1]))
     spans = np.array([s for s in all_spans if start <= s[0] and s[1] <= end]).reshape(-1, 2)

@@ -12,7 +12,7 @@ from socket_testbed.api.cycles import cycles as cycles_of
 from socket_testbed.api.models import Model, model_for, predictions
 from socket_testbed.api.pressure import force_map as force_map_of
 from socket_testbed.api.pressure import pressure as pressure_of
-from socket_testbed.api.trials import PathLike, as_trial, select
+from socket_testbed.api.trials import PathLike, as_trial
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import TABLES, check_suffix
 from socket_testbed.identification import information
@@ -24,7 +24,7 @@ from socket_testbed.trials.export import (
     write_gait_file,
     write_standard_bag,
 )
-from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
 
 _MAX_ABOUT = 2.0  # [m]
@@ -33,7 +33,7 @@ _MAX_ABOUT = 2.0  # [m]
 def export(
     trial: Trial | PathLike,
     path: PathLike,
-    segment: str | Segment = "all",
+    segment: str | Span | Segment = "all",
     model: Model | None = None,
     force_map: bool = False,
     pressure: bool = False,
@@ -47,7 +47,7 @@ def export(
         path: The file; its suffix, `.csv`, `.parquet` or `.mat`, selects the format. `.mot` and
             `.sto` are external loads for OpenSim, `.trc` its markers, `.c3d` both; `.mcap` holds
             standard ROS messages with named columns: see `socket_testbed.trials.export`.
-        segment: As `specification` in `st.select_segment`, or a `Segment`.
+        segment: As in `fit`.
         model: A model whose predictions are added as `predicted.*` and engaged springs as
             `springs.*`, see `Evaluation.engagement`.
         force_map: Whether to add the force map as `map.*`, see `st.force_map`.
@@ -98,7 +98,7 @@ def export(
                 f"{path}: a {path.suffix} holds only measured forces and markers",
                 "give .csv, .parquet or .mat for computed columns",
             )
-        chosen = select(trial, segment, trial.estimator)
+        chosen = trial.select(segment, trial.estimator)
         table = write_gait_file(trial, chosen.rows, path, about)
         table.attrs |= {"segment": str(chosen), "rows": f"{len(table)} samples"}
         return table
@@ -108,7 +108,7 @@ def export(
     if not as_bag:
         check_suffix(path, TABLES, "table")
     stored = None if model is None else model_for(trial, model)
-    chosen = select(trial, segment, trial.estimator)
+    chosen = trial.select(segment, trial.estimator)
     measured, samples = trial.measurements_and_samples()
     predicted = None
     added: list[pd.DataFrame] = []

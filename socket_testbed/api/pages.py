@@ -17,8 +17,9 @@ from socket_testbed.files import PAGES, check_suffix
 from socket_testbed.geometry.socket import SOCKET
 from socket_testbed.identification.differences import DIFFERENCE, SAME_LIMB, VALUE, is_clear
 from socket_testbed.pages.document import moment, pressure_card, socket_document
-from socket_testbed.settings.testbed import ViewSettings, estimator_settings
+from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.tables import Table, pairs_table
+from socket_testbed.trials.segment import Segment, Span, specification_of
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ _MAPS = (
 def write_report(
     trial: Trial | trials.PathLike,
     page: trials.PathLike,
-    segment: str = "plateau",
+    segment: str | Span | Segment = "plateau",
     *,
     model: Model | None = None,
     thetas: int = 101,
@@ -70,7 +71,7 @@ def write_report(
     Args:
         trial: The trial.
         page: The page, ending in `.html`.
-        segment: As `specification` in `st.select_segment`.
+        segment: As in `fit`.
         model: A further model to show.
         thetas: Number of values of theta from 0 to 1.
         params: As in `fit`.
@@ -104,15 +105,15 @@ def write_report(
 
     page = Path(page)
     values = theta_values(thetas)
-    trials.require_segment(segment)
+    specification = specification_of(segment)
     check_page_path(page, replace)
     style = figure_style(width, title)  # fails before long work
-    settings = estimator_settings(trial.estimator, trials.as_path(params), **choices)
+    settings = trials.settings_of(trial, params, **choices)
     stored = None if model is None else model_for(trial, model)
     with threadpool_limits(1):
         results = compute_results(
             trial,
-            segment,
+            specification,
             settings,
             values,
             stored,

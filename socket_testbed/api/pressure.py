@@ -14,7 +14,7 @@ import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.result import Result, origin, records
-from socket_testbed.api.trials import PathLike, as_path, as_trial, select
+from socket_testbed.api.trials import PathLike, as_trial, settings_of
 from socket_testbed.arrays import FloatArray, sample_at
 from socket_testbed.documents import check_number, finite_or_null
 from socket_testbed.errors import ConfigurationError, TrialError
@@ -31,7 +31,7 @@ from socket_testbed.identification.pressure import (
 )
 from socket_testbed.identification.problem import check_channels
 from socket_testbed.samples import Samples
-from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
+from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.tables import write_table
 from socket_testbed.trials.pressure import (
     CENTRE_TITLES,
@@ -40,7 +40,7 @@ from socket_testbed.trials.pressure import (
     by_place,
     mapped_trial,
 )
-from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -215,7 +215,10 @@ class TrialMap(Result):
 
 
 def force_map(
-    trial: Trial | PathLike, segment: str | Segment = "plateau", *, params: PathLike | None = None
+    trial: Trial | PathLike,
+    segment: str | Span | Segment = "plateau",
+    *,
+    params: PathLike | None = None,
 ) -> TrialMap:
     """Estimate the force on every tile from the clusters and the wrench, sample by sample.
 
@@ -224,7 +227,7 @@ def force_map(
 
     Args:
         trial: The trial.
-        segment: As `specification` in `st.select_segment`, or a `Segment`.
+        segment: As in `fit`.
         params: A `testbed.yaml` to use instead of the trial's own; its group `force_map` sets the
             prior.
 
@@ -247,7 +250,7 @@ def force_map(
     (1, 200, 79, 3)
     """
     trial = as_trial(trial)
-    settings = estimator_settings(trial.estimator, as_path(params))
+    settings = settings_of(trial, params)
     chosen, mapped = _mapped(trial, segment, settings)
     time, rows = np.asarray(trial.samples().time[chosen.rows]), mapped.samples[chosen.rows]
     return TrialMap(trial, chosen, time, rows, mapped.force_map)
@@ -255,12 +258,12 @@ def force_map(
 
 def _mapped(
     trial: Trial,
-    segment: str | Segment,
+    segment: str | Span | Segment,
     settings: EstimatorSettings,
     geometry: SocketGeometry | None = None,
 ) -> tuple[Segment, MappedTrial]:
     check_channels(settings.identification.leave_out, trial.samples().channels)
-    chosen = select(trial, segment, settings)
+    chosen = trial.select(segment, settings)
     with threadpool_limits(1):
         return chosen, mapped_trial(trial, settings, geometry)
 
@@ -478,7 +481,7 @@ class TrialPressure(SegmentPressure, Result):
 
 def pressure(
     trial: Trial | PathLike,
-    segment: str | Segment = "plateau",
+    segment: str | Span | Segment = "plateau",
     *,
     threshold: float = 1e-3 * THRESHOLD,
     share: float = SHARE,
@@ -494,13 +497,14 @@ def pressure(
 
     Args:
         trial: The trial.
-        segment: As `specification` in `st.select_segment`, or a `Segment`.
+        segment: As in `fit`.
         threshold: Pressure above which a tile is in contact [kPa].
         share: A value is uncertain if its interval reaches farther than this share of it [-].
         regions: Tile names by region, instead of the regions of `socket.yaml`.
         params: A `testbed.yaml` to use instead of the trial's own; its group `force_map` sets the
             prior.
-        leave_out: Channels to ignore, such as `distal.Fx` or `Mz`.
+        leave_out: Channels to ignore, such as `distal.Fx` or `Mz`; `distal` ignores all of a
+            cluster.
 
     Returns:
         The outputs: `regions` and `tiles` are tables over the segment, `over_time()` one of every
@@ -521,7 +525,7 @@ def pressure(
     trial = as_trial(trial)
     check_number(threshold, "--threshold", 0.0, 500.0)
     check_number(share, "--share", 0.0, 5.0)
-    settings = estimator_settings(trial.estimator, as_path(params), leave_out=leave_out)
+    settings = settings_of(trial, params, leave_out=leave_out)
     geometry = trial.geometry
     if regions is not None:
         own = find_regions(regions, geometry.names, "regions")

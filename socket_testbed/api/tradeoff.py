@@ -22,7 +22,7 @@ from socket_testbed.settings.identification import (
     Variant,
     Weights,
 )
-from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ def theta_values(thetas: int) -> FloatArray:
 
 def pareto(
     trial: Trial | PathLike,
-    segment: str | Segment = "plateau",
+    segment: str | Span | Segment = "plateau",
     *,
     thetas: int = 101,
     params: PathLike | None = None,
@@ -111,7 +111,7 @@ def pareto(
 
     Args:
         trial: The trial.
-        segment: As `specification` in `st.select_segment`, or a `Segment`.
+        segment: As in `fit`.
         thetas: Number of values of theta from 0 to 1.
         params: As in `fit`.
         progress: See `Progress`.
@@ -201,7 +201,7 @@ class PaperTable(Result):
 
 def paper(
     trial: Trial | PathLike,
-    segment: str | Segment = "plateau",
+    segment: str | Span | Segment = "plateau",
     *,
     thetas: int = 101,
     weights: Weights = "raw",
@@ -216,7 +216,7 @@ def paper(
 
     Args:
         trial: The trial.
-        segment: As `specification` in `st.select_segment`, or a `Segment`.
+        segment: As in `fit`.
         thetas: Number of values of theta from 0 to 1.
         weights: As in `fit`.
         frames: As in `fit`.

@@ -1,4 +1,4 @@
-"""Trials: opening, simulating, annotating, checking data and selecting segments."""
+"""Trials: opening, simulating, annotating and checking data."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from socket_testbed.calibration.model import read_calibration
 from socket_testbed.documents import check_number
@@ -22,11 +22,8 @@ from socket_testbed.files import (
 )
 from socket_testbed.geometry.socket import Side, read_socket
 from socket_testbed.identification.data_check import DataFinding
-from socket_testbed.samples import Samples
 from socket_testbed.settings.acquisition import TriggerSettings
-from socket_testbed.settings.identification import PlateauSettings
-from socket_testbed.settings.testbed import EstimatorSettings
-from socket_testbed.trials import segment as segments
+from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
 from socket_testbed.trials.bag import is_bag
 from socket_testbed.trials.metadata import (
     METADATA_FILE,
@@ -36,7 +33,6 @@ from socket_testbed.trials.metadata import (
     write_metadata,
 )
 from socket_testbed.trials.reprocess import RECORDED
-from socket_testbed.trials.segment import Segment
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -136,6 +132,11 @@ def open_trial(
     ['Mx [N m]', 'My [N m]', 'Mz [N m]', 'Fx [N]']
     >>> [event.label for event in trial.events()]
     ['placed', 'removed']
+    >>> trial.select("event:placed+5:removed-2")
+    Segment(event:placed+5:removed-2 12.25 s to 30.75 s)
+    >>> segment = trial.select((10, 20))
+    >>> len(trial.samples()[segment.rows])
+    41
     """
     spans = tuple((float(start), float(end)) for start, end in unloaded)
     notify = cache(notify or warnings.warn)
@@ -145,6 +146,22 @@ def open_trial(
         with trial.open():
             pass  # raises the error
     return trial
+
+
+def settings_of(trial: Trial, params: PathLike | None, **choices: Any) -> EstimatorSettings:
+    """The settings of a trial, or those of `params`, with the choices of a call.
+
+    Args:
+        trial: The trial, whose clusters `leave_out` may name.
+        params: A `testbed.yaml` to use instead of the trial's own; None for the trial's.
+        choices: Settings of the identification that override those, by name; None keeps one.
+
+    Raises:
+        ConfigurationError: The file or a choice is wrong.
+    """
+    if choices.get("leave_out") is not None:
+        choices["leave_out"] = trial.channels(choices["leave_out"])
+    return trial.with_channels(estimator_settings(trial.estimator, as_path(params), **choices))
 
 
 def as_trial(trial: Trial | PathLike) -> Trial:
@@ -254,64 +271,6 @@ def check_data(trial: Trial | PathLike) -> tuple[DataFinding, ...]:
     ()
     """
     return as_trial(trial).problems()
-
-
-def select_segment(samples: Samples, specification: str = "plateau") -> Segment:
-    """Select a part of a trial: a plateau, the loaded part, a span of seconds or between events.
-
-    Functions with a `segment` take a specification too. They apply the plateau limits stored in
-    the trial, know its recorded events and ignore outliers; this function knows only events
-    detected in the load.
-
-    Args:
-        samples: The samples of the trial.
-        specification: `plateau`, the longest; `hold`, the longest while the load is placed; `auto`,
-            the hold or, failing that, the part under load; `all`; `T0:T1` in seconds since the
-            first sample; or `event:A:B` between events, such as `event:placed+5:removed-2`, with
-            event labels, `push#2` for the second push, or seconds at either end.
-
-    Returns:
-        The segment: `start` and `end` [s] since the first sample, and `rows`, a slice of the
-        samples.
-
-    Raises:
-        ConfigurationError: The specification is unknown.
-        TrialError: The trial has no such part.
-
-    >>> samples = st.open_trial("trials/hold").samples()
-    >>> segment = st.select_segment(samples, "10:20")
-    >>> segment
-    Segment(span 10.00 s to 20.00 s)
-    >>> len(samples[segment.rows])
-    41
-    >>> st.select_segment(samples, "event:placed+5:removed-2")
-    Segment(event:placed+5:removed-2 12.25 s to 30.75 s)
-    """
-    return segments.select_segment(samples, specification, PlateauSettings())
-
-
-def require_segment(specification: str | None) -> str:
-    """The specification of a segment, which must be given.
-
-    Raises:
-        ConfigurationError: It is None.
-    """
-    if specification is None:
-        raise ConfigurationError("segment is None", f"{segments.HINT}, or leave it")
-    return specification
-
-
-def select(trial: Trial, segment: str | Segment | None, settings: EstimatorSettings) -> Segment:
-    """The segment itself, or the one that its specification selects.
-
-    Args:
-        trial: The trial.
-        segment: A segment of it, or a specification as in `st.select_segment`; None is refused.
-        settings: Limits of a plateau and the channels left out when one is searched.
-    """
-    if isinstance(segment, Segment):
-        return segment
-    return trial.select(require_segment(segment), settings)
 
 
 def simulate(

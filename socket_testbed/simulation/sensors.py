@@ -115,9 +115,9 @@ class SensorErrors:
         return np.repeat([self.moment_noise, self.force_noise], 3) * np.sqrt(_NOISE_SPAN / span)
 
 
-# Errors of the published clusters' Fx, Fy, Fz in {L}: the offset, and the standard deviation of what
-# an offset does not explain [N]. They give the printed RMSE without and with offsets; what is not
-# printed is chosen within the printed medians, and what the paper leaves out exceeds 1000 N.
+# Errors of the published clusters' Fx, Fy, Fz in {L}: the offset, and the standard deviation of
+# what an offset does not explain [N]. They give the printed RMSE without and with offsets; what is
+# not printed is chosen within the printed medians, and the shear of distal exceeds 1000 N.
 _PUBLISHED_FORCES: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
     "brim_lateral": ((48.0, 38.0, 63.0), (9.2, 3.8, 2.4)),
     "mid_anterior": ((135.5, 60.0, -87.0), (8.0, 8.0, 2.5)),

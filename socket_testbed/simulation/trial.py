@@ -6,9 +6,8 @@ A simulated trial is a bag like a recorded one, plus the ground truth.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -16,7 +15,6 @@ from scipy.interpolate import make_interp_spline
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.calibration.model import Calibration
 from socket_testbed.drivers.load_cell.load_cell import Bridges
-from socket_testbed.errors import TrialError
 from socket_testbed.files import (
     PARAMETERS_FILE,
     atomic_output,
@@ -35,8 +33,7 @@ from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, loa
 from socket_testbed.trials import messages, topics
 from socket_testbed.trials.bag import BagWriter
 from socket_testbed.trials.trial import read_configuration, store_configuration
-
-TRUTH_FILE = "ground_truth.npz"
+from socket_testbed.trials.truth import TRUTH_FILE, GroundTruth, save_truth
 
 # Delay of each measurement after its trigger [ns].
 _DELAYS = {
@@ -55,27 +52,6 @@ _LEAVE_OUT = """estimator_node:
     identification.leave_out: [{}]
 """
 _START = 1_767_258_000_000_000_000  # [ns]; 2026-01-01 09:00 UTC
-
-
-@dataclass(frozen=True)
-class GroundTruth:
-    """True motion and forces in {S}, one row per time.
-
-    Attributes:
-        tiles: Names of the n tiles.
-        forces: Force of the limb on the socket at each tile, in {S}, shape (N, n, 3) [N]; the
-            surface between the tiles bears a part of the load, too.
-        wrench: Wrench of the limb on the socket [M; F] about the origin of {S}, in {S}, shape
-            (N, 6) [N m, N].
-        position: Limb position q in {S}, shape (N, 3) [m].
-        rotation: Rotation vector of the limb since donning, in {S}, shape (N, 3) [rad].
-    """
-
-    tiles: tuple[str, ...]
-    forces: FloatArray
-    wrench: FloatArray
-    position: FloatArray
-    rotation: FloatArray
 
 
 @dataclass(frozen=True)
@@ -254,63 +230,6 @@ def write_simulated_trial(
                 bag.write("/" + topic.name, stamp + _DELAYS[topic], message)
         store_configuration(staging, configuration)
         save_truth(staging / TRUTH_FILE, trial.stamps, trial.truth)
-
-
-def save_truth(path: Path, stamps: IntArray, truth: GroundTruth, **more: FloatArray) -> None:
-    """Write a ground truth as a .npz file.
-
-    Args:
-        path: The file to write.
-        stamps: Times of its rows since the epoch, shape (N,) [ns].
-        truth: The ground truth.
-        **more: Further arrays to store, by name.
-    """
-    arrays: dict[str, Any] = {**vars(truth), **more}
-    np.savez_compressed(path, names=np.array(arrays.pop("tiles")), stamps=stamps, **arrays)
-
-
-def read_truth(path: Path, stamps: IntArray | None = None) -> GroundTruth:
-    """Read the ground truth in a simulated trial's folder.
-
-    Args:
-        path: Folder of the trial.
-        stamps: Times since the epoch, shape (N,) [ns], to which it is interpolated linearly; held
-            before the first and after the last simulated time. None: the times of the simulation.
-
-    Raises:
-        TrialError: The file is missing or damaged.
-    """
-    try:
-        with np.load(path / TRUTH_FILE) as data:
-            times, tiles = data["stamps"], tuple(data["names"].tolist())
-            since = times - times[0]
-            if len(since) < 2:
-                raise ValueError("it has fewer than two times")
-            names = [field.name for field in fields(GroundTruth)[1:]]
-            splines = [make_interp_spline(since, data[name], k=1) for name in names]
-    except Exception as error:  # parsing may raise any error
-        raise TrialError(
-            f"{path / TRUTH_FILE}: is damaged ({error})",
-            "simulate the trial again, or remove the file",
-        ) from None
-    at = since if stamps is None else np.clip(stamps - times[0], 0, since[-1])
-    return GroundTruth(tiles, *(spline(at) for spline in splines))
-
-
-def read_true_forces(path: Path, stamps: IntArray, tiles: Sequence[str]) -> FloatArray | None:
-    """True force of the limb on the socket at n tiles, in {S}, shape (N, n, 3) [N].
-
-    None if the trial in the folder was not simulated, or simulated with other tiles.
-
-    Args:
-        path: Folder of the trial.
-        stamps: Times since the epoch, shape (N,) [ns].
-        tiles: Names of the n tiles, in the order of the result.
-    """
-    if not (path / TRUTH_FILE).is_file():
-        return None
-    truth = read_truth(path, stamps)
-    return truth.forces if truth.tiles == tuple(tiles) else None
 
 
 def _messages(

@@ -15,7 +15,6 @@ import pytest
 from support import scene
 from support.clocks import FakeClock
 
-import socket_testbed as st
 from socket_testbed import api, clocks
 from socket_testbed.__main__ import run
 from socket_testbed.drivers import ERROR, OK, WARN
@@ -428,7 +427,7 @@ def fronts() -> dict[Any, Front]:
 
 @pytest.fixture(scope="module")
 def traded(trial) -> api.Tradeoff:
-    return api.Tradeoff(trial, st.select_segment(trial.samples(), "all"), fronts())
+    return api.Tradeoff(trial, trial.select("all"), fronts())
 
 
 @pytest.fixture(scope="module")
@@ -540,7 +539,7 @@ def beside(trial: Any, load: float, settings: IdentificationSettings, swing: flo
 
 @pytest.fixture(scope="module")
 def paper_lines(trial, scene_folder: Path) -> list[str]:
-    segment = st.select_segment(trial.samples(), "all")
+    segment = trial.select("all")
     found = api.PaperTable(trial, segment, 96, FITTED, beside(trial, 200.0, FITTED))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(api, "paper", wrapped(found, "paper"))

@@ -20,14 +20,14 @@ from socket_testbed.simulation import sensors
 from socket_testbed.simulation import testbed as live
 from socket_testbed.simulation.limb import LoadedLimb, load_history, make_tissue
 from socket_testbed.simulation.sensors import ClusterSensor, MarkerBodies, SensorErrors
-from socket_testbed.simulation.trial import (
+from socket_testbed.simulation.world import World
+from socket_testbed.trials.truth import (
     TRUTH_FILE,
     GroundTruth,
     read_true_forces,
     read_truth,
     save_truth,
 )
-from socket_testbed.simulation.world import World
 
 PERFECT = SensorErrors(
     **{field.name: 0.0 for field in dataclasses.fields(SensorErrors) if field.type == "float"}
