@@ -13,7 +13,7 @@ from socket_testbed.api.result import Result
 from socket_testbed.api.trials import PathLike, as_trial
 from socket_testbed.arrays import BREAK, FloatArray, IntArray, gaps
 from socket_testbed.errors import ConfigurationError, TrialError, closest
-from socket_testbed.tables import split_unit
+from socket_testbed.tables import split_unit, stacked
 from socket_testbed.trials.events import PLACED, cycle_spans
 from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
@@ -117,6 +117,24 @@ class Cycles(Result):
         }
         percent = np.linspace(0.0, 100.0, _POINTS)
         return pd.DataFrame(columns, index=pd.Index(percent, name="cycle [%]"))
+
+    def to_long(self) -> pd.DataFrame:
+        """The single cycles in long form, a row per value; no named index.
+
+        Columns: `trial`, its name; `cycle`, its number from 1; `cycle [%]`; `quantity` and `unit`,
+        such as `Fz` and `N`; and the `value`, NaN if missing.
+        """
+        parts = [split_unit(title) for title in self.titles]
+        numbers = np.arange(1, len(self) + 1)
+        columns = {
+            "trial": [self.trial.name] * len(parts),
+            "cycle": np.repeat(numbers, _POINTS),
+            "cycle [%]": np.tile(np.linspace(0.0, 100.0, _POINTS), len(self)),
+            "quantity": [name for name, _ in parts],
+            "unit": [unit for _, unit in parts],
+            "value": self.curves.reshape(-1, len(parts)),
+        }
+        return stacked(columns, _POINTS * len(self))
 
     def _figure(self, style: FigureStyle) -> Figure:
         """Mean of each quantity, with a band of one standard deviation."""

@@ -32,7 +32,7 @@ from socket_testbed.identification.pressure import (
 from socket_testbed.identification.problem import check_channels
 from socket_testbed.samples import Samples
 from socket_testbed.settings.testbed import EstimatorSettings
-from socket_testbed.tables import write_table
+from socket_testbed.tables import split_unit, stacked, write_table
 from socket_testbed.trials.pressure import (
     CENTRE_TITLES,
     MappedTrial,
@@ -58,6 +58,7 @@ is `uncertain`.
 
 TILE_TITLES = tuple(t for t in TITLES if t not in (*CENTRE_TITLES, "contact area [cm^2]"))
 _ROW_KEYS = ("value", "low", "high", "uncertain")
+_STRESSES = ("pressure [kPa]", "shear [kPa]")  # of a tile over time
 _SERIES_TITLES = tuple(title for title in TITLES if not title.startswith("pressure-time"))
 
 
@@ -125,6 +126,29 @@ class TrialMap(Result):
         """
         columns = self.estimate.columns(self.trial.geometry.names)
         return pd.DataFrame(columns, index=pd.Index(self.time, name="time [s]"))
+
+    def to_long(self) -> pd.DataFrame:
+        """The map in long form, a row per value; no named index.
+
+        Columns: `trial`, its name; `time [s]` since its first sample; `tile`; `quantity` and
+        `unit`, such as `pressure` and `Pa`; the `value`, and its standard deviation `sd` in the
+        same unit. Quantities and frames are those of `to_dataframe`.
+        """
+        table = self.to_dataframe()
+        titles = [title for title in table if not split_unit(title)[0].endswith(".sd")]
+        parts = [split_unit(title) for title in titles]
+        places = [name.rpartition(".") for name, _ in parts]
+        deviations = [f"{name}.sd [{unit}]" for name, unit in parts]
+        columns = {
+            "trial": [self.trial.name] * len(parts),
+            "time [s]": self.time,
+            "tile": [tile for tile, _, _ in places],
+            "quantity": [name for _, _, name in places],
+            "unit": [unit for _, unit in parts],
+            "value": table[titles].to_numpy(),
+            "sd": table[deviations].to_numpy(),
+        }
+        return stacked(columns, len(table))
 
     def summary(self) -> pd.DataFrame:
         """Means over the segment, a row per tile, indexed by `tile`, the highest pressure first.
@@ -427,6 +451,59 @@ class TrialPressure(SegmentPressure, Result):
         tiles = [f"tile {n}" if n in regions else n for n in self.trial.geometry.names]
         columns |= by_place(tiles, stresses)
         return pd.DataFrame(columns, index=pd.Index(self.time, name="time [s]"))
+
+    def to_long(self, over_time: bool = False) -> pd.DataFrame:
+        """The outputs in long form, a row per value; no named index.
+
+        Columns: `trial`, its name; `part`, which is `regions`, `tiles` or `limb`; `name` of the
+        region or tile, empty for the limb; `quantity` and `unit`, such as `peak pressure` and
+        `kPa`; the `value` with the ends `low` and `high` of its 95 % interval; and the flag
+        `uncertain`. NaN is unknown, an unknown end of an interval of the limb is infinite.
+
+        Args:
+            over_time: Whether to return the values of `over_time` instead, with a column `time [s]`
+                and without `uncertain` and the limb.
+        """
+        if over_time:
+            return self._long_over_time()
+        rows = [
+            {
+                "trial": self.trial.name,
+                "part": part,
+                "name": name,
+                **dict(zip(("quantity", "unit"), split_unit(title), strict=True)),
+                **row,
+            }
+            for (part, name, title), row in self.rows().items()
+        ]
+        return pd.DataFrame(rows)
+
+    def _long_over_time(self) -> pd.DataFrame:
+        table = self.over_time()
+        regions = [place.name for place in self.places]
+        series = [title for title in _SERIES_TITLES if f"{regions[-1]}.{title}" in table]
+        kinds = [("regions", name, name, title) for name in regions for title in series]
+        for name in self.trial.geometry.names:
+            column = f"tile {name}" if name in regions else name
+            kinds += [("tiles", name, column, title) for title in _STRESSES]
+        parts = [split_unit(title) for *_, title in kinds]
+        ends = {
+            end: [
+                f"{column}.{quantity}{suffix} [{unit}]"
+                for (_, _, column, _), (quantity, unit) in zip(kinds, parts, strict=True)
+            ]
+            for end, suffix in (("value", ""), ("low", " low"), ("high", " high"))
+        }
+        columns = {
+            "trial": [self.trial.name] * len(kinds),
+            "time [s]": self.time,
+            "part": [part for part, *_ in kinds],
+            "name": [name for _, name, *_ in kinds],
+            "quantity": [quantity for quantity, _ in parts],
+            "unit": [unit for _, unit in parts],
+            **{end: table[titles].to_numpy() for end, titles in ends.items()},
+        }
+        return stacked(columns, len(table))
 
     def document(self) -> dict[str, Any]:
         """The outputs for JSON, each with its interval and the flag `uncertain`.

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
+import pickle
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from functools import cache
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -88,6 +88,26 @@ def started(progress: Progress | None, task: str) -> Callable[[int, int], None]:
     return (lambda done, total: None) if progress is None else progress(task)
 
 
+class _Once:
+    """Sends each note once; a copy in another process knows which were sent."""
+
+    def __init__(self, notify: Callable[[str], object], sent: Iterable[str] = ()) -> None:
+        self._notify = notify
+        self._sent = {*sent}
+
+    def __call__(self, note: str) -> None:
+        if note not in self._sent:
+            self._sent.add(note)
+            self._notify(note)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        try:
+            pickle.dumps(self._notify)
+        except Exception:  # such as a function of a notebook: pickling may raise any error
+            return _Once, (warnings.warn, sorted(self._sent))
+        return _Once, (self._notify, sorted(self._sent))
+
+
 def open_trial(
     path: PathLike,
     geometry: PathLike | None = None,
@@ -108,7 +128,8 @@ def open_trial(
         unloaded: Unloaded spans before and after the load, used to correct the drift of the
             clusters; seconds since the first sample.
         notify: Called once with each note on the trial, such as problems in its data; None issues
-            warnings.
+            warnings. A trial or result that was pickled sends only new ones, as warnings where the
+            function cannot be pickled.
         load_cell: A `testbed.yaml` whose load cell (matrix, signs, gains, ...) replaces the trial's
             own and is applied to the recorded bridge ratios.
         tare: Tare to subtract from the wrenches: the `recorded` one, `none`, or the mean of
@@ -139,7 +160,7 @@ def open_trial(
     41
     """
     spans = tuple((float(start), float(end)) for start, end in unloaded)
-    notify = cache(notify or warnings.warn)
+    notify = _Once(notify or warnings.warn)
     files = as_path(geometry), as_path(calibration)
     trial = Trial(Path(path), *files, notify, spans, as_path(load_cell), tare)
     if not trial.path.is_dir():

@@ -25,6 +25,7 @@ from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.plausibility import find_outliers
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, named_channels
 from socket_testbed.settings.testbed import EstimatorSettings, TestbedSettings, read_testbed
+from socket_testbed.tables import split_unit, stacked
 from socket_testbed.trials import reprocess, synchronise, topics
 from socket_testbed.trials.bag import BagReader, required_topics
 from socket_testbed.trials.events import Event, find_events, join_events, read_events
@@ -225,6 +226,28 @@ class Trial:
     def to_dataframe(self) -> pd.DataFrame:
         """The samples as a pandas table, see `Samples.to_dataframe`."""
         return self.samples().to_dataframe()
+
+    def to_long(self) -> pd.DataFrame:
+        """The samples in long form, a row per value; no named index.
+
+        Columns: `trial`, its name; `time [s]` since the first sample; `source`, `wrench`, `limb` or
+        a cluster; `quantity` and `unit`, such as `Fx` and `N`; and the `value`, NaN if missing.
+        Frames and quantities are those of `Samples.to_dataframe`.
+        """
+        table = self.to_dataframe()
+        parts = [split_unit(title) for title in table]
+        places = [name.rpartition(".") for name, _ in parts]
+        motion = ("q_", "phi_")
+        usual = ["limb" if name.startswith(motion) else "wrench" for _, _, name in places]
+        columns = {
+            "trial": [self.name] * len(parts),
+            "time [s]": table.index.to_numpy(),
+            "source": [place or own for (place, _, _), own in zip(places, usual, strict=True)],
+            "quantity": [name for _, _, name in places],
+            "unit": [unit for _, unit in parts],
+            "value": table.to_numpy(dtype=float),
+        }
+        return stacked(columns, len(table))
 
     def measurements_and_samples(self) -> tuple[synchronise.Measurements, Samples]:
         """`measurements` and `samples` from one reading."""
