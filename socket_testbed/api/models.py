@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import pandas as pd
@@ -16,6 +16,7 @@ from socket_testbed.api.pressure import pressure as pressure_of
 from socket_testbed.api.result import Result, origin
 from socket_testbed.api.trials import PathLike, as_trial, note_problems, settings_of
 from socket_testbed.arrays import FloatArray
+from socket_testbed.documents import check_kind, path_of
 from socket_testbed.files import TABLES, write_text
 from socket_testbed.identification import information, plausibility
 from socket_testbed.identification.fit import (
@@ -87,7 +88,9 @@ class TrialFit(Result):
             "samples": len(samples),
             **self.trial.replaced,
         }
-        write_model(self.fit, self.trial.geometry, identity, str(self.segment), Path(path))
+        write_model(
+            self.fit, self.trial.geometry, identity, str(self.segment), path_of(path, "the file")
+        )
 
     def stored(self) -> StoredModel:
         """The model as `st.read_model` returns it after `save`."""
@@ -283,7 +286,7 @@ class Evaluation(Result):
         Args:
             path: The file; JSON unless it ends in `.csv`, `.parquet` or `.mat`.
         """
-        path = Path(path)
+        path = path_of(path, "the file")
         if path.suffix.lower() in TABLES:
             super().save(path)
         else:
@@ -429,7 +432,7 @@ def read_model(path: PathLike) -> StoredModel:
     >>> model.model.stiffness.shape == (len(model.geometry), 3)  # [N/m]
     True
     """
-    return _read_model(Path(path))
+    return _read_model(path_of(path, "the file"))
 
 
 def model_for(trial: Trial, model: Model) -> StoredModel:
@@ -442,6 +445,8 @@ def model_for(trial: Trial, model: Model) -> StoredModel:
     if isinstance(model, TrialFit):
         model = model.stored()
     elif not isinstance(model, StoredModel):
+        hint = "give a fit, a model, or the path of its file"
+        check_kind(model, (str, os.PathLike), "the model", hint)
         model = read_model(model)
     model.require_socket(trial.geometry)
     return model

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from socket_testbed.api import trials
 from socket_testbed.api.comparison import LEGEND, MAPPED, Comparison
 from socket_testbed.api.models import Model, model_for, predictions
 from socket_testbed.api.tradeoff import theta_values
+from socket_testbed.documents import check_kind, path_of
 from socket_testbed.files import PAGES, check_suffix
 from socket_testbed.geometry.socket import SOCKET
 from socket_testbed.identification.differences import DIFFERENCE, SAME_LIMB, VALUE, is_clear
@@ -103,7 +103,7 @@ def write_report(
     from socket_testbed.report.write import check_page_path
     from socket_testbed.report.write import write_report as write_page
 
-    page = Path(page)
+    page = path_of(page, "the page")
     values = theta_values(thetas)
     specification = specification_of(segment)
     check_page_path(page, replace)
@@ -146,7 +146,8 @@ def write_comparison(
     # matplotlib is slow to import.
     from socket_testbed.report.page import Maps, Section, utc, write_page
 
-    path = Path(page)
+    check_kind(found, Comparison, "the comparison", "give a result of st.compare")
+    path = path_of(page, "the page")
     check_suffix(path, PAGES, "page")
     made = utc(datetime.now(UTC))
     origin = [("page made", made), ("command", command)]
@@ -268,6 +269,7 @@ def view(
     from socket_testbed.pages.player import Player
     from socket_testbed.pages.server import PageServer
 
+    check_kind(host, str, "host", "give an address, such as 127.0.0.1")
     predicted = None if model is None else predictions(trial, model_for(trial, model))
     player = Player(trial, predicted)
     return PageServer(player, host, port, names)

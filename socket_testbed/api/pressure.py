@@ -6,7 +6,6 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -16,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from socket_testbed.api.result import Result, origin, records
 from socket_testbed.api.trials import PathLike, as_trial, settings_of
 from socket_testbed.arrays import FloatArray, sample_at
-from socket_testbed.documents import check_number, finite_or_null
+from socket_testbed.documents import check_number, finite_or_null, mapping_of, path_of
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.socket import SocketGeometry, find_regions
 from socket_testbed.identification.force_map import ForceMap, MapEstimate
@@ -173,6 +172,7 @@ class TrialMap(Result):
             TrialError: The map has no sample there: the time is before its first sample, or more
                 than three usual steps after the last one before it.
         """
+        time = check_number(time, "the time")
         row = sample_at(self.time, time)
         if row is None:
             raise TrialError(
@@ -542,7 +542,7 @@ class TrialPressure(SegmentPressure, Result):
             over_time: Whether to write the table of `over_time` instead of `regions`.
         """
         if over_time:
-            write_table(self.over_time(), Path(path))
+            write_table(self.over_time(), path_of(path, "the file"))
         else:
             super().save(path)
 
@@ -605,7 +605,8 @@ def pressure(
     settings = settings_of(trial, params, leave_out=leave_out)
     geometry = trial.geometry
     if regions is not None:
-        own = find_regions(regions, geometry.names, "regions")
+        hint = "give tiles by name, such as {'heel': ['distal']}"
+        own = find_regions(mapping_of(regions, "regions", hint), geometry.names, "regions")
         geometry = dataclasses.replace(geometry, regions=own)
     chosen, mapped = _mapped(trial, segment, settings, geometry)
     with threadpool_limits(1):

@@ -13,7 +13,8 @@ from socket_testbed.api.models import fit, prepare_fit
 from socket_testbed.api.result import Result, origin, records
 from socket_testbed.api.trials import PathLike, Progress, as_trial, started
 from socket_testbed.arrays import FloatArray
-from socket_testbed.documents import check_number
+from socket_testbed.documents import check_whole
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.paper import PUBLISHED_FRAMES, THEIRS, beside_published
 from socket_testbed.identification.pareto import Front, front_document, front_table, pareto_front
 from socket_testbed.settings.identification import (
@@ -94,8 +95,8 @@ class Tradeoff(Result):
 
 def theta_values(thetas: int) -> FloatArray:
     """As many evenly spaced thetas from 0 to 1, rounded to readable digits, (thetas,) [-]."""
-    check_number(thetas, "--thetas", 2, _MAX_THETAS)
-    return np.linspace(0.0, 1.0, thetas).round(10)
+    count = check_whole(thetas, "--thetas", 2, _MAX_THETAS)
+    return np.linspace(0.0, 1.0, count).round(10)
 
 
 def pareto(
@@ -239,6 +240,8 @@ def paper(
     trial = as_trial(trial)
     chosen = {"weights": weights, "frames": frames, "params": params, **choices}
     theta_values(thetas)  # fails before long work
+    if "variant" in choices:
+        raise ConfigurationError("variant is given", "leave it: the paper's two are fitted")
     fits = {variant: fit(trial, segment, variant=variant, **chosen) for variant in PAPER_VARIANTS}
     fronts = pareto(trial, segment, thetas=thetas, progress=progress, **chosen).fronts
     errors = {variant: found.fit.errors for variant, found in fits.items()}

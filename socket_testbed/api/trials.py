@@ -6,12 +6,22 @@ import os
 import pickle
 import warnings
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import fields
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from socket_testbed.calibration.model import read_calibration
-from socket_testbed.documents import check_number
+from socket_testbed.documents import (
+    check_kind,
+    check_number,
+    check_whole,
+    described,
+    path_of,
+    plain,
+    refuse_unknown,
+    texts_of,
+)
 from socket_testbed.errors import ConfigurationError, TrialError, closest
 from socket_testbed.files import (
     CALIBRATION_FILE,
@@ -23,6 +33,7 @@ from socket_testbed.files import (
 from socket_testbed.geometry.socket import Side, read_socket
 from socket_testbed.identification.data_check import DataFinding
 from socket_testbed.settings.acquisition import TriggerSettings
+from socket_testbed.settings.identification import IdentificationSettings
 from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
 from socket_testbed.trials.bag import is_bag
 from socket_testbed.trials.metadata import (
@@ -33,6 +44,7 @@ from socket_testbed.trials.metadata import (
     write_metadata,
 )
 from socket_testbed.trials.reprocess import RECORDED
+from socket_testbed.trials.segment import Span, parse_span
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -45,12 +57,13 @@ Progress: TypeAlias = Callable[[str], Callable[[int, int], None]]
 It returns a function that is called after each step with the steps done and their total number.
 """
 
+_SPAN_HINT = "give a span such as (0, 5) or '0:5' [s]"
 _MAX_TRIGGERS = 1_000_000
 
 
 def as_path(path: PathLike | None) -> Path | None:
     """Convert to a `Path`, passing None through."""
-    return None if path is None else Path(path)
+    return None if path is None else path_of(path, "the file")
 
 
 def note_problems(trial: Trial, leave_out: tuple[str, ...]) -> None:
@@ -85,7 +98,10 @@ def started(progress: Progress | None, task: str) -> Callable[[int, int], None]:
     Returns:
         A function to call after each step, with the steps done and their total number.
     """
-    return (lambda done, total: None) if progress is None else progress(task)
+    if progress is None:
+        return lambda done, total: None
+    check_kind(progress, Callable, "progress", "give a function that takes a task's name")  # type: ignore[arg-type]
+    return progress(task)
 
 
 class _Once:
@@ -112,11 +128,11 @@ def open_trial(
     path: PathLike,
     geometry: PathLike | None = None,
     calibration: PathLike | None = None,
-    unloaded: Iterable[tuple[float, float]] = (),
+    unloaded: str | Span | Iterable[str | Span] = (),
     notify: Callable[[str], None] | None = None,
     *,
     load_cell: PathLike | None = None,
-    tare: str = RECORDED,
+    tare: str | Span = RECORDED,
 ) -> Trial:
     """Open a trial: a folder written by `record`, `run --record` or `simulate`.
 
@@ -126,14 +142,14 @@ def open_trial(
             there, its poses are refitted to the recorded markers.
         calibration: A `calibration.yaml` to use instead of the trial's own.
         unloaded: Unloaded spans before and after the load, used to correct the drift of the
-            clusters; seconds since the first sample.
+            clusters: one or two, each as `(T0, T1)` or `"T0:T1"`, seconds since the first sample.
         notify: Called once with each note on the trial, such as problems in its data; None issues
             warnings. A trial or result that was pickled sends only new ones, as warnings where the
             function cannot be pickled.
         load_cell: A `testbed.yaml` whose load cell (matrix, signs, gains, ...) replaces the trial's
             own and is applied to the recorded bridge ratios.
         tare: Tare to subtract from the wrenches: the `recorded` one, `none`, or the mean of
-            `T0:T1`, an unloaded span in seconds since the first sample.
+            `T0:T1`, an unloaded span in seconds since the first sample, or `(T0, T1)`.
 
     Returns:
         The trial: `trial.samples()` returns its synchronised samples, `trial.events()` its events,
@@ -159,10 +175,14 @@ def open_trial(
     >>> len(trial.samples()[segment.rows])
     41
     """
-    spans = tuple((float(start), float(end)) for start, end in unloaded)
-    notify = _Once(notify or warnings.warn)
+    spans = _spans(unloaded)
+    if not isinstance(tare, str):
+        tare = _span_text(tare, "tare")
+    notify = warnings.warn if notify is None else notify
+    check_kind(notify, Callable, "notify", "give a function that takes a text, such as print")  # type: ignore[arg-type]
+    notify = _Once(notify)
     files = as_path(geometry), as_path(calibration)
-    trial = Trial(Path(path), *files, notify, spans, as_path(load_cell), tare)
+    trial = Trial(path_of(path, "the trial"), *files, notify, spans, as_path(load_cell), tare)
     if not trial.path.is_dir():
         with trial.open():
             pass  # raises the error
@@ -180,14 +200,57 @@ def settings_of(trial: Trial, params: PathLike | None, **choices: Any) -> Estima
     Raises:
         ConfigurationError: The file or a choice is wrong.
     """
+    names = [field.name for field in fields(IdentificationSettings)]
+    refuse_unknown(choices, names, "a setting")
     if choices.get("leave_out") is not None:
         choices["leave_out"] = trial.channels(choices["leave_out"])
     return trial.with_channels(estimator_settings(trial.estimator, as_path(params), **choices))
 
 
+def _spans(given: object) -> tuple[Span, ...]:
+    """Spans [s] given as one or several, each as a text or a pair of numbers."""
+    listed = plain(given)
+    if isinstance(listed, str) or (isinstance(listed, list) and _is_pair(listed)):
+        listed = [listed]
+    if not isinstance(listed, Iterable):
+        raise ConfigurationError(f"unloaded is {described(given)}", _SPAN_HINT)
+    return tuple(parse_span(_span_text(each, "unloaded"), "--unloaded") for each in listed)
+
+
+def _is_pair(given: Sequence[object]) -> bool:
+    return len(given) == 2 and not any(isinstance(each, list | tuple | str) for each in given)
+
+
+def _span_text(span: object, what: str) -> str:
+    """A span as `T0:T1`, given so or as a pair of numbers [s]."""
+    given = plain(span)
+    if isinstance(given, str):
+        return given
+    if isinstance(given, list) and _is_pair(given):
+        start, end = (check_number(each, f"a time of {what}") for each in given)
+        return f"{start}:{end}"
+    raise ConfigurationError(f"{what} is {described(span)}", _SPAN_HINT)
+
+
 def as_trial(trial: Trial | PathLike) -> Trial:
-    """The trial itself, or the one at the path."""
-    return trial if isinstance(trial, Trial) else open_trial(trial)
+    """The trial itself, or the one at the path.
+
+    Raises:
+        ConfigurationError: It is neither.
+        TrialError: There is no trial at the path.
+    """
+    if isinstance(trial, Trial):
+        return trial
+    hint = "give one of st.open_trial, or the path of its folder"
+    check_kind(trial, (str, os.PathLike), "the trial", hint)
+    return open_trial(trial)
+
+
+def trials_of(items: Sequence[Any]) -> list[Any]:
+    """The trials of a call, given one by one or in a single list."""
+    if len(items) == 1 and isinstance(items[0], list | tuple):
+        return [*items[0]]
+    return [*items]
 
 
 def require_different(trials: Sequence[Trial]) -> None:
@@ -232,7 +295,7 @@ def annotate(
     operator: str | None = None,
     protocol: str | None = None,
     notes: str | None = None,
-    remove: Iterable[str] = (),
+    remove: str | Iterable[str] = (),
 ) -> TrialMetadata:
     """Set metadata of a trial in its `trial.yaml`; no other file is written.
 
@@ -248,7 +311,7 @@ def annotate(
         operator: Initials or code of the operator.
         protocol: The protocol followed.
         notes: Any further remarks.
-        remove: Fields to remove.
+        remove: A field, or several, to remove.
 
     Returns:
         All metadata of the trial, the new value of `trial.metadata`; None for fields not stated.
@@ -271,7 +334,7 @@ def annotate(
         raise TrialError(f"{trial.path}: is not a trial folder", "give the folder of one trial")
     path = trial.path / METADATA_FILE
     stored = read_metadata(path) if path.exists() else TrialMetadata()
-    metadata = change_metadata(stored, stated.stated(), remove)
+    metadata = change_metadata(stored, stated.stated(), texts_of(remove, "remove"))
     if metadata != stored:
         write_metadata(metadata, path)
     return metadata
@@ -342,13 +405,14 @@ def simulate(
     from socket_testbed.simulation.trial import simulate as simulate_trial
     from socket_testbed.simulation.trial import write_simulated_trial
 
-    folder, socket_file, calibration_file = Path(path), as_path(geometry), as_path(calibration)
+    folder = path_of(path, "the folder of the trial")
+    socket_file, calibration_file = as_path(geometry), as_path(calibration)
     for kind, name, known in (("scenario", scenario, SCENARIOS), ("tissue", tissue, TISSUES)):
         if name not in known:
-            raise ConfigurationError(f"unknown {kind} '{name}'", closest(name, known))
+            raise ConfigurationError(f"unknown {kind} '{name}'", closest(str(name), known))
     check_number(duration, "--duration", 1.0, 36000.0)
     check_number(rate, "--rate", 0.1, 1000.0)
-    check_number(seed, "--seed", 0)
+    seed = check_whole(seed, "--seed")
     check_number(duration * rate, "--duration times --rate", 2, _MAX_TRIGGERS)
     check_new_folder(folder)
     if like_paper and calibration_file is None:

@@ -22,6 +22,7 @@ from socket_testbed.api.trials import (
     require_one_socket,
     settings_of,
     started,
+    trials_of,
     unique_names,
 )
 from socket_testbed.arrays import evenly
@@ -188,7 +189,7 @@ def validate(
     >>> bool((left_out["error [-]"] > 0.0).all())
     True
     """
-    recordings = _recordings([*map(as_trial, trials)], segment, as_path(params), choices)
+    recordings = _recordings([*map(as_trial, trials_of(trials))], segment, as_path(params), choices)
     several, chosen = len(trials) > 1, _selected(recordings)
     report, done = started(progress, "validating"), count(1)
     total = len(recordings) + several * len(chosen)

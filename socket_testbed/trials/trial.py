@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from socket_testbed.calibration.model import Calibration, read_calibration
+from socket_testbed.documents import check_kind
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import (
     CALIBRATION_FILE,
@@ -356,6 +357,8 @@ class Trial:
             TrialError: If there is no such segment.
         """
         settings = self.estimator if settings is None else settings
+        hint = "leave it, or give that of trial.estimator"
+        check_kind(settings, EstimatorSettings, "the argument settings", hint)
         if isinstance(segment, Segment):
             return self._own(segment)
         specification = specification_of(segment)
