@@ -1,6 +1,5 @@
 """What a notebook does: wrong calls end in one line, results are copied, tabled and selected."""
 
-import os
 import pickle
 import shutil
 import warnings
@@ -23,8 +22,8 @@ from socket_testbed.trials.segment import Segment
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("notebook")
-    scene.write_scene(path / "hold")
-    scene.write_scene(path / "walk")
+    scene.write(path / "hold")
+    scene.write(path / "walk")
     return path
 
 
@@ -59,7 +58,7 @@ WRONG = {
     "st.open_trial([hold, walk])": "the trial is a list of 2: give a path",
     "st.open_trial(hold, unloaded=5)": "unloaded is 5: give a span such as",
     "st.open_trial(hold, unloaded=[(0, nan)])": "a time of unloaded is nan: give a number",
-    "st.open_trial(hold, unloaded=[(0, 1, 2)])": "unloaded is a tuple of 3: give a span",
+    "st.open_trial(hold, unloaded=[(0, 1, 2)])": "unloaded is a list of 3: give a span",
     "st.open_trial(hold, unloaded=(5, 2))": "--unloaded is '5.0:2.0': give seconds as T0:T1",
     "st.open_trial(hold, tare=3)": "tare is 3: give a span such as",
     "st.open_trial(hold, tare=None)": "tare is None: give a span such as",
@@ -259,7 +258,7 @@ def test_a_result_is_pickled(kind: str, results) -> None:
 
 def test_a_copy_does_not_repeat_notes(folder: Path) -> None:
     said: list[str] = []
-    opened = st.open_trial(folder / "hold", notify=said.append)
+    opened = st.open_trial(folder / "hold", notify=lambda note: said.extend([note]))
     opened.note("first")
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
@@ -366,7 +365,7 @@ def test_more_than_twelve_trials_are_compared(folder: Path, tmp_path: Path) -> N
     )
     found.draw(tmp_path / "maps.png")
     st.write_comparison(found, tmp_path / "page.html")
-    assert os.path.getsize(tmp_path / "page.html") > 1e5
+    assert (tmp_path / "page.html").stat().st_size > 1e5
 
 
 def test_unknown_parts_of_a_comparison_are_named(results) -> None:

@@ -180,6 +180,9 @@ class Comparison(Result):
             `walk - hold`, marked with `*` if its interval excludes 0; for repeated trials also
             `spread` and `detectable`. A cell is empty where there is no number, and a dash where an
             interval is open.
+
+        Raises:
+            ConfigurationError: The comparison has no such part or quantity.
         """
         rows = self.table[self.table["part"] == part]
         if not len(rows):
