@@ -268,15 +268,11 @@ def test_a_copy_does_not_repeat_notes(folder: Path) -> None:
     assert said == ["first"] and [str(each.message) for each in warned] == ["second"]
 
 
-def peak(path: str) -> st.TrialPressure:
-    return st.pressure(st.open_trial(path, notify=print), "all")
-
-
 @pytest.mark.slow
 def test_processes_return_results(folder: Path) -> None:
     paths = [str(folder / name) for name in ("hold", "walk")]
     with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        found = list(pool.map(peak, paths))
+        found = list(pool.map(st.pressure, paths, ["all", "all"]))
     assert [each.trial.name for each in found] == ["hold", "walk"]
 
 

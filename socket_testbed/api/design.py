@@ -418,7 +418,8 @@ def tile(
     )
     for name, direction in (("proximal", proximal), ("anterior", anterior)):
         check_kind(direction or "", str, name, "give a text, such as '+z' or '0 0.1 1'")
-    check_kind(settings or TilingSettings(), TilingSettings, "settings", "leave it")
+    if settings is not None:
+        check_kind(settings, TilingSettings, "settings", "leave it")
     place = check_whole(place, "--place")
     height = check_number(height, "--height", 0.0, 2.0)
     upwards = designs.parse_direction(proximal, "--proximal") if proximal else None
