@@ -128,7 +128,7 @@ def open_trial(
     path: PathLike,
     geometry: PathLike | None = None,
     calibration: PathLike | None = None,
-    unloaded: str | Span | Iterable[str | Span] = (),
+    unloaded: Iterable[Span | str | float] = (),
     notify: Callable[[str], None] | None = None,
     *,
     load_cell: PathLike | None = None,
@@ -136,20 +136,23 @@ def open_trial(
 ) -> Trial:
     """Open a trial: a folder written by `record`, `run --record` or `simulate`.
 
+    Spans of `unloaded` and `tare` are texts, `"0:5"`, or pairs, `(0, 5)`; a single unloaded span
+    needs no list.
+
     Args:
         path: Folder of the trial.
         geometry: A `socket.yaml` to use instead of the trial's own. If a body's markers differ
             there, its poses are refitted to the recorded markers.
         calibration: A `calibration.yaml` to use instead of the trial's own.
         unloaded: Unloaded spans before and after the load, used to correct the drift of the
-            clusters: one or two, each as `(T0, T1)` or `"T0:T1"`, seconds since the first sample.
+            clusters; seconds since the first sample.
         notify: Called once with each note on the trial, such as problems in its data; None issues
             warnings. A trial or result that was pickled sends only new ones, as warnings where the
             function cannot be pickled.
         load_cell: A `testbed.yaml` whose load cell (matrix, signs, gains, ...) replaces the trial's
             own and is applied to the recorded bridge ratios.
         tare: Tare to subtract from the wrenches: the `recorded` one, `none`, or the mean of
-            `T0:T1`, an unloaded span in seconds since the first sample, or `(T0, T1)`.
+            `T0:T1`, an unloaded span in seconds since the first sample.
 
     Returns:
         The trial: `trial.samples()` returns its synchronised samples, `trial.events()` its events,
@@ -295,7 +298,7 @@ def annotate(
     operator: str | None = None,
     protocol: str | None = None,
     notes: str | None = None,
-    remove: str | Iterable[str] = (),
+    remove: Iterable[str] = (),
 ) -> TrialMetadata:
     """Set metadata of a trial in its `trial.yaml`; no other file is written.
 
