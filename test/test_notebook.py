@@ -129,6 +129,9 @@ WRONG = {
     "st.calibrate('b.csv', 'distal', columns=['a'])": "columns is a list of 1, not a mapping: give",
     "st.tile(None)": "the file is None: give a path",
     "st.tile('s.stl', proximal=3)": "proximal is 3: give a text, such as '+z'",
+    "st.tile('s.stl', points=[1, 2])": "points[0] is 1: give a list",
+    "st.tile('s.stl', points=[[1, 2, 3]])": "points are not three of three numbers: pick three",
+    "st.tile('s.stl', place='x')": "--place is 'x': give a number from 0 to 1000",
     "st.tile('s.stl', keep_out=[3])": "keep_out holds 3: give texts",
     "st.register(None, None, None)": "the take is None: give a path",
 }

@@ -23,6 +23,7 @@ from socket_testbed.documents import (
     check_kind,
     check_number,
     check_whole,
+    convert,
     mapping_of,
     path_of,
     plain,
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from socket_testbed.socket_design.registration import Registration
     from socket_testbed.socket_design.tiling import TilingSettings
 
+_MAX_CLUSTERS = 1000
 _MAX_POINTS = 4000  # per panel
 
 
@@ -420,8 +422,12 @@ def tile(
         check_kind(direction or "", str, name, "give a text, such as '+z' or '0 0.1 1'")
     if settings is not None:
         check_kind(settings, TilingSettings, "settings", "leave it")
-    place = check_whole(place, "--place")
-    height = check_number(height, "--height", 0.0, 2.0)
+    place = check_whole(place, "--place", 0, _MAX_CLUSTERS)
+    if points is not None:
+        points = convert(plain(points), list[list[float]], "points")  # type: ignore[assignment]
+        if [len(point) for point in points] != [3, 3, 3]:
+            raise ConfigurationError("points are not three of three numbers", "pick three")
+    height = check_number(height, "--height", -2.0, 2.0)
     upwards = designs.parse_direction(proximal, "--proximal") if proximal else None
     front = designs.parse_direction(anterior, "--anterior") if anterior else None
 
