@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import sys
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import count, repeat
 from pathlib import Path
 from types import UnionType
@@ -81,6 +82,101 @@ def check_number(value: Any, where: str, low: float = -FINITE, high: float = FIN
     """
     kind: Any = Annotated[float, Meta(ge=low, le=high)]
     return float(convert(plain(value), kind, where))
+
+
+def check_whole(value: Any, where: str, low: int = 0, high: int = sys.maxsize) -> int:
+    """A whole number within [low, high].
+
+    Args:
+        value: The value, as a user gave it; NumPy scalars are numbers.
+        where: How errors name the value, such as `--seed`.
+        low: The least value allowed.
+        high: The largest value allowed.
+
+    Raises:
+        ConfigurationError: If the value is no whole number or is not within the limits.
+    """
+    number = check_number(value, where, low, high)
+    if not number.is_integer():
+        raise ConfigurationError(f"{where} is {value}", "give a whole number")
+    return int(number)
+
+
+def path_of(value: object, what: str) -> Path:
+    """The path that a user gave.
+
+    Args:
+        value: A text or a path.
+        what: What it is the path of, for the error, such as `the trial`.
+
+    Raises:
+        ConfigurationError: If it is neither, or an empty text.
+    """
+    if isinstance(value, str | os.PathLike) and str(value):
+        return Path(value)
+    raise ConfigurationError(f"{what} is {described(value)}", "give a path, as a text or a Path")
+
+
+def texts_of(value: object, what: str) -> list[str]:
+    """The texts that a user gave: several, or a single one.
+
+    Args:
+        value: A text, or several of them.
+        what: What they are, for the error, such as `remove`.
+
+    Raises:
+        ConfigurationError: If it is anything else.
+    """
+    if isinstance(value, str):
+        return [value]
+    listed: list[Any] = [*value] if isinstance(value, Iterable) else [value]
+    for each in listed:
+        if not isinstance(each, str):
+            raise ConfigurationError(f"{what} holds {described(each)}", "give texts")
+    return listed
+
+
+def mapping_of(value: object, what: str, hint: str) -> Mapping[Any, Any]:
+    """The mapping that a user gave.
+
+    Args:
+        value: The mapping.
+        what: What it is, for the error, such as `regions`.
+        hint: An example of one.
+
+    Raises:
+        ConfigurationError: If it is none.
+    """
+    if isinstance(value, Mapping):
+        return value
+    raise ConfigurationError(f"{what} is {described(value)}, not a mapping", hint)
+
+
+def check_kind(value: object, kinds: type | tuple[type, ...], what: str, hint: str) -> None:
+    """Refuse a value of another kind than expected.
+
+    Args:
+        value: The value, as a user gave it.
+        kinds: The kinds that it may have.
+        what: What it is, for the error, such as `the settings`.
+        hint: What to give instead.
+
+    Raises:
+        ConfigurationError: If it is of another kind.
+    """
+    if not isinstance(value, kinds):
+        raise ConfigurationError(f"{what} is {described(value)}", hint)
+
+
+def described(value: object) -> str:
+    """A value of a call in words for an error: a number or text itself, else its kind."""
+    if isinstance(value, str):
+        return shown(value) if value else "an empty text"
+    if value is None or isinstance(value, bool | int | float):
+        return str(value)
+    if isinstance(value, list | tuple):
+        return f"a {type(value).__name__} of {len(value)}"
+    return f"of the kind {type(value).__name__}"
 
 
 def refuse_unknown(keys: Iterable[str], known: Collection[str], where: str) -> None:

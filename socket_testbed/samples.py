@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from itertools import chain
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from socket_testbed.arrays import BoolArray, FloatArray, IntArray, StatusArray
+from socket_testbed.errors import ConfigurationError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -49,6 +50,30 @@ def local_channels(cluster: str) -> list[str]:
 def channel_names(clusters: tuple[str, ...]) -> tuple[str, ...]:
     """Names of the 6 + 3c channels: the wrench's [M; F], then three for each of c clusters."""
     return (*WRENCH_CHANNELS, *chain.from_iterable(map(local_channels, clusters)))
+
+
+def named_channels(names: object, clusters: Collection[str]) -> tuple[str, ...]:
+    """The channels that a user names; a cluster's name means its three channels.
+
+    Args:
+        names: Names of channels or clusters, such as `Mz`, `distal.Fx` or `distal`, or a single one
+            as a text.
+        clusters: Names of the known clusters.
+
+    Returns:
+        The channels in the order of their names, each once. Unknown names are kept.
+
+    Raises:
+        ConfigurationError: If the names are not texts.
+    """
+    several = isinstance(names, Iterable) and not isinstance(names, str)
+    listed: list[Any] = [*names] if several else [names]  # type: ignore[misc]
+    if wrong := [name for name in listed if not isinstance(name, str)]:
+        raise ConfigurationError(
+            f"leave_out holds {wrong[0]!r}", "give names of channels, such as ['distal.Fx', 'Mz']"
+        )
+    found = (local_channels(name) if name in clusters else [name] for name in listed)
+    return tuple(dict.fromkeys(chain.from_iterable(found)))
 
 
 def channel_unit(name: str) -> str:

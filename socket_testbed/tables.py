@@ -125,6 +125,30 @@ def split_unit(title: str) -> tuple[str, str]:
     return (found[1], found[2]) if found else (title, "")
 
 
+def stacked(columns: Mapping[str, Sequence[Any]], rows: int) -> pd.DataFrame:
+    """A long table of m blocks of equal length, one below the other.
+
+    Args:
+        columns: By column name, either a value for each block, m texts; or an array of the values
+            of all blocks, shape (rows, m), in the unit that its column or `unit` names; or, of
+            shape (rows,), values that repeat in each block.
+        rows: Number of rows of a block.
+    """
+    import numpy as np
+    import pandas as pd
+
+    blocks = max(len(values) for values in columns.values() if isinstance(values, list))
+    made = {}
+    for name, values in columns.items():
+        if isinstance(values, list):
+            made[name] = np.repeat(np.array(values, dtype=object), rows)
+        elif np.ndim(values) == 1:
+            made[name] = np.tile(values, blocks)
+        else:
+            made[name] = np.asarray(values).T.ravel()
+    return pd.DataFrame(made)
+
+
 def _write_arrow(frame: pd.DataFrame, path: Path) -> None:
     import pyarrow
     from pyarrow import csv, parquet

@@ -25,11 +25,11 @@ from socket_testbed.calibration.bench_data import read_bench
 from socket_testbed.drivers.clusters.i2c import BusError
 from socket_testbed.errors import ScanError, TestbedError
 from socket_testbed.files import packaged
-from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
 from socket_testbed.socket_design.motive import read_motive_csv
 from socket_testbed.socket_design.scan_file import Scan, read_scan
 from socket_testbed.trials.bag import BagReader
 from socket_testbed.trials.trial import Trial
+from socket_testbed.trials.truth import TRUTH_FILE, read_truth
 
 MEMORY = 64 * 2**20  # [bytes] more than before
 

@@ -36,6 +36,6 @@ from socket_testbed.api.pages import view, write_comparison, write_report
 from socket_testbed.api.pressure import TrialMap, TrialPressure, force_map, pressure
 from socket_testbed.api.result import Result
 from socket_testbed.api.tradeoff import PaperTable, Tradeoff, paper, pareto
-from socket_testbed.api.trials import annotate, check_data, open_trial, select_segment, simulate
+from socket_testbed.api.trials import annotate, check_data, open_trial, simulate
 from socket_testbed.api.validation import Validation, validate
 from socket_testbed.errors import TestbedError

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
@@ -20,10 +21,18 @@ from socket_testbed.api.trials import (
     require_different,
     require_one_socket,
     started,
+    trials_of,
     unique_names,
 )
 from socket_testbed.arrays import FloatArray, IntArray
-from socket_testbed.errors import ConfigurationError, IdentificationError, TrialError, naming
+from socket_testbed.documents import mapping_of
+from socket_testbed.errors import (
+    ConfigurationError,
+    IdentificationError,
+    TrialError,
+    closest,
+    naming,
+)
 from socket_testbed.geometry.socket import SECTOR_TURNS, UNMEASURED, Side, SocketGeometry
 from socket_testbed.identification.differences import (
     DIFFERENCE,
@@ -38,6 +47,7 @@ from socket_testbed.identification.pressure import THRESHOLD, Quantity, decimals
 from socket_testbed.samples import WRENCH_CHANNELS, channel_unit
 from socket_testbed.tables import NOTHING, split_unit
 from socket_testbed.trials.metadata import FIELDS, NO_SIDE
+from socket_testbed.trials.segment import Segment, Span, specification_of
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -45,7 +55,7 @@ if TYPE_CHECKING:
 
     from socket_testbed.report.style import FigureStyle
 
-_MAX_ITEMS = 12  # trials or conditions
+_MAX_ITEMS = 200  # trials or conditions
 _MOST_DIFFERING = 10  # in words
 _LOAD_TOLERANCE = 0.1  # [-]; relative difference in mean force that is noted
 _TIME_TOLERANCE = 0.05  # [-]; relative difference in the integrated time that is noted
@@ -170,8 +180,17 @@ class Comparison(Result):
             `walk - hold`, marked with `*` if its interval excludes 0; for repeated trials also
             `spread` and `detectable`. A cell is empty where there is no number, and a dash where an
             interval is open.
+
+        Raises:
+            ConfigurationError: The comparison has no such part or quantity.
         """
         rows = self.table[self.table["part"] == part]
+        if not len(rows):
+            fact = f"the comparison has no part '{part}'"
+            raise ConfigurationError(fact, closest(str(part), {*self.table["part"]}))
+        if quantity and quantity not in {*rows["quantity"]}:
+            fact = f"{part} have no quantity '{quantity}'"
+            raise ConfigurationError(fact, closest(str(quantity), {*rows["quantity"]}))
         if quantity:
             rows = rows[rows["quantity"] == quantity]
         found: dict[tuple[str, str], dict[str, str]] = {}
@@ -299,7 +318,7 @@ def _decimals(row: Mapping[str, Any], column: str) -> int:
 def compare(
     *items: Trial | PathLike,
     conditions: Mapping[str, Sequence[Trial | PathLike]] | None = None,
-    segment: str = "plateau",
+    segment: str | Span | Segment = "plateau",
     threshold: float = 1e-3 * THRESHOLD,
     by_region: bool = False,
     params: PathLike | None = None,
@@ -316,10 +335,10 @@ def compare(
     reported along with the smallest detectable difference.
 
     Args:
-        items: Two to twelve trials, or their folders.
-        conditions: Instead of `items`, the trials of two to twelve named conditions, such as the
+        items: Two to 200 trials, or their folders.
+        conditions: Instead of `items`, the trials of two to 200 named conditions, such as the
             repeated donnings of each liner.
-        segment: As `specification` in `st.select_segment`, for every trial.
+        segment: As in `fit`, for every trial.
         threshold: As in `st.pressure`.
         by_region: Whether to compare trials by region alone; their sockets may then differ.
         params: A `testbed.yaml` to use instead of each trial's own.
@@ -343,16 +362,17 @@ def compare(
     >>> found.save("comparison.csv")
     >>> st.write_comparison(found, "comparison.html")
     """
+    specification = specification_of(segment)
     trials, numbers = open_compared(items, conditions)
     names = unique_names(trials)
-    compared = Conditions(tuple(conditions or names), numbers)
+    compared = Conditions(tuple(map(str, conditions or names)), numbers)
     if not by_region:
         require_one_socket(trials, "compare them by region with --by-region")
     report = started(progress, "comparing")
     found = []
     for done, (name, trial) in enumerate(zip(names, trials, strict=True), start=1):
         with naming(name, TrialError, IdentificationError):
-            found.append(pressure(trial, segment, threshold=threshold, params=params))
+            found.append(pressure(trial, specification, threshold=threshold, params=params))
         report(done, len(trials))
     first, sides = trials[0], {trial.metadata.side for trial in trials}
     one_socket = all(trial.geometry.same_tiles(first.geometry) for trial in trials)
@@ -364,7 +384,7 @@ def compare(
             "the trials were recorded with different priors of the force map (force_map.*): give"
             " one with --params"
         )
-    over = f"segment {segment}, in contact above {threshold:g} kPa"
+    over = f"segment {specification}, in contact above {threshold:g} kPa"
     return Comparison(
         conditions=compared.grouped(names),
         title=_detectable(values, compared) + over,
@@ -381,16 +401,24 @@ def open_compared(
     """The trials, all different, and the index of each one's condition.
 
     Args:
-        items: Two to twelve trials, or their folders; empty if there are conditions.
-        conditions: Trials by condition, two to twelve; None if there are items.
+        items: Two to 200 trials, or their folders; empty if there are conditions.
+        conditions: Trials by condition, two to 200; None if there are items.
 
     Returns:
         The k opened trials, condition by condition, and the indices, shape (k,).
 
     Raises:
-        ConfigurationError: Both are given, a condition has no trial, there are too few or too many,
-            a trial is given twice, or a path is not that of a trial but of a model or socket.
+        ConfigurationError: Neither or both are given, a condition has no trial, there are too few
+            or too many, a trial is given twice, or a path is not that of a trial but of a model or
+            socket.
     """
+    items = trials_of(items)
+    if conditions is not None:
+        hint = "give trials by condition, such as {'gel': ['trials/a'], 'sock': ['trials/b']}"
+        conditions = {
+            str(name): [each] if isinstance(each, Trial | str | os.PathLike) else each
+            for name, each in mapping_of(conditions, "conditions", hint).items()
+        }
     if conditions and items:
         raise ConfigurationError(
             f"{len(items)} trials and also conditions are given", "give each trial to a condition"
@@ -405,8 +433,9 @@ def open_compared(
         )
     trials = []
     for item in chain(*groups):
-        path = item.path if isinstance(item, Trial) else Path(item)
-        if path.suffix.lower() in {".json", ".yaml", ".yml"}:
+        path = item.path if isinstance(item, Trial) else item
+        suffix = Path(path).suffix if isinstance(path, str | os.PathLike) else ""
+        if suffix.lower() in {".json", ".yaml", ".yml"}:
             raise ConfigurationError(
                 f"{path}: compare takes trials", "judge a model by 'evaluate TRIAL --model MODEL'"
             )

@@ -10,12 +10,13 @@ import numpy as np
 import pandas as pd
 
 from socket_testbed.api.result import Result
-from socket_testbed.api.trials import PathLike, as_trial, select
+from socket_testbed.api.trials import PathLike, as_trial
 from socket_testbed.arrays import BREAK, FloatArray, IntArray, gaps
+from socket_testbed.documents import described, texts_of
 from socket_testbed.errors import ConfigurationError, TrialError, closest
-from socket_testbed.tables import split_unit
+from socket_testbed.tables import split_unit, stacked
 from socket_testbed.trials.events import PLACED, cycle_spans
-from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -118,6 +119,24 @@ class Cycles(Result):
         percent = np.linspace(0.0, 100.0, _POINTS)
         return pd.DataFrame(columns, index=pd.Index(percent, name="cycle [%]"))
 
+    def to_long(self) -> pd.DataFrame:
+        """The single cycles in long form, a row per value; no named index.
+
+        Columns: `trial`, its name; `cycle`, its number from 1; `cycle [%]`; `quantity` and `unit`,
+        such as `Fz` and `N`; and the `value`, NaN if missing.
+        """
+        parts = [split_unit(title) for title in self.titles]
+        numbers = np.arange(1, len(self) + 1)
+        columns: dict[str, Any] = {
+            "trial": [self.trial.name] * len(parts),
+            "cycle": np.repeat(numbers, _POINTS),
+            "cycle [%]": np.tile(np.linspace(0.0, 100.0, _POINTS), len(self)),
+            "quantity": [name for name, _ in parts],
+            "unit": [unit for _, unit in parts],
+            "value": self.curves.reshape(-1, len(parts)),
+        }
+        return stacked(columns, _POINTS * len(self))
+
     def _figure(self, style: FigureStyle) -> Figure:
         """Mean of each quantity, with a band of one standard deviation."""
         from socket_testbed.report.style import lay_out, panels, wrap
@@ -168,8 +187,8 @@ def cycles(
     trial: Trial | PathLike,
     quantity: str | Sequence[str] | pd.DataFrame | None = None,
     *,
-    by: str = PLACED,
-    segment: str | Segment = "all",
+    by: str | tuple[str, str] = PLACED,
+    segment: str | Span | Segment = "all",
 ) -> Cycles:
     """Normalise quantities to 0 to 100 % of each cycle, interpolating linearly between samples.
 
@@ -183,7 +202,8 @@ def cycles(
             columns in degrees are skipped, because directions have no mean, and so are status and
             non-numeric columns.
         by: A label of `trial.events()`: cycles run from each such event to the next. Or a pair, as
-            `placed:removed`: from each event of the first to the next of the second.
+            `placed:removed` or `("placed", "removed")`: from each event of the first to the next of
+            the second.
         segment: The part of the trial in which the cycles must lie.
 
     Returns:
@@ -202,8 +222,9 @@ def cycles(
     ['Fz mean [N]', 'Fz sd [N]', 'Fz n [-]']
     """
     trial = as_trial(trial)
+    by = cycles_by(by)
     time, titles, values = _series(trial, quantity)
-    chosen = select(trial, segment, trial.estimator)
+    chosen = trial.select(segment, trial.estimator)
     all_spans = cycle_spans(trial.events(), by)
     start, end = max(chosen.start, float(time[0])), min(chosen.end, float(time[-1]))
     spans = np.array([s for s in all_spans if start <= s[0] and s[1] <= end]).reshape(-1, 2)
@@ -228,10 +249,26 @@ def cycles(
     return Cycles(trial, by, spans, int((~kept).sum()), titles, curves)
 
 
+def cycles_by(by: object) -> str:
+    """The label of the events that delimit cycles, or two of them as `A:B`, from a text or a pair.
+
+    Raises:
+        ConfigurationError: It is neither.
+    """
+    if isinstance(by, str):
+        return by
+    if isinstance(by, list | tuple) and len(by) in (1, 2):
+        return ":".join(texts_of(by, "by"))
+    fact = f"the cycles' events are {described(by)}"
+    raise ConfigurationError(fact, "give a label, such as 'placed', or two, ('placed', 'removed')")
+
+
 def _series(
     trial: Trial, quantity: str | Sequence[str] | pd.DataFrame | None
 ) -> tuple[FloatArray, tuple[str, ...], FloatArray]:
     """Times [s], titles and values, shape (N, m), of the chosen quantities."""
+    if isinstance(quantity, pd.Series):
+        quantity = quantity.to_frame()
     table = quantity if isinstance(quantity, pd.DataFrame) else trial.samples().to_dataframe()
     if _TIME in table.columns:
         table = table.set_index(_TIME)
@@ -247,7 +284,7 @@ def _series(
     ]
     if quantity is not None and not isinstance(quantity, pd.DataFrame):
         titles = {split_unit(title)[0]: title for title in usable}
-        wanted = [quantity] if isinstance(quantity, str) else quantity
+        wanted = texts_of(quantity, "the quantity")
         names = [split_unit(name)[0] if name in usable else name for name in wanted]
         for name in names:
             if name not in titles:

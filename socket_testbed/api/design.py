@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -19,7 +19,16 @@ from socket_testbed.api.result import Result
 from socket_testbed.api.trials import PathLike, Progress, as_path, started
 from socket_testbed.arrays import FloatArray
 from socket_testbed.calibration.model import Calibration, read_calibration, write_calibration
-from socket_testbed.documents import check_number
+from socket_testbed.documents import (
+    check_kind,
+    check_number,
+    check_whole,
+    convert,
+    mapping_of,
+    path_of,
+    plain,
+    texts_of,
+)
 from socket_testbed.errors import ConfigurationError, closest
 from socket_testbed.files import SOCKET_FILE, check_suffix, packaged, refuse_existing
 from socket_testbed.geometry.regions import all_regions
@@ -36,6 +45,7 @@ if TYPE_CHECKING:
     from socket_testbed.socket_design.registration import Registration
     from socket_testbed.socket_design.tiling import TilingSettings
 
+_MAX_CLUSTERS = 1000
 _MAX_POINTS = 4000  # per panel
 
 
@@ -166,7 +176,7 @@ class CalibratedCluster(Result):
             CalibrationError: As in `calibration`.
             ConfigurationError: Another file exists.
         """
-        path = Path(path)
+        path = path_of(path, "the file")
         own = self.existing_file is not None and self.existing_file.resolve() == path.resolve()
         if not (own or replace):
             refuse_existing(path)
@@ -269,19 +279,26 @@ def calibrate(
     from socket_testbed.calibration.calibrate import calibrate_bench
     from socket_testbed.calibration.drift import average_baseline, correct_bench, measure_drift
 
-    paths = [bench] if isinstance(bench, str | os.PathLike) else list(bench)
-    columns, units = columns or {}, units or {}
+    paths, baseline = _paths(bench, "bench"), _paths(baseline, "baseline")
+    if not paths:
+        raise ConfigurationError("no bench data is given", "name its CSV files")
+    (cluster,) = texts_of([cluster], "cluster")
+    hint = "give them by quantity, such as {'normal': 'kPa'}"
+    columns = mapping_of(columns or {}, "columns", hint.replace("kPa", "Force"))
+    units = mapping_of(units or {}, "units", hint)
     if area is not None:
         check_number(area, "--area", *AREA_LIMITS)
     elif geometry is not None:
-        area = _tile_area(Path(geometry), cluster)
+        area = _tile_area(path_of(geometry, "the file"), cluster)
     if len(baseline) > 2:
         raise ConfigurationError(
             f"--baseline: {len(baseline)} files", "give one before and at most one after"
         )
-    if wiring is not None and sorted(wiring) != [0, 1, 2, 3]:
-        raise ConfigurationError(f"--wiring is {[*wiring]}", "give each of 0, 1, 2, 3 once")
-    existing = None if into is None else read_calibration(Path(into))
+    wired = plain(wiring)
+    known = isinstance(wired, list) and sorted(map(str, wired)) == [*"0123"]
+    if not (wiring is None or known):
+        raise ConfigurationError(f"--wiring is {wired}", "give each of 0, 1, 2, 3 once")
+    existing = None if into is None else read_calibration(path_of(into, "the file"))
     old = existing.clusters if existing else {}
     if cluster not in old:
         for near in difflib.get_close_matches(cluster, old, n=1, cutoff=0.9):
@@ -290,10 +307,10 @@ def calibrate(
                 f"did you mean '{near}'? For a new cluster choose a name less like it",
             )
     with threadpool_limits(1):
-        data = join_benches([read_bench(Path(path), columns, units, area) for path in paths])
+        data = join_benches([read_bench(path, columns, units, area) for path in paths])
         ends = (data.time[0], data.time[-1])
         baselines = [
-            average_baseline(time, read_unloaded(Path(path), columns, units), str(path))
+            average_baseline(time, read_unloaded(path, columns, units), str(path))
             for path, time in zip(baseline, ends, strict=False)
         ]
         if len(baselines) == 2:
@@ -304,6 +321,13 @@ def calibrate(
         drift = measure_drift(quality.cluster, *baselines) if len(baselines) == 2 else None
     unloaded = baselines[0].capacitance if baselines else None
     return CalibratedCluster(cluster, quality, unloaded, drift, existing, as_path(into))
+
+
+def _paths(given: object, what: str) -> list[Path]:
+    """The paths that were given: one or several."""
+    if isinstance(given, Iterable) and not isinstance(given, str | os.PathLike):
+        return [path_of(each, what) for each in given]
+    return [path_of(given, what)]
 
 
 def _tile_area(geometry: Path, cluster: str) -> float:
@@ -375,29 +399,46 @@ def tile(
     from socket_testbed.socket_design.tiling import TilingSettings
 
     if output is not None:
-        _check_socket_output(Path(output), bodies)
-    places = read_cluster_places(Path(clusters)) if clusters else None  # None: the usual ones
+        _check_socket_output(path_of(output, "the file"), bodies)
+    places = None  # the usual ones
+    if clusters:
+        places = read_cluster_places(path_of(clusters, "the file of clusters"))
     if places is None and place:
         places = []  # all are proposed
     usual = read_socket(packaged("config", SOCKET_FILE))
     usual_regions = {region.name: region.tiles for region in all_regions(usual)}
     given_names = [given.name for given in places or ()]
+    keep_out = texts_of(keep_out, "keep_out")
     for name in keep_out:  # before any tile is laid
         is_tile = designs.TILE_NAME.fullmatch(name) is not None
         if name not in given_names and not is_tile:
             designs.tiles_named(name, usual_regions)  # refuses an unknown region
-    kept = read_socket(Path(bodies)) if bodies else dataclasses.replace(usual, registration="")
+    kept = (
+        read_socket(path_of(bodies, "the file"))
+        if bodies
+        else dataclasses.replace(usual, registration="")
+    )
+    for name, direction in (("proximal", proximal), ("anterior", anterior)):
+        check_kind(direction or "", str, name, "give a text, such as '+z' or '0 0.1 1'")
+    if settings is not None:
+        check_kind(settings, TilingSettings, "settings", "leave it")
+    place = check_whole(place, "--place", 0, _MAX_CLUSTERS)
+    if points is not None:
+        points = convert(plain(points), list[list[float]], "points")  # type: ignore[assignment]
+        if [len(point) for point in points] != [3, 3, 3]:
+            raise ConfigurationError("points are not three of three numbers", "pick three")
+    height = check_number(height, "--height", -2.0, 2.0)
     upwards = designs.parse_direction(proximal, "--proximal") if proximal else None
     front = designs.parse_direction(anterior, "--anterior") if anterior else None
 
     def placed(vertices: FloatArray, upwards: FloatArray, metres: float) -> designs.Placement:
         if landmarks is not None:
-            return designs.place_by_landmarks(Path(landmarks), metres)
+            return designs.place_by_landmarks(path_of(landmarks, "the file"), metres)
         if points is not None:
             return designs.place_by_points(np.asarray(points) * metres)
         return designs.place_by_directions(vertices, upwards, front, height)
 
-    path = Path(scan)
+    path = path_of(scan, "the file")
     with threadpool_limits(1):
         design = designs.design_socket(
             path.name,
@@ -415,7 +456,7 @@ def tile(
         note = "x of the scan is assumed to be anterior: check it, or give --anterior"
         design = dataclasses.replace(design, notes=(*design.notes, note))
     if output is not None:
-        _write_design(design, Path(output))
+        _write_design(design, path_of(output, "the file"))
     return design
 
 
@@ -478,8 +519,9 @@ def register(
     from socket_testbed.socket_design.registration import read_landmarks, register_take
 
     with threadpool_limits(1):
-        seen, sides = read_motive_csv(Path(take)), read_landmarks(Path(landmarks))
-        found = register_take(seen, sides, read_socket(Path(socket)), force)
+        seen = read_motive_csv(path_of(take, "the take"))
+        sides = read_landmarks(path_of(landmarks, "the file of landmarks"))
+        found = register_take(seen, sides, read_socket(path_of(socket, "the socket")), force)
     if output is not None:
-        write_socket(found.geometry, Path(output))
+        write_socket(found.geometry, path_of(output, "the file"))
     return found

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
 from socket_testbed.api.cycles import cycles as cycles_of
+from socket_testbed.api.cycles import cycles_by
 from socket_testbed.api.models import Model, model_for, predictions
 from socket_testbed.api.pressure import force_map as force_map_of
 from socket_testbed.api.pressure import pressure as pressure_of
-from socket_testbed.api.trials import PathLike, as_trial, select
+from socket_testbed.api.trials import PathLike, as_trial
+from socket_testbed.documents import described, path_of, plain
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import TABLES, check_suffix
 from socket_testbed.identification import information
@@ -24,20 +24,30 @@ from socket_testbed.trials.export import (
     write_gait_file,
     write_standard_bag,
 )
-from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
 
 _MAX_ABOUT = 2.0  # [m]
 
 
+def _is_point(about: object) -> bool:
+    """Whether it is three numbers near the load cell [m]."""
+    given = plain(about)
+    return (
+        isinstance(given, list)
+        and len(given) == 3
+        and all(isinstance(each, int | float) and abs(each) <= _MAX_ABOUT for each in given)
+    )
+
+
 def export(
     trial: Trial | PathLike,
     path: PathLike,
-    segment: str | Segment = "all",
+    segment: str | Span | Segment = "all",
     model: Model | None = None,
     force_map: bool = False,
     pressure: bool = False,
-    cycles: str | None = None,
+    cycles: str | tuple[str, str] | None = None,
     about: tuple[float, float, float] | None = None,
 ) -> pd.DataFrame:
     """Write the synchronised samples of a trial, with the raw measurements, as a table.
@@ -47,7 +57,7 @@ def export(
         path: The file; its suffix, `.csv`, `.parquet` or `.mat`, selects the format. `.mot` and
             `.sto` are external loads for OpenSim, `.trc` its markers, `.c3d` both; `.mcap` holds
             standard ROS messages with named columns: see `socket_testbed.trials.export`.
-        segment: As `specification` in `st.select_segment`, or a `Segment`.
+        segment: As in `fit`.
         model: A model whose predictions are added as `predicted.*` and engaged springs as
             `springs.*`, see `Evaluation.engagement`.
         force_map: Whether to add the force map as `map.*`, see `st.force_map`.
@@ -89,17 +99,19 @@ def export(
     (True, 41)
     """
     trial = as_trial(trial)
-    path = Path(path)
-    if about is not None and not (len(about) == 3 and np.abs(about).max() <= _MAX_ABOUT):
+    path = path_of(path, "the file")
+    if about is not None and not _is_point(about):
         hint = f"give three numbers [m], from -{_MAX_ABOUT:g} to {_MAX_ABOUT:g}"
-        raise ConfigurationError(f"about is {list(about)}", hint)
+        fact = f"about is {[*about] if isinstance(about, list | tuple) else described(about)}"
+        raise ConfigurationError(fact, hint)
+    cycles = None if cycles is None else cycles_by(cycles)
     if path.suffix.lower() in GAIT_FORMATS:
         if model or force_map or pressure or cycles:
             raise ConfigurationError(
                 f"{path}: a {path.suffix} holds only measured forces and markers",
                 "give .csv, .parquet or .mat for computed columns",
             )
-        chosen = select(trial, segment, trial.estimator)
+        chosen = trial.select(segment, trial.estimator)
         table = write_gait_file(trial, chosen.rows, path, about)
         table.attrs |= {"segment": str(chosen), "rows": f"{len(table)} samples"}
         return table
@@ -110,7 +122,7 @@ def export(
     if not as_bag:
         check_suffix(path, TABLES, "table")
     stored = None if model is None else model_for(trial, model)
-    chosen = select(trial, segment, trial.estimator)
+    chosen = trial.select(segment, trial.estimator)
     measured, samples = trial.measurements_and_samples()
     predicted = None
     added: list[pd.DataFrame] = []

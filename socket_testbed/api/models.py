@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import pandas as pd
@@ -14,8 +14,9 @@ from threadpoolctl import threadpool_limits
 from socket_testbed.api.pressure import TrialPressure
 from socket_testbed.api.pressure import pressure as pressure_of
 from socket_testbed.api.result import Result, origin
-from socket_testbed.api.trials import PathLike, as_path, as_trial, note_problems, select
+from socket_testbed.api.trials import PathLike, as_trial, note_problems, settings_of
 from socket_testbed.arrays import FloatArray
+from socket_testbed.documents import check_kind, path_of
 from socket_testbed.files import TABLES, write_text
 from socket_testbed.identification import information, plausibility
 from socket_testbed.identification.fit import (
@@ -37,8 +38,7 @@ from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.validation import judge_unseen_half
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import IdentificationSettings, Variant, Weights
-from socket_testbed.settings.testbed import estimator_settings
-from socket_testbed.trials.segment import Segment, first_frames
+from socket_testbed.trials.segment import Segment, Span, first_frames
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -88,7 +88,9 @@ class TrialFit(Result):
             "samples": len(samples),
             **self.trial.replaced,
         }
-        write_model(self.fit, self.trial.geometry, identity, str(self.segment), Path(path))
+        write_model(
+            self.fit, self.trial.geometry, identity, str(self.segment), path_of(path, "the file")
+        )
 
     def stored(self) -> StoredModel:
         """The model as `st.read_model` returns it after `save`."""
@@ -284,7 +286,7 @@ class Evaluation(Result):
         Args:
             path: The file; JSON unless it ends in `.csv`, `.parquet` or `.mat`.
         """
-        path = Path(path)
+        path = path_of(path, "the file")
         if path.suffix.lower() in TABLES:
             super().save(path)
         else:
@@ -315,7 +317,7 @@ def _errors_document(
 
 def fit(
     trial: Trial | PathLike,
-    segment: str | Segment = "plateau",
+    segment: str | Span | Segment = "plateau",
     *,
     params: PathLike | None = None,
     variant: Variant | None = None,
@@ -334,14 +336,16 @@ def fit(
 
     Args:
         trial: The trial.
-        segment: As `specification` in `st.select_segment`, or a `Segment`.
+        segment: As `specification` in `trials.segment.select_segment`; also a span as a tuple, such
+            as `(10, 20)` [s], or a `Segment`: see `trial.select`.
         params: A `testbed.yaml` to use instead of the trial's own.
         variant: The contact law: `stiffness` as published, from the limb's position; `rigid` from
             its pose; `stiffness_bias` and `rigid_bias` with offsets.
         theta: Weight of the wrench against the clusters, 0 to 1 [-].
         weights: Weighting of the channels within a group: by `size`, by `noise`, or `raw`.
         smoothness: Weight of the smoothness over neighbouring tiles [-].
-        leave_out: Channels to leave out of the objective, such as `distal.Fx` or `Mz`.
+        leave_out: Channels to leave out of the objective, such as `distal.Fx` or `Mz`; `distal`
+            leaves out all of a cluster.
         pose_smoothing: Centred window over which poses are averaged [s].
         frames: Number of samples used, from the start of the segment; 0: all.
         initial_stiffness: k0 of Stage 1 [N/m]; `auto`: from the slope of the wrench.
@@ -385,7 +389,7 @@ def fit(
 
 def prepare_fit(
     trial: Trial | PathLike,
-    segment: str | Segment,
+    segment: str | Span | Segment,
     params: PathLike | None,
     choices: Mapping[str, Any],
 ) -> tuple[Trial, Segment, Samples, IdentificationSettings]:
@@ -393,7 +397,7 @@ def prepare_fit(
 
     Args:
         trial: The trial.
-        segment: As `specification` in `st.select_segment`, or a `Segment`.
+        segment: As in `fit`.
         params: A `testbed.yaml` to use instead of the trial's own; None for the trial's.
         choices: Settings of the identification that override those, by name; None keeps one.
 
@@ -402,9 +406,9 @@ def prepare_fit(
         segment, NaN where a value is an outlier; the settings of the identification.
     """
     trial = as_trial(trial)
-    settings = estimator_settings(trial.estimator, as_path(params), **choices)
+    settings = settings_of(trial, params, **choices)
     samples, frames = trial.samples(), settings.identification.frames
-    chosen = first_frames(select(trial, segment, settings), samples, frames)
+    chosen = first_frames(trial.select(segment, settings), samples, frames)
     leave_out = settings.identification.leave_out
     note_problems(trial, leave_out)
     return trial, chosen, trial.sound(leave_out)[chosen.rows], settings.identification
@@ -428,7 +432,7 @@ def read_model(path: PathLike) -> StoredModel:
     >>> model.model.stiffness.shape == (len(model.geometry), 3)  # [N/m]
     True
     """
-    return _read_model(Path(path))
+    return _read_model(path_of(path, "the file"))
 
 
 def model_for(trial: Trial, model: Model) -> StoredModel:
@@ -441,6 +445,8 @@ def model_for(trial: Trial, model: Model) -> StoredModel:
     if isinstance(model, TrialFit):
         model = model.stored()
     elif not isinstance(model, StoredModel):
+        hint = "give a fit, a model, or the path of its file"
+        check_kind(model, (str, os.PathLike), "the model", hint)
         model = read_model(model)
     model.require_socket(trial.geometry)
     return model
@@ -501,7 +507,7 @@ def predict(trial: Trial | PathLike, model: Model) -> pd.DataFrame:
 def evaluate(
     trial: Trial | PathLike,
     model: Model,
-    segment: str | Segment = "plateau",
+    segment: str | Span | Segment = "plateau",
     *,
     pose_smoothing: float | None = None,
     pressure: bool = False,
@@ -511,7 +517,7 @@ def evaluate(
     Args:
         trial: The trial, preferably not the one of the fit.
         model: A fit, a model from `read_model`, or the path of its file.
-        segment: As `specification` in `st.select_segment`, or a `Segment`.
+        segment: As in `fit`.
         pose_smoothing: Centred window over which poses are averaged [s] (default: that of the
             model's fit).
         pressure: Whether to add the pressure outputs of the segment, see `st.pressure`. They come
@@ -539,7 +545,7 @@ def evaluate(
         stored = dataclasses.replace(stored, settings=changed)
     samples, leave_out = trial.samples(), stored.settings.leave_out
     settings = dataclasses.replace(trial.estimator, identification=stored.settings)
-    chosen = select(trial, segment, settings)
+    chosen = trial.select(segment, settings)
     plausibility.require_position(samples[chosen.rows], trial.geometry)
     note_problems(trial, leave_out)
     rows = trial.sound(leave_out)[chosen.rows]

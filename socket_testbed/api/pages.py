@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,12 +12,14 @@ from socket_testbed.api import trials
 from socket_testbed.api.comparison import LEGEND, MAPPED, Comparison
 from socket_testbed.api.models import Model, model_for, predictions
 from socket_testbed.api.tradeoff import theta_values
+from socket_testbed.documents import check_kind, path_of
 from socket_testbed.files import PAGES, check_suffix
 from socket_testbed.geometry.socket import SOCKET
 from socket_testbed.identification.differences import DIFFERENCE, SAME_LIMB, VALUE, is_clear
 from socket_testbed.pages.document import moment, pressure_card, socket_document
-from socket_testbed.settings.testbed import ViewSettings, estimator_settings
+from socket_testbed.settings.testbed import ViewSettings
 from socket_testbed.tables import Table, pairs_table
+from socket_testbed.trials.segment import Segment, Span, specification_of
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ _MAPS = (
 def write_report(
     trial: Trial | trials.PathLike,
     page: trials.PathLike,
-    segment: str = "plateau",
+    segment: str | Span | Segment = "plateau",
     *,
     model: Model | None = None,
     thetas: int = 101,
@@ -70,7 +71,7 @@ def write_report(
     Args:
         trial: The trial.
         page: The page, ending in `.html`.
-        segment: As `specification` in `st.select_segment`.
+        segment: As in `fit`.
         model: A further model to show.
         thetas: Number of values of theta from 0 to 1.
         params: As in `fit`.
@@ -102,17 +103,17 @@ def write_report(
     from socket_testbed.report.write import check_page_path
     from socket_testbed.report.write import write_report as write_page
 
-    page = Path(page)
+    page = path_of(page, "the page")
     values = theta_values(thetas)
-    trials.require_segment(segment)
+    specification = specification_of(segment)
     check_page_path(page, replace)
     style = figure_style(width, title)  # fails before long work
-    settings = estimator_settings(trial.estimator, trials.as_path(params), **choices)
+    settings = trials.settings_of(trial, params, **choices)
     stored = None if model is None else model_for(trial, model)
     with threadpool_limits(1):
         results = compute_results(
             trial,
-            segment,
+            specification,
             settings,
             values,
             stored,
@@ -145,7 +146,8 @@ def write_comparison(
     # matplotlib is slow to import.
     from socket_testbed.report.page import Maps, Section, utc, write_page
 
-    path = Path(page)
+    check_kind(found, Comparison, "the comparison", "give a result of st.compare")
+    path = path_of(page, "the page")
     check_suffix(path, PAGES, "page")
     made = utc(datetime.now(UTC))
     origin = [("page made", made), ("command", command)]
@@ -267,6 +269,7 @@ def view(
     from socket_testbed.pages.player import Player
     from socket_testbed.pages.server import PageServer
 
+    check_kind(host, str, "host", "give an address, such as 127.0.0.1")
     predicted = None if model is None else predictions(trial, model_for(trial, model))
     player = Player(trial, predicted)
     return PageServer(player, host, port, names)

@@ -6,7 +6,6 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -14,9 +13,9 @@ import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from socket_testbed.api.result import Result, origin, records
-from socket_testbed.api.trials import PathLike, as_path, as_trial, select
+from socket_testbed.api.trials import PathLike, as_trial, settings_of
 from socket_testbed.arrays import FloatArray, sample_at
-from socket_testbed.documents import check_number, finite_or_null
+from socket_testbed.documents import check_number, finite_or_null, mapping_of, path_of
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.geometry.socket import SocketGeometry, find_regions
 from socket_testbed.identification.force_map import ForceMap, MapEstimate
@@ -31,8 +30,8 @@ from socket_testbed.identification.pressure import (
 )
 from socket_testbed.identification.problem import check_channels
 from socket_testbed.samples import Samples
-from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
-from socket_testbed.tables import write_table
+from socket_testbed.settings.testbed import EstimatorSettings
+from socket_testbed.tables import split_unit, stacked, write_table
 from socket_testbed.trials.pressure import (
     CENTRE_TITLES,
     MappedTrial,
@@ -40,7 +39,7 @@ from socket_testbed.trials.pressure import (
     by_place,
     mapped_trial,
 )
-from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -58,6 +57,7 @@ is `uncertain`.
 
 TILE_TITLES = tuple(t for t in TITLES if t not in (*CENTRE_TITLES, "contact area [cm^2]"))
 _ROW_KEYS = ("value", "low", "high", "uncertain")
+_STRESSES = ("pressure [kPa]", "shear [kPa]")  # of a tile over time
 _SERIES_TITLES = tuple(title for title in TITLES if not title.startswith("pressure-time"))
 
 
@@ -126,6 +126,29 @@ class TrialMap(Result):
         columns = self.estimate.columns(self.trial.geometry.names)
         return pd.DataFrame(columns, index=pd.Index(self.time, name="time [s]"))
 
+    def to_long(self) -> pd.DataFrame:
+        """The map in long form, a row per value; no named index.
+
+        Columns: `trial`, its name; `time [s]` since its first sample; `tile`; `quantity` and
+        `unit`, such as `pressure` and `Pa`; the `value`, and its standard deviation `sd` in the
+        same unit. Quantities and frames are those of `to_dataframe`.
+        """
+        table = self.to_dataframe()
+        titles = [title for title in table if not split_unit(title)[0].endswith(".sd")]
+        parts = [split_unit(title) for title in titles]
+        places = [name.rpartition(".") for name, _ in parts]
+        deviations = [f"{name}.sd [{unit}]" for name, unit in parts]
+        columns = {
+            "trial": [self.trial.name] * len(parts),
+            "time [s]": self.time,
+            "tile": [tile for tile, _, _ in places],
+            "quantity": [name for _, _, name in places],
+            "unit": [unit for _, unit in parts],
+            "value": table[titles].to_numpy(),
+            "sd": table[deviations].to_numpy(),
+        }
+        return stacked(columns, len(table))
+
     def summary(self) -> pd.DataFrame:
         """Means over the segment, a row per tile, indexed by `tile`, the highest pressure first.
 
@@ -149,6 +172,7 @@ class TrialMap(Result):
             TrialError: The map has no sample there: the time is before its first sample, or more
                 than three usual steps after the last one before it.
         """
+        time = check_number(time, "the time")
         row = sample_at(self.time, time)
         if row is None:
             raise TrialError(
@@ -215,7 +239,10 @@ class TrialMap(Result):
 
 
 def force_map(
-    trial: Trial | PathLike, segment: str | Segment = "plateau", *, params: PathLike | None = None
+    trial: Trial | PathLike,
+    segment: str | Span | Segment = "plateau",
+    *,
+    params: PathLike | None = None,
 ) -> TrialMap:
     """Estimate the force on every tile from the clusters and the wrench, sample by sample.
 
@@ -224,7 +251,7 @@ def force_map(
 
     Args:
         trial: The trial.
-        segment: As `specification` in `st.select_segment`, or a `Segment`.
+        segment: As in `fit`.
         params: A `testbed.yaml` to use instead of the trial's own; its group `force_map` sets the
             prior.
 
@@ -247,7 +274,7 @@ def force_map(
     (1, 200, 79, 3)
     """
     trial = as_trial(trial)
-    settings = estimator_settings(trial.estimator, as_path(params))
+    settings = settings_of(trial, params)
     chosen, mapped = _mapped(trial, segment, settings)
     time, rows = np.asarray(trial.samples().time[chosen.rows]), mapped.samples[chosen.rows]
     return TrialMap(trial, chosen, time, rows, mapped.force_map)
@@ -255,12 +282,12 @@ def force_map(
 
 def _mapped(
     trial: Trial,
-    segment: str | Segment,
+    segment: str | Span | Segment,
     settings: EstimatorSettings,
     geometry: SocketGeometry | None = None,
 ) -> tuple[Segment, MappedTrial]:
     check_channels(settings.identification.leave_out, trial.samples().channels)
-    chosen = select(trial, segment, settings)
+    chosen = trial.select(segment, settings)
     with threadpool_limits(1):
         return chosen, mapped_trial(trial, settings, geometry)
 
@@ -425,6 +452,59 @@ class TrialPressure(SegmentPressure, Result):
         columns |= by_place(tiles, stresses)
         return pd.DataFrame(columns, index=pd.Index(self.time, name="time [s]"))
 
+    def to_long(self, over_time: bool = False) -> pd.DataFrame:
+        """The outputs in long form, a row per value; no named index.
+
+        Columns: `trial`, its name; `part`, which is `regions`, `tiles` or `limb`; `name` of the
+        region or tile, empty for the limb; `quantity` and `unit`, such as `peak pressure` and
+        `kPa`; the `value` with the ends `low` and `high` of its 95 % interval; and the flag
+        `uncertain`. NaN is unknown, an unknown end of an interval of the limb is infinite.
+
+        Args:
+            over_time: Whether to return the values of `over_time` instead, with a column `time [s]`
+                and without `uncertain` and the limb.
+        """
+        if over_time:
+            return self._long_over_time()
+        rows = [
+            {
+                "trial": self.trial.name,
+                "part": part,
+                "name": name,
+                **dict(zip(("quantity", "unit"), split_unit(title), strict=True)),
+                **row,
+            }
+            for (part, name, title), row in self.rows().items()
+        ]
+        return pd.DataFrame(rows)
+
+    def _long_over_time(self) -> pd.DataFrame:
+        table = self.over_time()
+        regions = [place.name for place in self.places]
+        series = [title for title in _SERIES_TITLES if f"{regions[-1]}.{title}" in table]
+        kinds = [("regions", name, name, title) for name in regions for title in series]
+        for name in self.trial.geometry.names:
+            column = f"tile {name}" if name in regions else name
+            kinds += [("tiles", name, column, title) for title in _STRESSES]
+        parts = [split_unit(title) for *_, title in kinds]
+        ends = {
+            end: [
+                f"{column}.{quantity}{suffix} [{unit}]"
+                for (_, _, column, _), (quantity, unit) in zip(kinds, parts, strict=True)
+            ]
+            for end, suffix in (("value", ""), ("low", " low"), ("high", " high"))
+        }
+        columns = {
+            "trial": [self.trial.name] * len(kinds),
+            "time [s]": self.time,
+            "part": [part for part, *_ in kinds],
+            "name": [name for _, name, *_ in kinds],
+            "quantity": [quantity for quantity, _ in parts],
+            "unit": [unit for _, unit in parts],
+            **{end: table[titles].to_numpy() for end, titles in ends.items()},
+        }
+        return stacked(columns, len(table))
+
     def document(self) -> dict[str, Any]:
         """The outputs for JSON, each with its interval and the flag `uncertain`.
 
@@ -462,7 +542,7 @@ class TrialPressure(SegmentPressure, Result):
             over_time: Whether to write the table of `over_time` instead of `regions`.
         """
         if over_time:
-            write_table(self.over_time(), Path(path))
+            write_table(self.over_time(), path_of(path, "the file"))
         else:
             super().save(path)
 
@@ -478,7 +558,7 @@ class TrialPressure(SegmentPressure, Result):
 
 def pressure(
     trial: Trial | PathLike,
-    segment: str | Segment = "plateau",
+    segment: str | Span | Segment = "plateau",
     *,
     threshold: float = 1e-3 * THRESHOLD,
     share: float = SHARE,
@@ -494,13 +574,14 @@ def pressure(
 
     Args:
         trial: The trial.
-        segment: As `specification` in `st.select_segment`, or a `Segment`.
+        segment: As in `fit`.
         threshold: Pressure above which a tile is in contact [kPa].
         share: A value is uncertain if its interval reaches farther than this share of it [-].
         regions: Tile names by region, instead of the regions of `socket.yaml`.
         params: A `testbed.yaml` to use instead of the trial's own; its group `force_map` sets the
             prior.
-        leave_out: Channels to ignore, such as `distal.Fx` or `Mz`.
+        leave_out: Channels to ignore, such as `distal.Fx` or `Mz`; `distal` ignores all of a
+            cluster.
 
     Returns:
         The outputs: `regions` and `tiles` are tables over the segment, `over_time()` one of every
@@ -521,10 +602,11 @@ def pressure(
     trial = as_trial(trial)
     check_number(threshold, "--threshold", 0.0, 500.0)
     check_number(share, "--share", 0.0, 5.0)
-    settings = estimator_settings(trial.estimator, as_path(params), leave_out=leave_out)
+    settings = settings_of(trial, params, leave_out=leave_out)
     geometry = trial.geometry
     if regions is not None:
-        own = find_regions(regions, geometry.names, "regions")
+        hint = "give tiles by name, such as {'heel': ['distal']}"
+        own = find_regions(mapping_of(regions, "regions", hint), geometry.names, "regions")
         geometry = dataclasses.replace(geometry, regions=own)
     chosen, mapped = _mapped(trial, segment, settings, geometry)
     with threadpool_limits(1):

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
 from socket_testbed.api.trials import PathLike
-from socket_testbed.documents import finite_or_null
+from socket_testbed.documents import check_kind, finite_or_null, path_of
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import PICTURES, check_suffix, write_text
 from socket_testbed.tables import write_table
@@ -54,7 +53,7 @@ class Result:
         Args:
             path: `.csv`, `.parquet` or `.mat` for the table, `.json` for the document.
         """
-        path = Path(path)
+        path = path_of(path, "the file")
         if path.suffix.lower() == ".json":
             write_text(path, self.to_json())
         else:
@@ -97,16 +96,22 @@ class Result:
                 over a cycle), drawn in your own style.
 
         Raises:
-            ConfigurationError: The suffix or the width is another one, or this kind of result has
-                no figure or no main panel.
+            ConfigurationError: Neither a file nor axes are given, the suffix or the width is
+                another one, or this kind of result has no figure or no main panel.
         """
+        if path is None and ax is None:
+            hint = "give one of them; in a notebook, figure() is shown"
+            raise ConfigurationError("neither a file nor axes are given", hint)
         if ax is not None:
+            from matplotlib.axes import Axes as Panel
+
+            check_kind(ax, Panel, "ax", "give axes, such as the second of plt.subplots()")
             self._draw_into(ax)
         if path is not None:
-            check_suffix(Path(path), PICTURES, "picture")
+            check_suffix(path_of(path, "the file"), PICTURES, "picture")
             from socket_testbed.report.style import save_figure
 
-            save_figure(self.figure(width, title), Path(path))
+            save_figure(self.figure(width, title), path_of(path, "the file"))
 
     def _saved_table(self) -> pd.DataFrame:
         return self.to_dataframe()

@@ -13,7 +13,8 @@ from socket_testbed.api.models import fit, prepare_fit
 from socket_testbed.api.result import Result, origin, records
 from socket_testbed.api.trials import PathLike, Progress, as_trial, started
 from socket_testbed.arrays import FloatArray
-from socket_testbed.documents import check_number
+from socket_testbed.documents import check_whole
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.paper import PUBLISHED_FRAMES, THEIRS, beside_published
 from socket_testbed.identification.pareto import Front, front_document, front_table, pareto_front
 from socket_testbed.settings.identification import (
@@ -22,7 +23,7 @@ from socket_testbed.settings.identification import (
     Variant,
     Weights,
 )
-from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -94,13 +95,13 @@ class Tradeoff(Result):
 
 def theta_values(thetas: int) -> FloatArray:
     """As many evenly spaced thetas from 0 to 1, rounded to readable digits, (thetas,) [-]."""
-    check_number(thetas, "--thetas", 2, _MAX_THETAS)
-    return np.linspace(0.0, 1.0, thetas).round(10)
+    count = check_whole(thetas, "--thetas", 2, _MAX_THETAS)
+    return np.linspace(0.0, 1.0, count).round(10)
 
 
 def pareto(
     trial: Trial | PathLike,
-    segment: str | Segment = "plateau",
+    segment: str | Span | Segment = "plateau",
     *,
     thetas: int = 101,
     params: PathLike | None = None,
@@ -111,7 +112,7 @@ def pareto(
 
     Args:
         trial: The trial.
-        segment: As `specification` in `st.select_segment`, or a `Segment`.
+        segment: As in `fit`.
         thetas: Number of values of theta from 0 to 1.
         params: As in `fit`.
         progress: See `Progress`.
@@ -168,12 +169,13 @@ class PaperTable(Result):
 
         The figures are the paper's mean and median RMSE, the RMSE of every channel, the standard
         deviation `sigma` of the residual of every wrench channel, and the thetas of the marks of
-        the fronts, such as `theta, knee [-]`.
+        the fronts, such as `theta, knee [-]`; then the conditions and settings that the paper
+        prints, such as `load [N]`.
 
         Columns, in two levels: `this trial` and `the paper`, each `without offsets` and
         `with offsets` (the variants `stiffness` and `stiffness_bias`), in the unit of the row; and
-        a `remark` (below an empty first level): why the two are not comparable, or that the printed
-        number is not known here. NaN for a number that is not known. `save` writes one level, with
+        a `remark` (below an empty first level): why the two are not comparable, or that the paper
+        does not print the number. NaN for a number that is not known. `save` writes one level, with
         titles such as `with offsets` and `paper: with offsets`.
         """
         return self.table.copy()
@@ -200,7 +202,7 @@ class PaperTable(Result):
 
 def paper(
     trial: Trial | PathLike,
-    segment: str | Segment = "plateau",
+    segment: str | Span | Segment = "plateau",
     *,
     thetas: int = 101,
     weights: Weights = "raw",
@@ -215,7 +217,7 @@ def paper(
 
     Args:
         trial: The trial.
-        segment: As `specification` in `st.select_segment`, or a `Segment`.
+        segment: As in `fit`.
         thetas: Number of values of theta from 0 to 1.
         weights: As in `fit`.
         frames: As in `fit`.
@@ -238,11 +240,13 @@ def paper(
     trial = as_trial(trial)
     chosen = {"weights": weights, "frames": frames, "params": params, **choices}
     theta_values(thetas)  # fails before long work
+    if "variant" in choices:
+        raise ConfigurationError("variant is given", "leave it: the paper's two are fitted")
     fits = {variant: fit(trial, segment, variant=variant, **chosen) for variant in PAPER_VARIANTS}
     fronts = pareto(trial, segment, thetas=thetas, progress=progress, **chosen).fronts
     errors = {variant: found.fit.errors for variant, found in fits.items()}
     last = fits[PAPER_VARIANTS[-1]]
     settings = last.fit.settings
     rows = trial.sound(settings.leave_out)[last.segment.rows]
-    table = beside_published(errors, fronts, rows, settings)
+    table = beside_published(errors, fronts, rows, settings, trial.geometry)
     return PaperTable(trial, last.segment, last.fit.samples, settings, table)

@@ -1,17 +1,27 @@
-"""Trials: opening, simulating, annotating, checking data and selecting segments."""
+"""Trials: opening, simulating, annotating and checking data."""
 
 from __future__ import annotations
 
 import os
+import pickle
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from functools import cache
+from dataclasses import fields
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from socket_testbed.calibration.model import read_calibration
-from socket_testbed.documents import check_number
+from socket_testbed.documents import (
+    check_kind,
+    check_number,
+    check_whole,
+    described,
+    path_of,
+    plain,
+    refuse_unknown,
+    texts_of,
+)
 from socket_testbed.errors import ConfigurationError, TrialError, closest
 from socket_testbed.files import (
     CALIBRATION_FILE,
@@ -21,11 +31,9 @@ from socket_testbed.files import (
 )
 from socket_testbed.geometry.socket import Side, read_socket
 from socket_testbed.identification.data_check import DataFinding
-from socket_testbed.samples import Samples
 from socket_testbed.settings.acquisition import TriggerSettings
-from socket_testbed.settings.identification import PlateauSettings
-from socket_testbed.settings.testbed import EstimatorSettings
-from socket_testbed.trials import segment as segments
+from socket_testbed.settings.identification import IdentificationSettings
+from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
 from socket_testbed.trials.bag import is_bag
 from socket_testbed.trials.metadata import (
     METADATA_FILE,
@@ -35,7 +43,7 @@ from socket_testbed.trials.metadata import (
     write_metadata,
 )
 from socket_testbed.trials.reprocess import RECORDED
-from socket_testbed.trials.segment import Segment
+from socket_testbed.trials.segment import Span, parse_span
 from socket_testbed.trials.trial import Trial
 
 if TYPE_CHECKING:
@@ -48,12 +56,13 @@ Progress: TypeAlias = Callable[[str], Callable[[int, int], None]]
 It returns a function that is called after each step with the steps done and their total number.
 """
 
+_SPAN_HINT = "give a span such as (0, 5) or '0:5' [s]"
 _MAX_TRIGGERS = 1_000_000
 
 
 def as_path(path: PathLike | None) -> Path | None:
     """Convert to a `Path`, passing None through."""
-    return None if path is None else Path(path)
+    return None if path is None else path_of(path, "the file")
 
 
 def note_problems(trial: Trial, leave_out: tuple[str, ...]) -> None:
@@ -88,20 +97,46 @@ def started(progress: Progress | None, task: str) -> Callable[[int, int], None]:
     Returns:
         A function to call after each step, with the steps done and their total number.
     """
-    return (lambda done, total: None) if progress is None else progress(task)
+    if progress is None:
+        return lambda done, total: None
+    check_kind(progress, Callable, "progress", "give a function that takes a task's name")  # type: ignore[arg-type]
+    return progress(task)
+
+
+class _Once:
+    """Sends each note once; a copy in another process knows which were sent."""
+
+    def __init__(self, notify: Callable[[str], object], sent: Iterable[str] = ()) -> None:
+        self._notify = notify
+        self._sent = {*sent}
+
+    def __call__(self, note: str) -> None:
+        if note not in self._sent:
+            self._sent.add(note)
+            self._notify(note)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        try:
+            pickle.dumps(self._notify)
+        except Exception:  # such as a function of a notebook: pickling may raise any error
+            return _Once, (warnings.warn, sorted(self._sent))
+        return _Once, (self._notify, sorted(self._sent))
 
 
 def open_trial(
     path: PathLike,
     geometry: PathLike | None = None,
     calibration: PathLike | None = None,
-    unloaded: Iterable[tuple[float, float]] = (),
+    unloaded: Iterable[Span | str | float] = (),
     notify: Callable[[str], None] | None = None,
     *,
     load_cell: PathLike | None = None,
-    tare: str = RECORDED,
+    tare: str | Span = RECORDED,
 ) -> Trial:
     """Open a trial: a folder written by `record`, `run --record` or `simulate`.
+
+    Spans of `unloaded` and `tare` are texts, `"0:5"`, or pairs, `(0, 5)`; a single unloaded span
+    needs no list.
 
     Args:
         path: Folder of the trial.
@@ -111,7 +146,8 @@ def open_trial(
         unloaded: Unloaded spans before and after the load, used to correct the drift of the
             clusters; seconds since the first sample.
         notify: Called once with each note on the trial, such as problems in its data; None issues
-            warnings.
+            warnings. A trial or result that was pickled sends only new ones, as warnings where the
+            function cannot be pickled.
         load_cell: A `testbed.yaml` whose load cell (matrix, signs, gains, ...) replaces the trial's
             own and is applied to the recorded bridge ratios.
         tare: Tare to subtract from the wrenches: the `recorded` one, `none`, or the mean of
@@ -135,20 +171,88 @@ def open_trial(
     ['Mx [N m]', 'My [N m]', 'Mz [N m]', 'Fx [N]']
     >>> [event.label for event in trial.events()]
     ['placed', 'removed']
+    >>> trial.select("event:placed+5:removed-2")
+    Segment(event:placed+5:removed-2 12.25 s to 30.75 s)
+    >>> segment = trial.select((10, 20))
+    >>> len(trial.samples()[segment.rows])
+    41
     """
-    spans = tuple((float(start), float(end)) for start, end in unloaded)
-    notify = cache(notify or warnings.warn)
+    spans = _spans(unloaded)
+    if not isinstance(tare, str):
+        tare = _span_text(tare, "tare")
+    notify = warnings.warn if notify is None else notify
+    check_kind(notify, Callable, "notify", "give a function that takes a text, such as print")  # type: ignore[arg-type]
+    notify = _Once(notify)
     files = as_path(geometry), as_path(calibration)
-    trial = Trial(Path(path), *files, notify, spans, as_path(load_cell), tare)
+    trial = Trial(path_of(path, "the trial"), *files, notify, spans, as_path(load_cell), tare)
     if not trial.path.is_dir():
         with trial.open():
             pass  # raises the error
     return trial
 
 
+def settings_of(trial: Trial, params: PathLike | None, **choices: Any) -> EstimatorSettings:
+    """The settings of a trial, or those of `params`, with the choices of a call.
+
+    Args:
+        trial: The trial, whose clusters `leave_out` may name.
+        params: A `testbed.yaml` to use instead of the trial's own; None for the trial's.
+        choices: Settings of the identification that override those, by name; None keeps one.
+
+    Raises:
+        ConfigurationError: The file or a choice is wrong.
+    """
+    names = [field.name for field in fields(IdentificationSettings)]
+    refuse_unknown(choices, names, "a setting")
+    if choices.get("leave_out") is not None:
+        choices["leave_out"] = trial.channels(choices["leave_out"])
+    return trial.with_channels(estimator_settings(trial.estimator, as_path(params), **choices))
+
+
+def _spans(given: object) -> tuple[Span, ...]:
+    """Spans [s] given as one or several, each as a text or a pair of numbers."""
+    listed = plain(given)
+    if isinstance(listed, str) or (isinstance(listed, list) and _is_pair(listed)):
+        listed = [listed]
+    if not isinstance(listed, Iterable):
+        raise ConfigurationError(f"unloaded is {described(given)}", _SPAN_HINT)
+    return tuple(parse_span(_span_text(each, "unloaded"), "--unloaded") for each in listed)
+
+
+def _is_pair(given: Sequence[object]) -> bool:
+    return len(given) == 2 and not any(isinstance(each, list | tuple | str) for each in given)
+
+
+def _span_text(span: object, what: str) -> str:
+    """A span as `T0:T1`, given so or as a pair of numbers [s]."""
+    given = plain(span)
+    if isinstance(given, str):
+        return given
+    if isinstance(given, list) and _is_pair(given):
+        start, end = (check_number(each, f"a time of {what}") for each in given)
+        return f"{start}:{end}"
+    raise ConfigurationError(f"{what} is {described(span)}", _SPAN_HINT)
+
+
 def as_trial(trial: Trial | PathLike) -> Trial:
-    """The trial itself, or the one at the path."""
-    return trial if isinstance(trial, Trial) else open_trial(trial)
+    """The trial itself, or the one at the path.
+
+    Raises:
+        ConfigurationError: It is neither.
+        TrialError: There is no trial at the path.
+    """
+    if isinstance(trial, Trial):
+        return trial
+    hint = "give one of st.open_trial, or the path of its folder"
+    check_kind(trial, (str, os.PathLike), "the trial", hint)
+    return open_trial(trial)
+
+
+def trials_of(items: Sequence[Any]) -> list[Any]:
+    """The trials of a call, given one by one or in a single list."""
+    if len(items) == 1 and isinstance(items[0], list | tuple):
+        return [*items[0]]
+    return [*items]
 
 
 def require_different(trials: Sequence[Trial]) -> None:
@@ -209,7 +313,7 @@ def annotate(
         operator: Initials or code of the operator.
         protocol: The protocol followed.
         notes: Any further remarks.
-        remove: Fields to remove.
+        remove: A field, or several, to remove.
 
     Returns:
         All metadata of the trial, the new value of `trial.metadata`; None for fields not stated.
@@ -232,7 +336,7 @@ def annotate(
         raise TrialError(f"{trial.path}: is not a trial folder", "give the folder of one trial")
     path = trial.path / METADATA_FILE
     stored = read_metadata(path) if path.exists() else TrialMetadata()
-    metadata = change_metadata(stored, stated.stated(), remove)
+    metadata = change_metadata(stored, stated.stated(), texts_of(remove, "remove"))
     if metadata != stored:
         write_metadata(metadata, path)
     return metadata
@@ -253,64 +357,6 @@ def check_data(trial: Trial | PathLike) -> tuple[DataFinding, ...]:
     ()
     """
     return as_trial(trial).problems()
-
-
-def select_segment(samples: Samples, specification: str = "plateau") -> Segment:
-    """Select a part of a trial: a plateau, the loaded part, a span of seconds or between events.
-
-    Functions with a `segment` take a specification too. They apply the plateau limits stored in
-    the trial, know its recorded events and ignore outliers; this function knows only events
-    detected in the load.
-
-    Args:
-        samples: The samples of the trial.
-        specification: `plateau`, the longest; `hold`, the longest while the load is placed; `auto`,
-            the hold or, failing that, the part under load; `all`; `T0:T1` in seconds since the
-            first sample; or `event:A:B` between events, such as `event:placed+5:removed-2`, with
-            event labels, `push#2` for the second push, or seconds at either end.
-
-    Returns:
-        The segment: `start` and `end` [s] since the first sample, and `rows`, a slice of the
-        samples.
-
-    Raises:
-        ConfigurationError: The specification is unknown.
-        TrialError: The trial has no such part.
-
-    >>> samples = st.open_trial("trials/hold").samples()
-    >>> segment = st.select_segment(samples, "10:20")
-    >>> segment
-    Segment(span 10.00 s to 20.00 s)
-    >>> len(samples[segment.rows])
-    41
-    >>> st.select_segment(samples, "event:placed+5:removed-2")
-    Segment(event:placed+5:removed-2 12.25 s to 30.75 s)
-    """
-    return segments.select_segment(samples, specification, PlateauSettings())
-
-
-def require_segment(specification: str | None) -> str:
-    """The specification of a segment, which must be given.
-
-    Raises:
-        ConfigurationError: It is None.
-    """
-    if specification is None:
-        raise ConfigurationError("segment is None", f"{segments.HINT}, or leave it")
-    return specification
-
-
-def select(trial: Trial, segment: str | Segment | None, settings: EstimatorSettings) -> Segment:
-    """The segment itself, or the one that its specification selects.
-
-    Args:
-        trial: The trial.
-        segment: A segment of it, or a specification as in `st.select_segment`; None is refused.
-        settings: Limits of a plateau and the channels left out when one is searched.
-    """
-    if isinstance(segment, Segment):
-        return segment
-    return trial.select(require_segment(segment), settings)
 
 
 def simulate(
@@ -336,8 +382,9 @@ def simulate(
         path: Folder of the new trial.
         scenario: The load history: `static_hold`, `ramp`, `multi_direction` or `protocol`.
         tissue: Tissue of the limb: `soft` like the published experiment's silicone, or `stiff`.
-        like_paper: Whether to make load-cell creep and vibration and cluster offsets as large as in
-            the published experiment, with a calibration whose ranges admit them.
+        like_paper: Whether to make the errors of load cell and clusters as large as in the
+            published experiment, with a calibration whose ranges admit them; the settings stored
+            with the trial leave out the three channels that the paper leaves out.
         duration: Duration [s].
         rate: Trigger rate [Hz].
         seed: Seed of the random numbers: of the limb, its load and all errors.
@@ -358,17 +405,18 @@ def simulate(
     Trial('trials/short')
     """
     from socket_testbed.simulation.limb import SCENARIOS, TISSUES
-    from socket_testbed.simulation.sensors import LIKE_PAPER
+    from socket_testbed.simulation.sensors import LIKE_PAPER, LIKE_PAPER_LEFT_OUT
     from socket_testbed.simulation.trial import check_trial_folder, write_simulated_trial
     from socket_testbed.simulation.trial import simulate as simulate_trial
 
-    folder, socket_file, calibration_file = Path(path), as_path(geometry), as_path(calibration)
+    folder = path_of(path, "the folder of the trial")
+    socket_file, calibration_file = as_path(geometry), as_path(calibration)
     for kind, name, known in (("scenario", scenario, SCENARIOS), ("tissue", tissue, TISSUES)):
         if name not in known:
-            raise ConfigurationError(f"unknown {kind} '{name}'", closest(name, known))
+            raise ConfigurationError(f"unknown {kind} '{name}'", closest(str(name), known))
     check_number(duration, "--duration", 1.0, 36000.0)
     check_number(rate, "--rate", 0.1, 1000.0)
-    check_number(seed, "--seed", 0)
+    seed = check_whole(seed, "--seed")
     check_number(duration * rate, "--duration times --rate", 2, _MAX_TRIGGERS)
     check_trial_folder(folder, replace)
     if like_paper and calibration_file is None:
@@ -384,5 +432,6 @@ def simulate(
         progress=started(progress, "simulating"),
         tissue=tissue,
     )
-    write_simulated_trial(simulated, folder, socket_file, calibration_file, replace)
+    left_out = LIKE_PAPER_LEFT_OUT if like_paper else ()
+    write_simulated_trial(simulated, folder, socket_file, calibration_file, left_out, replace)
     return open_trial(folder)

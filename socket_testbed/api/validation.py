@@ -20,8 +20,9 @@ from socket_testbed.api.trials import (
     as_trial,
     require_different,
     require_one_socket,
-    select,
+    settings_of,
     started,
+    trials_of,
     unique_names,
 )
 from socket_testbed.arrays import evenly
@@ -32,10 +33,11 @@ from socket_testbed.identification.noise import smooth_poses
 from socket_testbed.identification.plausibility import require_position
 from socket_testbed.identification.problem import MIN_SAMPLES
 from socket_testbed.samples import Samples
-from socket_testbed.settings.testbed import EstimatorSettings, estimator_settings
-from socket_testbed.simulation.trial import read_true_forces
+from socket_testbed.settings.testbed import EstimatorSettings
 from socket_testbed.trials.metadata import TrialMetadata
+from socket_testbed.trials.segment import Segment, Span
 from socket_testbed.trials.trial import Trial
+from socket_testbed.trials.truth import read_true_forces
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -144,7 +146,7 @@ class Validation(Result):
 
 def validate(
     *trials: Trial | PathLike,
-    segment: str = "all",
+    segment: str | Span | Segment = "all",
     params: PathLike | None = None,
     progress: Progress | None = None,
     **choices: Any,
@@ -164,7 +166,7 @@ def validate(
 
     Args:
         trials: Trials of one socket.
-        segment: As `specification` in `st.select_segment`.
+        segment: As in `fit`.
         params: A `testbed.yaml` to use instead of each trial's own.
         progress: See `Progress`.
         choices: `theta`, `smoothness`, `leave_out`, `pose_smoothing` and `solver` as in `fit`.
@@ -187,7 +189,7 @@ def validate(
     >>> bool((left_out["error [-]"] > 0.0).all())
     True
     """
-    recordings = _recordings([*map(as_trial, trials)], segment, as_path(params), choices)
+    recordings = _recordings([*map(as_trial, trials_of(trials))], segment, as_path(params), choices)
     several, chosen = len(trials) > 1, _selected(recordings)
     report, done = started(progress, "validating"), count(1)
     total = len(recordings) + several * len(chosen)
@@ -274,7 +276,10 @@ class _Recording:
 
 
 def _recordings(
-    trials: Sequence[Trial], segment: str, params: Path | None, choices: dict[str, Any]
+    trials: Sequence[Trial],
+    segment: str | Span | Segment,
+    params: Path | None,
+    choices: dict[str, Any],
 ) -> list[_Recording]:
     """Read the trials, which must be different and of one socket."""
     if not trials:
@@ -283,8 +288,8 @@ def _recordings(
     found = []
     for name, trial in zip(unique_names(trials), trials, strict=True):
         with _skip_failed(name, trial, len(trials) > 1):
-            settings = estimator_settings(trial.estimator, params, **choices)
-            rows = select(trial, segment, settings).rows
+            settings = settings_of(trial, params, **choices)
+            rows = trial.select(segment, settings).rows
             require_position(trial.samples()[rows], trial.geometry)
             leave_out = settings.identification.leave_out
             samples = trial.sound(leave_out)[rows].without(leave_out)

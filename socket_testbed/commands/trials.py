@@ -19,11 +19,11 @@ from socket_testbed.commands.options import (
 )
 from socket_testbed.commands.terminal import Progress, decimals, table, text_of
 from socket_testbed.files import CONFIGURATION_FILES, check_outputs
-from socket_testbed.simulation.trial import TRUTH_FILE, read_truth
 from socket_testbed.trials.description import describe_samples, drop_outs, loads_table, noise_table
 from socket_testbed.trials.metadata import NO_SIDE, TrialMetadata
 from socket_testbed.trials.tares import read_tares, tares_in_words
 from socket_testbed.trials.trial import Trial
+from socket_testbed.trials.truth import TRUTH_FILE, read_truth
 
 _MAX_TIMES = 8  # printed per event label
 

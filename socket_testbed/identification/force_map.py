@@ -32,7 +32,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.special import chdtri, i0e, i1e, ndtri
@@ -284,14 +284,26 @@ class ForceMap:
         self._cross = np.array([turned @ prior.with_channels for prior in self._priors])
         blocks = [(turned @ prior.blocks * turned).sum(axis=2) for prior in self._priors]
         self._variances = np.array(blocks)
-        # Keyed by the bytes of a pattern, and of the chosen hypotheses: both rarely change.
-        self._conditioned = lru_cache(_MAX_PATTERNS)(self._condition)
-        self._prior_draws = lru_cache(1)(self._draw)
+        self._make_caches()
         self._evidence_count = 0  # samples
         self._evidence = np.zeros(len(self._priors))
         if trial is not None:
             self._evidence = self._mean_evidence(trial)
             self._evidence_count = len(trial)
+
+    def _make_caches(self) -> None:
+        # Keyed by the bytes of a pattern, and of the chosen hypotheses: both rarely change.
+        self._conditioned = lru_cache(_MAX_PATTERNS)(self._condition)
+        self._prior_draws = lru_cache(1)(self._draw)
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Caches cannot be pickled; a copy makes its own.
+        caches = ("_conditioned", "_prior_draws")
+        return {name: value for name, value in vars(self).items() if name not in caches}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._make_caches()
 
     def estimate(self, samples: Samples) -> MapEstimate:
         """The map at each of N samples; the prior's if a sample has no channel at all."""

@@ -44,7 +44,6 @@ from socket_testbed.settings.testbed import (
     write_testbed,
 )
 from socket_testbed.simulation.testbed import Simulation
-from socket_testbed.simulation.trial import TRUTH_FILE
 from socket_testbed.simulation.world import MAX_CLUSTERS, World
 from socket_testbed.trials.metadata import (
     METADATA_FILE,
@@ -55,6 +54,7 @@ from socket_testbed.trials.metadata import (
 )
 from socket_testbed.trials.topics import full_name, full_namespace
 from socket_testbed.trials.trial import Trial, recorded_namespace
+from socket_testbed.trials.truth import TRUTH_FILE
 
 _START_TIMEOUT = 120.0  # [s]; for the simulation, on a busy machine
 _DRAIN_TIME = 1.0  # [s] of the testbed; for the last sample to pass through

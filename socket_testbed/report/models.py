@@ -100,8 +100,9 @@ def paper_section(results: Results) -> Section:
         results.fronts,
         results.samples[results.segment.rows],
         results.settings.identification,
+        results.trial.geometry,
     )
-    known = frame[frame[THEIRS].notna().all(axis=1)]
+    known = frame[frame[THEIRS].notna().any(axis=1)]
     caption = "The figures of the paper, for its variants; 'paper' computes more, with its settings"
     table = Table("paper", caption, known, {THEIRS: ".2f"})
     return Section("paper-section", "This trial and the paper", [table])

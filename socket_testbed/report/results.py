@@ -29,10 +29,10 @@ from socket_testbed.identification.validation import Judgement, judge_samples
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PAPER_VARIANTS, VARIANTS, Variant
 from socket_testbed.settings.testbed import EstimatorSettings
-from socket_testbed.simulation.trial import read_true_forces
 from socket_testbed.trials.pressure import SegmentPressure, mapped_trial
 from socket_testbed.trials.segment import Segment, first_frames
 from socket_testbed.trials.trial import Trial
+from socket_testbed.trials.truth import read_true_forces
 
 GIVEN = "given"
 _MIN_HELD_OUT = 10  # samples
@@ -173,7 +173,7 @@ def compute_results(
 
     Args:
         trial: The trial.
-        specification: The segment, as in `st.select_segment`.
+        specification: The segment, as in `Trial.select`.
         settings: Settings of the fits, the plateaus and the force map; their variant is fitted in
             addition to the paper's.
         thetas: Ascending thetas of the fronts, 0 to 1 [-].

@@ -134,7 +134,7 @@ def figure_style(width: float, title: bool) -> FigureStyle:
     """
     if width not in WIDTHS:
         raise ConfigurationError(
-            f"figures are not laid out for a width of {width:g} mm",
+            f"figures are not laid out for a width of {width} mm",
             f"give {COLUMN} for a column of a paper or {PAGE} for a full page",
         )
     return FigureStyle(width, title)

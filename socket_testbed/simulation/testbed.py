@@ -27,8 +27,9 @@ from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.simulation import sensors
 from socket_testbed.simulation.devices.natnet_server import NatNetServer
 from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, load_history
-from socket_testbed.simulation.trial import GroundTruth, random_streams, save_truth
+from socket_testbed.simulation.trial import random_streams
 from socket_testbed.simulation.world import World
+from socket_testbed.trials.truth import GroundTruth, save_truth
 
 _PERIOD = 0.04  # [s]; time step of the physics, with linear interpolation
 _LEAD = 0.2  # [s]; of the physics over the clock, as a buffer on busy machines

@@ -6,9 +6,8 @@ A simulated trial is a bag like a recorded one, plus the ground truth.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -16,8 +15,14 @@ from scipy.interpolate import make_interp_spline
 from socket_testbed.arrays import FloatArray, IntArray
 from socket_testbed.calibration.model import Calibration
 from socket_testbed.drivers.load_cell.load_cell import Bridges
-from socket_testbed.errors import ConfigurationError, TrialError
-from socket_testbed.files import atomic_output, check_new_folder, make_folder, packaged
+from socket_testbed.errors import ConfigurationError
+from socket_testbed.files import (
+    PARAMETERS_FILE,
+    atomic_output,
+    check_new_folder,
+    make_folder,
+    packaged,
+)
 from socket_testbed.geometry.marker_bodies import fit_body, nearest_rotations
 from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry
@@ -29,8 +34,7 @@ from socket_testbed.simulation.limb import LoadedLimb, Scenario, TissueKind, loa
 from socket_testbed.trials import messages, topics
 from socket_testbed.trials.bag import BagWriter
 from socket_testbed.trials.trial import read_configuration, store_configuration
-
-TRUTH_FILE = "ground_truth.npz"
+from socket_testbed.trials.truth import TRUTH_FILE, GroundTruth, save_truth
 
 # Delay of each measurement after its trigger [ns].
 _DELAYS = {
@@ -43,28 +47,12 @@ _DELAYS = {
     topics.CAPACITANCE: 17_000_000,
 }
 _MAX_FRAMES = 50_000  # at once
+_LEAVE_OUT = """estimator_node:
+  ros__parameters:
+    # Implausible, so left out of the objective.
+    identification.leave_out: [{}]
+"""
 _START = 1_767_258_000_000_000_000  # [ns]; 2026-01-01 09:00 UTC
-
-
-@dataclass(frozen=True)
-class GroundTruth:
-    """True motion and forces in {S}, one row per time.
-
-    Attributes:
-        tiles: Names of the n tiles.
-        forces: Force of the limb on the socket at each tile, in {S}, shape (N, n, 3) [N]; the
-            surface between the tiles bears a part of the load, too.
-        wrench: Wrench of the limb on the socket [M; F] about the origin of {S}, in {S}, shape
-            (N, 6) [N m, N].
-        position: Limb position q in {S}, shape (N, 3) [m].
-        rotation: Rotation vector of the limb since donning, in {S}, shape (N, 3) [rad].
-    """
-
-    tiles: tuple[str, ...]
-    forces: FloatArray
-    wrench: FloatArray
-    position: FloatArray
-    rotation: FloatArray
 
 
 @dataclass(frozen=True)
@@ -144,16 +132,18 @@ def simulate(
 
     capacitance = {}
     for cluster in geometry.clusters:
-        sensor = sensors.ClusterSensor(calibration.clusters[cluster], errors, cluster_rng)
+        own = errors.clusters.get(cluster)
+        sensor = sensors.ClusterSensor(calibration.clusters[cluster], errors, cluster_rng, own)
         stress = sensors.cluster_stress(geometry, cluster, forces)
         size = errors.stress_vibration * shake_rng.uniform(0.5, 1.5, 3)
+        size = size if own is None else np.array(own.vibration)
         stress += sensors.vibration(size, time, shake_rng)
         capacitance[cluster] = sensor.read(stress, time, cluster_rng)
     felt = load + sensors.wrench_offset(errors, cell_rng)
     noise = errors.wrench_noise(averaging_span(LoadCellSettings.average_over, 1.0 / rate))
     felt += cell_rng.normal(0.0, 1.0, load.shape) * noise
     felt += sensors.wrench_creep(errors, load, time, cell_rng)
-    felt += sensors.vibration(errors.force_vibration * sensors.VIBRATION_SHAPE, time, shake_rng)
+    felt += sensors.vibration(np.array(errors.wrench_vibration), time, shake_rng)
 
     window = averaging_span(mocap_window, 1.0 / rate)
     markers, poses = _motion_capture(geometry, truth, rate, window, errors, marker_rng)
@@ -211,6 +201,7 @@ def write_simulated_trial(
     path: Path,
     geometry_file: Path | None = None,
     calibration_file: Path | None = None,
+    leave_out: Sequence[str] = (),
     replace: bool = False,
 ) -> None:
     """Write a simulated trial as a rosbag2 folder with its ground truth.
@@ -222,6 +213,8 @@ def write_simulated_trial(
             package's own.
         calibration_file: The `calibration.yaml` to store with it, that of the simulation; None for
             the package's own.
+        leave_out: Channels, such as `distal.Fx`, that the settings stored with it leave out of the
+            identification; those of clusters that the trial lacks are not stored.
         replace: As in `check_trial_folder`.
 
     Raises:
@@ -230,6 +223,9 @@ def write_simulated_trial(
     check_trial_folder(path, replace)
     parameters = packaged("config", "simulated.yaml")
     configuration = read_configuration(geometry_file, calibration_file, parameters)
+    left_out = [name for name in leave_out if name.rpartition(".")[0] in trial.capacitance]
+    if left_out:
+        configuration[PARAMETERS_FILE] += _LEAVE_OUT.format(", ".join(left_out)).encode()
     ratios = Bridges(read_testbed(parameters).load_cell_node).ratios_at(trial.wrench)
     make_folder(path.parent)
     with atomic_output(path, replace) as staging:
@@ -260,63 +256,6 @@ def check_trial_folder(path: Path, replace: bool) -> None:
             f"{path} is not a simulated trial, and only such a one is replaced",
             "name another folder",
         )
-
-
-def save_truth(path: Path, stamps: IntArray, truth: GroundTruth, **more: FloatArray) -> None:
-    """Write a ground truth as a .npz file.
-
-    Args:
-        path: The file to write.
-        stamps: Times of its rows since the epoch, shape (N,) [ns].
-        truth: The ground truth.
-        **more: Further arrays to store, by name.
-    """
-    arrays: dict[str, Any] = {**vars(truth), **more}
-    np.savez_compressed(path, names=np.array(arrays.pop("tiles")), stamps=stamps, **arrays)
-
-
-def read_truth(path: Path, stamps: IntArray | None = None) -> GroundTruth:
-    """Read the ground truth in a simulated trial's folder.
-
-    Args:
-        path: Folder of the trial.
-        stamps: Times since the epoch, shape (N,) [ns], to which it is interpolated linearly; held
-            before the first and after the last simulated time. None: the times of the simulation.
-
-    Raises:
-        TrialError: The file is missing or damaged.
-    """
-    try:
-        with np.load(path / TRUTH_FILE) as data:
-            times, tiles = data["stamps"], tuple(data["names"].tolist())
-            since = times - times[0]
-            if len(since) < 2:
-                raise ValueError("it has fewer than two times")
-            names = [field.name for field in fields(GroundTruth)[1:]]
-            splines = [make_interp_spline(since, data[name], k=1) for name in names]
-    except Exception as error:  # parsing may raise any error
-        raise TrialError(
-            f"{path / TRUTH_FILE}: is damaged ({error})",
-            "simulate the trial again, or remove the file",
-        ) from None
-    at = since if stamps is None else np.clip(stamps - times[0], 0, since[-1])
-    return GroundTruth(tiles, *(spline(at) for spline in splines))
-
-
-def read_true_forces(path: Path, stamps: IntArray, tiles: Sequence[str]) -> FloatArray | None:
-    """True force of the limb on the socket at n tiles, in {S}, shape (N, n, 3) [N].
-
-    None if the trial in the folder was not simulated, or simulated with other tiles.
-
-    Args:
-        path: Folder of the trial.
-        stamps: Times since the epoch, shape (N,) [ns].
-        tiles: Names of the n tiles, in the order of the result.
-    """
-    if not (path / TRUTH_FILE).is_file():
-        return None
-    truth = read_truth(path, stamps)
-    return truth.forces if truth.tiles == tuple(tiles) else None
 
 
 def _messages(

@@ -6,12 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import compress, groupby, pairwise
-from typing import NamedTuple, NoReturn
+from typing import NamedTuple, NoReturn, TypeAlias
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from socket_testbed.arrays import BREAK, FloatArray, IntArray, gaps, runs, usual_period, within
+from socket_testbed.documents import check_number, plain, shown
 from socket_testbed.errors import ConfigurationError, TrialError, likely
 from socket_testbed.samples import Samples
 from socket_testbed.settings.identification import PlateauSettings
@@ -19,6 +20,7 @@ from socket_testbed.trials.events import Event, event_span, find_events, is_load
 
 NAMED = ("plateau", "hold", "auto", "all")  # segments
 HINT = f"give {', '.join(NAMED)}, T0:T1 in seconds, or event:A:B"
+Span: TypeAlias = tuple[float, float]  # start and end since the trial's first sample [s]
 
 
 @dataclass(frozen=True)
@@ -54,12 +56,14 @@ def select_segment(
     leave_out: tuple[str, ...] = (),
     events: Callable[[], Sequence[Event]] | None = None,
 ) -> Segment:
-    """Select a part of a trial by a specification as in `st.select_segment`.
+    """Select a part of a trial by a specification.
 
     Args:
         samples: All samples of the trial.
-        specification: `plateau`, `hold`, `auto`, `all`, `T0:T1` since the first sample [s], or
-            `event:A:B`.
+        specification: `plateau`, the longest; `hold`, the longest while the load is placed; `auto`,
+            the hold or, failing that, the part under load; `all`; `T0:T1` in seconds since the
+            first sample; or `event:A:B` between events, such as `event:placed+5:removed-2`, with
+            event labels, `push#2` for the second push, or seconds at either end.
         settings: Criteria for plateaus and loads.
         leave_out: Clusters' channels that plateaus ignore, such as `distal.Fz`.
         events: Returns the events of the trial in the order of their times; not called for `all`
@@ -91,6 +95,28 @@ def select_segment(
         near = likely(specification, NAMED)
         raise ConfigurationError(f"unknown segment '{specification}'", f"{near} {HINT}".strip())
     return _span(samples, *parse_span(specification, "the segment"), "span")
+
+
+def specification_of(segment: object) -> str:
+    """The specification of a segment that was given as a text, as a span or as a `Segment`.
+
+    Args:
+        segment: A specification, which is returned as it is; start and end since the first sample,
+            as a tuple or list (2,) [s]; or a `Segment`.
+
+    Raises:
+        ConfigurationError: If it is anything else, such as None.
+    """
+    if isinstance(segment, str):
+        return segment
+    if isinstance(segment, Segment):
+        return f"{segment.start}:{segment.end}"
+    given = plain(segment)
+    if isinstance(given, list) and len(given) == 2:
+        start, end = (check_number(each, "the segment's time") for each in given)
+        return f"{start}:{end}"
+    hint = f"{HINT}, or a span such as (10, 20) [s]"
+    raise ConfigurationError(f"the segment is {shown(given)}", hint)
 
 
 def parse_span(span: str, option: str, others: str = "") -> tuple[float, float]:

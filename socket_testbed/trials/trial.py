@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -12,7 +12,10 @@ from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from socket_testbed.calibration.model import Calibration, read_calibration
+from socket_testbed.documents import check_kind
 from socket_testbed.errors import ConfigurationError, TestbedError, TrialError
 from socket_testbed.files import (
     CALIBRATION_FILE,
@@ -23,14 +26,22 @@ from socket_testbed.files import (
 )
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.plausibility import find_outliers
-from socket_testbed.samples import Samples, Status
+from socket_testbed.samples import WRENCH_CHANNELS, Samples, Status, named_channels
 from socket_testbed.settings.testbed import EstimatorSettings, TestbedSettings, read_testbed
+from socket_testbed.tables import split_unit, stacked
 from socket_testbed.trials import reprocess, synchronise, topics
 from socket_testbed.trials.bag import BagReader, required_topics
 from socket_testbed.trials.events import Event, find_events, join_events, read_events
 from socket_testbed.trials.messages import Reader
 from socket_testbed.trials.metadata import METADATA_FILE, TrialMetadata, read_metadata
-from socket_testbed.trials.segment import Segment, find_plateaus, select_segment
+from socket_testbed.trials.segment import (
+    Segment,
+    Span,
+    find_plateaus,
+    select_segment,
+    specification_of,
+)
+from socket_testbed.trials.truth import GroundTruth, read_truth
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -211,19 +222,31 @@ class Trial:
             status=measured.status[:, kept],
         )
 
-    def sound(self, leave_out: tuple[str, ...] = ()) -> Samples:
+    def sound(self, leave_out: str | Sequence[str] = ()) -> Samples:
         """The samples with outliers as NaN, found in channels that are not left out; cached.
 
-        Left-out channels, such as `distal.Fz`, are searched for no outliers, and keep their values.
+        Left-out channels, such as `distal.Fz` or all of `distal`, are searched for no outliers, and
+        keep their values.
         """
+        left = self.channels(leave_out)
         kept = self._kept.sound
-        if leave_out not in kept:
+        if left not in kept:
             samples = self.samples()
-            outliers = find_outliers(samples, self.geometry, leave_out)
-            kept[leave_out] = outliers.taken_from(samples)
-        return kept[leave_out]
+            outliers = find_outliers(samples, self.geometry, left)
+            kept[left] = outliers.taken_from(samples)
+        return kept[left]
 
-    def problems(self, leave_out: tuple[str, ...] | None = None) -> tuple[DataFinding, ...]:
+    def channels(self, names: str | Sequence[str]) -> tuple[str, ...]:
+        """The channels of names such as `Mz`, `distal.Fx`, or `distal` for all three of a cluster.
+
+        Raises:
+            ConfigurationError: If the names are not texts.
+        """
+        listed = named_channels(names, ())
+        plain = all("." in name or name in WRENCH_CHANNELS for name in listed)
+        return listed if plain else named_channels(listed, self.geometry.clusters)
+
+    def problems(self, leave_out: str | Sequence[str] | None = None) -> tuple[DataFinding, ...]:
         """Problems in the data, worst first; empty if it is good, see `check_data`; cached.
 
         Left-out channels, such as `distal.Fz`, are not checked; None stands for those of the
@@ -231,7 +254,8 @@ class Trial:
         """
         from socket_testbed.identification.data_check import check_data  # not needed by a replay
 
-        left = self.estimator.identification.leave_out if leave_out is None else leave_out
+        stored = self.estimator.identification.leave_out
+        left = stored if leave_out is None else self.channels(leave_out)
         kept = self._kept.problems
         if left not in kept:
             mass = self.metadata.mass
@@ -241,6 +265,28 @@ class Trial:
     def to_dataframe(self) -> pd.DataFrame:
         """The samples as a pandas table, see `Samples.to_dataframe`."""
         return self.samples().to_dataframe()
+
+    def to_long(self) -> pd.DataFrame:
+        """The samples in long form, a row per value; no named index.
+
+        Columns: `trial`, its name; `time [s]` since the first sample; `source`, `wrench`, `limb` or
+        a cluster; `quantity` and `unit`, such as `Fx` and `N`; and the `value`, NaN if missing.
+        Frames and quantities are those of `Samples.to_dataframe`.
+        """
+        table = self.to_dataframe()
+        parts = [split_unit(title) for title in table]
+        places = [name.rpartition(".") for name, _ in parts]
+        motion = ("q_", "phi_")
+        usual = ["limb" if name.startswith(motion) else "wrench" for _, _, name in places]
+        columns = {
+            "trial": [self.name] * len(parts),
+            "time [s]": table.index.to_numpy(),
+            "source": [place or own for (place, _, _), own in zip(places, usual, strict=True)],
+            "quantity": [name for _, _, name in places],
+            "unit": [unit for _, unit in parts],
+            "value": table.to_numpy(dtype=float),
+        }
+        return stacked(columns, len(table))
 
     def measurements_and_samples(self) -> tuple[synchronise.Measurements, Samples]:
         """`measurements` and `samples` from one reading."""
@@ -328,20 +374,58 @@ class Trial:
             recorded = read_events(bag, samples)
         return join_events(recorded, find_events(samples, self.estimator.plateau))
 
-    def select(self, specification: str, settings: EstimatorSettings) -> Segment:
-        """The segment of a specification, see `select_segment`.
+    def select(
+        self,
+        segment: str | Span | Segment = "plateau",
+        settings: EstimatorSettings | None = None,
+    ) -> Segment:
+        """Select a part of the trial, by its own limits, events and left-out channels.
 
         Args:
-            specification: `plateau`, `hold`, `auto`, `all`, `T0:T1` since the first sample [s], or
-                `event:A:B`.
-            settings: Criteria for plateaus and loads, and the channels that they ignore.
+            segment: `plateau`, the longest; `hold`, the longest while the load is placed; `auto`,
+                the hold or, failing that, the part under load; `all`; `T0:T1` in seconds since the
+                first sample, or the span as a tuple, such as `(10, 20)`; `event:A:B` between
+                events, such as `event:placed+5:removed-2`, with event labels, `push#2` for the
+                second push, or seconds at either end; or a `Segment` of this trial.
+            settings: Limits of a plateau and of loads, and the channels that they ignore; None for
+                those stored with the trial.
+
+        Returns:
+            The segment: `start` and `end` [s] since the first sample, and `rows`, a slice of the
+            samples.
 
         Raises:
             ConfigurationError: If the specification cannot be parsed.
             TrialError: If there is no such segment.
         """
+        settings = self.estimator if settings is None else settings
+        hint = "leave it, or give that of trial.estimator"
+        check_kind(settings, EstimatorSettings, "the argument settings", hint)
+        if isinstance(segment, Segment):
+            return self._own(segment)
+        specification = specification_of(segment)
         limits, leave_out = settings.plateau, settings.identification.leave_out
         return select_segment(self.sound(leave_out), specification, limits, leave_out, self.events)
+
+    def _own(self, segment: Segment) -> Segment:
+        """A segment, which must be of this trial."""
+        time, rows = self.samples().time, segment.rows
+        if rows.stop > len(time) or not np.isclose(time[rows.start], segment.start, atol=1e-6):
+            fact = f"{segment} is no part of the trial {self.path}"
+            raise TrialError(fact, "select it from this trial: trial.select(...)")
+        return segment
+
+    def truth(self) -> GroundTruth:
+        """The true motion and forces of a simulated trial at the times of its `samples`.
+
+        Trials of `simulate` and of `run --simulated --record` hold it, linear between the simulated
+        times.
+
+        Raises:
+            TrialError: If the trial was not simulated, or its ground truth is damaged.
+        """
+        folder = self.path if self.path.is_dir() else self.path.parent
+        return read_truth(folder, self.samples().stamps)
 
     def plateaus(self, settings: EstimatorSettings) -> list[Segment]:
         """The plateaus by the criteria of some settings, longest first."""
@@ -400,8 +484,21 @@ class Trial:
 
     @cached_property
     def estimator(self) -> EstimatorSettings:
-        """The estimator settings stored with the trial, or the defaults."""
-        return self._parameters.estimator_node
+        """The estimator settings stored with the trial, or the defaults.
+
+        `identification.leave_out` names channels, also where it was stored with a cluster's name.
+        """
+        return self.with_channels(self._parameters.estimator_node)
+
+    def with_channels(self, settings: EstimatorSettings) -> EstimatorSettings:
+        """Settings whose `leave_out` names channels, see `channels`."""
+        named = settings.identification.leave_out
+        channels = self.channels(named)
+        if channels == named:
+            return settings
+        return replace(
+            settings, identification=replace(settings.identification, leave_out=channels)
+        )
 
     @cached_property
     def _parameters(self) -> TestbedSettings:

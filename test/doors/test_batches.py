@@ -185,7 +185,7 @@ class HandFit:
 
     def __init__(self, trial: Any) -> None:
         self.trial = trial
-        self.segment = st.select_segment(trial.samples(), "2:20")
+        self.segment = trial.select("2:20")
 
         def stage(stationarity: float, gap: float) -> Any:
             certificate = SimpleNamespace(stationarity=stationarity, gap=gap)

@@ -158,9 +158,9 @@ def test_repeated_trials_note_their_limbs(subjects: Any, words: list[str]) -> No
 
 
 @pytest.mark.parametrize(
-    ("count", "refused"), [(1, True), (2, False), (12, False), (13, True)], ids=str
+    ("count", "refused"), [(1, True), (2, False), (13, False), (200, False), (201, True)], ids=str
 )
-def test_two_to_twelve_items_are_compared(count: int, refused: bool, tmp_path: Path) -> None:
+def test_two_to_200_items_are_compared(count: int, refused: bool, tmp_path: Path) -> None:
     folders = [tmp_path / str(number) for number in range(count)]
     for folder in folders:
         folder.mkdir()
@@ -259,7 +259,7 @@ def test_a_simulation_is_as_stated(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 DEFAULTS = {
     **dict.fromkeys(("fit", "evaluate", "force_map", "pressure", "pareto", "paper"), "plateau"),
-    **dict.fromkeys(("compare", "write_report", "select_segment"), "plateau"),
+    **dict.fromkeys(("compare", "write_report"), "plateau"),
     **dict.fromkeys(("cycles", "validate", "export"), "all"),
 }
 
@@ -267,8 +267,7 @@ DEFAULTS = {
 @pytest.mark.parametrize("verb", DEFAULTS)
 def test_a_verb_has_its_usual_segment(verb: str) -> None:
     given = inspect.signature(getattr(st, verb)).parameters
-    name = "specification" if verb == "select_segment" else "segment"
-    assert given[name].default == DEFAULTS[verb]
+    assert given["segment"].default == DEFAULTS[verb]
 
 
 def test_scenarios_and_tissues_have_their_names() -> None:

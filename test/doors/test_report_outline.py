@@ -122,7 +122,20 @@ OUTLINES: dict[str, tuple[list[str], list[str]]] = {
     ),
     "paper": (
         ["figure", *2 * ["without offsets", "with offsets"], "remark"],
-        [*RMSE, "RMSE of Mx [N m]"],
+        [
+            *RMSE,
+            *(f"RMSE of M{axis} [N m]" for axis in "xyz"),
+            *("RMSE of Fy [N]", "RMSE of Fz [N]"),
+            *(f"RMSE of brim_lateral.F{axis} [N]" for axis in "xyz"),
+            *(f"RMSE of mid_anterior.F{axis} [N]" for axis in "xz"),
+            *(f"RMSE of posterior_distal.F{axis} [N]" for axis in "yz"),
+            *("RMSE of distal.Fz [N]", "sigma of Mx [N m]"),
+            *("load [N]", "mass of the pylon [kg]", "mass placed on the pylon [kg]"),
+            *("duration of the hold [min]", "samples [1]", "rate [Hz]"),
+            *("rest position limit [mm]", "clusters [1]", "edge of a tile [mm]"),
+            *("markers per body [1]", "cluster channels in the objective [1]"),
+            *("cluster channels left out [1]", "largest force left out [N]"),
+        ],
     ),
     "offsets": (
         ["channel", "unit", *(f"offset {name} [unit of the row]" for name in VARIANTS[1:])],

@@ -15,7 +15,6 @@ import pytest
 from support import scene
 from support.clocks import FakeClock
 
-import socket_testbed as st
 from socket_testbed import api, clocks
 from socket_testbed.__main__ import run
 from socket_testbed.drivers import ERROR, OK, WARN
@@ -428,7 +427,7 @@ def fronts() -> dict[Any, Front]:
 
 @pytest.fixture(scope="module")
 def traded(trial) -> api.Tradeoff:
-    return api.Tradeoff(trial, st.select_segment(trial.samples(), "all"), fronts())
+    return api.Tradeoff(trial, trial.select("all"), fronts())
 
 
 @pytest.fixture(scope="module")
@@ -490,7 +489,7 @@ def errors(factor: float) -> list[ChannelErrors]:
     ]
 
 
-NOT_HERE = "the number is not in this package"
+ALONE = "not printed in the paper"
 WEIGHTS = "weights size, raw in the paper"
 PAPER_LINES = (
     "scene: all 0.00 s to 23.75 s, 96 samples",
@@ -506,13 +505,23 @@ PAPER_LINES = (
     " samples, 1000; weights size, raw; 2 of 3 channels counted, 9 in the paper",
     "RMSE of Mx [N m] 1.000 0.100 3.990 0.950 not comparable: load of 200 N, about 300 N; 96"
     f" samples, 1000; {WEIGHTS}",
-    f"RMSE of Fz [N] 6.000 0.600 - - {NOT_HERE}",
+    "RMSE of Fz [N] 6.000 0.600 7.850 8.030 not comparable: load of 200 N, about 300 N; 96"
+    f" samples, 1000; {WEIGHTS}",
+    "RMSE of Mz [N m] 3.000 0.300 - 0.250 not comparable: load of 200 N, about 300 N; 96"
+    f" samples, 1000; {WEIGHTS}; {ALONE} without offsets",
+    f"RMSE of Fx [N] 4.000 0.400 - - {ALONE}",
+    f"RMSE of distal.Fy [N] 8.000 0.800 - - {ALONE}: left out of its objective",
     "RMSE of distal.Fx [N] 7.000 0.700 - - not comparable: left out of the objective",
-    f"sigma of My [N m] 0.500 0.050 - - {NOT_HERE}",
-    f"sigma of Fz [N] 1.500 0.150 - - {NOT_HERE}",
-    f"theta, sensor-only [-] 0.000 0.000 - - {NOT_HERE}",
-    f"theta, knee [-] 0.500 - - - {NOT_HERE}",
-    f"theta, wrench-only [-] 1.000 - - - {NOT_HERE}",
+    f"sigma of My [N m] 0.500 0.050 - - {ALONE}",
+    f"sigma of Fz [N] 1.500 0.150 - - {ALONE}",
+    f"theta, sensor-only [-] 0.000 0.000 - - {ALONE}",
+    f"theta, knee [-] 0.500 - - - {ALONE}",
+    f"theta, wrench-only [-] 1.000 - - - {ALONE}",
+    "load [N] 200.000 200.000 300.000 300.000 about, in the paper",
+    "mass of the pylon [kg] - - 9.300 9.300 not known from a trial",
+    "duration of the hold [min] - - 10.000 10.000 not known from a trial",
+    "samples [1] 96.000 96.000 1000.000 1000.000",
+    "cluster channels left out [1] 1.000 1.000 3.000 3.000",
 )
 FITTED = IdentificationSettings(theta=0.7, leave_out=("distal.Fx",))
 
@@ -523,12 +532,14 @@ def beside(trial: Any, load: float, settings: IdentificationSettings, swing: flo
     wrench = np.zeros_like(samples.wrench)
     wrench[:, 5] = -load + swing * np.where(np.arange(96) % 2, 1.0, -1.0)
     made = {"stiffness": errors(1.0), "stiffness_bias": errors(0.1)}
-    return beside_published(made, fronts(), replace(samples, wrench=wrench), settings)
+    return beside_published(
+        made, fronts(), replace(samples, wrench=wrench), settings, trial.geometry
+    )
 
 
 @pytest.fixture(scope="module")
 def paper_lines(trial, scene_folder: Path) -> list[str]:
-    segment = st.select_segment(trial.samples(), "all")
+    segment = trial.select("all")
     found = api.PaperTable(trial, segment, 96, FITTED, beside(trial, 200.0, FITTED))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(api, "paper", wrapped(found, "paper"))

@@ -1,7 +1,9 @@
 """What fits, fronts, judgements and the paper's comparison say: titles, words and limits."""
 
+import re
 from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -461,9 +463,11 @@ def beside(counted: int = 9, **trial: float):
         {"stiffness": BENT, "stiffness_bias": front((0.9, 0.1), (0.1, 0.9))},
         hold(**trial),
         replace(AS_PUBLISHED, leave_out=left_out),
+        scene.geometry(),
     )
 
 
+ALONE = "not printed in the paper"
 FIGURES = {
     # without and with offsets, of this trial and the paper; remark
     "mean moment RMSE [N m]": ((104 / 3, 52 / 3, 1.69, 0.44), ""),
@@ -474,11 +478,29 @@ FIGURES = {
         (10.0, 5.0, NAN, NAN),
         "not comparable: left out of the objective",
     ),
-    "RMSE of Fz [N]": ((9.0, 4.5, NAN, NAN), "the number is not in this package"),
-    "sigma of Fz [N]": ((2.25, 1.125, NAN, NAN), "the number is not in this package"),
-    "theta, sensor-only [-]": ((0.0, 0.0, NAN, NAN), "the number is not in this package"),
-    "theta, knee [-]": ((0.5, NAN, NAN, NAN), "the number is not in this package"),
-    "theta, wrench-only [-]": ((1.0, 1.0, NAN, NAN), "the number is not in this package"),
+    "RMSE of Mz [N m]": ((100.0, 50.0, NAN, 0.25), f"{ALONE} without offsets"),
+    "RMSE of Fx [N]": ((2.0, 1.0, NAN, NAN), ALONE),
+    "RMSE of Fy [N]": ((4.0, 2.0, 6.76, NAN), f"{ALONE} with offsets"),
+    "RMSE of Fz [N]": ((9.0, 4.5, 7.85, 8.03), ""),
+    "RMSE of posterior_distal.Fx [N]": (
+        (10.0, 5.0, NAN, NAN),
+        f"{ALONE}: left out of its objective",
+    ),
+    "sigma of Fz [N]": ((2.25, 1.125, NAN, NAN), ALONE),
+    "theta, sensor-only [-]": ((0.0, 0.0, NAN, NAN), ALONE),
+    "theta, knee [-]": ((0.5, NAN, NAN, NAN), ALONE),
+    "theta, wrench-only [-]": ((1.0, 1.0, NAN, NAN), ALONE),
+    # conditions: the hold() of 300 N without clusters, the scene's geometry
+    "load [N]": ((300.0, 300.0, 300.0, 300.0), "about, in the paper"),
+    "mass placed on the pylon [kg]": ((NAN, NAN, 19.0, 19.0), "not known from a trial"),
+    "samples [1]": ((1000.0, 1000.0, 1000.0, 1000.0), ""),
+    "rate [Hz]": ((4.0, 4.0, 4.0, 4.0), ""),
+    "rest position limit [mm]": (
+        (8.0, 8.0, 8.0, 8.0),
+        "about, in the paper; its largest compression",
+    ),
+    "edge of a tile [mm]": ((30.0, 30.0, 30.0, 30.0), ""),
+    "cluster channels in the objective [1]": ((9.0, 9.0, 9.0, 9.0), ""),
 }
 
 
@@ -487,6 +509,55 @@ def test_figures_stand_beside_the_papers(figure: str) -> None:
     values, remark = FIGURES[figure]
     row = beside().loc[figure].tolist()
     assert row[:4] == pytest.approx(values, nan_ok=True) and row[4] == remark
+
+
+PRINTED = {
+    # by figure: without and with offsets, as the paper prints them
+    "mean moment RMSE [N m]": ("1.69", "0.44"),
+    "mean force RMSE [N]": ("5.94", "5.25"),
+    "median local RMSE [N]": ("90.07", "3.76"),
+    "RMSE of Mx [N m]": ("3.99", "0.95"),
+    "RMSE of My [N m]": (None, "0.13"),
+    "RMSE of Mz [N m]": (None, "0.25"),
+    "RMSE of Fy [N]": ("6.76", None),
+    "RMSE of Fz [N]": ("7.85", "8.03"),
+    "RMSE of brim_lateral.Fx [N]": ("46.90", "8.85"),
+    "RMSE of brim_lateral.Fy [N]": ("34.26", None),
+    "RMSE of brim_lateral.Fz [N]": ("57.86", "2.39"),
+    "RMSE of mid_anterior.Fx [N]": ("136.52", "7.78"),
+    "RMSE of mid_anterior.Fz [N]": ("90.07", "2.52"),
+    "RMSE of posterior_distal.Fy [N]": (None, "112.83"),
+    "RMSE of posterior_distal.Fz [N]": ("107.99", "2.21"),
+    "RMSE of distal.Fz [N]": ("153.04", "0.99"),
+    "sigma of Mx [N m]": ("0.83", None),
+}
+
+
+@pytest.mark.parametrize("figure", PRINTED)
+def test_published_figures_are_the_printed_ones(figure: str) -> None:
+    expected = [NAN if text is None else float(text) for text in PRINTED[figure]]
+    assert paper.PUBLISHED[figure] == pytest.approx(expected, nan_ok=True)
+    assert paper.PUBLISHED.keys() == PRINTED.keys()
+
+
+SOURCE = Path(__file__).parents[3] / "shared" / "paper" / "paper.tex.txt"
+
+
+@pytest.mark.skipif(not SOURCE.is_file(), reason="the paper's source is not here")
+def test_the_source_prints_each_result() -> None:
+    """Every number of a result with a unit, and no other."""
+    text = SOURCE.read_text()
+    results = text[text.index(r"\section{Results}") : text.index("Acknowledgment")]
+    number, unit = r"\\SI\{([\d.]+)\}", r"\{(Nm|\\newton)\}"
+    printed = set(re.findall(number + unit, results))
+    known = {
+        (text, "Nm" if figure.endswith("[N m]") else r"\newton")
+        for figure, texts in PRINTED.items()
+        for text in texts
+        if text
+    }
+    conditions = {("1000", r"\newton"), ("300", r"\newton"), ("1", "Nm")}
+    assert printed == known | conditions
 
 
 def test_the_papers_table_has_its_columns() -> None:

@@ -20,16 +20,18 @@ from socket_testbed.simulation import sensors
 from socket_testbed.simulation import testbed as live
 from socket_testbed.simulation.limb import LoadedLimb, load_history, make_tissue
 from socket_testbed.simulation.sensors import ClusterSensor, MarkerBodies, SensorErrors
-from socket_testbed.simulation.trial import (
+from socket_testbed.simulation.world import World
+from socket_testbed.trials.truth import (
     TRUTH_FILE,
     GroundTruth,
     read_true_forces,
     read_truth,
     save_truth,
 )
-from socket_testbed.simulation.world import World
 
-PERFECT = SensorErrors(**{field.name: 0.0 for field in dataclasses.fields(SensorErrors)})
+PERFECT = SensorErrors(
+    **{field.name: 0.0 for field in dataclasses.fields(SensorErrors) if field.type == "float"}
+)
 
 
 class Fixed:
@@ -258,6 +260,24 @@ def test_a_built_cluster_has_its_errors(case: str) -> None:
     np.testing.assert_allclose(found, [inputs], atol=1e-6)
 
 
+def test_a_cluster_has_its_own_offset() -> None:
+    """20 kPa in each stress: 1 pF, dx = dy = 2 / 3 pF; nothing is drawn within `stress_offset`."""
+    own = sensors.ClusterErrors((20e3, 20e3, 20e3), (0.0, 0.0, 0.0))
+    built = dataclasses.replace(PERFECT, stress_offset=90e3)
+    nominal = scene.calibration().clusters["brim_lateral"]
+    found = ClusterSensor(nominal, built, fixed(normal=1.0), own).respond(
+        np.zeros((1, 3)), np.zeros(1)
+    )
+    np.testing.assert_allclose(found, [[6.0, 6.6666667, 5.3333333, 6.0]], atol=1e-6)
+
+
+def test_published_offsets_are_forces_in_a_tile() -> None:
+    """Normal 63 N of pull, 48 N along x and 38 N along y on 9 cm^2; a deviation of 2.4 N."""
+    own = sensors.LIKE_PAPER.clusters["brim_lateral"]
+    np.testing.assert_allclose(own.offset, [-70e3, 53333.33, 42222.22], rtol=1e-6)
+    assert own.vibration[0] == pytest.approx(2.4 * 2**0.5 / 9e-4)
+
+
 def test_a_converter_has_noise_and_steps() -> None:
     """2 fF of noise; steps of 2^-19 pF."""
     errors = dataclasses.replace(PERFECT, capacitance_noise=0.002)
@@ -277,6 +297,8 @@ def test_a_stand_vibrates_at_13_5_hertz() -> None:
 def test_a_tare_leaves_an_offset() -> None:
     found = sensors.wrench_offset(SensorErrors(), fixed(normal=1.0))
     assert found.tolist() == [0.05, 0.05, 0.05, 0.8, 0.8, 0.8]
+    found = sensors.wrench_offset(sensors.LIKE_PAPER, fixed(normal=1.0))
+    assert found.tolist() == [-7.45, 0.05, 0.05, 0.8, 0.8, 0.8]
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

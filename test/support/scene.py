@@ -33,8 +33,9 @@ from socket_testbed.geometry.pose import Pose
 from socket_testbed.geometry.socket import SocketGeometry, write_socket
 from socket_testbed.identification.force_map import JointDraws, MapEstimate
 from socket_testbed.samples import Samples
-from socket_testbed.simulation.trial import GroundTruth, SimulatedTrial, write_simulated_trial
+from socket_testbed.simulation.trial import SimulatedTrial, write_simulated_trial
 from socket_testbed.trials.metadata import TrialMetadata, write_metadata
+from socket_testbed.trials.truth import GroundTruth
 
 COLUMNS = ("ant", "left", "post", "right")  # at 0, 90, 180 and 270 degrees from anterior to left
 # Pressure, shear towards proximal (on the end: anterior), shear along y of the tile [kPa].
