@@ -60,7 +60,7 @@ PRESSURE = {
         "peak pressure [kPa]": "60.0\n57.6 to 62.5",
         "mean pressure [kPa]": "23.7\n21.7 to 25.6",
         "contact area [cm²]": "27\n27 to 27",
-        "pressure-time integral [kPa s]": "565\n518 to 612",
+        "pressure-time integral [kPa s]": "565\n507 to 623",
         "share of load [%]": "34\n33 to 35",
     },
     "lateral": {
