@@ -110,6 +110,8 @@ class Comparison(Result):
         side: The leg that wears the socket; None if it is not stated or differs between trials.
     """
 
+    _SCALED = True
+
     conditions: Mapping[str, Sequence[str]]
     title: str
     notes: tuple[str, ...]
@@ -237,10 +239,10 @@ class Comparison(Result):
         }
 
     def _figure(self, style: FigureStyle) -> Figure:
-        """Maps of the mean pressure on one colour scale."""
+        """Maps of the mean pressure on the fixed colour scale."""
         if self.geometry is None:
             return super()._figure(style)
-        from socket_testbed.report.tiles import tile_map_figure
+        from socket_testbed.report.tiles import pressure_limits, tile_map_figure
 
         pressures = self.tile_pressures(VALUE)
         return tile_map_figure(
@@ -248,7 +250,7 @@ class Comparison(Result):
             dict(zip(self.items, pressures.value, strict=True)),
             "mean pressure [kPa]",
             style=style,
-            limits=(pressures.value.min(), pressures.value.max()),
+            limits=pressure_limits(pressures.value, style.limits),
             side=self.side,
             reach=dict(zip(self.items, pressures.reach, strict=True)),
         )

@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from socket_testbed.report.style import FigureStyle
+    from socket_testbed.report.style import FigureStyle, Limits
 
 Rows: TypeAlias = dict[tuple[str, str, str], dict[str, Any]]
 """Outputs, keyed by part (`regions`, `tiles`, `limb`), name of the place, and title with the unit.
@@ -75,6 +75,8 @@ class TrialMap(Result):
         force_map: The estimator, its prior weighed by the evidence of the whole trial; `estimate`
             takes any samples of its clusters.
     """
+
+    _SCALED = True
 
     trial: Trial
     segment: Segment
@@ -206,12 +208,12 @@ class TrialMap(Result):
         side = self.trial.metadata.side
         return force_map_figure(self.trial.geometry, self.mean, heading, style, side)
 
-    def _draw_into(self, ax: Axes) -> None:
-        from socket_testbed.report.tiles import draw_wall
+    def _draw_into(self, ax: Axes, limits: Limits) -> None:
+        from socket_testbed.report.tiles import draw_pressure
 
         mean, side = self.mean, self.trial.metadata.side
         pressure, reach = 1e-3 * mean.normal_pressure[0], 1e-3 * mean.pressure_reach[0]
-        draw_wall(ax, self.trial.geometry, pressure, "pressure [kPa]", reach, side)
+        draw_pressure(ax, self.trial.geometry, pressure, reach, limits, side)
 
 
 def force_map(
@@ -284,6 +286,8 @@ class TrialPressure(SegmentPressure, Result):
         threshold: Pressure above which a tile is in contact [kPa].
         share: A value is uncertain if its interval reaches farther than this share of it [-].
     """
+
+    _SCALED = True
 
     threshold: float
     share: float
@@ -472,8 +476,8 @@ class TrialPressure(SegmentPressure, Result):
 
         return pressure_figure(self, f"{self.trial.name}: pressure, {self.segment}", style)
 
-    def _draw_into(self, ax: Axes) -> None:
-        self.map._draw_into(ax)
+    def _draw_into(self, ax: Axes, limits: Limits) -> None:
+        self.map._draw_into(ax, limits)
 
 
 def pressure(

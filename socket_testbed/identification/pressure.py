@@ -517,6 +517,27 @@ def _in_contact(pressure: FloatArray, threshold: float) -> FloatArray:
     return (pressure > threshold).astype(float)
 
 
+def contact_area(
+    geometry: SocketGeometry, regions: Sequence[Region], found: MapEstimate, threshold: float
+) -> Quantity:
+    """Contact area of R regions from a map of N = 1 alone, without draws, shape (R,) [m^2].
+
+    The interval ends count the tiles whose whole interval lies above the threshold, and those whose
+    interval reaches above it: it is wider than that of `RegionOutputs`.
+
+    Args:
+        geometry: The socket of n tiles.
+        regions: The R regions.
+        found: The force map.
+        threshold: Pressure above which a tile is in contact [Pa].
+    """
+    reach = found.pressure_reach[0]
+    ends = (found.normal_pressure[0] + side * reach for side in (0.0, -1.0, 1.0))
+    areas = (_in_contact(pressure, threshold) * geometry.areas for pressure in ends)
+    value, low, high = (np.array([a[region.tiles].sum() for region in regions]) for a in areas)
+    return Quantity(value, low, high, value)
+
+
 def _quantiles(drawn: FloatArray) -> FloatArray:
     """`_QUANTILES` of the draws along the last axis, without NaN, shape (3, ...)."""
     ordered = np.sort(drawn, axis=-1)  # NaN comes last

@@ -15,18 +15,21 @@ from matplotlib.colors import PowerNorm, to_rgba
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Patch as Swatch
 from matplotlib.patheffects import withStroke
+from numpy.typing import ArrayLike
 
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.geometry.socket import Side, SocketGeometry
 from socket_testbed.identification.pressure import greyness
-from socket_testbed.pages.document import GREY, POWER
+from socket_testbed.pages.document import GREY, POWER, fixed_end
 from socket_testbed.pages.wall import Patch, UnrolledTiles, patches, side_names, unrolled_tiles
 from socket_testbed.report.style import (
     DEFAULT_STYLE,
+    DIVERGING,
     SCALE,
     SMALL,
     VERMILION,
     FigureStyle,
+    Limits,
     in_style,
     lay_out,
     wrap,
@@ -39,6 +42,7 @@ _HATCH = "/////"  # for missing values
 _SIDE_MARGIN = 3.0  # [deg]; of the unrolled wall
 _WALL_MARGIN = 0.03  # [-]; above and below the wall, relative to its height
 _END_MARGIN = 0.06  # [-]; around the distal end, relative to its size
+_END_GAP = 12.0  # [mm]; between the wall and the distal end in one panel
 _WALL_SHARE = 3.4  # [-]; width of the wall over that of the distal end
 _MIN_FONT = 3.0  # [pt]; of a name on a tile
 _LINE_LENGTH = 9  # characters
@@ -64,6 +68,21 @@ def value_range(values: FloatArray) -> tuple[float, float]:
     low, high = float(finite.min()), float(finite.max())
     margin = 0.0 if low < high else 0.1 * abs(low) or 1.0
     return low - margin, high + margin
+
+
+def pressure_limits(values: ArrayLike, limits: Limits = (None, None)) -> tuple[float, float]:
+    """Ends of the colour scale of pressures [kPa], fixed: one colour is one pressure.
+
+    Args:
+        values: All pressures of the figure, of any shape [kPa]; NaN for none.
+        limits: Ends that the user chose, None for 0 and for the `fixed_end` of the highest value.
+    """
+    low = 0.0 if limits[0] is None else limits[0]
+    if limits[1] is not None:
+        return low, limits[1]
+    shown = np.asarray(values, dtype=float)
+    high = fixed_end(float(np.max(shown[np.isfinite(shown)], initial=0.0)))
+    return low, high if high > low else low + high
 
 
 @dataclass(frozen=True)
@@ -97,7 +116,7 @@ def paint_tiles(
     """Colour tiles by their values; those without one are white and hatched.
 
     Pressures whose intervals are known are drawn smooth over the surface, in the colours and greys
-    of the pages; differences, whose limits are symmetric, have linear colours.
+    of the pages; errors and differences, whose limits are symmetric, have diverging colours.
 
     Args:
         geometry: The socket of n tiles.
@@ -108,14 +127,15 @@ def paint_tiles(
     """
     tiles, unknown = unrolled_tiles(geometry), np.isnan(values)
     low, high = limits or value_range(values)
-    power = POWER if reach is not None and low > -high else 1.0
-    scale = ScalarMappable(PowerNorm(power, low, high), SCALE)
+    differs = low == -high
+    power = POWER if reach is not None and not differs else 1.0
+    scale = ScalarMappable(PowerNorm(power, low, high), DIVERGING if differs else SCALE)
     fills = np.where(unknown[:, None], to_rgba(_NO_VALUE), scale.to_rgba(values))
     if reach is None or unknown.any():
         return TilePaint(geometry, tiles, fills, unknown, scale)
     images = []
     for patch in patches(geometry, _IMAGE_STEP):
-        image = np.asarray(scale.to_rgba(patch.weights @ values))
+        image = np.asarray(scale.to_rgba(np.clip(patch.weights @ values, low, high)))
         grey = np.clip(patch.weights @ greyness(1e3 * values, 1e3 * reach), 0.0, 1.0)
         veil = GREY["greyest"] * grey[..., None]
         image[..., :3] += veil * (np.array(GREY["colour"]) / 255.0 - image[..., :3])
@@ -279,28 +299,66 @@ def _draw_maps(
     add_key(figure, style, *key, end, grey, "hatched: no value" * any_unknown)
 
 
-def draw_wall(
+def draw_pressure(
     axis: Axes,
     geometry: SocketGeometry,
     values: FloatArray,
-    unit: str,
-    reach: FloatArray | None = None,
+    reach: FloatArray,
+    limits: Limits = (None, None),
     side: Side | None = None,
 ) -> None:
-    """Draw values on the wall, with a colour bar, into the caller's axes.
+    """Draw pressures on the wall and the distal end, with a colour bar, into the caller's axes.
+
+    The end is to the right of the wall, at its scale. Clusters are outlined and named.
 
     Args:
         axis: The axes.
         geometry: The socket of n tiles.
-        values: Values of the tiles in any unit, with `reach` in kPa, shape (n,); NaN is hatched.
-        unit: Label of the colour bar.
-        reach: Half-widths of the 95 % intervals of pressures, shape (n,) [kPa]: they are drawn
-            smooth, the greyer, the less certain; None colours each tile evenly.
+        values: Pressures of the tiles, shape (n,) [kPa]; NaN is hatched.
+        reach: Half-widths of their 95 % intervals, shape (n,) [kPa]: the greyer, the less certain.
+        limits: Ends of the colour scale, see `pressure_limits`.
         side: The leg that wears the socket; None if unknown.
     """
-    paint = paint_tiles(geometry, values, reach=reach)
-    _draw_wall(axis, paint, [""] * len(geometry), side)
-    axis.figure.colorbar(paint.scale, ax=axis, label=unit)
+    labels = [""] * len(geometry)
+    paint = paint_tiles(geometry, values, pressure_limits(values, limits), reach)
+    _draw_wall(axis, paint, labels, side)
+    if not paint.tiles.on_wall.all():
+        paint = _beside_wall(paint, axis.get_xlim()[1])
+        across, up = np.moveaxis(paint.tiles.corners[~paint.tiles.on_wall], -1, 0)
+        bottom, top = axis.get_ylim()
+        axis.set_xlim(right=across.max() + _SIDE_MARGIN)
+        axis.set_ylim(min(bottom, up.min()), max(top, up.max()))
+        _draw_part(axis, paint, "end", labels)
+        above: dict[str, Any] = {"xytext": (0, 3), "textcoords": "offset points"}
+        above |= {"ha": "center", "va": "bottom"}
+        axis.annotate("distal end", (across.mean(), up.max()), **above)
+    for name, tile in geometry.clusters.items():
+        x, y = paint.tiles.corners[tile].mean(axis=0)
+        look: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 3, "parse_math": False}
+        look |= {"path_effects": [withStroke(linewidth=2.0, foreground="white")]}
+        axis.text(x, y, name.replace("_", "_\n"), fontsize=SMALL, color="black", **look)
+    axis.figure.colorbar(paint.scale, ax=axis, label="pressure [kPa]")
+
+
+def _beside_wall(paint: TilePaint, right: float) -> TilePaint:
+    """The end moved to the right of the wall [deg, mm], at the wall's scale and half its height.
+
+    `right` is where the wall's panel ends [deg].
+    """
+    low, high, width = _measures(paint.tiles)
+    ends = ~paint.tiles.on_wall
+    size = 1e3 * paint.tiles.around.radii(paint.tiles.squares).max()
+    scale = np.array([1.0 / width, 1.0])
+    start = np.array([right + (_END_GAP + size) / width, 0.5 * (low + high)])
+    corners = paint.tiles.corners.copy()
+    corners[ends] = start + scale * corners[ends]
+    images = [
+        (patch, image)
+        if patch.name == "wall"
+        else (replace(patch, x=start[0] + patch.x / width, y=start[1] + patch.y), image)
+        for patch, image in paint.images
+    ]
+    return replace(paint, tiles=replace(paint.tiles, corners=corners), images=images)
 
 
 def add_key(figure: Figure | SubFigure, style: FigureStyle, *parts: str) -> None:
