@@ -169,8 +169,12 @@ def shear_arrows(geometry: SocketGeometry, forces: FloatArray) -> FloatArray:
         geometry: The socket of n tiles.
         forces: Forces on the tiles in {S}, shape (..., n, 3) [N].
     """
-    along = np.einsum("nai,...ni->...na", unrolled_tiles(geometry).directions, forces)
-    return np.asarray(along / geometry.areas[:, None])
+    return np.asarray(np.einsum("nai,...ni->...na", arrow_map(geometry), forces))
+
+
+def arrow_map(geometry: SocketGeometry) -> FloatArray:
+    """From forces on the n tiles in {S} to `shear_arrows`, shape (n, 2, 3) [1/m^2]."""
+    return np.asarray(unrolled_tiles(geometry).directions / geometry.areas[:, None, None])
 
 
 def fixed_end(highest: float) -> float:

@@ -42,6 +42,7 @@ _HATCH = "/////"  # for missing values
 _SIDE_MARGIN = 3.0  # [deg]; of the unrolled wall
 _WALL_MARGIN = 0.03  # [-]; above and below the wall, relative to its height
 _END_MARGIN = 0.06  # [-]; around the distal end, relative to its size
+_NEAR_SEAM = 150.0  # [deg]; names of tiles beyond it are moved inside the picture
 _END_GAP = 12.0  # [mm]; between the wall and the distal end in one panel
 _WALL_SHARE = 3.4  # [-]; width of the wall over that of the distal end
 _MIN_FONT = 3.0  # [pt]; of a name on a tile
@@ -323,40 +324,38 @@ def draw_pressure(
     paint = paint_tiles(geometry, values, pressure_limits(values, limits), reach)
     _draw_wall(axis, paint, labels, side)
     if not paint.tiles.on_wall.all():
-        paint = _beside_wall(paint, axis.get_xlim()[1])
-        across, up = np.moveaxis(paint.tiles.corners[~paint.tiles.on_wall], -1, 0)
-        bottom, top = axis.get_ylim()
-        axis.set_xlim(right=across.max() + _SIDE_MARGIN)
-        axis.set_ylim(min(bottom, up.min()), max(top, up.max()))
+        size, (bottom, top), right = _end_size(paint), axis.get_ylim(), axis.get_xlim()[1]
+        low, high, width = _measures(paint.tiles)
+        x, y = right + (_END_GAP + size) / width, 0.5 * (low + high)
+        paint = _beside_wall(paint, x, y, width)
+        axis.set_xlim(right=x + size / width + _SIDE_MARGIN)
+        axis.set_ylim(min(bottom, y - size), max(top, y + size))
         _draw_part(axis, paint, "end", labels)
         above: dict[str, Any] = {"xytext": (0, 3), "textcoords": "offset points"}
-        above |= {"ha": "center", "va": "bottom"}
-        axis.annotate("distal end", (across.mean(), up.max()), **above)
+        axis.annotate("distal end", (x, y + size), ha="center", va="bottom", **above)
     for name, tile in geometry.clusters.items():
         x, y = paint.tiles.corners[tile].mean(axis=0)
-        look: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 3, "parse_math": False}
+        inside = "left" if x < -_NEAR_SEAM else "center"
+        look: dict[str, Any] = {"ha": inside, "va": "center", "zorder": 3, "parse_math": False}
         look |= {"path_effects": [withStroke(linewidth=2.0, foreground="white")]}
         axis.text(x, y, name.replace("_", "_\n"), fontsize=SMALL, color="black", **look)
     axis.figure.colorbar(paint.scale, ax=axis, label="pressure [kPa]")
 
 
-def _beside_wall(paint: TilePaint, right: float) -> TilePaint:
-    """The end moved to the right of the wall [deg, mm], at the wall's scale and half its height.
+def _end_size(paint: TilePaint) -> float:
+    """Half the width of the distal end with its tiles [mm]."""
+    tiles = np.abs(paint.tiles.corners[~paint.tiles.on_wall]).max()
+    surface = [np.abs(patch.x).max() for patch, _ in paint.images if patch.name == "end"]
+    return float(max(tiles, *surface)) if surface else float(tiles)
 
-    `right` is where the wall's panel ends [deg].
-    """
-    low, high, width = _measures(paint.tiles)
-    ends = ~paint.tiles.on_wall
-    size = 1e3 * paint.tiles.around.radii(paint.tiles.squares).max()
-    scale = np.array([1.0 / width, 1.0])
-    start = np.array([right + (_END_GAP + size) / width, 0.5 * (low + high)])
-    corners = paint.tiles.corners.copy()
-    corners[ends] = start + scale * corners[ends]
+
+def _beside_wall(paint: TilePaint, x: float, y: float, width: float) -> TilePaint:
+    """The end's centre moved to a place of the wall [deg, mm], whose degrees have a width [mm]."""
+    ends, corners = ~paint.tiles.on_wall, paint.tiles.corners.copy()
+    corners[ends] = corners[ends] / [width, 1.0] + [x, y]
     images = [
-        (patch, image)
-        if patch.name == "wall"
-        else (replace(patch, x=start[0] + patch.x / width, y=start[1] + patch.y), image)
-        for patch, image in paint.images
+        (patch if patch.name == "wall" else replace(patch, x=x + patch.x / width, y=y + patch.y), i)
+        for patch, i in paint.images
     ]
     return replace(paint, tiles=replace(paint.tiles, corners=corners), images=images)
 

@@ -131,7 +131,7 @@ def test_a_peak_that_nothing_measured_is_called_estimated(hold: Path, played: Pl
     trial = st.open_trial(hold)
     trial.samples().status[:, trial.samples().clusters.index("distal")] = Status.MISSING
     (peak, *_) = Player(trial).now(played.player.start()["start"])["cards"]
-    assert "distal, estimated" in peak["words"]
+    assert peak["words"] == "the distal end, estimated"
 
 
 @pytest.fixture(scope="module")
