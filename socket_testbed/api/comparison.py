@@ -51,6 +51,8 @@ _LOAD_TOLERANCE = 0.1  # [-]; relative difference in mean force that is noted
 _TIME_TOLERANCE = 0.05  # [-]; relative difference in the integrated time that is noted
 COLUMNS = ("part", "name", "quantity", "unit", "item", *VALUES, "text")
 MAPPED = ("regions", "tiles")  # parts of the table computed from the force map
+FELT = ("peak pressure", "mean pressure", "shear", "contact area", "pressure-time integral")
+"""Quantities that the limb feels."""
 LEGEND = "value (95 % interval); *: the interval of the difference excludes 0."
 
 
@@ -193,15 +195,18 @@ class Comparison(Result):
         return table.droplevel("quantity") if quantity else table
 
     def differing(self) -> list[str]:
-        """Differences of regions whose interval excludes zero, in words, the clearest first.
+        """Differences of regions whose interval excludes zero, in words.
 
-        The first line counts them: one in 20 of 95 % intervals excludes zero by chance.
+        What the limb feels comes first (`FELT`: pressure, contact and shear), then the share of the
+        load, directions and centres; of each kind the clearest. The first line counts them: one in
+        20 of 95 % intervals excludes zero by chance.
         """
         rows = self.table[self.table["part"] == "regions"]
         low, high = rows["difference low"], rows["difference high"]
         rows = rows.assign(clear=(low + high).abs() / (high - low))[high > low]
         clear = rows[is_clear(rows["difference low"], rows["difference high"])]
-        clear = clear.sort_values("clear", ascending=False, kind="stable")
+        clear = clear.assign(felt=clear["quantity"].isin(FELT))
+        clear = clear.sort_values(["felt", "clear"], ascending=False, kind="stable")
         lines = [
             f"{len(clear)} of {len(rows)} intervals of the regions' differences exclude 0; by"
             f" chance alone up to about {0.05 * len(rows):.0f} would"

@@ -76,7 +76,7 @@ def page_data(results: Results) -> dict[str, Any]:
         "start": found.peak_time,
         "moments": moments,
         "mean": mean
-        | {"time": None, "words": f"mean over {found.segment}", "highest": "highest mean"},
+        | {"time": None, "words": f"mean over {found.segment}", "highest": "highest"},
         "cards": [
             *document.cards(
                 geometry,

@@ -249,7 +249,7 @@ def test_values_of_either_sign_diverge(values, end) -> None:
 
 
 @pytest.mark.parametrize(
-    ("highest", "end"), [(1.0, 10), (10.0, 10), (10.5, 20), (60.0, 100), (130.0, 130)]
+    ("highest", "end"), [(1.0, 5), (5.0, 5), (5.5, 10), (60.0, 100), (130.0, 130)]
 )
 def test_shear_has_its_own_scale(highest, end) -> None:
     tab = opened(setting="map.kind = 'shear'")
@@ -260,7 +260,7 @@ def test_shear_has_its_own_scale(highest, end) -> None:
 
 
 def test_shear_is_drawn_with_arrows() -> None:
-    """30 px at the end of the scale, 10 kPa; 0.1 kPa are too little, more is no longer."""
+    """36 px at the end of the scale, 10 kPa; 0.1 kPa are too little, more is no longer."""
     arrows = [[0.0, 5.0], [5.0, 0.0], [0.0, 0.1], [None, None], [-24.0, -32.0]]
     moment = hand_moment(shear=[5.0, 5.0, 0.1, 0.0, 10.0], arrows=arrows)
     picture = drawn(moment, setting="map.kind = 'shear'")
@@ -269,9 +269,9 @@ def test_shear_is_drawn_with_arrows() -> None:
     assert places == [("x", 0, 90), ("x", 90, 60), ("x2", 10, -5)]
     # From the tail to the tip, upwards counts negative; its middle is at the tile.
     tails = [(note["ax"], note["ay"], note["xshift"], note["yshift"]) for note in found]
-    assert tails[0] == pytest.approx((0.0, 15.0, 0.0, 7.5))
-    assert tails[1] == pytest.approx((-15.0, 0.0, 7.5, 0.0))
-    assert tails[2] == pytest.approx((18.0, -24.0, -9.0, -12.0))
+    assert tails[0] == pytest.approx((0.0, 18.0, 0.0, 9.0))
+    assert tails[1] == pytest.approx((-18.0, 0.0, 9.0, 0.0))
+    assert tails[2] == pytest.approx((21.6, -28.8, -10.8, -14.4))
     assert not any(note["showarrow"] for note in drawn(moment).layout["annotations"])
 
 

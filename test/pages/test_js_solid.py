@@ -100,7 +100,7 @@ def test_faces_of_a_surface_turn_the_same_way() -> None:
 def test_shear_is_drawn_without_grey() -> None:
     tab = opened()
     tab.run("map.kind = 'shear'")
-    tab.run(f"map.show({json.dumps(hand_moment(shear=[5.0] * 5))})")
+    tab.run(f"map.show({json.dumps(hand_moment(shear=[2.5] * 5))})")
     wall, _ = surfaces(tab.picture("#solid"))
     assert colour_at(wall, 50.0, 0.0, 90.0) == (33, 145, 140)
 

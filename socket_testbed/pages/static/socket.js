@@ -8,9 +8,9 @@ const VIRIDIS = ["#440154", "#482475", "#414487", "#355f8d", "#2a788e", "#21918c
   "#44bf70", "#7ad151", "#bddf26", "#fde725"].map(rgbOf);
 const SCALES = {  // [kPa]; ends of the colour scale, and the least automatic one
   pressure: {ends: [25, 50, 100, 200, 400], least: 50},
-  shear: {ends: [5, 10, 20, 50, 100], least: 10},
+  shear: {ends: [2, 5, 10, 20, 50, 100], least: 5},
 };
-const ARROW = 30;  // [px]; length of an arrow at the end of the scale of shear
+const ARROW = 36;  // [px]; length of an arrow at the end of the scale of shear
 const LEGEND = `<i class="full"></i> certain <i class="grey"></i> the greyer, the farther the 95 % interval
   reaches beyond the value. Outlined: clusters, with their measured pressure [kPa]. Arrows: shear of the
   limb on the socket. The wall is unrolled and seen from outside.`;
