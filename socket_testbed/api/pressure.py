@@ -209,11 +209,12 @@ class TrialMap(Result):
         return force_map_figure(self.trial.geometry, self.mean, heading, style, side)
 
     def _draw_into(self, ax: Axes, limits: Limits) -> None:
-        from socket_testbed.report.tiles import draw_pressure
+        from socket_testbed.report.tiles import draw_wall, pressure_limits
 
         mean, side = self.mean, self.trial.metadata.side
         pressure, reach = 1e-3 * mean.normal_pressure[0], 1e-3 * mean.pressure_reach[0]
-        draw_pressure(ax, self.trial.geometry, pressure, reach, limits, side)
+        ends = pressure_limits(pressure, limits)
+        draw_wall(ax, self.trial.geometry, pressure, "pressure [kPa]", reach, side, ends)
 
 
 def force_map(
@@ -369,7 +370,7 @@ class TrialPressure(SegmentPressure, Result):
         - `shear [kPa]`, `shear direction [deg]`: magnitude of the mean shear, and its direction in
           the tile's frame {L} from x (proximal) towards y; ends may lie beyond +-180.
 
-        No value is NaN.
+        No value is NaN, except the integral over a single sample.
         """
         geometry = self.trial.geometry
         names = pd.Index(geometry.names, name="tile")
@@ -394,7 +395,8 @@ class TrialPressure(SegmentPressure, Result):
         - `centre of pressure x [mm]`, and y and z: in {S}.
 
         The last column is `nearest tile`, the one nearest to the centre of pressure, or empty. The
-        centre is NaN for a region without compression at any sample.
+        centre is NaN for a region without compression at any sample, the integral over a single
+        sample.
         """
         return self.regions
 

@@ -140,7 +140,7 @@ class RegionOutputs:
         mean: Mean pressure, positive in compression [Pa].
         peak: Peak pressure, positive in compression [Pa].
         area: Contact area [m^2].
-        integral: Pressure-time integral [Pa s]; NaN at instants.
+        integral: Pressure-time integral [Pa s]; NaN at instants and over a single sample.
         centre: Centre of pressure in {S}, shape (R, 3) or (N, R, 3) [m]; NaN without compression.
         shear: Magnitude of the mean shear [Pa].
         direction: Direction of the shear from x (proximal) towards y of the tiles' frames, within
@@ -394,7 +394,7 @@ class _Span:
     """Fields of D draws, accumulated over the samples of a span."""
 
     def __init__(self, draws: int, tiles: int) -> None:
-        self._samples = 0
+        self._samples, self._time = 0, 0.0
         self._force = np.zeros((draws, tiles, 3))
         self.peak = np.full((draws, tiles), -np.inf)
         self._contact, self._compression, self._integral = np.zeros((3, draws, tiles))
@@ -402,6 +402,7 @@ class _Span:
     def add(self, instants: _Fields, weights: FloatArray) -> None:
         """Add fields (k, D, n) of k samples, with their weights in time integrals (k,) [s]."""
         self._samples += len(weights)
+        self._time += float(weights.sum())
         self._force += instants.force.sum(axis=0)
         self.raise_peaks(instants)
         self._contact += instants.contact.sum(axis=0)
@@ -419,7 +420,7 @@ class _Span:
             peak=self.peak,
             contact=self._contact / self._samples,
             compression=self._compression / self._samples,
-            integral=self._integral,
+            integral=self._integral if self._time > 0.0 else None,
         )
 
 
@@ -517,13 +518,27 @@ def _in_contact(pressure: FloatArray, threshold: float) -> FloatArray:
     return (pressure > threshold).astype(float)
 
 
-def contact_area(
-    geometry: SocketGeometry, regions: Sequence[Region], found: MapEstimate, threshold: float
-) -> Quantity:
-    """Contact area of R regions from a map of N = 1 alone, without draws, shape (R,) [m^2].
+@dataclass(frozen=True)
+class Contact:
+    """Contact of R regions at an instant.
 
-    The interval ends count the tiles whose whole interval lies above the threshold, and those whose
-    interval reaches above it: it is wider than that of `RegionOutputs`.
+    Attributes:
+        area: Contact area, shape (R,) [m^2].
+        pressure: Mean over the region's area of the pressure in contact, shape (R,) [Pa]: the rate
+            of the pressure-time integral.
+    """
+
+    area: Quantity
+    pressure: Quantity
+
+
+def contact_of(
+    geometry: SocketGeometry, regions: Sequence[Region], found: MapEstimate, threshold: float
+) -> Contact:
+    """Contact of R regions from a map of N = 1 alone, without draws.
+
+    Each end of an interval takes that end of the interval of every tile, as if all tiles had the
+    same errors: the intervals are wider than those of `RegionOutputs`.
 
     Args:
         geometry: The socket of n tiles.
@@ -532,10 +547,14 @@ def contact_area(
         threshold: Pressure above which a tile is in contact [Pa].
     """
     reach = found.pressure_reach[0]
-    ends = (found.normal_pressure[0] + side * reach for side in (0.0, -1.0, 1.0))
-    areas = (_in_contact(pressure, threshold) * geometry.areas for pressure in ends)
-    value, low, high = (np.array([a[region.tiles].sum() for region in regions]) for a in areas)
-    return Quantity(value, low, high, value)
+    pressures = found.normal_pressure[0] + np.outer([0.0, -1.0, 1.0], reach)  # value, low, high
+    contact = _in_contact(pressures, threshold)
+    held = np.stack([contact, contact * pressures], axis=1) * geometry.areas  # (3, 2, n)
+    sums = np.stack([held[..., region.tiles].sum(axis=-1) for region in regions], axis=-1)
+    areas = np.array([geometry.areas[region.tiles].sum() for region in regions])
+    value, low, high = sums[:, 0]
+    mean, least, most = sums[:, 1] / areas
+    return Contact(Quantity(value, low, high, value), Quantity(mean, least, most, mean))
 
 
 def _quantiles(drawn: FloatArray) -> FloatArray:

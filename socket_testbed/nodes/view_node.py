@@ -33,7 +33,8 @@ from socket_testbed.identification.pressure import (
     THRESHOLD,
     Quantity,
     RegionOutputs,
-    contact_area,
+    contact_of,
+    integration_weights,
 )
 from socket_testbed.nodes import base
 from socket_testbed.nodes.controls import ServiceControls
@@ -58,6 +59,7 @@ _DEPTHS = {
 }
 _MAX_KEPT = 200  # messages of a topic, to match those of the regions
 _COURSE_DURATION = 30.0  # [s]
+_INTEGRAL = f"pressure-time integral, last {_COURSE_DURATION:.0f} s [kPa s]"
 _NO_WRENCH = np.full(6, np.nan)
 _T = TypeVar("_T")
 _SIGNS = ("\N{BLACK CIRCLE}", "\N{BLACK UP-POINTING TRIANGLE}", "\N{BLACK SQUARE}")
@@ -138,6 +140,8 @@ class LiveSource:
         self._shown: document.Document = {}  # cards (except the data's), bars, course
         self._shown_at = -math.inf  # [s]
         self._course: deque[tuple[float, ...]] = deque()  # time [s], force [N], peak and ends [Pa]
+        # Pressure in contact of the regions with its ends, (3, R) [Pa], at the times of the course
+        self._held: deque[FloatArray] = deque()
         node.listen(topics.DIAGNOSTICS, self._on_diagnostics, needed=False)
         node.listen(topics.RECORDED_TRIAL, self._on_trial, needed=False)
 
@@ -230,8 +234,10 @@ class LiveSource:
 
     def _restart(self) -> None:
         """Forget what was measured before the graph was restarted."""
-        for kept in (self._wrenches, self._course, self._maps, self._stresses, self._waiting):
+        for kept in (self._wrenches, self._course, self._held):
             kept.clear()
+        for by_stamp in (self._maps, self._stresses, self._waiting):
+            by_stamp.clear()
         self._first = self._pair = 0
 
     def _update(self, inbox: base.Inbox) -> None:
@@ -247,14 +253,17 @@ class LiveSource:
             if stamp not in self._maps:
                 continue
             mapped, outputs = self._maps[stamp], self._waiting.pop(stamp)
-            area = contact_area(geometry, places, mapped, THRESHOLD)
+            contact = contact_of(geometry, places, mapped, THRESHOLD)
             wrench = dict(self._wrenches).get(stamp, _NO_WRENCH)
             peak = outputs.peak
             row = (axial_force(geometry, wrench), peak.value[-1], peak.low[-1], peak.high[-1])
             self._first = self._first or stamp
             self._course.append((1e-9 * (stamp - self._first), *map(float, row)))
+            held = contact.pressure
+            self._held.append(np.stack([held.value, held.low, held.high]))
             while self._course[-1][0] - self._course[0][0] > _COURSE_DURATION:
                 self._course.popleft()
+                self._held.popleft()
             time, load, value, low, high = np.array(self._course).T
             self._shown_at, self._pair = now, stamp
             self._shown = {
@@ -266,9 +275,16 @@ class LiveSource:
                     self._measured(stamp),
                     " now",
                 ),
-                "bars": document.bars(places, replace(outputs, area=area)),
+                "bars": document.bars(
+                    places, replace(outputs, area=contact.area), {_INTEGRAL: self._integral(time)}
+                ),
                 "course": document.course(time, load, Quantity(value, low, high, value), []),
             }
+
+    def _integral(self, time: FloatArray) -> Quantity:
+        """Pressure-time integral of the regions over the course, whose times are given [s]."""
+        value, low, high = integration_weights(time) @ np.stack(self._held, axis=1)
+        return Quantity(value, low, high, value)
 
     def _moment(self) -> document.Document:
         """The map of the cards, else the newest one: stresses on the tiles with its time [s]."""
@@ -302,7 +318,9 @@ class LiveSource:
             shown = f"{rate:.3g} Hz" if math.isfinite(rate) else ""
             rows.append([_SIGNS[min(level, 2)], title, words, shown])
             if level > 0:
-                bad.append((level, f"{title}: {words}"))
+                names = words.partition(":")[0].split(", ")
+                of_clusters = {*names} <= {*self._geometry.clusters}  # they say more than the node
+                bad.append((level, words if of_clusters else f"{title}: {words}"))
         if self._foreign:
             bad.append((3, "the force map is of another socket: give 'view' its --geometry"))
         if not rows and not bad:

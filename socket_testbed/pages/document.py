@@ -42,11 +42,12 @@ from socket_testbed.pages.wall import Patch, patches, side_names, unrolled_tiles
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.trials.trial import Trial
 
+_INTEGRAL = "pressure-time integral [kPa s]"
 _BAR_TITLES = (
     "mean pressure [kPa]",
     "peak pressure [kPa]",
     "contact area [cm^2]",
-    "pressure-time integral [kPa s]",
+    _INTEGRAL,
     "share of load [%]",
     "shear [kPa]",
 )
@@ -312,7 +313,7 @@ def bars(
         for title, output in found.items()
         if np.isfinite(output.value).any()
     }
-    decimals = {title: decimals_of(title) for title in values}
+    decimals = {title: decimals_of(_INTEGRAL if title in integrals else title) for title in values}
     return {"regions": [places[i].name for i in shown], "values": values, "decimals": decimals}
 
 

@@ -36,7 +36,7 @@ from socket_testbed.report.style import (
     thin,
     thin_band,
 )
-from socket_testbed.report.tiles import add_key, pressure_limits, tile_map_figure
+from socket_testbed.report.tiles import add_key, pressure_limits, tile_map_figure, value_range
 from socket_testbed.tables import Table, split_unit
 from socket_testbed.trials.pressure import SegmentPressure, by_place, cells, limb_cells
 
@@ -75,8 +75,7 @@ def page_data(results: Results) -> dict[str, Any]:
     return document.trial_document(trial, over_trial, time) | {
         "start": found.peak_time,
         "moments": moments,
-        "mean": mean
-        | {"time": None, "words": f"mean over {found.segment}", "highest": "highest"},
+        "mean": mean | {"time": None, "words": f"mean over {found.segment}", "highest": "highest"},
         "cards": [
             *document.cards(
                 geometry,
@@ -217,7 +216,7 @@ def force_map_figure(
     deviation = 1e-3 * estimate.normal_pressure_standard_deviation[0]
     maps = {"normal pressure": pressure, "its standard deviation": deviation}
     reach = dict(zip(maps, (1e-3 * estimate.pressure_reach[0], 0.0 * deviation), strict=True))
-    limits = pressure_limits(pressure, style.limits), pressure_limits(deviation)
+    limits = pressure_limits(pressure, style.limits), value_range(deviation)
     return tile_map_figure(
         geometry,
         maps,

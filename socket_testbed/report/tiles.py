@@ -300,28 +300,31 @@ def _draw_maps(
     add_key(figure, style, *key, end, grey, "hatched: no value" * any_unknown)
 
 
-def draw_pressure(
+def draw_wall(
     axis: Axes,
     geometry: SocketGeometry,
     values: FloatArray,
-    reach: FloatArray,
-    limits: Limits = (None, None),
+    unit: str,
+    reach: FloatArray | None = None,
     side: Side | None = None,
+    limits: tuple[float, float] | None = None,
 ) -> None:
-    """Draw pressures on the wall and the distal end, with a colour bar, into the caller's axes.
+    """Draw values on the wall and the distal end, with a colour bar, into the caller's axes.
 
     The end is to the right of the wall, at its scale. Clusters are outlined and named.
 
     Args:
         axis: The axes.
         geometry: The socket of n tiles.
-        values: Pressures of the tiles, shape (n,) [kPa]; NaN is hatched.
-        reach: Half-widths of their 95 % intervals, shape (n,) [kPa]: the greyer, the less certain.
-        limits: Ends of the colour scale, see `pressure_limits`.
+        values: Values of the tiles in any unit, with `reach` in kPa, shape (n,); NaN is hatched.
+        unit: Label of the colour bar.
+        reach: Half-widths of the 95 % intervals of pressures, shape (n,) [kPa]: they are drawn
+            smooth, the greyer, the less certain; None colours each tile evenly.
         side: The leg that wears the socket; None if unknown.
+        limits: Ends of the colour scale in the unit of the values; by default their range.
     """
     labels = [""] * len(geometry)
-    paint = paint_tiles(geometry, values, pressure_limits(values, limits), reach)
+    paint = paint_tiles(geometry, values, limits, reach)
     _draw_wall(axis, paint, labels, side)
     if not paint.tiles.on_wall.all():
         size, (bottom, top), right = _end_size(paint), axis.get_ylim(), axis.get_xlim()[1]
@@ -339,7 +342,7 @@ def draw_pressure(
         look: dict[str, Any] = {"ha": inside, "va": "center", "zorder": 3, "parse_math": False}
         look |= {"path_effects": [withStroke(linewidth=2.0, foreground="white")]}
         axis.text(x, y, name.replace("_", "_\n"), fontsize=SMALL, color="black", **look)
-    axis.figure.colorbar(paint.scale, ax=axis, label="pressure [kPa]")
+    axis.figure.colorbar(paint.scale, ax=axis, label=unit)
 
 
 def _end_size(paint: TilePaint) -> float:

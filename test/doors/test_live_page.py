@@ -288,10 +288,22 @@ def test_bars_hold_the_regions(title: str, now: dict[str, Any]) -> None:
     assert bars["regions"] == [*SIDES, *LEVELS, *REGIONS[-4:]]
     assert tuple(bars["values"]) == (
         *("mean pressure [kPa]", "peak pressure [kPa]", "contact area [cm^2]"),
-        *("share of load [%]", "shear [kPa]"),
+        *("share of load [%]", "shear [kPa]", "pressure-time integral, last 30 s [kPa s]"),
     )
     for found, answer in zip(bars["values"][title], BARS[title], strict=False):
         assert found == pytest.approx(answer)
+
+
+def test_the_integral_is_of_the_last_half_minute(graph: Graph, source: LiveSource) -> None:
+    """71 / 3 +-1.96 kPa on `anterior`, always in contact; `right_end` of 6 kPa, within 1.96."""
+    for seconds in (0.0, 1.0, 2.0):
+        send_all(graph, seconds)
+        source.now(None)
+    bars = source.now(None)["bars"]
+    found = bars["values"]["pressure-time integral, last 30 s [kPa s]"]
+    by_region = dict(zip(bars["regions"], found, strict=True))
+    assert by_region["anterior"] == pytest.approx((47.3333, 43.4133, 51.2533), abs=1e-3)
+    assert by_region["right"] == pytest.approx((24.0, 18.6933, 26.6133), abs=1e-3)
 
 
 def test_the_wrench_table_tells_measured_from_predicted(now: dict[str, Any]) -> None:
@@ -409,6 +421,13 @@ def test_the_worst_problem_comes_first(graph: Graph, source: LiveSource) -> None
 def test_the_estimator_s_finding_is_said_plainly(graph: Graph, source: LiveSource) -> None:
     graph.report("/lab/estimator_node", 1, "data: look at distal: it is noisy; check its cable")
     assert data_card(source)["words"] == "distal: it is noisy; check its cable"
+
+
+def test_a_cluster_s_fault_begins_with_its_name(graph: Graph, source: LiveSource) -> None:
+    graph.report("/lab/cluster_node", 2, "distal: no answer: check its plug")
+    assert data_card(source)["words"] == "distal: no answer: check its plug"
+    graph.report("/lab/cluster_node", 2, "the bus is gone: check the adapter")
+    assert data_card(source)["words"] == "cluster: the bus is gone: check the adapter"
 
 
 def test_without_nodes_there_is_no_data(source: LiveSource) -> None:

@@ -297,6 +297,13 @@ def test_an_instant_has_its_own_outputs(case: str, found: PressureOutputs) -> No
     assert ends == pytest.approx(expected, rel=1e-4)
 
 
+def test_a_single_sample_has_no_integral() -> None:
+    """Its contact area is known, its duration is not."""
+    alone = outputs(scene_samples()[24:25])
+    assert np.isnan(alone.regions.integral.value).all() and alone.integrated == 0.0
+    assert alone.regions.area.value[NAMES.index("anterior")] == pytest.approx(27e-4)
+
+
 def test_an_instant_has_no_integral(found: PressureOutputs) -> None:
     assert np.isnan(found.series.integral.value).all()
     assert found.series.integral.value.shape == (96, len(REGIONS))
