@@ -50,7 +50,7 @@ SHARE = 0.5  # [-]; a value is uncertain if its interval reaches farther than th
 _FULL_COLOUR, _GREYEST = 1.0, 2.5  # [-]
 _MIN_GREYED = 5e3  # [Pa]
 _DRAWS = 200
-_WIDENING = 1.25  # [-]; of pressures' errors, as true fields have longer tails than the draws
+_PEAK_WIDENING = 1.25  # [-]; of pressures' errors, as true fields have longer tails than the draws
 _QUANTILES = (0.025, 0.5, 0.975)  # [-]
 _RAISED = ("peak", "area", "integral", "shear")  # their draws exceed the value on average
 _NEVER_NEGATIVE = ("area", "integral", "shear")
@@ -437,7 +437,7 @@ def _expanded(
             some = draws[start : start + _EXPANDED_BATCH]
             alone = _instants(some.mean()[:, None], areas, threshold)
             instants = _instants(some.values(), areas, threshold)
-            pressure = alone.peak + _WIDENING * (instants.peak - alone.peak)
+            pressure = alone.peak + _PEAK_WIDENING * (instants.peak - alone.peak)
             contact = _in_contact(pressure, threshold)
             yield some.rows, alone, replace(instants, peak=pressure, contact=contact)
 
