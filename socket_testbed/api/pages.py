@@ -182,8 +182,8 @@ def _cards(found: Comparison) -> list[dict[str, Any]]:
     for row in rows[rows["quantity"] == "peak pressure"].to_dict("records"):
         item = row["item"]
         mean = f"mean of {len(found.conditions[item])} trials, " * (len(found.conditions[item]) > 1)
-        peak = pressure_card(f"Peak, {item}", *(row[name] for name in VALUE), mean + spans[item])
-        shown.append(peak)
+        peak, low, high = (row[name] for name in VALUE)
+        shown.append(pressure_card(f"Peak, {item}", peak, low, high, mean + spans[item]))
     others = rows[rows["item"] != found.items[0]]
     for quantity in ("peak pressure", "mean pressure"):
         for row in others[others["quantity"] == quantity].to_dict("records"):

@@ -200,8 +200,8 @@ def moments(time: FloatArray, outputs: PressureOutputs, geometry: SocketGeometry
     found, measured = outputs.estimate, measured_pressure(outputs.samples, geometry)
     stresses = found.normal_pressure, found.pressure_reach, found.shear
     arrows = shear_arrows(geometry, found.forces)
-    rows = zip(time.tolist(), *stresses, measured, arrows, strict=True)
-    return [moment(*row, arrows=along) for *row, along in rows]
+    rows = zip(time.tolist(), *stresses, measured, strict=True)
+    return [moment(*row, None, along) for row, along in zip(rows, arrows, strict=True)]
 
 
 def wrench_rows(measured: FloatArray, predicted: FloatArray) -> list[list[str]]:
