@@ -6,8 +6,10 @@ Pressures are over the whole trial, models are fitted on its first half by hand:
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 import trimesh
@@ -15,6 +17,8 @@ from support import scene
 from support.pages import Page
 from support.results_by_hand import tile
 
+from socket_testbed.identification.pressure import Quantity
+from socket_testbed.report import pressure
 from socket_testbed.report.page import write_socket_page
 from socket_testbed.report.write import summarise
 
@@ -755,3 +759,22 @@ def test_a_socket_s_page_has_areas_and_heights(tmp_path: Path) -> None:
     assert height["values"][tile("ant_mid")] == pytest.approx(60.0)
     assert height["values"][tile("right_end")] == pytest.approx(0.0, abs=1e-9)
     assert page.rows("facts")["tiles"] == ["12"]
+
+
+@pytest.mark.parametrize(
+    ("own", "highest", "words"),
+    [
+        pytest.param(30.5e3, 31.2e3, "; highest of the trial 31.2 at 48 s", id="elsewhere"),
+        pytest.param(31.2e3, 31.2e3, "", id="in the segment"),
+        pytest.param(31.16e3, 31.2e3, "", id="equal as printed"),
+    ],
+)
+def test_a_card_names_the_trial_s_highest(own: float, highest: float, words: str) -> None:
+    def outputs(peak: float) -> SimpleNamespace:
+        values = np.array([1e3, peak])  # the socket is the last region
+        quantity = Quantity(values, values, values, values)
+        return SimpleNamespace(regions=SimpleNamespace(peak=quantity), peak_row=1)
+
+    found = SimpleNamespace(outputs=outputs(own))
+    time = np.array([12.0, 47.75])
+    assert pressure._highest(found, outputs(highest), time) == words  # type: ignore[arg-type]
