@@ -61,6 +61,8 @@ _LOAD_TOLERANCE = 0.1  # [-]; relative difference in mean force that is noted
 _TIME_TOLERANCE = 0.05  # [-]; relative difference in the integrated time that is noted
 COLUMNS = ("part", "name", "quantity", "unit", "item", *VALUES, "text")
 MAPPED = ("regions", "tiles")  # parts of the table computed from the force map
+FELT = ("peak pressure", "mean pressure", "shear", "contact area", "pressure-time integral")
+"""Quantities that the limb feels."""
 LEGEND = "value (95 % interval); *: the interval of the difference excludes 0."
 
 
@@ -119,6 +121,8 @@ class Comparison(Result):
         geometry: The first trial's socket, whose n tiles are compared; None if only regions are.
         side: The leg that wears the socket; None if it is not stated or differs between trials.
     """
+
+    _SCALED = True
 
     conditions: Mapping[str, Sequence[str]]
     title: str
@@ -210,15 +214,18 @@ class Comparison(Result):
         return table.droplevel("quantity") if quantity else table
 
     def differing(self) -> list[str]:
-        """Differences of regions whose interval excludes zero, in words, the clearest first.
+        """Differences of regions whose interval excludes zero, in words.
 
-        The first line counts them: one in 20 of 95 % intervals excludes zero by chance.
+        What the limb feels comes first (`FELT`: pressure, contact and shear), then the share of the
+        load, directions and centres; of each kind the clearest. The first line counts them: one in
+        20 of 95 % intervals excludes zero by chance.
         """
         rows = self.table[self.table["part"] == "regions"]
         low, high = rows["difference low"], rows["difference high"]
         rows = rows.assign(clear=(low + high).abs() / (high - low))[high > low]
         clear = rows[is_clear(rows["difference low"], rows["difference high"])]
-        clear = clear.sort_values("clear", ascending=False, kind="stable")
+        clear = clear.assign(felt=clear["quantity"].isin(FELT))
+        clear = clear.sort_values(["felt", "clear"], ascending=False, kind="stable")
         lines = [
             f"{len(clear)} of {len(rows)} intervals of the regions' differences exclude 0; by"
             f" chance alone up to about {0.05 * len(rows):.0f} would"
@@ -256,10 +263,10 @@ class Comparison(Result):
         }
 
     def _figure(self, style: FigureStyle) -> Figure:
-        """Maps of the mean pressure on one colour scale."""
+        """Maps of the mean pressure on the fixed colour scale."""
         if self.geometry is None:
             return super()._figure(style)
-        from socket_testbed.report.tiles import tile_map_figure
+        from socket_testbed.report.tiles import pressure_limits, tile_map_figure
 
         pressures = self.tile_pressures(VALUE)
         return tile_map_figure(
@@ -267,7 +274,7 @@ class Comparison(Result):
             dict(zip(self.items, pressures.value, strict=True)),
             "mean pressure [kPa]",
             style=style,
-            limits=(pressures.value.min(), pressures.value.max()),
+            limits=pressure_limits(pressures.value, style.limits),
             side=self.side,
             reach=dict(zip(self.items, pressures.reach, strict=True)),
         )

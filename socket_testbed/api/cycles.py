@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from socket_testbed.report.style import FigureStyle
+    from socket_testbed.report.style import FigureStyle, Limits
 
 _POINTS = 101  # 0 to 100 % of a cycle
 _MAX_DURATION = 2.0  # [-]; over the median; a longer cycle contains a pause
@@ -156,7 +156,7 @@ class Cycles(Result):
             panel.set_ylabel(wrap(self.titles[number], 0.75 * _PANEL_HEIGHT), parse_math=False)
         return lay_out(figure)
 
-    def _draw_into(self, ax: Axes) -> None:
+    def _draw_into(self, ax: Axes, limits: Limits) -> None:
         if len(self.titles) != 1:
             raise ConfigurationError(
                 f"axes show one of these {len(self.titles)} quantities",

@@ -160,9 +160,9 @@ def write_comparison(
     made_with = pairs_table("provenance-table", "Provenance of the page", origin)
     groups = {
         "": [
-            Section("differing", "", [[*clearest, f"{count}."]]),
+            *([Section("maps", "", [Maps(titles, _MAPS)])] if titles else []),
+            Section("differing", "Differences", [[*clearest, f"{count}."]]),
             *([Section("notes", "Notes", [found.notes])] if found.notes else []),
-            *([Section("maps", "Maps", [Maps(titles, _MAPS)])] if titles else []),
             Section("socket", "Whole socket", [socket]),
         ],
         "Numbers": [Section("intervals", "Intervals", [_INDEPENDENT, LEGEND]), *numbers],
@@ -176,12 +176,19 @@ def write_comparison(
 
 
 def _cards(found: Comparison) -> list[dict[str, Any]]:
-    """Differences of the socket's peak and mean pressure from the first trial."""
+    """Each trial's own peak, then differences of peak and mean pressure from the first trial."""
     table, shown = found.table, []
     rows = table[(table["part"] == "regions") & (table["name"] == SOCKET)]
-    rows = rows[rows["item"] != found.items[0]]
+    segments = table[(table["part"] == "trials") & (table["name"] == "segment")]
+    spans = dict(zip(segments["item"], segments["text"], strict=True))
+    for row in rows[rows["quantity"] == "peak pressure"].to_dict("records"):
+        item = row["item"]
+        mean = f"mean of {len(found.conditions[item])} trials, " * (len(found.conditions[item]) > 1)
+        peak, low, high = (row[name] for name in VALUE)
+        shown.append(pressure_card(f"Peak, {item}", peak, low, high, mean + spans[item]))
+    others = rows[rows["item"] != found.items[0]]
     for quantity in ("peak pressure", "mean pressure"):
-        for row in rows[rows["quantity"] == quantity].to_dict("records"):
+        for row in others[others["quantity"] == quantity].to_dict("records"):
             by, low, high = (row[name] for name in DIFFERENCE)
             title = f"{quantity.capitalize()}, {found.difference_title(row['item'])}"
             words = "a clear difference" if is_clear(low, high) else "no clear difference"
@@ -204,7 +211,8 @@ def _map_data(found: Comparison) -> tuple[dict[str, Any], dict[str, str]]:
     maps: list[dict[str, Any]] = [
         {
             "box": f"map-{number}",
-            "moment": moment(0.0, 1e3 * value, 1e3 * reach, nothing, nothing, grey),
+            "moment": moment(0.0, 1e3 * value, 1e3 * reach, nothing, nothing, grey)
+            | {"highest": "highest"},
             "range": None if grey is None else limit,
             "diverging": grey is not None,
         }

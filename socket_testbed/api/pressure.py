@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from socket_testbed.report.style import FigureStyle
+    from socket_testbed.report.style import FigureStyle, Limits
 
 Rows: TypeAlias = dict[tuple[str, str, str], dict[str, Any]]
 """Outputs, keyed by part (`regions`, `tiles`, `limb`), name of the place, and title with the unit.
@@ -75,6 +75,8 @@ class TrialMap(Result):
         force_map: The estimator, its prior weighed by the evidence of the whole trial; `estimate`
             takes any samples of its clusters.
     """
+
+    _SCALED = True
 
     trial: Trial
     segment: Segment
@@ -230,12 +232,13 @@ class TrialMap(Result):
         side = self.trial.metadata.side
         return force_map_figure(self.trial.geometry, self.mean, heading, style, side)
 
-    def _draw_into(self, ax: Axes) -> None:
-        from socket_testbed.report.tiles import draw_wall
+    def _draw_into(self, ax: Axes, limits: Limits) -> None:
+        from socket_testbed.report.tiles import draw_wall, pressure_limits
 
         mean, side = self.mean, self.trial.metadata.side
         pressure, reach = 1e-3 * mean.normal_pressure[0], 1e-3 * mean.pressure_reach[0]
-        draw_wall(ax, self.trial.geometry, pressure, "pressure [kPa]", reach, side)
+        ends = pressure_limits(pressure, limits)
+        draw_wall(ax, self.trial.geometry, pressure, "pressure [kPa]", reach, side, ends)
 
 
 def force_map(
@@ -311,6 +314,8 @@ class TrialPressure(SegmentPressure, Result):
         threshold: Pressure above which a tile is in contact [kPa].
         share: A value is uncertain if its interval reaches farther than this share of it [-].
     """
+
+    _SCALED = True
 
     threshold: float
     share: float
@@ -392,7 +397,7 @@ class TrialPressure(SegmentPressure, Result):
         - `shear [kPa]`, `shear direction [deg]`: magnitude of the mean shear, and its direction in
           the tile's frame {L} from x (proximal) towards y; ends may lie beyond +-180.
 
-        No value is NaN.
+        No value is NaN, except the integral over a single sample.
         """
         geometry = self.trial.geometry
         names = pd.Index(geometry.names, name="tile")
@@ -417,7 +422,8 @@ class TrialPressure(SegmentPressure, Result):
         - `centre of pressure x [mm]`, and y and z: in {S}.
 
         The last column is `nearest tile`, the one nearest to the centre of pressure, or empty. The
-        centre is NaN for a region without compression at any sample.
+        centre is NaN for a region without compression at any sample, the integral over a single
+        sample.
         """
         return self.regions
 
@@ -552,8 +558,8 @@ class TrialPressure(SegmentPressure, Result):
 
         return pressure_figure(self, f"{self.trial.name}: pressure, {self.segment}", style)
 
-    def _draw_into(self, ax: Axes) -> None:
-        self.map._draw_into(ax)
+    def _draw_into(self, ax: Axes, limits: Limits) -> None:
+        self.map._draw_into(ax, limits)
 
 
 def pressure(

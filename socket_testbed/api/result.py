@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pandas as pd
 
 from socket_testbed.api.trials import PathLike
-from socket_testbed.documents import check_kind, finite_or_null, path_of
+from socket_testbed.documents import check_kind, check_number, finite_or_null, path_of
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import PICTURES, check_suffix, write_text
 from socket_testbed.tables import write_table
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from socket_testbed.report.style import FigureStyle
+    from socket_testbed.report.style import FigureStyle, Limits
 
 
 class Result:
@@ -59,23 +60,36 @@ class Result:
         else:
             write_table(self._saved_table(), path)
 
-    def figure(self, width: float = 180, title: bool = True) -> Figure:
+    _SCALED = False  # whether the figure has a colour scale of pressures
+
+    def figure(
+        self,
+        width: float = 180,
+        title: bool = True,
+        vmin: float | None = None,
+        vmax: float | None = None,
+    ) -> Figure:
         """The result as a matplotlib figure.
 
         Args:
             width: Printed width, 88 or 180 [mm].
             title: Whether the figure has a title.
+            vmin: Lower end of the colour scale of pressures [kPa]; by default 0.
+            vmax: Upper end of that scale [kPa]; by default 50, or 100, 200 or 400 if a pressure of
+                the figure needs it.
 
         Returns:
             The figure, not shown and not saved.
 
         Raises:
-            ConfigurationError: The width is another one, or this kind of result has no figure.
+            ConfigurationError: The width is another one, the ends are not in order, or this kind of
+                result has no figure, or none with such a scale.
         """
+        self._check_scale(vmin, vmax)
         # matplotlib is slow to import.
         from socket_testbed.report.style import figure_style, in_style
 
-        found: Figure = in_style(self._figure)(figure_style(width, title))
+        found: Figure = in_style(self._figure)(figure_style(width, title, (vmin, vmax)))
         return found
 
     def draw(
@@ -85,6 +99,8 @@ class Result:
         title: bool = True,
         *,
         ax: Axes | None = None,
+        vmin: float | None = None,
+        vmax: float | None = None,
     ) -> None:
         """Write `figure` as `.png`, `.pdf` or `.svg`, or draw into your own axes.
 
@@ -92,26 +108,31 @@ class Result:
             path: The file; an existing one is replaced.
             width: As in `figure`.
             title: As in `figure`.
-            ax: Matplotlib axes for the result's main panel (the unrolled wall of a map, a quantity
-                over a cycle), drawn in your own style.
+            ax: Matplotlib axes for the result's main panel (the wall and distal end of a map, a
+                quantity over a cycle), drawn in your own style.
+            vmin: As in `figure`.
+            vmax: As in `figure`.
 
         Raises:
             ConfigurationError: Neither a file nor axes are given, the suffix or the width is
-                another one, or this kind of result has no figure or no main panel.
+                another one, the ends of the scale are not in order, or this kind of result has no
+                figure, no main panel or no such scale.
         """
         if path is None and ax is None:
             hint = "give one of them; in a notebook, figure() is shown"
             raise ConfigurationError("neither a file nor axes are given", hint)
+        self._check_scale(vmin, vmax)
         if ax is not None:
             from matplotlib.axes import Axes as Panel
 
             check_kind(ax, Panel, "ax", "give axes, such as the second of plt.subplots()")
-            self._draw_into(ax)
+            self._draw_into(ax, (vmin, vmax))
         if path is not None:
             check_suffix(path_of(path, "the file"), PICTURES, "picture")
             from socket_testbed.report.style import save_figure
 
-            save_figure(self.figure(width, title), path_of(path, "the file"))
+            figure = self.figure(width, title, vmin, vmax)
+            save_figure(figure, path_of(path, "the file"))
 
     def _saved_table(self) -> pd.DataFrame:
         return self.to_dataframe()
@@ -120,7 +141,23 @@ class Result:
         fact = f"{type(self).__name__} has no figure"
         raise ConfigurationError(fact, "plot its table: see to_dataframe()")
 
-    def _draw_into(self, ax: Axes) -> None:
+    def _check_scale(self, vmin: float | None, vmax: float | None) -> None:
+        if vmin is None and vmax is None:
+            return
+        if not self._SCALED:
+            fact = f"{type(self).__name__} has no colour scale of pressures"
+            raise ConfigurationError(fact, "leave vmin and vmax")
+        for name, value in (("vmin", vmin), ("vmax", vmax)):
+            if value is not None:
+                check_number(value, name)
+        low, high = 0.0 if vmin is None else vmin, np.inf if vmax is None else vmax
+        if not low < high:
+            raise ConfigurationError(
+                f"the colour scale ends at {high:g} kPa but begins at {low:g} kPa",
+                "give vmin below vmax",
+            )
+
+    def _draw_into(self, ax: Axes, limits: Limits) -> None:
         fact = f"{type(self).__name__} has no single panel to draw"
         raise ConfigurationError(fact, "leave ax: see figure()")
 

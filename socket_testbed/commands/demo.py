@@ -16,13 +16,14 @@ from socket_testbed.arrays import FloatArray
 from socket_testbed.commands.terminal import Progress, decimals, table
 from socket_testbed.errors import ConfigurationError, TrialError
 from socket_testbed.files import TemporaryFolder, check_new_folder, make_folder
-from socket_testbed.geometry.regions import all_regions, part_of
+from socket_testbed.geometry.regions import all_regions, place_of
 from socket_testbed.identification import validation
 from socket_testbed.identification.fit import REGRESSION
 from socket_testbed.identification.force_map import NORMAL_QUANTILE
 from socket_testbed.live import bringup
 from socket_testbed.live.processes import Graph
 from socket_testbed.live.scheduling import SLOWEST, busy_note, measure_speed, speed_text
+from socket_testbed.pages.document import fixed_end
 from socket_testbed.report import style
 from socket_testbed.report.tiles import tile_map_figure
 from socket_testbed.samples import Samples, mean_and_sigma
@@ -240,7 +241,8 @@ class _Conclusion:
 
         def described(tile: int) -> str:
             estimate = _interval(self._estimate[tile], self._reach[tile])
-            return f"{part_of(places, tile)}, {estimate}, {self._truth[tile]:.1f} in truth"
+            place = place_of(self._geometry, places, tile)
+            return f"{place}, {estimate}, {self._truth[tile]:.1f} in truth"
 
         return [
             f"Highest pressure measured over the hold, under {load:.0f} N: cluster"
@@ -255,11 +257,12 @@ class _Conclusion:
 
     def draw(self) -> Figure:
         """Map and truth on one scale, the error, and every cluster left out."""
-        high = float(max(self._estimate.max(), self._truth.max()))
+        high = fixed_end(max(self._estimate.max(), self._truth.max()))
+        error = float(np.abs(self._error).max()) or 1.0
         maps = {
             "estimated live, mean over the hold": (self._estimate, self._reach, 0.0, high),
             "simulated truth": (self._truth, 0.0 * self._truth, 0.0, high),
-            "error: estimate - truth": (self._error, 0.0 * self._error, -0.5 * high, 0.5 * high),
+            "error: estimate - truth": (self._error, 0.0 * self._error, -error, error),
         }
         return tile_map_figure(
             self._geometry,

@@ -139,18 +139,18 @@ def _show_comparison(found: api.Comparison) -> None:
     print(f"{found.kind} {', '.join(found.items)}: {found.title}")
     for note in found.notes:
         print(f"note: {note}")
-    print()
-    texts = found.table[found.table["text"].notna()]
-    for (_, name), rows in texts.groupby(["part", "name"], sort=False):
-        several = rows["item"] + ": " + rows["text"]
-        same = rows["text"].nunique() == 1
-        print(f"{name}: " + (rows["text"].iloc[0] if same else "; ".join(several)))
     _print("whole socket", found.cells("regions").loc[["socket"]].droplevel("name"))
     for quantity in _BY_REGION:
         _print(f"{quantity} by region", found.cells("regions", quantity).drop("socket"))
     if "limb" in set(found.table["part"]):
         _print("limb in the socket", found.cells("limb").droplevel("name"))
     _print("wrench", found.cells("wrench").reset_index("quantity"))
+    print()
+    texts = found.table[found.table["text"].notna()]
+    for (_, name), rows in texts.groupby(["part", "name"], sort=False):
+        several = rows["item"] + ": " + rows["text"]
+        same = rows["text"].nunique() == 1
+        print(f"{name}: " + (rows["text"].iloc[0] if same else "; ".join(several)))
     print("\n" + "\n  ".join(found.differing()))
     print(f"\n{LEGEND}")
 

@@ -25,6 +25,7 @@ _MIN_ALIGNMENT = 0.5  # [-]; cosine between a tile's x axis and the proximal dir
 _FACES_UP = np.sqrt(0.5)  # [-]; z of normals that point up at 45 degrees or more
 _NO_DIRECTION = 0.1  # [-]; a shorter mean of unit vectors has no direction
 _X, _Z = np.eye(3)[[0, 2]]
+DISTAL_END = "the distal end"
 
 
 @dataclass(frozen=True)
@@ -181,6 +182,20 @@ def part_of(places: Iterable[Region], tile: int) -> str:
     """
     inside = [p for p in places if tile in p.tiles and p.name not in (SOCKET, UNMEASURED)]
     return min(inside, key=lambda place: len(place.tiles)).name if inside else SOCKET
+
+
+def place_of(geometry: SocketGeometry, places: Iterable[Region], tile: int) -> str:
+    """Where a tile is, in words: a part of the wall, such as `anterior proximal`, or the end.
+
+    A sector of the distal end is not named, because it reads like a part of the wall.
+
+    Args:
+        geometry: The socket.
+        places: Regions of the socket, as for `part_of`.
+        tile: Index of the tile.
+    """
+    on_wall = wall_tiles(geometry, socket_axis(geometry))
+    return part_of(places, tile) if on_wall[tile] or not on_wall.any() else DISTAL_END
 
 
 def third_edges(geometry: SocketGeometry) -> FloatArray:

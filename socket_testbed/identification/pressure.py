@@ -9,7 +9,8 @@ Over a region:
 - mean pressure: :math:`\sum_i A_i p_i / \sum_i A_i`, averaged over the samples. Negative estimates
   are kept, so that the means agree with the measured wrench;
 - peak pressure: :math:`\max_i p_i`, the highest of all samples over a span;
-- contact area: the area of the tiles whose p_i exceeds the threshold, averaged over the samples;
+- contact area: the area of the tiles in contact, that is whose p_i exceeds the threshold, averaged
+  over the samples;
 - pressure-time integral: the mean over the region's area of the integral of p_i while tile i is in
   contact, by the trapezoidal rule; breaks of the recording are left out;
 - centre of pressure: the mean of the tiles' centres weighted by their compressive normal forces
@@ -18,10 +19,11 @@ Over a region:
   (proximal) towards y;
 - share of load: the axial force (along the socket) of the region over that of all tiles.
 
-Values come from the force map, except the contact area, which is biased near the threshold: its
-value is the mean of the draws. Peak, integral and shear are convex functions of the forces, so
-their draws exceed the value on average. Their interval covers both that of the draws and the same
-interval shifted to the value. For the peak the errors of the draws are widened.
+All values come from the force map: a tile is in contact if that is likelier than not, and the
+contact area and the integral count the same tiles. The draws of peak, contact area, integral and
+shear exceed the value on average: an uncertain pressure near zero lies above the threshold in many
+of them. The interval covers both that of the draws and the same interval shifted to the value. For
+peak, contact area and integral the errors of the draws are widened.
 """
 
 from __future__ import annotations
@@ -48,9 +50,9 @@ SHARE = 0.5  # [-]; a value is uncertain if its interval reaches farther than th
 _FULL_COLOUR, _GREYEST = 1.0, 2.5  # [-]
 _MIN_GREYED = 5e3  # [Pa]
 _DRAWS = 200
-_PEAK_WIDENING = 1.25  # [-]; of the errors, as true fields have longer tails than the draws
+_PEAK_WIDENING = 1.25  # [-]; of pressures' errors, as true fields have longer tails than the draws
 _QUANTILES = (0.025, 0.5, 0.975)  # [-]
-_CONVEX = ("peak", "integral", "shear")  # functions of the forces
+_RAISED = ("peak", "area", "integral", "shear")  # their draws exceed the value on average
 _NEVER_NEGATIVE = ("area", "integral", "shear")
 MAX_DRAWN = 2000  # samples of a span with expanded draws, evenly spread
 _EXPANDED_BATCH = 32  # samples whose draws are expanded at a time
@@ -138,7 +140,7 @@ class RegionOutputs:
         mean: Mean pressure, positive in compression [Pa].
         peak: Peak pressure, positive in compression [Pa].
         area: Contact area [m^2].
-        integral: Pressure-time integral [Pa s]; NaN at instants.
+        integral: Pressure-time integral [Pa s]; NaN at instants and over a single sample.
         centre: Centre of pressure in {S}, shape (R, 3) or (N, R, 3) [m]; NaN without compression.
         shear: Magnitude of the mean shear [Pa].
         direction: Direction of the shear from x (proximal) towards y of the tiles' frames, within
@@ -362,7 +364,6 @@ class _Regions:
         axis = estimate.peak.ndim - 2
         values = {name: np.take(found, 0, axis) for name, found in self.read(estimate).items()}
         drawn = self.read(draws)
-        values["area"] = drawn["area"].mean(axis=axis)
         found = {name: self.interval(name, values[name], drawn[name]) for name in values}
         found.setdefault("integral", _unknown(values["mean"].shape))
         return RegionOutputs(**found)
@@ -377,7 +378,7 @@ class _Regions:
         if name == "direction":
             difference = (difference + np.pi) % (2.0 * np.pi) - np.pi
         low, middle, high = _quantiles(np.moveaxis(difference, axis, -1))
-        if name in _CONVEX:
+        if name in _RAISED:
             low, high = np.minimum(low, low - middle), np.maximum(high, high - middle)
         low, high = value + np.minimum(low, 0.0), value + np.maximum(high, 0.0)
         if name in _NEVER_NEGATIVE:
@@ -392,9 +393,8 @@ class _Regions:
 class _Span:
     """Fields of D draws, accumulated over the samples of a span."""
 
-    def __init__(self, draws: int, areas: FloatArray) -> None:
-        tiles = len(areas)
-        self._areas, self._samples = areas, 0
+    def __init__(self, draws: int, tiles: int) -> None:
+        self._samples, self._time = 0, 0.0
         self._force = np.zeros((draws, tiles, 3))
         self.peak = np.full((draws, tiles), -np.inf)
         self._contact, self._compression, self._integral = np.zeros((3, draws, tiles))
@@ -402,13 +402,12 @@ class _Span:
     def add(self, instants: _Fields, weights: FloatArray) -> None:
         """Add fields (k, D, n) of k samples, with their weights in time integrals (k,) [s]."""
         self._samples += len(weights)
+        self._time += float(weights.sum())
         self._force += instants.force.sum(axis=0)
         self.raise_peaks(instants)
         self._contact += instants.contact.sum(axis=0)
         self._compression += instants.compression.sum(axis=0)
-        self._integral += np.einsum(
-            "k,kdn,kdn->dn", weights, instants.compression, instants.contact
-        )
+        self._integral += np.einsum("k,kdn,kdn->dn", weights, instants.peak, instants.contact)
 
     def raise_peaks(self, instants: _Fields) -> None:
         """Add k samples to the peaks only."""
@@ -421,7 +420,7 @@ class _Span:
             peak=self.peak,
             contact=self._contact / self._samples,
             compression=self._compression / self._samples,
-            integral=self._integral / self._areas,
+            integral=self._integral if self._time > 0.0 else None,
         )
 
 
@@ -430,15 +429,17 @@ def _expanded(
 ) -> Iterator[tuple[IntArray, _Fields, _Fields]]:
     """Batches of k samples: their indices, fields of the estimate and of the D draws.
 
-    The fields have the shapes (k, 1, n) and (k, D, n).
+    The fields have the shapes (k, 1, n) and (k, D, n). The errors of the draws' pressures are
+    widened, those of their forces are not.
     """
     for draws in force_map.sample(samples, _DRAWS):
         for start in range(0, len(draws.rows), _EXPANDED_BATCH):
             some = draws[start : start + _EXPANDED_BATCH]
             alone = _instants(some.mean()[:, None], areas, threshold)
             instants = _instants(some.values(), areas, threshold)
-            spread = _PEAK_WIDENING * (instants.peak - alone.peak)
-            yield some.rows, alone, replace(instants, peak=alone.peak + spread)
+            pressure = alone.peak + _PEAK_WIDENING * (instants.peak - alone.peak)
+            contact = _in_contact(pressure, threshold)
+            yield some.rows, alone, replace(instants, peak=pressure, contact=contact)
 
 
 def pressure_outputs(
@@ -467,7 +468,7 @@ def pressure_outputs(
         )
     measured, areas = samples[kept], geometry.areas
     weights = integration_weights(measured.time)
-    alone, drawn = _Span(1, areas), _Span(_DRAWS, areas)
+    alone, drawn = _Span(1, len(areas)), _Span(_DRAWS, len(areas))
     peaks = np.zeros(len(areas), dtype=np.int64)
     for draws in force_map.sample(measured, _DRAWS):
         instants = _instants(draws.mean()[:, None], areas, threshold)
@@ -507,9 +508,53 @@ def _instants(forces: FloatArray, areas: FloatArray, threshold: float) -> _Field
     return _Fields(
         force=forces,
         peak=pressure,
-        contact=(pressure > threshold).astype(float),
+        contact=_in_contact(pressure, threshold),
         compression=np.maximum(compression, 0.0),
     )
+
+
+def _in_contact(pressure: FloatArray, threshold: float) -> FloatArray:
+    """1 where a pressure exceeds the threshold, else 0, of the shape of the pressures [Pa]."""
+    return (pressure > threshold).astype(float)
+
+
+@dataclass(frozen=True)
+class Contact:
+    """Contact of R regions at an instant.
+
+    Attributes:
+        area: Contact area, shape (R,) [m^2].
+        pressure: Mean over the region's area of the pressure in contact, shape (R,) [Pa]: the rate
+            of the pressure-time integral.
+    """
+
+    area: Quantity
+    pressure: Quantity
+
+
+def contact_of(
+    geometry: SocketGeometry, regions: Sequence[Region], found: MapEstimate, threshold: float
+) -> Contact:
+    """Contact of R regions from a map of N = 1 alone, without draws.
+
+    Each end of an interval takes that end of the interval of every tile, as if all tiles had the
+    same errors: the intervals are wider than those of `RegionOutputs`.
+
+    Args:
+        geometry: The socket of n tiles.
+        regions: The R regions.
+        found: The force map.
+        threshold: Pressure above which a tile is in contact [Pa].
+    """
+    reach = found.pressure_reach[0]
+    pressures = found.normal_pressure[0] + np.outer([0.0, -1.0, 1.0], reach)  # value, low, high
+    contact = _in_contact(pressures, threshold)
+    held = np.stack([contact, contact * pressures], axis=1) * geometry.areas  # (3, 2, n)
+    sums = np.stack([held[..., region.tiles].sum(axis=-1) for region in regions], axis=-1)
+    areas = np.array([geometry.areas[region.tiles].sum() for region in regions])
+    value, low, high = sums[:, 0]
+    mean, least, most = sums[:, 1] / areas
+    return Contact(Quantity(value, low, high, value), Quantity(mean, least, most, mean))
 
 
 def _quantiles(drawn: FloatArray) -> FloatArray:

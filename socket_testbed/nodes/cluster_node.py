@@ -5,6 +5,8 @@ Subscribes: trigger. Publishes: clusters/capacitance, /diagnostics.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 from socket_testbed import clocks
 from socket_testbed.drivers.clusters.reader import ClusterReading
 from socket_testbed.live.hardware import make_clusters
@@ -62,8 +64,8 @@ class ClusterNode(SensorNode[ClusterSettings]):
     def _read(self, moment: float) -> ClusterReading:
         reading = self._reader.read(moment)
         self._answering = True
-        if faults := [fault for own in reading.faults.values() for fault in own]:
-            self.fault.note("; ".join(dict.fromkeys(faults)))
+        if reading.faults:
+            self.fault.note(named_faults(reading.faults, len(self.settings.names)))
         return reading
 
     def health(self) -> tuple[int, str] | None:
@@ -74,3 +76,22 @@ class ClusterNode(SensorNode[ClusterSettings]):
         if fault := self.fault.text():
             return ERROR, fault
         return (OK, f"{len(self.settings.names)} clusters answer") if self._answering else None
+
+
+def named_faults(faults: Mapping[str, Sequence[str]], count: int) -> str:
+    """Faults with the clusters that have them, such as `posterior_distal: no answer`, in one line.
+
+    A fault of all clusters, such as that of their bus, is not of one cluster and is not named.
+
+    Args:
+        faults: Faults by the cluster's name, as in `ClusterReading`.
+        count: Number of all clusters.
+    """
+    names: dict[str, list[str]] = {}
+    for name, own in faults.items():
+        for fault in own:
+            names.setdefault(fault, []).append(name)
+    return "; ".join(
+        fault if len(having) == count > 1 else f"{', '.join(having)}: {fault}"
+        for fault, having in names.items()
+    )

@@ -11,9 +11,10 @@ messages are never decoded.
 from __future__ import annotations
 
 import math
-from collections import deque
+from collections import OrderedDict, deque
 from contextlib import suppress
-from typing import Any
+from dataclasses import replace
+from typing import Any, TypeVar
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -28,7 +29,13 @@ from socket_testbed.geometry.regions import all_regions, axial_force
 from socket_testbed.geometry.socket import SocketGeometry, read_socket
 from socket_testbed.identification.data_check import LOOK
 from socket_testbed.identification.force_map import MapEstimate
-from socket_testbed.identification.pressure import Quantity
+from socket_testbed.identification.pressure import (
+    THRESHOLD,
+    Quantity,
+    RegionOutputs,
+    contact_of,
+    integration_weights,
+)
 from socket_testbed.nodes import base
 from socket_testbed.nodes.controls import ServiceControls
 from socket_testbed.pages import document
@@ -45,24 +52,34 @@ _SILENT_AFTER = 3.0 * base.REPORT_PERIOD  # [s]; a node without a report for lon
 _IDLE_AFTER = 3.0  # [s]; without a request for longer, no browser is open
 _LONGEST = 1e9  # [s]; of a recording
 _DEPTHS = {
-    topics.FORCE_MAP: 1,
+    topics.FORCE_MAP: 50,
     topics.WRENCH: 50,
     topics.ESTIMATED_WRENCH: 50,
-    topics.STRESS: 1,
+    topics.STRESS: 50,
     topics.REGIONS: 5,
 }
-_MAX_WRENCHES = 200  # kept to match those of the regions
+_MAX_KEPT = 200  # messages of a topic, to match those of the regions
 _COURSE_DURATION = 30.0  # [s]
+_INTEGRAL = f"pressure-time integral, last {_COURSE_DURATION:.0f} s [kPa s]"
 _NO_WRENCH = np.full(6, np.nan)
+_T = TypeVar("_T")
 _SIGNS = ("\N{BLACK CIRCLE}", "\N{BLACK UP-POINTING TRIANGLE}", "\N{BLACK SQUARE}")
+
+
+def _keep(kept: OrderedDict[int, _T], stamp: int, value: _T) -> None:
+    """Keep the newest values by stamp [ns], up to `_MAX_KEPT`."""
+    kept[stamp] = value
+    while len(kept) > _MAX_KEPT:
+        kept.popitem(last=False)
 
 
 class ViewNode(base.TestbedNode[ViewSettings]):
     """Shows the running testbed in browsers.
 
-    While a browser asks, the page shows the newest estimate/force_map (pressure and shear [Pa] on
-    the tiles), estimate/regions [Pa], the wrenches of load_cell/wrench and estimate/wrench in
-    {S} [N, N m], and clusters/stress [Pa]; and from /diagnostics the state of every node.
+    While a browser asks, the page shows the newest estimate/regions [Pa] with estimate/force_map
+    (pressure and shear [Pa] on the tiles) and clusters/stress [Pa] of the same stamp; the newest
+    wrenches of load_cell/wrench and estimate/wrench in {S} [N, N m]; and from /diagnostics the
+    state of every node. Without regions it shows the newest map.
     """
 
     def __init__(self) -> None:
@@ -108,17 +125,24 @@ class LiveSource:
         self._asked_at = 0.0  # [s]; when a browser last asked
         # stamp [ns], values and arrival [s] of the newest message by topic
         self._newest: dict[topics.Topic, tuple[int, Any, float]] = {}
-        self._wrenches: deque[tuple[int, FloatArray]] = deque(maxlen=_MAX_WRENCHES)  # by stamp
+        self._wrenches: deque[tuple[int, FloatArray]] = deque(maxlen=_MAX_KEPT)  # by stamp
+        # Recent maps and stresses [Pa] of the clusters by stamp [ns], and regions without their map
+        self._maps: OrderedDict[int, MapEstimate] = OrderedDict()
+        self._stresses: OrderedDict[int, FloatArray] = OrderedDict()
+        self._waiting: OrderedDict[int, RegionOutputs] = OrderedDict()
+        self._pair = 0  # stamp of the regions on the page and of their map [ns]; 0 for none
         self._first = 0  # [ns]
         self._foreign = False  # whether the newest map belongs to another socket
         self._sensors: dict[str, tuple[DiagnosticArray, float]] = {}
         self._rates: dict[str, tuple[float, float, float]] = {}  # count, time [s], rate [Hz]
         self._trial = ("", 0.0)
         self._places = all_regions(geometry)
-        self._measured = np.full(len(geometry.clusters), np.nan)  # by cluster [Pa]
+        self._arrows = document.arrow_map(geometry)
         self._shown: document.Document = {}  # cards (except the data's), bars, course
         self._shown_at = -math.inf  # [s]
         self._course: deque[tuple[float, ...]] = deque()  # time [s], force [N], peak and ends [Pa]
+        # Pressure in contact of the regions with its ends, (3, R) [Pa], at the times of the course
+        self._held: deque[FloatArray] = deque()
         node.listen(topics.DIAGNOSTICS, self._on_diagnostics, needed=False)
         node.listen(topics.RECORDED_TRIAL, self._on_trial, needed=False)
 
@@ -134,7 +158,7 @@ class LiveSource:
         }
 
     def now(self, time: float | None) -> document.Document:
-        """The newest sample, whatever the time; cards, bars and course follow the regions."""
+        """The newest sample, whatever the time; map, cards, bars and course are of one stamp."""
         del time
         self._asked_at = clocks.monotonic()
         if self._inbox is None:
@@ -172,6 +196,7 @@ class LiveSource:
             self._inbox.close()
             self._inbox, self._foreign = None, False
             self._newest.clear()
+            self._maps.clear()
 
     def _subscribe(self) -> base.Inbox:
         # Publishers never wait for this page: lost messages are not retransmitted.
@@ -190,60 +215,92 @@ class LiveSource:
     def _take(self, inbox: base.Inbox) -> None:
         """Take maps [N, Pa] and wrenches [M; F] in {S} [N m, N]."""
         now = clocks.monotonic()
-        for topic in (topics.FORCE_MAP, topics.WRENCH, topics.ESTIMATED_WRENCH):
+        for topic in (topics.WRENCH, topics.ESTIMATED_WRENCH):
             for stamp, values in self._read(inbox, topic):
-                if topic is topics.FORCE_MAP:
-                    names, fields = values
-                    self._foreign = names != self._geometry.names
-                    if not self._foreign:
-                        self._newest[topic] = stamp, MapEstimate(**fields), now
-                    continue
                 if topic is topics.WRENCH:
                     if self._wrenches and stamp < self._wrenches[-1][0]:
-                        self._wrenches.clear()  # the graph was restarted
-                        self._course.clear()
-                        self._first = 0
+                        self._restart()
                     self._first = self._first or stamp
                     self._wrenches.append((stamp, values))
                 self._newest[topic] = stamp, values, now
+        for stamp, (names, fields) in self._read(inbox, topics.FORCE_MAP):
+            self._foreign = names != self._geometry.names
+            if not self._foreign:
+                estimate = MapEstimate(**fields)
+                self._newest[topics.FORCE_MAP] = stamp, estimate, now
+                _keep(self._maps, stamp, estimate)
+        for stamp, stresses in self._read(inbox, topics.STRESS):
+            stress, status = in_order(stresses, self._geometry.clusters)
+            _keep(self._stresses, stamp, np.where(status == Status.OK, stress[:, 0], np.nan))
+
+    def _restart(self) -> None:
+        """Forget what was measured before the graph was restarted."""
+        for kept in (self._wrenches, self._course, self._held):
+            kept.clear()
+        for by_stamp in (self._maps, self._stresses, self._waiting):
+            by_stamp.clear()
+        self._first = self._pair = 0
 
     def _update(self, inbox: base.Inbox) -> None:
-        """Take cluster stresses, and update the page with the newest outputs by region and map."""
+        """Update the page with the newest outputs by region and the map of the same stamp."""
         now, geometry, places = clocks.monotonic(), self._geometry, self._places
         if now - self._shown_at > _STALE_AFTER:
-            self._shown, self._measured = {}, np.full_like(self._measured, np.nan)
-        for _, stresses in self._read(inbox, topics.STRESS):
-            stress, status = in_order(stresses, geometry.clusters)
-            self._measured = np.where(status == Status.OK, stress[:, 0], np.nan)
+            self._shown, self._pair = {}, 0
+        own = tuple(place.name for place in places)
         for stamp, (names, outputs) in self._read(inbox, topics.REGIONS):
-            mapped = self._recent(topics.FORCE_MAP)
-            if mapped is None or names != tuple(place.name for place in places):
+            if names == own:
+                _keep(self._waiting, stamp, outputs)
+        for stamp in [*self._waiting]:
+            if stamp not in self._maps:
                 continue
+            mapped, outputs = self._maps[stamp], self._waiting.pop(stamp)
+            contact = contact_of(geometry, places, mapped, THRESHOLD)
             wrench = dict(self._wrenches).get(stamp, _NO_WRENCH)
             peak = outputs.peak
             row = (axial_force(geometry, wrench), peak.value[-1], peak.low[-1], peak.high[-1])
             self._first = self._first or stamp
             self._course.append((1e-9 * (stamp - self._first), *map(float, row)))
+            held = contact.pressure
+            self._held.append(np.stack([held.value, held.low, held.high]))
             while self._course[-1][0] - self._course[0][0] > _COURSE_DURATION:
                 self._course.popleft()
+                self._held.popleft()
             time, load, value, low, high = np.array(self._course).T
-            self._shown_at = now
+            self._shown_at, self._pair = now, stamp
             self._shown = {
                 "cards": document.cards(
-                    geometry, places, outputs, mapped.normal_pressure[0], self._measured, " now"
+                    geometry,
+                    places,
+                    outputs,
+                    mapped.normal_pressure[0],
+                    self._measured(stamp),
+                    " now",
                 ),
-                "bars": document.bars(places, outputs),
+                "bars": document.bars(
+                    places, replace(outputs, area=contact.area), {_INTEGRAL: self._integral(time)}
+                ),
                 "course": document.course(time, load, Quantity(value, low, high, value), []),
             }
 
+    def _integral(self, time: FloatArray) -> Quantity:
+        """Pressure-time integral of the regions over the course, whose times are given [s]."""
+        value, low, high = integration_weights(time) @ np.stack(self._held, axis=1)
+        return Quantity(value, low, high, value)
+
     def _moment(self) -> document.Document:
-        """The newest map, N = 1: pressure, its 95 % reach and shear [Pa], with its time [s]."""
-        found = self._recent(topics.FORCE_MAP)
+        """The map of the cards, else the newest one: stresses on the tiles with its time [s]."""
+        found = self._maps.get(self._pair, self._recent(topics.FORCE_MAP))
         if found is None:
             return {"time": 0.0, "words": "no force map"}
+        stamp = self._pair if self._pair in self._maps else self._newest[topics.FORCE_MAP][0]
         stresses = found.normal_pressure[0], found.pressure_reach[0], found.shear[0]
-        time = 1e-9 * (self._newest[topics.FORCE_MAP][0] - self._first)
-        return document.moment(time, *stresses, self._measured)
+        arrows = np.einsum("nai,ni->na", self._arrows, found.forces[0])
+        time, measured = 1e-9 * (stamp - self._first), self._measured(stamp)
+        return document.moment(time, *stresses, measured, arrows=arrows)
+
+    def _measured(self, stamp: int) -> FloatArray:
+        """Measured normal pressures of the clusters at a stamp, shape (c,) [Pa]; NaN if missing."""
+        return self._stresses.get(stamp, np.full(len(self._geometry.clusters), np.nan))
 
     def _recent(self, topic: topics.Topic) -> Any:
         """The newest values of a topic; None if stale."""
@@ -262,7 +319,9 @@ class LiveSource:
             shown = f"{rate:.3g} Hz" if math.isfinite(rate) else ""
             rows.append([_SIGNS[min(level, 2)], title, words, shown])
             if level > 0:
-                bad.append((level, f"{title}: {words}"))
+                names = words.partition(":")[0].split(", ")
+                of_clusters = {*names} <= {*self._geometry.clusters}  # they say more than the node
+                bad.append((level, words if of_clusters else f"{title}: {words}"))
         if self._foreign:
             bad.append((3, "the force map is of another socket: give 'view' its --geometry"))
         if not rows and not bad:

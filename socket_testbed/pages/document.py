@@ -7,14 +7,20 @@ from __future__ import annotations
 
 import base64
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from socket_testbed.arrays import FloatArray
 from socket_testbed.errors import first_of
-from socket_testbed.geometry.regions import SECTOR_EDGES, Region, axial_force, part_of, third_edges
+from socket_testbed.geometry.regions import (
+    SECTOR_EDGES,
+    Region,
+    axial_force,
+    place_of,
+    third_edges,
+)
 from socket_testbed.geometry.socket import (
     HEIGHTS,
     SECTOR_PARTS,
@@ -36,12 +42,23 @@ from socket_testbed.pages.wall import Patch, patches, side_names, unrolled_tiles
 from socket_testbed.samples import WRENCH_CHANNELS, Samples, channel_unit
 from socket_testbed.trials.trial import Trial
 
-_BAR_TITLES = ("mean pressure [kPa]", "peak pressure [kPa]", "share of load [%]", "shear [kPa]")
+_INTEGRAL = "pressure-time integral [kPa s]"
+_BAR_TITLES = (
+    "mean pressure [kPa]",
+    "peak pressure [kPa]",
+    "contact area [cm^2]",
+    _INTEGRAL,
+    "share of load [%]",
+    "shear [kPa]",
+)
 _MAX_MARKS = 20  # per event label
 _UNIT = 1.0 / 8192.0  # [-]; unit of the stored weights, 16-bit integers
 _CLOSED = [0, 1, 2, 3, 0]  # corners of a square
 POWER = 0.5  # [-]; exponent of the colours of pressures, finer at low ones
+FIXED_ENDS = (50.0, 100.0, 200.0, 400.0)  # [kPa]; of the colour scales of pressures
 GREY: dict[str, Any] = {"colour": [150, 150, 150], "greyest": 0.85}  # of uncertain pressures
+
+_NOTHING: Mapping[str, Quantity] = {}
 
 Document = dict[str, Any]
 
@@ -115,6 +132,7 @@ def moment(
     shear: FloatArray,
     measured: FloatArray,
     grey: FloatArray | None = None,
+    arrows: FloatArray | None = None,
 ) -> Document:
     """Stresses on n tiles and measured pressures of c clusters at a time, in kPa for the page.
 
@@ -127,12 +145,14 @@ def moment(
             empty if it is not shown.
         grey: How grey each tile is drawn, 0 (full colour) to 1, shape (n,) [-]; by default the
             `greyness` of its pressure.
+        arrows: Shear on the tiles towards right and up, see `shear_arrows`, shape (n, 2) [Pa]; None
+            if it is not shown.
 
     Returns:
-        The keys `time` [s], `pressure`, `reach`, `shear` and `measured` [kPa], and `grey` [-], None
-        where unknown.
+        The keys `time` [s], `pressure`, `reach`, `shear`, `measured` and, if given, `arrows` [kPa],
+        and `grey` [-], None where unknown.
     """
-    return {
+    found = {
         "time": round(time, 3),
         "pressure": numbers(1e-3 * pressure, 4),  # the page rounds to one decimal
         "reach": numbers(1e-3 * reach),
@@ -140,6 +160,33 @@ def moment(
         "shear": numbers(1e-3 * shear),
         "measured": numbers(1e-3 * measured, 1),
     }
+    return found if arrows is None else found | {"arrows": numbers(1e-3 * arrows)}
+
+
+def shear_arrows(geometry: SocketGeometry, forces: FloatArray) -> FloatArray:
+    """Shear on the tiles as vectors on the page, towards right and up, shape (..., n, 2) [Pa].
+
+    Args:
+        geometry: The socket of n tiles.
+        forces: Forces on the tiles in {S}, shape (..., n, 3) [N].
+    """
+    return np.asarray(np.einsum("nai,...ni->...na", arrow_map(geometry), forces))
+
+
+def arrow_map(geometry: SocketGeometry) -> FloatArray:
+    """From forces on the n tiles in {S} to `shear_arrows`, shape (n, 2, 3) [1/m^2]."""
+    return np.asarray(unrolled_tiles(geometry).directions / geometry.areas[:, None, None])
+
+
+def fixed_end(highest: float) -> float:
+    """End of the fixed colour scale of pressures [kPa]: the first of `FIXED_ENDS` that suffices.
+
+    Equal pressures have equal colours in all pictures, unless one is above 50 kPa.
+
+    Args:
+        highest: The highest pressure of a picture [kPa].
+    """
+    return next((end for end in FIXED_ENDS if end >= highest), highest)
 
 
 def moments(time: FloatArray, outputs: PressureOutputs, geometry: SocketGeometry) -> list[Document]:
@@ -152,7 +199,9 @@ def moments(time: FloatArray, outputs: PressureOutputs, geometry: SocketGeometry
     """
     found, measured = outputs.estimate, measured_pressure(outputs.samples, geometry)
     stresses = found.normal_pressure, found.pressure_reach, found.shear
-    return [moment(*row) for row in zip(time.tolist(), *stresses, measured, strict=True)]
+    arrows = shear_arrows(geometry, found.forces)
+    rows = zip(time.tolist(), *stresses, measured, strict=True)
+    return [moment(*row, None, along) for row, along in zip(rows, arrows, strict=True)]
 
 
 def wrench_rows(measured: FloatArray, predicted: FloatArray) -> list[list[str]]:
@@ -240,12 +289,17 @@ def course(
     }
 
 
-def bars(places: Sequence[Region], outputs: RegionOutputs) -> Document:
+def bars(
+    places: Sequence[Region], outputs: RegionOutputs, integrals: Mapping[str, Quantity] = _NOTHING
+) -> Document:
     """Outputs of the regions except parts of sectors, with 95 % intervals, by title.
+
+    An output that is unknown in all regions is left out, such as the integral at an instant.
 
     Args:
         places: The R regions.
         outputs: Outputs of these regions, shape (R,).
+        integrals: Pressure-time integrals over other spans, shape (R,) [Pa s], by title in kPa s.
 
     Returns:
         `regions`, the r names shown; `values`, by title with the unit, such as `shear [kPa]`, lists
@@ -253,11 +307,13 @@ def bars(places: Sequence[Region], outputs: RegionOutputs) -> Document:
     """
     shown = [i for i, place in enumerate(places) if place.name not in SECTOR_PARTS]
     found = {title: read_column(outputs, title) for title in _BAR_TITLES}
+    found |= {title: quantity.part(..., 1e-3) for title, quantity in integrals.items()}
     values = {
         title: numbers(np.stack([output.value, output.low, output.high], axis=-1)[shown], 6)
         for title, output in found.items()
+        if np.isfinite(output.value).any()
     }
-    decimals = {title: decimals_of(title) for title in _BAR_TITLES}
+    decimals = {title: decimals_of(_INTEGRAL if title in integrals else title) for title in values}
     return {"regions": [places[i].name for i in shown], "values": values, "decimals": decimals}
 
 
@@ -268,6 +324,7 @@ def cards(
     pressure: FloatArray,
     measured: FloatArray,
     when: str = "",
+    span: str = "",
 ) -> list[Document]:
     """Cards of the peak, and of the highest pressure away from sensors.
 
@@ -275,10 +332,12 @@ def cards(
         geometry: The socket of n tiles and c clusters.
         places: The R regions, the socket among them.
         outputs: Outputs of these regions, shape (R,).
-        pressure: Normal pressure on the tiles at the peak, shape (n,) [Pa].
+        pressure: Normal pressure on the tiles, at an instant or the highest of each over the span
+            of the outputs, shape (n,) [Pa].
         measured: Measured pressure of the clusters at the peak, in the order of
             `geometry.clusters`, shape (c,) [Pa]; NaN where missing.
         when: Words that end the titles, such as ` at this moment`.
+        span: The span of the peak, in words that end its card, such as `in the hold`.
 
     Returns:
         Cards as in `pressure_card`; the second one only if a tile has no cluster.
@@ -288,10 +347,11 @@ def cards(
     known = zip(geometry.clusters.items(), np.isfinite(measured), strict=True)
     seen = {tile: cluster for (cluster, tile), is_known in known if is_known}
     source = f"measured by {seen[top]}" if top in seen else "estimated"
-    shown = [("Peak", SOCKET, f"{part_of(places, top)}, {source}")]
+    words = f"{place_of(geometry, places, top)}, {source}"
+    shown = [("Peak", SOCKET, f"{words}, {span}" if span else words)]
     if UNMEASURED in names:
         bare = places[names.index(UNMEASURED)].tiles
-        where = part_of(places, int(bare[pressure[bare].argmax()]))
+        where = place_of(geometry, places, int(bare[pressure[bare].argmax()]))
         shown.append(("Elsewhere", UNMEASURED, f"highest where no sensor is: {where}"))
     found = []
     for title, name, words in shown:
@@ -329,12 +389,12 @@ def check_card(findings: Sequence[DataFinding], notes: Sequence[str]) -> Documen
         notes: Notes on the recording; the first one is shown if there is no defect.
     """
     problems = [f"{found.fact}; {found.hint}" for found in findings]
-    value = f"look at {findings[0].source}" if findings else ""
+    value = f"check {findings[0].source}" if findings else ""
     good = "nothing implausible in any source"
     return data_card(problems, f"{good}; {first_of(notes)}" if notes else good, value)
 
 
-def data_card(problems: Sequence[str], good: str, value: str = "look") -> Document:
+def data_card(problems: Sequence[str], good: str, value: str = "check") -> Document:
     """Card of the data: the first problem and the number of others, or words for good data.
 
     Args:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from socket_testbed.arrays import FloatArray, sample_at
+from socket_testbed.arrays import FloatArray, evenly, sample_at
 from socket_testbed.errors import ConfigurationError
 from socket_testbed.identification.pressure import measured_rows
 from socket_testbed.pages import document
@@ -14,6 +14,8 @@ from socket_testbed.trials.pressure import mapped_trial
 from socket_testbed.trials.trial import Trial
 
 _COURSE_SAMPLES = 400
+_INTEGRAL_SAMPLES = 150  # evenly spread over the trial
+_INTEGRAL = "pressure-time integral, whole trial [kPa s]"
 
 
 class Player:
@@ -34,6 +36,8 @@ class Player:
         self._predicted = nothing if predicted is None else predicted[:, :6]
         found = self._mapped.course(_COURSE_SAMPLES)
         time = 1e-9 * (found.samples.stamps - samples.stamps[0])
+        rows = evenly(len(samples), _INTEGRAL_SAMPLES)
+        self._integral = self._mapped.outputs(rows).regions.integral
         self._start = document.trial_document(trial, found, time) | {
             "title": trial.name,
             "facts": trial.metadata.described(),
@@ -72,7 +76,7 @@ class Player:
         return {
             "moment": document.moments(samples.time[one], found, mapped.geometry)[0],
             "cards": [*shown, self._data],
-            "bars": document.bars(mapped.places, found.regions),
+            "bars": document.bars(mapped.places, found.regions, {_INTEGRAL: self._integral}),
             "wrench": document.wrench_rows(samples.wrench[row], self._predicted[row]),
         }
 

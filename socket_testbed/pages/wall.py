@@ -49,6 +49,8 @@ class UnrolledTiles:
         corners: Positions of the corners on the wall or end, in the order of `squares`, shape
             (n, 4, 2) [deg, mm] or [mm, mm]. Angles are within half a turn of the centre's, so
             that they may lie beyond +-180.
+        directions: Unit vectors along each tile in {S} that point towards right and up on the wall
+            or end, shape (n, 2, 3) [-].
     """
 
     around: SocketAxis
@@ -56,6 +58,7 @@ class UnrolledTiles:
     squares: FloatArray
     places: FloatArray
     corners: FloatArray
+    directions: FloatArray
 
 
 def unrolled_tiles(geometry: SocketGeometry) -> UnrolledTiles:
@@ -70,7 +73,22 @@ def unrolled_tiles(geometry: SocketGeometry) -> UnrolledTiles:
     wall = np.stack([turned, 1e3 * around.heights(points)], axis=-1)
     end = 1e3 * (points - around.end) @ np.column_stack([-around.left, around.anterior])
     places = np.where(on_wall[:, None, None], wall, end)
-    return UnrolledTiles(around, on_wall, squares, places[:, 0], places[:, 1:])
+    directions = _directions(geometry, around, on_wall)
+    return UnrolledTiles(around, on_wall, squares, places[:, 0], places[:, 1:], directions)
+
+
+def _directions(geometry: SocketGeometry, around: SocketAxis, on_wall: BoolArray) -> FloatArray:
+    """Unit vectors in {S} towards right and up on the page, along each tile, (n, 2, 3) [-].
+
+    Up is proximal on the wall, and anterior on the end. Right on the wall is towards left about the
+    axis, as seen from outside; the end is seen from inside.
+    """
+    normals = geometry.rotations[:, :, 2]
+    up = np.where(on_wall[:, None], around.proximal, around.anterior)
+    up = up - (up * normals).sum(axis=1, keepdims=True) * normals
+    up = up / np.linalg.norm(up, axis=1, keepdims=True)
+    right = np.cross(normals, up) * np.where(on_wall, 1.0, -1.0)[:, None]
+    return np.stack([right, up], axis=1)
 
 
 @dataclass(frozen=True, eq=False)

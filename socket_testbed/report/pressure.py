@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
@@ -16,8 +17,11 @@ from socket_testbed.identification.force_map import MapEstimate
 from socket_testbed.identification.pressure import (
     SHARE,
     TITLES,
+    PressureOutputs,
     Quantity,
+    decimals_of,
     normal_quantity,
+    read_column,
     with_interval,
 )
 from socket_testbed.pages import document
@@ -32,12 +36,13 @@ from socket_testbed.report.style import (
     thin,
     thin_band,
 )
-from socket_testbed.report.tiles import add_key, tile_map_figure
+from socket_testbed.report.tiles import add_key, pressure_limits, tile_map_figure, value_range
 from socket_testbed.tables import Table, split_unit
 from socket_testbed.trials.pressure import SegmentPressure, by_place, cells, limb_cells
 
 _SENTENCE = ["peak pressure [kPa]", "mean pressure [kPa]", "contact area [cm^2]"]
 _NAMED_SEGMENTS = ("plateau", "hold")
+_SPANS = {"loaded": "while loaded", "all": "in the trial"}  # by the kind of a segment
 _LABEL = "pressure [kPa]"
 _MAX_POINTS = 300  # per line
 _BAND_OPACITY = 0.18  # [-]
@@ -62,15 +67,23 @@ def page_data(results: Results) -> dict[str, Any]:
     time = 1e-9 * (over_trial.samples.stamps - results.samples.stamps[0])
     measured = pd.DataFrame(document.measured_pressure(outputs.samples, geometry))
     means = tiles.mean.value, tiles.mean.reach, tiles.shear.value, measured.mean().to_numpy()
-    mean = document.moment(found.peak_time, *means)
-    at_peak = outputs.peak_map.normal_pressure[0]
+    arrows = document.shear_arrows(geometry, outputs.force_map.mean(outputs.samples).forces[0])
+    mean = document.moment(found.peak_time, *means, arrows=arrows)
+    moments = document.moments(time, over_trial, geometry)
+    at_peak = moments[int(np.abs(time - found.peak_time).argmin())]
+    at_peak["words"] = f"at {found.peak_time:.2f} s, the peak {_span(found)}"
     return document.trial_document(trial, over_trial, time) | {
         "start": found.peak_time,
-        "moments": document.moments(time, over_trial, geometry),
-        "mean": mean | {"time": None, "words": f"mean over {found.segment}"},
+        "moments": moments,
+        "mean": mean | {"time": None, "words": f"mean over {found.segment}", "highest": "highest"},
         "cards": [
             *document.cards(
-                geometry, found.places, outputs.regions, at_peak, measured.loc[outputs.peak_row]
+                geometry,
+                found.places,
+                outputs.regions,
+                tiles.peak.value,
+                measured.loc[outputs.peak_row],
+                span=_span(found) + _highest(found, over_trial, time),
             ),
             document.check_card(results.data, results.bag_notes),
         ],
@@ -81,6 +94,27 @@ def page_data(results: Results) -> dict[str, Any]:
             for name, values in model_values(results, candidate).items()
         },
     }
+
+
+def _span(found: SegmentPressure) -> str:
+    """The segment in words, such as `in the hold`."""
+    kind = found.segment.kind
+    return _SPANS.get(kind, f"in the {kind if kind in _NAMED_SEGMENTS else 'segment'}")
+
+
+def _highest(found: SegmentPressure, over_trial: PressureOutputs, time: FloatArray) -> str:
+    """The highest pressure of the trial [kPa] and its time, if it is not that of the segment.
+
+    The times since the first sample of the trial are those of the samples of `over_trial` [s].
+    """
+    title = "peak pressure [kPa]"
+    number = f"{{:.{decimals_of(title)}f}}".format
+    own, highest = (
+        number(float(read_column(outputs.regions, title).value[-1]))
+        for outputs in (found.outputs, over_trial)
+    )
+    when = time[over_trial.peak_row]
+    return "" if own == highest else f"; highest of the trial {highest} at {when:.0f} s"
 
 
 def section(results: Results) -> Section:
@@ -182,7 +216,17 @@ def force_map_figure(
     deviation = 1e-3 * estimate.normal_pressure_standard_deviation[0]
     maps = {"normal pressure": pressure, "its standard deviation": deviation}
     reach = dict(zip(maps, (1e-3 * estimate.pressure_reach[0], 0.0 * deviation), strict=True))
-    return tile_map_figure(geometry, maps, _LABEL, title, style, side=side, reach=reach)
+    limits = pressure_limits(pressure, style.limits), value_range(deviation)
+    return tile_map_figure(
+        geometry,
+        maps,
+        _LABEL,
+        title,
+        style,
+        limits=dict(zip(maps, limits, strict=True)),
+        side=side,
+        reach=reach,
+    )
 
 
 def _maps(found: SegmentPressure) -> dict[str, Quantity]:
@@ -217,7 +261,7 @@ def pressure_figure(found: SegmentPressure, title: str, style: FigureStyle) -> F
         _LABEL,
         title,
         style,
-        from_zero=True,
+        limits=pressure_limits([quantity.value for quantity in maps.values()], style.limits),
         side=found.trial.metadata.side,
         reach=reach,
         below=(

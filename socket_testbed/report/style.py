@@ -6,12 +6,12 @@ import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import to_hex
+from matplotlib.colors import LinearSegmentedColormap, to_hex
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import TextPath
@@ -21,6 +21,10 @@ from socket_testbed.errors import ConfigurationError
 from socket_testbed.files import PICTURES, atomic_output, check_suffix
 
 SCALE = "viridis"  # perceptually uniform, safe for colour-blind readers
+# Of errors and differences, white at zero; as in socket.js (ColorBrewer's RdBu, turned round)
+DIVERGING = LinearSegmentedColormap.from_list(
+    "diverging", ["#2166ac", "#67a9cf", "#f7f7f7", "#f4a582", "#b2182b"]
+)
 
 VERMILION, BLUE, GREEN = "#D55E00", "#0072B2", "#009E73"  # Okabe & Ito's
 INK = "#222222"  # the colour of text on a page, also a dark one
@@ -53,6 +57,7 @@ def _page_line(style: Mapping[str, Any]) -> dict[str, Any]:
 # Of measured lines, then as `LINE_STYLES`
 PAGE_LINES = [_page_line(style) for style in (MEASURED_STYLE, *LINE_STYLES)]
 
+Limits: TypeAlias = tuple[float | None, float | None]
 COLUMN, PAGE = WIDTHS = (88, 180)  # [mm]; one column and two columns of a paper
 MM = 1.0 / 25.4  # [inch]
 LABEL, SMALL = 8.0, 7.0  # [pt]
@@ -94,10 +99,12 @@ class FigureStyle:
         width: Printed width, such as `COLUMN` (88) or `PAGE` (180) [mm].
         titles: Whether the figure has a title, and errors in its keys; a paper has them in its
             caption.
+        limits: Ends of the colour scale of pressures, None for the usual end [kPa].
     """
 
     width: float = PAGE
     titles: bool = True
+    limits: Limits = (None, None)
 
     @property
     def is_narrow(self) -> bool:
@@ -122,12 +129,13 @@ class FigureStyle:
 DEFAULT_STYLE = FigureStyle()
 
 
-def figure_style(width: float, title: bool) -> FigureStyle:
+def figure_style(width: float, title: bool, limits: Limits = (None, None)) -> FigureStyle:
     """The requested style.
 
     Args:
         width: Printed width, 88 or 180 [mm].
         title: Whether figures have titles, and errors in their keys.
+        limits: Ends of the colour scale of pressures, None for the usual end [kPa].
 
     Raises:
         ConfigurationError: The width is another one.
@@ -137,7 +145,7 @@ def figure_style(width: float, title: bool) -> FigureStyle:
             f"figures are not laid out for a width of {width} mm",
             f"give {COLUMN} for a column of a paper or {PAGE} for a full page",
         )
-    return FigureStyle(width, title)
+    return FigureStyle(width, title, limits)
 
 
 @in_style

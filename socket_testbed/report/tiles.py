@@ -15,18 +15,21 @@ from matplotlib.colors import PowerNorm, to_rgba
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Patch as Swatch
 from matplotlib.patheffects import withStroke
+from numpy.typing import ArrayLike
 
 from socket_testbed.arrays import BoolArray, FloatArray
 from socket_testbed.geometry.socket import Side, SocketGeometry
 from socket_testbed.identification.pressure import greyness
-from socket_testbed.pages.document import GREY, POWER
+from socket_testbed.pages.document import GREY, POWER, fixed_end
 from socket_testbed.pages.wall import Patch, UnrolledTiles, patches, side_names, unrolled_tiles
 from socket_testbed.report.style import (
     DEFAULT_STYLE,
+    DIVERGING,
     SCALE,
     SMALL,
     VERMILION,
     FigureStyle,
+    Limits,
     in_style,
     lay_out,
     wrap,
@@ -39,6 +42,8 @@ _HATCH = "/////"  # for missing values
 _SIDE_MARGIN = 3.0  # [deg]; of the unrolled wall
 _WALL_MARGIN = 0.03  # [-]; above and below the wall, relative to its height
 _END_MARGIN = 0.06  # [-]; around the distal end, relative to its size
+_NEAR_SEAM = 150.0  # [deg]; names of tiles beyond it are moved inside the picture
+_END_GAP = 12.0  # [mm]; between the wall and the distal end in one panel
 _WALL_SHARE = 3.4  # [-]; width of the wall over that of the distal end
 _MIN_FONT = 3.0  # [pt]; of a name on a tile
 _LINE_LENGTH = 9  # characters
@@ -64,6 +69,21 @@ def value_range(values: FloatArray) -> tuple[float, float]:
     low, high = float(finite.min()), float(finite.max())
     margin = 0.0 if low < high else 0.1 * abs(low) or 1.0
     return low - margin, high + margin
+
+
+def pressure_limits(values: ArrayLike, limits: Limits = (None, None)) -> tuple[float, float]:
+    """Ends of the colour scale of pressures [kPa], fixed: one colour is one pressure.
+
+    Args:
+        values: All pressures of the figure, of any shape [kPa]; NaN for none.
+        limits: Ends that the user chose, None for 0 and for the `fixed_end` of the highest value.
+    """
+    low = 0.0 if limits[0] is None else limits[0]
+    if limits[1] is not None:
+        return low, limits[1]
+    shown = np.asarray(values, dtype=float)
+    high = fixed_end(float(np.max(shown[np.isfinite(shown)], initial=0.0)))
+    return low, high if high > low else low + high
 
 
 @dataclass(frozen=True)
@@ -97,7 +117,7 @@ def paint_tiles(
     """Colour tiles by their values; those without one are white and hatched.
 
     Pressures whose intervals are known are drawn smooth over the surface, in the colours and greys
-    of the pages; differences, whose limits are symmetric, have linear colours.
+    of the pages; errors and differences, whose limits are symmetric, have diverging colours.
 
     Args:
         geometry: The socket of n tiles.
@@ -108,14 +128,15 @@ def paint_tiles(
     """
     tiles, unknown = unrolled_tiles(geometry), np.isnan(values)
     low, high = limits or value_range(values)
-    power = POWER if reach is not None and low > -high else 1.0
-    scale = ScalarMappable(PowerNorm(power, low, high), SCALE)
+    differs = low == -high
+    power = POWER if reach is not None and not differs else 1.0
+    scale = ScalarMappable(PowerNorm(power, low, high), DIVERGING if differs else SCALE)
     fills = np.where(unknown[:, None], to_rgba(_NO_VALUE), scale.to_rgba(values))
     if reach is None or unknown.any():
         return TilePaint(geometry, tiles, fills, unknown, scale)
     images = []
     for patch in patches(geometry, _IMAGE_STEP):
-        image = np.asarray(scale.to_rgba(patch.weights @ values))
+        image = np.asarray(scale.to_rgba(np.clip(patch.weights @ values, low, high)))
         grey = np.clip(patch.weights @ greyness(1e3 * values, 1e3 * reach), 0.0, 1.0)
         veil = GREY["greyest"] * grey[..., None]
         image[..., :3] += veil * (np.array(GREY["colour"]) / 255.0 - image[..., :3])
@@ -286,8 +307,11 @@ def draw_wall(
     unit: str,
     reach: FloatArray | None = None,
     side: Side | None = None,
+    limits: tuple[float, float] | None = None,
 ) -> None:
-    """Draw values on the wall, with a colour bar, into the caller's axes.
+    """Draw values on the wall and the distal end, with a colour bar, into the caller's axes.
+
+    The end is to the right of the wall, at its scale. Clusters are outlined and named.
 
     Args:
         axis: The axes.
@@ -297,10 +321,46 @@ def draw_wall(
         reach: Half-widths of the 95 % intervals of pressures, shape (n,) [kPa]: they are drawn
             smooth, the greyer, the less certain; None colours each tile evenly.
         side: The leg that wears the socket; None if unknown.
+        limits: Ends of the colour scale in the unit of the values; by default their range.
     """
-    paint = paint_tiles(geometry, values, reach=reach)
-    _draw_wall(axis, paint, [""] * len(geometry), side)
+    labels = [""] * len(geometry)
+    paint = paint_tiles(geometry, values, limits, reach)
+    _draw_wall(axis, paint, labels, side)
+    if not paint.tiles.on_wall.all():
+        size, (bottom, top), right = _end_size(paint), axis.get_ylim(), axis.get_xlim()[1]
+        low, high, width = _measures(paint.tiles)
+        x, y = right + (_END_GAP + size) / width, 0.5 * (low + high)
+        paint = _beside_wall(paint, x, y, width)
+        axis.set_xlim(right=x + size / width + _SIDE_MARGIN)
+        axis.set_ylim(min(bottom, y - size), max(top, y + size))
+        _draw_part(axis, paint, "end", labels)
+        above: dict[str, Any] = {"xytext": (0, 3), "textcoords": "offset points"}
+        axis.annotate("distal end", (x, y + size), ha="center", va="bottom", **above)
+    for name, tile in geometry.clusters.items():
+        x, y = paint.tiles.corners[tile].mean(axis=0)
+        inside = "left" if x < -_NEAR_SEAM else "center"
+        look: dict[str, Any] = {"ha": inside, "va": "center", "zorder": 3, "parse_math": False}
+        look |= {"path_effects": [withStroke(linewidth=2.0, foreground="white")]}
+        axis.text(x, y, name.replace("_", "_\n"), fontsize=SMALL, color="black", **look)
     axis.figure.colorbar(paint.scale, ax=axis, label=unit)
+
+
+def _end_size(paint: TilePaint) -> float:
+    """Half the width of the distal end with its tiles [mm]."""
+    tiles = np.abs(paint.tiles.corners[~paint.tiles.on_wall]).max()
+    surface = [np.abs(patch.x).max() for patch, _ in paint.images if patch.name == "end"]
+    return float(max(tiles, *surface)) if surface else float(tiles)
+
+
+def _beside_wall(paint: TilePaint, x: float, y: float, width: float) -> TilePaint:
+    """The end's centre moved to a place of the wall [deg, mm], whose degrees have a width [mm]."""
+    ends, corners = ~paint.tiles.on_wall, paint.tiles.corners.copy()
+    corners[ends] = corners[ends] / [width, 1.0] + [x, y]
+    images = [
+        (patch if patch.name == "wall" else replace(patch, x=x + patch.x / width, y=y + patch.y), i)
+        for patch, i in paint.images
+    ]
+    return replace(paint, tiles=replace(paint.tiles, corners=corners), images=images)
 
 
 def add_key(figure: Figure | SubFigure, style: FigureStyle, *parts: str) -> None:

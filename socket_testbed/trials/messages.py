@@ -410,7 +410,10 @@ def _regions(records: cdr.Record, sample: Any) -> tuple[tuple[str, ...], RegionO
     """Names of the R regions, and their outputs; quantities not in the message are NaN."""
     from socket_testbed.identification.pressure import Quantity, RegionOutputs  # few nodes need it
 
-    found: dict[str, Any] = {field.name: np.nan for field in fields(RegionOutputs)}
+    unknown = np.full(records["mean"].shape, np.nan)
+    nothing = Quantity(unknown, unknown, unknown, unknown)
+    found = {field.name: nothing for field in fields(RegionOutputs)}
+    found["centre"] = Quantity(*[np.full((*unknown.shape, 3), np.nan)] * 4)
     for name, field in _REGION_FIELDS.items():
         ends = (records[field + end].astype(np.float64) for end in ("", "_low", "_high", ""))
         found[name] = Quantity(*ends)

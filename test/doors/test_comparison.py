@@ -83,9 +83,9 @@ ROWS = {
         (-0.25, -1.7682, 1.2682),
     ),
     ("regions", "anterior", "contact area"): ("cm^2", (27.0, 27.0, 27.0), (0.0, 0.0, 0.0)),
-    ("regions", "anterior", "pressure-time integral"): (  # +-1.96 * 23.75 kPa s
-        *("kPa s", (706.2981, 659.7481, 752.8481)),
-        (141.2596, 105.2021, 177.3172),
+    ("regions", "anterior", "pressure-time integral"): (  # +-1.25 * 1.96 * 23.75 kPa s
+        *("kPa s", (706.2981, 648.1106, 764.4856)),
+        (141.2596, 96.1878, 186.3315),
     ),
     # the same share of a larger load, with errors that matter less: 34.2 N of 101.7 N; draws:
     # 34.2 N of 100.3084 and of 103.0916 N
@@ -259,8 +259,16 @@ def test_the_load_is_noted(found: Comparison) -> None:
 # --- the page
 
 
-def test_the_page_s_cards_hold_the_differences(data: dict[str, Any]) -> None:
+def test_the_page_s_cards_hold_peaks_then_differences(data: dict[str, Any]) -> None:
     assert data["cards"] == [
+        {
+            "title": "Peak, scene", "value": "60.0 kPa", "interval": "57.6 to 62.5",
+            "words": "all 0.00 s to 23.75 s",
+        },
+        {
+            "title": "Peak, second", "value": "75.0 kPa", "interval": "72.5 to 77.5",
+            "words": "all 0.00 s to 23.75 s",
+        },
         {
             "title": "Peak pressure, second - scene", "value": "+15.0 kPa",
             "interval": "13.1 to 16.9", "words": "a clear difference",
@@ -277,6 +285,7 @@ def test_the_page_s_maps_share_a_scale(data: dict[str, Any]) -> None:
     assert first["moment"]["pressure"][tile("ant_mid")] == pytest.approx(40.0)
     assert second["moment"]["pressure"][tile("ant_mid")] == pytest.approx(50.0)
     assert second["moment"]["reach"][tile("ant_mid")] == pytest.approx(1.96)
+    assert first["moment"]["highest"] == "highest"  # not the peak of the trial
     assert data["scale"] == pytest.approx(50.0)
     assert [m["diverging"] for m in data["maps"]] == [False, False, True]
     assert [m["range"] for m in (first, second)] == [None, None]
@@ -305,7 +314,7 @@ def test_the_page_s_tables_hold_the_known_values(page: Page) -> None:
     rows = page.rows("socket-table")
     assert rows["peak pressure [kPa]"][2] == "+15.0 (13.1 to 16.9) *"
     assert rows["contact area [cm^2]"] == [
-        *("85 (77 to 92)", "90 (83 to 95)", "+5.8 (-0.2 to 11.2)")
+        *("85 (75 to 94)", "91 (82 to 97)", "+6.1 (-1.0 to 13.1)")
     ]
     captions = dict(zip(page.tables, page.said["caption"], strict=True))
     name = next(name for name, caption in captions.items() if caption == "mean pressure [kPa]")
@@ -325,14 +334,14 @@ def test_the_page_explains_its_intervals(page: Page) -> None:
 
 
 def test_the_figure_has_one_scale(found: Comparison, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From -1.25 to 50 kPa; 40 kPa are at the square root of 41.25 / 51.25."""
+    """The fixed one, 0 to 50 kPa; 40 kPa are at the square root of 40 / 50."""
     monkeypatch.setattr(ConstrainedLayoutEngine, "execute", lambda *_: None)
     figure = found.figure()
     maps = {axis.get_title("left"): axis for axis in figure.axes if axis.get_title("left")}
     assert [*maps] == ["scene", "second"]
     (bar,) = [axis for axis in figure.axes if axis.get_ylabel() == "mean pressure [kPa]"]
-    assert bar.get_ylim() == pytest.approx((-1.25, 50.0))
-    for name, share in (("scene", 0.897), ("second", 1.0)):
+    assert bar.get_ylim() == pytest.approx((0.0, 50.0))
+    for name, share in (("scene", 0.894), ("second", 1.0)):
         (image,) = maps[name].images
         pixels = np.asarray(image.get_array())
         left, right, low, high = image.get_extent()

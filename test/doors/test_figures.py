@@ -17,8 +17,10 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from support import scene
+from support.wording import refused
 
 import socket_testbed as st
+from socket_testbed.errors import ConfigurationError
 from socket_testbed.report import quality
 from socket_testbed.report.pressure import force_map_figure
 from socket_testbed.report.style import COLUMN, DEFAULT_STYLE, FigureStyle
@@ -92,11 +94,11 @@ def fill_at(axis: Axes, tile: str) -> tuple[float, ...]:
 
 def image_at(axis: Axes, tile: str) -> tuple[float, ...]:
     """The colour of a smooth map at a tile's place, as drawn: rows begin below."""
-    (image,) = axis.images
+    x, y = PLACES[tile]
+    (image,) = [each for each in axis.images if each.get_extent()[0] <= x <= each.get_extent()[1]]
     assert image.origin == "lower"
     left, right, low, high = image.get_extent()
     pixels = np.asarray(image.get_array())
-    x, y = PLACES[tile]
     column = int((x - left) / (right - left) * pixels.shape[1])
     row = int((y - low) / (high - low) * pixels.shape[0])
     return tuple(pixels[row, column, :3])
@@ -122,23 +124,24 @@ def legend(axis: Axes) -> list[str]:
 
 # --- pressure
 
+AT_40 = tuple(colormaps["viridis"](np.sqrt(0.8))[:3])  # 40 of 50 kPa
 MEAN, PEAK = "mean over the segment", "at the peak, 12.00 s"
 
 
-def test_pressure_maps_share_a_scale_from_below_zero(drawn: Draw) -> None:
-    """From the pull of -1.5 kPa to 60 kPa, both at the peak."""
+def test_pressure_maps_share_a_fixed_scale(drawn: Draw) -> None:
+    """For 60 kPa at the peak the scale of 50 kPa is too short, the next one ends at 100."""
     found = bars(drawn("pressure_map"), "pressure [kPa]")
-    assert found == [pytest.approx((-1.5, 60.0))]
+    assert found == [pytest.approx((0.0, 100.0))]
 
 
 COLOURS = {
-    # of the scale's square root: (value + 1.5) / 61.5
-    (PEAK, "ant_mid"): 1.0,
-    (PEAK, "right_prox"): 0.870,
-    (PEAK, "left_prox"): 0.469,
-    (MEAN, "ant_mid"): 0.821,
-    (MEAN, "right_prox"): 0.716,
-    (MEAN, "ant_end"): 0.518,
+    # of the scale's square root: value / 100
+    (PEAK, "ant_mid"): 0.775,
+    (PEAK, "right_prox"): 0.671,
+    (PEAK, "left_prox"): 0.346,
+    (MEAN, "ant_mid"): 0.632,
+    (MEAN, "right_prox"): 0.548,
+    (MEAN, "ant_end"): 0.387,
 }
 
 
@@ -154,7 +157,6 @@ def test_a_pressure_map_is_coloured_at_its_place(title: str, tile: str, drawn: D
 def test_pull_has_the_darkest_colour(drawn: Draw) -> None:
     wall, _ = panels(drawn("pressure_map"), PEAK)
     assert image_at(wall, "right_mid") == pytest.approx(VIOLET, abs=0.2)
-    assert image_at(wall, "ant_mid") == pytest.approx(YELLOW, abs=0.1)
 
 
 def test_the_wall_names_its_sides(drawn: Draw) -> None:
@@ -247,14 +249,14 @@ def force_map(trial) -> st.TrialMap:
 
 
 def test_a_force_map_is_beside_its_deviation(force_map: st.TrialMap) -> None:
-    """-1 to 40 kPa, and 0.5 to 1 kPa, each with a scale of its own."""
+    """Up to 40 kPa on the fixed scale, and 0.5 to 1 kPa on a scale of their own."""
     figure = force_map.figure()
     assert figure.get_suptitle().startswith("scene, all 0.00 s to 23.75 s: force map")
     found = bars(figure, "pressure [kPa]")
-    assert found == [pytest.approx((-1.0, 40.0)), pytest.approx((0.5, 1.0))]
+    assert found == [pytest.approx((0.0, 50.0)), pytest.approx((0.5, 1.0))]
     pressure, _ = panels(figure, "normal pressure")
     deviation, _ = panels(figure, "its standard deviation")
-    assert image_at(pressure, "ant_mid") == pytest.approx(YELLOW, abs=0.1)
+    assert image_at(pressure, "ant_mid") == pytest.approx(AT_40, abs=0.06)
     assert image_at(deviation, "left_mid") == pytest.approx(VIOLET, abs=0.2)
     assert image_at(deviation, "ant_mid") == pytest.approx(YELLOW, abs=0.1)
 
@@ -269,7 +271,7 @@ def test_pressures_alone_are_greyed(force_map: st.TrialMap) -> None:
     pressure, _ = panels(figure, "normal pressure")
     beside, _ = panels(figure, "its standard deviation")
     assert np.ptp(image_at(pressure, "left_prox")) < 0.15
-    assert np.ptp(image_at(pressure, "ant_mid")) > 0.5
+    assert np.ptp(image_at(pressure, "ant_mid")) > 0.4
     assert image_at(beside, "left_prox") == pytest.approx(YELLOW, abs=0.1)
 
 
@@ -281,10 +283,55 @@ def own_axes(force_map: st.TrialMap) -> Axes:
 
 
 def test_a_map_in_own_axes_has_its_unit(own_axes: Axes) -> None:
-    assert bars(own_axes.figure, "pressure [kPa]") == [pytest.approx((-1.0, 40.0))]
+    assert bars(own_axes.figure, "pressure [kPa]") == [pytest.approx((0.0, 50.0))]
     assert own_axes.get_ylabel() == "height [mm]"
-    assert image_at(own_axes, "ant_mid") == pytest.approx(YELLOW, abs=0.1)
+    assert image_at(own_axes, "ant_mid") == pytest.approx(AT_40, abs=0.06)
     assert image_at(own_axes, "right_mid") == pytest.approx(VIOLET, abs=0.2)
+
+
+def test_own_axes_hold_the_distal_end(own_axes: Axes) -> None:
+    """To the right of the wall, at its scale, and as high as half the wall."""
+    wall, end = (np.array(image.get_extent()) for image in own_axes.images)
+    assert end[0] > wall[1] and end[1] < own_axes.get_xlim()[1]
+    degree = 50.0 * np.pi / 180.0  # [mm]; the tiles of the wall are 50 mm from the axis
+    assert (end[1] - end[0]) * degree == pytest.approx(end[3] - end[2], rel=1e-3)
+    texts = {text.get_text().replace("\n", ""): text.get_position() for text in own_axes.texts}
+    assert {*texts} == {"distal end", *scene.CLUSTERS}
+    assert texts["mid_anterior"] == pytest.approx(PLACES["ant_mid"], abs=0.05)
+    assert end[0] < texts["distal"][0] < end[1]
+
+
+@pytest.mark.parametrize(
+    ("ends", "found"),
+    [
+        pytest.param({"vmax": 30.0}, (0.0, 30.0), id="upper"),
+        pytest.param({"vmin": 10.0}, (10.0, 50.0), id="lower"),
+        pytest.param({"vmin": -5.0, "vmax": 80.0}, (-5.0, 80.0), id="both"),
+        pytest.param({"vmin": 60.0}, (60.0, 110.0), id="above all"),
+    ],
+)
+def test_the_ends_of_the_scale_are_chosen(
+    ends: dict[str, float], found: tuple[float, float], force_map: st.TrialMap
+) -> None:
+    axes = Figure().subplots()
+    force_map.draw(ax=axes, **ends)
+    assert bars(axes.figure, "pressure [kPa]") == [pytest.approx(found)]
+    assert bars(force_map.figure(**ends), "pressure [kPa]")[0] == pytest.approx(found)
+
+
+@pytest.mark.parametrize(
+    ("ends", "words"),
+    [
+        pytest.param({"vmin": 5.0, "vmax": 5.0}, ("ends at 5 kPa", "vmin below vmax"), id="equal"),
+        pytest.param({"vmax": -1.0}, ("ends at -1 kPa but begins at 0 kPa", "vmin"), id="below"),
+        pytest.param({"vmax": float("nan")}, ("vmax", "finite"), id="nan"),
+    ],
+)
+def test_a_scale_out_of_order_is_refused(
+    ends: dict[str, float], words: tuple[str, str], force_map: st.TrialMap
+) -> None:
+    with refused(ConfigurationError, *words):
+        force_map.draw(ax=Figure().subplots(), **ends)
 
 
 @pytest.mark.parametrize(

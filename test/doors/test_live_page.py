@@ -218,6 +218,43 @@ def test_a_map_of_another_socket_is_named(graph: Graph, source: LiveSource) -> N
     )
 
 
+def test_cards_and_map_are_of_one_message(graph: Graph, source: LiveSource) -> None:
+    """The map of 2.5 s belongs to the regions of 2.5 s, not the newest one; so do the sensors."""
+    graph.send(topics.WRENCH, wrench(-10.0), 0.0)
+    send_all(graph, 2.5)
+    later, pressed = force_map(), stresses()
+    later.normal_pressure[tile("ant_mid")], pressed.clusters[1].normal = 55e3, 56e3
+    graph.send(topics.FORCE_MAP, later, 2.75)
+    graph.send(topics.STRESS, pressed, 2.75)
+    moment = source.now(None)["moment"]
+    assert moment["time"] == 2.5 and max(moment["pressure"]) == 40.0
+    assert moment["measured"] == [30.0, 40.0, None, None]
+
+
+def test_regions_wait_for_their_map(graph: Graph, source: LiveSource) -> None:
+    graph.send(topics.WRENCH, wrench(-60.0), 2.5)
+    graph.send(topics.REGIONS, regions(), 2.5)
+    assert "bars" not in source.now(None)
+    graph.send(topics.FORCE_MAP, force_map(), 2.5)
+    found = source.now(None)
+    assert found["cards"][0]["value"] == "62.2 kPa" and max(found["moment"]["pressure"]) == 40.0
+
+
+def test_without_regions_the_newest_map_is_shown(graph: Graph, source: LiveSource) -> None:
+    for seconds in (2.5, 2.75):
+        graph.send(topics.FORCE_MAP, force_map(), seconds)
+    found = source.now(None)
+    assert max(found["moment"]["pressure"]) == 40.0 and len(found["cards"]) == 1
+
+
+def test_shear_points_along_the_page(now: dict[str, Any]) -> None:
+    """1, 2, 3 N in {S}: on `ant_mid` right is y and up is z; on the end right is -y, up is x."""
+    arrows = now["moment"]["arrows"]
+    assert arrows[tile("ant_mid")] == pytest.approx([2 / 0.9, 3 / 0.9], abs=0.01)
+    assert arrows[tile("left_mid")] == pytest.approx([-1 / 0.9, 3 / 0.9], abs=0.01)
+    assert arrows[tile("ant_end")] == pytest.approx([-2 / 0.9, 1 / 0.9], abs=0.01)
+
+
 # --- cards, bars and the table of wrenches
 
 
@@ -238,6 +275,8 @@ BARS = {
     # value, low, high of the first region, and of the second
     "mean pressure [kPa]": ((20.0, 18.0, 23.0), (20.1, 18.1, 23.1)),
     "peak pressure [kPa]": ((60.0, 58.0, 63.0), (60.1, 58.1, 63.1)),
+    # Of the map: three tiles of 9 cm^2 each, all above 5 kPa with all of their intervals.
+    "contact area [cm^2]": ((27.0, 27.0, 27.0), (27.0, 27.0, 27.0)),
     "shear [kPa]": ((5.0, 4.0, 7.0), (5.1, 4.1, 7.1)),
     "share of load [%]": ((25.0, 12.5, 50.0), (26.0, 13.5, 51.0)),
 }
@@ -248,10 +287,23 @@ def test_bars_hold_the_regions(title: str, now: dict[str, Any]) -> None:
     bars = now["bars"]
     assert bars["regions"] == [*SIDES, *LEVELS, *REGIONS[-4:]]
     assert tuple(bars["values"]) == (
-        *("mean pressure [kPa]", "peak pressure [kPa]", "share of load [%]", "shear [kPa]"),
+        *("mean pressure [kPa]", "peak pressure [kPa]", "contact area [cm^2]"),
+        *("share of load [%]", "shear [kPa]", "pressure-time integral, last 30 s [kPa s]"),
     )
     for found, answer in zip(bars["values"][title], BARS[title], strict=False):
         assert found == pytest.approx(answer)
+
+
+def test_the_integral_is_of_the_last_half_minute(graph: Graph, source: LiveSource) -> None:
+    """71 / 3 +-1.96 kPa on `anterior`, always in contact; `right_end` of 6 kPa, within 1.96."""
+    for seconds in (0.0, 1.0, 2.0):
+        send_all(graph, seconds)
+        source.now(None)
+    bars = source.now(None)["bars"]
+    found = bars["values"]["pressure-time integral, last 30 s [kPa s]"]
+    by_region = dict(zip(bars["regions"], found, strict=True))
+    assert by_region["anterior"] == pytest.approx((47.3333, 43.4133, 51.2533), abs=1e-3)
+    assert by_region["right"] == pytest.approx((24.0, 18.6933, 26.6133), abs=1e-3)
 
 
 def test_the_wrench_table_tells_measured_from_predicted(now: dict[str, Any]) -> None:
@@ -362,13 +414,20 @@ def test_the_worst_problem_comes_first(graph: Graph, source: LiveSource) -> None
     graph.report("/lab/mocap_node", 2, "no camera")
     graph.report("/lab/recorder_node", 0, "ready", free=0)
     assert data_card(source) == {
-        "title": "Data", "value": "look", "words": "mocap: no camera (and 1 more)", "bad": True,
+        "title": "Data", "value": "check", "words": "mocap: no camera (and 1 more)", "bad": True,
     }  # fmt: skip
 
 
 def test_the_estimator_s_finding_is_said_plainly(graph: Graph, source: LiveSource) -> None:
     graph.report("/lab/estimator_node", 1, "data: look at distal: it is noisy; check its cable")
     assert data_card(source)["words"] == "distal: it is noisy; check its cable"
+
+
+def test_a_cluster_s_fault_begins_with_its_name(graph: Graph, source: LiveSource) -> None:
+    graph.report("/lab/cluster_node", 2, "distal: no answer: check its plug")
+    assert data_card(source)["words"] == "distal: no answer: check its plug"
+    graph.report("/lab/cluster_node", 2, "the bus is gone: check the adapter")
+    assert data_card(source)["words"] == "cluster: the bus is gone: check the adapter"
 
 
 def test_without_nodes_there_is_no_data(source: LiveSource) -> None:

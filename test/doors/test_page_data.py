@@ -207,6 +207,12 @@ BARS = {
     "peak pressure [kPa]": {"anterior": (60.0, 57.55, 62.45), "fibula": (45.0, 42.55, 47.45)},
     "share of load [%]": {"anterior": (33.6283, 33.0258, 34.2533), "socket": (100.0,) * 3},
     "shear [kPa]": {"anterior": (2.8284, 2.2451, 3.5889)},
+    # Of `lateral` 45 and 9 +-1.47 kPa are above 5 kPa, -1.5 kPa are not.
+    "contact area [cm^2]": {"anterior": (27.0,) * 3, "lateral": (18.0,) * 3},
+    "pressure-time integral, whole trial [kPa s]": {
+        place: scene.ANSWERS[place]["pressure-time integral [kPa s]"]
+        for place in ("anterior", "lateral", "socket")
+    },
 }
 
 
@@ -224,8 +230,9 @@ def test_bars_leave_out_parts_of_sectors(now: dict[str, Any]) -> None:
         *("tibia", "fibula", "unmeasured wall", "socket"),
     ]
     assert now["bars"]["decimals"] == {
-        "mean pressure [kPa]": 1, "peak pressure [kPa]": 1, "share of load [%]": 0,
-        "shear [kPa]": 1,
+        "mean pressure [kPa]": 1, "peak pressure [kPa]": 1, "contact area [cm^2]": 0,
+        "share of load [%]": 0, "shear [kPa]": 1,
+        "pressure-time integral, whole trial [kPa s]": 0,
     }  # fmt: skip
 
 

@@ -248,9 +248,20 @@ def test_contact_is_above_the_threshold_alone() -> None:
     one = scene_samples()[24:25]
     at, below = (outputs(one, threshold) for threshold in (40.1e3, 39.9e3))
     tile = GEOMETRY.names.index("ant_mid")
-    # Four fifths of the draws are exact, a tenth is higher, a tenth lower by 1.96 kPa.
-    assert at.tiles.area.value[tile] == pytest.approx(0.1 * 9e-4, abs=1e-9)
-    assert below.tiles.area.value[tile] == pytest.approx(0.9 * 9e-4, abs=1e-9)
+    # Four fifths of the draws are exact, a tenth is higher, a tenth lower by 2.45 kPa.
+    ends = (("value", 0.0, 9e-4), ("low", 0.0, 0.0), ("high", 9e-4, 9e-4))
+    for end, if_not, if_so in ends:
+        assert getattr(at.tiles.area, end)[tile] == pytest.approx(if_not, abs=1e-9)
+        assert getattr(below.tiles.area, end)[tile] == pytest.approx(if_so, abs=1e-9)
+
+
+def test_area_and_integral_count_the_same_tiles() -> None:
+    """From 33.1 to 38 kPa, either both are above zero or both are zero."""
+    span = scene_samples()[20:24]
+    for threshold in np.arange(33.1e3, 38e3, 0.5e3):
+        found = outputs(span, threshold).tiles
+        np.testing.assert_array_equal(found.area.value > 0.0, found.integral.value > 0.0)
+        np.testing.assert_array_equal(found.area.high > 0.0, found.integral.high > 0.0)
 
 
 # --- at instants
@@ -284,6 +295,13 @@ def test_an_instant_has_its_own_outputs(case: str, found: PressureOutputs) -> No
     own = getattr(found.series, name)
     ends = [float(of[row, region]) for of in (own.value, own.low, own.high)]
     assert ends == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_single_sample_has_no_integral() -> None:
+    """Its contact area is known, its duration is not."""
+    alone = outputs(scene_samples()[24:25])
+    assert np.isnan(alone.regions.integral.value).all() and alone.integrated == 0.0
+    assert alone.regions.area.value[NAMES.index("anterior")] == pytest.approx(27e-4)
 
 
 def test_an_instant_has_no_integral(found: PressureOutputs) -> None:
@@ -366,7 +384,7 @@ DRAWN = {
     "share": ("share", 15.0, np.arange(41.0) - 30.0, -29.0, 15.0),
     # 9 and 16 cm^2 at most
     "area": ("area", 20e-4, 1e-4 * np.arange(41.0), 1e-4, 25e-4),
-    "area above zero": ("area", 2e-4, 1e-4 * (np.arange(41.0) - 20.0), 0.0, 19e-4),
+    "area above zero": ("area", 2e-4, 1e-4 * (np.arange(41.0) - 20.0), 0.0, 21e-4),
     # Half a turn is no distance: +-0.1 about pi.
     "direction": ("direction", 3.1, 3.1 + 0.01 * np.arange(-20.0, 21.0), 2.91, 3.29),
     "direction beyond": ("direction", 3.1, 3.1 + 0.01 * np.arange(-20, 21) - 2 * np.pi, 2.91, 3.29),

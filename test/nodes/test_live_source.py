@@ -249,7 +249,7 @@ def test_good_nodes_are_counted(source: LiveSource, lab: Lab) -> None:
 def test_the_estimator_s_look_leads_the_card(source: LiveSource, lab: Lab) -> None:
     lab.say("/lab/estimator_node", 1, "data: look at Fx: it stands still; no model yet")
     (data,) = source.now(None)["cards"]
-    assert data["words"].startswith("Fx: it stands still") and data["value"] == "look"
+    assert data["words"].startswith("Fx: it stands still") and data["value"] == "check"
 
 
 def test_a_silent_node_is_an_error(source: LiveSource, lab: Lab, clock: FakeClock) -> None:

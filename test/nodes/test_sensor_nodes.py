@@ -175,12 +175,34 @@ def test_a_cluster_s_fault_is_reported_while_recent(
 ) -> None:
     assert reading.health() is None  # nothing is known yet
     reading.idle()
-    assert reading.health() == (ERROR, "no answer: check it")
+    assert reading.health() == (ERROR, "distal: no answer: check it")
     clock.sleep(0.79)
-    assert reading.health() == (ERROR, "no answer: check it")
+    assert reading.health() == (ERROR, "distal: no answer: check it")
     clock.sleep(0.02)  # 0.8 s after it
     reader.faults = {}
     assert reading.health() == (OK, "2 clusters answer")
+
+
+@pytest.mark.parametrize(
+    ("faults", "expected"),
+    [
+        pytest.param(
+            {"distal": ("no answer", "slow")}, "distal: no answer; distal: slow", id="two"
+        ),
+        pytest.param({"brim": ("gone",), "distal": ("gone",)}, "gone", id="bus"),
+    ],
+)
+def test_a_fault_names_its_clusters(
+    faults: dict[str, tuple[str, ...]],
+    expected: str,
+    clock: FakeClock,
+    reading: cluster_node.ClusterNode,
+    reader: Clusters,
+) -> None:
+    """A fault of all clusters is that of their bus."""
+    reader.faults = faults
+    reading.idle()
+    assert reading.health() == (ERROR, expected)
 
 
 def test_a_hanging_bus_is_an_error(clock: FakeClock, reading: cluster_node.ClusterNode) -> None:
@@ -217,11 +239,11 @@ def test_a_fault_while_starting_is_a_warning(
     """A device has 5 s to answer."""
     reading.idle()
     reading.check()
-    assert make.state() == (WARN, "starting: no answer: check it")
+    assert make.state() == (WARN, "starting: distal: no answer: check it")
     clock.sleep(5.1)
     reading.idle()
     reading.check()
-    assert make.state() == (ERROR, "no answer: check it")
+    assert make.state() == (ERROR, "distal: no answer: check it")
 
 
 def test_a_clock_set_between_starts_is_a_warning(

@@ -219,8 +219,6 @@ def test_halves_of_the_diverging_scale_blend() -> None:
     ("values", "low", "high"),
     [
         pytest.param([5.0, 10.0, 15.0, 20.0, 40.0], 0, 40, id="positive: from zero"),
-        pytest.param([-5.0, 10.0, 15.0, 20.0, 40.0], -5, 40, id="both signs"),
-        pytest.param([-5.0, -4.0, -3.0, -2.0, -1.0], -5, -1, id="negative"),
         pytest.param([None, 10.0, 15.0, 20.0, 30.0], 0, 30, id="one unknown"),
     ],
 )
@@ -233,6 +231,53 @@ def test_other_values_span_their_own_scale(values, low, high) -> None:
     assert heatmap.hover(90.0, 60.0) == f"{values[1]:.1f} mm²"
     assert heatmap.trace["colorbar"]["title"]["text"] == "mm²"
     assert not picture.has_veil()
+
+
+@pytest.mark.parametrize(
+    ("values", "end"),
+    [
+        pytest.param([-5.0, 10.0, 15.0, 20.0, 40.0], 40, id="both signs"),
+        pytest.param([-50.0, 10.0, 15.0, 20.0, 40.0], 50, id="more below"),
+        pytest.param([-5.0, -4.0, -3.0, -2.0, -1.0], 5, id="negative"),
+    ],
+)
+def test_values_of_either_sign_diverge(values, end) -> None:
+    extras = json.dumps({"offset": {"values": values, "unit": "mm"}})
+    heatmap = drawn(setting=f"Object.assign(map, {{extras: {extras}, kind: 'offset'}})").heatmap()
+    assert (heatmap.trace["zmin"], heatmap.trace["zmax"]) == (-end, end)
+    assert [heatmap.colour(value) for value in (-end, 0.0, end)] == [BLUE, WHITE, RED]
+
+
+@pytest.mark.parametrize(
+    ("highest", "end"), [(1.0, 5), (5.0, 5), (5.5, 10), (60.0, 100), (130.0, 130)]
+)
+def test_shear_has_its_own_scale(highest, end) -> None:
+    tab = opened(setting="map.kind = 'shear'")
+    heatmap = show(tab, hand_moment(shear=[0.0, 0.0, 0.0, 0.0, highest])).heatmap()
+    assert (heatmap.trace["zmin"], heatmap.trace["zmax"]) == (0, end)
+    tab.run("map.kind = 'pressure'")
+    assert show(tab, hand_moment()).heatmap().trace["zmax"] == 50  # each kind keeps its own
+
+
+def test_shear_is_drawn_with_arrows() -> None:
+    """36 px at the end of the scale, 10 kPa; 0.1 kPa are too little, more is no longer."""
+    arrows = [[0.0, 5.0], [5.0, 0.0], [0.0, 0.1], [None, None], [-24.0, -32.0]]
+    moment = hand_moment(shear=[5.0, 5.0, 0.1, 0.0, 10.0], arrows=arrows)
+    picture = drawn(moment, setting="map.kind = 'shear'")
+    found = [note for note in picture.layout["annotations"] if note["showarrow"]]
+    places = [(note["xref"], note["x"], note["y"]) for note in found]
+    assert places == [("x", 0, 90), ("x", 90, 60), ("x2", 10, -5)]
+    # From the tail to the tip, upwards counts negative; its middle is at the tile.
+    tails = [(note["ax"], note["ay"], note["xshift"], note["yshift"]) for note in found]
+    assert tails[0] == pytest.approx((0.0, 18.0, 0.0, 9.0))
+    assert tails[1] == pytest.approx((-18.0, 0.0, 9.0, 0.0))
+    assert tails[2] == pytest.approx((21.6, -28.8, -10.8, -14.4))
+    assert not any(note["showarrow"] for note in drawn(moment).layout["annotations"])
+
+
+def test_a_mean_has_no_peak() -> None:
+    notes = drawn(hand_moment(highest="highest mean")).notes
+    assert "<b>highest mean 45.0</b>" in notes and "<b>peak 45.0</b>" not in notes
 
 
 def test_only_the_wall_shows_the_scale() -> None:

@@ -187,6 +187,7 @@ def test_report_draws_what_the_documents_say() -> None:
     assert said == {
         "mean pressure [kPa]": {"15.0 (12.0 to 18.0)"},
         "peak pressure [kPa]": {"40.0 (30.0 to 62.5)"},
+        "contact area [cm^2]": {"90 (80 to 100)"},
         "share of load [%]": {"25 (20 to 30)"},
         "shear [kPa]": {"2.0 (1.0 to 3.0)"},
     }

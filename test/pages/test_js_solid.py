@@ -100,21 +100,32 @@ def test_faces_of_a_surface_turn_the_same_way() -> None:
 def test_shear_is_drawn_without_grey() -> None:
     tab = opened()
     tab.run("map.kind = 'shear'")
-    tab.run(f"map.show({json.dumps(hand_moment(shear=[12.5] * 5))})")
+    tab.run(f"map.show({json.dumps(hand_moment(shear=[2.5] * 5))})")
     wall, _ = surfaces(tab.picture("#solid"))
     assert colour_at(wall, 50.0, 0.0, 90.0) == (33, 145, 140)
 
 
 def test_other_values_are_spread_evenly() -> None:
     tab = opened()
-    extras = json.dumps({"height": {"values": [-10.0, 30.0, 10.0, 10.0, 10.0], "unit": "mm"}})
+    extras = json.dumps({"height": {"values": [0.0, 40.0, 20.0, 20.0, 20.0], "unit": "mm"}})
     tab.run(f"Object.assign(map, {{extras: {extras}, kind: 'height'}})")
     tab.run(f"map.show({json.dumps(hand_moment())})")
     wall, _ = surfaces(tab.picture("#solid"))
-    # From -10 to 30: the lowest, the middle and the highest.
+    # The lowest, the middle and the highest.
     assert colour_at(wall, 50.0, 0.0, 90.0) == (68, 1, 84)
     assert colour_at(wall, 0.0, -50.0, 60.0) == (33, 145, 140)
     assert colour_at(wall, 0.0, 50.0, 60.0) == (253, 231, 37)
+
+
+def test_values_of_either_sign_diverge() -> None:
+    tab = opened()
+    extras = json.dumps({"offset": {"values": [-40.0, 40.0, 0.0, 0.0, 0.0], "unit": "mm"}})
+    tab.run(f"Object.assign(map, {{extras: {extras}, kind: 'offset'}})")
+    tab.run(f"map.show({json.dumps(hand_moment())})")
+    wall, _ = surfaces(tab.picture("#solid"))
+    assert colour_at(wall, 50.0, 0.0, 90.0) == (33, 102, 172)
+    assert colour_at(wall, 0.0, -50.0, 60.0) == (247, 247, 247)
+    assert colour_at(wall, 0.0, 50.0, 60.0) == (178, 24, 43)
 
 
 def test_clusters_are_outlined_at_their_corners() -> None:

@@ -58,7 +58,7 @@ function lineChart(box, chart) {
   if (data?.cards && !data.moments) { showCards(byId("cards"), data.cards); }
   for (const map of data?.maps ?? []) {
     const picture = new SocketMap(byId(map.box), null, data.socket);
-    Object.assign(picture, {chosen: map.range, diverging: map.diverging, scale: data.scale});
+    Object.assign(picture, {chosen: map.range, diverging: map.diverging, scales: {pressure: data.scale}});
     picture.show(map.moment);
   }
   const draw = (chart) => {

@@ -3,13 +3,17 @@
 "use strict";
 
 // viridis (van der Walt and Smith 2015): perceptually uniform and safe for colour-blind readers.
+const rgbOf = (hex) => [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16));
 const VIRIDIS = ["#440154", "#482475", "#414487", "#355f8d", "#2a788e", "#21918c", "#22a884",
-  "#44bf70", "#7ad151", "#bddf26", "#fde725"].map((hex) => [1, 3, 5].map(
-  (at) => parseInt(hex.slice(at, at + 2), 16)));
-const SCALES = [25, 50, 100, 200, 400];  // [kPa]
+  "#44bf70", "#7ad151", "#bddf26", "#fde725"].map(rgbOf);
+const SCALES = {  // [kPa]; ends of the colour scale, and the least automatic one
+  pressure: {ends: [25, 50, 100, 200, 400], least: 50},
+  shear: {ends: [2, 5, 10, 20, 50, 100], least: 5},
+};
+const ARROW = 36;  // [px]; length of an arrow at the end of the scale of shear
 const LEGEND = `<i class="full"></i> certain <i class="grey"></i> the greyer, the farther the 95 % interval
-  reaches beyond the value. Outlined: clusters, with their measured pressure [kPa]. The wall is unrolled
-  and seen from outside.`;
+  reaches beyond the value. Outlined: clusters, with their measured pressure [kPa]. Arrows: shear of the
+  limb on the socket. The wall is unrolled and seen from outside.`;
 const SOLID_PERIOD = 400;  // [ms]; minimum between 3D pictures
 const PLAIN = {displayModeBar: false, responsive: true};
 const byId = (name) => document.getElementById(name);
@@ -24,16 +28,21 @@ function element(tag, className, text) {
   return made;
 }
 
-// Colours are spread over a power of the share.
-function viridis(share, power) {
-  const place = 10 * Math.min(Math.max(share, 0), 1) ** power, below = Math.min(Math.floor(place), 9);
-  return VIRIDIS[below].map((low, i) => low + (place - below) * (VIRIDIS[below + 1][i] - low));
+function blend(colours, share) {
+  const last = colours.length - 1, place = last * Math.min(Math.max(share, 0), 1);
+  const below = Math.min(Math.floor(place), last - 1);
+  return colours[below].map((low, i) => low + (place - below) * (colours[below + 1][i] - low));
 }
+
+// Colours are spread over a power of the share.
+const viridis = (share, power) => blend(VIRIDIS, Math.min(Math.max(share, 0), 1) ** power);
 
 const colourScale = (power) => VIRIDIS.map((rgb, i) => [(i / 10) ** (1 / power), `rgb(${rgb})`]);
 const veiled = (rgb, veil, {colour, greyest}) =>
   `rgb(${rgb.map((c, k) => Math.round(c + veil * greyest * (colour[k] - c)))})`;
-const DIVERGING = [[0, "#2166ac"], [0.25, "#67a9cf"], [0.5, "#f7f7f7"], [0.75, "#f4a582"], [1, "#b2182b"]];
+const BLUE_TO_RED = ["#2166ac", "#67a9cf", "#f7f7f7", "#f4a582", "#b2182b"];
+const DIVERGING = BLUE_TO_RED.map((hex, i) => [i / 4, hex]);
+const diverging = (share) => blend(BLUE_TO_RED.map(rgbOf), share);
 
 function unpack(patch, tiles) {
   const bytes = Uint8Array.from(atob(patch.weights), (letter) => letter.charCodeAt(0));
@@ -53,8 +62,8 @@ function unpack(patch, tiles) {
 
 class SocketMap {
   constructor(box, solid, socket) {
-    Object.assign(this, {box, solid, socket, scale: null, moment: null, kind: "pressure",
-      extras: {}});
+    Object.assign(this, {box, solid, socket, moment: null, kind: "pressure", extras: {},
+      scales: {}});  // the end of the scale of each kind so far
     for (const patch of socket.patches) { unpack(patch, socket.names.length); }
     this.wall = socket.patches.find((patch) => patch.name === "wall");
     this.end = socket.patches.find((patch) => patch.name === "end");
@@ -67,12 +76,13 @@ class SocketMap {
     this.narrow.addEventListener("change", () => this.show());
   }
 
-  // Upper end of the colour scale: the smallest fixed one from 50 on that covers all peaks so far.
+  // Upper end of the colour scale: the smallest fixed one that covers all values so far.
   range(values) {
-    const highest = Math.max(...values.filter(known), 0);
     if (this.chosen) { return this.chosen; }
-    this.scale = SCALES.find((end) => end >= Math.max(highest, this.scale ?? 50)) ?? Math.max(highest, this.scale ?? 0);
-    return this.scale;
+    const {ends, least} = SCALES[this.kind];
+    const highest = Math.max(...values.filter(known), this.scales[this.kind] ?? 0, least);
+    this.scales[this.kind] = ends.find((end) => end >= highest) ?? highest;
+    return this.scales[this.kind];
   }
 
   // Values shown on the tiles, the reach of their 95 % intervals, and their greyness.
@@ -103,14 +113,15 @@ class SocketMap {
   paint(values, unit, {reach, grey}) {
     const extra = unit !== "kPa";
     const finite = values.filter(known);
-    const low = extra ? Math.min(...finite, 0) : 0;
-    const high = extra ? Math.max(...finite, low + 1e-9) : this.range(values);
+    const least = Math.min(...finite, 0), differs = this.diverging || (extra && least < 0);
+    const most = Math.max(...finite, extra && differs ? -least : least + 1e-9);
+    const high = extra ? most : this.range(values), low = differs ? -high : 0;
     const of = (patch) => {
       const z = patch.at(values.map((value) => value ?? 0));
       const within = (given, end) => given && patch.at(given).map((v) => v && Math.min(Math.max(v, 0), end));
       return {z, r: within(reach, Infinity), veil: within(grey, 1)};
     };
-    return {low: this.diverging ? -high : low, high, power: extra ? 1 : this.socket.power, patches: new Map(this.socket.patches.map((patch) => [patch, of(patch)]))};
+    return {low, high, differs, power: this.kind === "pressure" ? this.socket.power : 1, patches: new Map(this.socket.patches.map((patch) => [patch, of(patch)]))};
   }
 
   drawMap(paint, values, unit, ink) {
@@ -122,7 +133,7 @@ class SocketMap {
       const main = patch === (wall ?? end);
       traces.push({
         ...place, type: "heatmap", z: patch.rows(z), zmin: paint.low, zmax: paint.high,
-        colorscale: this.diverging ? DIVERGING : colourScale(paint.power), showscale: main,
+        colorscale: paint.differs ? DIVERGING : colourScale(paint.power), showscale: main,
         customdata: r && patch.rows(z.map((v, i) => (v === null ? null : [v - r[i], v + r[i]]))),
         hovertemplate: `%{z:.1f} ${unit}` + (r ? "<br>95 %: %{customdata[0]:.1f} to"
           + " %{customdata[1]:.1f}" : "") + "<extra></extra>",
@@ -165,9 +176,18 @@ class SocketMap {
         hoverinfo: "text", text: plain(name)}));
     }
     if (peak !== null && !this.diverging) {
-      label(peak, `<b>peak ${values[peak].toFixed(1)}</b>`, 0,
+      label(peak, `<b>${this.moment.highest ?? "peak"} ${values[peak].toFixed(1)}</b>`, 0,
         {bgcolor: "rgba(17,17,17,0.85)", font: {size: narrow.matches ? 10 : 13, color: "#fff"}});
     }
+    const arrows = this.kind === "shear" ? this.moment?.arrows ?? [] : [];
+    arrows.forEach(([right, up], tile) => {  // its middle on that of the tile
+      const length = Math.hypot(right ?? 0, up ?? 0);
+      if (!(length > 0.02 * paint.high)) { return; }
+      const [dx, dy] = [right, up].map((part) => (ARROW * part) / Math.max(length, paint.high));
+      const {xaxis, yaxis} = axes(socket.on_wall[tile] ? wall : end), [x, y] = socket.places[tile];
+      notes.push({x, y, xref: xaxis, yref: yaxis, text: "", showarrow: true, arrowhead: 2, arrowsize: 0.8,
+        arrowwidth: 1.5, arrowcolor: length < 0.4 * paint.high ? "#fff" : "#111", ax: -dx, ay: dy, xshift: dx / 2, yshift: dy / 2});
+    });
     for (const [name, tiles] of Object.entries(socket.regions)) {  // the user's own
       for (const tile of tiles) { outline(tile, {line: {color: "#fff", width: 1, dash: "dot"}}); }
       label(tiles[0], plain(name), -14);
@@ -216,7 +236,7 @@ class SocketMap {
       const colours = patch.flat.map((_, i) => {
         if (!found || !known(found.z[i])) { return "rgb(200,200,200)"; }
         const share = (found.z[i] - paint.low) / (paint.high - paint.low);
-        return veiled(viridis(share, paint.power), found.veil?.[i] ?? 0, socket.grey);
+        return veiled(paint.differs ? diverging(share) : viridis(share, paint.power), found.veil?.[i] ?? 0, socket.grey);
       });
       const [x, y, z] = [0, 1, 2].map((axis) => patch.flat.map((point) => point[axis] ?? 0));
       return {type: "mesh3d", x, y, z, i: faces[0], j: faces[1], k: faces[2], vertexcolor: colours,
@@ -358,11 +378,19 @@ class SocketView {
     this.course = byId("course") && new Course(byId("course"), byId("cursor"), seek);
     this.bars = null;
     byId("legend").innerHTML = LEGEND;
-    offer(byId("kind"), [...kinds, ...Object.keys(extras)], (event) => { this.map.kind = event.target.value; this.map.show(); });
-    offer(byId("scale"), ["automatic", ...SCALES.map((end) => `0 to ${end} kPa`)], (event) => {
-      this.map.chosen = SCALES[event.target.selectedIndex - 1];
+    const scales = () => {
+      const {ends} = SCALES[this.map.kind] ?? {ends: []};
+      offer(byId("scale"), ["automatic", ...ends.map((end) => `0 to ${end} kPa`)], (event) => {
+        this.map.chosen = ends[event.target.selectedIndex - 1];
+        this.map.show();
+      });
+    };
+    offer(byId("kind"), [...kinds, ...Object.keys(extras)], (event) => {
+      Object.assign(this.map, {kind: event.target.value, chosen: undefined});
+      scales();
       this.map.show();
     });
+    scales();
   }
 
   show({moment, cards, bars, course}) {
