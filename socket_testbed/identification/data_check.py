@@ -11,7 +11,7 @@ wrench, a rotated load cell, or two exchanged clusters under similar load.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain, compress, groupby
 
@@ -26,11 +26,13 @@ from socket_testbed.identification.force_map import NORMAL_QUANTILE
 from socket_testbed.identification.noise import channel_noise
 from socket_testbed.samples import (
     GRAVITY,
+    MOMENTS,
     WRENCH_CHANNELS,
     Samples,
     Status,
     channel_unit,
     force_magnitude,
+    local_channels,
 )
 from socket_testbed.settings.identification import ForceMapSettings
 
@@ -50,11 +52,12 @@ MAX_MISSING = 0.05  # [-]; share of a source's samples; sound 0
 MAX_INNOVATION = 3.5  # [-]; innovation of a cluster over its deviation; sound <= 3.3
 _COMPARED_SAMPLES = 60  # samples under load on which a cluster is compared with the others
 MAX_STILL = 2.0  # [s]; time without any change; sound two samples
+STILL = "not change for"  # how findings call it
 MAX_CLIPPED = 0.05  # [-]; share of the samples at one end of a channel's range; sound 0.002
 MAX_NOISE = {"N": 20.0, "N m": 3.0}  # by unit; sound 0.3 N, with the published errors 11 N
 # [-]; standard deviation of the clusters' total force over that of the load; sound 0.03 to 0.15
 LOCAL_SHARE = (0.001, 3.0)
-LOAD_RANGE = (0.02, 5.0)  # [-]; load over the weight of a stated mass
+LOAD_RANGE = (0.05, 5.0)  # [-]; load over the weight of a stated mass
 MIN_SINKING = 0.5  # [-]; cosine between the limb's motion under load and the axis; sound >= 0.996
 MAX_ROTATION = 0.7  # [rad]; of the limb from its mean attitude; sound 0.04
 
@@ -84,6 +87,7 @@ def check_data(
     mass: float | None = None,
     leave_out: tuple[str, ...] = (),
     whole: bool = True,
+    raw: tuple[DataFinding, ...] = (),
 ) -> tuple[DataFinding, ...]:
     """Defects of a trial's data, the worst first; empty if it is good.
 
@@ -94,54 +98,97 @@ def check_data(
         leave_out: Names of channels that are not checked, such as `Mz` or `distal.Fx`.
         whole: Whether the samples are a whole trial. In a window the limb may just be pushed, so
             sources are not compared over time.
+        raw: What the measurements from which the samples were made show, see
+            `trials.raw_check`; findings on units go before it, others after it.
     """
     if len(samples) < LEAST_CHECKED:
         fact = f"{len(samples)} samples are too few to judge it"
         return (DataFinding("the trial", fact, f"record {LEAST_CHECKED} or more"),)
+    units = [*_units(samples.centred(), geometry, mass, leave_out)]
+    found = [finding for finding, _ in units]
+    # Whatever else a channel in another unit seems to show, its unit causes.
+    unclear = tuple(chain.from_iterable(channels for _, channels in units))
+    leave_out = (*leave_out, *unclear)
+    if POSITION in unclear:
+        samples = replace(samples, position=np.full_like(samples.position, np.nan))
+    found += _known(raw, samples, leave_out)
     outliers = plausibility.find_outliers(samples, geometry, leave_out)
     counted = outliers.taken_from(samples).without(leave_out).centred()
-    found = [*_units(counted, geometry, mass, leave_out)]
     if whole:
         found += [*_time_series(counted, geometry)] or [*_disagreements(counted, geometry)]
-    found += _channels(samples, leave_out)
+    stopped = {each.source for each in raw if STILL in each.fact}
+    found += [
+        each
+        for each in _channels(samples, leave_out)
+        if STILL not in each.fact or each.source.rpartition(".")[0] not in stopped
+    ]
     spikes = plausibility.outlier_notes(samples, outliers)
     found += [DataFinding("single values", note, "check cables and connectors") for note in spikes]
     return tuple(found)
 
 
+POSITION = "position"  # stands for the limb's position among names of channels
+
+
+def still_limit(period: float) -> float:
+    """Time for which a source may stand still [s], from the usual time between samples [s]."""
+    return max(MAX_STILL, 4.0 * period)
+
+
+def _known(
+    raw: tuple[DataFinding, ...], samples: Samples, leave_out: tuple[str, ...]
+) -> Iterator[DataFinding]:
+    """The findings of the measurements, without those of clusters that are left out."""
+    counts = dict(zip(samples.channels, samples.counted(leave_out), strict=True))
+    for finding in raw:
+        own = local_channels(finding.source)
+        if finding.source not in samples.clusters or any(counts[name] for name in own):
+            yield finding
+
+
 def _units(
     samples: Samples, geometry: SocketGeometry, mass: float | None, leave_out: tuple[str, ...]
-) -> Iterator[DataFinding]:
-    """Units and frames, which show in sizes: of single channels, the force and the rotation."""
+) -> Iterator[tuple[DataFinding, tuple[str, ...]]]:
+    """Units and frames, which show in sizes: of single channels, the force and the rotation.
+
+    Each finding comes with the names of the channels whose unit it doubts.
+    """
     try:
-        plausibility.require_units(samples, geometry)
+        plausibility.require_position(samples, geometry)
     except IdentificationError as error:
-        yield DataFinding("the units", error.fact, error.hint)
+        yield DataFinding("the units", error.fact, error.hint), (POSITION,)
+    wrong = [*plausibility.wrong_units(samples, geometry, leave_out)]
+    for channels, error in wrong:
+        yield DataFinding("the units", error.fact, error.hint), channels
+    if wrong:
         return
     proposed = plausibility.find_implausible(samples, geometry)
     implausible = [each for each in proposed if each.channel not in leave_out]
     for source, group in groupby(implausible, lambda each: each.channel.rpartition(".")[0]):
         own = [*group]  # of the wrench, then of each cluster
-        channels = dict.fromkeys(each.channel for each in own)
+        channels = tuple(dict.fromkeys(each.channel for each in own))
         hint = "check that moments are in N m and forces in N, and the load cell's channels"
         if source:
             hint = f"check its calibration, or leave it out (--leave-out {' '.join(channels)})"
-        yield DataFinding(source or "the wrench", f"{own[0].channel}: {own[0].reason}", hint)
+        finding = DataFinding(source or "the wrench", f"{own[0].channel}: {own[0].reason}", hint)
+        yield finding, () if source else WRENCH_CHANNELS[MOMENTS]
     size = finite_quantile(force_magnitude(samples.wrench), 0.95)
     weights = size / (GRAVITY * mass) if mass and samples.has_wrench.any() else 1.0
     if not LOAD_RANGE[0] <= weights <= LOAD_RANGE[1]:
-        yield DataFinding(
+        finding = DataFinding(
             "the wrench",
             f"its force of {size:.3g} N is {weights:.2g} weights of the stated {mass:g} kg",
             "check that forces are in N, and the mass",
         )
+        yield finding, ()
     angle = finite_quantile(np.linalg.norm(samples.rotation, axis=1), 0.95)
     if angle > MAX_ROTATION:
-        yield DataFinding(
+        finding = DataFinding(
             "the limb pose",
             f"the limb turns by {np.degrees(angle):.0f} deg in the socket",
             "check the order of the quaternion (x, y, z, w), and the marker bodies",
         )
+        yield finding, ()
 
 
 @dataclass(frozen=True)
@@ -415,7 +462,7 @@ def _channels(samples: Samples, leave_out: tuple[str, ...]) -> Iterator[DataFind
         yield DataFinding("the trigger", fact, "see 'info' for the gaps, and the trigger's rate")
     # An averaged or extrapolated pose still varies in its last digits.
     poses = samples.pose[samples.has_pose]
-    limit = max(MAX_STILL, 4.0 * period)
+    limit = still_limit(period)
     if period * max(map(_longest_run, poses.T)) > limit:
         yield DataFinding(
             "the limb pose", "it stands still", "check the cameras and the bodies' names"
@@ -430,7 +477,7 @@ def _channels(samples: Samples, leave_out: tuple[str, ...]) -> Iterator[DataFind
         at_end, end = max((np.mean(known == end), end) for end in (known.min(), known.max()))
         unit = channel_unit(name)
         if still > limit:
-            fact, hint = f"it does not change for {still:.1f} s", "check the sensor and its driver"
+            fact, hint = f"it does {STILL} {still:.1f} s", "check the sensor and its driver"
         elif at_end > MAX_CLIPPED:
             fact = f"{100.0 * at_end:.0f} % of its values are at one end, {end:.3g} {unit}"
             hint = "check the sensor's range: it is clipped"
